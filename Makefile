@@ -22,7 +22,7 @@ help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: build $(if $(findstring --qemu,$(ARGS)),qemu)  ## the whole loop on a virtual quadrotor, results in demo_out/ (4 minutes)
-	@$(RUN) exec python -m quad_tuning.demo.main $(ARGS)
+	@$(RUN) exec python -c 'import sys; from quad_tuning.start import demo; sys.exit(demo())' $(ARGS)
 
 qemu: build  ## the STM32's ELF for demo ARGS=--qemu (needs gcc-arm-none-eabi, qemu-system-arm)
 	@for name in arm-none-eabi-gcc qemu-system-arm; do command -v $$name >/dev/null || { \

@@ -72,7 +72,7 @@ commands() {  # quad-sysid and quad-tune in .venv/bin, which need nothing source
         module=${name#*:}
         name=.venv/bin/${name%:*}
         printf '%s\n' "#!$PWD/.venv/bin/python" '# PYTHON_ARGCOMPLETE_OK' 'import sys' \
-            "from $module.cli import main" "if __name__ == '__main__':" '    sys.exit(main())' >"$name"
+            "from $module.start import main" "if __name__ == '__main__':" '    sys.exit(main())' >"$name"
         chmod +x "$name"
     done
 }

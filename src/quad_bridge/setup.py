@@ -36,10 +36,10 @@ setup(
     description='Serial bridge, bag logger and virtual STM32 for the quad suite.',
     entry_points={
         'console_scripts': [
-            'recover = quad_bridge.log.recover:main',
+            'recover = quad_bridge.start:recover',
             'monitor = quad_bridge.start:monitor',
-            'sensors = quad_bridge.sensors.command:main',
-            'make_key = quad_bridge.key_file:main',
+            'sensors = quad_bridge.start:sensors',
+            'make_key = quad_bridge.start:make_key',
             'bag_logger = quad_bridge.start:bag_logger',
             'serial_bridge = quad_bridge.start:serial_bridge',
             'virtual_stm32 = quad_bridge.start:virtual_stm32',

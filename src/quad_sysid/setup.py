@@ -10,14 +10,14 @@ PACKAGE = 'quad_sysid'
 NODES = [
     'excitation = quad_sysid.start_node:excitation',
     'identification = quad_sysid.start_node:identification',
-    'identify = quad_sysid.cli:ros2',
-    'inspect = quad_sysid.cli:ros2',
-    'evaluate = quad_sysid.cli:ros2',
-    'import = quad_sysid.cli:ros2',
-    'design-excitation = quad_sysid.cli:ros2',
-    'export = quad_sysid.cli:ros2',
-    'compare = quad_sysid.cli:ros2',
-    'fleet = quad_sysid.cli:ros2',
+    'identify = quad_sysid.start:ros2',
+    'inspect = quad_sysid.start:ros2',
+    'evaluate = quad_sysid.start:ros2',
+    'import = quad_sysid.start:ros2',
+    'design-excitation = quad_sysid.start:ros2',
+    'export = quad_sysid.start:ros2',
+    'compare = quad_sysid.start:ros2',
+    'fleet = quad_sysid.start:ros2',
 ]
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
 IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
@@ -49,6 +49,6 @@ setup(
     license='Apache-2.0',
     description='Identification of quadrotor dynamics and of the effects a model lacks.',
     entry_points={
-        'console_scripts': ['quad-sysid = quad_sysid.cli:main', *(NODES if IN_WORKSPACE else [])]
+        'console_scripts': ['quad-sysid = quad_sysid.start:main', *(NODES if IN_WORKSPACE else [])]
     },
 )

@@ -8,12 +8,12 @@ from setuptools import find_packages, setup
 PACKAGE = 'quad_tuning'
 
 NODES = [
-    'demo = quad_tuning.demo.main:main',
-    'design = quad_tuning.cli:ros2',
-    'export = quad_tuning.cli:ros2',
-    'history = quad_tuning.cli:ros2',
-    'rollback = quad_tuning.cli:ros2',
-    'send = quad_tuning.cli:ros2',
+    'demo = quad_tuning.start:demo',
+    'design = quad_tuning.start:ros2',
+    'export = quad_tuning.start:ros2',
+    'history = quad_tuning.start:ros2',
+    'rollback = quad_tuning.start:ros2',
+    'send = quad_tuning.start:ros2',
 ]
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
 IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
@@ -36,7 +36,9 @@ setup(
     license='Apache-2.0',
     description='PID and LQR design on identified quadrotor models.',
     entry_points={
-        'console_scripts': ['quad-tune = quad_tuning.cli:main', *(NODES if IN_WORKSPACE else [])],
+        'console_scripts': [
+            'quad-tune = quad_tuning.start:main', *(NODES if IN_WORKSPACE else []),
+        ],
         'quad_sysid.designers': ['pid = quad_tuning.designer:design'],
     },
 )

@@ -193,6 +193,8 @@ def test_detrend_takes_the_common_mean():
     flat = detrend(z)
     assert flat.u[[0, 1, 4, 5]].mean() == pytest.approx(0.0)
     assert flat.y[0] == pytest.approx(-2.5)
+    other = IOData(np.arange(6.0), np.arange(6.0), 1.0)
+    np.testing.assert_allclose(detrend(other, z).y, other.y - 7.5)
 
 
 @pytest.mark.parametrize(

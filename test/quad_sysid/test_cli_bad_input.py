@@ -16,6 +16,7 @@ from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.record import Record, Segment
 from quad_sysid.report.model_file import save_models
+from quad_tuning.cli import main as tune
 
 Run = Callable[..., tuple[int, str]]
 SCHEMA = Path(quad_sysid.report.__file__).with_name('report.schema.json')
@@ -113,6 +114,20 @@ def test_a_report_leaves_nothing_of_an_earlier_one(plain_bag, run, tmp_path):
     assert list(json.loads((out / 'report.json').read_text())['axes']) == ['yaw']
 
 
+@pytest.mark.parametrize('name', ['report.html', 'report.json', 'guide.md'])
+def test_a_folder_of_other_things_is_no_place_for_a_report(plain_bag, run, tmp_path, name):
+    """Nothing is mixed into it, and no file of the user's replaced."""
+    out = tmp_path / 'docs'
+    out.mkdir()
+    (out / name).write_text('{"schema": "mine"}')
+    status, error = run('identify', plain_bag, '--axis', 'roll', '--out', out)
+    assert (status, [path.name for path in out.iterdir()]) == (2, [name])
+    assert error == (f'quad-sysid: {out}: holds files, but no report of an identification: '
+                     f'found {name}; name a new folder, or an empty one\n')
+    (out / name).unlink()
+    assert main(['identify', str(plain_bag), '--axis', 'yaw', '--quiet', '--out', str(out)]) == 3
+
+
 def first(n: int) -> Callable[[Record], dict[str, object]]:
     def change(record: Record) -> dict[str, object]:
         columns = ('control', 'rates', 'angles', 'battery_v', 'attitude_setpoint', 'rate_setpoint')
@@ -169,6 +184,34 @@ def test_evaluate_answers_the_axes_it_can_and_names_the_others(
     ):
         ended, error = run('evaluate', model, plain_bag, *words.split())
         assert (ended, told in error) == (status, True), error
+
+
+def test_where_a_model_is_wanted_the_folder_of_its_report_will_do(
+    plain_bag, true_model, run, tmp_path, capsys
+):
+    """And who gives model and flight the other way round is told the order."""
+    result = tmp_path / 'result'
+    result.mkdir()
+    save_models({'roll': true_model}, result / 'model.json')
+    for words in (
+        ('evaluate', result, plain_bag, '--quiet'), ('compare', result, result, '--quiet'),
+        ('export', result, '--to', 'control', '--quiet'),
+        ('design-excitation', '--separate', 'coulomb_friction', 'nothing', '--model', result,
+         '--seconds', '10', '--quiet'),
+    ):
+        assert main([str(word) for word in words]) == 0, capsys.readouterr().err
+    assert (result / 'model_export.py').exists()
+    assert tune(['design', str(result), '--quiet']) in {0, 3}
+    capsys.readouterr()
+    for model in (result, result / 'model.json'):
+        status, error = run('evaluate', plain_bag, model)
+        assert status == 2
+        swapped = f'the model comes first: quad-sysid evaluate {model} {plain_bag}'
+        assert error == f'quad-sysid: {model}: is a model, where a bag is wanted; {swapped}\n'
+    status, error = run('evaluate', result, result)
+    assert (status, error.endswith('where a bag is wanted; give a bag\n')) == (2, True)
+    status, error = run('evaluate', plain_bag, plain_bag)
+    assert (status, 'is a folder without a model.json; give the' in error) == (2, True), error
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import json
 import math
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from flown_axis import SHORT, UNSEEN, Axis, fly
@@ -17,6 +20,7 @@ from quad_sysid.cli import main
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.plant import slopes_at
 from quad_sysid.model.checked import checked
+from quad_sysid.report import html, plots
 from quad_tuning.cli import main as tune
 
 
@@ -47,6 +51,7 @@ def result():
 
 def test_it_is_fitted_chosen_and_reported(result):
     assert [effect.name for effect in result.effects] == ['cogging']
+    assert result.report['axes']['roll']['own_effects'][0]['outcome'] == 'added'
     torque = result.effects[0].parameters[0]
     assert abs(torque.value - TRUTH) < 4.0 * torque.std
     assert result.errors['after'] < 0.5 * result.errors['before']
@@ -83,6 +88,42 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
         assert run([*words, '--effects', file, '--quiet']) == 0
 
 
+class Unmeasured(Cogging):
+    """What needs a signal that the flight lacks."""
+
+    name = 'unmeasured'
+
+    def prepare(self, data):
+        del data
+        return 'nobody measured it'
+
+
+@pytest.mark.parametrize('beside', [(), qs.EFFECTS[:4]], ids=['alone', 'beside others'])
+def test_one_that_loses_is_reported_with_its_evidence(beside):
+    """Also where the search does not fit it, as it promises nothing; and one that was not tested.
+
+    Nothing is planted, or dry friction alone.
+    """
+    torque = (lambda _t, rate, _angle: -6.0 * math.tanh(rate / 0.005)) if beside else (
+        lambda _t, _rate, _angle: 0.0)
+    result = qs.identify(fly(Axis(torque=torque), 5, SHORT), 'roll',
+                         effects=(*beside, Cogging(), Unmeasured()))
+    tree = result.report['axes']['roll']
+    lost, not_tested = tree['own_effects']
+    assert (lost['name'], lost['outcome']) == ('cogging', 'not_added')
+    assert lost['log_evidence_over_base'] <= lost['best']['log_evidence_over_base']
+    assert any('cogging' in structure['effects'] for structure in tree['tried'])
+    assert not_tested == {'name': 'unmeasured', 'outcome': 'not_tested',
+                          'because': 'nobody measured it'}
+    said = ' '.join(str(result).split())
+    assert 'your effect cogging: tried and not added: log evidence over the base' in said
+    assert 'your effect unmeasured: not tested: nobody measured it' in said
+    page = html.page(result.report, result.answers, {'roll': plots.Gallery({}, ())})
+    assert 'tried and not added: log evidence' in page
+    schema = Path(html.__file__).with_name('report.schema.json').read_text()
+    jsonschema.validate(result.report, json.loads(schema))
+
+
 def test_a_process_side_by_side_sends_back_what_names_it(tmp_path):
     own = own_effects(written(tmp_path))
     again = pickle.loads(pickle.dumps(own))  # noqa: S301
@@ -116,6 +157,7 @@ def like(torque=Cogging.torque, **changes):
         ((like(name='quadratic_drag')(),), 'two effects have one name: found quadratic_drag'),
         ((like(name='')(),), 'Mine: has no name'),
         ((like(signals='rate')(),), '`signals` must be a tuple of str'),
+        ((like(signals=('angel',))(),), "unknown one: found 'angel'; there are rate, angle, com"),
         ((like(parameters=())(),), '`parameters` must be a tuple of Spec'),
         ((like(lambda _, s, p: -p[0] * s.rate)(),), 'cannot be evaluated: found TypeError'),
         ((like(lambda _, s, p, __: p[0] * s.rates)(),), 'evaluated: found AttributeError'),

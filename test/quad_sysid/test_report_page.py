@@ -81,6 +81,23 @@ def test_written_report_follows_the_schema(written, answers, tmp_path):
         jsonschema.validate(report, SCHEMA)
 
 
+def test_a_report_that_is_interrupted_leaves_the_one_before(answers, tmp_path, monkeypatch):
+    """And no folder where there was none."""
+    folder, tree = tmp_path / 'out', document.document(answers, ['bag'])
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(store, 'page', interrupted)
+    for before in ([], ['model.json', 'report.json']):
+        if before:
+            store.write(folder, tree, answers, html=False, pictures=False)
+        with pytest.raises(KeyboardInterrupt):
+            store.write(folder, tree, answers, pictures=False)
+        assert sorted(path.name for path in tmp_path.rglob('*.*')) == before
+        assert folder.exists() == bool(before)
+
+
 def test_every_figure_is_in_the_page_and_beside_it(answers, written):
     assert answers['roll'].verdict == 'effects_added'
     answer, rest = (written / 'report.html').read_text().split('<figure', 1)

@@ -138,6 +138,15 @@ def test_a_length_of_the_training_reaches_the_low_end_of_the_band(refusal):
 # ---- schedules --------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize('row', ['0.000000,0.010000,0.020000', 'gain_{}: 0.1'])
+def test_a_file_that_is_no_schedule_is_not_shown_whole(tmp_path, refusal, row):
+    """Neither a table, which YAML takes for one long text, nor a list of other parameters."""
+    file = tmp_path / 'other'
+    file.write_text('\n'.join(row.format(k) for k in range(20_000)))
+    line = refusal(load_schedule, file)
+    assert (line.startswith(f'{file}: '), len(line) < 600) == (True, True), line[:600]
+
+
 @pytest.mark.parametrize(('name', 'seconds'), [('rig', 83), ('demo', 60), ('hover', 156)])
 def test_the_shipped_schedules_are_in_order(name, seconds):
     schedule = load_schedule(CONFIG / f'schedule_{name}.yaml')

@@ -6,6 +6,7 @@ Which room may import which is import-linter's (pyproject.toml).
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -103,6 +104,17 @@ def test_what_both_packages_share_is_linked_and_knows_neither() -> None:
         assert link.resolve() == source
         for path, _, imports, _ in modules(source):
             assert not imports & {'quad_bridge', 'quad_sysid'}, path
+
+
+@pytest.mark.parametrize('package', ['quad_bridge', 'quad_sysid'])
+def test_an_error_shows_the_beginning_of_what_it_found(package: str) -> None:
+    """quad_tuning raises those of quad_sysid."""
+    refused = importlib.import_module(f'{package}.errors').BadInputError
+    assert str(refused('gains.json', 'is wrong', 300 * 'a')).endswith(f'found {300 * "a"}')
+    line = str(refused('gains.json', 'is wrong', 'two\nlines ' + 10_000 * 'a', 'see docs'))
+    assert line.startswith('gains.json: is wrong: found two lines aaa')
+    assert line.endswith('a … (10010 characters); see docs')
+    assert len(line) < 400
 
 
 def test_ros_imports_stand_in_the_manifest_and_no_test_imports_rclpy_itself() -> None:

@@ -5,6 +5,9 @@ Commands turn these into their exit status (contract, Commands); nodes into /dia
 
 from __future__ import annotations
 
+MOST_FOUND = 300
+"""Characters of what was found that a message shows; it may be a whole file."""
+
 
 class QuadBridgeError(Exception):
     """Root of all errors that a user or the aircraft can cause or mend."""
@@ -21,7 +24,7 @@ class BadInputError(QuadBridgeError, ValueError):
     def __init__(self, where: str, what: str, found: object = None, remedy: str = '') -> None:
         text = f'{where}: {what}'
         if found is not None:
-            text += f': found {found}'
+            text += f': found {shortened(found)}'
         if remedy:
             text += f'; {remedy}'
         super().__init__(' '.join(text.split()))
@@ -34,3 +37,11 @@ class EncodeError(QuadBridgeError, ValueError):
 
 class RefusedError(QuadBridgeError, ValueError):
     """Wanted gains that must not reach the aircraft; `str()` names gain, value and bound."""
+
+
+def shortened(found: object) -> str:
+    """What was found, as one line of a message that stays readable."""
+    text = ' '.join(str(found).split())
+    if len(text) <= MOST_FOUND:
+        return text
+    return f'{text[:MOST_FOUND]} … ({len(text)} characters)'

@@ -1,7 +1,7 @@
-"""The first lines of every node's process, before its imports; nothing of ROS and no numpy here.
+"""The first lines of every program's process, before its imports; nothing of ROS, no numpy here.
 
-The imports of a node take a second or more. An interrupt meanwhile ends the process at once, with
-the status of one that was interrupted later: nothing is open yet.
+The imports take a second or more. An interrupt meanwhile ends the process at once, with the status
+and the words of one that was interrupted later: nothing is open yet.
 """
 
 from __future__ import annotations
@@ -23,11 +23,16 @@ def begin(module: str) -> None:
     importlib.import_module(module).main()
 
 
-def _guard(interrupted: int) -> None:
+def _guard(interrupted: int, words: str = '') -> None:
     """See the module; `interrupted` is the exit status."""
     _open_standard_streams()
+
+    def end(*_: object) -> None:
+        os.write(2, words.encode())
+        os._exit(interrupted)
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: os._exit(interrupted))
+        signal.signal(number, end)
 
 
 def listen_by_udp() -> None:
@@ -80,3 +85,32 @@ def virtual_stm32() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     return int(process.main())
+
+
+def recover() -> int:
+    """`ros2 run quad_bridge recover`."""
+    return _command('recover', 'quad_bridge.log.recover')
+
+
+def sensors() -> int:
+    """`ros2 run quad_bridge sensors`."""
+    return _command('sensors', 'quad_bridge.sensors.command')
+
+
+def make_key() -> int:
+    """`ros2 run quad_bridge make_key`."""
+    return _command('make_key', 'quad_bridge.key_file')
+
+
+def _command(name: str, module: str) -> int:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    words = f'{name}: interrupted\n'
+    _guard(INTERRUPTED, words)
+    main = importlib.import_module(module).main
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    try:
+        return int(main() or 0)
+    except KeyboardInterrupt:
+        sys.stderr.write(words)
+        return INTERRUPTED

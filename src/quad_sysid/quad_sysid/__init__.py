@@ -3,7 +3,7 @@
     import quad_sysid as qs
     result = qs.identify('my_flight', axes='roll')      # verdict, effects, model, errors, rivals
     print(result); result.plot('missing_torque'); result.save('out')
-    z = qs.read_bag('my_flight').axis('roll', 'train')
+    z = qs.detrend(qs.read_bag('my_flight').axis('roll', 'train'))
     model = qs.bj(z, 2, 2, 2, 2, 3)
 
 Names and orders are MATLAB's; nk = 1 is one sample of delay. The names stand in __init__.pyi;

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.files import check_place, check_there
+from quad_sysid.interrupt import INTERRUPTED
 
 if TYPE_CHECKING:
     from quad_sysid.model.effect import Effect
 
-BAD_ARGUMENTS, NOT_ANSWERED, INTERRUPTED = 2, 3, 130
+BAD_ARGUMENTS, NOT_ANSWERED = 2, 3
 """Exit status (contract, Commands)."""
 
 STATUSES = 'exit status: 0 done, 2 bad input or arguments, 3 the data cannot answer'

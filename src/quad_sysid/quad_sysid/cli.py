@@ -93,7 +93,8 @@ def _evaluate_parser(commands: Commands) -> None:
     parser = command(commands, 'evaluate', _evaluate,
                      'Error figures of a stored model on a bag it has never seen.',
                      'quad-sysid evaluate report/model.json second_flight/ --json', reads='bag')
-    parser.add_argument('model', metavar='MODEL.json', help='written by quad-sysid identify')
+    parser.add_argument('model', metavar='MODEL.json',
+                        help='written by quad-sysid identify, or its folder')
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
     parser.add_argument('--validate', metavar='A:B',
@@ -156,8 +157,12 @@ def _evaluate(options: argparse.Namespace) -> int:
     from quad_sysid.bags import clip_span, parse_span, read_bag
     from quad_sysid.pipeline.evaluate import evaluate
     from quad_sysid.report import document, tables, text, words
-    from quad_sysid.report.model_file import load_blackbox, load_models, pick
+    from quad_sysid.report.model_file import load_blackbox, load_models, names_model, pick
 
+    if names_model(options.bag):
+        swapped = f'the model comes first: quad-sysid evaluate {options.bag} {options.model}'
+        raise BadInputError(options.bag, 'is a model, where a bag is wanted',
+                            remedy='give a bag' if names_model(options.model) else swapped)
     models = load_models(options.model, own_effects(options.effects))
     polynomials = load_blackbox(options.model)
     if options.axis:

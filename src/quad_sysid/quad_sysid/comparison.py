@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain, islice
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -220,10 +219,10 @@ def _flight(name: str, axes: tuple[str, ...], effects: tuple[Effect, ...] | None
             show: Callable[[str], None]) -> Flight:
     """A stored model as it is; a bag identified, with its trim."""
     from quad_sysid.bags import read_bag, split_segments
-    from quad_sysid.report.model_file import load_models
+    from quad_sysid.report.model_file import load_models, names_model
     from quad_sysid.result import identify
 
-    if Path(name).suffix == '.json':
+    if names_model(name):
         models = load_models(name, effects or ())
         return Flight(name, {axis: of_model(models[axis]) for axis in axes if axis in models},
                       {axis: 'not in the file' for axis in axes if axis not in models})

@@ -5,6 +5,9 @@ Commands exit with the error's `exit_status`.
 
 from __future__ import annotations
 
+MOST_FOUND = 300
+"""Characters of what was found that a message shows; it may be a whole file."""
+
 
 class QuadSysidError(Exception):
     """Root of all errors that a user can cause or correct; `exit_status` is the command's."""
@@ -21,7 +24,7 @@ class BadInputError(QuadSysidError, ValueError):
     def __init__(self, where: str, what: str, found: object = None, remedy: str = '') -> None:
         text = f'{where}: {what}'
         if found is not None:
-            text += f': found {found}'
+            text += f': found {shortened(found)}'
         if remedy:
             text += f'; {remedy}'
         super().__init__(' '.join(text.split()))
@@ -31,3 +34,11 @@ class NotInformativeError(QuadSysidError):
     """The data are in order but cannot answer what was asked (exit status 3)."""
 
     exit_status = 3
+
+
+def shortened(found: object) -> str:
+    """What was found, as one line of a message that stays readable."""
+    text = ' '.join(str(found).split())
+    if len(text) <= MOST_FOUND:
+        return text
+    return f'{text[:MOST_FOUND]} … ({len(text)} characters)'

@@ -99,7 +99,8 @@ def add(commands: Commands) -> None:
                      'Write a model for python-control or MATLAB.',
                      'quad-sysid export result/model.json --to mat --out aircraft.mat',
                      writes='file')
-    parser.add_argument('model', metavar='MODEL.json', type=Path)
+    parser.add_argument('model', metavar='MODEL.json', type=Path,
+                        help='written by quad-sysid identify, or its folder')
     parser.add_argument('--to', required=True, choices=['control', 'mat'],
                         help='control: a Python file; mat: MATLAB')
     parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
@@ -110,13 +111,14 @@ def add(commands: Commands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from quad_sysid.report.model_file import load_models, pick
+    from quad_sysid.report.model_file import load_models, located, pick
 
-    models = load_models(options.model, own_effects(options.effects))
+    model = located(options.model)
+    models = load_models(model, own_effects(options.effects))
     if options.axis is not None:
-        models = pick(models, options.axis, options.model)
+        models = pick(models, options.axis, model)
     write, suffix = WRITERS[options.to]
-    out = options.out or options.model.with_name(f'{options.model.stem}_export{suffix}')
+    out = options.out or model.with_name(f'{model.stem}_export{suffix}')
     check_new(out)
     write_whole(out, write(models))
     if not options.quiet:

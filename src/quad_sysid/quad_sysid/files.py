@@ -13,6 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.errors import BadInputError
+from quad_sysid.interrupt import held
+
+UNFINISHED = '.unfinished_'
+"""How the name of a folder begins that holds what is not whole yet."""
+REPORT = 'quad_sysid/report/'
+"""How the schema of report.json begins (contract)."""
 
 
 def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
@@ -54,25 +60,44 @@ def read_by_library(path: str | os.PathLike[str], what: str, remedy: str) -> Ite
                             remedy=remedy) from error
 
 
+def check_own(folder: Path) -> None:
+    """Raise BadInputError where a folder holds something, but no report of an identification.
+
+    What an earlier identification left there is replaced by the next; what is not its own never.
+    """
+    try:
+        there = [path.name for path in folder.iterdir() if not path.name.startswith(UNFINISHED)]
+    except OSError:  # no folder yet, or none: `check_place`
+        return
+    try:
+        report = json.loads((folder / 'report.json').read_text(encoding='utf-8'))
+    except (OSError, ValueError, RecursionError):
+        report = None
+    own = isinstance(report, dict) and str(report.get('schema')).startswith(REPORT)
+    if there and not own:
+        raise BadInputError(str(folder), 'holds files, but no report of an identification',
+                            min(there), 'name a new folder, or an empty one')
+
+
+@contextmanager
+def unfinished(place: Path) -> Iterator[Path]:
+    """A folder in `place` for what is not whole yet: it goes at the end, also of the process."""
+    with held():  # else it could be there before it is known
+        room = tempfile.TemporaryDirectory(dir=place, prefix=UNFINISHED)
+    with room:
+        yield Path(room.name)
+
+
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Write a file so that it appears only when it is complete; raises BadInputError."""
     target = Path(path)
-    data = content.encode() if isinstance(content, str) else content
-    part: Path | None = None
     try:
-        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f'.{target.name}.',
-                                         suffix='.part', delete=False) as stream:
-            part = Path(stream.name)
-            stream.write(data)
+        with unfinished(target.parent) as room, (room / target.name).open('wb') as stream:
+            stream.write(content.encode() if isinstance(content, str) else content)
             stream.flush()
             os.fsync(stream.fileno())
-        mask = os.umask(0)
-        os.umask(mask)
-        part.chmod(0o666 & ~mask)
-        part.replace(target)
+            (room / target.name).replace(target)
     except OSError as error:
-        if part is not None:
-            part.unlink(missing_ok=True)
         raise BadInputError(str(target), 'cannot be written', error.strerror,
                             'choose another place') from error
 
@@ -99,7 +124,7 @@ def check_place(place: Path, *, folder: bool = True, option: str = '--out') -> N
     if there.exists() and not there.is_dir():
         raise BadInputError(option, f'{there} is not a folder', remedy='choose another place')
     try:
-        with tempfile.TemporaryDirectory(dir=there):  # as root, /proc says that it is writable
+        with unfinished(there):  # as root, /proc says that it is writable
             pass
     except OSError as error:
         raise BadInputError(option, f'{there} cannot be written', error.strerror,

@@ -14,6 +14,7 @@ import csv
 import io
 import json
 import os
+import signal
 import sys
 import time
 from collections import Counter
@@ -24,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid import interrupt
 from quad_sysid.arguments import NOT_ANSWERED, Commands, command, progress, quiet_and_json
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, QuadSysidError
@@ -192,14 +194,23 @@ def _rows(todo: Sequence[Job], workers: int, work: Callable[[Job], Row]) -> Iter
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
     from concurrent.futures.process import BrokenProcessPool
+    from multiprocessing import forkserver, resource_tracker
 
     context = multiprocessing.get_context('forkserver')
     context.set_forkserver_preload(['quad_sysid.pipeline.identify', 'quad_sysid.report.document'])
+    resource_tracker.ensure_running()  # which lets the signals in again
+    with interrupt.held():  # a terminal sends SIGINT to all, and this process ends them
+        forkserver.ensure_running()
 
     def alone(job: Job) -> Row:
-        with ProcessPoolExecutor(1, context) as process:
+        with interrupt.starting:
+            if interrupt.ending:
+                return _row(job)
+            process = ProcessPoolExecutor(1, context, _begin)
+            row = process.submit(work, job)
+        with process:
             try:
-                return process.submit(work, job).result()
+                return row.result()
             except BrokenProcessPool:
                 return {**_row(job), 'reason': 'its process died', 'seconds': 0.0}
 
@@ -210,6 +221,12 @@ def _rows(todo: Sequence[Job], workers: int, work: Callable[[Job], Row]) -> Iter
                 yield future.result()
         finally:
             threads.shutdown(cancel_futures=True)
+
+
+def _begin() -> None:
+    """First in the process of a bag: the command's ends it, and it leaves nothing half done."""
+    interrupt.take_over(terminated=True)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})  # the server's, see above
 
 
 def _row(job: Job) -> Row:

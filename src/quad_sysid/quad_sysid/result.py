@@ -288,10 +288,9 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
     from quad_sysid.effects import EFFECTS
     from quad_sysid.estimate.stored import completed
     from quad_sysid.model.checked import checked
-    from quad_sysid.report.model_file import load_models
+    from quad_sysid.report.model_file import load_models, located
 
-    place = Path(path)
-    place = place / 'model.json' if place.is_dir() else place
+    place = located(path)
     models = load_models(place, checked(effects, 'read_model: effects', EFFECTS))
     if not axis and len(models) == 1:
         axis = next(iter(models))

@@ -13,7 +13,7 @@ from typing import Any
 from quad_sysid.bags import parse_span
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import check_place
+from quad_sysid.files import check_own, check_place
 from quad_sysid.result import Result, identify
 
 
@@ -40,6 +40,8 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
     Without `out` a folder is created in the current directory. Raises QuadSysidError.
     """
     check_place(out or Path())
+    if out is not None:
+        check_own(out)
     told = ' (compiling, once)' if compiles() else ''
 
     def tell(line: str) -> None:

@@ -61,7 +61,7 @@ def ros2() -> int:
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(writes='file')  # --out, checked before the design
     parser.add_argument('model', type=Path, metavar='MODEL.json',
-                        help='written by quad-sysid identify')
+                        help='written by quad-sysid identify, or its folder')
     parser.add_argument('--method', choices=('pid', 'lqr'), default='pid',
                         help='pid: the cascade of angle and rate (default); lqr: state feedback')
     parser.add_argument('--axis', choices=(*AXES, 'all'), default='all',

@@ -36,6 +36,7 @@ from quad_sysid.bags.events import EVENT, Event, encode_event
 from quad_sysid.bags.orientation import quaternions
 from quad_sysid.contract import MIXER, TOPIC_TYPES, FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import unfinished
 from quad_sysid.record import Record, Segment
 
 Storage = Literal['mcap', 'sqlite3']
@@ -118,18 +119,21 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
     except OSError as error:
         raise BadInputError(str(path), 'cannot be created', error.strerror,
                             'choose another --out') from error
-    writer = Writer(path, version=9, storage_plugin=plugin)
-    writer.set_compression(CompressionMode[options.compression.upper()], CompressionFormat.ZSTD)
-    for key, text in (options.notes or {}).items():
-        writer.set_custom_data(key, text)
-    with writer:
-        connections = {
-            topic: writer.add_connection(topic, TOPIC_TYPES[topic], typestore=typestore(),
-                                         offered_qos_profiles=[_qos(TOPIC_TYPES[topic])])
-            for topic in [*streams, *events]
-        }
-        for stamp, topic, raw in queue:
-            writer.write(connections[topic], stamp, raw)
+    with unfinished(path.parent) as room:
+        writer = Writer(room / path.name, version=9, storage_plugin=plugin)
+        writer.set_compression(CompressionMode[options.compression.upper()],
+                               CompressionFormat.ZSTD)
+        for key, text in (options.notes or {}).items():
+            writer.set_custom_data(key, text)
+        with writer:
+            connections = {
+                topic: writer.add_connection(topic, TOPIC_TYPES[topic], typestore=typestore(),
+                                             offered_qos_profiles=[_qos(TOPIC_TYPES[topic])])
+                for topic in [*streams, *events]
+            }
+            for stamp, topic, raw in queue:
+                writer.write(connections[topic], stamp, raw)
+        (room / path.name).rename(path)
     return path
 
 

@@ -101,14 +101,20 @@ def excitation_order(u: FloatArray | IOData, max_order: int = 100, tolerance: fl
     return int(np.sum(values > tolerance * values[0])) if values[0] > 0.0 else 0
 
 
-def detrend(z: IOData) -> IOData:
-    """Take from u and y (and r) the common mean over all segments."""
+def detrend(z: IOData, about: IOData | None = None) -> IOData:
+    """Take from u and y (and r) the common mean over all segments: their own, or those of `about`.
 
-    def centred(x: FloatArray) -> FloatArray:
-        mean = np.concatenate([x[start:stop] for start, stop in z.segments]).mean()
+    An axis nearly integrates: of two parts of a flight, each about means of its own, the second
+    drifts away from a model of the first. So give the data of the model to those it is judged by.
+    """
+    about = z if about is None else about
+
+    def centred(x: FloatArray, known: FloatArray) -> FloatArray:
+        mean = np.concatenate([known[start:stop] for start, stop in about.segments]).mean()
         return np.asarray(x - mean)
 
-    return IOData(u=centred(z.u), y=centred(z.y), dt=z.dt, r=None if z.r is None else centred(z.r),
+    return IOData(u=centred(z.u, about.u), y=centred(z.y, about.y), dt=z.dt,
+                  r=None if z.r is None or about.r is None else centred(z.r, about.r),
                   segments=z.segments)
 
 

@@ -14,6 +14,14 @@ from quad_sysid.model.effect import Effect, Signals, Spec
 from quad_sysid.model.plant import Flight
 from quad_sysid.model.structure import Structure
 
+SIGNALS = (
+    'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'direction', 'history',
+    *(f'other {signal}{which}' for signal in ('rate', 'angle', 'command')
+      for which in ('', ' 1', ' 2')),
+    'product of other rates',
+)
+"""The words by which an effect says what it depends on (Effect.signals)."""
+
 
 def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[Effect, ...]:
     """`effects` as a tuple; those that are not among the `known` are tried.
@@ -54,6 +62,10 @@ def _check_fields(effect: Effect, where: str) -> None:
         if not (isinstance(value, tuple) and value and all(isinstance(v, kind) for v in value)):
             raise BadInputError(where, f'`{name}` must be a tuple of {kind.__name__}', repr(value),
                                 remedy)
+    for signal in effect.signals:
+        if signal not in SIGNALS:
+            raise BadInputError(where, '`signals` holds an unknown one', repr(signal),
+                                f'there are {", ".join(SIGNALS)}')
     if not effect.name or not isinstance(effect.name, str):
         raise BadInputError(where, 'has no name', remedy="such as name = 'my_effect'")
 

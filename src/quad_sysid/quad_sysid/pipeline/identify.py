@@ -15,7 +15,8 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
-from quad_sysid.discover.search import search
+from quad_sysid.discover.screen import candidates, screen
+from quad_sysid.discover.search import Found, extended, scored, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.estimate.fit import Problem
@@ -32,6 +33,7 @@ from quad_sysid.record import Record
 
 Progress = Callable[[str], None]
 NOT_SEARCHED = 'effects were not searched for'
+NOT_FITTED = 'it cannot be fitted beside the base'
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def found_effects(data: AxisData, options: Options,
     progress(f'{data.axis}: what is missing')
     try:
         problem = Problem(data, data.train)
-        found = search(problem, options.effects)
+        found = with_own(problem, search(problem, options.effects), options.effects)
         if not options.effects:
             found.reasons.update((effect.label, NOT_SEARCHED) for effect in EFFECTS)
         progress(f'{data.axis}: held-out segments')
@@ -131,6 +133,25 @@ def found_effects(data: AxisData, options: Options,
             f'{data.axis}: no model of this axis can be fitted to the training ({error}); '
             'look at its command and rate'
         ) from error
+
+
+def with_own(problem: Problem, found: Found, effects: Sequence[Effect]) -> Found:
+    """What a search found, and the fits beside the base of a user's effects that it passed over.
+
+    It fits only what promises something; who wrote an effect is told what it explains anyway.
+    """
+    fitted = {label for one in found.all for label in one.fit.structure.labels}
+    passed_over = [effect for effect in effects if effect not in EFFECTS
+                   and effect.label not in fitted | found.reasons.keys()]
+    if not passed_over:
+        return found
+    fits = {one.part.effect.label: extended(problem, found.base, one)
+            for one in screen(problem, found.base, candidates(problem, passed_over)[0])}
+    more = [scored(fit, found.prices) for fit in fits.values() if fit is not None]
+    failed = {effect.label: NOT_FITTED for effect in passed_over
+              if fits.get(effect.label) is None}
+    return replace(found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
+                   reasons=found.reasons | failed)
 
 
 def _reason(told: Findings, *, searched: bool) -> str:

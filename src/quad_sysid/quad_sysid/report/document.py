@@ -11,6 +11,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Horizon
+from quad_sysid.discover.search import Found, Scored
 from quad_sysid.model import EffectEstimate, GainProposal, NoiseEstimate, Parameter
 from quad_sysid.pipeline.answer import (
     AxisAnswer,
@@ -50,6 +51,7 @@ def plain(value: Any) -> Any:
 
 def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
     model, findings = answer.model, answer.findings
+    own = [effect.label for effect in model.own_effects] if model else []
 
     def parameters(some: Sequence[Parameter]) -> list[dict[str, Any]]:
         return [_parameter(p, inertia) for p in some]
@@ -68,7 +70,8 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'effects': [_effect(e, inertia) for e in model.effects] if model else [],
         'not_tested': [{'name': name, 'because': because}
                        for name, because in (findings.found.reasons.items() if findings else ())],
-        'tried': _tried(findings) if findings else [],
+        'tried': _tried(findings, own) if findings else [],
+        'own_effects': _own(findings, own, model.effects) if findings and model else [],
         'base': {'parameters': parameters(model.plain if model else ()),
                  'noise': _noise(model.plain_noise if model else None)},
         'completed': {'parameters': parameters(model.base if model else ()),
@@ -117,15 +120,48 @@ def _noise(noise: NoiseEstimate | None) -> list[dict[str, Any]]:
     ]
 
 
-def _tried(findings: Findings) -> list[dict[str, Any]]:
-    """Structures that were fitted, the most probable first."""
+def _tried(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
+    """Structures that were fitted, the most probable first; not all without effects of one's own.
+
+    Of each of these the best is told.
+    """
     found = findings.found
     base = next(one.score for one in found.all if not one.fit.structure.parts)
+    best = {_best_with(found, label) for label in own}
     return [
         {'effects': one.fit.structure.labels, 'log_evidence_over_base': one.score - base,
          'probability': float(p), 'converged': one.fit.converged}
-        for one, p in zip(found.all[:MOST_TRIED], found.probabilities(), strict=False)
+        for place, (one, p) in enumerate(zip(found.all, found.probabilities(), strict=True))
+        if place < MOST_TRIED or one in best
     ]
+
+
+def _own(findings: Findings, own: Sequence[str],
+         added: Sequence[EffectEstimate]) -> list[dict[str, Any]]:
+    """What became of the user's effects, by their labels."""
+    found = findings.found
+    out: list[dict[str, Any]] = []
+    base, leading = found.of_names(()), found.all[0]
+    names = {f'{e.name}/{e.variant}' if e.variant else e.name for e in added}
+    for label in own:
+        best = _best_with(found, label)
+        if label in found.reasons or best is None:
+            out.append({'name': label, 'outcome': 'not_tested',
+                        'because': found.reasons.get(label, '')})
+        else:
+            out.append({
+                'name': label, 'outcome': 'added' if label in names else 'not_added',
+                'with': [other for other in best.fit.structure.labels if other != label],
+                'log_evidence_over_base': best.score - base,
+                'best': {'effects': leading.fit.structure.labels,
+                         'log_evidence_over_base': leading.score - base},
+            })
+    return out
+
+
+def _best_with(found: Found, label: str) -> Scored | None:
+    """The most probable structure with an effect."""
+    return next((one for one in found.all if label in one.fit.structure.labels), None)
 
 
 def _parameter(parameter: Parameter, inertia: float | None) -> dict[str, Any]:

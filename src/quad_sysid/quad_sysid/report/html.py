@@ -160,7 +160,8 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
         ('Data', _fold('Segments', tables.segments(tree).html()) + figures(DATA)),
         ('Prediction on held-out data', tables.errors(tree).html() + tables.horizons(tree).html()
          + figures(PREDICTION)),
-        ('What the base lacks', tables.effects(tree).html() + tables.parameters(tree).html()
+        ('What the base lacks', tables.effects(tree).html() + tables.own(tree).html()
+         + tables.parameters(tree).html()
          + figures(EFFECTS) + _fold('Everything that was tried',
                               tables.tried(tree).html() + tables.untested(tree).html())),
         ('What is left', tables.residuals(tree).html() + figures(LEFT)),

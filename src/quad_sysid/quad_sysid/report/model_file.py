@@ -12,6 +12,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -25,6 +26,8 @@ from quad_sysid.model import AxisModel
 from quad_sysid.model.effect import Effect
 
 SCHEMA = 'quad_sysid/model/2'
+FILE = 'model.json'
+"""Its name in the folder of a report."""
 BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
 NOT_STORED = {'axis', 'interval', 'own_effects'}
@@ -32,7 +35,7 @@ NOT_STORED = {'axis', 'interval', 'own_effects'}
 BLACKBOX = ('structure', 'orders', 'approach', *POLYNOMIALS, 'nk', 'dt', 'noise_variance',
             'covariance')
 """Fields of a polynomial model that are stored."""
-REMEDY = 'give the model.json of quad-sysid identify'
+REMEDY = 'give the model.json of quad-sysid identify, or its folder'
 AGAIN = 'identify again with this version'
 
 
@@ -48,12 +51,30 @@ def save_models(models: Mapping[str, AxisModel], path: str | os.PathLike[str],
     write_whole(path, json.dumps(tree, indent=1, allow_nan=False) + '\n')
 
 
+def names_model(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is that of a model: a JSON file, or the folder of a report with one."""
+    folder = Path(path)
+    there = (folder / FILE).is_file() and not (folder / 'metadata.yaml').exists()  # of a bag
+    return folder.suffix == '.json' or there
+
+
+def located(path: str | os.PathLike[str]) -> Path:
+    """The model.json of a path, which may be the folder that `identify` wrote it into."""
+    place = Path(path)
+    if not place.is_dir():
+        return place
+    if not (place / FILE).exists():
+        raise BadInputError(str(place), f'is a folder without a {FILE}', remedy=REMEDY)
+    return place / FILE
+
+
 def load_models(path: str | os.PathLike[str],
                 own_effects: Sequence[Effect] = ()) -> dict[str, AxisModel]:
-    """Models by axis from a model.json; raises BadInputError naming file, field and remedy.
+    """Models by axis from a model.json or its folder; raises BadInputError naming the field.
 
     `own_effects`: the caller's effects that the models may name too.
     """
+    path = located(path)
     root = _keys(read_json(path, REMEDY), str(path), {'schema', 'axes'}, more=True)
     if root['schema'] != SCHEMA:
         raise BadInputError(f'{path}: schema', f'must be {SCHEMA}', root['schema'], REMEDY)
@@ -93,6 +114,7 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
 
     Raises BadInputError naming file and field where they cannot be read.
     """
+    path = located(path)
     tree = read_json(path)
     axes = tree.get('blackbox', {}) if isinstance(tree, dict) else {}
     if not isinstance(axes, dict):

@@ -12,7 +12,8 @@ from typing import Any
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import make_folder, write_whole
+from quad_sysid.files import check_own, check_place, make_folder, unfinished, write_whole
+from quad_sysid.interrupt import held
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import plots
 from quad_sysid.report.html import page
@@ -51,13 +52,39 @@ def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAns
           html: bool = True, pictures: bool = True) -> None:
     """Write all files of a report, report.json last, so that the others exist once it does.
 
-    Those of an earlier report there are removed first.
+    Those of an earlier report there are replaced once all are written. Raises BadInputError where
+    the folder holds what is no report.
 
     `html` False writes no report.html; `pictures` False no folder `pictures` of PNG files (the
     page has its own inside). With neither, nothing is drawn.
     """
-    make_folder(folder)
-    clear(folder)
+    check_own(folder)
+    check_place(folder)
+    place = folder.absolute()
+    with unfinished(next(p for p in (place, *place.parents) if p.exists())) as room:
+        _write(room, report, answers, html=html, pictures=pictures)
+        with held():
+            make_folder(folder)
+            clear(folder)
+            _move(room, folder)
+
+
+def _move(room: Path, folder: Path) -> None:
+    """All files of a room to their places in a folder."""
+    for path in sorted(room.rglob('*'), key=lambda path: path.name == 'report.json'):
+        target = folder / path.relative_to(room)
+        try:
+            if path.is_dir():
+                target.mkdir(exist_ok=True)
+            else:
+                path.replace(target)
+        except OSError as error:
+            raise BadInputError(str(target), 'cannot be written', error.strerror,
+                                'choose another --out') from error
+
+
+def _write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], *,
+           html: bool, pictures: bool) -> None:
     models = {axis: a.model for axis, a in answers.items() if a.model is not None}
     if models:
         blackbox = {axis: tree_of(a.rows[a.selected].step_a.model)

@@ -185,6 +185,26 @@ def tried(tree: Tree) -> Table:
                  caption='Evidence in the training segments alone, prior included.')
 
 
+def own(tree: Tree) -> Table:
+    """What became of the user's own effects."""
+    rows = [[item['name'], _became(item)] for item in tree.get('own_effects', [])]
+    return Table(['your effect', 'outcome'], rows)
+
+
+def _became(item: Tree) -> str:
+    if item['outcome'] == 'not_tested':
+        return f'not tested: {item["because"]}'
+    if item['outcome'] == 'added':
+        return 'tried and added'
+    beside, best = ' + '.join(item['with']), item['best']
+    return (
+        f'tried and not added: log evidence over the base {number(item["log_evidence_over_base"])}'
+        f'{f" (with {beside})" if beside else ""}, where '
+        f'{" + ".join(best["effects"]) or "the base alone"} has '
+        f'{number(best["log_evidence_over_base"])}'
+    )
+
+
 def untested(tree: Tree) -> Table:
     """Effects that could not be tested, grouped by reason."""
     reasons: dict[str, list[str]] = {}

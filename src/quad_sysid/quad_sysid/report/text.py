@@ -40,6 +40,8 @@ def _verdict(tree: Mapping[str, Any]) -> list[str]:
     noise = (f'{p["name"].replace("_", " ")} {p["value"]:.3g} {p["unit"]}'
              for p in tree['base']['noise'])
     out += wrapped(', '.join(noise))
+    for name, outcome in tables.own(tree).rows:
+        out += wrapped(f'your effect {name}: {outcome}')
     for names, because in tables.untested(tree).rows:
         out += wrapped(f'not tested: {names}: {because}')
     band = tree.get('trusted_band_rad_s')

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
 from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, shortened
 from quad_sysid.signals.waveforms import Silence, Waveform, parameter_names, waveform
 
 ROLES = ('train', 'validation', 'idle')
@@ -184,7 +184,7 @@ def _mapping(value: object, where: str, keys: Sequence[str], what: str) -> Mappi
         raise BadInputError(where, f'{what} must hold {", ".join(keys)}', repr(value))
     strange = [str(key) for key in value if key not in keys]
     if strange:
-        raise BadInputError(where, f'unknown key {", ".join(strange)}',
+        raise BadInputError(where, f'unknown key {shortened(", ".join(strange))}',
                             remedy=f'{what} takes {", ".join(keys)}')
     return value
 

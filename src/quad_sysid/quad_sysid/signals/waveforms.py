@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, shortened
 
 TAPS: dict[int, tuple[int, ...]] = {2: (2, 1), 3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5),
                                     7: (7, 6), 8: (8, 6, 5, 4), 9: (9, 5), 10: (10, 7),
@@ -189,7 +189,7 @@ def waveform(name: str, parameters: Mapping[str, object], where: str) -> Wavefor
     known = parameter_names(name)
     strange = [key for key in parameters if key not in known]
     if strange:
-        raise BadInputError(where, f'unknown key {", ".join(strange)} for signal {name}',
+        raise BadInputError(where, f'unknown key {shortened(", ".join(strange))} for {name}',
                             remedy=f'it takes {", ".join(known) or "none"}')
     given = {key: _number(value, key, where) for key, value in parameters.items()}
     try:

@@ -1,0 +1,158 @@
+"""Ctrl-C in a command: one line and status 130 wherever it comes, and nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from node_process import until
+from probe import PATIENCE_S
+
+COMMANDS = {
+    'quad-sysid': ('quad_sysid.start', 'main'), 'quad-tune': ('quad_tuning.start', 'main'),
+    'demo': ('quad_tuning.start', 'demo'), 'recover': ('quad_bridge.start', 'recover'),
+    'sensors': ('quad_bridge.start', 'sensors'), 'make_key': ('quad_bridge.start', 'make_key'),
+}
+"""Name of a program, the module and the function of its console entry."""
+AT_IMPORT = """
+import importlib.abc, os, sys
+class Interrupt(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == {0!r}:
+            try:
+                os.kill(os.getpid(), 2)
+            except KeyboardInterrupt as error:
+                raise ImportError('an import that makes another error of it') from error
+sys.meta_path.insert(0, Interrupt())
+"""
+AT_WORK = """
+import atexit, os, signal, sys, tempfile, threading, time
+from pathlib import Path
+from quad_sysid import interrupt, session
+from quad_sysid.beside import side_by_side
+def interrupted():
+    os.kill(os.getpid(), 2)
+def run(*given):
+    {0}
+    print('went on')
+    raise SystemExit(0)
+session.run = run
+"""
+START = '\nimport sys; from {0} import {1} as start; sys.exit(start())'
+IDENTIFY = ('identify', '.', '--out', 'out')
+
+
+def command(program: str, before: str, *words: str) -> list[str]:
+    return [sys.executable, '-c', before + START.format(*COMMANDS[program]), *words]
+
+
+def run(tmp_path: Path, program: str, before: str, *words: str) -> tuple[int, str, str]:
+    """Status and words; it ends only once no process of its is left that could write there."""
+    done = subprocess.run(
+        command(program, before, *words), cwd=tmp_path, capture_output=True, text=True,
+        check=False, timeout=PATIENCE_S, env={**os.environ, 'OPENBLAS_NUM_THREADS': '1'},
+    )  # fmt: skip
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    ('program', 'module'),
+    [('quad-sysid', 'numpy'), ('quad-sysid', 'quad_sysid.fleet'), ('quad-tune', 'scipy.linalg'),
+     ('quad-tune', 'quad_tuning.exports'), ('demo', 'quad_tuning.demo.story'),
+     ('recover', 'yaml'), ('sensors', 'numpy'), ('make_key', 'quad_bridge.errors')],
+)
+def test_while_it_imports(tmp_path, program, module):
+    told = run(tmp_path, program, AT_IMPORT.format(module))
+    assert told == (130, '', f'{program}: interrupted\n')
+
+
+@pytest.mark.parametrize(
+    'where',
+    [
+        'try: interrupted()\n    except BaseException: pass',
+        'try: interrupted()\n    except BaseException as e: raise SystemError("of numba") from e',
+        'type("Lost", (), {"__del__": lambda _: interrupted()})()',
+    ],
+    ids=['dropped', 'made another error', 'ignored in a destructor'],
+)
+def test_wherever_it_comes_at_work(tmp_path, where):
+    told = run(tmp_path, 'quad-sysid', AT_WORK.format(where), *IDENTIFY)
+    assert told == (130, '', 'quad-sysid: interrupted\n')
+
+
+def test_nothing_of_it_stays(tmp_path):
+    """Neither a process beside it, whose output would stay open, nor what is half written."""
+    where = """
+    from quad_sysid.files import unfinished
+    begun, told = os.pipe()
+    def beside():
+        os.write(told, b'!')
+        signal.pause()
+    def here():
+        os.read(begun, 1)
+        with unfinished(Path()) as room:
+            (room / 'half').write_text('half')
+            interrupted()
+    side_by_side([here, beside])"""
+    told = run(tmp_path, 'quad-sysid', AT_WORK.format(where), *IDENTIFY)
+    assert (told, [*tmp_path.iterdir()]) == ((130, '', 'quad-sysid: interrupted\n'), [])
+
+
+def test_what_must_not_be_half_done_is_done_first(tmp_path):
+    where = """
+    with interrupt.held():
+        interrupted()
+        Path('done').touch()"""
+    told = run(tmp_path, 'quad-sysid', AT_WORK.format(where), *IDENTIFY)
+    assert told == (130, '', 'quad-sysid: interrupted\n')
+    assert [path.name for path in tmp_path.iterdir()] == ['done']
+
+
+def test_a_second_one_ends_it_at_once(tmp_path):
+    """Here while it removes what is left, which takes for ever."""
+    where = """
+    atexit.register(lambda: (Path('ending').touch(), signal.pause()))
+    interrupted()"""
+    process = subprocess.Popen(command('quad-sysid', AT_WORK.format(where), *IDENTIFY),
+                               cwd=tmp_path)
+    until((tmp_path / 'ending').exists)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == -signal.SIGINT
+
+
+def test_one_that_ignores_it_goes_on(tmp_path):
+    """As in the background of a script."""
+    done = subprocess.run(
+        ['sh', '-c', 'trap "" INT; exec "$@"', 'sh',
+         *command('quad-sysid', AT_WORK.format('interrupted()'), *IDENTIFY)],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, 'went on\n', '')
+
+
+def test_a_fleet_ends_with_its_processes(tmp_path):
+    """A terminal sends the signal to all of them: the first that works interrupts the group."""
+    flights = tmp_path / 'flights'
+    flights.mkdir()
+    for name in 'abc':
+        (flights / f'{name}.mcap').touch()
+    (tmp_path / 'sitecustomize.py').write_text("""
+import os, signal, sys
+if any('forkserver' in word for word in sys.orig_argv):
+    import importlib.abc
+    class At(importlib.abc.MetaPathFinder):
+        def find_spec(self, name, path, target=None):
+            if name == 'quad_sysid.bags.storage':
+                os.killpg(0, signal.SIGINT)
+    sys.meta_path.insert(0, At())
+""")
+    done = subprocess.run(
+        command('quad-sysid', '', 'fleet', 'flights', '--workers', '2'), cwd=tmp_path,
+        capture_output=True, text=True, check=False, start_new_session=True, timeout=PATIENCE_S,
+        env={**os.environ, 'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'},
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (130, '', 'quad-sysid: interrupted\n')
