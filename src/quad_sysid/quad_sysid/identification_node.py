@@ -6,6 +6,7 @@ Wiring only: session.run does the work, in its own thread so that the node keeps
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import QuadBridgeError
@@ -52,7 +52,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._level = OK
         self._worker: threading.Thread | None = None
         self._outcome: Result | str | None = None
-        self._begun_ns = self.get_clock().now().nanoseconds
+        self._begun_ns = time.time_ns()  # by the middleware's clock, whatever that of the flight
         self._gains = self.create_publisher(ParameterEvent, 'gains/update', EVENT)
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
@@ -62,13 +62,13 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self.create_timer(1.0, self._report, clock=steady)
         self.get_logger().info('waits for /logger/bag to say complete')
 
-    def _on_bag(self, event: Any) -> None:
+    def _on_bag(self, event: Any, info: Any) -> None:
         said = parameters(event)
         bag = str(said.get('path', '')) if said.get('state') == 'complete' else ''
         if not bag or bag in self._seen:
             return
         self._seen.add(bag)
-        if Time.from_msg(event.stamp).nanoseconds < self._begun_ns:
+        if info['source_timestamp'] < self._begun_ns:
             # the logger repeats its last ones to whoever comes late; the newest may be of use
             self._queue = deque(one for one in self._queue if one not in self._earlier)
             self._earlier.add(bag)
