@@ -115,8 +115,11 @@ def check_there(path: str | os.PathLike[str]) -> None:
                             remedy='check the path')
 
 
-def check_place(place: Path, *, folder: bool = True, option: str = '--out') -> None:
-    """Raise BadInputError where a folder, or else a file, cannot be written; leaves nothing."""
+def check_place(place: Path, *, folder: bool = True, option: str = '--out') -> Path:
+    """The folder in which a folder, or else a file, can be written; leaves nothing.
+
+    Of a folder the nearest that is there. Raises BadInputError where nothing can be written.
+    """
     place = place.absolute()
     if not folder and place.is_dir():
         raise BadInputError(option, f'{place} is a folder', remedy='name a file')
@@ -129,6 +132,7 @@ def check_place(place: Path, *, folder: bool = True, option: str = '--out') -> N
     except OSError as error:
         raise BadInputError(option, f'{there} cannot be written', error.strerror,
                             'choose another place') from error
+    return there
 
 
 def make_folder(folder: Path, option: str = '--out') -> Path:

@@ -68,13 +68,13 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if not bag or bag in self._seen:
             return
         self._seen.add(bag)
-        if info['source_timestamp'] < self._begun_ns:
+        earlier = info['source_timestamp'] < self._begun_ns
+        if earlier:
             # the logger repeats its last ones to whoever comes late; the newest may be of use
             self._queue = deque(one for one in self._queue if one not in self._earlier)
             self._earlier.add(bag)
-            self._queue.append(bag)
-        else:
-            self._queue.append(bag)
+        self._queue.append(bag)
+        if not earlier:
             self._start_next()
 
     def _on_identify(self, request: Any, response: Any) -> Any:

@@ -231,7 +231,7 @@ class Propellers(Effect):
     def bend(
         self, m: FloatArray, p: FloatArray, settings: Settings
     ) -> tuple[FloatArray, FloatArray]:
-        """What the thrust gains at a lagged command m (n,), and the slope of that over m.
+        """What thrusts gain at lagged commands m (motors, n), and the slope of that over m.
 
         Nothing is gained at the usual throttle, so that the base keeps its bias.
         """
@@ -239,12 +239,10 @@ class Propellers(Effect):
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         # f(m) of the lagged m follows the same lag where the command is f(m) + f'(m) (u - m)
-        more = np.zeros(data.rate.size)
-        for i in self.motors:
-            u = data.motors[:, i]
-            m = lagged(data, u, float(drive.lag[0, 0]))
-            thrust, slope = self.bend(m, p, settings)
-            more += MIXER_INVERSE[data.index + 1, i] * (thrust + slope * (u - m))
+        u = data.motors.T[list(self.motors)]
+        m = np.stack([lagged(data, one, float(drive.lag[0, 0])) for one in u])
+        thrust, slope = self.bend(m, p, settings)
+        more = MIXER_INVERSE[data.index + 1, list(self.motors)] @ (thrust + slope * (u - m))
         return replace(drive, commands=np.vstack([drive.commands[:1] + more, drive.commands[1:]]))
 
 

@@ -71,7 +71,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'not_tested': [{'name': name, 'because': because}
                        for name, because in (findings.found.reasons.items() if findings else ())],
         'tried': _tried(findings, own) if findings else [],
-        'own_effects': _own(findings, own, model.effects) if findings and model else [],
+        'own_effects': _own(findings, own) if findings else [],
         'base': {'parameters': parameters(model.plain if model else ()),
                  'noise': _noise(model.plain_noise if model else None)},
         'completed': {'parameters': parameters(model.base if model else ()),
@@ -136,13 +136,12 @@ def _tried(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     ]
 
 
-def _own(findings: Findings, own: Sequence[str],
-         added: Sequence[EffectEstimate]) -> list[dict[str, Any]]:
+def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     """What became of the user's effects, by their labels."""
     found = findings.found
     out: list[dict[str, Any]] = []
     base, leading = found.of_names(()), found.all[0]
-    names = {f'{e.name}/{e.variant}' if e.variant else e.name for e in added}
+    added = findings.verdict.chosen.structure.labels
     for label in own:
         best = _best_with(found, label)
         if label in found.reasons or best is None:
@@ -150,7 +149,7 @@ def _own(findings: Findings, own: Sequence[str],
                         'because': found.reasons.get(label, '')})
         else:
             out.append({
-                'name': label, 'outcome': 'added' if label in names else 'not_added',
+                'name': label, 'outcome': 'added' if label in added else 'not_added',
                 'with': [other for other in best.fit.structure.labels if other != label],
                 'log_evidence_over_base': best.score - base,
                 'best': {'effects': leading.fit.structure.labels,

@@ -59,9 +59,7 @@ def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAns
     page has its own inside). With neither, nothing is drawn.
     """
     check_own(folder)
-    check_place(folder)
-    place = folder.absolute()
-    with unfinished(next(p for p in (place, *place.parents) if p.exists())) as room:
+    with unfinished(check_place(folder)) as room:
         _write(room, report, answers, html=html, pictures=pictures)
         with held():
             make_folder(folder)
