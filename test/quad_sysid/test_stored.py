@@ -64,7 +64,6 @@ def test_an_effect_that_is_not_known_is_refused(true_model, refusal):
 # up to where a model is worth something
 
 
-@pytest.mark.xdist_group('rubbed')
 def test_the_error_over_the_horizon_grows_from_the_noise_and_is_told(rubbed_answer):
     tree = document.document({'roll': rubbed_answer}, ['bag'])['axes']['roll']
     listed = tree['error']['horizons']
