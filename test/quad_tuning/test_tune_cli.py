@@ -104,7 +104,6 @@ def test_the_help_states_the_defaults_of_the_weights(capsys):
         ('{model} --axis pitch', 3, 'lowers the rate'),
         ('{model} --axis pitch --method lqr', 3, 'lowers the rate'),
         ('{model} --axis yaw', 2, 'lacks this axis: found yaw'),
-        ('{model} --out no/such/folder/x.json', 2, 'cannot be written'),
         ('none.json', 2, 'none.json'), ('', 2, 'MODEL.json'),
         ('{model} --method lqr --max-angle -1', 2, 'must be a positive number'),
         ('{model} --max-angle -1', 2, '--max-angle: belongs to --method lqr'),
