@@ -196,7 +196,7 @@ def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):
 
     def ended(words: str) -> None:
         aircraft.until(lambda: words in aircraft.state['reason'], words)
-        assert aircraft.state['state'] == 'aborted'
+        aircraft.until_state('aborted')
         aircraft.until(lambda: aircraft.segments[-1].get('reason'))
         assert aircraft.segments[-1]['signal'] == 'none'
         aircraft.until_taken_back()
