@@ -1,7 +1,6 @@
 """`quad-tune send` to the bridge of one namespace; another aircraft's must not hear it."""
 
 import json
-import signal
 import sys
 
 import pytest
@@ -47,35 +46,36 @@ def test_gains_reach_the_bridge_of_their_namespace_only(probe, send):
     assert (len(asked['left']), asked['right']) == (1, [])
 
 
-NOT_NOW = 'gains of quad-tune send refused: not while the excitation runs'
-DOWN = 'gains of quad-tune send refused: the link is down'
-
-
-def test_an_answer_is_told_from_what_was_said_before(probe, send):
-    """A refusal in the words of the last one, and gains that were active before.
-
-    The bridge, whose link is down, still reports the set that it read last.
-    """
+def test_a_refusal_in_the_words_of_the_last_one_is_an_answer(probe, send):
+    refusal = 'gains of quad-tune send refused: not while the excitation runs'
     asked = probe.listen('/left/gains/update')
-    for number, (before, after, status, said) in enumerate((
-        (gains_are(0.05, NOT_NOW, 1), gains_are(0.05, NOT_NOW, 2), 3, NOT_NOW),
-        (gains_are(0.08, acknowledged=3), gains_are(0.08, acknowledged=4), 0, ''),
-        (gains_are(0.08, acknowledged=3), gains_are(0.08, DOWN, 1, 3), 3, DOWN),
-    ), 1):
-        probe.publish('/left/diagnostics', before, every_s=0.05)
-        process = send('left')
-        probe.until(lambda number=number: len(asked) == number)
-        probe.publish('/left/diagnostics', after, every_s=0.05)
-        assert (process.wait(), process.said) == (status, said and f'quad-tune: {said}\n')
-    process = send('/left')  # of which the diagnostics say nothing new
-    probe.until(lambda: '/left/quad_tune' in probe.nodes())
-    process.send(signal.SIGINT)
-    assert process.wait() == 130
-    assert (process.said.count('\n'), 'interrupted' in process.said) == (1, True), process.said
+    probe.publish('/left/diagnostics', gains_are(0.05, refusal, 1), every_s=0.05)
+    process = send('left')
+    probe.until(lambda: asked)
+    probe.publish('/left/diagnostics', gains_are(0.05, refusal, 2), every_s=0.05)
+    assert (process.wait(), process.said) == (3, f'quad-tune: {refusal}\n')
 
 
-def test_a_namespace_that_is_none_is_one_line(send):
-    process = send('my quad')
-    assert process.wait() == 2
-    words = '--namespace: is not a valid ROS namespace: found my'
+@pytest.mark.parametrize('taken', [True, False])
+def test_gains_that_were_active_before_are_no_answer(probe, send, taken):
+    """The bridge, whose link is down, still reports the set that it read last."""
+    refusal = 'gains of quad-tune send refused: the link is down'
+    asked = probe.listen('/left/gains/update')
+    probe.publish('/left/diagnostics', gains_are(0.08, acknowledged=3), every_s=0.05)
+    process = send('left')
+    probe.until(lambda: asked)
+    answer = gains_are(0.08, acknowledged=4) if taken else gains_are(0.08, refusal, 1, 3)
+    probe.publish('/left/diagnostics', answer, every_s=0.05)
+    expected = (0, '') if taken else (3, f'quad-tune: {refusal}\n')
+    assert (process.wait(), process.said) == expected
+
+
+@pytest.mark.parametrize('interrupted', [True, False])
+def test_it_ends_in_one_line(probe, send, interrupted):
+    process = send('/left' if interrupted else 'my quad')
+    if interrupted:
+        probe.until(lambda: '/left/quad_tune' in probe.nodes())
+        process.send(2)
+    assert process.wait() == (130 if interrupted else 2)
+    words = 'interrupted' if interrupted else '--namespace: is not a valid ROS namespace: found my'
     assert (process.said.count('\n'), words in process.said) == (1, True), process.said
