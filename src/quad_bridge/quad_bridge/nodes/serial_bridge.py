@@ -34,7 +34,7 @@ from quad_bridge.lockstep import START_NS, WIRE, clock
 from quad_bridge.nodes import conversion, diagnostics
 from quad_bridge.nodes.bridge_parameters import BridgeSettings, declare
 from quad_bridge.nodes.fence import LogLimiter
-from quad_bridge.nodes.host_time import NEVER_NS, HostTime
+from quad_bridge.nodes.host_time import NEVER_NS, Epoch, HostTime, read_epoch
 from quad_bridge.nodes.managed_node import ManagedNode
 from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 from quad_bridge.nodes.ros_node import run
@@ -66,7 +66,9 @@ class SerialBridge(ManagedNode):
         self._gains = GainUpdates(settings.gains, self._history)
         self._sensors = LiveSensors(correct=settings.correct_sensors)
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
-        self._operator = OperatorServices(self, self._enable, self._forward, self._armed)
+        self._operator = OperatorServices(
+            self, self._enable, self._forward, self._armed, lambda: self._link.name
+        )
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
         self._messages = conversion.CycleMessages()
         self._arrived: dict[type, Callable[[Any, int], None]] = {
@@ -75,11 +77,11 @@ class SerialBridge(ManagedNode):
             f.GainsState: self._on_gains_frame,
             f.RcChannels: self._on_sticks,
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
-            f.StatusText: lambda frame, _: self._say_once(f'STM32: {frame.text}'),
+            f.StatusText: lambda frame, _: self._say_once(f'{self._link.name}: {frame.text}'),
         }
         self._reported_s = 0.0
         self._simulated = self.simulated
-        self._time = HostTime(self._epoch())
+        self._time = HostTime(*self._epoch())
         self._told_time: Any = None  # in lockstep, for whoever is not on the line
         if clock().simulated:
             self._told_time = self.create_publisher(ClockMessage, '/clock', 1)
@@ -151,8 +153,10 @@ class SerialBridge(ManagedNode):
             self._report.opened()
             self._gains.restarted(clock().now_s())
             self._gains.disturb('the port was opened anew')
-            self._time.opened(self._epoch())
-        self._say_once(f'{self._port.status.path}: open at {self._settings.baud} baud')
+            self._time.opened(*self._epoch())
+        path = self._port.status.path
+        at = '' if '://' in path else f' at {self._settings.baud} baud'
+        self._say_once(f'{path}: open{at}')
 
     def _on_bytes(self, data: bytes) -> None:
         now_ns = clock().now_ns()
@@ -338,16 +342,18 @@ class SerialBridge(ManagedNode):
             diagnostics.diagnostic_array(self.get_name(), port, now, entries)
         )
 
-    def _epoch(self) -> int:
-        """ROS time minus the steady clock, ns."""
-        now_ns = int(self.get_clock().now().nanoseconds)
-        return NEVER_NS if self._simulated and not now_ns else now_ns - clock().now_ns()
+    def _epoch(self) -> Epoch:
+        """ROS time minus the steady clock."""
+        ros = self.get_clock()
+        if self._simulated and not ros.now().nanoseconds:
+            return Epoch(NEVER_NS)
+        return read_epoch(lambda: int(ros.now().nanoseconds), clock().now_ns)
 
     def _keep_epoch(self) -> None:
         if self._simulated:
-            self._time.follow(self._epoch())
+            self._time.follow(self._epoch().ns)
             return
-        words = self._time.measured(self._epoch(), armed=self._link.armed)
+        words = self._time.measured(*self._epoch(), armed=self._link.armed)
         if words:
             self.get_logger().warning(words)
 

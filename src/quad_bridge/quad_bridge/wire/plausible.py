@@ -1,12 +1,15 @@
 """Whether a frame can be what was sent: one damaged frame in 65,536 has a good checksum after all.
 
-The bounds are far outside of what a quadrotor does; what is merely unlikely passes.
+The bounds are far outside of what a quadrotor does; what is merely unlikely passes. Of an
+autopilot's sensors a vector that cannot be is dropped alone: one autopilot sends a compass in
+another unit for all of a flight, beside a good gyro.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from quad_bridge.wire import frames as f
@@ -17,10 +20,15 @@ LARGEST_FLAGS = 0x0FFF
 _ABOVE_ONE = 1.001
 
 
-def plausible(frame: f.Frame) -> bool:
-    """False for values that are no numbers, out of all bounds, or of no known meaning."""
+def plausible(frame: f.Frame) -> f.Frame | None:
+    """The frame without vectors that cannot be; None where nothing of it can be used.
+
+    What cannot be are values that are no numbers, out of all bounds, or of no known meaning.
+    """
+    if isinstance(frame, (f.SlowSensors, f.Attitude)):
+        return _without_false_vectors(frame)
     check = _CHECKS.get(type(frame))
-    return check is None or check(frame)
+    return frame if check is None or check(frame) else None
 
 
 def _cycle(frame: f.Cycle) -> bool:
@@ -42,8 +50,19 @@ def _bounded(values: tuple[float, ...]) -> bool:
     return math.isfinite(sum(values)) and max(values) < LARGEST and min(values) > -LARGEST
 
 
-def _sensors(frame: f.SlowSensors) -> bool:
-    return all(_bounded(v) for v in (frame.gyro, frame.accel, frame.mag_gauss) if v is not None)
+def _without_false_vectors(frame: f.SlowSensors | f.Attitude) -> f.Frame | None:
+    if isinstance(frame, f.Attitude):
+        if not _bounded(frame.angles):
+            return None
+        vectors = ('rates',)
+    else:
+        vectors = ('gyro', 'accel', 'mag_gauss')
+    values = {name: getattr(frame, name) for name in vectors}
+    false = {name: None for name, v in values.items() if v is not None and not _bounded(v)}
+    pressure = getattr(frame, 'pressure_hpa', None)
+    if pressure is not None and not math.isfinite(pressure):
+        false['pressure_hpa'] = None
+    return replace(frame, **false) if false else frame
 
 
 _CHECKS: dict[type, Callable[[Any], bool]] = {
@@ -54,8 +73,6 @@ _CHECKS: dict[type, Callable[[Any], bool]] = {
         and x.phase <= max(f.GainsPhase)
     ),
     f.GainsCommand: lambda x: x.action <= max(f.GainsAction),
-    f.ParamValue: lambda x: math.isfinite(x.value),
+    f.ParamValue: lambda x: math.isfinite(x.value) or x.kind != f.REAL32,
     f.Excitation: lambda x: _bounded(x.value) and x.injection <= max(f.Injection),
-    f.Attitude: lambda x: _bounded(x.angles + x.rates),
-    f.SlowSensors: _sensors,
 }
