@@ -19,6 +19,7 @@ from quad_sysid.contract import (
     control_from_motors,
     motors_from_wrench,
 )
+from quad_sysid.craft import X
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import EPOCH_S, LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.log import ForeignLog, Stream
@@ -34,7 +35,6 @@ from quad_sysid.motor_layout import (
     patterns_of,
     places,
 )
-from quad_sysid.motor_places import MOTORS
 from quad_sysid.record import GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
@@ -165,8 +165,8 @@ def _commands(
     rates = np.where(airborne(motors.mean(axis=1), laid.dt)[:, None], rates, np.nan)
     patterns = patterns_of(rates, motors, laid.dt, angles)
     told += [pattern.sentence for pattern in patterns]
-    if motors.shape[1] == len(MOTORS) and {p.axis for p in patterns if p.certain} >= {*AXES[:2]}:
-        told.append(', '.join(f'{name} {place}' for name, place in places(patterns)[0].items()))
+    if motors.shape[1] == X.count and {p.axis for p in patterns if p.certain} >= {*AXES[:2]}:
+        told.append(', '.join(f'{name} {place}' for name, place in places(patterns, X)[0].items()))
     mixer = log.mixer
     if mixer is None:
         mixer = _by_motion(log, patterns, motors.shape[1], warnings)

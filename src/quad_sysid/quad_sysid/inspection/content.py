@@ -17,6 +17,7 @@ from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.bags.storage import Storage
 from quad_sysid.blackbox import excitation_order
 from quad_sysid.contract import MIXER_INVERSE, TOPIC_TYPES
+from quad_sysid.craft import X
 from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
@@ -299,7 +300,7 @@ def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
     layout = told(patterns_of(record.rates, record.motors, record.dt, record.angles),
                   record.rates, record.motors, record.dt)
     return layout, doubts("the contract's mixer", MIXER_INVERSE, layout, record.rates,
-                          record.motors, record.dt, record.angles) + places(layout)[1]
+                          record.motors, record.dt, record.angles) + places(layout, X)[1]
 
 
 def _axis(record: Record, axis: str) -> AxisContent:
