@@ -241,12 +241,12 @@ class Link:
             self.stamping.untimed(BATTERY, frame)
 
     def _outputs(self, frame: f.Outputs, now_ns: int) -> None:
-        if self.autopilot.outputs(frame, now_ns) and self.last_cycle is None:
+        if self.autopilot.outputs(frame, now_ns) and self._described and not self.cycles:
             self.stamping.other(MOTORS, frame, frame.time_us, 1, now_ns, bits=32)
 
     def _rotors(self, frame: f.RotorSpeeds, now_ns: int) -> None:
         speeds = self.autopilot.rotors(frame, now_ns)
-        if speeds is None:
+        if speeds is None or not self._described:
             return
         if speeds.time_us is None:
             self.stamping.untimed(ROTORS, speeds)

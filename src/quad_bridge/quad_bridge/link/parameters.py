@@ -13,15 +13,16 @@ from collections.abc import Mapping
 from quad_bridge.wire.frames import REAL32, Heartbeat, ParamRequestRead, ParamValue
 
 AT_ONCE = 8  # requests on their way: a telemetry radio must not be flooded
-AGAIN_NS, TRIES = 500_000_000, 4
+AGAIN_NS, TRIES = 400_000_000, 3
 PX4 = 12  # MAV_AUTOPILOT
 _INTEGERS = {1: 'B', 2: 'b', 3: 'H', 4: 'h', 5: 'I', 6: 'i'}  # MAV_PARAM_TYPE to its layout
 _PX4_ROTOR = ('PX', 'PY', 'PZ', 'AZ', 'KM')
-_PX4_MOST = 12
+_PX4_MOST, _PX4_OUTPUTS = 12, 16
+_PX4_FIRST_MOTOR = 101  # output function Motor 1
 _COUNT = 'CA_ROTOR_COUNT'
 _ARDUPILOT = (
-    'FRAME_CLASS', 'FRAME_TYPE', *(f'SERVO{k}_FUNCTION' for k in range(1, 17)), 'MOT_PWM_MIN',
-    'MOT_PWM_MAX', 'MOT_SPIN_MIN', 'MOT_THST_EXPO',
+    'FRAME_CLASS', 'FRAME_TYPE', 'MOT_PWM_MIN', 'MOT_PWM_MAX',
+    *(f'SERVO{k}_FUNCTION' for k in range(1, 17)),
 )  # fmt: skip
 
 
@@ -79,5 +80,10 @@ def px4_names(values: Mapping[str, float]) -> tuple[str, ...]:
     if not count:
         return (_COUNT,)
     rotors = (f'CA_ROTOR{k}_{part}' for k in range(count) for part in _PX4_ROTOR)
-    outputs = (f'PWM_MAIN_FUNC{k}' for k in range(1, 17 if count > 8 else 9))
+    outputs = [f'PWM_MAIN_FUNC{k}' for k in range(1, _PX4_OUTPUTS + 1)]
+    motors = range(_PX4_FIRST_MOTOR, _PX4_FIRST_MOTOR + count)
+    if {values.get(name) for name in outputs} >= set(motors):
+        outputs = []  # every motor has its output
+    elif not all(name in values for name in outputs[:count]):
+        outputs = outputs[:count]
     return (_COUNT, *rotors, *outputs)

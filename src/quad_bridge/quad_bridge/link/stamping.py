@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import NamedTuple
 
-from quad_bridge.link.autopilot import Inertial
+from quad_bridge.link.autopilot import INERTIAL, Inertial
 from quad_bridge.link.clock import ClockEstimator, DeviceTime
 from quad_bridge.link.guards import PATIENCE_NS, LateGuard, StepGuard
 from quad_bridge.wire import frames as f
@@ -27,7 +27,7 @@ class Stamped(NamedTuple):
         f.Cycle | f.RcChannels | f.Battery | f.SlowSensors | Inertial | f.Outputs | f.RotorSpeeds
     )
     stamp_ns: int
-    topic: str = ''  # where a message feeds several: the one that this frame is for
+    topic: str  # that it is for: a message may feed several
 
 
 class Arrived(NamedTuple):
@@ -210,7 +210,7 @@ class Stamping:
             self.held += 1
             return
         self.last_ns, self._stamped = stamp_ns, frame
-        self.out.append(Stamped(frame, stamp_ns))
+        self.out.append(Stamped(frame, stamp_ns, INERTIAL))
 
     def _stamp_other(
         self, topic: str, frame: f.RcChannels | f.SlowSensors | f.Outputs | f.RotorSpeeds,

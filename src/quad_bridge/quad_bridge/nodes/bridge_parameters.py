@@ -9,6 +9,7 @@ from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 
+from quad_bridge.craft import Craft
 from quad_bridge.errors import BadInputError
 from quad_bridge.gains.gate import bound_from
 from quad_bridge.gains.history import default_folder
@@ -19,6 +20,7 @@ from quad_bridge.key_file import MAKE, signing_from
 from quad_bridge.link.port import over_network
 from quad_bridge.link.udp import is_udp, parts
 from quad_bridge.nodes import ros_node
+from quad_bridge.nodes.description import declared_craft
 from quad_bridge.wire.signing import Signing
 
 
@@ -32,12 +34,13 @@ class BridgeSettings:
     signing: Signing | None
     require_enable: bool
     correct_sensors: bool
+    craft: Craft | None
     gains: GainSettings
 
 
 OWN = (
     'port', 'baud', 'excitation_valid_ms', 'key_file', 'unsigned', 'require_enable', 'sources',
-    'polarity', 'aircraft', 'state_folder', 'managed', 'correct_sensors',
+    'polarity', 'aircraft', 'state_folder', 'managed', 'correct_sensors', 'robot_description',
 )  # fmt: skip
 
 
@@ -67,6 +70,7 @@ def declare(node: Any) -> BridgeSettings:
             node, 'correct_sensors', True,
             "subtract the gyro's bias at rest from /imu/data",
         ),
+        craft=declared_craft(node),
         gains=_gains(node, bounds),
     )  # fmt: skip
     if not settings.port:
