@@ -57,6 +57,14 @@ def craft_of(given: str) -> Craft:
     return craft
 
 
+def why_left_aside(text: str) -> str:
+    """Why a description says nothing of the motors; empty where it does."""
+    try:
+        return '' if from_urdf(text) is not None else WITHOUT_MOTORS
+    except ValueError as error:
+        return f'{TOPIC} {error}: left aside'
+
+
 class Description:
     """Publishes this craft's description, and hears those of others."""
 
@@ -89,16 +97,12 @@ class Description:
         if message.data in self._texts:
             return
         self._texts.add(message.data)
-        log = self._node.get_logger()
-        try:
-            craft = from_urdf(message.data)
-        except ValueError as error:
-            log.warning(f'{TOPIC} {error}: left aside')
+        words = why_left_aside(message.data)
+        if not words and self._given is not None:
+            words = f'{TOPIC} of another node differs from the parameter, which holds'
+        if words:
+            self._node.get_logger().warning(words)
             return
-        if craft is None:
-            log.warning(WITHOUT_MOTORS)
-        elif self._given is not None:
-            log.warning(f'{TOPIC} of another node differs from the parameter, which holds')
-        else:
-            self._heard = craft
-            self._on_craft(craft)
+        self._heard = from_urdf(message.data)
+        if self._heard is not None:
+            self._on_craft(self._heard)
