@@ -78,9 +78,24 @@ class Craft:
         """The plant's input U1..U4 (k, 4) of motor commands (k, n), normalised."""
         return np.asarray(motors @ self.inverse.T, dtype=np.float64)
 
-    def commands(self, control: FloatArray) -> FloatArray:
-        """Motor commands (k, n) in 0..1 of a control U1..U4 (k, 4)."""
+    def commands(self, control: FloatArray, desaturation: str = 'clip') -> FloatArray:
+        """Motor commands (k, n) in 0..1 of a control U1..U4 (k, 4).
+
+        By `clip` each motor is limited by itself; by `yaw_first` U4 gives way before that.
+        """
+        if desaturation == 'yaw_first':
+            control = self._with_less_yaw(control)
         return np.asarray(np.clip(control @ self.mixer.T, 0.0, 1.0), dtype=np.float64)
+
+    def _with_less_yaw(self, control: FloatArray) -> FloatArray:
+        """The control with U4 within what U1..U3 leave to every motor; 0 where they leave none."""
+        turns = np.abs(self.mixer[:, 3]) > 0.0
+        own = self.mixer[turns, 3]
+        others = control[:, :3] @ self.mixer[turns, :3].T
+        ends = np.stack([-others / own, (1.0 - others) / own])
+        least, most = ends.min(axis=0).max(axis=1), ends.max(axis=0).min(axis=1)
+        yaw = np.where(least <= most, np.clip(control[:, 3], least, most), 0.0)
+        return np.column_stack([control[:, :3], yaw])
 
     @property
     def count(self) -> int:
@@ -274,6 +289,14 @@ def _at(text: str) -> tuple[Motor, ...]:
         x, y = (float(number) for number in word[:-1].split(','))
         motors.append(Motor(x, y, 1 if word[-1] == '+' else -1))
     return _scaled(motors)
+
+
+def craft_at(
+    name: str, x: Iterable[float], y: Iterable[float], spins: Iterable[int]
+) -> Craft:
+    """A craft of motors whose places are known up to their scale."""
+    motors = (Motor(float(a), float(b), spin) for a, b, spin in zip(x, y, spins, strict=True))
+    return Craft(name, _scaled(motors), nominal=True)
 
 
 def _scaled(motors: Iterable[Motor]) -> tuple[Motor, ...]:
