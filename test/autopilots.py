@@ -1,7 +1,7 @@
 """Stand-ins of other autopilots: one scripted class, and a table of what was seen of each.
 
-They fly nothing: a slow roll goes on and on. What differs between PX4, ArduPilot and Betaflight is
-in `Kind`: which messages come unasked and how often, which can be asked for, what is wrong with
+They fly nothing: a slow roll goes on and on. What differs between PX4, ArduPilot and Betaflight
+is in `Kind`: which messages come unasked and how often, which can be asked for, what is wrong with
 their content, how TIMESYNC is answered, and how parameters are encoded. `Autopilot` has `cycle` and
 `receive`, as the scripted flight controller has, so that it stands in a `Line` or behind a `Port`:
 
@@ -216,7 +216,7 @@ class Autopilot:
         return b''
 
     def _answers(self, message):
-        kind, value = message.get_type(), lambda name: self.value(name)
+        kind, value = message.get_type(), self.value
         if kind == 'COMMAND_LONG':
             yield mav.MAVLink_command_ack_message(message.command, self._command(message))
         elif kind == 'PARAM_REQUEST_LIST':

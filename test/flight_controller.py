@@ -573,6 +573,33 @@ class Socket:
                 part.close()
 
 
+class Datagrams:
+    """A UDP socket that waits for a bridge and answers it; `url` is the bridge's `port`."""
+
+    def __init__(self):
+        self.socket, self.peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), None
+        self.socket.bind(('127.0.0.1', 0))
+        self.socket.setblocking(False)
+        self.url = f'udp://127.0.0.1:{self.socket.getsockname()[1]}'
+
+    def fileno(self):
+        return self.socket.fileno()
+
+    def read(self):
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            data, self.peer = self.socket.recvfrom(65536)
+            return data
+        return b''
+
+    def write(self, data):
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            return self.socket.sendto(data[:1400], self.peer) if self.peer else len(data)
+        return 0
+
+    def close(self):
+        self.socket.close()
+
+
 class _Runner(threading.Thread):
     """A thread that ends with its `with` block."""
 

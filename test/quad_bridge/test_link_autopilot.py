@@ -1,10 +1,8 @@
-"""What the bridge makes of other autopilots, as they were seen: stand-ins in test/autopilots.py."""
+"""What the bridge makes of other autopilots, as they were seen (test/autopilots.py)."""
 
 import math
-from collections import Counter
 from itertools import pairwise
 
-import numpy as np
 import pytest
 from autopilots import (
     ALL,
@@ -13,12 +11,11 @@ from autopilots import (
     GRAVITY,
     PX4,
     SET_MESSAGE_INTERVAL,
-    STEP_US,
     Autopilot,
     Party,
     mav,
 )
-from flight_controller import Line, Port, Pty
+from flight_controller import Datagrams, Line, Port
 
 from quad_bridge.craft import LAYOUTS, from_urdf
 from quad_bridge.link.autopilot import Inertial
@@ -122,7 +119,8 @@ def test_an_aircraft_at_rest_has_rates_that_are_zero_and_known():
 
 
 ONE_EACH = {
-    '/imu/data': ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE'), '/imu/mag': ('HIGHRES_IMU', 'SCALED_IMU'),
+    '/imu/data': ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE'),
+    '/imu/mag': ('HIGHRES_IMU', 'SCALED_IMU'),
     '/baro': ('HIGHRES_IMU', 'SCALED_PRESSURE'), '/rc/in': ('RC_CHANNELS', 'RC_CHANNELS_RAW'),
     '/battery': ('BATTERY_STATUS', 'SYS_STATUS'),
 }  # fmt: skip
@@ -133,7 +131,8 @@ ONE_EACH = {
 def test_each_topic_has_one_source_the_best_that_comes(without):
     only = tuple(name for name in ALL if name not in without)
     line = flown(Autopilot(ARDUPILOT, only=only, unasked=dict.fromkeys(ALL, 50.0), gauss=1.0))
-    best = {topic: next((n for n in names if n in only), None) for topic, names in ONE_EACH.items()}
+    best = {topic: next((name for name in names if name in only), None)
+            for topic, names in ONE_EACH.items()}  # fmt: skip
     late = sources(line)
     for topic in ('/imu/mag', '/baro', '/rc/in', '/battery'):
         assert late.get(topic, {None}) == {best[topic]}
@@ -176,7 +175,7 @@ def test_a_time_that_cannot_be_is_dropped_and_counted(false_ms):
 
 @pytest.mark.parametrize(('taken_s', 'words', 'one_way'), [
     (0.004, 'converged', False),
-    (0.040, 'TIMESYNC takes 40 ms there and back, more than 10: stamps are times of arrival', True),
+    (0.040, 'TIMESYNC takes 40 ms there and back, more than 10: stamps are times of arriv', True),
     (None, 'no answer to TIMESYNC: stamps are times of arrival', True),
 ])  # fmt: skip
 def test_slow_answers_to_timesync_are_told_as_that(taken_s, words, one_way):
@@ -271,8 +270,11 @@ GROUND_STATION = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
 MAVROS = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
 
 
-@pytest.mark.parametrize(('sender', 'beat'), [((255, 190), GROUND_STATION), ((1, 240), MAVROS)],
-                         ids=['ground station', 'mavros'])  # fmt: skip
+@pytest.mark.parametrize(
+    ('sender', 'beat'),
+    [((255, 190), GROUND_STATION), ((1, 240), MAVROS), ((1, 191), MAVROS)],
+    ids=['ground station', 'mavros', 'a second bridge'],
+)
 def test_a_program_beside_is_not_taken_for_the_aircraft(sender, beat):
     line = Shared(Autopilot(PX4), Party(*sender))
     read = mav.MAVLink_param_request_read_message(1, 1, b'CA_ROTOR_COUNT', -1)
@@ -333,9 +335,11 @@ def test_messages_in_ros_units_and_axes():
     )
     assert list(motors.effort) == pytest.approx([0.2, 0.4, 0.1, 0.3])
     speeds = f.RotorSpeeds(0, (600.0, math.nan, 1200.0, 1800.0))
-    rotors = conversion.rotors_message(speeds, MotorOutputs(LAYOUTS['px4_quad_x'], (0, 1, 2, 3)), 1)
-    assert list(rotors.name) == ['motor_1', 'motor_3', 'motor_4']
-    assert list(rotors.velocity) == pytest.approx([20 * math.pi, 40 * math.pi, 60 * math.pi])
+    motors = MotorOutputs(LAYOUTS['px4_quad_x'], (0, 1, 2, 3))
+    rotors = conversion.rotors_message(speeds, motors, 1)
+    assert list(rotors.name) == ['motor_1', 'motor_2', 'motor_3', 'motor_4']
+    turns = [20 * math.pi, math.nan, 40 * math.pi, 60 * math.pi]
+    assert list(rotors.velocity) == pytest.approx(turns, nan_ok=True)
 
 
 PUBLISHED = ('/imu/data', '/motors/command', '/motors/state', '/rc/in', '/imu/mag', '/baro',
@@ -346,8 +350,8 @@ MISSING = 'ArduPilot sends standard MAVLink messages only: without QUAD_CYCLE th
 
 def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, probe, start):
     heard = {topic: probe.listen(topic) for topic in (*PUBLISHED, '/control/wrench')}
-    with Port(Autopilot(ARDUPILOT), Pty(tmp_path / 'tty')):
-        bridge = start('serial_bridge', port=tmp_path / 'tty', state_folder=tmp_path)
+    with Port(Autopilot(ARDUPILOT), Datagrams()) as port:  # loopback needs no key
+        bridge = start('serial_bridge', port=port.end.url, state_folder=tmp_path)
         probe.until(lambda: min(len(heard[topic]) for topic in PUBLISHED) > 0)
         probe.until(lambda: MISSING in probe.diagnostics('serial_bridge: link'))
         probe.until(lambda: probe.diagnostics('serial_bridge: gains') == REFUSED)

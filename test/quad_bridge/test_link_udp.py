@@ -100,7 +100,7 @@ def test_a_port_that_another_program_has_bound_is_busy(peer):
 @pytest.mark.parametrize('url', ['udp://rig', 'udp://rig:', 'udp://rig:99999', 'udp://rig:0',
                                  'udpout://:14540'])  # fmt: skip
 def test_a_url_that_says_too_little_is_refused(url):
-    with pytest.raises(ValueError, match='HOST:PORT|must name the host'):
+    with pytest.raises(ValueError, match=r'HOST:PORT|must name the host'):
         parts(url)
     assert parts('udp://:14540') == ('udp', '', 14540)
     assert parts('udpin://[::1]:14540') == ('udpin', '::1', 14540)

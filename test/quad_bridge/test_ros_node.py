@@ -19,7 +19,7 @@ PARAMETERS = [
     ('serial_bridge', {'port': 'socket://10.0.0.1:1'}, 'make_key'),
     ('serial_bridge', {'port': 'udp://:14540'}, 'or set unsigned:=true'),
     ('serial_bridge', {'port': 'udp://127.0.0.1'}, 'is written udp://HOST:PORT'),
-    ('serial_bridge', {'robot_description': 'hexx'}, 'is neither a layout, nor a URDF, nor a file'),
+    ('serial_bridge', {'robot_description': 'hexx'}, 'is neither a layout, nor a URDF'),
     ('serial_bridge', {'robot_description': '<robot/>'}, 'has no joint motor_1; give each motor'),
     ('serial_bridge', {'key_file': '/nowhere/key'}, '/nowhere/key: cannot be read'),
     ('bag_logger', {'topics': ['/nothing']}, 'is not a topic of the contract: found /nothing'),

@@ -143,16 +143,9 @@ def outputs_message(outputs: f.Outputs, motors: MotorOutputs, stamp_ns: int) -> 
 
 
 def rotors_message(speeds: f.RotorSpeeds, motors: MotorOutputs, stamp_ns: int) -> JointState:
-    """Speeds of the rotors in rad/s, positive as they fly; those that are measured."""
-    rows = [
-        (name, RAD_S_PER_RPM * rpm)
-        for name, rpm in zip(
-            _names(len(motors.channels)), motors.ordered(speeds.rpm), strict=True
-        )
-        if not math.isnan(rpm)
-    ]
-    message = _stamped(JointState(name=[name for name, _ in rows]), stamp_ns)
-    message.velocity = [speed for _, speed in rows]
+    """Speeds of the rotors in rad/s, positive as they fly; NaN where one is not measured."""
+    message = _stamped(JointState(name=_names(len(motors.channels))), stamp_ns)
+    message.velocity = [RAD_S_PER_RPM * rpm for rpm in motors.ordered(speeds.rpm)]
     return message
 
 

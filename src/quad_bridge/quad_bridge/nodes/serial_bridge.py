@@ -25,8 +25,8 @@ from quad_bridge.craft import Craft
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
-from quad_bridge.gains.update import GainUpdates, News, State
 from quad_bridge.gains.polarity import FLOWN
+from quad_bridge.gains.update import GainUpdates, News, State
 from quad_bridge.link.autopilot import BATTERY, COMPASS, INERTIAL, MOTORS, PRESSURE, ROTORS
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort

@@ -48,7 +48,8 @@ class GainServices:
         self._node, self._ask, self._check = node, ask, check
         self._showing = False
         for name in SETTABLE:
-            words = f'{ROWS[name].meaning}, {ROWS[name].unit}; NaN until the aircraft has reported it'
+            row = ROWS[name]
+            words = f'{row.meaning}, {row.unit}; NaN until the aircraft has reported it'
             descriptor = ParameterDescriptor(description=words, dynamic_typing=True)
             node.declare_parameter(name, math.nan, descriptor)
         node.add_on_set_parameters_callback(self._on_set)
