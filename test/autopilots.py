@@ -1,9 +1,10 @@
 """Stand-ins of other autopilots: one scripted class, and a table of what was seen of each.
 
 They fly nothing: a slow roll goes on and on. What differs between PX4, ArduPilot and Betaflight
-is in `Kind`: which messages come unasked and how often, which can be asked for, what is wrong with
-their content, how TIMESYNC is answered, and how parameters are encoded. `Autopilot` has `cycle` and
-`receive`, as the scripted flight controller has, so that it stands in a `Line` or behind a `Port`:
+is in `Kind`: which messages come unasked and how often, which can be asked for, what is wrong
+with their content, how TIMESYNC is answered, and how parameters are encoded. `Autopilot` has
+`cycle` and `receive`, as the scripted flight controller has, so that it stands in a `Line` or
+behind a `Port`:
 
     line = Line(Autopilot(PX4), host0_ns=HOST0_NS)
     line.fly(6.0); line.out

@@ -194,6 +194,21 @@ def test_what_is_not_given_is_asked_for_ever_less_often_and_named():
     assert not line.link.autopilot.lowered
 
 
+def test_an_autopilot_that_restarts_is_raised_again_and_nobody_is_blamed():
+    line = flown(Autopilot(PX4, boot_us=60_000_000), 3.0)
+    line.controller = Autopilot(PX4, boot_us=-3_000_000)
+    line.controller.step = 750  # its time is 0 again
+    line.fly(5.0)
+    assert late_rate_hz(line, '/imu/data') == pytest.approx(250.0, abs=2)
+    assert not line.link.autopilot.lowered
+    for topic in {item.topic for item in line.out}:
+        stamps = [item.stamp_ns for item in line.out if item.topic == topic]
+        assert all(b > a for a, b in pairwise(stamps)), topic
+        assert max(stamps) <= line.now_ns + 1_000_000
+    first = next(i for i in line.out if i.stamp_ns > HOST0_NS + 3_500_000_000)
+    assert first.stamp_ns < HOST0_NS + 5_000_000_000  # it was not silent for long
+
+
 # Parameters: how the craft is built.
 
 

@@ -85,7 +85,7 @@ def test_an_address_at_which_nobody_listens_is_said_to_be_unreachable(free, open
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as late:
         late.bind(('127.0.0.1', free))
         late.settimeout(10.0)
-        until(lambda: port.write(b'again'))
+        assert port.write(b'again')
         data, ours = late.recvfrom(100)
         late.sendto(data, ours)
         until(lambda: bytes(heard).endswith(b'again') and port.status.state is PortState.OPEN)

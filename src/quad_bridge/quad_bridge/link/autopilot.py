@@ -114,6 +114,12 @@ class Autopilot:
         """Forget the autopilot."""
         self.__init__()  # type: ignore[misc]
 
+    def restarted(self) -> None:
+        """The autopilot has started anew, with its own rates: nobody has lowered them."""
+        self.lowered.clear()
+        for stream in self._streams.values():
+            stream.reached, stream.next_ask_ns, stream.pause_ns = False, 0, PAUSE_NS[0]
+
     def note(self, name: str) -> None:
         """Take the arrival of a message of that name."""
         self._streams.setdefault(name, _Stream()).count += 1

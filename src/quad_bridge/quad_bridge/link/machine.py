@@ -42,6 +42,7 @@ CYCLE_OLD_NS, PEER_OLD_NS = 500_000_000, 2_500_000_000
 SAME_START_NS = 2_000_000_000
 """Starts that differ by less are one: the clocks drift, and the last bytes may have come late."""
 WRAP_NS = 1000 << 32
+RESTART_US = 1_000_000  # an autopilot's time that goes back by more: it has started anew
 QUESTIONS = 64  # of TIMESYNC whose answers still count
 
 
@@ -64,6 +65,7 @@ class Link:
         self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT, signing)
         self._outbox = bytearray()
         self._restarts = 0
+        self._inertial_us = 0  # an autopilot's time when it last sent its rates
         self._started_ns: int | None = None
         """When the aircraft had started that was heard before the port was opened anew."""
         self._peer_since_ns = 0
@@ -270,6 +272,9 @@ class Link:
         inertial = self.autopilot.inertial(frame, now_ns)
         if inertial is None or self.last_cycle is not None:
             return
+        before_us, self._inertial_us = self._inertial_us, inertial.time_us
+        if inertial.time_us < before_us - RESTART_US:
+            self.autopilot.restarted()
         self.stamping.inertial(inertial, now_ns)
         self._ask_urgently(now_ns)
 

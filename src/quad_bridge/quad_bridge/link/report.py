@@ -130,8 +130,9 @@ class LinkReport:
         if not autopilot.names:
             return ERROR, 'no control cycle since the last report'
         missing = ', '.join(autopilot.missing(now_ns))
-        words = [f'{link.name} sends standard MAVLink messages only: without QUAD_CYCLE there is '
-                 f'no {missing}; excitation and gains are refused']  # fmt: skip
+        only = f'{link.name} sends standard MAVLink messages only'
+        words = [f'{only}: without QUAD_CYCLE there is no {missing}',
+                 'excitation and gains are refused']  # fmt: skip
         if autopilot.without_rates:
             words.append('its rates are exactly zero while the angles move: marked unknown')
         slow = autopilot.slow_ones(now_ns)

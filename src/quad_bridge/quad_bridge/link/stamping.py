@@ -103,7 +103,8 @@ class Stamping:
 
     def untimed(self, topic: str, frame: f.Battery | f.RotorSpeeds) -> None:
         """Stamp a frame without a time of its own: with that of the latest cycle."""
-        if self.clock.converged and self.last_ns:
+        if self.clock.converged and self.last_ns > self._last.get(topic, 0):
+            self._last[topic] = self.last_ns
             self.out.append(Stamped(frame, self.last_ns, topic))
 
     def other(

@@ -67,20 +67,27 @@ class UdpPort:
         """Send one datagram to each peer; 0 where the output is full."""
         try:
             if not self.listens:
-                return self._socket.send(data)
+                return self._sent(data)
             now_s = time.monotonic()
             self._peers = {p: s for p, s in self._peers.items() if now_s - s < HEARD_S}
             return max((self._socket.sendto(data, peer) for peer in self._peers),
                        default=len(data))  # fmt: skip
         except BlockingIOError:
             return 0
-        except ConnectionRefusedError:
-            self.refused = not self.listens
-            return len(data)  # it has gone, to nobody
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+    def _sent(self, data: bytes) -> int:
+        """Send to the one address; that an earlier datagram found nobody is told in its stead."""
+        try:
+            return self._socket.send(data)
+        except ConnectionRefusedError:
+            self.refused = True
+        with contextlib.suppress(ConnectionRefusedError):
+            return self._socket.send(data)
+        return len(data)
 
     def _bound(self, address: tuple[object, ...], scheme: str) -> bool:
         try:

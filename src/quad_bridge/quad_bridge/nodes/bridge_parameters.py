@@ -52,7 +52,8 @@ def declare(node: Any) -> BridgeSettings:
         node, 'port', '/dev/ttyACM0',
         'device, pattern (/dev/ttyACM*), udp://HOST:PORT, udpin://, udpout:// or URL of pyserial',
     )
-    settings = BridgeSettings(
+    _refuse_bad(port)
+    return BridgeSettings(
         port=port,
         baud=ros_node.declared(node, 'baud', 921600, 'baud rate, bit/s', (9600, 12_000_000)),
         excitation_valid_ms=ros_node.declared(
@@ -73,14 +74,16 @@ def declare(node: Any) -> BridgeSettings:
         craft=declared_craft(node),
         gains=_gains(node, bounds),
     )  # fmt: skip
-    if not settings.port:
+
+
+def _refuse_bad(port: str) -> None:
+    if not port:
         raise BadInputError('parameter port', 'must name a device', "''")
     if is_udp(port):
         try:
             parts(port)
         except ValueError as error:
             raise BadInputError('parameter port', str(error)) from error
-    return settings
 
 
 def _signing(node: Any, port: str) -> Signing | None:

@@ -25,8 +25,10 @@ def plausible(frame: f.Frame) -> f.Frame | None:
 
     What cannot be are values that are no numbers, out of all bounds, or of no known meaning.
     """
-    if isinstance(frame, (f.SlowSensors, f.Attitude)):
-        return _without_false_vectors(frame)
+    if isinstance(frame, f.Attitude):
+        return _attitude(frame)
+    if isinstance(frame, f.SlowSensors):
+        return _sensors(frame)
     check = _CHECKS.get(type(frame))
     return frame if check is None or check(frame) else None
 
@@ -50,19 +52,27 @@ def _bounded(values: tuple[float, ...]) -> bool:
     return math.isfinite(sum(values)) and max(values) < LARGEST and min(values) > -LARGEST
 
 
-def _without_false_vectors(frame: f.SlowSensors | f.Attitude) -> f.Frame | None:
-    if isinstance(frame, f.Attitude):
-        if not _bounded(frame.angles):
-            return None
-        vectors = ('rates',)
-    else:
-        vectors = ('gyro', 'accel', 'mag_gauss')
-    values = {name: getattr(frame, name) for name in vectors}
-    false = {name: None for name, v in values.items() if v is not None and not _bounded(v)}
-    pressure = getattr(frame, 'pressure_hpa', None)
-    if pressure is not None and not math.isfinite(pressure):
-        false['pressure_hpa'] = None
-    return replace(frame, **false) if false else frame
+def _attitude(frame: f.Attitude) -> f.Attitude | None:
+    if not _bounded(frame.angles):
+        return None
+    return frame if _whole(frame.rates) else replace(frame, rates=None)
+
+
+def _sensors(frame: f.SlowSensors) -> f.SlowSensors:
+    fine = [_whole(v) for v in (frame.gyro, frame.accel, frame.mag_gauss)]
+    pressure = frame.pressure_hpa
+    fine.append(pressure is None or math.isfinite(pressure))
+    if all(fine):
+        return frame
+    gyro, accel, mag, air = fine
+    return replace(
+        frame, gyro=frame.gyro if gyro else None, accel=frame.accel if accel else None,
+        mag_gauss=frame.mag_gauss if mag else None, pressure_hpa=pressure if air else None,
+    )  # fmt: skip
+
+
+def _whole(vector: f.Vector3 | None) -> bool:
+    return vector is None or _bounded(vector)
 
 
 _CHECKS: dict[type, Callable[[Any], bool]] = {
