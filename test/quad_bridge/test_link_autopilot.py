@@ -370,6 +370,8 @@ def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, probe
         probe.until(lambda: min(len(heard[topic]) for topic in PUBLISHED) > 0)
         probe.until(lambda: MISSING in probe.diagnostics('serial_bridge: link'))
         probe.until(lambda: probe.diagnostics('serial_bridge: gains') == REFUSED)
+        answer = probe.call('/serial_bridge/check_polarity')
+        assert answer.message.startswith('ArduPilot has no QUAD_GAINS')
         assert bridge.end() == 0
     assert heard['/control/wrench'] == []
     assert heard['/imu/data'][-1].linear_acceleration.z == pytest.approx(9.81, abs=0.01)

@@ -333,10 +333,18 @@ class SerialBridge(ManagedNode):
         """Hand on an update; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
+            self._refuse_autopilot()
             words = self._gains.ask(parameters, clock().now_s())
             self._poll_gains(clock().now_ns())
             self._flush()
         self.get_logger().info(words)
+
+    def _refuse_autopilot(self) -> None:
+        """Raise RefusedError where the aircraft has no sets of gains and no test pulses."""
+        if self._link.standard_only(clock().now_ns()):
+            words = f'{self._link.name} has no QUAD_GAINS: no gains or pulses for it'
+            self._say_once(words)
+            raise RefusedError(words)
 
     def _armed(self) -> bool | None:
         with self._lock:
@@ -346,6 +354,7 @@ class SerialBridge(ManagedNode):
         """Have the polarity or the motors checked; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
+            self._refuse_autopilot()
             self._gains.check(clock().now_s(), told, motors=motors)
 
     def _on_report(self) -> None:
