@@ -25,6 +25,10 @@ from probe import Probe
 
 from quad_tuning.demo.processes import own_domain
 
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # as in a script's background: ignored here too, but by the default in what tests start
+    signal.signal(signal.SIGINT, lambda *_: None)
+
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:

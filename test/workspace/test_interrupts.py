@@ -36,6 +36,10 @@ from quad_sysid import interrupt, session
 from quad_sysid.beside import side_by_side
 def interrupted():
     os.kill(os.getpid(), 2)
+def threads_that_fail():
+    thread = threading.Thread(target=lambda: 1 / 0)
+    thread.start()
+    thread.join()
 def run(*given):
     {0}
     print('went on')
@@ -76,8 +80,9 @@ def test_while_it_imports(tmp_path, program, module):
         'try: interrupted()\n    except BaseException: pass',
         'try: interrupted()\n    except BaseException as e: raise SystemError("of numba") from e',
         'type("Lost", (), {"__del__": lambda _: interrupted()})()',
+        'atexit.register(threads_that_fail)\n    interrupted()',
     ],
-    ids=['dropped', 'made another error', 'ignored in a destructor'],
+    ids=['dropped', 'made another error', 'ignored in a destructor', 'threads lose what they had'],
 )
 def test_wherever_it_comes_at_work(tmp_path, where):
     told = run(tmp_path, 'quad-sysid', AT_WORK.format(where), *IDENTIFY)
