@@ -78,7 +78,7 @@ def ended(process: Started, status: int = 0) -> str:
 def test_a_signal_while_it_imports(begin, name, number):
     last = 'rclpy.executors' if name in NODES else 'quad_bridge.virtual.receiver'
     module = 'numpy' if number == INT else last
-    process = begin(name, INTERRUPT_AT_IMPORT.format(module, int(number)))
+    process = begin(name, INTERRUPT_AT_IMPORT.format(module, int(number)), fresh=True)
     assert ended(process, 0 if name in NODES else 130) == ''
 
 
@@ -141,9 +141,9 @@ session.run = run
     ended(process)
 
 
-def test_a_fault_of_the_middleware_is_one_failed_assertion(ros_domain, tmp_path):
+def test_a_fault_of_the_middleware_is_one_failed_assertion(ros_domain, tmp_path, nursery):
     del ros_domain
-    probe = Probe(tmp_path)
+    probe = Probe(tmp_path, nursery)
     probe.nodes()
     os.kill(probe.pid, signal.SIGSEGV)
     with pytest.raises(AssertionError, match='the probe has ended'):
