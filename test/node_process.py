@@ -93,12 +93,13 @@ class Started:
         self._out, self._err = files.with_suffix('.out'), files.with_suffix('.err')
         words = [str(word) for word in command]
         name = next((n for n in MODULES if f' import {n} as start' in ' '.join(words[2:3])), '')
-        with self._out.open('w') as out, self._err.open('w') as err, open(os.devnull) as none:
+        none = Path(os.devnull)
+        with self._out.open('w') as out, self._err.open('w') as err, none.open() as given:
             if nursery is None or not name or words[:2] != [sys.executable, '-c']:
                 options = {'stdout': out, 'stderr': err, **options}
                 self.process: Any = subprocess.Popen(words, **options)
             else:
-                streams = [none.fileno(), options.pop('stdout', out.fileno()),
+                streams = [given.fileno(), options.pop('stdout', out.fileno()),
                            options.pop('stderr', err.fileno())]
                 self.process = nursery.fork([MODULES[name]], *words[2:3], words[3:], streams,
                                             **options)

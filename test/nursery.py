@@ -1,4 +1,4 @@
-"""One Python that has the programs' imports behind it and forks them: a tenth of what a start costs.
+"""One Python that has imported what programs import, and forks them: a tenth of a start's cost.
 
 `python nursery.py SOCKET` is that process; `Nursery` is its client. What a test is to see of the
 imports, or of a library that is loaded first, needs a Python of its own (node_process.Started).
@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 MOST = 1 << 17
@@ -63,7 +64,7 @@ class Nursery:
         cwd: object = None, env: Mapping[str, str] | None = None,
     ) -> Forked:
         """`streams`: descriptors for its stdin, stdout and stderr."""
-        about = {'modules': modules, 'code': code, 'words': words, 'cwd': str(cwd or os.getcwd()),
+        about = {'modules': modules, 'code': code, 'words': words, 'cwd': str(cwd or Path.cwd()),
                  'env': dict(os.environ if env is None else env)}  # fmt: skip
         socket.send_fds(self._line, [json.dumps(about).encode()], list(streams))
         while (begun := self._hear()) is None:
@@ -113,21 +114,23 @@ def serve(line: socket.socket) -> dict[str, Any]:
             about = json.loads(data)
             for module in about['modules']:
                 importlib.import_module(module)
-            pid = os.fork()
-            if not pid:
-                signal.set_wakeup_fd(-1)
-                signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-                signal.signal(signal.SIGINT, signal.default_int_handler)
-                line.close()
-                for number in (heard, wake):
-                    os.close(number)
-                for number, stream in enumerate(streams):
-                    os.dup2(stream, number)
-            for stream in streams:
-                os.close(stream)
-            if not pid:
+            if not (pid := os.fork()):
+                take_over(streams, [line.detach(), heard, wake])
                 return about
             line.send(json.dumps({'begun': pid}).encode())
+            for stream in streams:
+                os.close(stream)
+
+
+def take_over(streams: Sequence[int], others: Sequence[int]) -> None:
+    """Have these streams, and nothing of the nursery's."""
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number, stream in enumerate(streams):
+        os.dup2(stream, number)
+    for number in (*streams, *others):
+        os.close(number)
 
 
 def next_ended() -> tuple[int, int] | None:
