@@ -18,12 +18,15 @@ from probe import Probe, content, entries, event
 from quad_sysid.bags import write_bag
 
 OK, ERROR = 0, 2
-WITHOUT_EFFECTS = """
+ONCE_WITHOUT_EFFECTS = """
 import quad_sysid.identification_node as node
-wanted = node._wanted
-node._wanted = lambda own: {**wanted(own), 'effects': ()}
+run, found = node.session.run, []
+def once(bags, out, wanted):
+    found or found.append(run(bags, out, {**wanted, 'effects': ()}))
+    return found[0]
+node.session.run = once
 """
-"""A moment instead of half a minute, where the answer is another test's."""
+"""Where the answer is another test's."""
 
 
 class Ears:
@@ -136,7 +139,7 @@ def test_gains_from_a_bag_of_before_are_sent_only_if_somebody_asks(
     ears.say_bag(flown)
     name = 'identification: identification'
     start('identification', axes='[roll]', auto_update='true', out=tmp_path / 'report',
-          broken=WITHOUT_EFFECTS)
+          broken=ONCE_WITHOUT_EFFECTS)
     values = ears.until(name, OK, 'complete before this node began')
     assert values['bag'] == str(flown)
     assert ears.updates == []
