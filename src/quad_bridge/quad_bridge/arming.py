@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 
 from quad_bridge.errors import RefusedError
+from quad_bridge.fresh import stale
 from quad_bridge.wire.frames import Command, CommandAck
 
 ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
@@ -29,27 +30,33 @@ _RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 class OperatorEnable:
     """The dead-man switch, /operator/enable: alive or not. Times in s on a steady clock.
 
-    Whoever holds it says `true` at 5 Hz or faster; half a second of silence counts as letting go.
-    Where it is not `required` it counts once somebody has held it: who takes it relies on it.
+    Whoever holds it says so at 5 Hz or faster, with the time of now; half a second after the last
+    stamp it counts as let go. What is stamped otherwise, as from a bag, holds nothing. Where it is not `required` it counts once somebody has held it: who takes it relies on it.
     """
 
     def __init__(self, *, required: bool) -> None:
         self.required = required
-        self._heard_s = -math.inf
-        self._on = False
+        self.refused, self.reason = 0, ''  # messages with a stamp of another time, and the last
+        self._held_s = -math.inf
 
-    def take(self, on: bool, now_s: float) -> None:
-        """Take a message."""
-        self._on, self._heard_s = on, now_s
+    def take(self, age_s: float, now_s: float) -> None:
+        """Take a message that was stamped `age_s` ago."""
+        self.reason = stale(age_s)
+        if self.reason:
+            self.refused += 1
+            return
+        self._held_s = max(self._held_s, now_s - max(age_s, 0.0))
         self.required = True
 
     def fault(self, now_s: float) -> str:
         """Why excitation and arming are refused now; empty if they are allowed."""
         if not self.required:
             return ''
-        if now_s - self._heard_s > HELD_S:
-            return f'/operator/enable is silent: publish true to it every {HELD_S / 2.5:g} s'
-        return '' if self._on else "the operator's enable is off"
+        if now_s - self._held_s <= HELD_S:
+            return ''
+        if self.reason:
+            return f'/operator/enable: {self.reason}'
+        return f'/operator/enable is silent: publish to it every {HELD_S / 2.5:g} s'
 
 
 class _Request:

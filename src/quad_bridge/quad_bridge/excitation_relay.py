@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from quad_bridge.arming import OperatorEnable
+from quad_bridge.fresh import stale
 from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection, Vector3
@@ -50,7 +51,7 @@ class ExcitationRelay:
         disabled = self._enable.fault(now_s)
         level, text = OK, 'running' if Flag.EXCITATION in flags else 'idle'
         if self.reason:
-            level, text = WARN, f'set-point dropped: {self.reason}'
+            level, text = WARN, f'dropped: {self.reason}'
         elif Flag.STALE_SETPOINT in flags:
             level, text = WARN, 'the STM32 dropped a stale set-point'
         elif Flag.EXCITATION_REFUSED in flags:
@@ -59,11 +60,15 @@ class ExcitationRelay:
             text = f'disabled: {disabled}'
         return Status('excitation', level, text, values)
 
-    def segment(self, parameters: Mapping[str, Any]) -> Excitation | None:
+    def segment(self, parameters: Mapping[str, Any], age_s: float = 0.0) -> Excitation | None:
         """Take a segment's parameters; the frame that ends what was before, None in its midst.
 
-        The STM32 refuses until it hears one, once it has refused.
+        The STM32 refuses until it hears one, once it has refused. `age_s` by its stamp: one of
+        earlier, as from a bag, changes nothing.
         """
+        late = stale(age_s)
+        if late:
+            return self._drop(f'segment: {late}')
         running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
         before, self._lost = self._injection, False
@@ -80,9 +85,11 @@ class ExcitationRelay:
         self._lost = True
         return Excitation((0.0, 0.0, 0.0), int(Injection.NONE), self._next(), self._valid_ms)
 
-    def setpoint(self, x: float, y: float, z: float, now_s: float = 0.0) -> Excitation | None:
+    def setpoint(
+        self, x: float, y: float, z: float, now_s: float = 0.0, age_s: float = 0.0
+    ) -> Excitation | None:
         """The frame of a set-point (FLU, the segment's unit); None where it must not be sent."""
-        fault = self.refusal or self._enable.fault(now_s)
+        fault = self.refusal or self._enable.fault(now_s) or stale(age_s)
         if fault:
             return self._drop(fault)
         if self._lost:
