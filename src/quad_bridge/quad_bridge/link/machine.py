@@ -136,10 +136,11 @@ class Link:
             if take is not None:
                 take(frame, now_ns)
         self.tick(now_ns)
-        if self.parameters is not None and self.parameters.settled and not self._described:
+        if self._described or self.parameters is None or self.peer is None:
+            return events
+        if self.parameters.settled:
             self._described = True
-            if self.peer is not None:
-                events.append(Described(self.peer, self.parameters.values))
+            events.append(Described(self.peer, self.parameters.values))
         return events
 
     def tick(self, now_ns: int) -> None:
@@ -214,11 +215,12 @@ class Link:
         self.send(f.TimeSync(0, now_ns))
 
     def _ask_parameters(self, now_ns: int) -> None:
-        if self.parameters is None and self.peer is not None:
+        if self._described or self.peer is None:
+            return
+        if self.parameters is None:
             self.parameters = Parameters(self.peer)
-        if self.parameters is not None:
-            for request in self.parameters.due(now_ns):
-                self.send(request)
+        for request in self.parameters.due(now_ns):
+            self.send(request)
 
     def _forget_autopilot(self) -> None:
         self.peer, self.parameters, self._described = None, None, False
