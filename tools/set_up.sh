@@ -168,22 +168,23 @@ firmware() {  # the Linux build of firmware/, which the virtual STM32 flies
     echo "$want" >firmware/build/build.stamp
 }
 
-compile() {  # fills numba's cache, which follows changes of a function's own file only
-    local want
+compile() {  # package, command...: fills numba's cache, which follows a function's own file only
+    local package=$1 want
+    shift
     want=$({
         grep -m 1 'model name' /proc/cpuinfo
-        cat .venv/packages.stamp tools/warm_up.py
-        grep -lrE '^(from|import) numba|compiled import' src --include='*.py' | sort | xargs cat
+        cat .venv/packages.stamp tools/set_up.sh tools/warm_up.py
+        grep -lrE '^(from|import) numba|compiled import' "src/$package" --include='*.py' | sort | xargs cat
     } | digest)
-    [ "$(cat .venv/compiled.stamp 2>/dev/null)" = "$want" ] && return
-    say 'compiling what numba compiles (a minute)'
-    find src/quad_sysid -name '*.nb[ic]' -delete
+    [ "$(cat ".venv/$package.stamp" 2>/dev/null)" = "$want" ] && return
+    say "compiling what numba compiles of $package"
+    find "src/$package" -name '*.nb[ic]' -delete
     # bytecode is kept whatever the shell says, since uv leaves it to the first import
     if PYTHONDONTWRITEBYTECODE='' PYTHONPATH=$(printf '%s:' "$PWD"/src/quad_{bridge,sysid,tuning}) \
-        .venv/bin/python tools/warm_up.py >.venv/compile.log 2>&1; then
-        echo "$want" >.venv/compiled.stamp
+        "$@" >".venv/$package.log" 2>&1; then
+        echo "$want" >".venv/$package.stamp"
     else
-        say 'not all could be compiled, first uses will take longer (see .venv/compile.log)'
+        say "not all could be compiled, first uses will take longer (see .venv/$package.log)"
     fi
 }
 
@@ -205,10 +206,11 @@ for group in "${groups[@]+"${groups[@]}"}"; do
     more_packages "$group"
 done
 set -m  # a process group of its own, so that all of it ends with a failed build
-{ firmware && compile; } &
+{ firmware && compile quad_bridge .venv/bin/python tools/warm_up.py; } &
 beside=$!
 set +m
 trap 'kill -- "-$beside" 2>/dev/null' EXIT
 build
+compile quad_sysid .venv/bin/quad-sysid compile
 wait "$beside" || exit
 trap - EXIT

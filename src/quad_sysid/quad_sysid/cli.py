@@ -63,6 +63,9 @@ def _parser() -> Parser:
     exports.add(commands)
     comparison.add(commands)
     fleet.add(commands)
+    command(commands, 'compile', _compile,
+            'Compile all that numba compiles, so that no first use has to wait (images, CI).',
+            'quad-sysid compile')
     return parser
 
 
@@ -199,6 +202,13 @@ def _evaluate(options: argparse.Namespace) -> int:
     for e in () if options.quiet else found:
         tree = {'error': axes[e.axis]['error'], 'effects': models[e.axis].effects}
         print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)), *text.growth(tree)]))
+    return DONE
+
+
+def _compile(_: argparse.Namespace) -> int:
+    from quad_sysid.compiled import compile_all
+
+    print('\n'.join(f'compiled in {folder}' for folder in compile_all()))
     return DONE
 
 

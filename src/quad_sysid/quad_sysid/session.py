@@ -42,24 +42,11 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
     check_place(out or Path())
     if out is not None:
         check_own(out)
-    told = ' (compiling, once)' if compiles() else ''
-
-    def tell(line: str) -> None:
-        progress(line and line + told)
-
-    found = identify(bags, progress=tell, **wanted)
-    tell('writing the report')
+    found = identify(bags, progress=progress, **wanted)
+    progress('writing the report')
     saved = found.save(out)
-    tell('')
+    progress('')
     return saved
-
-
-def compiles() -> bool:
-    """Whether numba has nothing in its cache yet, so that a first fit waits a minute for it."""
-    from quad_sysid.model import recursion
-
-    stats = getattr(recursion.predict, 'stats', None)  # none where numba is switched off
-    return stats is not None and not any(Path(stats.cache_path).glob('recursion.predict-*.nbi'))
 
 
 def _inertia(given: str) -> dict[str, float]:
