@@ -26,8 +26,9 @@ def asked(axes: Sequence[str] = (), train: str = '', validate: str = '',
     """
     for name in axes:
         if name not in (*AXES, 'all'):
-            raise BadInputError('axis', f'must be one of {", ".join(AXES)}, all', repr(name))
-    return {'axes': AXES if 'all' in axes else tuple(axes),
+            raise BadInputError('axis', f'must be one of {", ".join(AXES)}, all', repr(name),
+                                'several stand with commas between, as in roll,pitch')
+    return {'axes': AXES if 'all' in axes else tuple(dict.fromkeys(axes)),
             'train': parse_span(train, '--train') if train else None,
             'validate': parse_span(validate, '--validate') if validate else None,
             'inertia': _inertia(inertia) if inertia else None}
