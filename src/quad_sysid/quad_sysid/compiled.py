@@ -38,9 +38,9 @@ def inner(function: _F) -> _F:
     return cast('_F', numba.njit(nogil=True, error_model='numpy')(function))
 
 
-def kernel(*arguments: Any, **options: Any) -> Callable[[_F], _F]:
+def kernel(*arguments: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """A function that Python calls with arguments of these types; it is kept once compiled."""
-    def decorate(function: _F) -> _F:
+    def decorate(function: Callable[..., Any]) -> Any:
         given = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = given or _place()
         try:
@@ -48,7 +48,7 @@ def kernel(*arguments: Any, **options: Any) -> Callable[[_F], _F]:
         finally:
             numba.config.CACHE_DIR = given
         _kernels.append((made, arguments))
-        return cast('_F', made)
+        return made
 
     return decorate
 
@@ -73,7 +73,7 @@ def compile_all() -> list[str]:
     return sorted({made.stats.cache_path for made, _ in _kernels if hasattr(made, 'stats')})
 
 
-class _Notice(event.Listener):
+class _Notice(event.Listener):  # type: ignore[misc]
     """Says once on stderr that a kernel is being compiled, which otherwise looks like a hang."""
 
     def on_start(self, event: Any) -> None:
