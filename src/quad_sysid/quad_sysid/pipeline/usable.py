@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
 from quad_sysid.record import Record
@@ -39,8 +40,7 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
             raise BadInputError(record.source, 'all bags must have one sample rate',
                                 f'{1.0 / record.dt:.6g} Hz, the first {1.0 / first.dt:.6g} Hz',
                                 'identify them one by one')
-        if record.craft.inverse.shape != first.craft.inverse.shape or not np.allclose(
-                record.craft.inverse, first.craft.inverse, atol=SAME_PLACES):
+        if not same_craft(record.craft, first.craft):
             raise BadInputError(record.source, 'all bags must be of one craft',
                                 f'motors {", ".join(record.craft.places)}; the first '
                                 f'{", ".join(first.craft.places)}', 'identify them one by one')
@@ -55,6 +55,12 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
             own = replace(own, warnings=(*own.warnings, told))
         taken.append(own)
     return tuple(taken)
+
+
+def same_craft(one: Craft, other: Craft) -> bool:
+    """Whether two descriptions give one mixer."""
+    return one.count == other.count and bool(
+        np.allclose(one.inverse, other.inverse, atol=SAME_PLACES))
 
 
 def same_rate(dt: float, other: float) -> bool:
