@@ -57,6 +57,10 @@ class Kind:
     """Whether its messages have rates; else they are zero."""
     obeys: bool = True
     """Whether it answers commands."""
+    timesync_us_bits: int = 63
+    """Width of the µs in its answers to TIMESYNC."""
+    sticks: tuple[int, ...] = (0, 1, 2, 3)
+    """Order of roll, pitch, throttle and yaw in its channels."""
 
 
 ALL = dict.fromkeys(
@@ -88,12 +92,13 @@ ARDUPILOT = Kind(
     gauss=1e6,
 )  # fmt: skip
 BETAFLIGHT = Kind(
-    autopilot=0,
-    sender=(0, 200),
-    unasked={'ATTITUDE': 10.0, 'RC_CHANNELS_RAW': 5.0, 'SYS_STATUS': 2.0},
-    timesync_s=None,
+    autopilot=0,  # generic, as many others
+    unasked={'ATTITUDE': 10.0, 'RC_CHANNELS_RAW': 5.0, 'SYS_STATUS': 2.0, 'VFR_HUD': 10.0},
+    timesync_s=0.04,
+    timesync_us_bits=32,
     rates=False,
     obeys=False,
+    sticks=(0, 1, 3, 2),
 )
 
 
@@ -161,7 +166,8 @@ class Autopilot:
         b = 0.4 * self.kind.gauss
         rpm = [6000, 6100, 6200, 6300]
         raw = (1100, 1200, 1300, 1400)
-        sticks = (1500, 1600, 1200, 1500, 1000, 1000, 1000, 1000)
+        four = (1500, 1600, 1200, 1450)  # roll, pitch, throttle, yaw
+        sticks = (*(four[k] for k in self.kind.sticks), 1000, 1000, 1000, 1000)
         made = {
             'HIGHRES_IMU': lambda: mav.MAVLink_highres_imu_message(
                 us, 0.0, 0.0, -GRAVITY, p, q, r, 0.5 * b, 0.25 * b, -b, 1000.0, 0, 0, 20.0, 0x0FFF
@@ -178,6 +184,7 @@ class Autopilot:
                 ms, 8, *sticks, *([UNUSED] * 10), 255
             ),
             'RC_CHANNELS_RAW': lambda: mav.MAVLink_rc_channels_raw_message(ms, 0, *sticks, 255),
+            'VFR_HUD': lambda: mav.MAVLink_vfr_hud_message(0.0, 0.0, 17, 20, 0.0, 0.0),
             'SCALED_PRESSURE': lambda: mav.MAVLink_scaled_pressure_message(ms, 990.0, 0.0, 2000),
             'BATTERY_STATUS': lambda: mav.MAVLink_battery_status_message(
                 0, 0, 0, 2000, [3900, 3900, 3900, *([UNUSED] * 7)], 150, -1, -1, 80
@@ -210,6 +217,7 @@ class Autopilot:
         if taken_s is None:
             return b''
         told_ns = 1000 * self.boot_us + now_ns + round(0.5e9 * taken_s)
+        told_ns %= 1000 << self.kind.timesync_us_bits
         answer = self.pack(mav.MAVLink_timesync_message(told_ns, asked_ns))
         if taken_s < 1e-6 * STEP_US:
             return answer

@@ -103,10 +103,15 @@ def test_betaflights_rates_of_exactly_zero_are_unknown_and_its_raw_channels_are_
     assert inertial(line)[-1].attitude[1:] == pytest.approx((0.2, 0.3))
     assert line.link.autopilot.without_rates
     assert sources(line)['/rc/in'] == {'RC_CHANNELS_RAW'}
+    sticks = [i.frame.channels[:4] for i in line.out if i.topic == '/rc/in']
+    assert set(sticks) == {(1500, 1600, 1200, 1450)}  # it sends yaw before throttle
     assert line.link.clock.one_way
     stamps_are_true(line)
-    line = flown(Autopilot(BETAFLIGHT, rates=True))
+    line = flown(Autopilot(BETAFLIGHT, rates=True, sticks=(0, 1, 2, 3)))
     assert None not in [frame.gyro for frame in inertial(line)]
+    assert line.link.name == 'the autopilot'  # a generic one, whose channels are as usual
+    sticks = [i.frame.channels[:4] for i in line.out if i.topic == '/rc/in']
+    assert set(sticks) == {(1500, 1600, 1200, 1450)}
 
 
 def test_an_aircraft_at_rest_has_rates_that_are_zero_and_known():
@@ -149,12 +154,14 @@ US_WRAPS, MS_WRAPS = 2**32, 1000 * 2**32
 @pytest.mark.parametrize(('kind', 'boot_us'), [
     (PX4, US_WRAPS - 3_000_000), (PX4, MS_WRAPS - 3_000_000), (PX4, MS_WRAPS + 7_000_000),
     (ARDUPILOT, 40 * 60_000_000), (ARDUPILOT, MS_WRAPS - 3_000_000),
+    (BETAFLIGHT, US_WRAPS - 3_000_000), (BETAFLIGHT, US_WRAPS + 7_000_000),
 ])  # fmt: skip
 def test_no_stamp_of_any_topic_jumps_where_a_counter_wraps(kind, boot_us):
-    line = flown(Autopilot(kind, boot_us=boot_us), 5.0)
+    line = flown(Autopilot(kind, boot_us=boot_us, timesync_s=0.0002), 5.0)
     stamps_are_true(line)
     assert line.link.stamping.false_times == 0
-    assert late_rate_hz(line, '/motors/command') > 240.0
+    topic, least_hz = ('/imu/data', 9.0) if kind is BETAFLIGHT else ('/motors/command', 240.0)
+    assert late_rate_hz(line, topic) >= least_hz
 
 
 @pytest.mark.parametrize('false_ms', [0, 2**32 - 1], ids=['of the boot', '49.7 days ahead'])

@@ -15,6 +15,7 @@ from quad_sysid.effects import EFFECTS
 from quad_sysid.inspection.content import content
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import Record, Segment
+from quad_sysid.rotors import rotors_of
 
 HEXA = Airframe(((90, -1), (-90, 1), (-30, -1), (150, 1), (30, 1), (-150, -1)),
                 lags_s={3: 0.16})
@@ -60,9 +61,39 @@ def test_an_octocopters_lag_comes_from_its_rotors_and_leaves_the_damping_to_the_
     record = read_bag(write_bag(recorded(OCTO, 5, speeds=True), tmp_path / 'octo'))
     np.testing.assert_allclose(record.control, described(OCTO).control(record.motors))
     told, alone = (model_of(one) for one in (record, replace(record, speeds=None)))
-    for model in (told, alone):
-        print(model)
     assert told.value('lag') == pytest.approx(0.06, rel=0.05)
     assert told.value('damping') == pytest.approx(9.0, rel=0.12)
     (damping,), (wide,) = ([p.std for p in m.base if p.name == 'damping'] for m in (told, alone))
     assert damping < wide
+
+
+def test_a_motor_that_stops_slips_or_lags_is_named(tmp_path):
+    flown = recorded(replace(HEXA, stops=(1, 12.0, 12.3)), 4, speeds=True)
+    speeds = flown.speeds.copy()
+    speeds[2000:2200, 4] *= 0.6  # from 8 s on, for 0.8 s
+    speeds[:, 0] *= 0.85
+    held = content(write_bag(replace(flown, speeds=speeds), tmp_path / 'hexa'))
+    assert 'motor_4 rear right counter-clockwise' in held.craft
+    text = '; '.join(held.rotors)
+    for words in ('with a lag of 40 ms', 'motor_4 lags: it answers with 16', 'the others with 40',
+                  'motor_2 stands still for 0.', 's from 12.', 'motor_5 slips for 0.',
+                  's from 8.0 s', 'motor_1 turns 15 % slower'):
+        assert words in text, text
+    assert text.count('motor_') == 4
+    assert rotors_of(replace(flown, speeds=None)).lines == ()
+
+
+def test_a_description_says_where_motors_are_or_is_left_aside(tmp_path, refusal):
+    record = recorded(HEXA, 3)
+    four = Craft('four', record.craft.motors[:4])
+    bag = write_bag(replace(record, craft=four), tmp_path / 'too few')
+    assert '/motors/command is of 6 motors, /robot_description is of 4' in refusal(read_bag, bag)
+    shown = write_bag(replace(record, motors=None, wrench=record.control), tmp_path / 'wrench')
+    clipped = read_bag(shown)
+    np.testing.assert_allclose(
+        clipped.control, record.craft.control(record.craft.commands(record.control)), atol=1e-12)
+    unknown = replace(record, motors=None, wrench=3.0 * record.control, desaturation='none')
+    raw = read_bag(write_bag(unknown, tmp_path / 'none'))
+    np.testing.assert_array_equal(raw.control, unknown.wrench)
+    assert (raw.motors, raw.desaturation) == (None, 'none')
+    assert 'as it was commanded' in ' '.join(raw.warnings)

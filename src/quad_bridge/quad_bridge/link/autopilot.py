@@ -60,13 +60,13 @@ OPTIONAL = (ROTORS,)  # topics without which nothing is missing: few autopilots 
 NEVER = ('/control/wrench', '/setpoint/attitude', '/setpoint/rates', '/excitation/applied')
 """Topics that need QUAD_CYCLE."""
 AUTOPILOTS = {3: 'ArduPilot', 12: 'PX4'}  # MAV_AUTOPILOT
-GENERIC, BETAFLIGHT = 0, (0, 200)  # MAV_AUTOPILOT; the system and component by which it is known
+GENERIC = 0  # MAV_AUTOPILOT
+BETAFLIGHT = {'ATTITUDE', 'RC_CHANNELS_RAW', 'VFR_HUD'}
+"""Messages of Betaflight, which calls itself generic; its ATTITUDE has no rates at all."""
 
 
 def name_of(peer: Heartbeat) -> str:
     """The autopilot's name by its heartbeat; empty for one that does not say."""
-    if peer.autopilot == GENERIC and (peer.system, peer.component) == BETAFLIGHT:
-        return 'Betaflight'
     return AUTOPILOTS.get(peer.autopilot, '')
 
 
@@ -107,12 +107,19 @@ class Autopilot:
         self._rpm: dict[int, float] = {}
         self._look_ns = self._looked_ns = 0
         self._battery: int | None = None
+        self._turns = False  # whether any rate has ever been other than zero
+        self.generic = False  # whether its heartbeat bears no name
         self.asked = 0  # intervals asked for so far
         self.lowered: set[str] = set()  # messages whose rate was reached and lowered by another
 
     def clear(self) -> None:
         """Forget the autopilot."""
         self.__init__()  # type: ignore[misc]
+
+    @property
+    def betaflight(self) -> bool:
+        """Whether it is Betaflight, by what it sends."""
+        return self.generic and not self._turns and set(self._streams) >= BETAFLIGHT
 
     def restarted(self) -> None:
         """The autopilot has started anew, with its own rates: nobody has lowered them."""
@@ -163,11 +170,19 @@ class Autopilot:
             parts.append((PRESSURE, replace(frame, mag_gauss=None)))
         return parts
 
-    def sticks(self, frame: RcChannels, now_ns: int) -> bool:
-        """Whether these are the pilot's channels."""
+    def sticks(self, frame: RcChannels, now_ns: int) -> RcChannels | None:
+        """The pilot's channels: roll, pitch, throttle, yaw …; None where others bring them.
+
+        Betaflight sends them in its own order, yaw before throttle.
+        """
         self.note(frame.name)
         there = frame.port == 0 and bool(frame.channels)
-        return there and self.feeds(STICKS, frame.name, now_ns)
+        if not there or not self.feeds(STICKS, frame.name, now_ns):
+            return None
+        if self.betaflight and len(frame.channels) > 3:
+            roll, pitch, yaw, throttle, *others = frame.channels
+            return replace(frame, channels=(roll, pitch, throttle, yaw, *others))
+        return frame
 
     def battery(self, frame: Battery, now_ns: int) -> bool:
         """Whether this one counts: of several batteries the one with the lowest number."""
@@ -277,6 +292,7 @@ class Autopilot:
         if rates is None:
             return None
         if any(rates):
+            self._turns = True
             self._zeros.pop(name, None)
             self._without_rates.discard(name)
         elif self._angles is not None:

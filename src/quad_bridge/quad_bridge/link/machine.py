@@ -13,6 +13,7 @@ from typing import Any
 
 from quad_bridge.link.autopilot import (
     BATTERY,
+    GENERIC,
     MOTORS,
     ROTORS,
     STICKS,
@@ -104,6 +105,8 @@ class Link:
             return 'the STM32'
         if self.peer is None:
             return 'the aircraft'
+        if self.autopilot.betaflight:
+            return 'Betaflight'
         return name_of(self.peer) or 'the autopilot'
 
     def armed_lately(self, now_ns: int) -> bool | None:
@@ -136,10 +139,11 @@ class Link:
             if take is not None:
                 take(frame, now_ns)
         self.tick(now_ns)
-        if self.parameters is not None and self.parameters.settled and not self._described:
+        if self._described or self.parameters is None or self.peer is None:
+            return events
+        if self.parameters.settled:
             self._described = True
-            if self.peer is not None:
-                events.append(Described(self.peer, self.parameters.values))
+            events.append(Described(self.peer, self.parameters.values))
         return events
 
     def tick(self, now_ns: int) -> None:
@@ -214,11 +218,12 @@ class Link:
         self.send(f.TimeSync(0, now_ns))
 
     def _ask_parameters(self, now_ns: int) -> None:
-        if self.parameters is None and self.peer is not None:
+        if self._described or self.peer is None:
+            return
+        if self.parameters is None:
             self.parameters = Parameters(self.peer)
-        if self.parameters is not None:
-            for request in self.parameters.due(now_ns):
-                self.send(request)
+        for request in self.parameters.due(now_ns):
+            self.send(request)
 
     def _forget_autopilot(self) -> None:
         self.peer, self.parameters, self._described = None, None, False
@@ -228,9 +233,10 @@ class Link:
         self.stamping.out.append(Arrived(frame))
 
     def _sticks(self, frame: f.RcChannels, now_ns: int) -> None:
-        if self.autopilot.sticks(frame, now_ns):
-            self._arrived(frame, now_ns)
-            self.stamping.other(STICKS, frame, frame.time_ms * 1000, 1000, now_ns)
+        sticks = self.autopilot.sticks(frame, now_ns)
+        if sticks is not None:
+            self._arrived(sticks, now_ns)
+            self.stamping.other(STICKS, sticks, frame.time_ms * 1000, 1000, now_ns)
 
     def _slow_sensors(self, frame: f.SlowSensors, now_ns: int) -> None:
         self._inertial(frame, now_ns)
@@ -266,6 +272,7 @@ class Link:
             if self.peer is None:
                 self._peer_since_ns = now_ns
             self.peer, self._peer_ns = frame, now_ns
+            self.autopilot.generic = frame.autopilot == GENERIC
 
     def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
         """Events of another autopilot's messages; none once a control cycle was received."""

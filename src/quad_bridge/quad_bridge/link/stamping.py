@@ -141,7 +141,11 @@ class Stamping:
         """Take a round trip of TIMESYNC: sent and received by us, told by the aircraft."""
         # who counts µs in 32 bits wraps here too
         whole_us, rest_ns = divmod(told_ns, 1000)
-        device_ns = 1000 * self.device_time.peek(whole_us, NEAR_US) + rest_ns
+        device_us = self.device_time.peek(whole_us, NEAR_US)
+        near_us = self._nearest(device_us, WRAP_US)  # Betaflight's TIMESYNC alone has 32 bits
+        if abs(near_us - self._anchor_us) < PAST_US:
+            device_us = near_us
+        device_ns = 1000 * device_us + rest_ns
         if self._sure:
             off_ns = (sent_ns + now_ns) // 2 - self.clock.host_ns(device_ns)
             self.late.trip(sent_ns, off_ns, now_ns - sent_ns)

@@ -127,8 +127,9 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
     if description:
         topics.append('/robot_description')
         first = min((stamp for stamp, _, _ in queue), default=0)
-        text = typestore().serialize_cdr(blank(TEXT, data=description), TEXT)
-        queue.insert(0, (first, '/robot_description', bytes(text)))
+        message = blank(TEXT, data=description)
+        queue.insert(0, (first, '/robot_description',
+                         bytes(typestore().serialize_cdr(message, TEXT))))
     queue.sort(key=lambda entry: entry[0])
     plugin = StoragePlugin.MCAP if options.storage == 'mcap' else StoragePlugin.SQLITE3
     try:

@@ -252,7 +252,7 @@ class ThrustCurve(Propellers):
     """The thrust of each propeller is quadratic in its motor command."""
 
     name = 'thrust_curve'
-    signals = ('command', 'throttle')
+    signals = ('command', 'throttle', 'motors')
     parameters = (Spec('curvature', '1', spread=0.4),)
     physics = 'thrust (1 - k) m + k m² of each motor command m'
     excite = 'throttle changes during the excitation, or large commands on two axes at once'

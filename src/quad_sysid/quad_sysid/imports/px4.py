@@ -235,5 +235,5 @@ def _vehicle(table: Table) -> tuple[str, ...]:
     kind = table.header.get('MAV_TYPE')
     if kind is None or int(kind) in MULTIROTORS:
         return ()
-    return (f'MAV_TYPE is {int(kind)}, no multirotor: wings and tilting rotors are not in the '
-            'model; be careful',)
+    return ((f'MAV_TYPE is {int(kind)}, no multirotor: wings and tilting rotors are not in the '
+             'model; be careful'),)
