@@ -57,7 +57,7 @@ class Bench(Line):
 
     def opened(self):
         self.link.opened()
-        self.updates.restarted(self.now_s)
+        self.updates.restarted()
 
     def new_bridge(self):
         """Kill the bridge, start another."""
@@ -91,7 +91,7 @@ class Bench(Line):
     def handle(self, event):
         frame = getattr(event, 'frame', None)
         if isinstance(event, Restarted):
-            self.updates.restarted(self.now_s)
+            self.updates.restarted()
         elif isinstance(event, Stamped):
             pass
         elif isinstance(frame, RcChannels):

@@ -26,6 +26,7 @@ PARAMETERS = [
     ('bag_logger', {'reserve_mb': 1_000_000}, 'MB of free disk for a flight'),
     ('bag_logger', {'folder': '/proc/nowhere', 'reserve_mb': 0}, 'cannot write a bag here'),
     ('bag_logger', {'prefix': 300 * 'a'}, 'File name too long'),
+    ('bag_logger', {'prefix': '../flight'}, 'prefix: must be a plain name'),
     ('monitor', {'band_low_rad_s': 30.0}, 'is not below band_high_rad_s 20'),
     ('excitation', {'schedule': '/nowhere.yaml'}, '/nowhere.yaml: cannot be read'),
     ('identification', {'train': '5:1'}, 'parameter train: needs two times START:END'),

@@ -31,7 +31,8 @@ class OperatorEnable:
     """The dead-man switch, /operator/enable: alive or not. Times in s on a steady clock.
 
     Whoever holds it says so at 5 Hz or faster, with the time of now; half a second after the last
-    stamp it counts as let go. What is stamped otherwise, as from a bag, holds nothing. Where it is not `required` it counts once somebody has held it: who takes it relies on it.
+    stamp it counts as let go. What is stamped otherwise, as from a bag, holds nothing. Where it
+    is not `required` it counts once somebody has held it: who takes it relies on it.
     """
 
     def __init__(self, *, required: bool) -> None:

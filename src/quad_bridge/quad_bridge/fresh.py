@@ -17,7 +17,8 @@ def stale(age_s: float) -> str:
         return ''
     age = f'{age_s:.1f} s old' if age_s > 0.0 else f'{-age_s:.1f} s ahead'
     remedy = 'stamp commands with the time of now, and set the clocks of all computers by NTP'
-    return f'its stamp is {age}, at most {OLDEST_S:g} s old or {AHEAD_S:g} s ahead counts; {remedy}'
+    most = f'at most {OLDEST_S:g} s old or {AHEAD_S:g} s ahead counts'
+    return f'its stamp is {age}: {most}; {remedy}'
 
 
 def refuse_stale(age_s: float) -> None:

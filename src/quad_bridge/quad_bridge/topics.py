@@ -20,7 +20,7 @@ TOPIC_TYPES = {
     '/gains/active': 'rcl_interfaces/msg/ParameterEvent',
     '/logger/bag': 'rcl_interfaces/msg/ParameterEvent',
     '/robot_description': 'std_msgs/msg/String',
-    '/operator/enable': 'std_msgs/msg/Bool',
+    '/operator/enable': 'std_msgs/msg/Header',
     '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray',
 }
 

@@ -1,9 +1,9 @@
 """The files of each aircraft: every set of gains that was active, and its polarity check.
 
 `<folder>/<aircraft>/gains.jsonl` is only ever appended to, one line per event, each on the disk
-before the next; `polarity.json` and `flight.json`, how it last flew well, are replaced whole. A thread of its own writes: a disk that takes
-seconds delays no control cycle and no confirmation. `quad-tune history` reads the first file by
-itself.
+before the next; `polarity.json` and `flight.json`, how it last flew well, are replaced whole. A
+thread of its own writes: a disk that takes seconds delays no control cycle and no confirmation.
+`quad-tune history` reads the first file by itself.
 """
 
 from __future__ import annotations
@@ -164,7 +164,8 @@ class History:
                 os.close(file)
             self.fault = ''
         except OSError as error:
-            self.fault = f'{path}: cannot be written ({error.strerror}); nothing tells which gains fly'
+            what = f'cannot be written ({error.strerror})'
+            self.fault = f'{path}: {what}; no gains are taken that nobody could trace'
             self._last = {}  # not stored: when they are read again, they are written again
 
     def _replace(self, path: Path, text: str) -> None:

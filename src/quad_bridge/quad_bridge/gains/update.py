@@ -308,18 +308,18 @@ class GainUpdates:
     def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
         """Take an answer about parameters or sets."""
         self.protocol.take(frame, now_s)
-        self._take_events(now_s)
+        self._take_events()
 
     def poll(self, now_s: float) -> Request | None:
         """Frames to send now."""
         wanted = self.protocol.poll(now_s)
-        self._take_events(now_s)
+        self._take_events()
         return wanted
 
-    def restarted(self, now_s: float) -> None:
+    def restarted(self) -> None:
         """Handle a restart of the STM32, or another one."""
         self.protocol.restart()
-        self._take_events(now_s)
+        self._take_events()
 
     def cycle(self, frame: f.Cycle, now_s: float) -> f.Excitation | None:
         """Take one control cycle; a pulse to send while the polarity is checked."""
@@ -429,13 +429,13 @@ class GainUpdates:
         self.state = State.CONFIRMING
         self.protocol.confirm()
 
-    def _take_events(self, now_s: float) -> None:
+    def _take_events(self) -> None:
         if self.protocol.events:
             events, self.protocol.events = self.protocol.events, []
             for event in events:
-                self._event(event, now_s)
+                self._event(event)
 
-    def _event(self, event: GainEvent, now_s: float) -> None:
+    def _event(self, event: GainEvent) -> None:
         if event.what is What.READ:
             self._know(event)
             if self._history.leave(self.aircraft):  # plugged in anew, and its files not open yet

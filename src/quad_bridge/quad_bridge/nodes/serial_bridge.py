@@ -26,7 +26,7 @@ from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN
-from quad_bridge.gains.update import GainUpdates, News, State
+from quad_bridge.gains.update import GainUpdates, News, State, Told
 from quad_bridge.link.autopilot import BATTERY, COMPASS, INERTIAL, MOTORS, PRESSURE, ROTORS
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort
@@ -125,6 +125,8 @@ class SerialBridge(ManagedNode):
         self._description.configure()
         self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
+        self._operator.configure()
+        self._sensor_services.configure()
         self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
         self.subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
         self.subscribe(
@@ -152,6 +154,7 @@ class SerialBridge(ManagedNode):
         self._operator.end()
         with self._lock:
             self._gains.disturb('the node was deactivated')
+            self._gains.end('the node was deactivated')
         self._port.stop()
         self._worker.close()
 
@@ -162,7 +165,7 @@ class SerialBridge(ManagedNode):
             self._link.opened()
             self._motors = None
             self._report.opened()
-            self._gains.restarted(clock().now_s())
+            self._gains.restarted()
             self._gains.disturb('the port was opened anew')
             self._time.opened(*self._epoch())
         path = self._port.status.path
@@ -180,7 +183,7 @@ class SerialBridge(ManagedNode):
                 elif isinstance(event, Described):
                     self._on_described(event)
                 elif isinstance(event, Restarted):
-                    self._gains.restarted(1e-9 * now_ns)
+                    self._gains.restarted()
                     self._sensors.restarted()
             self._poll_gains(now_ns)
             self._flush()
@@ -275,6 +278,7 @@ class SerialBridge(ManagedNode):
             self._flush()
             news, self._gains.news = self._gains.news, []
         self._operator.tick()
+        self._gain_services.tick()
         self._sensor_services.tick()
         end = self._relay.tick(clock().now_s())
         if end is not None:
@@ -292,7 +296,6 @@ class SerialBridge(ManagedNode):
         if item.active is not None:
             name, now_ns = self.get_fully_qualified_name(), self.get_clock().now().nanoseconds
             self._active.publish(conversion.event_message(item.active, name, now_ns))
-        self._gain_services.show(self._gains.active)
 
     def _say_once(self, words: str) -> None:
         if self._limiter.allow(words, clock().now_s()):
@@ -305,7 +308,7 @@ class SerialBridge(ManagedNode):
                 self._gains.polarity.craft = craft
 
     def _on_segment(self, event: ParameterEvent) -> None:
-        end = self._relay.segment(conversion.parameters(event))
+        end = self._relay.segment(conversion.parameters(event), self._age_s(event.stamp))
         with self._lock:
             if self._relay.injection:
                 self._gains.disturb()
@@ -316,7 +319,8 @@ class SerialBridge(ManagedNode):
 
     def _on_setpoint(self, message: Vector3Stamped) -> None:
         v = message.vector
-        frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s())
+        age_s = self._age_s(message.header.stamp)
+        frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s(), age_s)
         if frame is not None:
             self._forward(frame)
 
@@ -327,14 +331,21 @@ class SerialBridge(ManagedNode):
 
     def _on_gains(self, event: ParameterEvent) -> None:
         with contextlib.suppress(RefusedError):  # it is in the news
-            self._ask_gains(conversion.parameters(event))
+            self._ask_gains(conversion.parameters(event), age_s=self._age_s(event.stamp))
 
-    def _ask_gains(self, parameters: Mapping[str, object]) -> None:
+    def _age_s(self, stamp: Any) -> float:
+        return conversion.age_s(stamp, self.get_clock().now().nanoseconds)
+
+    def _ask_gains(
+        self, parameters: Mapping[str, object], told: Told | None = None, *, age_s: float = 0.0
+    ) -> None:
         """Hand on an update; raises RefusedError."""
+        if not self.active:
+            self._say_once('gains refused: the node is not active')
         self.refuse_unless_active()
         with self._lock:
             self._refuse_autopilot()
-            words = self._gains.ask(parameters, clock().now_s())
+            words = self._gains.ask(parameters, clock().now_s(), told, age_s=age_s)
             self._poll_gains(clock().now_ns())
             self._flush()
         self.get_logger().info(words)
@@ -378,7 +389,8 @@ class SerialBridge(ManagedNode):
                 log.info(text)
             else:
                 log.warning(text)
-        entries += [self._sensors.status(), *self._operator.entries(), *self.fence.entries()]
+        entries += [self._sensors.status(), *self._operator.entries()]
+        entries += [*self.bounds(), *self.fence.entries()]
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
             diagnostics.diagnostic_array(self.get_name(), port, now, entries)
