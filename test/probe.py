@@ -107,6 +107,10 @@ class Probe:
         """How many subscriptions a topic has."""
         return int(self._do('listeners', topic=topic))
 
+    def opened(self, node: str) -> dict[str, set[str]]:
+        """What a node publishes, hears, offers and calls, by full name."""
+        return {what: set(names) for what, names in vars(self._do('opened', node=node)).items()}
+
     def nodes(self) -> list[str]:
         """Full names of the nodes that are there."""
         return [str(name) for name in self._do('nodes')]
@@ -361,6 +365,16 @@ class Server:
     def nodes(self) -> list[str]:
         found = self.node.get_node_names_and_namespaces()
         return [f'{space.rstrip("/")}/{name}' for name, space in found if name != 'probe']
+
+    def opened(self, node: str) -> dict[str, list[str]]:
+        own = self.node
+        found = {
+            'publishes': own.get_publisher_names_and_types_by_node(node, '/'),
+            'hears': own.get_subscriber_names_and_types_by_node(node, '/'),
+            'offers': own.get_service_names_and_types_by_node(node, '/'),
+            'calls': own.get_client_names_and_types_by_node(node, '/'),
+        }
+        return {what: [topic for topic, _ in pairs] for what, pairs in found.items()}
 
     def ask(self, number: int, service: str, kind: str, request: Any) -> None:
         made = interface(kind)

@@ -22,6 +22,7 @@ ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
 ANSWER_S = 1.0  # an answer is waited for so long; a late one may come for as long again
 LATE_S = 60.0  # so long a request may have lain on the way
 AGAIN_S = 0.2  # between two disarms that nothing has answered
+AGAIN_WITHIN_S = 2.0  # between two calls that disarm in flight
 HELD_S = 0.5  # after so long without a message the switch counts as let go
 ACCEPTED = 'accepted'
 _RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
@@ -58,6 +59,24 @@ class OperatorEnable:
         if self.reason:
             return f'/operator/enable: {self.reason}'
         return f'/operator/enable is silent: publish to it every {HELD_S / 2.5:g} s'
+
+
+class SecondCall:
+    """To disarm in flight lets it fall: that takes a second call, or the pilot's own switch."""
+
+    def __init__(self) -> None:
+        self._first_s = -math.inf
+
+    def fault(self, now_s: float, *, flies: bool) -> str:
+        """Why a call to disarm does nothing yet; empty where it does."""
+        first_s, self._first_s = self._first_s, -math.inf
+        if not flies or now_s - first_s <= AGAIN_WITHIN_S:
+            return ''
+        self._first_s = now_s
+        return (
+            f'it flies: call again within {AGAIN_WITHIN_S:g} s to let it fall, or use the '
+            "pilot's switch"
+        )
 
 
 class _Request:

@@ -18,7 +18,7 @@ from rclpy.validate_namespace import validate_namespace
 
 from quad_bridge.lockstep import patience
 from quad_bridge.nodes.conversion import event_message
-from quad_bridge.start import listen_by_udp
+from quad_bridge.start import listen_by_udp, stay_on_this_computer
 from quad_sysid.errors import BadInputError
 
 LISTEN_S, ANSWER_S = 10.0, 150.0
@@ -44,6 +44,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
         before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
         ending.callback(signal.signal, signal.SIGINT, before)
         listen_by_udp()
+        stay_on_this_computer()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         ending.callback(rclpy.try_shutdown)
         node: Any = rclpy.create_node('quad_tune', namespace=namespace)

@@ -26,7 +26,7 @@ from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN
-from quad_bridge.gains.update import GainUpdates, News, State, Told
+from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, State, Told
 from quad_bridge.link.autopilot import BATTERY, COMPASS, INERTIAL, MOTORS, PRESSURE, ROTORS
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort
@@ -73,7 +73,7 @@ class SerialBridge(ManagedNode):
         self._motors: MotorOutputs | None = None  # of another autopilot, once it has told
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
         self._operator = OperatorServices(
-            self, self._enable, self._forward, self._armed, lambda: self._link.name
+            self, self._enable, self._forward, self._armed, self._flies, lambda: self._link.name
         )
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
         self._messages = conversion.CycleMessages()
@@ -360,6 +360,13 @@ class SerialBridge(ManagedNode):
     def _armed(self) -> bool | None:
         with self._lock:
             return self._link.armed_lately(clock().now_ns())
+
+    def _flies(self) -> bool:
+        """Whether it may be in the air: armed, and the throttle up or not known."""
+        with self._lock:
+            last = self._link.last_cycle
+            low = last is not None and last.control[0] < LOW_THROTTLE
+            return bool(self._link.armed_lately(clock().now_ns())) and not low
 
     def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
         """Have the polarity or the motors checked; raises RefusedError."""

@@ -18,7 +18,7 @@ from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from quad_bridge.arming import ACCEPTED, Arming, OperatorEnable
+from quad_bridge.arming import ACCEPTED, Arming, OperatorEnable, SecondCall
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.update import Told
 from quad_bridge.lockstep import clock
@@ -96,7 +96,7 @@ class OperatorServices:
     """Topic operator/enable and service `~/arm`, which answers with what the aircraft said.
 
     `send` puts a frame on the wire. `armed` says whether the aircraft is armed, as heard just now;
-    None where it is not heard; `name` what messages call it. `acknowledged` may be called from any
+    None where it is not heard; `flies` whether it may be in the air; `name` what messages call it. `acknowledged` may be called from any
     thread.
     """
 
@@ -106,10 +106,12 @@ class OperatorServices:
         enable: OperatorEnable,
         send: Callable[[Command], None],
         armed: Callable[[], bool | None],
+        flies: Callable[[], bool],
         name: Callable[[], str],
     ) -> None:
         self._node, self._enable, self._send, self._armed = node, enable, send, armed
-        self._name = name
+        self._name, self._flies = name, flies
+        self._second = SecondCall()
         self._arming = Arming()
         self._late = ''
         group = ReentrantCallbackGroup()
@@ -156,7 +158,10 @@ class OperatorServices:
     def _command(self, arm: bool, told: Callable[[str], None]) -> Command:
         now_s = clock().now_s()
         self._node.refuse_unless_active()
-        fault = (self._enable.fault(now_s) or self._not_disarmed()) if arm else ''
+        if arm:
+            fault = self._enable.fault(now_s) or self._not_disarmed()
+        else:
+            fault = self._second.fault(now_s, flies=self._flies())
         if fault:
             raise RefusedError(fault)
         return self._arming.ask(arm, told, now_s)
