@@ -14,18 +14,16 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
+from quad_bridge.aircraft import ACCEPTED, Aircraft, Quad
 from quad_bridge.errors import RefusedError
 from quad_bridge.fresh import stale
-from quad_bridge.wire.frames import Command, CommandAck
+from quad_bridge.wire.frames import CommandAck, Frame
 
-ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
 ANSWER_S = 1.0  # an answer is waited for so long; a late one may come for as long again
 LATE_S = 60.0  # so long a request may have lain on the way
 AGAIN_S = 0.2  # between two disarms that nothing has answered
 AGAIN_WITHIN_S = 2.0  # between two calls that disarm in flight
 HELD_S = 0.5  # after so long without a message the switch counts as let go
-ACCEPTED = 'accepted'
-_RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 
 
 class OperatorEnable:
@@ -94,13 +92,14 @@ class Arming:
     its request.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, aircraft: Aircraft | None = None) -> None:
+        self._aircraft = aircraft or Quad()
         self._lock = threading.RLock()
         self._asked: _Request | None = None
         self._sent: deque[_Request] = deque()  # one per command on the way, of earlier ones too
         self._owed_until_s = self._given_up_s = -math.inf
 
-    def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Command:
+    def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Frame:
         """Accept a request; returns the frame to send. Raises RefusedError."""
         with self._lock:
             self._expire(now_s)
@@ -113,7 +112,7 @@ class Arming:
             asked.told.append((now_s + ANSWER_S, told))
             return self._send(asked, now_s)
 
-    def tick(self, now_s: float, *, armed: bool = False) -> Command | None:
+    def tick(self, now_s: float, *, armed: bool = False) -> Frame | None:
         """Give up where no answer has come; what to send again.
 
         `armed` says what the aircraft is: where it has armed, only its answer was lost.
@@ -139,13 +138,13 @@ class Arming:
         """Take the STM32's answer to a command."""
         with self._lock:
             self._expire(now_s)
-            if ack.command != ARM_DISARM or not self._sent:
+            told = self._aircraft.armed_answer(ack)
+            if told is None or not self._sent:
                 return
             answered, asked = self._sent.popleft(), self._asked
             # an answer to the disarm of before is as good for the one that waits
             if asked is not None and (answered is asked or not (answered.arm or asked.arm)):
-                known = ack.result < len(_RESULTS)
-                self._end(_RESULTS[ack.result] if known else f'result {ack.result}', now_s)
+                self._end(told, now_s)
 
     def late(self, now_s: float, *, armed: bool) -> str:
         """What to say of an aircraft that armed after the request had been given up; once."""
@@ -162,10 +161,10 @@ class Arming:
         with self._lock:
             self._end(why, -math.inf)
 
-    def _send(self, asked: _Request, now_s: float) -> Command:
+    def _send(self, asked: _Request, now_s: float) -> Frame:
         asked.last_s = now_s
         self._sent.append(asked)
-        return Command(ARM_DISARM, (1.0 if asked.arm else 0.0,))
+        return self._aircraft.arm(asked.arm)
 
     def _end(self, text: str, now_s: float) -> None:
         """End the waiting request and answer its caller."""

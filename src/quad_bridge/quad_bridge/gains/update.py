@@ -21,7 +21,7 @@ from quad_bridge.errors import QuadBridgeError, RefusedError
 from quad_bridge.fresh import refuse_stale
 from quad_bridge.gains import gate
 from quad_bridge.gains.history import FLIGHT, History
-from quad_bridge.gains.polarity import PolarityCheck
+from quad_bridge.gains.polarity import PolarityCheck, Push
 from quad_bridge.gains.protocol import GainEvent, GainProtocol, Request, What
 from quad_bridge.gains.protocol import State as Protocol
 from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, WIRE_NAMES, Bound
@@ -106,13 +106,16 @@ class _Update:
 class GainUpdates:
     """See the module. `ask` and `check` raise RefusedError, the rest never."""
 
-    def __init__(self, settings: GainSettings, history: History) -> None:
+    def __init__(
+        self, settings: GainSettings, history: History, protocol: GainProtocol | None = None
+    ) -> None:
+        """`protocol` is the aircraft's: how its sets of gains are written and read back."""
         self.news: list[News] = []
         self.refused = ''
         """Why the last update was refused, failed or reverted; empty after a good one."""
         self.refusals = self.commits = self.rollbacks = 0
         self.state = State.IDLE
-        self.protocol = GainProtocol()
+        self.protocol = protocol or GainProtocol()
         self.rate_hz = gate.USUAL_HZ
         self.watch = GainWatch(gate.USUAL_HZ)
         self.polarity = PolarityCheck(settings.polarity, gate.USUAL_HZ)
@@ -321,7 +324,7 @@ class GainUpdates:
         self.protocol.restart()
         self._take_events()
 
-    def cycle(self, frame: f.Cycle, now_s: float) -> f.Excitation | None:
+    def cycle(self, frame: f.Cycle, now_s: float) -> Push | None:
         """Take one control cycle; a pulse to send while the polarity is checked."""
         since_s, self._cycle_s, self._flags = now_s - self._cycle_s, now_s, frame.flags
         self._measure_rate(frame.time_us)

@@ -227,7 +227,8 @@ class GainWatch:
         return np.asarray(np.max([*self._blocks, self._worst], axis=0))
 
     def _most(self, before: FloatArray) -> FloatArray:
-        return MARGIN**2 * before + self._floor
+        most: FloatArray = MARGIN**2 * before + self._floor
+        return most
 
     def _remember(self) -> None:
         if self._rows * self._dt < SETTLE_S:

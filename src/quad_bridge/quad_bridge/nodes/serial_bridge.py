@@ -20,12 +20,13 @@ from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
+from quad_bridge.aircraft import Ability, Quad
 from quad_bridge.arming import OperatorEnable
 from quad_bridge.craft import Craft
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
-from quad_bridge.gains.polarity import FLOWN
+from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
 from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, State, Told
 from quad_bridge.link.autopilot import BATTERY, COMPASS, INERTIAL, MOTORS, PRESSURE, ROTORS
 from quad_bridge.link.machine import Link
@@ -50,7 +51,6 @@ from quad_bridge.wire import frames as f
 TICK_S = 0.1  # an executor's turn costs half a millisecond; what is urgent the port's thread does
 REPORT_S = 0.1  # least time between two reports, however many updates are refused
 YAW_STICK = 3
-NO_EXCITATION = 'the aircraft sends standard messages only: it has no QUAD_EXCITATION'
 
 
 class SerialBridge(ManagedNode):
@@ -64,16 +64,18 @@ class SerialBridge(ManagedNode):
         self._link = Link(settings.signing, START_NS if clock().simulated else None)
         self._report = LinkReport(self._link, clock().now_s())
         self._enable = OperatorEnable(required=settings.require_enable)
-        self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable)
+        self._aircraft = Quad(self._standard)
+        self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable, self._aircraft)
         self._worker = Worker()
         self._history = History(settings.gains.folder, self._worker)
-        self._gains = GainUpdates(settings.gains, self._history)
+        self._gains = GainUpdates(settings.gains, self._history, self._aircraft.gains)
         self._sensors = LiveSensors(correct=settings.correct_sensors)
         self._description = Description(self, settings.craft, self._on_craft)
         self._motors: MotorOutputs | None = None  # of another autopilot, once it has told
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
         self._operator = OperatorServices(
-            self, self._enable, self._forward, self._armed, self._flies, lambda: self._link.name
+            self, self._enable, self._aircraft, self._forward, self._armed, self._flies,
+            lambda: self._link.name,
         )
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
         self._messages = conversion.CycleMessages()
@@ -199,7 +201,7 @@ class SerialBridge(ManagedNode):
                 self._gains.disturb(fault)
         pulse = self._gains.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
-            self._link.send(pulse)
+            self._link.send(self._aircraft.excite(*pulse, PULSE_VALID_MS))
 
     def _on_gains_frame(self, frame: f.ParamValue | f.GainsState, now_ns: int) -> None:
         self._gains.take(frame, 1e-9 * now_ns)
@@ -352,10 +354,14 @@ class SerialBridge(ManagedNode):
 
     def _refuse_autopilot(self) -> None:
         """Raise RefusedError where the aircraft has no sets of gains and no test pulses."""
-        if self._link.standard_only(clock().now_ns()):
-            words = f'{self._link.name} has no QUAD_GAINS: no gains or pulses for it'
+        words = self._aircraft.cannot(Ability.GAINS)
+        if words:
             self._say_once(words)
             raise RefusedError(words)
+
+    def _standard(self) -> str:
+        """Name of an autopilot that sends standard messages only; '' for ours."""
+        return self._link.name if self._link.standard_only(clock().now_ns()) else ''
 
     def _armed(self) -> bool | None:
         with self._lock:
@@ -379,8 +385,7 @@ class SerialBridge(ManagedNode):
         self._keep_epoch()
         self._reported_s = now_s = clock().now_s()
         with self._lock:
-            link, standard = self._link, self._link.standard_only(clock().now_ns())
-            self._relay.refusal = NO_EXCITATION if standard else ''
+            link = self._link
             unset = self._time.epoch_ns == NEVER_NS
             entries = self._report.entries(
                 self._port.status, now_s, behind_ns=self._time.behind_ns, unset=unset

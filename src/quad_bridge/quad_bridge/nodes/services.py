@@ -18,7 +18,8 @@ from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from quad_bridge.arming import ACCEPTED, Arming, OperatorEnable, SecondCall
+from quad_bridge.aircraft import ACCEPTED, Aircraft
+from quad_bridge.arming import Arming, OperatorEnable, SecondCall
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.update import Told
 from quad_bridge.lockstep import clock
@@ -27,7 +28,7 @@ from quad_bridge.nodes.managed_node import answered
 from quad_bridge.nodes.qos import STATE
 from quad_bridge.sensors.live import LiveSensors, Wanted
 from quad_bridge.status import OK, WARN, Status
-from quad_bridge.wire.frames import Command, CommandAck
+from quad_bridge.wire.frames import CommandAck, Frame
 
 SOURCE = '~/set_gains'
 MOST_PARAMETERS = 500
@@ -96,15 +97,16 @@ class OperatorServices:
     """Topic operator/enable and service `~/arm`, which answers with what the aircraft said.
 
     `send` puts a frame on the wire. `armed` says whether the aircraft is armed, as heard just now;
-    None where it is not heard; `flies` whether it may be in the air; `name` what messages call it. `acknowledged` may be called from any
-    thread.
+    None where it is not heard; `flies` whether it may be in the air; `name` what messages call it.
+    `acknowledged` may be called from any thread.
     """
 
     def __init__(
         self,
         node: Any,
         enable: OperatorEnable,
-        send: Callable[[Command], None],
+        aircraft: Aircraft,
+        send: Callable[[Frame], None],
         armed: Callable[[], bool | None],
         flies: Callable[[], bool],
         name: Callable[[], str],
@@ -112,7 +114,7 @@ class OperatorServices:
         self._node, self._enable, self._send, self._armed = node, enable, send, armed
         self._name, self._flies = name, flies
         self._second = SecondCall()
-        self._arming = Arming()
+        self._arming = Arming(aircraft)
         self._late = ''
         group = ReentrantCallbackGroup()
         node.create_service(SetBool, '~/arm', self._on_arm, callback_group=group)
@@ -155,7 +157,7 @@ class OperatorServices:
         now_ns = self._node.get_clock().now().nanoseconds
         self._enable.take(conversion.age_s(message.stamp, now_ns), clock().now_s())
 
-    def _command(self, arm: bool, told: Callable[[str], None]) -> Command:
+    def _command(self, arm: bool, told: Callable[[str], None]) -> Frame:
         now_s = clock().now_s()
         self._node.refuse_unless_active()
         if arm:
