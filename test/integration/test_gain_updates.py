@@ -58,7 +58,7 @@ class Bench:
         own |= settings
         self.crew.start_node('quad_bridge', 'serial_bridge', own)
         self.said('read back')
-        self.until(lambda: self.probe.listeners('/gains/update') > 1, 'a bridge beside us')
+        self.until(lambda: self.probe.listeners('/gains/update'), 'a bridge')
         self.rest(2.5)
 
     def rest(self, seconds):
