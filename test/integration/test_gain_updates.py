@@ -126,15 +126,21 @@ class Bench:
     def quad_tune(self, *words: object, gives: dict[str, float]) -> str:
         """Run a command that gives these gains; what it prints.
 
-        Time passes until the bridge has answered, and stands still then: new gains are watched for
-        10 s only.
+        Time stands still until the bridge has heard it: new gains are watched for 10 s only.
         """
         environment = {**os.environ, VARIABLE: str(self.crew.socket)}
         command = [sys.executable, '-m', 'quad_tuning.cli', *words]
+        log = self.crew.folder / 'logs' / 'serial_bridge.log'
+        before = len(log.read_text())
         done = Started(command, self.crew.folder / 'quad_tune', env=environment)
 
+        def heard():
+            said = log.read_text()[before:]
+            return done.poll() is not None or 'writing' in said or 'taking back' in said
+
+        self.probe.until(heard, 'what is asked', pause_s=0.1)
         self.active(gives)
-        self.probe.until(lambda: done.poll() is not None, 'its end')
+        self.until(lambda: done.poll() is not None, 'its end')
         assert (done.poll(), done.said) == (0, '')
         return done.printed
 
