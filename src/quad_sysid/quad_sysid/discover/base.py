@@ -95,11 +95,17 @@ def fitted_from(
         return None
 
 
-def fit_without(problem: Problem, fitted: Fit, *which: int, **options: Any) -> Fit | None:
-    """A fit without some of its effects, the rest refitted; None where that diverges."""
+def fit_without(problem: Problem, fitted: Fit, *which: int, silent: bool = False,
+                **options: Any) -> Fit | None:
+    """A fit without some of its effects, the rest refitted; None where that diverges.
+
+    silent: the gain starts at zero.
+    """
     slices = fitted.structure.slices()
     gone = [j for i in which for j in range(slices[i].start, slices[i].stop)]
     structure, theta = fitted.structure.minus(*which), np.delete(fitted.theta, gone)
+    if silent:
+        theta[0] = 0.0
     return fitted_from(problem, structure, theta, rate=fitted.rate, **options)
 
 

@@ -30,13 +30,29 @@ to a parameter that the data know ten times better than its prior; the fit's evi
 # what the validation segments must show
 
 LEVEL = 0.05
-"""Of the contract: a claim needs an e-value of 1 / LEVEL."""
-BLOCK_S = 0.5
-"""Length of the blocks in which predictive log-likelihoods are compared: that of the windows."""
-STAKES = (0.1, 0.3, 0.5, 0.9)
-"""Shares of the capital that are bet on each block, small to bold; the mean of the bets counts."""
+"""Of the contract: an effect is claimed with p at most this."""
+LEAST_BLOCKS = 4
+"""Windows below which a test says nothing."""
 DIFFERS = 1.1
 """Factor by which two errors must differ to count: from what noise causes (contract), and from
 the prediction without commands."""
 FLIPS = 200
 """Random draws of the innovations' signs, all of which an error must exceed: a level of 0.5 %."""
+
+# how the reference is explained
+
+EXPLAINS = 90.0
+"""Percent of what the reference takes away from the base's miss that the answer's rung explains."""
+ENOUGH = 99.0
+"""Percent at which the ladder ends."""
+MOST_RUNGS = 8
+NAMED_FIRST = 0.9
+"""Share of the best step that a named law has to take to stand before a curve."""
+NEGLIGIBLE = 0.01
+"""Share of the base's miss, and of the motion, below which nothing is called a cause."""
+PROJECTED = 4
+"""Named laws beside the reference's own effects that are projected at each rung."""
+RESAMPLES = 200
+"""Resampled flights."""
+AGAIN = 0.5
+"""Share of the resampled flights in which an effect must come again."""

@@ -200,8 +200,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
 ) -> Fit:
     """The most probable parameters from the best of `starts` (coordinates of the fit).
 
-    By Gauss-Newton; parameters in `still` are held, the first of them, the gain, at zero. Raises
-    FloatingPointError where the fit diverges.
+    By Gauss-Newton; parameters in `still` are held where they start. Raises FloatingPointError
+    where the fit diverges.
     """
     flight = problem.flight
     begun = flight.rate if rate is None else rate
@@ -231,8 +231,6 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     theta = starts[0].astype(float)
     if len(starts) > 1:
         theta = max(starts, key=lambda start: evaluated(start, begun, 3)[1]).astype(float)
-    if still:
-        theta[0] = 0.0
     found, value, tail = evaluated(theta, begun, 3, by=steps)
     if found is None or not math.isfinite(value):
         raise FloatingPointError('the start runs away')
@@ -251,7 +249,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         blocks = (rows, column), (root, away), (np.diag(bent), np.zeros(bent.size))
         factor = upper(np.vstack([np.column_stack(pair) for pair in blocks]))[: theta.size]
         a, b = factor[:, :-1], factor[:, -1]
-        converged = not still and 0.5 * float(b @ b) < SMALL_NATS
+        moving = np.delete(b, list(still)) if still else b
+        converged = 0.5 * float(moving @ moving) < SMALL_NATS
         if converged:
             break
         scale = np.sqrt(np.sum(a**2, axis=0))

@@ -7,6 +7,8 @@ from quad_sysid.model.identified import (
     GainProposal,
     NoiseEstimate,
     Parameter,
+    RungModel,
 )
 
-__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate', 'Parameter']
+__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate',
+           'Parameter', 'RungModel']

@@ -27,7 +27,7 @@ class Parameter:
 
 
 UNLISTED = 'unlisted_physics'
-"""Among an effect's rivals: it describes a part of physics that no effect of the list is."""
+"""Among an effect's rivals: a cause that the search did not compare with it."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,8 @@ class EffectEstimate:
     probability: float = 1.0
     rivals: tuple[tuple[str, float], ...] = ()
     """Names of alternatives in its place, with their probabilities; one may be UNLISTED."""
+    explains_pct: float = 0.0
+    """Share of the squared error between base and reference that it takes away on its rung."""
 
     @property
     def listed_rivals(self) -> tuple[tuple[str, float], ...]:
@@ -86,6 +88,18 @@ class NoiseEstimate:
 
 
 @dataclass(frozen=True)
+class RungModel:
+    """One rung of the explanation: the base with some effects, as near to the reference as it comes."""
+
+    base: tuple[Parameter, ...]
+    effects: tuple[EffectEstimate, ...]
+    noise: NoiseEstimate
+    explains_pct: float
+    error: float
+    """RMS of the free run on the held-out segments, rad/s."""
+
+
+@dataclass(frozen=True)
 class AxisModel:
     """The completed continuous-time model of one axis.
 
@@ -114,8 +128,12 @@ class AxisModel:
     trusted_band_rad_s: tuple[float, float] | None = None
     """Where the data support the model, rad/s."""
     plain: tuple[Parameter, ...] = ()
-    """The base fitted without effects, for the error `before`; empty: the base above."""
+    """Rung 0, the base alone, for the error `before`; empty: the base above."""
     plain_noise: NoiseEstimate | None = None
+    rungs: tuple[RungModel, ...] = ()
+    """The explanation above rung 0; empty where nothing was missing."""
+    reference: AxisModel | None = None
+    """The model that predicts best, with which gains are designed; None: this one."""
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
     """Effects from outside quad_sysid.effects that `effects` and rivals may name."""
 
@@ -126,6 +144,11 @@ class AxisModel:
             *(f'  {name} {p.value:.4g}' + ('' if p.std is None else f' ± {p.std:.2g}') +
               f' {p.unit}' for name, p in self._named),
         ])
+
+    @property
+    def predicting(self) -> AxisModel:
+        """The model that predicts best."""
+        return self.reference or self
 
     @property
     def noise_rms(self) -> float | None:

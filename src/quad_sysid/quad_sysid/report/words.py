@@ -27,8 +27,7 @@ PLAIN = {
     'shape:lag:direction': 'motors that slow down unlike they speed up',
     'backlash': 'play between command and torque', 'transport_delay': 'a transport delay',
     'viscous_damping': 'viscous damping', 'bias_torque': 'a constant torque',
-    'mode': 'a hidden oscillation or slow state', 'event': 'an event in flight',
-    UNLISTED: 'physics that the list lacks',
+    UNLISTED: 'a cause that was not compared', 'mode': 'a hidden oscillation or slow state', 'event': 'an event in flight',
 }
 """The contract's names of effects in everyday words."""
 
@@ -37,6 +36,7 @@ VERDICTS = {
     'no_missing_effect': ('good', 'The plain model suffices'),
     'unexplained_residual': ('open', 'Something is missing, but it has no name yet'),
     'cannot_tell': ('none', 'The data cannot tell'),
+    'not_searched': ('none', 'The plain model alone'),
 }
 """Verdict → its style and headline."""
 
@@ -143,8 +143,6 @@ def headline(tree: Tree) -> tuple[str, str]:
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
     if tree['verdict'] == 'effects_added' and tree['effects']:
         return style, 'Was missing: ' + joined([*dict.fromkeys(map(likeliest, tree['effects']))])
-    if tree['verdict'] == 'no_missing_effect' and 'were not searched' in tree.get('reason', ''):
-        return 'none', 'The plain model alone'
     return style, text
 
 

@@ -1,0 +1,252 @@
+"""The ladder from the base to the reference: which effects explain how much, the main cause first.
+
+Rung 0 is the base, fitted to what the reference does (projection.py); its miss is 100 %. Each
+further rung adds the effect that takes away most of what is left, a named law before a curve that
+takes hardly more. The lowest rung that explains EXPLAINS is the answer. Everything here uses the
+training segments only.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from quad_sysid.beside import side_by_side
+from quad_sysid.contract import FloatArray
+from quad_sysid.discover.constants import (
+    ENOUGH,
+    EXPLAINS,
+    MOST_RUNGS,
+    NAMED_FIRST,
+    NEGLIGIBLE,
+    PROJECTED,
+    RESAMPLES,
+)
+from quad_sysid.discover.screen import Along, linear_of
+from quad_sysid.discover.search import Found
+from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.estimate.stored import noise_of
+from quad_sysid.explain.projection import Projected, Projection
+from quad_sysid.model.effect import Part
+from quad_sysid.model.structure import coordinates, natural
+
+
+@dataclass(frozen=True, eq=False)
+class Rung:
+    """A projected model, and the share of the base's miss that it explains."""
+
+    model: Projected
+    explains_pct: float
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of its effects, the main cause first."""
+        return self.model.structure.labels
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """The rungs from the base upwards."""
+
+    projection: Projection
+    rungs: tuple[Rung, ...]
+    blocks: int = 0
+    reproducible: dict[str, float] = field(default_factory=dict)
+    """Label of each effect of the answer → share of the resampled flights in which it is in the
+    answer, whatever its variant."""
+    predicts_pct: float = 0.0
+    """Share of the motion's RMS that the base already predicts, as the reference sees it."""
+
+    def explains(self, label: str) -> float:
+        """Percent that an effect takes away on the rung that adds it."""
+        for below, rung in pairwise(self.rungs):
+            if rung.labels[-1] == label:
+                return rung.explains_pct - below.explains_pct
+        return 0.0
+
+    @property
+    def negligible(self) -> bool:
+        """Whether what the base misses is small beside the motion and beside the gyro's noise."""
+        projection, runs = self.projection, self.projection.goal.size
+        missed = np.sqrt(self.rungs[0].model.total / runs)
+        noise = noise_of(projection.reference).measured_rms
+        return bool(self.predicts_pct >= 100.0 * (1.0 - NEGLIGIBLE) and missed < noise)
+
+    @property
+    def answer(self) -> int:
+        """The lowest rung that explains EXPLAINS; 0 where the base misses next to nothing."""
+        if len(self.rungs) == 1 or self.negligible:
+            return 0
+        enough = (i for i, rung in enumerate(self.rungs) if rung.explains_pct >= EXPLAINS)
+        return next(enough, len(self.rungs) - 1)
+
+
+def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
+    """The ladder to the search's most probable structure, and how often its answer comes again.
+
+    parts: the candidates of the search.
+    """
+    ladder = _ladder(problem, found.best, found.base, parts)
+    if not ladder.answer:
+        return ladder
+    blocks, reproducible = _resampled(problem, found, parts, ladder)
+    return Ladder(ladder.projection, ladder.rungs, blocks, reproducible, ladder.predicts_pct)
+
+
+def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) -> Ladder:
+    projection = Projection(problem, reference)
+    plain = projection.structure(())
+    starts = [projection.start((), (), own[:5]) for own in (reference.theta, base.theta)]
+    lowest = min((projection.project(plain, start) for start in starts), key=lambda m: m.total)
+    whole, rungs = lowest.total, [Rung(lowest, 0.0)]
+    predicts = 100.0 * (1.0 - np.sqrt(min(whole / max(projection.motion, 1e-30), 1.0)))
+    if reference.structure.parts and whole > 0.0:
+        while len(rungs) <= MOST_RUNGS and rungs[-1].explains_pct < ENOUGH:
+            step = _next(projection, rungs[-1].model, parts)
+            if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
+                break
+            rungs.append(Rung(step, 100.0 * (1.0 - step.total / whole)))
+    return Ladder(projection, tuple(rungs), predicts_pct=float(predicts))
+
+
+def _next(projection: Projection, model: Projected, parts: Sequence[Part]) -> Projected | None:
+    """The model with one more effect that comes nearest to the reference."""
+    tried = side_by_side([
+        partial(_extended, projection, model, part, values)
+        for part, values in _hopeful(projection, model, parts)
+    ])
+    if not tried:
+        return None
+    best = min(tried, key=lambda one: one.total)
+    gained = model.total - best.total
+    named = [one for one in tried if one.structure.parts[-1].effect.kind == 'named'
+             and model.total - one.total >= NAMED_FIRST * gained > 0.0]
+    return min(named, key=lambda one: one.total) if named else best
+
+
+def _extended(projection: Projection, model: Projected, part: Part,
+              values: FloatArray) -> Projected:
+    """The projection of a model with one more effect, from `values` (q,) in its coordinates."""
+    structure = model.structure.plus(part)
+    if set(structure.labels) == set(projection.reference.structure.labels):
+        return projection.ordered(structure)
+    start = np.insert(model.theta, -projection.noise.size, values)
+    return projection.project(structure, start)
+
+
+def _hopeful(projection: Projection, model: Projected,
+             parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
+    """The reference's other effects, and the named laws that explain most of the missing torque.
+
+    The missing torque is the reference's acceleration less the model's along the reference's
+    trajectory; a law explains of it what its columns do beside the base's own.
+    """
+    reference, problem, flight = projection.reference, projection.problem, projection.flight
+    structure, theta, rate = model.structure, model.theta, reference.rate
+    have = set(structure.labels)
+    out = [(part, reference.theta[where]) for part, where in reference.structure.placed()
+           if part.effect.label not in have]
+    own = {part.effect.label for part, _ in out}
+    here = Along(problem, structure, theta, rate)
+    wanted = Along(problem, reference.structure, reference.theta, rate).acceleration
+    missing = (wanted - here.acceleration)[problem.rows]
+    sizes = problem.sizes(structure)
+    steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
+    columns, _, _ = flight.columns(structure, theta, rate, steps)
+    q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
+    left = missing - q @ (q.T @ missing)
+    shares: list[tuple[float, Part, FloatArray]] = []
+    for part in parts:
+        effect = part.effect
+        if effect.kind == 'named' and effect.label not in have | own and not effect.wanders \
+                and not effect.phased and not effect.stepped:
+            shares += _share(here, part, q, left)
+    best: dict[str, tuple[float, Part, FloatArray]] = {}
+    for one in sorted(shares, key=lambda one: -one[0]):
+        best.setdefault(one[1].effect.label, one)
+    return out + [(part, p) for _, part, p in list(best.values())[:PROJECTED]]
+
+
+def _share(here: Along, part: Part, q: FloatArray,
+           left: FloatArray) -> list[tuple[float, Part, FloatArray]]:
+    """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
+    effect, rows, linear = part.effect, here.problem.rows, linear_of(part)
+    out = []
+    for start in effect.starts(here.problem.data, part.settings):
+        p = coordinates(effect.parameters, start)
+        p[linear] = 0.0
+        c = np.stack([column[rows] for column in here.columns(part, linear, p)], axis=1)
+        c = c - q @ (q.T @ c)
+        if linear:
+            p[linear] = np.linalg.lstsq(c, left, rcond=1e-8)[0]
+            if any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
+                continue
+            after = left - c @ p[linear]
+        else:
+            after = left - c[:, 0]
+        out.append((1.0 - float(after @ after) / max(float(left @ left), 1e-30), part, p))
+    return out
+
+
+# ------------------------------------------------------------------ what comes again
+
+
+def _resampled(problem: Problem, found: Found, parts: Sequence[Part],
+               ladder: Ladder) -> tuple[int, dict[str, float]]:
+    """Number of blocks; name of each effect of the answer → how often it is in it again.
+
+    Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
+    Bayesian bootstrap, Rubin 1981). With the same weights each fitted structure has another
+    evidence, so that another reference may lead, and each rung another share.
+    """
+    block = problem.blocks(BLOCKS_S)
+    kept = found.all[:MOST_STRUCTURES]
+    innovations = [one.fit.prediction.innovation[problem.rows] for one in kept]
+    logs = np.array([np.bincount(block, one.fit.tail.log_density(e))
+                     for one, e in zip(kept, innovations, strict=True)])
+    prior = np.array([one.score for one in kept]) - logs.sum(axis=1)
+    rng = np.random.default_rng(0)
+    blocks = int(block.max()) + 1
+    weights = rng.exponential(size=(RESAMPLES, blocks))
+    weights *= blocks / weights.sum(axis=1, keepdims=True)
+    leading = np.argmax(prior + weights @ logs.T, axis=1)
+    ladders = {id(found.best): ladder}
+    seen: Counter[str] = Counter()
+    at = np.searchsorted(problem.rows, ladder.projection.windows.starts)
+    of_window = block[np.clip(at, 0, block.size - 1)]
+    for which, count in Counter(leading.tolist()).most_common():
+        fit = kept[which].fit
+        known = next((one for one in kept if one.fit is fit), kept[which]).fit
+        if id(known) not in ladders and count >= LEAST_SHARE * RESAMPLES:
+            ladders[id(known)] = _ladder(problem, known, found.base, parts)
+        own = ladders.get(id(known))
+        if own is None:  # too rare to be worked out
+            continue
+        missed = np.array([rung.model.missed for rung in own.rungs])
+        for draw in np.flatnonzero(leading == which):
+            again = missed @ weights[draw, of_window]
+            explained = 100.0 * (1.0 - again / max(again[0], 1e-30))
+            enough = np.flatnonzero(explained >= EXPLAINS)
+            rung = int(enough[0]) if enough.size else len(own.rungs) - 1
+            rung = rung if own.answer else 0
+            seen.update({p.effect.name for p in own.rungs[rung].model.structure.parts})
+    answer = ladder.rungs[ladder.answer].model.structure.parts
+    return blocks, {p.effect.name: seen[p.effect.name] / RESAMPLES for p in answer}
+
+
+BLOCKS_S = 2.0
+"""Length of a resampled block, longer than most gusts."""
+MOST_STRUCTURES = 40
+"""Structures of the search that a resampled flight chooses from."""
+LEAST_SHARE = 0.04
+"""Share of the draws below which another reference is not worked out."""
+
+
+def values_of(model: Projected) -> FloatArray:
+    """(p,) its parameters in their units."""
+    return natural(model.structure.specs, model.theta)
