@@ -50,8 +50,10 @@ NAMED_FIRST = 0.9
 """Share of the best step that a named law has to take to stand before a curve."""
 NEGLIGIBLE = 0.01
 """Share of the base's miss, and of the motion, below which nothing is called a cause."""
-PROJECTED = 4
-"""Named laws beside the reference's own effects that are projected at each rung."""
+PROJECTED = 2
+"""Named laws, and effects of the reference, that are projected at each rung."""
+LEAST_OF_BEST = 0.4
+"""Share of the missing torque, relative to the best candidate's, from which a law is projected."""
 RESAMPLES = 200
 """Resampled flights."""
 AGAIN = 0.5

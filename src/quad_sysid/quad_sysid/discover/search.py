@@ -12,7 +12,7 @@ import numpy as np
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import best_base, fit_without, fitted_from, most_probable, shares
+from quad_sysid.discover.base import best_base, both_orders, fit_without, fitted_from, most_probable, shares
 from quad_sysid.discover.constants import BEAM, EXCHANGES, EXPECTED, HOPELESS, MOST_EFFECTS, REFITS
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem
@@ -217,6 +217,9 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     for _ in range(MOST_EFFECTS):
         top = beam[0].score
         beam = leading(found.build_on(beam, REFITS))
+        if beam:
+            beam[0] = found.keep(both_orders(problem, beam[0].fit))
+            found.screens.pop(frozenset(beam[0].fit.structure.labels), None)
         if not beam or beam[0].score <= top:
             break
     for _ in range(MOST_EFFECTS):

@@ -28,8 +28,11 @@ DEGREES = (3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e4)
 """Degrees of freedom of the innovations that are tried; the last is a normal distribution."""
 BLOCK_S = 1.0
 """Standard errors take innovations that are further apart for independent."""
+DAMPING = 5.0
+"""Prior of the base's damping, 1/s. Lag and damping are two poles that could change places: on a
+body that flies or turns on a rig the motors are the quicker one."""
 WIDE = 30.0
-"""Prior of the base's gain, damping and bias, relative to the typical acceleration. It is so wide
+"""Prior of the base's gain and bias, relative to the typical acceleration. It is so wide
 that it does not draw an estimate; as all structures have it, comparisons hardly depend on it."""
 SMALL_NATS = 0.02
 MOST_STEPS = 40
@@ -142,7 +145,7 @@ class Problem:
         rows, wide = self.rows, WIDE * self.acceleration
         base = [
             wide / high(self.data.command[rows]), BASE[1].spread, BASE[2].spread,
-            wide / high(self.data.rate[rows]), wide,
+            DAMPING, wide,
         ]
         own = [size for part in structure.parts for size in self.sizes_of(part)]
         return np.array([*base, *own, *(s.spread for s in structure.noise)], dtype=float)

@@ -24,6 +24,7 @@ from quad_sysid.discover.constants import (
     MOST_RUNGS,
     NAMED_FIRST,
     NEGLIGIBLE,
+    LEAST_OF_BEST,
     PROJECTED,
     RESAMPLES,
 )
@@ -149,9 +150,6 @@ def _hopeful(projection: Projection, model: Projected,
     reference, problem, flight = projection.reference, projection.problem, projection.flight
     structure, theta, rate = model.structure, model.theta, reference.rate
     have = set(structure.labels)
-    out = [(part, reference.theta[where]) for part, where in reference.structure.placed()
-           if part.effect.label not in have]
-    own = {part.effect.label for part, _ in out}
     here = Along(problem, structure, theta, rate)
     wanted = Along(problem, reference.structure, reference.theta, rate).acceleration
     missing = (wanted - here.acceleration)[problem.rows]
@@ -160,16 +158,22 @@ def _hopeful(projection: Projection, model: Projected,
     columns, _, _ = flight.columns(structure, theta, rate, steps)
     q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
     left = missing - q @ (q.T @ missing)
+    own = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
+           for part, where in reference.structure.placed() if part.effect.label not in have]
+    own = sorted(own, key=lambda one: -one[0])[:PROJECTED]
+    have |= {part.effect.label for _, part, _ in own}
     shares: list[tuple[float, Part, FloatArray]] = []
     for part in parts:
         effect = part.effect
-        if effect.kind == 'named' and effect.label not in have | own and not effect.wanders \
+        if effect.kind == 'named' and effect.label not in have and not effect.wanders \
                 and not effect.phased and not effect.stepped:
             shares += _share(here, part, q, left)
     best: dict[str, tuple[float, Part, FloatArray]] = {}
     for one in sorted(shares, key=lambda one: -one[0]):
         best.setdefault(one[1].effect.label, one)
-    return out + [(part, p) for _, part, p in list(best.values())[:PROJECTED]]
+    most = max((one[0] for one in (*own, *best.values())), default=0.0)
+    named = [one for one in best.values() if one[0] >= LEAST_OF_BEST * most][:PROJECTED]
+    return [(part, p) for _, part, p in (*own, *named)]
 
 
 def _share(here: Along, part: Part, q: FloatArray,

@@ -21,7 +21,8 @@ from quad_sysid.model.effect import Part
 from quad_sysid.model.plant import Prediction
 from quad_sysid.model.structure import Structure, coordinates
 
-MOST_STEPS = 12
+MOST_STEPS = 20
+MOST_DAMPED = 1e4
 ENOUGH = 1e-3
 """A step that lowers the sum of squares by a smaller share ends the projection."""
 LONGEST_STEP = 1.5
@@ -114,35 +115,47 @@ class Projection:
             difference = self.run(structure, at) - self.goal
             return difference, np.r_[(by * difference).ravel(), root @ (at[:own] - centres)]
 
-        difference, rows = away(theta)
-        value, damping, converged = float(rows @ rows), 1e-3, False
-        for _ in range(MOST_STEPS):
-            columns = np.empty((rows.size, own))
+        def derivatives(at: FloatArray, rows: FloatArray) -> FloatArray:
+            out = np.empty((rows.size, own))
             for j in range(own):
-                moved = theta.copy()
+                moved = at.copy()
                 moved[j] += steps[j]
-                columns[:, j] = (away(moved)[1] - rows) / steps[j]
+                out[:, j] = (away(moved)[1] - rows) / steps[j]
+            return out
+
+        difference, rows = away(theta)
+        value, damping, converged, fresh = float(rows @ rows), 1e-3, False, True
+        columns = derivatives(theta, rows)
+        for _ in range(MOST_STEPS):
             scale = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-9)
-            q, r = np.linalg.qr(columns)
-            for _ in range(6):
-                damped = np.vstack([r, math.sqrt(damping) * np.diag(scale)])
-                step = -np.linalg.lstsq(damped, np.r_[q.T @ rows, np.zeros(own)], rcond=None)[0]
-                trial = theta.copy()
-                trial[:own] += np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
-                trial[:own] = np.where(positive, np.maximum(trial[:own], 0.0), trial[:own])
-                trial[:own] = np.where(logs, np.clip(trial[:own], *RANGE), trial[:own])
-                there, ahead = away(trial)
-                new = float(ahead @ ahead)
-                if new < value:
+            damped = np.vstack([columns, math.sqrt(damping) * np.diag(scale)])
+            step = -np.linalg.lstsq(damped, np.r_[rows, np.zeros(own)], rcond=None)[0]
+            trial = theta.copy()
+            trial[:own] += np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
+            trial[:own] = np.where(positive, np.maximum(trial[:own], 0.0), trial[:own])
+            trial[:own] = np.where(logs, np.clip(trial[:own], *RANGE), trial[:own])
+            there, ahead = away(trial)
+            new, moved = float(ahead @ ahead), trial[:own] - theta[:own]
+            if new < value:  # Broyden's update: a run for each parameter costs most of the time
+                by_scale = scale**2 * moved
+                columns = columns + np.outer(
+                    ahead - rows - columns @ moved, by_scale / max(float(by_scale @ moved), 1e-30)
+                )
+                small = value - new < ENOUGH * value
+                theta, difference, rows, value, damping = trial, there, ahead, new, 0.2 * damping
+                if not small:
+                    fresh = False
+                    continue
+                converged = True
+                if fresh or value <= 0.0:
                     break
-                damping = max(8.0 * damping, 1e-4)
-            else:
-                converged = True  # no step leads further
-                break
-            converged = value - new < ENOUGH * value
-            theta, difference, rows, value, damping = trial, there, ahead, new, 0.2 * damping
-            if converged:
-                break
+            elif fresh:
+                damping = 8.0 * max(damping, 1e-4)
+                if damping > MOST_DAMPED:
+                    converged = True  # no step leads further
+                    break
+                continue
+            columns, fresh, converged = derivatives(theta, rows), True, False
         return Projected(structure, theta, np.sum(difference**2, axis=1), converged)
 
     def covariance(self, model: Projected, of_reference: FloatArray) -> FloatArray:
