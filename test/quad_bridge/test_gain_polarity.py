@@ -64,12 +64,6 @@ def test_a_fixed_axis_is_silent_and_its_gains_are_refused(bench):
     assert made.gain('pitch.rate.kp') == pytest.approx(0.0744845, rel=1e-5)
 
 
-def test_all_axes_answer_in_hover(bench):
-    made = bench(polarity='manual', mount='hover', profile='paper_hover')
-    assert checked(made) == 'roll right; pitch right; yaw right'
-    assert np.degrees(made.peak_rad) < 6.0
-
-
 def test_pulses_stop_when_an_excitation_starts_and_an_unarmed_aircraft_gets_none(bench):
     made = bench(polarity='auto')
     made.ask(**ROLL)
@@ -119,14 +113,17 @@ def test_pulses_last_as_long_at_every_rate_of_the_loop(rate_hz, sign, verdict):
     assert cycles / rate_hz == pytest.approx(1.52, abs=0.05)
 
 
-def test_the_motors_are_found_mount_by_mount(bench):
+def test_all_axes_answer_in_hover_and_the_motors_are_found_mount_by_mount(bench):
     made = bench(polarity='manual')
     words = checked(made, motors=True)
     assert 'motor_1 rear left or front left; motor_2 rear right or front right' in words
-    flying = bench(polarity='manual', mount='hover', profile='hover')
+    flying = bench(polarity='manual', mount='hover', profile='paper_hover')
+    assert checked(flying).startswith('roll right; pitch right; yaw right; motor_1 rear left or')
+    assert np.degrees(flying.peak_rad) < 6.0
     words = checked(flying, motors=True)
     names = ('rear left', 'rear right', 'front right', 'front left')
-    assert words == '; '.join(f'motor_{k + 1} {name}' for k, name in enumerate(names))
+    motors = '; '.join(f'motor_{k + 1} {name}' for k, name in enumerate(names))
+    assert words == f'roll right; pitch right; yaw right; {motors}'
 
 
 def test_two_swapped_motors_are_named(bench):

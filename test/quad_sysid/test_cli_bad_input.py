@@ -100,20 +100,6 @@ def test_a_bag_cut_off_before_its_first_message_is_told_alike(plain_bag, run, tm
         assert error.count(cut.name) == 1
 
 
-def test_a_report_leaves_nothing_of_an_earlier_one(plain_bag, run, tmp_path):
-    out = tmp_path / 'out'
-    assert main(['identify', str(plain_bag), '--axis', 'roll', '--no-effects', '--quiet',
-                 '--out', str(out)]) == 0
-    (out / 'pictures' / 'mine.png').write_bytes(b'mine')
-    (out / 'gains.json').write_text('{}')
-    assert (out / 'model.json').exists()
-    status, error = run('identify', plain_bag, '--axis', 'yaw', '--quiet', '--out', out)
-    assert status == 3, error
-    left = sorted(str(p.relative_to(out)) for p in out.rglob('*') if p.is_file())
-    assert left == ['gains.json', 'pictures/mine.png', 'report.html', 'report.json']
-    assert list(json.loads((out / 'report.json').read_text())['axes']) == ['yaw']
-
-
 @pytest.mark.parametrize('name', ['report.html', 'report.json', 'guide.md'])
 def test_a_folder_of_other_things_is_no_place_for_a_report(plain_bag, run, tmp_path, name):
     """Nothing is mixed into it, and no file of the user's replaced."""
