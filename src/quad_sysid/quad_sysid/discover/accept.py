@@ -49,7 +49,7 @@ def p_value(shares: FloatArray) -> float:
     n = shares.size
     if n < LEAST_BLOCKS:
         return 1.0
-    count = max(2, int(0.4 * n ** (2.0 / 3.0)))
+    count = max(2, int(0.3 * n ** (2.0 / 3.0)))
     phase = np.pi * np.outer(np.arange(1, count + 1), (np.arange(n) + 0.5) / n)
     variance = float(np.mean((np.sqrt(2.0 / n) * (np.cos(phase) @ shares)) ** 2))
     mean = float(np.mean(shares))
