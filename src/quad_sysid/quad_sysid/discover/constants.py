@@ -44,7 +44,7 @@ FLIPS = 200
 EXPLAINS = 90.0
 """Percent of what the reference takes away from the base's miss that the answer's rung explains."""
 ENOUGH = 99.0
-"""Percent at which the ladder ends."""
+"""Percent below which the whole reference stands as the last, finest rung."""
 MOST_RUNGS = 8
 NAMED_FIRST = 0.9
 """Share of the best step that a named law has to take to stand before a curve."""
@@ -56,5 +56,11 @@ LEAST_OF_BEST = 0.4
 """Share of the missing torque, relative to the best candidate's, from which a law is projected."""
 RESAMPLES = 200
 """Resampled flights."""
+BLOCK_S = 2.0
+"""Length of their blocks, longer than most gusts."""
+MOST_STRUCTURES = 40
+"""Structures of the search that a resampled flight chooses from."""
+LEAST_SHARE = 0.02
+"""Share of the resampled flights below which another leading structure is not looked at."""
 AGAIN = 0.5
 """Share of the resampled flights in which an effect must come again."""

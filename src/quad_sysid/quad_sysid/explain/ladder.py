@@ -19,12 +19,15 @@ import numpy as np
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import (
+    BLOCK_S,
     ENOUGH,
     EXPLAINS,
+    LEAST_OF_BEST,
+    LEAST_SHARE,
     MOST_RUNGS,
+    MOST_STRUCTURES,
     NAMED_FIRST,
     NEGLIGIBLE,
-    LEAST_OF_BEST,
     PROJECTED,
     RESAMPLES,
 )
@@ -33,7 +36,7 @@ from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.estimate.stored import noise_of
 from quad_sysid.explain.projection import Projected, Projection
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import Effect, Part
 from quad_sysid.model.structure import coordinates, natural
 
 
@@ -95,7 +98,7 @@ def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
     ladder = _ladder(problem, found.best, found.base, parts)
     if not ladder.answer:
         return ladder
-    blocks, reproducible = _resampled(problem, found, parts, ladder)
+    blocks, reproducible = _resampled(problem, found, ladder)
     return Ladder(ladder.projection, ladder.rungs, blocks, reproducible, ladder.predicts_pct)
 
 
@@ -107,27 +110,48 @@ def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) 
     whole, rungs = lowest.total, [Rung(lowest, 0.0)]
     predicts = 100.0 * (1.0 - np.sqrt(min(whole / max(projection.motion, 1e-30), 1.0)))
     if reference.structure.parts and whole > 0.0:
-        while len(rungs) <= MOST_RUNGS and rungs[-1].explains_pct < ENOUGH:
-            step = _next(projection, rungs[-1].model, parts)
+        while rungs[-1].explains_pct < EXPLAINS and len(rungs) <= MOST_RUNGS:
+            step = _next(projection, rungs[-1].model, parts, whole)
             if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
                 break
             rungs.append(Rung(step, 100.0 * (1.0 - step.total / whole)))
+        if rungs[-1].explains_pct < ENOUGH:
+            finest = projection.ordered(reference.structure)
+            rungs.append(Rung(finest, 100.0))
     return Ladder(projection, tuple(rungs), predicts_pct=float(predicts))
 
 
-def _next(projection: Projection, model: Projected, parts: Sequence[Part]) -> Projected | None:
-    """The model with one more effect that comes nearest to the reference."""
-    tried = side_by_side([
-        partial(_extended, projection, model, part, values)
-        for part, values in _hopeful(projection, model, parts)
-    ])
-    if not tried:
+def _next(projection: Projection, model: Projected, parts: Sequence[Part],
+          whole: float) -> Projected | None:
+    """The model with one more effect that comes nearest to the reference.
+
+    A named law that explains EXPLAINS is taken before a curve is tried; of its variants the
+    plainest one that takes nearly as much.
+    """
+    hopeful = _hopeful(projection, model, parts)
+    tried: list[Projected] = []
+    for kinds in (('named',), ('shape', 'mode', 'event')):
+        tried += side_by_side([
+            partial(_extended, projection, model, part, values) for part, values in hopeful
+            if part.effect.kind in kinds
+        ])
+        best = min(tried, key=lambda one: one.total, default=None)
+        if best is not None and best.total <= (1.0 - 0.01 * EXPLAINS) * whole:
+            break
+    if best is None:
         return None
-    best = min(tried, key=lambda one: one.total)
-    gained = model.total - best.total
-    named = [one for one in tried if one.structure.parts[-1].effect.kind == 'named'
-             and model.total - one.total >= NAMED_FIRST * gained > 0.0]
-    return min(named, key=lambda one: one.total) if named else best
+    needed = NAMED_FIRST * (model.total - best.total)
+    named = [one for one in tried if _added(one).kind == 'named'
+             and model.total - one.total >= needed > 0.0]
+    first = min(named, key=lambda one: one.total, default=best)
+    alike = [one for one in (named or [best]) if _added(one).name == _added(first).name]
+    plainest = min(alike, key=lambda one: (len(_added(one).parameters), one.total))
+    return projection.project(plainest.structure, plainest.theta)
+
+
+def _added(model: Projected) -> Effect:
+    """The effect of the last rung."""
+    return model.structure.parts[-1].effect
 
 
 def _extended(projection: Projection, model: Projected, part: Part,
@@ -137,12 +161,12 @@ def _extended(projection: Projection, model: Projected, part: Part,
     if set(structure.labels) == set(projection.reference.structure.labels):
         return projection.ordered(structure)
     start = np.insert(model.theta, -projection.noise.size, values)
-    return projection.project(structure, start)
+    return projection.project(structure, start, coarse=True)
 
 
 def _hopeful(projection: Projection, model: Projected,
              parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
-    """The reference's other effects, and the named laws that explain most of the missing torque.
+    """The named laws and the effects of the reference that explain most of the missing torque.
 
     The missing torque is the reference's acceleration less the model's along the reference's
     trajectory; a law explains of it what its columns do beside the base's own.
@@ -153,8 +177,7 @@ def _hopeful(projection: Projection, model: Projected,
     here = Along(problem, structure, theta, rate)
     wanted = Along(problem, reference.structure, reference.theta, rate).acceleration
     missing = (wanted - here.acceleration)[problem.rows]
-    sizes = problem.sizes(structure)
-    steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
+    steps = np.r_[projection.steps(structure, theta), np.full(projection.noise.size, 1e-4)]
     columns, _, _ = flight.columns(structure, theta, rate, steps)
     q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
     left = missing - q @ (q.T @ missing)
@@ -200,55 +223,53 @@ def _share(here: Along, part: Part, q: FloatArray,
 # ------------------------------------------------------------------ what comes again
 
 
-def _resampled(problem: Problem, found: Found, parts: Sequence[Part],
-               ladder: Ladder) -> tuple[int, dict[str, float]]:
+def _resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict[str, float]]:
     """Number of blocks; name of each effect of the answer → how often it is in it again.
 
     Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
     Bayesian bootstrap, Rubin 1981). With the same weights each fitted structure has another
-    evidence, so that another reference may lead, and each rung another share.
+    evidence, so that another reference may lead, and each rung explains another share of it.
     """
-    block = problem.blocks(BLOCKS_S)
+    block = problem.blocks(BLOCK_S)
     kept = found.all[:MOST_STRUCTURES]
-    innovations = [one.fit.prediction.innovation[problem.rows] for one in kept]
-    logs = np.array([np.bincount(block, one.fit.tail.log_density(e))
-                     for one, e in zip(kept, innovations, strict=True)])
+    logs = np.array([
+        np.bincount(block, one.fit.tail.log_density(one.fit.prediction.innovation[problem.rows]))
+        for one in kept
+    ])
     prior = np.array([one.score for one in kept]) - logs.sum(axis=1)
-    rng = np.random.default_rng(0)
     blocks = int(block.max()) + 1
-    weights = rng.exponential(size=(RESAMPLES, blocks))
+    weights = np.random.default_rng(0).exponential(size=(RESAMPLES, blocks))
     weights *= blocks / weights.sum(axis=1, keepdims=True)
     leading = np.argmax(prior + weights @ logs.T, axis=1)
-    ladders = {id(found.best): ladder}
-    seen: Counter[str] = Counter()
     at = np.searchsorted(problem.rows, ladder.projection.windows.starts)
     of_window = block[np.clip(at, 0, block.size - 1)]
+    rungs = ladder.rungs[: ladder.answer + 1]
+    seen: Counter[str] = Counter()
     for which, count in Counter(leading.tolist()).most_common():
-        fit = kept[which].fit
-        known = next((one for one in kept if one.fit is fit), kept[which]).fit
-        if id(known) not in ladders and count >= LEAST_SHARE * RESAMPLES:
-            ladders[id(known)] = _ladder(problem, known, found.base, parts)
-        own = ladders.get(id(known))
-        if own is None:  # too rare to be worked out
+        reference = kept[which].fit
+        if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
             continue
-        missed = np.array([rung.model.missed for rung in own.rungs])
+        missed = np.array([rung.model.missed for rung in rungs] if reference is found.best
+                          else _missed(problem, reference, rungs))
         for draw in np.flatnonzero(leading == which):
             again = missed @ weights[draw, of_window]
-            explained = 100.0 * (1.0 - again / max(again[0], 1e-30))
-            enough = np.flatnonzero(explained >= EXPLAINS)
-            rung = int(enough[0]) if enough.size else len(own.rungs) - 1
-            rung = rung if own.answer else 0
-            seen.update({p.effect.name for p in own.rungs[rung].model.structure.parts})
-    answer = ladder.rungs[ladder.answer].model.structure.parts
-    return blocks, {p.effect.name: seen[p.effect.name] / RESAMPLES for p in answer}
+            enough = np.flatnonzero(again <= (1.0 - 0.01 * EXPLAINS) * again[0])
+            if enough.size:
+                parts = rungs[int(enough[0])].model.structure.parts
+                seen.update({part.effect.name for part in parts})
+    answer = rungs[-1].model.structure.parts
+    return blocks, {part.effect.name: seen[part.effect.name] / RESAMPLES for part in answer}
 
 
-BLOCKS_S = 2.0
-"""Length of a resampled block, longer than most gusts."""
-MOST_STRUCTURES = 40
-"""Structures of the search that a resampled flight chooses from."""
-LEAST_SHARE = 0.04
-"""Share of the draws below which another reference is not worked out."""
+def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[FloatArray]:
+    """(windows,) what each rung's structure misses of another reference."""
+    projection, out = Projection(problem, reference), []
+    for rung in rungs:
+        model = rung.model
+        structure = projection.structure(model.structure.parts)
+        own = model.theta[: len(structure.specs) - projection.noise.size]
+        out.append(projection.project(structure, np.r_[own, projection.noise], coarse=True).missed)
+    return out
 
 
 def values_of(model: Projected) -> FloatArray:

@@ -25,6 +25,8 @@ MOST_STEPS = 20
 MOST_DAMPED = 1e4
 ENOUGH = 1e-3
 """A step that lowers the sum of squares by a smaller share ends the projection."""
+ROUGHLY = 2e-2
+"""The same where candidates are compared."""
 LONGEST_STEP = 1.5
 """Of a logarithm."""
 RANGE = (-14.0, 8.0)
@@ -90,12 +92,12 @@ class Projection:
                 for part, value in zip(parts, values, strict=True)]
         return np.concatenate([own, *logs, self.noise])
 
-    def project(self, structure: Structure, start: FloatArray,
-                weights: FloatArray | None = None) -> Projected:
+    def project(self, structure: Structure, start: FloatArray, *,
+                coarse: bool = False) -> Projected:
         """The parameters with the least squares to the reference, by Levenberg and Marquardt.
 
-        weights (windows,): how often each window counts. The priors of the fit count beside
-        errors of the size of the reference's innovations, so that curves stay smooth.
+        The priors of the fit count beside errors of the size of the reference's innovations, so
+        that curves stay smooth. coarse: near enough to choose among candidates.
         """
         theta = start.astype(float)
         own = theta.size - self.noise.size
@@ -107,13 +109,12 @@ class Projection:
         root = self.reference.tail.scale * np.linalg.cholesky(precision).T
         centres = np.array([spec.centre for spec in specs])
         steps = self.steps(structure, theta)
-        counts = np.ones(self.windows.count) if weights is None else weights
-        by = np.sqrt(counts)[:, None]
+        enough = ROUGHLY if coarse else ENOUGH
 
         def away(at: FloatArray) -> tuple[FloatArray, FloatArray]:
             """(windows, length) difference to the reference; (rows,) with the prior's rows."""
             difference = self.run(structure, at) - self.goal
-            return difference, np.r_[(by * difference).ravel(), root @ (at[:own] - centres)]
+            return difference, np.r_[difference.ravel(), root @ (at[:own] - centres)]
 
         def derivatives(at: FloatArray, rows: FloatArray) -> FloatArray:
             out = np.empty((rows.size, own))
@@ -126,7 +127,7 @@ class Projection:
         difference, rows = away(theta)
         value, damping, converged, fresh = float(rows @ rows), 1e-3, False, True
         columns = derivatives(theta, rows)
-        for _ in range(MOST_STEPS):
+        for _ in range(MOST_STEPS // 2 if coarse else MOST_STEPS):
             scale = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-9)
             damped = np.vstack([columns, math.sqrt(damping) * np.diag(scale)])
             step = -np.linalg.lstsq(damped, np.r_[rows, np.zeros(own)], rcond=None)[0]
@@ -141,13 +142,13 @@ class Projection:
                 columns = columns + np.outer(
                     ahead - rows - columns @ moved, by_scale / max(float(by_scale @ moved), 1e-30)
                 )
-                small = value - new < ENOUGH * value
+                small = value - new < enough * value
                 theta, difference, rows, value, damping = trial, there, ahead, new, 0.2 * damping
                 if not small:
                     fresh = False
                     continue
                 converged = True
-                if fresh or value <= 0.0:
+                if fresh or coarse or value <= 0.0:
                     break
             elif fresh:
                 damping = 8.0 * max(damping, 1e-4)
