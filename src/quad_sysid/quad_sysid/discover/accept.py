@@ -17,7 +17,7 @@ from scipy import stats
 from scipy.linalg import toeplitz
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import fit_without, fitted_from, most_probable
+from quad_sysid.discover.base import fit_without, fitted_from
 from quad_sysid.discover.constants import AGAIN, DIFFERS, FLIPS, LEAST_BLOCKS, LEVEL
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
@@ -227,7 +227,7 @@ def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Ver
     """
     unseen = Unseen(data, data.validation)
     unseen.predict(found.base)  # which measures the innovations that wandering effects follow
-    models = _Models(problem, ladder)
+    models = _Models(problem, found, ladder)
     rungs = [models.fitted(rung.model) for rung in ladder.rungs]
     base = rungs[0]
     answer = ladder.rungs[ladder.answer].model
@@ -281,26 +281,37 @@ def _claim(unseen: Unseen, chosen: Fit, without: Fit, name: str, ladder: Ladder)
 class _Models:
     """Projected models with the noise that the training gives them, each fitted once."""
 
-    def __init__(self, problem: Problem, ladder: Ladder) -> None:
+    def __init__(self, problem: Problem, found: Found, ladder: Ladder) -> None:
         self.problem, self.projection = problem, ladder.projection
+        self.likeliest = {tuple(sorted(one.fit.structure.labels)): one.fit
+                          for one in reversed(found.all)}
         self.known: dict[tuple[str, ...], Fit] = {}
 
     def fitted(self, model: Projected) -> Fit:
-        """The model with its physics as projected and its noise fitted by the likelihood."""
+        """The model with its physics as projected and its noise fitted by the likelihood.
+
+        Where the most likely parameters run better over the training's windows, those.
+        """
         reference, labels = self.projection.reference, tuple(sorted(model.structure.labels))
         if labels == tuple(sorted(reference.structure.labels)):
             return reference
         if labels not in self.known:
             physics = range(model.theta.size - self.projection.noise.size)
-            fitted = most_probable(
-                fitted_from(self.problem, model.structure, start, rate=reference.rate,
-                            still=tuple(physics))
-                for start in (model.theta, self._loud(model.theta))
-            )
-            if fitted is None:
+            fits = (fitted_from(self.problem, model.structure, model.theta,
+                                self._loud(model.theta), rate=reference.rate,
+                                still=tuple(physics)), self.likeliest.get(labels))
+            able = [one for one in fits if one is not None]
+            if not able:
                 raise FloatingPointError(f'{" and ".join(labels) or "the base"} diverges')
-            self.known[labels] = fitted
+            self.known[labels] = min(able, key=self._trained)
         return self.known[labels]
+
+    def _trained(self, fitted: Fit) -> float:
+        """Error of the free run over the training's windows, from the fit's own states, rad/s."""
+        flight, windows = self.problem.flight, self.projection.windows
+        with np.errstate(all='ignore'):
+            return rms(flight.free_run(fitted.structure, fitted.theta, windows,
+                                       prediction=fitted.prediction))
 
     def _loud(self, theta: FloatArray) -> FloatArray:
         """The same start with a torque disturbance a hundred times as large."""
@@ -448,7 +459,7 @@ def _posterior(
                 others = set(left - rest) or {'nothing'}
                 for one in others:
                     share[one] += float(p) / len(others)
-        if name not in share:
+        if name not in {one.effect.name for one in found.best.structure.parts}:
             again = ladder.reproducible.get(name, 1.0)
             share = defaultdict(float, {name: again, UNLISTED: 1.0 - again})
         least = LEAST_REPORTED * sum(share.values())

@@ -29,6 +29,9 @@ VAGUE = 1.0
 """Standard error above which a logarithm counts as undetermined."""
 
 
+NO_BOUND = 1e3
+"""A limit above this, in any unit, is none."""
+
 UNKNOWN = NoiseEstimate({}, scale=1.0, degrees=1.0, gyro_rms=0.0, measured_rms=0.0)
 """What stands for the noise of a model that has none."""
 
@@ -86,7 +89,8 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
         structure.names, structure.specs, theta, fitted.values, deviations, strict=True
     ):  # what is at its bound or not determined: from nothing to where it may reach, 95 %
         if spec.log and (deviation > VAGUE or (spec.unit == 's' and value < SHORTEST * dt)):
-            vague[name] = 0.0, float(np.exp(at + 1.645 * deviation))
+            most = float(np.exp(min(at + 1.645 * deviation, 40.0)))
+            vague[name] = (0.0, most) if most < NO_BOUND else None
         elif spec.positive and value <= 0.0:
             vague[name] = None
     for i, name in enumerate(names):

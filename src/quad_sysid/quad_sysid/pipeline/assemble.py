@@ -37,6 +37,8 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
     def read(fitted: Fit) -> stored.Readings:
         if fitted is reference:
             return best
+        if any(fitted is one.fit for one in findings.found.all):
+            return stored.readings(problem, fitted)
         projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
         return stored.readings(problem, fitted, ladder.projection.covariance(projected, whole))
 
