@@ -189,7 +189,8 @@ def _evaluate(options: argparse.Namespace) -> int:
                            'one_step_before': e.one_step_before,
                            'one_step_after': e.one_step_after, 'blackbox': e.blackbox,
                            'hold_last_value': e.hold, 'windows': e.windows,
-                           'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)}}
+                           'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)},
+                 'outside': [vars(one) for one in e.outside]}
         for e in found
     }
     if options.json:
@@ -198,7 +199,9 @@ def _evaluate(options: argparse.Namespace) -> int:
         return DONE
     for e in () if options.quiet else found:
         tree = {'error': axes[e.axis]['error'], 'effects': models[e.axis].effects}
-        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)), *text.growth(tree)]))
+        beyond = (line for one in e.outside for line in tables.wrapped(str(one)))
+        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)), *text.growth(tree),
+                         *beyond]))
     return DONE
 
 

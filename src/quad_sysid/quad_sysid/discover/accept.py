@@ -35,6 +35,8 @@ from quad_sysid.model.plant import Prediction
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
+AT_MOST = 10.0
+"""Largest rate of a free run over the largest measured one."""
 HUGE = 1e100
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
@@ -270,7 +272,7 @@ def _claimed(unseen: Unseen, found: Found, chain: Sequence[Fit], count: int) -> 
     base = found.base
     e_values = [e / count for e in closed([_evidence(unseen, base, one) for one in chain])]
     stands = [
-        e * LEVEL >= 1.0 and _falls(unseen, base, one)
+        e * LEVEL >= 1.0 and _falls(unseen, base, one) and stays_bounded(unseen, one)
         and not any(_better(unseen, shorter, one) for shorter in chain[i + 1 :])
         for i, (one, e) in enumerate(zip(chain, e_values, strict=True))
     ]
@@ -304,6 +306,31 @@ def _falls(unseen: Unseen, before: Fit, after: Fit) -> bool:
         stats.ttest_1samp(shares_of(*squares), 0.0, alternative='greater').pvalue <= 0.5 * LEVEL
         for squares in unseen.squares(before, after)
     )
+
+
+def stays_bounded(unseen: Unseen, fitted: Fitted) -> bool:
+    """Whether its free runs stay near what was flown, also begun at twice the rate or against it.
+
+    Within AT_MOST times the largest measured rate: what runs away from there explains nothing,
+    and would not hold on a livelier flight.
+    """
+    flight, prediction = unseen.problem.flight, unseen.predict(fitted)
+    windows = unseen.long if unseen.long.count else unseen.windows
+    if not windows.count:
+        return True
+    rate = unseen.problem.data.rate
+    largest = float(np.nanmax(np.abs(rate)))
+    measured = rate[windows.starts[:, None] + np.arange(windows.length)]
+    for offset in (-largest, 0.0, largest):
+        states = prediction.states.copy()
+        states[:, 0] += offset
+        begun = replace(prediction, states=states)
+        with np.errstate(over='ignore', invalid='ignore'):
+            errors = flight.free_run(fitted.structure, fitted.theta, windows, prediction=begun)
+            if not np.nanmax(np.nan_to_num(np.abs(errors + measured), nan=np.inf)
+                             [np.isfinite(measured)], initial=0.0) <= AT_MOST * largest:
+                return False
+    return True
 
 
 def _better(unseen: Unseen, one: Fit, other: Fit) -> bool:
@@ -392,6 +419,11 @@ def _empty(found: Found, unseen: Unseen, e_value: float) -> tuple[str, str]:
     left = unexplained(unseen, base)
     if left:
         return 'unexplained_residual', left
+    if e_value * LEVEL >= 1.0 and not stays_bounded(unseen, found.best):
+        return 'unexplained_residual', (
+            'the most probable structure predicts better than the base, but a free run of it '
+            'leaves all bounds, so it explains nothing'
+        )
     if e_value * LEVEL >= 1.0:
         return 'unexplained_residual', (
             'the most probable structure predicts the next sample better than the base, but not '

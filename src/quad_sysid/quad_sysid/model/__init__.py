@@ -6,7 +6,9 @@ from quad_sysid.model.identified import (
     EffectEstimate,
     GainProposal,
     NoiseEstimate,
+    Outside,
     Parameter,
 )
 
-__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate', 'Parameter']
+__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate', 'Outside',
+           'Parameter']
