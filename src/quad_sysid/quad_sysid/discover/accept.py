@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -32,6 +32,8 @@ from quad_sysid.model.plant import Prediction
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
+AT_MOST = 10.0
+"""Largest rate of a free run over the largest measured one."""
 HUGE = 1e100
 DISTURBANCE = 1
 """Place of the disturbance among the parameters of the noise."""
@@ -246,7 +248,7 @@ def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Ver
             break
         answer = models.with_only(answer, kept)
     told = _commands_tell(problem, unseen, chosen)
-    if not told:
+    if not told or not stays_bounded(unseen, chosen):
         chosen, claims = base, []
     parts = chosen.structure.parts
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
@@ -276,6 +278,31 @@ def _claim(unseen: Unseen, chosen: Fit, without: Fit, name: str, ladder: Ladder)
     )
     again = ladder.reproducible.get(name, 1.0)
     return Claim(p, other, again, stands=p <= LEVEL and error < other and again >= AGAIN)
+
+
+def stays_bounded(unseen: Unseen, fitted: Fitted) -> bool:
+    """Whether its free runs stay near what was flown, also begun at twice the rate or against it.
+
+    Within AT_MOST times the largest measured rate: what runs away from there explains nothing,
+    and would not hold on a livelier flight.
+    """
+    flight, prediction = unseen.problem.flight, unseen.predict(fitted)
+    windows = unseen.long if unseen.long.count else unseen.windows
+    if not windows.count:
+        return True
+    rate = unseen.problem.data.rate
+    largest = float(np.nanmax(np.abs(rate)))
+    measured = rate[windows.starts[:, None] + np.arange(windows.length)]
+    for offset in (-largest, 0.0, largest):
+        states = prediction.states.copy()
+        states[:, 0] += offset
+        begun = replace(prediction, states=states)
+        with np.errstate(over='ignore', invalid='ignore'):
+            errors = flight.free_run(fitted.structure, fitted.theta, windows, prediction=begun)
+            if not np.nanmax(np.nan_to_num(np.abs(errors + measured), nan=np.inf)
+                             [np.isfinite(measured)], initial=0.0) <= AT_MOST * largest:
+                return False
+    return True
 
 
 class _Models:

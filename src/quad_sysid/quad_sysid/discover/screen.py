@@ -177,7 +177,7 @@ class _Beside(Along):
             some = starts[at : at + AT_ONCE]
             inputs = np.vstack([self.columns(part, linear, p) for p in some]) + FAINT
             found = self.problem.flight.responses(
-                np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filter
+                np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filters
             )
             scores += [
                 self.score(part, linear, p, psi)
@@ -233,7 +233,7 @@ class _Beside(Along):
         begin, n = flight.passes[0][0], self.innovation.size
         pulse = np.zeros((n, 1))
         pulse[begin] = 1.0
-        answer = flight.responses(pulse, self.slope, self.fitted.prediction.filter)
+        answer = flight.responses(pulse, self.slope, self.fitted.prediction.filters)
         answer = answer[begin : begin + round(ANSWER_S / dt), 0]
         e = self.innovation * self.weight[:, 0] ** 2
         return -fftconvolve(e, answer[::-1])[answer.size - 1 :]

@@ -397,8 +397,7 @@ class MemoryCurve(Smooth, Memory):
         }
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        further = self.further(self.length)
-        curve = over_knots(required(s.hidden)[0], p[1:], settings, further, further)
+        curve = over_knots(required(s.hidden)[0], p[1:], settings)
         return curve * per_unit(self.term, s)
 
 

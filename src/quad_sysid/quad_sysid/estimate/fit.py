@@ -17,7 +17,6 @@ from scipy.special import gammaln
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span, high, moved, part_of, typical_acceleration
 from quad_sysid.model.effect import Part, required
-from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import Flight, Prediction, passes_of
 from quad_sysid.model.structure import BASE, NOISE, Structure
 from quad_sysid.qr import upper
@@ -313,13 +312,13 @@ def shift_by_form(problem: Problem, fitted: Fit) -> FloatArray:
     The cut-off of the gyro's filter is known, but not how it is computed. One Gauss-Newton step
     from the fit to the stepped filter (noise.sensor_of); zeros where no filter is known.
     """
-    flight, data = problem.flight, problem.data
+    flight = problem.flight
     if not flight.sensor.noisy:
         return np.zeros(fitted.theta.size)
-    kept, exact = flight.rate, flight.sensor
-    flight.sensor = sensor_of(data.gyro_filter_hz, None, data.dt, stepped=True)
+    kept, exact = flight.rate, flight.sensors
+    flight.sensors = flight.seen_through(stepped=True)
     stepped = flight.predict(fitted.structure, fitted.theta)
-    flight.rate, flight.sensor = kept, exact
+    flight.rate, flight.sensors = kept, exact
     e = fitted.prediction.innovation[problem.rows]
     j = required(fitted.prediction.jacobian)[problem.rows]
     change = (stepped.innovation[problem.rows] - e) * fitted.tail.weights(e) / fitted.tail.scale**2

@@ -102,11 +102,20 @@ def _inside(model: AxisModel) -> list[Placed]:
 
 
 def _usual(model: AxisModel, effects: list[Placed]) -> dict[str, float]:
-    """Throttle and battery voltage (V) at which the loop is judged."""
+    """Throttle and battery voltage (V) at which the loop is judged: the flight's means.
+
+    Where the model does not know them, those at which its effects count as usual.
+    """
     at = {'throttle': 0.5, 'battery': 1.0}
     for one in reversed(effects):
         at |= one.effect.usual(one.p, one.part.settings)
-    return at | ({'battery': model.mean_battery_v} if model.mean_battery_v else {})
+    known = {'throttle': model.mean_throttle, 'battery': model.mean_battery_v}
+    return at | {name: value for name, value in known.items() if value is not None}
+
+
+def usual_signals(model: AxisModel) -> dict[str, float]:
+    """Throttle (`throttle`) and voltage (`battery`, V) at which a model counts as flown."""
+    return _usual(model, [placed(model, effect) for effect in model.effects])
 
 
 def loop_plant(model: AxisModel) -> LoopPlant:

@@ -6,9 +6,10 @@ from quad_sysid.model.identified import (
     EffectEstimate,
     GainProposal,
     NoiseEstimate,
+    Outside,
     Parameter,
     RungModel,
 )
 
-__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate',
+__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate', 'Outside',
            'Parameter', 'RungModel']

@@ -70,7 +70,8 @@ class AxisData:
     """(n, 2) the other two axes' rates in the order of AXES, rad/s; NaN where not measured."""
     battery_v: FloatArray | None
     gyro_filter_hz: float | None
-    """Cut-off of the filter of the measured rate, Hz; None: not known."""
+    """Cut-off of the filter of the measured rate, Hz; None: not known. Where some flights do not
+    tell theirs, it is that of the others."""
     stretches: tuple[Span, ...]
     """Unbroken, except for gaps of at most BRIDGED_S."""
     train: tuple[Span, ...]
@@ -85,6 +86,8 @@ class AxisData:
     """The rate is the angle's slope over this time to either side, s; None: it was measured."""
     other_angles: FloatArray | None = None
     """(n, 2) the other two axes' angles, rad; None: not measured."""
+    gyro_filters_hz: FloatArray | None = None
+    """(n,) the same of each sample, where flights differ in it."""
     flights: tuple[Span, ...] = ()
     """Samples of each flight; empty: all are of one."""
     source: tuple[AxisData, NDArray[np.int64]] | None = None
@@ -257,15 +260,21 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         values = joined[name].reshape(good.size, -1)
         known = np.isfinite(values).all(axis=1).mean() > least
         joined[name] = filled(joined[name]) if known else None
-    if not np.isfinite(joined['reference']).any():
+    units = {at for record in records for at in record.injected_at(axis)}
+    if len(units) > 1 or not np.isfinite(joined['reference']).any():
         joined['reference'] = None
     for role in ('train', 'validation', 'idle'):
         joined[role] = tuple(span for span, _ in pieces(role))
     known_gains = records[0].gains_at(np.inf)
+    filters = [record.gains_at(np.inf).get('sensor.gyro_filter_hz') or None for record in records]
+    usual = next((hz for hz in filters if hz is not None), None)
+    own = [(hz or usual, b - a) for hz, (a, b) in zip(filters, flights, strict=True)]
     return AxisData(
         axis=axis, dt=dt, **joined,
         stretches=tuple(run for one in flights for run in bridged(finite_runs(good, one), dt)),
-        gyro_filter_hz=known_gains.get('sensor.gyro_filter_hz') or None,
+        gyro_filter_hz=usual,
+        gyro_filters_hz=None if len({hz for hz, _ in own}) < 2
+        else np.concatenate([np.full(count, hz) for hz, count in own]),
         derived_s=known_gains.get('sensor.rate_from_angle_s') or None,
         validation_names=tuple(name for _, name in pieces('validation')),
         flights=flights,

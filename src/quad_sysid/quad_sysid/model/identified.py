@@ -100,6 +100,26 @@ class RungModel:
 
 
 @dataclass(frozen=True)
+class Outside:
+    """A signal that leaves the range that it had in the training."""
+
+    signal: str
+    seconds: float
+    """How long."""
+    least: float
+    most: float
+    """In this flight."""
+    low: float
+    high: float
+    """In the training."""
+
+    def __str__(self) -> str:
+        return (f'{self.signal} is outside the range of the training for {self.seconds:.2g} s: '
+                f'{self.least:.3g} to {self.most:.3g}, trained from {self.low:.3g} to '
+                f'{self.high:.3g}')
+
+
+@dataclass(frozen=True)
 class AxisModel:
     """The completed continuous-time model of one axis.
 
@@ -123,6 +143,10 @@ class AxisModel:
     active_gains: Mapping[str, float] = field(default_factory=dict)
     """Gains and loop constants of all axes from /gains/active during the flight."""
     mean_battery_v: float | None = None
+    mean_throttle: float | None = None
+    """U1 in the training."""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Least and largest value in the training of each signal that the model depends on."""
     noise: NoiseEstimate | None = None
     """Noise of the completed model."""
     trusted_band_rad_s: tuple[float, float] | None = None

@@ -25,7 +25,7 @@ from quad_sysid.model import recursion
 from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
 from quad_sysid.model.effect import Drive, Part, Signals, required
-from quad_sysid.model.noise import Filter, kalman, sensor_of
+from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
 from quad_sysid.model.structure import Structure, natural
 
 LEAD_S = 1.0
@@ -129,8 +129,11 @@ class Flight:
 
     def __init__(self, data: AxisData, spans: Sequence[Span]) -> None:
         self.data, self.passes = data, passes_of(data, spans)
-        self.sensor = sensor_of(data.gyro_filter_hz, data.derived_s, data.dt)
-        self.late = self.sensor.late_s
+        self.sensors = self.seen_through()
+        late, own = np.array([one.late_s for one in self.sensors]), data.gyro_filters_hz
+        self.late = np.full(data.rate.size, late[0] if late.size else 0.0)
+        for one in () if own is None else np.unique(own):
+            self.late[own == one] = sensor_of(float(one), data.derived_s, data.dt).late_s
         output = required(data.angle) / data.dt if self.sensor.derived else data.rate
         lost = ~np.isfinite(data.rate) | at_limit(data.rate)
         self.measured = np.where(lost, np.nan, output)
@@ -155,6 +158,19 @@ class Flight:
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
         # smoothed over five cycles and advanced by the filter's delay
         self.rate = self._ahead(np.convolve(self.gyro, np.full(5, 0.2), mode='same'))
+
+    def seen_through(self, *, stepped: bool = False) -> tuple[Sensor, ...]:
+        """The sensor of each pass, as its flight was flown."""
+        data, own = self.data, self.data.gyro_filters_hz
+        return tuple(
+            sensor_of(data.gyro_filter_hz if own is None else float(own[start]), data.derived_s,
+                      data.dt, stepped=stepped) for start, _ in self.passes
+        )
+
+    @property
+    def sensor(self) -> Sensor:
+        """That of the first pass, for what all have in common."""
+        return self.sensors[0]
 
     def _ahead(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
         """(n,) a measured rate at mid-cycle, or some cycles later, without the filter's delay."""
@@ -211,7 +227,7 @@ class Flight:
         if angle is not None:
             angle = angle + h * rate
         elif self.angle is not None:
-            angle = self.angle[at] + (h + self.late) * rate
+            angle = self.angle[at] + (h + self.late[at]) * rate
         lagged = 0.5 * (halves[0, at] + halves[1, at])
         command = gain * states[1, at]
         known: dict[str, Any] = {
@@ -327,10 +343,16 @@ class Flight:
 
     # ------------------------------------------------------------------------ the filter
 
-    def filter_of(self, structure: Structure, theta: FloatArray, damping: float) -> Filter:
-        """The steady Kalman filter at these parameters."""
+    def filters_of(
+        self, structure: Structure, theta: FloatArray, damping: float
+    ) -> tuple[Filter, ...]:
+        """The steady Kalman filter of each pass at these parameters."""
         noise = structure.natural(theta)[-structure.filtered :]
-        return kalman(noise, damping, self.sensor, self.data.dt, averaged=structure.averaged)
+        known = {
+            sensor: kalman(noise, damping, sensor, self.data.dt, averaged=structure.averaged)
+            for sensor in dict.fromkeys(self.sensors)
+        }
+        return tuple(known[sensor] for sensor in self.sensors)
 
     def predict(
         self, structure: Structure, theta: FloatArray, *, sweeps: int = 2,
@@ -341,16 +363,16 @@ class Flight:
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
-            found = self.filter_of(structure, theta, damping)
-            by = _Inputs.none(found, self.wander(structure, p, rate))
-            derived = steps if sweep == sweeps - 1 else None
+            found = self.filters_of(structure, theta, damping)
+            by = _Inputs.none(found[0], self.wander(structure, p, rate))
+            derived, filters = steps if sweep == sweeps - 1 else None, [by.filters] * len(found)
             if by.place.size:
                 self._follow(structure, theta, push.slope, found, by, derived is not None)
             if derived is not None:
                 columns, bends, bent = self.columns(structure, theta, rate, derived)
-                by = by._replace(columns=columns, bends=bends, bent=bent,
-                                 filters=self._by_filter(structure, theta, damping))
-            ran = self._run(push, found, by)
+                by = by._replace(columns=columns, bends=bends, bent=bent)
+                filters = self._by_filter(structure, theta, damping)
+            ran = self._run(push, found, by, filters)
             if not self.variance:
                 self.variance = float(np.nanmedian(np.abs(ran.innovation)) / 0.6745) ** 2
             if not np.isfinite(ran.rate).all() or np.abs(ran.rate).max() > 1e6:
@@ -359,33 +381,40 @@ class Flight:
         self.rate = rate
         return ran if steps is not None else replace(ran, jacobian=None)
 
-    def _run(self, push: Pushed, found: Filter, by: _Inputs) -> Prediction:
-        """The compiled filter along all passes."""
+    def _run(
+        self, push: Pushed, found: tuple[Filter, ...], by: _Inputs, filters: Sequence[FloatArray]
+    ) -> Prediction:
+        """The compiled filter along all passes; of each its own filter, and its derivatives."""
         n, rate = self.data.rate.size, self.rate.copy()
-        states = np.zeros((n, found.gain.size + by.place.size))
+        states = np.zeros((n, found[0].gain.size + by.place.size))
         innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
-        for start, stop in self.passes:
+        for (start, stop), sensor, own, more in zip(
+            self.passes, self.sensors, found, filters, strict=True
+        ):
             recursion.predict(
-                self.measured, float(self.data.rate[start]), *push, found.gain, found.move,
-                self.sensor.step, self.sensor.behind, self.data.dt, start, stop, *by, rate, states,
-                innovation, jacobian,
+                self.measured, float(self.data.rate[start]), *push, own.gain, own.move,
+                sensor.step, sensor.behind, self.data.dt, start, stop,
+                *by._replace(filters=more), rate, states, innovation, jacobian,
             )
         return Prediction(innovation, jacobian, states, found, rate)
 
-    def _by_filter(self, structure: Structure, theta: FloatArray, damping: float) -> FloatArray:
-        """(p, 6 + 4 v) derivatives of Filter.gain and Filter.move."""
+    def _by_filter(
+        self, structure: Structure, theta: FloatArray, damping: float
+    ) -> list[FloatArray]:
+        """(p, 6 + 4 v) derivatives of Filter.gain and Filter.move, of each pass."""
         def steady(at: FloatArray) -> FloatArray:
-            found = self.filter_of(structure, at[:-1], at[-1])
-            return np.concatenate([found.gain, found.move])
+            found = self.filters_of(structure, at[:-1], at[-1])
+            return np.stack([np.concatenate([one.gain, one.move]) for one in found])
 
-        at, out = np.r_[theta, damping], np.zeros((theta.size, 6 + 4 * structure.lines))
+        at = np.r_[theta, damping]
+        out = np.zeros((len(self.passes), theta.size, 6 + 4 * structure.lines))
         for j in range(theta.size - structure.filtered, at.size):
-            out[j if j < theta.size else 3] = central(steady, at, j, FILTER_STEP)
-        return out
+            out[:, j if j < theta.size else 3] = central(steady, at, j, FILTER_STEP)
+        return [*out]
 
     def _follow(
-        self, structure: Structure, theta: FloatArray, slope: FloatArray, found: Filter,
-        by: _Inputs, derived: bool,
+        self, structure: Structure, theta: FloatArray, slope: FloatArray,
+        found: tuple[Filter, ...], by: _Inputs, derived: bool,
     ) -> None:
         """Put in how the filter follows wandering effects, with derivatives where `derived`."""
         psi = self.responses(by.wander, slope, found)
@@ -418,10 +447,13 @@ class Flight:
         s = self.signals(p, *self.driven(structure, p), rate)
         return np.stack([per_coefficient(part, s, own) for part, own in acting], axis=1)
 
-    def responses(self, columns: FloatArray, slope: FloatArray, found: Filter) -> FloatArray:
-        """(n, m) response of the innovations to accelerations (n, m)."""
-        by = _Inputs.none(found, np.zeros((slope.size, 0)), columns)
-        return required(self._run(Pushed(np.zeros((2, slope.size)), slope), found, by).jacobian)
+    def responses(
+        self, columns: FloatArray, slope: FloatArray, found: tuple[Filter, ...]
+    ) -> FloatArray:
+        """(n, m) response of the innovations to accelerations (n, m); a filter for each pass."""
+        by = _Inputs.none(found[0], np.zeros((slope.size, 0)), columns)
+        push = Pushed(np.zeros((2, slope.size)), slope)
+        return required(self._run(push, found, by, [by.filters] * len(found)).jacobian)
 
     # ---------------------------------------------------------------------- the free run
 
@@ -441,7 +473,10 @@ class Flight:
         followed = iter(x[:, end:].T)
         turn = found.move[2::2] + 1j * found.move[3::2]
         fade, hold = found.move[:2]
-        angle = None if self.angle is None else self.angle[windows.starts] + self.late * r
+        late = self.late[windows.starts]
+        angle = None if self.angle is None else self.angle[windows.starts] + late * r
+        own = np.searchsorted([a for a, _ in self.passes], windows.starts, side='right') - 1
+        step = np.stack([one.step for one in self.sensors], axis=2)[:, :, np.maximum(own, 0)]
         out = np.full((windows.count, windows.length), np.nan)
         acting = [(part, p[where]) for part, where in structure.placed()]
         along = self.signals(p, halves, states, prediction.rate)
@@ -475,7 +510,7 @@ class Flight:
                 for x, (part, values) in zip(hidden, acting, strict=True)
             ]
             bent = half + 0.25 * dt * (drive[0] - drive[1])
-            g, q = self.sensor.step @ np.stack([g, q, r, bent, new])
+            g, q = np.sum(step * np.stack([g, q, r, bent, new]), axis=1)
             if angle is not None:
                 angle = angle + dt * half
             r, d = new, d * fade
@@ -517,5 +552,11 @@ class Prediction:
     """(n, p) derivatives by the coordinates of the fit."""
     states: FloatArray
     """(n, Structure.states) predicted states of the filter, before each measurement."""
-    filter: Filter
+    filters: tuple[Filter, ...]
+    """Of each pass."""
     rate: FloatArray
+
+    @property
+    def filter(self) -> Filter:
+        """That of the first pass; all of one gyro filter are alike."""
+        return self.filters[0]

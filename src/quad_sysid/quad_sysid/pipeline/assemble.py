@@ -13,15 +13,17 @@ from quad_sysid.errors import QuadSysidError
 from quad_sysid.estimate import stored
 from quad_sysid.estimate.fit import Fit, covariance
 from quad_sysid.explain.projection import Projected
-from quad_sysid.model import AxisModel, RungModel
-from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Effect
+from quad_sysid.model import AxisModel, Outside, RungModel
+from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.effect import Effect, Part
 from quad_sysid.pipeline.answer import Findings
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.record import IOData, finite_runs
 
 COHERENT = 0.6
 CONFIDENT = 2.576
+BEYOND = 0.05
+"""Share of a range by which a signal must leave it."""
 HALF_POWER = 0.41
 """A gain that is off by this part is off by 3 dB."""
 
@@ -61,6 +63,8 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         mean_battery_v=None if volts is None else float(
             np.mean(np.concatenate([volts[a:b] for a, b in data.train]))
         ),
+        mean_throttle=float(np.mean(data.training(data.control[:, 0]))),
+        ranges=ranges_of(data, (*reference.structure.parts, *chosen.structure.parts)),
         noise=stored.noise_of(reference), trusted_band_rad_s=band,
         own_effects=tuple(effect for effect in candidates if effect not in EFFECTS),
     )
@@ -78,6 +82,41 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         ) if verdict.claims else (),
         reference=shared if distinct else None,
     )
+
+
+def ranges_of(data: AxisData, parts: Sequence[Part]) -> dict[str, tuple[float, float]]:
+    """Least and largest value in the training of rate, command and what the effects depend on."""
+    out = {}
+    for name in ('rate', 'command', *(s for part in parts for s in signals_of(part.effect))):
+        signal = data.signal(name)
+        if not isinstance(signal, str):
+            used = data.training(signal)
+            out[name] = float(np.nanmin(used)), float(np.nanmax(used))
+    return out
+
+
+def signals_of(effect: Effect) -> list[str]:
+    """The signals of an effect in the words of AxisData.signal; what goes one way is left out."""
+    names = [s for s in effect.signals if s in ('angle', 'throttle', 'battery', 'rate', 'command')]
+    kinds = [s.rstrip(' 12') for s in effect.signals if s.startswith('other')]
+    names += [f'{kind} {which + 1}' for kind in kinds for which in effect.others]
+    return names + ['other rate 1', 'other rate 2'] * ('product of other rates' in effect.signals)
+
+
+def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple[Outside, ...]:
+    """Which signals leave their range of the training in these spans, the longest first."""
+    found = []
+    for name, (low, high) in model.ranges.items():
+        signal = data.signal(name)
+        if isinstance(signal, str):
+            continue
+        flown = np.concatenate([signal[a:b] for a, b in spans])
+        beyond = np.maximum(low - flown, flown - high)
+        out = int(np.count_nonzero(beyond > BEYOND * (high - low)))
+        if out:
+            least, most = float(np.nanmin(flown)), float(np.nanmax(flown))
+            found.append(Outside(name, out * data.dt, least, most, low, high))
+    return tuple(sorted(found, key=lambda one: -one.seconds))
 
 
 def lag_window(z: IOData) -> int:

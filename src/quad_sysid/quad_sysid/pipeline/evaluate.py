@@ -17,10 +17,12 @@ from quad_sysid.discover.accept import Horizon, Unseen, horizons, rms
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate import stored
 from quad_sysid.estimate.stored import Stored, completed
-from quad_sysid.model import AxisModel
+from quad_sysid.loop.from_model import usual_signals
+from quad_sysid.model import AxisModel, Outside
 from quad_sysid.model.data import AxisData, Span, Windows, axis_data
 from quad_sysid.model.plant import Flight, Prediction
 from quad_sysid.pipeline import blackbox_part
+from quad_sysid.pipeline.assemble import outside_of
 from quad_sysid.pipeline.usable import check_limits, same_rate
 from quad_sysid.record import Record, finite_runs
 
@@ -54,13 +56,15 @@ class Evaluation:
     """None where none was given, or where its predictions diverge."""
     horizons: tuple[Horizon, ...] = ()
     blackbox_horizons: dict[float, float] = field(default_factory=dict)
+    outside: tuple[Outside, ...] = ()
+    """Where the flight leaves the range of the training."""
 
     def __repr__(self) -> str:
         told = {'hold the last value': self.hold, 'base (before)': self.before,
                 'completed (after)': self.after, 'reference': self.reference, 'black box': self.blackbox}
         lines = [f'  {name} {value:.4g}' for name, value in told.items() if value is not None]
         head = f'{self.axis}: RMS error of the rate, rad/s, over {self.windows} free runs of 0.5 s'
-        return '\n'.join([head, *lines])
+        return '\n'.join([head, *lines, *(f'  {one}' for one in self.outside)])
 
 
 def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
@@ -78,7 +82,9 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
                             f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz',
                             'identify at this rate')
     data = axis_data([record], model.axis)
-    data = replace(data, gyro_filter_hz=model.gyro_filter_hz,
+    # a model without a filter holds it in its lag and delay; else the bag knows its own best
+    own = data.gyro_filter_hz if model.gyro_filter_hz else None
+    data = replace(data, gyro_filter_hz=own or model.gyro_filter_hz,
                    derived_s=None if data.angle is None else data.derived_s)
     spans = flown_spans(record, data, spans_s)
     if not data.windows(spans).count:
@@ -118,6 +124,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         horizons=horizons(unseen, before, after),
         blackbox_horizons={} if blackbox is None
         else blackbox_part.horizons(about, blackbox, spans),
+        outside=outside_of(model, data, spans),
     )
 
 
@@ -191,8 +198,9 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     """(n,) rate as the gyro would measure it, rad/s, for commands `u` (n,), one per cycle.
 
     `x0` is the rate (rad/s) and the angle (rad) at the first command; motors and filter are at
-    rest there. `throttle` (U1) and `battery_v` (V) are needed by effects that depend on them; one
-    value or (n,). The other axes stand still. Raises BadInputError for signals that do not fit.
+    rest there. `throttle` (U1) and `battery_v` (V), one value or (n,), matter to effects that
+    depend on them; by default they are the means of the flight. The other axes stand still.
+    Raises BadInputError for signals that do not fit.
     """
     command = np.asarray(u, dtype=np.float64)
     if command.ndim != 1 or command.size < 2 or not np.isfinite(command).all():
@@ -201,21 +209,22 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     n, rate, angle = command.size + 1, float(x0[0]), float(x0[1])  # one cycle before, at rest
     stored = completed(model)
     for part in stored.structure.parts:
-        if 'battery' in part.effect.signals and battery_v is None:
+        if 'battery' in part.effect.signals and battery_v is None and not model.mean_battery_v:
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
                                 remedy='give battery_v in V, one value for each command')
     control = np.zeros((n, 4))
-    control[:, 0] = _like(throttle, n, 'throttle', 0.0)
+    usual = usual_signals(model)
+    control[:, 0] = _like(throttle, n, 'throttle', usual['throttle'])
     control[1:, 1 + AXES.index(model.axis)] = command
     data = AxisData(axis=model.axis, dt=model.dt, rate=np.zeros(n), angle=np.full(n, angle),
                     control=control, motors=control @ MIXER.T, other_rates=np.zeros((n, 2)),
                     other_angles=np.zeros((n, 2)),
-                    battery_v=None if battery_v is None else _like(battery_v, n, 'battery_v'),
+                    battery_v=_like(battery_v, n, 'battery_v', usual['battery']),
                     gyro_filter_hz=model.gyro_filter_hz, stretches=((0, n),), train=((0, n),),
                     validation=())
     flight = Flight(data, ((0, n),))
-    flight.angle = np.full(n, angle - flight.late * rate)  # the model takes angles for late
-    found = flight.filter_of(stored.structure, stored.theta, 0.0)
+    flight.angle = angle - flight.late * rate  # the model takes angles for late
+    found = flight.filters_of(stored.structure, stored.theta, 0.0)
     states = np.zeros((n, stored.structure.states))
     filtered = flight.sensor.step[1]
     settled = rate * (filtered[0] + filtered[2:].sum()) / (1.0 - filtered[1])

@@ -94,12 +94,13 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     verdict, reason = told.verdict.verdict, _reason(told, searched=searched)
     if not searched and verdict != 'cannot_tell':
         verdict = 'not_searched'
+    model = assemble.axis_model(
+        told, _gains_of(records), assemble.band_of(data), options.effects
+    )
     answer = AxisAnswer(
-        axis, rate, segments, verdict, reason, findings=told,
+        axis, rate, segments, verdict, reason, findings=told, model=model,
         train=blackbox_part.io_data(data, data.train),
-        model=assemble.axis_model(
-            told, _gains_of(records), assemble.band_of(data), options.effects
-        ),
+        outside=assemble.outside_of(model, data, data.validation),
         warnings=_warnings(records),
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),

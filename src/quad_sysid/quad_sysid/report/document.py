@@ -79,6 +79,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'completed': {'parameters': parameters(model.base if model else ()),
                       'noise': _noise(model.noise if model else None)},
         'error': _error(answer),
+        'outside': [vars(one) for one in answer.outside],
         'trusted_band_rad_s': (model and model.trusted_band_rad_s) or None,
         'residual': {name: _residual(answer.residuals[name]) if name in answer.residuals else None
                      for name in RESIDUALS},

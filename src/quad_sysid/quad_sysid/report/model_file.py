@@ -26,6 +26,8 @@ from quad_sysid.model import AxisModel
 from quad_sysid.model.effect import Effect
 
 SCHEMA = 'quad_sysid/model/3'
+BEFORE = 'quad_sysid/model/2'
+"""Had no explanation; read as one that has none."""
 FILE = 'model.json'
 """Its name in the folder of a report."""
 BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
@@ -35,6 +37,8 @@ NOT_STORED = {'axis', 'interval', 'own_effects'}
 BLACKBOX = ('structure', 'orders', 'approach', *POLYNOMIALS, 'nk', 'dt', 'noise_variance',
             'covariance')
 """Fields of a polynomial model that are stored."""
+SINCE = {'mean_throttle': None, 'ranges': {}, 'rungs': [], 'reference': None}
+"""Fields that older files of this schema lack, as they were meant."""
 REMEDY = 'give the model.json of quad-sysid identify, or its folder'
 AGAIN = 'identify again with this version'
 
@@ -76,7 +80,7 @@ def load_models(path: str | os.PathLike[str],
     """
     path = located(path)
     root = _keys(read_json(path, REMEDY), str(path), {'schema', 'axes'}, more=True)
-    if root['schema'] != SCHEMA:
+    if root['schema'] not in (SCHEMA, BEFORE):
         raise BadInputError(f'{path}: schema', f'must be {SCHEMA}', root['schema'], REMEDY)
     axes = root['axes']
     if not isinstance(axes, dict) or not axes:
@@ -127,6 +131,11 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
 
 def _model(axis: str, tree: object, where: str) -> AxisModel:
     known = {f.name for f in fields(AxisModel)} - NOT_STORED
+    if isinstance(tree, dict):
+        tree = SINCE | tree
+        effects = tree.get('effects')
+        tree['effects'] = [{'explains_pct': 0.0} | one if isinstance(one, dict) else one
+                           for one in effects] if isinstance(effects, list) else effects
     given = dict(_keys(tree, where, known))
     reference = given.pop('reference')
     model = AxisModel(axis=axis, **_read_fields(AxisModel, given, where), reference=None

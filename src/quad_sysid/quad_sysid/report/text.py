@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from quad_sysid.model.identified import Outside
 from quad_sysid.report import tables, words
 from quad_sysid.report.tables import wrapped
 
@@ -44,6 +45,8 @@ def _verdict(tree: Mapping[str, Any]) -> list[str]:
         out += wrapped(f'your effect {name}: {outcome}')
     for names, because in tables.untested(tree).rows:
         out += wrapped(f'not tested: {names}: {because}')
+    for one in tree.get('outside', ()):
+        out += wrapped(f'held out: {Outside(**one)}')
     band = tree.get('trusted_band_rad_s')
     return [*out, f'  trusted from {band[0]:.2g} to {band[1]:.3g} rad/s'] if band else out
 
