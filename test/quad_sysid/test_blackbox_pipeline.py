@@ -140,6 +140,8 @@ def test_the_text_fits_a_terminal_and_every_elimination_has_its_reason(answers):
     assert '  - /imu/data: the clock was set back' in '\n'.join(lines)
     assert '  not tested: 14 shapes: still' in lines
     assert max(map(len, lines)) <= 80
+    assert lines[3].startswith('verdict')  # after the axis, and before all else
+    assert lines.index('warnings') < next(i for i, line in enumerate(lines) if 'loop, %' in line)
     for model in roll['models']:
         gone = not (model['passed_first_step'] and model['passed_second_step'])
         assert gone == bool(model.get('eliminated_because')), model
