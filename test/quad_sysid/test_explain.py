@@ -1,4 +1,4 @@
-"""The ladder from the base to the reference, what comes again, and what the held-out data confirm."""
+"""The ladder to the reference, what comes again, and what the held-out data confirm."""
 
 from __future__ import annotations
 

@@ -21,9 +21,9 @@ from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.events import CLOCKED
-from quad_sysid.explain import explain
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import noise_of, readings
+from quad_sysid.explain import explain
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, axis_data, part_of
 from quad_sysid.model.effect import Part

@@ -223,7 +223,7 @@ def rms(errors: FloatArray) -> float:
 
 
 def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Verdict:
-    """Open the validation segments, once: confirm or withdraw each claimed effect, give the errors.
+    """Open the validation segments, once: confirm or withdraw each claimed effect.
 
     What is claimed, and in which order, the training has decided (explain/ladder.py).
     """

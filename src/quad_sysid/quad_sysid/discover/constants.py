@@ -42,7 +42,7 @@ FLIPS = 200
 # how the reference is explained
 
 EXPLAINS = 90.0
-"""Percent of what the reference takes away from the base's miss that the answer's rung explains."""
+"""Percent of the base's miss, as the reference sees it, that the answer's rung explains."""
 ENOUGH = 99.0
 """Percent below which the whole reference stands as the last, finest rung."""
 MOST_RUNGS = 8

@@ -85,7 +85,7 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
 
 
 class Along:
-    """What acts along a trajectory `rate` (n,) with a structure's parameters, and candidates there."""
+    """What acts along a trajectory `rate` (n,) with a structure's parameters."""
 
     def __init__(self, problem: Problem, structure: Structure, theta: FloatArray,
                  rate: FloatArray) -> None:

@@ -12,7 +12,14 @@ import numpy as np
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import best_base, both_orders, fit_without, fitted_from, most_probable, shares
+from quad_sysid.discover.base import (
+    best_base,
+    both_orders,
+    fit_without,
+    fitted_from,
+    most_probable,
+    shares,
+)
 from quad_sysid.discover.constants import BEAM, EXCHANGES, EXPECTED, HOPELESS, MOST_EFFECTS, REFITS
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem

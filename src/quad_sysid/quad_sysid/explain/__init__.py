@@ -1,4 +1,4 @@
-"""From the model that predicts best to the causes that explain it: projection, ladder, resampling."""
+"""From the model that predicts best to the causes that explain it."""
 
 from quad_sysid.explain.ladder import Ladder, Rung, explain
 

@@ -69,14 +69,14 @@ class Projection:
         return replace(self.reference.structure, parts=tuple(parts))
 
     def run(self, structure: Structure, theta: FloatArray) -> FloatArray:
-        """(windows, length) free runs less the measured rate, rad/s, from the reference's states."""
+        """(windows, length) runs from the reference's states, less the measured rate, rad/s."""
         with np.errstate(all='ignore'):
             errors = self.flight.free_run(structure, theta, self.windows,
                                           prediction=self._from(structure))
         return np.clip(np.nan_to_num(errors, nan=HUGE), -HUGE, HUGE)
 
     def _from(self, structure: Structure) -> Prediction:
-        """The reference's states, of those coefficients that wander only what the structure has."""
+        """The reference's states, without coefficients that the structure lacks."""
         begun, own = self.reference.prediction, self.reference.structure
         end = 4 + 2 * own.lines
         wandering = [part.effect.label for part in own.parts if part.effect.wanders]

@@ -89,7 +89,7 @@ class NoiseEstimate:
 
 @dataclass(frozen=True)
 class RungModel:
-    """One rung of the explanation: the base with some effects, as near to the reference as it comes."""
+    """One rung of the explanation: the base with some effects, projected."""
 
     base: tuple[Parameter, ...]
     effects: tuple[EffectEstimate, ...]

@@ -61,7 +61,8 @@ class Evaluation:
 
     def __repr__(self) -> str:
         told = {'hold the last value': self.hold, 'base (before)': self.before,
-                'completed (after)': self.after, 'reference': self.reference, 'black box': self.blackbox}
+                'completed (after)': self.after, 'reference': self.reference,
+                'black box': self.blackbox}
         lines = [f'  {name} {value:.4g}' for name, value in told.items() if value is not None]
         head = f'{self.axis}: RMS error of the rate, rad/s, over {self.windows} free runs of 0.5 s'
         return '\n'.join([head, *lines, *(f'  {one}' for one in self.outside)])

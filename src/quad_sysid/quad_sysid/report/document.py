@@ -26,7 +26,8 @@ MOST_TRIED = 40
 MOST_PEAKS = 6
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
 RESIDUALS = ('before', 'after', 'blackbox')
-ERRORS = ('before', 'after', 'reference', 'blackbox', 'noise_floor', 'one_step_before', 'one_step_after',
+ERRORS = ('before', 'after', 'reference', 'blackbox', 'noise_floor', 'one_step_before',
+          'one_step_after',
           'closed_loop_before', 'closed_loop_after')
 
 
@@ -210,7 +211,8 @@ def _error(answer: AxisAnswer) -> dict[str, Any]:
     verdict = findings.verdict
     return {**tree, 'before': verdict.before, 'after': verdict.after,
             'blackbox': answer.blackbox_error, 'noise_floor': verdict.noise_floor,
-            'reference': verdict.reference, 'one_step_before': verdict.one_step_before, 'one_step_after': verdict.one_step_after,
+            'reference': verdict.reference, 'one_step_before': verdict.one_step_before,
+            'one_step_after': verdict.one_step_after,
             'closed_loop_before': loop and loop.rms_before,
             'closed_loop_after': loop and loop.rms_after,
             'before_interval_95': findings.before.interval,

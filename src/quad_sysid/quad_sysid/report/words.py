@@ -27,7 +27,8 @@ PLAIN = {
     'shape:lag:direction': 'motors that slow down unlike they speed up',
     'backlash': 'play between command and torque', 'transport_delay': 'a transport delay',
     'viscous_damping': 'viscous damping', 'bias_torque': 'a constant torque',
-    UNLISTED: 'a cause that was not compared', 'mode': 'a hidden oscillation or slow state', 'event': 'an event in flight',
+    UNLISTED: 'a cause that was not compared',
+    'mode': 'a hidden oscillation or slow state', 'event': 'an event in flight',
 }
 """The contract's names of effects in everyday words."""
 
