@@ -206,7 +206,7 @@ def test_where_a_model_is_wanted_the_folder_of_its_report_will_do(
     [
         (None, 'cannot be read'),
         ('{"a": 1}', 'lacks axes, schema'),
-        ('{"schema": "quad_sysid/report/1", "axes": {}}', 'schema: must be quad_sysid/model/2'),
+        ('{"schema": "quad_sysid/report/1", "axes": {}}', 'schema: must be quad_sysid/model/3'),
         ('{"schema": "quad_sysid/model/2", "axes": {"roll": {', 'is not JSON'),
         ('{"schema": "quad_sysid/model/2", "axes": {}}', 'found {}; give the model.json of'),
         ('[' * 100_000, 'is not JSON'),

@@ -72,7 +72,7 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
     """What the command prints, the pictures, the files, a simulation and another flight."""
     z = plain_flight.axis('roll', 'train')
     result = quad_sysid.identify(plain_flight, axes='roll', effects=())
-    assert (result.verdict, result.effects, result.rivals) == ('no_missing_effect', (), {})
+    assert (result.verdict, result.effects, result.rivals) == ('not_searched', (), {})
     assert list(result) == ['roll']
     assert result['roll'].model.value('gain') == pytest.approx(450.0, rel=0.02)
     assert 'effects were not searched for' in result.reason
