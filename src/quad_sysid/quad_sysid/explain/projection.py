@@ -107,7 +107,7 @@ class Projection:
         sizes = self.problem.sizes(structure)
         precision = self.problem.precision(structure, sizes)[:own, :own]
         root = self.reference.tail.scale * np.linalg.cholesky(precision).T
-        centres = np.array([spec.centre for spec in specs])
+        centres = self.problem.centres(structure)[:own]
         steps = self.steps(structure, theta)
         enough = ROUGHLY if coarse else ENOUGH
 

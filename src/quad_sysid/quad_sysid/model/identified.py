@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.effect import Effect
 
@@ -158,6 +159,8 @@ class AxisModel:
     """The explanation above rung 0; empty where nothing was missing."""
     reference: AxisModel | None = None
     """The model that predicts best, with which gains are designed; None: this one."""
+    craft: Craft = X
+    """Where the motors are and how they turn."""
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
     """Effects from outside quad_sysid.effects that `effects` and rivals may name."""
 

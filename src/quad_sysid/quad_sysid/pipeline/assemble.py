@@ -66,6 +66,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         mean_throttle=float(np.mean(data.training(data.control[:, 0]))),
         ranges=ranges_of(data, (*reference.structure.parts, *chosen.structure.parts)),
         noise=stored.noise_of(reference), trusted_band_rad_s=band,
+        craft=data.craft,
         own_effects=tuple(effect for effect in candidates if effect not in EFFECTS),
     )
     explained = zip(ladder.rungs[1:], verdict.rung_fits[1:], verdict.rungs[1:], strict=True)

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from quad_sysid.blackbox import Model
-from quad_sysid.contract import AXES, MIXER, FloatArray
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft
 from quad_sysid.discover.accept import Horizon, Unseen, horizons, rms
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate import stored
@@ -23,7 +24,7 @@ from quad_sysid.model.data import AxisData, Span, Windows, axis_data
 from quad_sysid.model.plant import Flight, Prediction
 from quad_sysid.pipeline import blackbox_part
 from quad_sysid.pipeline.assemble import outside_of
-from quad_sysid.pipeline.usable import check_limits, same_rate
+from quad_sysid.pipeline.usable import check_limits, same_craft, same_rate
 from quad_sysid.record import Record, finite_runs
 
 MOTION = 1.5
@@ -33,7 +34,7 @@ PHASES = 12
 """Starts of the search for the phase of a periodic effect."""
 NEEDS = {'other angle': "the other axes' angles in /imu/data",
          'angle': 'an orientation in /imu/data', 'battery': '/battery',
-         'other rate': "the other axes' rates"}
+         'other rate': "the other axes' rates", 'motors': 'the motors of its craft'}
 """Signals that a bag may lack, and their topics; the first whose name is in an effect's counts."""
 
 
@@ -103,7 +104,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
             f'rad/s in half a second{noise}); is the axis held, or the aircraft at rest?'
         )
     before, after = stored.plain(model), stored.completed(model)
-    _check_signals(record, unseen, after)
+    _check_signals(record, unseen, after, model.craft)
     after = of_this_flight(unseen, after)
     base = {p.name: p.value for p in model.plain or model.base}
     about = blackbox_part.about_base(replace(data, reference=None), base['gain'], base['bias'])
@@ -134,12 +135,13 @@ def _of(unseen: Unseen, model: AxisModel) -> float:
     return rms(unseen.errors(of_this_flight(unseen, stored.completed(model))))
 
 
-def _check_signals(record: Record, unseen: Unseen, model: Stored) -> None:
+def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) -> None:
     """Raise BadInputError where an effect needs a signal that the bag lacks."""
     data = unseen.problem.data
     known = {'other angle': data.other_angles is not None, 'angle': data.angle is not None,
              'battery': data.battery_v is not None,
-             'other rate': unseen.problem.flight.others is not None}
+             'other rate': unseen.problem.flight.others is not None,
+             'motors': bool(data.motors.shape[1]) and same_craft(record.craft, craft)}
     for part in model.structure.parts:
         for signal in part.effect.signals:
             need = next((n for n in NEEDS if n in signal), '')
@@ -218,7 +220,8 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     control[:, 0] = _like(throttle, n, 'throttle', usual['throttle'])
     control[1:, 1 + AXES.index(model.axis)] = command
     data = AxisData(axis=model.axis, dt=model.dt, rate=np.zeros(n), angle=np.full(n, angle),
-                    control=control, motors=control @ MIXER.T, other_rates=np.zeros((n, 2)),
+                    control=control, motors=control @ model.craft.mixer.T, craft=model.craft,
+                    other_rates=np.zeros((n, 2)),
                     other_angles=np.zeros((n, 2)),
                     battery_v=_like(battery_v, n, 'battery_v', usual['battery']),
                     gyro_filter_hz=model.gyro_filter_hz, stretches=((0, n),), train=((0, n),),

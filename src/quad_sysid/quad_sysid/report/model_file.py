@@ -34,11 +34,11 @@ BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
 NOT_STORED = {'axis', 'interval', 'own_effects'}
 """Fields that follow from the file's form, are for reports, or come from the caller."""
+OPTIONAL = {'craft', 'mean_throttle', 'ranges', 'rungs', 'reference', 'explains_pct'}
+"""Fields that older files lack; their defaults are what was meant."""
 BLACKBOX = ('structure', 'orders', 'approach', *POLYNOMIALS, 'nk', 'dt', 'noise_variance',
             'covariance')
 """Fields of a polynomial model that are stored."""
-SINCE = {'mean_throttle': None, 'ranges': {}, 'rungs': [], 'reference': None}
-"""Fields that older files of this schema lack, as they were meant."""
 REMEDY = 'give the model.json of quad-sysid identify, or its folder'
 AGAIN = 'identify again with this version'
 
@@ -131,13 +131,8 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
 
 def _model(axis: str, tree: object, where: str) -> AxisModel:
     known = {f.name for f in fields(AxisModel)} - NOT_STORED
-    if isinstance(tree, dict):
-        tree = SINCE | tree
-        effects = tree.get('effects')
-        tree['effects'] = [{'explains_pct': 0.0} | one if isinstance(one, dict) else one
-                           for one in effects] if isinstance(effects, list) else effects
     given = dict(_keys(tree, where, known))
-    reference = given.pop('reference')
+    reference = given.pop('reference', None)
     model = AxisModel(axis=axis, **_read_fields(AxisModel, given, where), reference=None
                       if reference is None else _model(axis, reference, f'{where}.reference'))
     if sorted(p.name for p in model.base) != sorted(BASE_NAMES):
@@ -275,7 +270,7 @@ def _keys(tree: object, where: str, known: set[str], *, more: bool = False) -> d
     """An object with all of these fields, and no others but where there may be `more`."""
     if not isinstance(tree, dict):
         raise BadInputError(where, 'must be an object', type(tree).__name__)
-    missing = sorted(known - tree.keys())
+    missing = sorted(known - tree.keys() - OPTIONAL)
     if missing:
         raise BadInputError(where, f'lacks {", ".join(missing)}', remedy=AGAIN)
     unknown = sorted(tree.keys() - known)
