@@ -81,7 +81,7 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
     assert 'suffices' not in shown
     untested = {entry['name'] for entry in result.report['axes']['roll']['not_tested']}
     assert untested == {effect.label for effect in quad_sysid.EFFECTS}
-    assert 'no_missing_effect' in str(result)
+    assert 'not_searched' in str(result)
     assert f'{result.errors["before"]:.3g}'[:4] in str(result)
     assert '<pre>' in shown
     assert '<img' in shown

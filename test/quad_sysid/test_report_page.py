@@ -13,7 +13,7 @@ import pytest
 
 from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.report import document, plots, store, tables
+from quad_sysid.report import document, plots, store, tables, words
 from quad_sysid.report.html import page
 from quad_sysid.report.text import growth
 from quad_sysid.report.words import headline, story
@@ -205,6 +205,19 @@ def test_an_effect_that_raises_the_error_alone_is_told_so(tree):
     assert 'alone raises the error by 11 %' in missing
     assert missing.endswith('26 % less, though none lowers it alone.')
     assert tables.effects({'effects': pair}).rows[0][-1] == '+11 %'
+
+
+def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
+    sentence = words.causes(tree)
+    (effect,) = tree['effects']
+    assert sentence.startswith(f'Dry friction of {effect["parameters"][0]["value"]:.3g} rad/s²')
+    assert f'explains {effect["explains_pct"]:.0f} % of what the base misses' in sentence
+    assert 'resampled flights' in sentence
+    assert words.causes({**tree, 'effects': []}) == ''
+    first, *finer = tables.explanation(tree).rows
+    assert first[1] == 'coulomb_friction'
+    assert all(row[1] != 'coulomb_friction' for row in finer)
+    assert sentence in page({'axes': {'roll': tree}, 'bags': ['flight']}, {})
 
 
 def test_the_verdict_says_its_chance_in_known_terms(tree):

@@ -212,6 +212,25 @@ def horizon_words(error: Tree) -> str:
             f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.')
 
 
+def causes(tree: Tree) -> str:
+    """What is missing and how much of the trouble it is, in a sentence; '' without effects."""
+    parts = []
+    for effect in tree.get('effects', ()):
+        size = effect['parameters'][0] if effect['parameters'] else None
+        of = f' of {size["value"]:.3g} {size["unit"]}'.rstrip(' 1') if size and (
+            effect['kind'] == 'named') else ''
+        parts.append(f'{named(effect)}{of} explains {effect["explains_pct"]:.0f} %')
+    if not parts:
+        return ''
+    again = tree.get('reproducible', {})
+    least = min((again.get(effect['name'], 1.0) for effect in tree['effects']), default=1.0)
+    finer = any(rung['effects'] != [e['name'] for e in tree['effects']]
+                for rung in tree.get('explanation', ())[-1:])
+    text = (f'{joined(parts)} of what the base misses; found again in {100.0 * least:.0f} % of '
+            'resampled flights')
+    return text[0].upper() + text[1:] + ('; the rest is finer.' if finer else '.')
+
+
 def _missing(tree: Tree) -> list[str]:
     error = tree['error']
     if tree['verdict'] != 'effects_added':
