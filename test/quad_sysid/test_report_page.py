@@ -13,10 +13,10 @@ import pytest
 
 from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.report import document, plots, store, tables, words
+from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
 from quad_sysid.report.text import growth
-from quad_sysid.report.words import headline, story
+from quad_sysid.report.words import causes, headline, story
 
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
@@ -208,12 +208,12 @@ def test_an_effect_that_raises_the_error_alone_is_told_so(tree):
 
 
 def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
-    sentence = words.causes(tree)
+    sentence = causes(tree)
     (effect,) = tree['effects']
     assert sentence.startswith(f'Dry friction of {effect["parameters"][0]["value"]:.3g} rad/s²')
     assert f'explains {effect["explains_pct"]:.0f} % of what the base misses' in sentence
     assert 'resampled flights' in sentence
-    assert words.causes({**tree, 'effects': []}) == ''
+    assert causes({**tree, 'effects': []}) == ''
     first, *finer = tables.explanation(tree).rows
     assert first[1] == 'coulomb_friction'
     assert all(row[1] != 'coulomb_friction' for row in finer)
