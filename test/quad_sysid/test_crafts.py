@@ -13,8 +13,10 @@ from quad_sysid.bags import read_bag, write_bag
 from quad_sysid.craft import Craft, Motor
 from quad_sysid.effects import EFFECTS
 from quad_sysid.inspection.content import content
+from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import Record, Segment
+from quad_sysid.report.model_file import load_models, save_models
 from quad_sysid.rotors import rotors_of
 
 HEXA = Airframe(((90, -1), (-90, 1), (-30, -1), (150, 1), (30, 1), (-150, -1)),
@@ -51,7 +53,7 @@ def model_of(record: Record, *names: str, axis: str = 'roll'):
     return identify([record], Options(axes=(axis,), effects=few))[axis].model
 
 
-def test_a_hexacopter_with_a_slow_motor_is_a_bag_like_any_other(tmp_path):
+def test_a_hexacopter_with_a_slow_motor_is_a_bag_like_any_other(tmp_path, refusal):
     record = read_bag(write_bag(recorded(HEXA, 3), tmp_path / 'hexa'))
     assert (record.craft.count, record.motors.shape[1], record.warnings) == (6, 6, ())
     model = model_of(record, 'motor_lag')
@@ -59,6 +61,14 @@ def test_a_hexacopter_with_a_slow_motor_is_a_bag_like_any_other(tmp_path):
     assert model.value('gain') == pytest.approx(400.0, rel=0.03)
     assert model.value('lag') == pytest.approx(0.04, rel=0.06)
     assert model.value('motor_lag.slow_time_constant') == pytest.approx(0.16, rel=0.1)
+    save_models({'roll': model}, tmp_path / 'model.json')
+    stored = load_models(tmp_path / 'model.json')['roll']
+    assert stored.craft.signs == record.craft.signs
+    assert evaluate(stored, record, ((15.5, 26.0),)).after < 0.03
+    fewer = replace(record.craft, motors=record.craft.motors[:4])
+    other = replace(record, craft=fewer, motors=record.motors[:, :4])
+    assert 'motor_lag of the model needs the motors of its craft' in refusal(
+        evaluate, stored, other)
 
 
 def test_an_octocopters_lag_comes_from_its_rotors_and_leaves_the_damping_to_the_rate(tmp_path):
