@@ -276,7 +276,6 @@ def ardupilot_messages(flight: Flight) -> dict:
 
 
 def test_ardupilot_pulses(flight, tmp_path):
-    pytest.importorskip('pymavlink')
     path = dataflash(tmp_path / 'log.bin', ardupilot_messages(flight),
                      {'FRAME_CLASS': 1, 'FRAME_TYPE': 1, 'ATC_RAT_RLL_P': 0.135})
     record, told = imported(path, tmp_path / 'bag')
@@ -296,8 +295,7 @@ def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
 ):
     stamps = 3_000_000 + DT_US * np.array([0, N // 2])
     if topic == 'EV':
-        pytest.importorskip('pymavlink')
-        messages = ardupilot_messages(flight)
+            messages = ardupilot_messages(flight)
         messages['EV'] = (('TimeUS', field), np.column_stack([stamps, values]))
         path = dataflash(tmp_path / 'log', messages, {'FRAME_CLASS': 1, 'FRAME_TYPE': 1})
     else:
@@ -312,7 +310,6 @@ def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
 
 
 def test_ardupilot_outputs_carry_the_gains(flight, tmp_path):
-    pytest.importorskip('pymavlink')
     messages = ardupilot_messages(flight)
     del messages['RCOU']
     record, told = imported(dataflash(tmp_path / 'log.bin', messages, {
@@ -469,7 +466,7 @@ def test_a_real_px4_log_through_the_command(tmp_path, capsys):
 @pytest.mark.parametrize(
     ('name', 'content', 'words'),
     [
-        ('LOG00001.BFL', b'H Product:Blackbox flight data recorder\n', 'blackbox_decode'),
+        ('LOG00001.BFL', b'H Product:Blackbox flight data recorder\n', 'holds no frames'),
         ('plain.csv', b't,u\n0,1\n', 'columns need names'),
         ('log.csv', b'', 'log.csv, line 2, column vbatLatest (V): needs a number'),
         *(('log', magic + np.random.default_rng(1).bytes(400), '')
@@ -478,7 +475,6 @@ def test_a_real_px4_log_through_the_command(tmp_path, capsys):
 )
 def test_what_cannot_be_imported_is_one_line(flight, tmp_path, capsys, name, content, words):
     pytest.importorskip('pyulog')
-    pytest.importorskip('pymavlink')
     path = tmp_path / name
     if content:
         path.write_bytes(content)

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import csv
 import logging
-from collections.abc import Sequence
+import re
+from array import array
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -18,10 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.log import DEGREE, ForeignLog, Mapped, Reading, Wanted
+from quad_sysid.imports.log import (
+    DEGREE,
+    Experiment,
+    ForeignLog,
+    Mapped,
+    Reading,
+    Stream,
+    Wanted,
+)
 from quad_sysid.imports.mixers import MIRROR, Mixer, mixer_at_places, ned_angles
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
 from quad_sysid.imports.units import header_unit, unit_of
@@ -41,7 +51,7 @@ UNIT_AS_INTEGER = 8127.0
 """INDIflight's 1.0 of a command or a quaternion, (127 << 6) - 1."""
 WANTED = frozenset({
     'time', 'gyroADC', 'motor', 'setpoint', 'axisRate', 'accSmooth', 'vbatLatest', 'vbat',
-    'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp',
+    'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp', 'debug',
 })
 FILTERS = (
     'gyro_lpf1_static_hz', 'gyro_lpf2_static_hz', 'gyro_lowpass_hz', 'gyro_lowpass2_hz',
@@ -50,6 +60,11 @@ FILTERS = (
     'tpa_rate',
 )
 """Header fields of gains and filters that the bag's notes keep."""
+ENCODED = re.compile(rb'^H Product:Blackbox', re.MULTILINE)
+"""How an encoded log begins."""
+PHASE = 5000.0
+"""Betaflight's debug[0] per radian of the chirp's phase, in debug mode CHIRP."""
+CHIRP_GAP_S = 1.0
 FASTER = 'set blackbox_sample_rate (before 4.3 blackbox_p_ratio) to log 500 Hz or more'
 NO_GAINS = (
     "attitude set-point and gains of our form: Betaflight's loop has feed-forward and gains that "
@@ -63,7 +78,8 @@ def read(path: Path, log: int = 1) -> ForeignLog:
 
     Raises BadInputError naming file, line and column.
     """
-    table, units = _decoded(path, log) if head_of(path).startswith(b'H ') else _read(path)
+    encoded = ENCODED.search(head_of(path)) is not None
+    table, units = _decoded(path, log) if encoded else _read(path)
     for name in ('time', *_several('gyroADC', 3)):
         if name not in table.columns:
             raise BadInputError(table.source, f'lacks the column {name}', remedy=(
@@ -80,7 +96,43 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     kept = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
     reading.mapped += [Mapped('header', '-', 'note', kept)] if kept else []
     return reading.log('a blackbox log', wanted, mixer=mixer, faster=FASTER,
-                       no_gains=NO_GAINS)
+                       no_gains=NO_GAINS, experiments=tuple(_chirps(reading)))
+
+
+def _chirps(reading: Reading) -> Iterator[Experiment]:
+    """The chirps of Betaflight's mode CHIRP, which its debug mode of that name logs.
+
+    The log holds the chirp's phase, and not its axis: the one whose rate follows it.
+    """
+    table = reading.table
+    phase, rates = table.stream('debug[0]'), reading.streams.get('rates')
+    fields = {name.lower(): str(value) for name, value in table.header.items()}
+    if phase is None or rates is None or not (
+            any(name.startswith('chirp_amplitude') for name in fields) and _is_phase(phase)):
+        return
+    on = np.flatnonzero(phase.values[:, 0] > 0.0)
+    for rows in np.split(on, np.flatnonzero(np.diff(phase.time_s[on]) > CHIRP_GAP_S) + 1):
+        if rows.size < FEWEST:
+            continue
+        times, angle = phase.time_s[rows], phase.values[rows, 0] / PHASE
+        wave = np.column_stack([np.sin(angle), np.cos(angle)])
+        followed = []
+        for i in range(len(AXES)):
+            rate = np.interp(times, rates.time_s, rates.values[:, i])
+            left = rate - rate.mean() - wave @ np.linalg.lstsq(wave, rate - rate.mean(),
+                                                               rcond=None)[0]
+            followed.append(1.0 - float(left @ left) / max(float(np.sum(
+                (rate - rate.mean()) ** 2)), 1e-12))
+        axis = AXES[int(np.argmax(followed))]
+        size = DEGREE * float(fields.get(f'chirp_amplitude_{axis}', 'nan'))
+        if np.isfinite(size):
+            yield Experiment(axis, 'chirp', 'rate', Stream(times, size * wave[:, :1]))
+
+
+def _is_phase(phase: Stream) -> bool:
+    values = phase.values[:, 0]
+    return bool(values.min() >= 0.0 and values.max() <= 2.0 * np.pi * PHASE + 1.0
+                and values.max() > np.pi * PHASE)
 
 
 def _several(name: str, count: int) -> tuple[str, ...]:
@@ -142,28 +194,33 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:
         parser: Any = Parser.load(str(path), log, allow_invalid_header=True)
         names = list(parser.field_names)
         places = [i for i, name in enumerate(names) if name.partition('[')[0] in WANTED]
-        rows = _frames(parser, places, len(names))
+        rows, fault = _frames(parser, places, len(names))
     if len(rows) < FEWEST:
-        raise BadInputError(str(path), f'log {log} of {count} holds too few frames', len(rows),
-                            f'choose another of {count} with --log')
-    array = np.array(rows, dtype=float)
+        what = 'holds no frames' if not len(rows) else 'holds too few frames'
+        raise BadInputError(
+            str(path), f'log {log} of {count} {what}', None if not len(rows) else len(rows),
+            f'choose another of {count} with --log' if count > 1 else
+            'the header alone was written; was it armed, and the medium not full?')
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
-    columns = {names[i]: array[:, k] for k, i in enumerate(places)}
-    return Table(f'{path}, log {log} of {count}', columns, header=header), {}
+    columns = {names[i]: rows[:, k].copy() for k, i in enumerate(places)}
+    told = (f'damaged behind frame {len(rows)}: the rest is left out ({fault})',) if fault else ()
+    return Table(f'{path}, log {log} of {count}', columns, header=header, told=told), {}
 
 
-def _frames(parser: Any, places: Sequence[int], width: int) -> list[list[float]]:
-    """Rows of the wanted fields up to a damaged frame."""
-    rows: list[list[float]] = []
+def _frames(parser: Any, places: Sequence[int], width: int) -> tuple[FloatArray, str]:
+    """(n, k) the wanted fields up to a damaged frame, and what is wrong with that."""
+    values, fault = array('d'), ''
     try:
         for frame in parser.frames():
             data = frame.data
             if len(data) >= width - 1:
-                rows.append([_number(data[i]) if i < len(data) else np.nan for i in places])
-    except (StopIteration, RuntimeError, IndexError, TypeError, ValueError):
-        if not rows:
-            raise
-    return rows
+                values.extend(
+                    _number(data[i]) if i < len(data) else np.nan for i in places)
+    except (StopIteration, RuntimeError, IndexError, TypeError, ValueError) as error:
+        # a generator that ends by StopIteration is at the log's end, or has no frame at all
+        ended = isinstance(error, RuntimeError) and isinstance(error.__cause__, StopIteration)
+        fault = '' if ended or not values else f'{type(error).__name__}: {error}'
+    return np.frombuffer(values, dtype=np.float64).reshape(-1, max(len(places), 1)), fault
 
 
 def _number(value: object) -> float:

@@ -32,6 +32,8 @@ TOGETHER = 0.6
 NEAR = 0.4
 """Largest difference of a factor's logarithm that counts as near (a factor of 1.5)."""
 TOLERATED = 0.2
+WEIGHT = (4.0, 20.0)
+"""m/s². Median of a specific force that is that of a weight."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,16 @@ def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, 
         return None
     together = float(np.corrcoef(turned, changed)[0, 1])
     return together, math.copysign(float(np.std(changed) / np.std(turned)), together)
+
+
+def z_points_down(force: FloatArray) -> bool | None:
+    """Whether the specific force along z (n,) m/s² shows a z axis that points down.
+
+    None where it shows no weight: in free fall, of another unit, or without gravity.
+    """
+    known = force[np.isfinite(force)]
+    usual = float(np.median(known)) if known.size else 0.0
+    return usual < 0.0 if WEIGHT[0] <= abs(usual) <= WEIGHT[1] else None
 
 
 def contradicted(rates: FloatArray, angles: FloatArray, dt: float) -> list[str]:

@@ -20,6 +20,7 @@ from quad_sysid.discover.search import Found, extended, scored, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.estimate.fit import Problem
+from quad_sysid.foresight import drawn_hz
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Effect
@@ -33,6 +34,8 @@ from quad_sysid.record import Record
 
 Progress = Callable[[str], None]
 NOT_SEARCHED = 'effects were not searched for'
+DRAWN = (f'{NOT_SEARCHED}, since the commands were interpolated between samples at some '
+         '{:.3g} Hz and cannot carry them (log the commands at the full rate)')
 NOT_FITTED = 'it cannot be fitted beside the base'
 
 
@@ -79,6 +82,9 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     try:
         data = axis_data(records, axis)
         check_usable(data, records)
+        drawn = max(drawn_hz(record.control[:, 1:], record.dt) for record in records)
+        if drawn:
+            options = replace(options, effects=())
         told = found_effects(data, options, progress)
     except NotInformativeError as error:
         warnings = _warnings(records)
@@ -89,7 +95,8 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         )
     base = told.before.fit
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
-    verdict, reason = told.verdict.verdict, _reason(told, searched=bool(options.effects))
+    verdict, reason = told.verdict.verdict, _reason(
+        told, DRAWN.format(drawn) if drawn else '' if options.effects else NOT_SEARCHED)
     answer = AxisAnswer(
         axis, rate, segments, verdict, reason, findings=told,
         train=blackbox_part.io_data(data, data.train),
@@ -154,8 +161,8 @@ def with_own(problem: Problem, found: Found, effects: Sequence[Effect]) -> Found
                    reasons=found.reasons | failed)
 
 
-def _reason(told: Findings, *, searched: bool) -> str:
-    """The verdict's reason in words, with what would help."""
+def _reason(told: Findings, not_searched: str) -> str:
+    """The verdict's reason in words, with what would help; why no effects were sought, if so."""
     verdict, best = told.verdict, told.found.best
     reason = verdict.reason
     if verdict.verdict == 'cannot_tell':
@@ -169,8 +176,8 @@ def _reason(told: Findings, *, searched: bool) -> str:
             f'with {names} the model predicts the held-out segments better than the base alone '
             f'(by chance alone: p {_below(1.0 / max(verdict.e_value, 1.0))})'
         ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
-    elif not searched:
-        reason = f'{NOT_SEARCHED}: this is the base alone' + (reason and f'; {reason}')
+    elif not_searched:
+        reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')
     else:
         reason = reason or 'no effect predicts the held-out segments better than the base alone'
     kept = verdict.chosen.structure.labels
