@@ -295,7 +295,7 @@ def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
 ):
     stamps = 3_000_000 + DT_US * np.array([0, N // 2])
     if topic == 'EV':
-            messages = ardupilot_messages(flight)
+        messages = ardupilot_messages(flight)
         messages['EV'] = (('TimeUS', field), np.column_stack([stamps, values]))
         path = dataflash(tmp_path / 'log', messages, {'FRAME_CLASS': 1, 'FRAME_TYPE': 1})
     else:
