@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from flight_controller import STILL, Fault, changed
 
+from quad_bridge.craft import X
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.history import History
-from quad_bridge.gains.motor_places import MIXER, where_motors_are
 from quad_bridge.gains.polarity import (
     PolarityCheck,
     PulseRun,
@@ -148,7 +148,7 @@ def answers(order, spins=(1, 1, 1, 1)):
     """What pulses show where channel k drives the motor `order[k]`."""
     rows = {}
     for k, motor in enumerate(order):
-        roll, pitch, yaw = MIXER[motor]
+        roll, pitch, yaw = X.signs[motor]
         rows[f'motor_{k + 1}'] = np.array([0.2 * roll, 0.2 * pitch, 0.03 * yaw * spins[k]])
     return rows
 
@@ -156,11 +156,11 @@ def answers(order, spins=(1, 1, 1, 1)):
 def test_every_order_is_recognised_and_a_wrong_way_of_turning():
     names = ('rear left', 'rear right', 'front right', 'front left')
     for order in itertools.permutations(range(4)):
-        places, faults = where_motors_are(merge_motors({}, answers(order)))
+        places, faults = X.where_motors_are(merge_motors({}, answers(order)))
         assert list(places.values()) == [names[motor] for motor in order]
         wrong = [k for k, motor in enumerate(order) if k != motor]
         assert [fault.split()[0] for fault in faults] == [f'motor_{k + 1}' for k in wrong]
-    _, faults = where_motors_are(merge_motors({}, answers(range(4), (1, -1, 1, 1))))
+    _, faults = X.where_motors_are(merge_motors({}, answers(range(4), (1, -1, 1, 1))))
     assert faults == ['motor_2 turns the wrong way']
 
 

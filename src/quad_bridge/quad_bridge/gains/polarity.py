@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from quad_bridge.craft import AXES, X
 from quad_bridge.errors import RefusedError
-from quad_bridge.gains.motor_places import MIXER, where_motors_are
-from quad_bridge.gains.table import AXES
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection, Vector3
 
@@ -46,7 +45,7 @@ PULSES = {
     'roll': Pulse((1, 0, 0), (0.012, 0.04), (0,)),
     'pitch': Pulse((0, 1, 0), (0.012, 0.04), (1,)),
     'yaw': Pulse((0, 0, 1), (0.03, 0.08), (2,)),
-    **{f'motor_{k}': Pulse(row, (0.012, 0.03), (0, 1, 2)) for k, row in enumerate(MIXER, 1)},
+    **{f'motor_{k}': Pulse(row, (0.012, 0.03), (0, 1, 2)) for k, row in enumerate(X.signs, 1)},
 }
 MOTOR_CHANNELS = tuple(name for name in PULSES if name not in AXES)
 
@@ -180,11 +179,11 @@ class PolarityCheck:
             'crossed': 'a pulse on {} moves another axis more',
         }
         found = [words[v].format(a) for a, v in self._axes.items() if v in words]
-        return found + where_motors_are(self._motors)[1]
+        return found + X.where_motors_are(self._motors)[1]
 
     def refuse_faults(self) -> None:
         """Raise RefusedError where something is wrong, with the check that clears it."""
-        faults, motors = self.faults(), where_motors_are(self._motors)[1]
+        faults, motors = self.faults(), X.where_motors_are(self._motors)[1]
         if faults and self._mode != 'off':
             due = {'~/check_polarity': len(faults) > len(motors), '~/find_motors': bool(motors)}
             calls = ' and '.join(call for call in due if due[call])
@@ -228,6 +227,6 @@ class PolarityCheck:
         """The results in one line."""
         parts = [f'{axis} {verdict}' for axis, verdict in self._axes.items()]
         if self._motors:
-            places, _ = where_motors_are(self._motors)
+            places, _ = X.where_motors_are(self._motors)
             parts += [f'{motor} {place}' for motor, place in places.items()]
         return '; '.join([*parts, *self.faults()]) or 'nothing has been checked'

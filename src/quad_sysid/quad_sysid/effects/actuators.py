@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from quad_sysid.contract import MIXER_INVERSE, FloatArray
+from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import Curve, placed_around_zero
 from quad_sysid.effects.hidden import RING, along, followed, ring, step_of
 from quad_sysid.effects.torques import Row
@@ -30,13 +30,15 @@ MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
 SLOPING = 0.05
 """Share of a step over which one level gives way to the next."""
+MOST_MOTORS = 12
+"""Motors that may each have an effect of their own."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
 
 
 def why_not(data: AxisData, *, single: bool = False) -> str:
     """Why an effect of the motors, or of a single one, cannot be told here; '' if it can."""
-    if np.ptp(data.training(data.motors), axis=0).max() < 1e-6:
+    if not data.motors.shape[1] or np.ptp(data.training(data.motors), axis=0).max() < 1e-6:
         return 'the bag holds no motor commands'
     if single and all(isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)):
         return 'the other axes hardly move, so no single motor can be told apart'
@@ -46,7 +48,7 @@ def why_not(data: AxisData, *, single: bool = False) -> str:
 class Map(Row):
     """A map of the command; of every motor's command where it depends on the motors.
 
-    Its law takes the data, the command (n,) or those of the motors (4, n), and the parameters;
+    Its law takes the data, the command (n,) or those of the motors (k, n), and the parameters;
     `mode`, where it is linear with memory, gives its Dynamics from the parameters.
     """
 
@@ -63,7 +65,7 @@ class Map(Row):
         if 'motors' not in self.signals:
             return self.law(data, command, p)
         motors = data.motors.T
-        return command + MIXER_INVERSE[data.index + 1] @ (self.law(data, motors, p) - motors)
+        return command + data.share @ (self.law(data, motors, p) - motors)
 
     def dynamics(self, p: FloatArray) -> Dynamics | None:
         return None if self.mode is None else self.mode(p)
@@ -226,7 +228,6 @@ class Propellers(Effect):
     """The thrust of propellers is a curve of their motor's speed, a lagged command."""
 
     term = 'command'
-    motors: tuple[int, ...] = (0, 1, 2, 3)
 
     def bend(
         self, m: FloatArray, p: FloatArray, settings: Settings
@@ -239,10 +240,11 @@ class Propellers(Effect):
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         # f(m) of the lagged m follows the same lag where the command is f(m) + f'(m) (u - m)
-        u = data.motors.T[list(self.motors)]
+        which = list(self.motors or range(data.motors.shape[1]))
+        u = data.motors.T[which]
         m = np.stack([lagged(data, one, float(drive.lag[0, 0])) for one in u])
         thrust, slope = self.bend(m, p, settings)
-        more = MIXER_INVERSE[data.index + 1, list(self.motors)] @ (thrust + slope * (u - m))
+        more = data.share[which] @ (thrust + slope * (u - m))
         return replace(drive, commands=np.vstack([drive.commands[:1] + more, drive.commands[1:]]))
 
 
@@ -256,6 +258,8 @@ class ThrustCurve(Propellers):
     excite = 'throttle changes during the excitation, or large commands on two axes at once'
 
     def prepare(self, data: AxisData) -> Settings | str:
+        if why := why_not(data):
+            return why
         throttle = data.training(data.control[:, 0])
         others = [data.training(data.control[:, i + 1]) for i in range(3) if i != data.index]
         mean = float(np.mean(throttle))
@@ -278,7 +282,7 @@ class MotorCurve(Propellers, Curve):
 
     def __init__(self, smoothness: str, *motors: int) -> None:
         super().__init__('gain', 'command', smoothness)
-        self.motors = motors or Propellers.motors
+        self.motors = motors
         who = f'motor {motors[0] + 1}' if motors else 'motors'
         self.term, self.variant = 'command', f'{smoothness}, {who}'
         self.signals = ('command', 'motors', 'throttle')
@@ -297,7 +301,7 @@ class MotorCurve(Propellers, Curve):
             'knots': tuple(np.linspace(low, high, self.count).tolist()),
             'place': tuple(np.linspace(-1.0, 1.0, self.count).tolist()),
             # of all motors the mean slope is the gain; one may be weaker than the others
-            'mean': (1.0 / self.count if len(self.motors) > 1 else 0.0,) * self.count,
+            'mean': (0.0 if self.motors else 1.0 / self.count,) * self.count,
             'throttle': float(np.mean(data.training(data.control[:, 0]))),
         }
 
@@ -361,7 +365,7 @@ def differing(
     knots and values (k,), as in Drive.factors.
     """
     which = list(motors)
-    share, own = drive.row[0] * MIXER_INVERSE[data.index + 1, which], data.motors.T[which]
+    share, own = drive.row[0] * data.share[which], data.motors.T[which]
     lag = np.repeat(drive.lag[:1], len(which) + 1, axis=0)
     if slow_s is not None:
         lag[:-1] = slow_s
@@ -376,11 +380,10 @@ class Motors(Row):
     """What happens between commands and torque: the law gives the Drive after it."""
 
     term = 'response'
-    motors: tuple[int, ...] = ()
-    """Those that differ from the others; none: the command of the axis does."""
 
     def prepare(self, data: AxisData) -> Settings | str:
-        return (why_not(data, single=len(self.motors) == 1) if self.motors else '') or {}
+        return (why_not(data, single=len(self.motors) == 1)
+                if 'motors' in self.signals else '') or {}
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         return self.law(data, drive, p)
@@ -408,17 +411,19 @@ def _slow_share(sign: float) -> Callable[[AxisData, Drive, FloatArray], Drive]:
     return shared
 
 
-def _asymmetric(variant: str, *motors: int) -> Effect:
+def _asymmetric(variant: str, *motors: int, each: bool = True) -> Effect:
+    """Of these motors, of each one (none named), or of the axis' command."""
+
     def uneven(data: AxisData, drive: Drive, p: FloatArray) -> Drive:
         factors = BOTH_WAYS, -float(p[0]) * np.sign(BOTH_WAYS)
-        if motors:
-            return differing(data, drive, motors, factors=factors)
+        if each:
+            return differing(data, drive, motors or range(data.motors.shape[1]), factors=factors)
         whole = drive.factors.copy()
         whole[0] = factors
         return replace(drive, factors=whole)
 
     return Motors(
-        'shape:lag:direction', ('command', 'direction', *(('motors',) if motors else ())),
+        'shape:lag:direction', ('command', 'direction', *(('motors',) if each else ())),
         (Spec('asymmetry', '1', spread=0.5),), uneven, kind='shape', variant=variant,
         motors=motors, excite='steps of the command up and down',
         physics='a motor slows down with the lag times exp(a) and speeds up with the lag over '
@@ -448,7 +453,7 @@ class HasteCurve(Curve):
 
     def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
         knots, values = np.array(settings['knots']), p - float(np.dot(settings['mean'], p))
-        return differing(data, drive, range(4), factors=(knots, values))
+        return differing(data, drive, range(data.motors.shape[1]), factors=(knots, values))
 
 
 BOTH_WAYS = np.array([-3.0, -2.0, -1e-9, 1e-9, 2.0, 3.0])
@@ -458,7 +463,8 @@ SLOW = Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=Tr
 SHARE = Spec('share', '1', spread=0.3, positive=True)
 ACTUATORS: tuple[Effect, ...] = (
     *MAPS, BatterySag(), ThrustCurve(), MotorCurve('smooth'), MotorCurve('rough'),
-    *(MotorCurve('smooth', i) for i in range(4)), Saturation('upper'), Saturation('lower'),
+    *(MotorCurve('smooth', i) for i in range(MOST_MOTORS)), Saturation('upper'),
+    Saturation('lower'),
     Motors(
         'motor_lag', ('command',), (SLOW, SHARE), _slow_share(1.0),
         physics='a share of the motors answers with a longer lag than the others',
@@ -469,6 +475,7 @@ ACTUATORS: tuple[Effect, ...] = (
         physics="the torque overshoots and falls back by a share: rotors' own reaction in yaw",
         excite='a PRBS that reaches beyond 1 / lag',
     ),
-    *(_slow_motor(i) for i in range(4)), _asymmetric('motors', 0, 1, 2, 3), _asymmetric('axis'),
-    HasteCurve(), *(_asymmetric(f'motor {i + 1}', i) for i in range(4)), *SLOW_MAPS,
+    *(_slow_motor(i) for i in range(MOST_MOTORS)), _asymmetric('motors'),
+    _asymmetric('axis', each=False), HasteCurve(),
+    *(_asymmetric(f'motor {i + 1}', i) for i in range(MOST_MOTORS)), *SLOW_MAPS,
 )

@@ -5,7 +5,6 @@ table.py reads, to_bag.py makes the grid and the bag.
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +16,7 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import cycles, draw
-from quad_sysid.imports.likely import likely_units
+from quad_sysid.imports.likely import likely_units, one_sided, rounded_down
 from quad_sysid.imports.log import ForeignLog, Mapped, Stream
 from quad_sysid.imports.mixers import MIRROR, mixer_of
 from quad_sysid.imports.plausible import (
@@ -120,6 +119,7 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
     options = replace(options, units=_shared(options))
     units = _units(options, table)
     odd: list[str] = []
+    table = _unsigned(options, table)
     _check_ranges(options, table, units)
     if options.time is not None:
         speeds = [np.nanstd(units[name](table.columns[name])) for name in options.rate]
@@ -146,14 +146,28 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
             table, units, (*options.control, *options.names('thrust')), OPTIONS['control']),
             found['control']),
         motors=found['motors'], acceleration=found['acceleration'],
-        mixer=None if not options.motors or options.mixer == 'auto'
-        else mixer_of(options.mixer, options.motors),
+        crafts=() if not options.motors or options.mixer == 'auto'
+        else (mixer_of(options.mixer, options.motors),),
         battery=found['battery'], mapped=_mapped(options, units, found), checks=tuple(odd),
         clock=tuple(told), reversing={
             axis: _column(options, units, name, table.columns[name]).advise(units[name].reversed)
             for axis, name in zip(options.axes, options.control, strict=bool(options.control))
         },
     )
+
+
+def _unsigned(options: ColumnOptions, table: Table) -> Table:
+    """The table with the magnitudes of motors whose sign is that of their spin; it says so."""
+    columns = {name: table.columns[name] for name in options.motors}
+    turned = [name for name, values in columns.items() if np.nanmin(values) < 0.0]
+    if not turned or not all(map(one_sided, columns.values())):
+        return table
+    others = [name for name in columns if name not in turned]
+    sense = f', against {", ".join(others)}' if others else ''
+    return replace(
+        table, columns={**table.columns, **{name: -columns[name] for name in turned}},
+        told=(*table.told, f'{", ".join(turned)} are negative, as motors that turn the other way'
+              f'{sense}: their magnitude is taken'))
 
 
 def _limited(
@@ -402,15 +416,9 @@ def _fitting(raw: FloatArray, low: float, high: float) -> str:
     bottom, top = float(np.nanmin(raw)), float(np.nanmax(raw))
     factor = min([high / top] * (top > 0.0) + [low / bottom] * (bottom < 0.0))
     if factor > 0.0:
-        return f'{_rounded_down(factor):g}'
-    factor = _rounded_down((high - low) / (top - bottom)) if top > bottom else 1.0
+        return f'{rounded_down(factor):g}'
+    factor = rounded_down((high - low) / (top - bottom)) if top > bottom else 1.0
     return f'{factor:g}:{low - factor * bottom:.6g}'
-
-
-def _rounded_down(value: float) -> float:
-    """To two digits, so that what just fits still does."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f'{math.floor(value / digit + 1e-6) * digit:.2g}')
 
 
 def _column(

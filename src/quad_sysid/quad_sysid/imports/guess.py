@@ -19,7 +19,7 @@ import numpy as np
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.columns import ColumnOptions, read_columns
-from quad_sysid.imports.likely import likely_units
+from quad_sysid.imports.likely import likely_units, one_sided
 from quad_sysid.imports.plausible import time_unit
 from quad_sysid.imports.table import Table
 from quad_sysid.imports.to_bag import record_of
@@ -346,11 +346,11 @@ def _times(table: Table) -> list[str]:
 
 
 def _motors(table: Table, names: Sequence[str]) -> tuple[str, ...]:
-    """The largest family of numbered columns that never go below zero."""
+    """The largest family of numbered columns that never cross zero."""
     families: dict[tuple[str, str], list[tuple[int, str]]] = {}
     for name in names:
         found = MOTOR.match(name)
-        if found and np.nanmin(table.columns[name]) >= 0.0:
+        if found and one_sided(table.columns[name]):
             families.setdefault((found['stem'], found['rest']), []).append(
                 (int(found['number']), name))
     whole = [sorted(f) for f in families.values() if len(f) in (4, 6, 8)]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
 import numpy as np
 
+from quad_sysid.contract import FloatArray
 from quad_sysid.imports.plausible import time_unit
 from quad_sysid.imports.table import Table
 from quad_sysid.imports.units import ONE_G, OPTIONS, UNITS, Role, header_unit
@@ -29,6 +31,17 @@ def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
             for name, unit in zip(names, _by_size(table, option, names), strict=True)]
 
 
+def rounded_down(value: float) -> float:
+    """To two digits, so that what just fits still does."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f'{math.floor(value / digit + 1e-6) * digit:.2g}')
+
+
+def one_sided(values: FloatArray) -> bool:
+    """Whether values never cross zero, as those of a motor, signed by its spin or not."""
+    return bool(np.nanmin(values) >= 0.0 or np.nanmax(values) <= 0.0)
+
+
 def _by_size(table: Table, option: str, names: Sequence[str]) -> list[str]:
     columns = [table.columns[name] for name in names]
     if option == 'time':
@@ -38,6 +51,8 @@ def _by_size(table: Table, option: str, names: Sequence[str]) -> list[str]:
     if OPTIONS[option].role in ('rate', 'angle'):
         return _turn_units(names, columns, OPTIONS[option].role)
     high = max(float(np.nanmax(np.abs(values))) for values in columns)
+    if option == 'motors' and min(map(np.nanmin, columns)) < 0.0:
+        return [f'{rounded_down(1.0 / high):g}' if high > 1.0 else ''] * len(names)  # signed by their spin
     if option == 'acceleration':
         size = max(float(np.nanmedian(np.abs(values))) for values in columns)
         known = header_unit(names[0], 'acceleration') in UNITS['acceleration']

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import AXES, MIXER, MIXER_INVERSE, FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.estimate.stored import fitted_of, part_of
 from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, SlowMotors
 from quad_sysid.model import AxisModel, EffectEstimate
@@ -169,12 +169,13 @@ def _flown(model: AxisModel, at: Mapping[str, float], command: FloatArray) -> Ax
     n, index = command.size, AXES.index(model.axis)
     control = np.zeros((n, 4))
     control[:, 0], control[:, index + 1] = at['throttle'], command
-    motors = np.clip(control @ MIXER.T, 0.0, 1.0)
+    motors = model.craft.commands(control)
     nothing = np.zeros(n)
     return AxisData(axis=model.axis, dt=model.dt, rate=nothing, angle=nothing, control=control,
                     motors=motors, other_rates=np.zeros((n, 2)),
                     battery_v=np.full(n, at['battery']), gyro_filter_hz=model.gyro_filter_hz,
-                    stretches=tuple((i, i + 1) for i in range(n)), train=((0, n),), validation=())
+                    craft=model.craft, stretches=tuple((i, i + 1) for i in range(n)),
+                    train=((0, n),), validation=())
 
 
 def _mapped(model: AxisModel, effects: list[Placed], at: Mapping[str, float]) -> Function | None:
@@ -189,7 +190,7 @@ def _mapped(model: AxisModel, effects: list[Placed], at: Mapping[str, float]) ->
     def through(u: FloatArray) -> FloatArray:
         data = _flown(model, at, u)
         if any('motors' in one.effect.signals for one in maps):  # which stop at 0 and 1
-            u = data.motors @ MIXER_INVERSE[data.index + 1]
+            u = data.motors @ data.share
         for one in maps:
             u = one.effect.command(data, u, one.p, one.part.settings)
         return u

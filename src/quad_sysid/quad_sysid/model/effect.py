@@ -82,7 +82,7 @@ class Signals:
     other_angles: tuple[FloatArray, FloatArray] | None = None
     """rad"""
     motors: tuple[FloatArray, ...] | None = None
-    """Commands of the four motors, normalised."""
+    """Commands of the motors, normalised."""
     hidden: FloatArray | None = None
     """(states, …) hidden states of the effect, if any, at the start of the cycle."""
 
@@ -150,6 +150,8 @@ class Effect:
     kind: str = 'named'
     signals: tuple[str, ...] = ()
     """What it depends on; reports draw it over the first."""
+    motors: tuple[int, ...] = ()
+    """Which motors, from 0, differ from the others; none: no single one does."""
     others: tuple[int, ...] = ()
     """Which of the other two axes (0, 1) it depends on."""
     term: str = 'torque'

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from quad_sysid.blackbox import Model
-from quad_sysid.contract import AXES, MIXER, FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import Horizon, Unseen, horizons, rms
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate import stored
@@ -193,7 +193,8 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     control[:, 0] = _like(throttle, n, 'throttle', 0.0)
     control[1:, 1 + AXES.index(model.axis)] = command
     data = AxisData(axis=model.axis, dt=model.dt, rate=np.zeros(n), angle=np.full(n, angle),
-                    control=control, motors=control @ MIXER.T, other_rates=np.zeros((n, 2)),
+                    control=control, motors=control @ model.craft.mixer.T, craft=model.craft,
+                    other_rates=np.zeros((n, 2)),
                     other_angles=np.zeros((n, 2)),
                     battery_v=None if battery_v is None else _like(battery_v, n, 'battery_v'),
                     gyro_filter_hz=model.gyro_filter_hz, stretches=((0, n),), train=((0, n),),

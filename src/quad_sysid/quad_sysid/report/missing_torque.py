@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quad_sysid.contract import FloatArray, motors_from_wrench
+from quad_sysid.contract import FloatArray
 from quad_sysid.effects.events import Clocked
 from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.loop.from_model import Placed
@@ -267,9 +267,9 @@ def _lag(along: Along, part: Part, x: FloatArray) -> Evaluate:
     control[:, 0] = x
     control[:, data.index + 1] = x
     record = replace(data, dt=float(x[1] - x[0]), rate=np.zeros(n), angle=None, control=control,
-                     motors=motors_from_wrench(control), other_rates=np.zeros((n, 2)), battery_v=x,
-                     gyro_filter_hz=None, stretches=((0, n),), train=((0, n),), validation=(),
-                     idle=(), validation_names=(), reference=None, time_s=None)
+                     motors=data.craft.commands(control), other_rates=np.zeros((n, 2)),
+                     battery_v=x, gyro_filter_hz=None, stretches=((0, n),), train=((0, n),),
+                     validation=(), idle=(), validation_names=(), reference=None, time_s=None)
     drive = Drive(np.zeros((1, n)), np.ones(1), np.ones((1, n)))
 
     def evaluate(p: FloatArray) -> FloatArray:

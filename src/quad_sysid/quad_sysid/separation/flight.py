@@ -14,7 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import Placed, placed
@@ -59,6 +60,7 @@ class Aircraft:
     noise: NoiseEstimate = field(default=PAPER_NOISE)
     battery_v: float = VOLTS
     throttle: float = THROTTLE
+    craft: Craft = X
     told: str = "the paper's plant"
     """Where the values come from, for the user."""
 
@@ -85,7 +87,7 @@ def aircraft_of(model: AxisModel, less: str, told: str) -> Aircraft:
         gains=CascadeGains.from_mapping(model.active_gains, model.axis) if known
         else CascadeGains.default(model.axis),
         dt=model.dt, gyro_filter_hz=model.gyro_filter_hz, noise=model.noise or PAPER_NOISE,
-        battery_v=model.mean_battery_v or VOLTS, told=told,
+        battery_v=model.mean_battery_v or VOLTS, craft=model.craft, told=told,
     )
 
 
@@ -173,7 +175,7 @@ def fly(aircraft: Aircraft, acting: Sequence[Placed],
             control[:, data.index + 1] = command[:, i]
             flown.append(replace(data, rate=np.ascontiguousarray(rate[:, i]), control=control,
                                  angle=np.ascontiguousarray(angle[:, i]),
-                                 motors=motors_from_wrench(control)))
+                                 motors=data.craft.commands(control)))
         if settled or not np.isfinite(command).all():
             break
         extra = np.stack([_pushed(aircraft, moving, data) for data in flown], axis=1)
@@ -247,7 +249,7 @@ class _Known:
         self.commands = [np.stack([d.control[:, i] for d in around], axis=1) for i in others]
         self.rates = [np.stack([d.other_rates[:, i] for d in around], axis=1) for i in range(2)]
         self.leans = np.stack([np.asarray(d.other_angles) for d in around], axis=2).swapaxes(0, 1)
-        self.rest = np.zeros(len(around))
+        self.rest, self.craft = np.zeros(len(around)), aircraft.craft
 
     def at(
         self, k: int, middle: FloatArray, command: FloatArray, sent: FloatArray
@@ -267,7 +269,7 @@ class _Known:
                        battery_v=self.volts[k], other_rates=(self.rates[0][k], self.rates[1][k]),
                        other_commands=(self.commands[0][k], self.commands[1][k]),
                        other_angles=(self.leans[0][k], self.leans[1][k]),
-                       motors=tuple(motors_from_wrench(wrench).T),
+                       motors=tuple(self.craft.commands(wrench).T),
                        time=self.rest + (k + 0.5) * self.dt)
 
 
@@ -306,7 +308,8 @@ def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisDat
             rates[:, column], control[:, AXES.index(axis) + 1] = _stirred(axis, dt, n)
     volts = aircraft.battery_v - (fall - fall[-1] / 2.0)
     return AxisData(axis=aircraft.axis, dt=dt, rate=np.zeros(n), angle=np.zeros(n),
-                    control=control, motors=motors_from_wrench(control), other_rates=rates,
+                    control=control, motors=aircraft.craft.commands(control),
+                    craft=aircraft.craft, other_rates=rates,
                     other_angles=np.cumsum(rates, axis=0) * dt,
                     battery_v=volts - VOLTS_PER_THROTTLE * (throttle - aircraft.throttle),
                     gyro_filter_hz=aircraft.gyro_filter_hz, stretches=((0, n),),
