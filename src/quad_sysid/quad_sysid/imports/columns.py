@@ -164,10 +164,10 @@ def _unsigned(options: ColumnOptions, table: Table) -> Table:
         return table
     others = [name for name in columns if name not in turned]
     sense = f', against {", ".join(others)}' if others else ''
-    return replace(
-        table, columns={**table.columns, **{name: -columns[name] for name in turned}},
-        told=(*table.told, f'{", ".join(turned)} are negative, as motors that turn the other way'
-              f'{sense}: their magnitude is taken'))
+    line = (f'{", ".join(turned)} are negative, as motors that turn the other way{sense}: their '
+            'magnitude is taken')
+    return replace(table, told=(*table.told, line), columns={
+        **table.columns, **{name: -columns[name] for name in turned}})
 
 
 def _limited(

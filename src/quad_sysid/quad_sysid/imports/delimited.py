@@ -159,7 +159,9 @@ def _layout(
     """
     if _is_row(cells := _split_one(looked[0][1])) and any(map(_is_number, cells)):
         if comments and len(_split_one(comments[-1][1])) == len(cells):
-            return _named([comments[-1], *looked], 0)
+            layout = _named([comments[-1], *looked], 0)
+            layout.begin -= 1  # among the lines that are no comments
+            return layout
         if all(_is_number(cell) or not cell for cell in cells):
             raise BadInputError(f'{source}, line {looked[0][0]}',
                                 "holds numbers, not the columns' names",

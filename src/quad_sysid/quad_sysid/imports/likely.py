@@ -52,7 +52,8 @@ def _by_size(table: Table, option: str, names: Sequence[str]) -> list[str]:
         return _turn_units(names, columns, OPTIONS[option].role)
     high = max(float(np.nanmax(np.abs(values))) for values in columns)
     if option == 'motors' and min(map(np.nanmin, columns)) < 0.0:
-        return [f'{rounded_down(1.0 / high):g}' if high > 1.0 else ''] * len(names)  # signed by their spin
+        whole = f'{rounded_down(1.0 / high):g}' if high > 1.0 else ''
+        return [whole] * len(names)  # signed by their spin
     if option == 'acceleration':
         size = max(float(np.nanmedian(np.abs(values))) for values in columns)
         known = header_unit(names[0], 'acceleration') in UNITS['acceleration']

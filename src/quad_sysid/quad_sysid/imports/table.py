@@ -222,7 +222,8 @@ def with_angles(table: Table) -> Table:
             continue
         euler = np.full((len(values), 3), np.nan)
         euler[known] = euler_from_quaternion(values[known])
-        whole = stem.rstrip('._ ') or 'attitude'
+        whole = stem.rstrip('._ ')
+        whole = whole if whole.lower() not in ('', 'q', 'quat') else 'attitude'
         for i, axis in enumerate(EULER):
             columns.setdefault(f'{whole}.{axis}', euler[:, i])
             if parts[order[0]] in times:
