@@ -199,7 +199,7 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:
         raise BadInputError(
             str(path), f'log {log} of {count} {what}', None if not len(rows) else len(rows),
             f'choose another of {count} with --log' if count > 1 else
-            'the header alone was written; was it armed, and the medium not full?')
+            'was it armed, and the medium not full?')
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
     columns = {names[i]: rows[:, k].copy() for k, i in enumerate(places)}
     told = (f'damaged behind frame {len(rows)}: the rest is left out ({fault})',) if fault else ()

@@ -87,7 +87,7 @@ NO_FORCE = _named('ang', 'angular', 'gyro', 'bias', 'world', 'ned', 'enu', 'lin'
 THRUST = _named('thrust', 'throttle', 'collective')
 BATTERY = _named('bat', 'vbat', 'battery', 'volt', 'voltage')
 MOTOR = re.compile(
-    r'^(?P<stem>.*?(?:motor|mot|esc|pwm|rotor|out|(?:^|[^a-z])m|servo)[^0-9]*)'
+    r'^(?P<stem>.*?(?:motor|mot|esc|pwm|rotor|out|(?:^|[^a-z])[mu]|servo)[^0-9]*)'
     r'(?P<number>\d+)(?P<rest>\D*)$', re.IGNORECASE)
 AXIS_NAMES = (
     _named('roll', 'rol', 'phi', 'p', r'\b[gwau]? ?x\b', r'\[ 0 \]'),

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.imports.plausible import time_unit
+from quad_sysid.imports.plausible import LOWEST_RATE_HZ, time_unit
 from quad_sysid.imports.table import Table
 from quad_sysid.imports.units import ONE_G, OPTIONS, UNITS, Role, header_unit
 
@@ -42,11 +42,17 @@ def one_sided(values: FloatArray) -> bool:
     return bool(np.nanmin(values) >= 0.0 or np.nanmax(values) <= 0.0)
 
 
-def _by_size(table: Table, option: str, names: Sequence[str]) -> list[str]:
+def _by_size(  # noqa: C901, PLR0911 - option by option
+    table: Table, option: str, names: Sequence[str]
+) -> list[str]:
     columns = [table.columns[name] for name in names]
     if option == 'time':
         known = header_unit(names[0])
         unit = known if known in UNITS['time'] else time_unit(columns[0])
+        steps = np.diff(columns[0][np.isfinite(columns[0])])
+        usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+        if unit == 's' and usual * LOWEST_RATE_HZ > 1.0:
+            return ['s']  # so slow that it is asked for
         return ['' if unit == 's' else unit or '']
     if OPTIONS[option].role in ('rate', 'angle'):
         return _turn_units(names, columns, OPTIONS[option].role)

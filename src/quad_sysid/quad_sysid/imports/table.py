@@ -58,6 +58,8 @@ OTHERS: Mapping[bytes, tuple[str, str]] = {
     b'version https://git-lfs': ('is a pointer to a file in Git LFS', 'fetch it (git lfs pull)'),
 }
 """By the first bytes of a file that is no table: what it is, and what helps."""
+TLOG_S = (9e8, 4.5e9)
+"""Times, s since 1970, with which telemetry begins."""
 QUATERNION = re.compile(
     r'^(?P<stem>.*?)(?P<open>[\[(]?)(?P<part>[wxyz]|[0-4])(?P<close>[\])]?(?: \[[^\]]*\])?)$',
     re.IGNORECASE)
@@ -193,6 +195,10 @@ def refuse_others(path: Path, head: bytes) -> None:
     for first, (what, remedy) in OTHERS.items():
         if head.startswith(first):
             raise BadInputError(str(path), what, remedy=remedy)
+    if (head[:1] == b'\0' and head[8:9] in (b'\xfe', b'\xfd')
+            and TLOG_S[0] < 1e-6 * int.from_bytes(head[:8], 'big') < TLOG_S[1]):
+        raise BadInputError(str(path), 'is telemetry that a ground station received (.tlog)',
+                            remedy="import the autopilot's own log, which has the rates at speed")
     if head[257:262] == b'ustar':
         raise BadInputError(str(path), 'is an archive (.tar)',
                             remedy='unpack it and import what it holds')
