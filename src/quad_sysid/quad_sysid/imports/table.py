@@ -99,9 +99,10 @@ class Table:
         Raises BadInputError where the time does not advance.
         """
         others = {n: values for n, values in self.columns.items() if n != name}
-        found = unroll(unit(self.columns[name]), np.column_stack(list(others.values())),
+        found = unroll(unit(self.columns[name]), list(others.values()),
                        f'{self.source}, column {name}')
-        columns = {n: values[found.rows] for n, values in others.items()}
+        whole = len(found.rows) == len(self.columns[name])
+        columns = others if whole and (np.diff(found.rows) > 0).all() else {n: values[found.rows] for n, values in others.items()}
         return replace(self, columns=columns, times=dict.fromkeys(columns, found.time_s),
                        told=(*self.told, *found.told))
 
@@ -123,10 +124,14 @@ class Table:
         times = alone[0].time_s
         values = np.column_stack([_at(one, times) for one in alone])
         known = np.isfinite(values).all(axis=1)
+        if known.all():
+            return Stream(times, values) if len(times) > 1 else None
         return Stream(times[known], values[known]) if known.sum() > 1 else None
 
     def _in_order(self, name: str) -> Stream:
         times = self.times[name]
+        if (np.diff(times) > 0.0).all():
+            return Stream(times, self.columns[name][:, None])
         order = np.argsort(times, kind='stable')
         order = order[np.diff(times[order], prepend=-np.inf) > 0.0]
         return Stream(times[order], self.columns[name][order][:, None])
