@@ -169,9 +169,9 @@ class Craft:
         return ET.tostring(robot, encoding='unicode') + '\n'
 
 
-def _exact(matrix: FloatArray) -> FloatArray:
+def _exact(matrix: npt.NDArray[np.floating]) -> FloatArray:
     """Read-only, without the rounding of the algebra: an X frame's entries are whole quarters."""
-    out = np.round(matrix, 12) + 0.0
+    out = np.asarray(np.round(matrix, 12) + 0.0, dtype=np.float64)
     out.setflags(write=False)
     return out
 

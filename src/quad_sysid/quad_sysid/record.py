@@ -47,6 +47,15 @@ class GainChange:
 
 
 @dataclass(frozen=True)
+class RotorLag:
+    """The lag from command to rotor speed."""
+
+    seconds: float
+    spread: float
+    """Standard deviation of its logarithm."""
+
+
+@dataclass(frozen=True)
 class Record:
     """One flight on a uniform grid of the control cycle; a lost sample is NaN, never invented.
 
@@ -71,6 +80,8 @@ class Record:
     """(n, k) measured speeds of the rotors, rad/s, positive in flight; NaN where not measured."""
     craft: Craft = X
     """Where the motors are and how they turn; the X frame where the bag does not say."""
+    rotor_lag: RotorLag | None = None
+    """The motors' lag by these speeds during training; the pipeline takes it (rotors.py)."""
     desaturation: str = 'clip'
     """What the aircraft does with commands that its motors cannot give: `clip`, `yaw_first`; by
     `none` the mixer is not known, and the control is as another controller commanded it."""

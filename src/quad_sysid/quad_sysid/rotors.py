@@ -22,6 +22,8 @@ DELAYS_S = (0.0, 0.004, 0.008, 0.015, 0.025, 0.04)
 LONGEST_LAG_S, LONGEST_DELAY_S = 1.0, 0.1
 LEAST_S = 3.0
 """Least time with speed and command for a lag."""
+MOST_ROWS = 20_000
+"""Samples that are enough for a lag."""
 LEAST_FIT = 0.5
 """Share of the speed's variance that the lagged command must explain."""
 BLOCK_S = 1.0
@@ -109,57 +111,72 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     from scipy.optimize import minimize  # slow to import
 
     rows = np.flatnonzero(known)
-    if rows.size * dt < LEAST_S or np.ptp(w[rows]) <= 0.0 or np.ptp(u[rows]) <= 0.0:
+    if rows.size * dt < LEAST_S:
         return None
-    steady = np.interp(np.arange(u.size), np.flatnonzero(np.isfinite(u)), u[np.isfinite(u)])
+    window = _liveliest(u, rows)
+    u, w, known = u[window], w[window], known[window].copy()
     for start, _ in finite_runs(known, (0, known.size)):
         known[start : start + round(SETTLE_S / dt)] = False
-    rows = np.flatnonzero(known)
-    if rows.size * dt < 0.5 * LEAST_S:
+    rows, given = np.flatnonzero(known), np.flatnonzero(np.isfinite(u))
+    if rows.size * dt < 0.5 * LEAST_S or np.ptp(w[rows]) <= 0.0 or np.ptp(u[rows]) <= 0.0:
         return None
+    held = np.interp(np.arange(u.size), given, u[given])
     target = w[rows]
 
-    def left(log_lag: float, delay: float) -> tuple[FloatArray, FloatArray]:
-        x = np.stack([_behind(steady**k, math.exp(log_lag), delay, dt)[rows] for k in (1, 2)])
-        columns = np.vstack([np.ones(rows.size), x]).T
-        found = np.linalg.lstsq(columns, target, rcond=None)[0]
-        return target - columns @ found, found
+    def fitted(log_lag: float, delay: float) -> tuple[FloatArray, FloatArray]:
+        """What a curve of the lagged command leaves, and the curve."""
+        x = np.stack([_behind(held**k, math.exp(log_lag), delay, dt)[rows] for k in (0, 1, 2)])
+        found = np.linalg.lstsq(x @ x.T, x @ target, rcond=None)[0]
+        return target - found @ x, found
+
+    def inside(at: FloatArray) -> tuple[float, float]:
+        return (float(np.clip(at[0], math.log(1e-4), math.log(LONGEST_LAG_S))),
+                float(np.clip(0.01 * at[1], 0.0, LONGEST_DELAY_S)))
 
     def cost(at: FloatArray) -> float:
-        log_lag = float(np.clip(at[0], math.log(1e-4), math.log(LONGEST_LAG_S)))
-        delay = float(np.clip(at[1] * 0.01, 0.0, LONGEST_DELAY_S))
-        e = left(log_lag, delay)[0]
-        beyond = abs(at[0] - log_lag) + abs(at[1] * 0.01 - delay) * 100.0
-        return math.log(float(e @ e) + 1e-300) + beyond
+        log_lag, delay = inside(at)
+        e = fitted(log_lag, delay)[0]
+        beyond = abs(at[0] - log_lag) + abs(at[1] - 100.0 * delay)
+        return float(math.log(float(e @ e) + 1e-300) + beyond)
 
-    begun = min(((math.log(lag), 100.0 * delay) for lag in LAGS_S for delay in DELAYS_S),
-                key=lambda at: cost(np.array(at)))
-    best = minimize(cost, np.array(begun), method='Nelder-Mead',
+    grid = [np.array([math.log(lag), 100.0 * delay]) for lag in LAGS_S for delay in DELAYS_S]
+    best = minimize(cost, min(grid, key=cost), method='Nelder-Mead',
                     options={'xatol': 1e-3, 'fatol': 1e-6, 'maxiter': 120}).x
-    log_lag = float(np.clip(best[0], math.log(1e-4), math.log(LONGEST_LAG_S)))
-    delay = float(np.clip(best[1] * 0.01, 0.0, LONGEST_DELAY_S))
-    e, found = left(log_lag, delay)
+    log_lag, delay = inside(best)
+    e, found = fitted(log_lag, delay)
     fit = 1.0 - float(e @ e) / float(np.sum((target - target.mean()) ** 2))
     if fit < LEAST_FIT:
         return None
-    j = np.stack([(left(log_lag + 0.02, delay)[0] - left(log_lag - 0.02, delay)[0]) / 0.04,
-                  (left(log_lag, delay + 5e-4)[0] - left(log_lag, delay)[0]) / 5e-4], axis=1)
+    ends = [fitted(log_lag + sign * 0.02, delay)[0] for sign in (1.0, -1.0)]
+    j = np.stack([(ends[0] - ends[1]) / 0.04,
+                  (fitted(log_lag, delay + 5e-4)[0] - e) / 5e-4], axis=1)
     starts = np.arange(0, rows.size, max(1, round(BLOCK_S / dt)))
     scores = np.add.reduceat(j * e[:, None], starts)
     inverse = np.linalg.pinv(j.T @ j)
     spread = math.sqrt(max(float((inverse @ (scores.T @ scores) @ inverse)[0, 0]), 0.0))
-    return Rotor(math.exp(log_lag), spread, fit, (float(found[0]), float(found[1]),
-                                                  float(found[2])))
+    curve = float(found[0]), float(found[1]), float(found[2])
+    return Rotor(math.exp(log_lag), spread, fit, curve)
+
+
+def _liveliest(u: FloatArray, rows: np.ndarray) -> slice:
+    """At most MOST_ROWS samples, those in which the command moves most."""
+    moves = np.zeros(u.size)
+    moves[rows[1:]] = np.nan_to_num(np.abs(np.diff(u)))[rows[1:] - 1]
+    total = np.concatenate([[0.0], np.cumsum(moves)])
+    last = max(u.size - MOST_ROWS, 0)
+    start = max(range(0, last + 1, max(1, MOST_ROWS // 4)),
+                key=lambda a: total[min(a + MOST_ROWS, u.size)] - total[a])
+    return slice(start, start + MOST_ROWS)
 
 
 def _behind(u: FloatArray, lag: float, delay: float, dt: float) -> FloatArray:
     """(n,) a command held over each cycle, behind a delay and a lag, s, at its start."""
-    from scipy.signal import lfilter
+    from scipy.signal import lfilter  # slow to import
 
     keep = math.exp(-dt / lag)
     out = lfilter([0.0, 1.0 - keep], [1.0, -keep], u - u[0]) + u[0]
-    whole = np.arange(u.size) - delay / dt
-    return np.interp(whole, np.arange(u.size), out)
+    grid = np.arange(u.size)
+    return np.asarray(np.interp(grid - delay / dt, grid, out), dtype=np.float64)
 
 
 def _remarks(record: Record, rotors: Sequence[Rotor | None], known: np.ndarray) -> list[str]:
@@ -180,15 +197,16 @@ def _remarks(record: Record, rotors: Sequence[Rotor | None], known: np.ndarray) 
         if away > max(math.log(LAGS), LAGS_SIGMAS * error):
             out.append(f'{name} lags: it answers with {1e3 * rotor.lag_s:.3g} ms, the others with '
                        f'{1e3 * math.exp(usual):.3g} ms')
-        level = float(np.nanmedian(np.asarray(record.motors)[:, i]))
-        own, theirs = _speed(rotor, level), float(np.median([_speed(r, level) for r in others]))
+        level = np.nanmedian(np.asarray(record.motors)[:, i], keepdims=True)
+        own = float(_speed(rotor, level)[0])
+        theirs = float(np.median([_speed(r, level)[0] for r in others]))
         if theirs > 0.0 and abs(own / theirs - 1.0) > UNEVEN:
             out.append(f'{name} turns {100.0 * abs(own / theirs - 1.0):.0f} % '
                        f'{"slower" if own < theirs else "quicker"} than the others at one command')
     return out
 
 
-def _speed(rotor: Rotor, u: FloatArray | float) -> FloatArray | float:
+def _speed(rotor: Rotor, u: FloatArray) -> FloatArray:
     return rotor.curve[0] + rotor.curve[1] * u + rotor.curve[2] * u**2
 
 
@@ -200,7 +218,8 @@ def _failures(
         return []
     lag = float(np.median([r.lag_s for r in others]))
     u = np.nan_to_num(record.motors[:, i])
-    wanted = np.median([_speed(r, _behind(u, lag, 0.0, record.dt)) for r in others], axis=0)
+    held = _behind(u, lag, 0.0, record.dt)
+    wanted: FloatArray = np.median([_speed(r, held) for r in others], axis=0)
     turning = measured & (u > IDLE) & (wanted > 0.0)
     share = np.where(turning, record.speeds[:, i] / np.where(turning, wanted, 1.0), 1.0)
     usual = float(np.median(share[turning])) if turning.any() else 1.0

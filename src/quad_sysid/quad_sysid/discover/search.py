@@ -15,9 +15,9 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import best_base, fit_without, fitted_from, most_probable, shares
 from quad_sysid.discover.constants import BEAM, EXCHANGES, EXPECTED, HOPELESS, MOST_EFFECTS, REFITS
 from quad_sysid.discover.screen import Score, candidates, screen
-from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.estimate.fit import Fit, Problem, start_of
 from quad_sysid.model.effect import Effect, Part, required
-from quad_sysid.model.structure import NOISE, VIBRATION
+from quad_sysid.model.structure import NOISE, VIBRATION, Structure, coordinates
 
 SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""
@@ -108,6 +108,23 @@ def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
             rate=parent.rate,
         ) for noise in noises(parent)
     )
+
+
+def turned(problem: Problem, parts: Sequence[Part]) -> list[Fit]:
+    """Fits of how the motors may respond, begun from a positive gain.
+
+    A response that overshoots, as of yaw with heavy rotors, makes the gain of the base negative,
+    and no step leads back from there once the response is added.
+    """
+    begun = start_of(problem)
+    count = begun.size - len(Structure().noise)
+    tries = [
+        partial(fitted_from, problem, Structure((part,)),
+                np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]])
+        for part in parts if part.effect.term == 'response' and not part.effect.motors
+        for start in part.effect.starts(problem.data, part.settings)
+    ]
+    return [fitted for fitted in side_by_side(tries) if fitted is not None]
 
 
 class _Search:
@@ -213,7 +230,11 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
 
 def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     found = _Search(problem, parts, base)
-    beam = [found.best()]
+    for fitted in turned(problem, parts) if base.value('gain') < 0.0 else ():
+        labels = frozenset(fitted.structure.labels)
+        if labels not in found.known or fitted.evidence > found.known[labels].fit.evidence:
+            found.keep(fitted)
+    beam = leading(found.known.values())
     for _ in range(MOST_EFFECTS):
         top = beam[0].score
         beam = leading(found.build_on(beam, REFITS))

@@ -86,8 +86,7 @@ def mixer_of(name: str, columns: Sequence[str]) -> Craft | Mixer:
     A matrix is YAML with `matrix:` of 4 rows U1..U4 by as many columns as --motors has.
     """
     where = f'--mixer {name}'
-    found = LAYOUTS.get(name.lower())
-    found = found or _read(where, name)
+    found = LAYOUTS.get(name.lower()) or _read(where, name)
     count = found.count if isinstance(found, Craft) else found.inverse.shape[1]
     if count != len(columns):
         raise BadInputError(where, f'is one of {count} motors',

@@ -33,6 +33,8 @@ from quad_sysid.imports.table import Table
 
 ARMED = 2
 """arming_state of vehicle_status."""
+MULTIROTORS = (2, 3, 13, 14, 15, 29, 35)
+"""MAV_TYPE of those that fly by their rotors alone."""
 FIRST_MOTOR, MOST_ESCS = 101, 8
 """actuator_function of motor 1; entries of esc_status."""
 LINEAR = 0.98
@@ -105,7 +107,7 @@ def _read(table: Table, kind: str, faster: str) -> ForeignLog:
         )
     crafts, gains, warnings = _input(reading)
     return reading.log(kind, WANTED, crafts=crafts, armed=_armed(table), gains=gains,
-                       faster=faster, warnings=tuple(warnings),
+                       faster=faster, warnings=(*_vehicle(table), *warnings),
                        experiments=_experiments(table))
 
 
@@ -282,3 +284,11 @@ def _gains(table: Table, scale: tuple[float, ...]) -> dict[str, float]:
     if cut and 'vehicle_angular_velocity.xyz[0]' in table.columns:
         out['sensor.gyro_filter_hz'] = float(cut)
     return out
+
+
+def _vehicle(table: Table) -> tuple[str, ...]:
+    kind = table.header.get('MAV_TYPE')
+    if kind is None or int(kind) in MULTIROTORS:
+        return ()
+    return ((f'MAV_TYPE is {int(kind)}, no multirotor: wings and tilting rotors are not in the '
+             'model; be careful'),)

@@ -102,7 +102,8 @@ class Table:
         found = unroll(unit(self.columns[name]), list(others.values()),
                        f'{self.source}, column {name}')
         whole = len(found.rows) == len(self.columns[name])
-        columns = others if whole and (np.diff(found.rows) > 0).all() else {n: values[found.rows] for n, values in others.items()}
+        columns = others if whole and (np.diff(found.rows) > 0).all() else {
+            n: values[found.rows] for n, values in others.items()}
         return replace(self, columns=columns, times=dict.fromkeys(columns, found.time_s),
                        told=(*self.told, *found.told))
 

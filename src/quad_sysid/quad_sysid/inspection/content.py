@@ -17,7 +17,7 @@ from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.bags.storage import Storage
 from quad_sysid.blackbox import excitation_order
 from quad_sysid.contract import TOPIC_TYPES
-from quad_sysid.craft import Craft
+from quad_sysid.craft import Craft, X
 from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
@@ -297,7 +297,8 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
                    segments=record.segments, gains=tuple(sorted(record.gains_at(np.inf))),
                    motors_at_limit_pct=_at_limit(record), battery=_battery(record), layout=layout,
                    axes=axes, uses=_uses_of_flight(axes, 1.0 / record.dt),
-                   craft='' if record.desaturation == 'none' else described(record.craft),
+                   craft=described(record.craft)
+                   if record.motors is not None or record.craft != X else '',
                    rotors=rotors_of(record).lines,
                    warnings=(*record.warnings, *((warning,) if warning else ()), *odd))
 

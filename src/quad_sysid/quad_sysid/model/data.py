@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.record import SHORT_GAP_S, Record, finite_runs, joined_runs
-from quad_sysid.rotors import rotors_of
+from quad_sysid.record import SHORT_GAP_S, Record, RotorLag, finite_runs, joined_runs
 
 Span = tuple[int, int]
 
@@ -49,15 +48,6 @@ class Windows:
     def count(self) -> int:
         """Number of windows."""
         return int(self.starts.size)
-
-
-@dataclass(frozen=True)
-class RotorLag:
-    """The lag from command to rotor speed."""
-
-    seconds: float
-    spread: float
-    """Standard deviation of its logarithm."""
 
 
 @dataclass(frozen=True)
@@ -292,17 +282,9 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         gyro_filter_hz=known_gains.get('sensor.gyro_filter_hz') or None,
         derived_s=known_gains.get('sensor.rate_from_angle_s') or None,
         validation_names=tuple(name for _, name in pieces('validation')),
-        flights=flights, craft=records[0].craft, rotor_lag=_rotor_lag(records),
+        flights=flights, craft=records[0].craft,
+        rotor_lag=next((r.rotor_lag for r in records if r.rotor_lag is not None), None),
     )
-
-
-def _rotor_lag(records: Sequence[Record]) -> RotorLag | None:
-    """The lag by the rotors' speeds during training, of the first record that shows it."""
-    for record in records:
-        found = rotors_of(record, training=True)
-        if found.lag_s is not None:
-            return RotorLag(found.lag_s, found.spread)
-    return None
 
 
 def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:

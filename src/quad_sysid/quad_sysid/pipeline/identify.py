@@ -31,7 +31,6 @@ from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.step_b import closed_loop
 from quad_sysid.pipeline.usable import check_usable, refusal, together
 from quad_sysid.record import Record
-from quad_sysid.rotors import rotors_of
 
 Progress = Callable[[str], None]
 NOT_SEARCHED = 'effects were not searched for'
@@ -204,7 +203,7 @@ def _below(p: float) -> str:
 
 def _warnings(records: Sequence[Record]) -> tuple[str, ...]:
     return tuple(w for r in records
-                 for w in (*r.warnings, refusal(r), *rotors_of(r, training=True).lines) if w)
+                 for w in (*r.warnings, refusal(r)) if w)
 
 
 def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray | None:

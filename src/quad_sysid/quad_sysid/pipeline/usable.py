@@ -13,9 +13,11 @@ from itertools import combinations
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
-from quad_sysid.record import SHORT_GAP_S, Record
+from quad_sysid.record import SHORT_GAP_S, Record, RotorLag
+from quad_sysid.rotors import rotors_of
 
 SAME_RATE = 5e-3
 """Relative difference of sample intervals that two clocks of one rate may have."""
@@ -30,6 +32,8 @@ LEAST_OVERLAP = 50
 def together(records: Sequence[Record]) -> tuple[Record, ...]:
     """The records on the first one's sample interval, its clock's difference taken as nothing.
 
+    With the motors' lag where the speeds of the rotors were measured.
+
     Raises BadInputError where their rates differ by more than SAME_RATE, or where two of them
     hold the same measurement, which would count twice.
     """
@@ -39,8 +43,7 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
             raise BadInputError(record.source, 'all bags must have one sample rate',
                                 f'{1.0 / record.dt:.6g} Hz, the first {1.0 / first.dt:.6g} Hz',
                                 'identify them one by one')
-        if record.craft.inverse.shape != first.craft.inverse.shape or not np.allclose(
-                record.craft.inverse, first.craft.inverse, atol=SAME_PLACES):
+        if not same_craft(record.craft, first.craft):
             raise BadInputError(record.source, 'all bags must be of one craft',
                                 f'motors {", ".join(record.craft.places)}; the first '
                                 f'{", ".join(first.craft.places)}', 'identify them one by one')
@@ -53,8 +56,17 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
             told = (f"{record.source}: its {1.0 / record.dt:.6g} Hz are taken as the first bag's "
                     f'{1.0 / dt:.6g} Hz')
             own = replace(own, warnings=(*own.warnings, told))
-        taken.append(own)
+        rotors = rotors_of(own, training=True)
+        if rotors.lag_s is not None:
+            own = replace(own, rotor_lag=RotorLag(rotors.lag_s, rotors.spread))
+        taken.append(replace(own, warnings=(*own.warnings, *rotors.lines)))
     return tuple(taken)
+
+
+def same_craft(one: Craft, other: Craft) -> bool:
+    """Whether two descriptions give one mixer."""
+    return one.count == other.count and bool(
+        np.allclose(one.inverse, other.inverse, atol=SAME_PLACES))
 
 
 def same_rate(dt: float, other: float) -> bool:
