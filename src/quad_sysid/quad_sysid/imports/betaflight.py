@@ -13,6 +13,7 @@ import logging
 import re
 from array import array
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from quad_sysid.imports.log import (
     Wanted,
 )
 from quad_sysid.imports.mixers import MIRROR, ned_angles
+from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
 from quad_sysid.imports.units import header_unit, unit_of
 
@@ -61,6 +63,8 @@ FILTERS = (
 """Header fields of gains and filters that the bag's notes keep."""
 ENCODED = re.compile(rb'^H Product:Blackbox', re.MULTILINE)
 """How an encoded log begins."""
+INTRA = 'I'
+"""Type of a frame that holds whole values, not differences."""
 PHASE = 5000.0
 """Betaflight's debug[0] per radian of the chirp's phase, in debug mode CHIRP."""
 CHIRP_GAP_S = 1.0
@@ -86,6 +90,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
                 'log the gyro (blackbox_disable_gyro = OFF)'))
     clock_unit = unit_of('time', 's' if units.get('time') == 's' else 'us', 'time')
     table = table.on_clock('time', clock_unit)
+    table = _possible(table, _rate_unit(table, units.get('gyroADC[0]', '')))
     indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
         'u[0]' in table.columns
     wanted = _wanted(table, units, indi=indi)
@@ -132,6 +137,17 @@ def _is_phase(phase: Stream) -> bool:
     values = phase.values[:, 0]
     return bool(values.min() >= 0.0 and values.max() <= 2.0 * np.pi * PHASE + 1.0
                 and values.max() > np.pi * PHASE)
+
+
+def _possible(table: Table, scale: float) -> Table:
+    """The table without rates that no gyro measures, as damaged frames hold them; it says so."""
+    names = _several('gyroADC', 3)
+    wrong = np.any([np.abs(table.columns[name]) * scale > FASTEST_RAD_S for name in names], axis=0)
+    if not wrong.any():
+        return table
+    line = f'{int(wrong.sum())} of {wrong.size} frames left out: no gyro measures such rates'
+    return replace(table, told=(*table.told, line), columns={
+        **table.columns, **{n: np.where(wrong, np.nan, table.columns[n]) for n in names}})
 
 
 def _several(name: str, count: int) -> tuple[str, ...]:
@@ -193,7 +209,7 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:
         parser: Any = Parser.load(str(path), log, allow_invalid_header=True)
         names = list(parser.field_names)
         places = [i for i, name in enumerate(names) if name.partition('[')[0] in WANTED]
-        rows, fault = _frames(parser, places, len(names))
+        rows, faults = _frames(parser, places, len(names))
     if len(rows) < FEWEST:
         what = 'holds no frames' if not len(rows) else 'holds too few frames'
         raise BadInputError(
@@ -202,24 +218,33 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:
             'was it armed, and the medium not full?')
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
     columns = {names[i]: rows[:, k].copy() for k, i in enumerate(places)}
-    told = (f'damaged behind frame {len(rows)}: the rest is left out ({fault})',) if fault else ()
+    told = (f'damaged in {faults} places: what cannot be read there is left out',)[: bool(faults)]
     return Table(f'{path}, log {log} of {count}', columns, header=header, told=told), {}
 
 
-def _frames(parser: Any, places: Sequence[int], width: int) -> tuple[FloatArray, str]:
-    """(n, k) the wanted fields up to a damaged frame, and what is wrong with that."""
-    values, fault = array('d'), ''
-    try:
-        for frame in parser.frames():
-            data = frame.data
-            if len(data) >= width - 1:
-                values.extend(
-                    _number(data[i]) if i < len(data) else np.nan for i in places)
-    except (StopIteration, RuntimeError, IndexError, TypeError, ValueError) as error:
-        # a generator that ends by StopIteration is at the log's end, or has no frame at all
-        ended = isinstance(error, RuntimeError) and isinstance(error.__cause__, StopIteration)
-        fault = '' if ended or not values else f'{type(error).__name__}: {error}'
-    return np.frombuffer(values, dtype=np.float64).reshape(-1, max(len(places), 1)), fault
+def _frames(parser: Any, places: Sequence[int], width: int) -> tuple[FloatArray, int]:
+    """(n, k) the wanted fields, and the number of damaged places.
+
+    Behind one, frames count from the next that does not build on those before.
+    """
+    values, faults, waiting, place = array('d'), 0, False, -1
+    while parser.reader.tell() > place:  # behind a fault it reads on where it stands
+        place = parser.reader.tell()
+        try:
+            for frame in parser.frames():
+                waiting &= frame.type.value != INTRA
+                data = frame.data
+                if len(data) >= width - 1 and not waiting:
+                    values.extend(
+                        _number(data[i]) if i < len(data) else np.nan for i in places)
+            break
+        except StopIteration:
+            break
+        except (RuntimeError, IndexError, TypeError, ValueError) as error:
+            if isinstance(error.__cause__, StopIteration):  # the end of the file
+                break
+            faults, waiting = faults + 1, True
+    return np.frombuffer(values, dtype=np.float64).reshape(-1, max(len(places), 1)), faults
 
 
 def _number(value: object) -> float:
