@@ -136,9 +136,11 @@ def found_effects(data: AxisData, options: Options,
         verdict = judge(data, problem, found)
         return findings(data, problem, verdict.found, verdict)
     except (FloatingPointError, np.linalg.LinAlgError) as error:
+        moved = [float(np.nanstd(data.training(x))) for x in (data.command, data.rate)]
         raise NotInformativeError(
-            f'{data.axis}: no model of this axis can be fitted to the training ({error}); '
-            'look at its command and rate'
+            f'{data.axis}: no model of this axis can be fitted to the training, in which its '
+            f'command moves by {moved[0]:.2g} and its rate by {moved[1]:.2g} rad/s (RMS); excite '
+            'it, and look at its command and rate'
         ) from error
 
 
