@@ -160,7 +160,8 @@ def _unsigned(options: ColumnOptions, table: Table) -> Table:
     """The table with the magnitudes of motors whose sign is that of their spin; it says so."""
     columns = {name: table.columns[name] for name in options.motors}
     turned = [name for name, values in columns.items() if np.nanmin(values) < 0.0]
-    if not turned or not all(map(one_sided, columns.values())):
+    moving = all(np.nanstd(columns[name]) > 0.0 for name in turned)
+    if not turned or not moving or not all(map(one_sided, columns.values())):
         return table
     others = [name for name in columns if name not in turned]
     sense = f', against {", ".join(others)}' if others else ''
