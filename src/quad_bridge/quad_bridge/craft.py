@@ -378,6 +378,10 @@ LAYOUTS: dict[str, Craft] = {
        for (kind, of), motors in ARDUPILOT.items()},
     **{f'betaflight_{name}'.lower(): Craft(f"Betaflight's {name}", motors, nominal=True)
        for name, motors in BETAFLIGHT.items()},
+    **{f'betaflight_{name}_out'.lower(): Craft(
+        f"Betaflight's {name}, propellers out",
+        tuple(replace(m, spin=-m.spin) for m in motors), nominal=True)
+       for name, motors in BETAFLIGHT.items()},
 }
 """Crafts by a name that a user can type."""
 

@@ -241,7 +241,7 @@ class _Beside:
 
     def _followed(self, p: FloatArray, psi: FloatArray) -> FloatArray:
         """(n, 1) change of the innovations if a coefficient follows them."""
-        flight, e, psi = self.problem.flight, self.innovation, psi[:, 0]
+        flight, e, psi = self.problem.flight, self.innovation, np.ascontiguousarray(psi[:, 0])
         pursuit, out = flight.pursuit(psi, p), e.copy()
         for start, stop in flight.passes:
             recursion.pursued(e, psi, pursuit, start, stop, out)

@@ -21,6 +21,8 @@ from quad_sysid.model.structure import NOISE, VIBRATION, Structure, coordinates
 
 SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""
+ANEW = 20.0
+"""Nats by which a response that is fitted anew must beat the base; another is fitted from it."""
 SHARED = (
     'what disturbs this axis disturbs the other one as well, so that its command and rate answer '
     'to the same gusts; fly in calm air, or excite that axis by itself'
@@ -110,19 +112,19 @@ def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
     )
 
 
-def turned(problem: Problem, parts: Sequence[Part]) -> list[Fit]:
-    """Fits of how the motors may respond, begun from a positive gain.
+def anew(problem: Problem, parts: Sequence[Part]) -> list[Fit]:
+    """Fits of how the motors may respond, begun from the priors and not from the base.
 
-    A response that overshoots, as of yaw with heavy rotors, makes the gain of the base negative,
-    and no step leads back from there once the response is added.
+    A response that overshoots, as of yaw with heavy rotors, draws the base so far away, up to a
+    negative gain, that no step leads back from there once the response is added.
     """
     begun = start_of(problem)
     count = begun.size - len(Structure().noise)
     tries = [
-        partial(fitted_from, problem, Structure((part,)),
-                np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]])
+        partial(fitted_from, problem, Structure((part,)), *(
+            np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
+            for start in part.effect.starts(problem.data, part.settings)))
         for part in parts if part.effect.term == 'response' and not part.effect.motors
-        for start in part.effect.starts(problem.data, part.settings)
     ]
     return [fitted for fitted in side_by_side(tries) if fitted is not None]
 
@@ -170,9 +172,11 @@ class _Search:
         return self.screens[labels]
 
     def keep(self, fitted: Fit) -> Scored:
-        """Store a fit with its score."""
-        one = self.known[frozenset(fitted.structure.labels)] = scored(fitted, self.prices)
-        return one
+        """Store a fit with its score, where it is the better one of its structure."""
+        labels, one = frozenset(fitted.structure.labels), scored(fitted, self.prices)
+        if labels not in self.known or one.score > self.known[labels].score:
+            self.known[labels] = one
+        return self.known[labels]
 
     def best(self) -> Scored:
         """The most probable structure."""
@@ -230,9 +234,8 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
 
 def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     found = _Search(problem, parts, base)
-    for fitted in turned(problem, parts) if base.value('gain') < 0.0 else ():
-        labels = frozenset(fitted.structure.labels)
-        if labels not in found.known or fitted.evidence > found.known[labels].fit.evidence:
+    for fitted in anew(problem, parts):
+        if fitted.evidence > base.evidence + ANEW:
             found.keep(fitted)
     beam = leading(found.known.values())
     for _ in range(MOST_EFFECTS):

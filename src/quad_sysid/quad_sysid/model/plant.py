@@ -409,6 +409,7 @@ class Flight:
         psi (n,): derivative of the innovations by it; logs (2,): of its spread and correlation.
         """
         spread, correlation = np.exp(logs)
+        psi = np.ascontiguousarray(psi)
         out = np.zeros((psi.size, 2))
         out[:, 1] = math.exp(-self.data.dt / correlation)
         for start, stop in self.passes if self.variance else ():
