@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.record import Record, RotorLag, finite_runs
+from quad_sysid.record import SHORT_GAP_S, Record, RotorLag, finite_runs, joined_runs
 
 Span = tuple[int, int]
 
@@ -60,7 +60,7 @@ class AxisData:
     axis: str
     dt: float
     rate: FloatArray
-    """(n,) measured, rad/s."""
+    """(n,) measured, rad/s; a straight line through short gaps, NaN in longer ones."""
     angle: FloatArray | None
     """(n,) measured, rad."""
     control: FloatArray
@@ -79,6 +79,8 @@ class AxisData:
     validation: tuple[Span, ...]
     idle: tuple[Span, ...] = ()
     validation_names: tuple[str, ...] = ()
+    lost: NDArray[np.bool_] | None = None
+    """(n,) whether the rate was not measured; None: only where it is NaN."""
     reference: FloatArray | None = None
     """(n,) external reference of the loop (Record.external); NaN where a record lacks it."""
     time_s: FloatArray | None = None
@@ -208,7 +210,7 @@ def other_axis(data: AxisData, which: int) -> AxisData:
     return replace(
         data, axis=data.other_axes[which], rate=np.ascontiguousarray(data.other_rates[:, which]),
         angle=None, other_rates=np.full_like(data.other_rates, np.nan), other_angles=None,
-        derived_s=None, reference=None, source=None,
+        derived_s=None, reference=None, source=None, lost=None,
     )
 
 
@@ -312,12 +314,13 @@ def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
     nothing, external = np.full(n, np.nan), record.external(axis)
     others = [i for i in range(3) if i != index]
     return {
-        'rate': np.where(good, rate, np.nan),
+        'rate': across_short_gaps(np.where(good, rate, np.nan), record.dt),
+        'lost': ~good,
         'angle': angles[:, index],
         'other_angles': angles[:, others],
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
-        'other_rates': record.rates[:, others],
+        'other_rates': across_short_gaps(record.rates[:, others], record.dt),
         'battery_v': nothing if record.battery_v is None else record.battery_v,
         'reference': nothing if external is None else external,
     }
@@ -325,13 +328,19 @@ def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
     """Runs joined over gaps of at most BRIDGED_S."""
-    joined: list[Span] = []
-    for start, stop in runs:
-        if joined and (start - joined[-1][1]) * dt <= BRIDGED_S:
-            joined[-1] = joined[-1][0], stop
-        else:
-            joined.append((start, stop))
-    return joined
+    return joined_runs(runs, dt, BRIDGED_S)
+
+
+def across_short_gaps(values: FloatArray, dt: float) -> FloatArray:
+    """(n,) or (n, k) with unknown rows interpolated in gaps of at most SHORT_GAP_S."""
+    known = np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
+    if known.all() or not known.any():
+        return values
+    out = np.full_like(values, np.nan)
+    line = filled(values)
+    for start, stop in joined_runs(finite_runs(known, (0, known.size)), dt, SHORT_GAP_S):
+        out[start:stop] = line[start:stop]
+    return out
 
 
 def filled(values: FloatArray) -> FloatArray:

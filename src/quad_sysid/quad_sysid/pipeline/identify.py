@@ -21,6 +21,7 @@ from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.explain import explain
+from quad_sysid.foresight import drawn_hz
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Effect
@@ -34,6 +35,8 @@ from quad_sysid.record import Record
 
 Progress = Callable[[str], None]
 NOT_SEARCHED = 'effects were not searched for'
+DRAWN = (f'{NOT_SEARCHED}, since the commands were interpolated between samples at some '
+         '{:.3g} Hz and cannot carry them (log the commands at the full rate)')
 NOT_FITTED = 'it cannot be fitted beside the base'
 
 
@@ -80,6 +83,9 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     try:
         data = axis_data(records, axis)
         check_usable(data, records)
+        drawn = max(drawn_hz(record.control[:, 1:], record.dt) for record in records)
+        if drawn:
+            options = replace(options, effects=())
         told = found_effects(data, options, progress)
     except NotInformativeError as error:
         warnings = _warnings(records)
@@ -90,9 +96,9 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         )
     base = told.found.base
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
-    searched = bool(options.effects)
-    verdict, reason = told.verdict.verdict, _reason(told, searched=searched)
-    if not searched and verdict != 'cannot_tell':
+    verdict, reason = told.verdict.verdict, _reason(
+        told, DRAWN.format(drawn) if drawn else '' if options.effects else NOT_SEARCHED)
+    if not options.effects and verdict != 'cannot_tell':
         verdict = 'not_searched'
     model = assemble.axis_model(
         told, _gains_of(records), assemble.band_of(data), options.effects
@@ -138,9 +144,11 @@ def found_effects(data: AxisData, options: Options,
         verdict = judge(data, problem, found, ladder)
         return findings(data, problem, found, ladder, verdict)
     except (FloatingPointError, np.linalg.LinAlgError) as error:
+        moved = [float(np.nanstd(data.training(x))) for x in (data.command, data.rate)]
         raise NotInformativeError(
-            f'{data.axis}: no model of this axis can be fitted to the training ({error}); '
-            'look at its command and rate'
+            f'{data.axis}: no model of this axis can be fitted to the training, in which its '
+            f'command moves by {moved[0]:.2g} and its rate by {moved[1]:.2g} rad/s (RMS); excite '
+            'it, and look at its command and rate'
         ) from error
 
 
@@ -163,8 +171,8 @@ def with_own(problem: Problem, found: Found, effects: Sequence[Effect]) -> Found
                    reasons=found.reasons | failed)
 
 
-def _reason(told: Findings, *, searched: bool) -> str:
-    """The verdict's reason in words, with what would help."""
+def _reason(told: Findings, not_searched: str) -> str:
+    """The verdict's reason in words, with what would help; why no effects were sought, if so."""
     verdict, ladder = told.verdict, told.ladder
     reason = verdict.reason
     if verdict.verdict == 'cannot_tell':
@@ -178,8 +186,8 @@ def _reason(told: Findings, *, searched: bool) -> str:
             f'with {names} the model predicts the held-out segments better than the base alone '
             f'(by chance alone: p {_below(max(claim.p_value for claim in verdict.claims))})'
         ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
-    elif not searched:
-        reason = f'{NOT_SEARCHED}: this is the base alone' + (reason and f'; {reason}')
+    elif not_searched:
+        reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')
     else:
         reason = reason or 'no effect predicts the held-out segments better than the base alone'
     kept = verdict.chosen.structure.labels
