@@ -42,7 +42,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        ('--axis sideways', "--axis: invalid choice: 'sideways'"),
+        ('--axis sideways', "axis: must be one of roll, pitch, yaw, all: found 'sideways'"),
         ('--train 0:20 --validate 10:30', 'training and validation overlap'),
         ('--train 100:130', '--train starts after the end'),
         ('--train all', '--train: needs two times'),
