@@ -151,7 +151,7 @@ def test_px4_motors_angles_and_battery(flight, px4):
     check_motion(record, flight, angles=1e-5)
     assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
     assert 'vehicle_attitude_setpoint' in told
-    assert record.gains == ()
+    assert record.gains_at(0.0) == {'sensor.gyro_filter_hz': 40.0}
 
 
 def test_px4_rotors_stand_and_turn_as_its_parameters_say(flight, px4):

@@ -197,7 +197,8 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         )
         told = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')
-        return crafts, _gains(table, scale) if scale else {}, [] if scale else [told]
+        return (crafts, _gains(table, scale) if scale else _gyro_filter(table),
+                [] if scale else [told])
     if torque is None:
         raise BadInputError(
             table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
@@ -279,11 +280,14 @@ def _gains(table: Table, scale: tuple[float, ...]) -> dict[str, float]:
             ('rate.integrator_limit', f'MC_{name[0]}R_INT_LIM', unit),
             ('rate.d_filter_hz', 'IMU_DGYRO_CUTOFF', 1.0),
         )
-    out = gains_of(known, axes)
-    cut = known.get('IMU_GYRO_CUTOFF')
-    if cut and 'vehicle_angular_velocity.xyz[0]' in table.columns:
-        out['sensor.gyro_filter_hz'] = float(cut)
-    return out
+    return gains_of(known, axes) | _gyro_filter(table)
+
+
+def _gyro_filter(table: Table) -> dict[str, float]:
+    """What the rates have passed, whether or not the gains can be stated."""
+    cut = table.header.get('IMU_GYRO_CUTOFF')
+    filtered = cut and 'vehicle_angular_velocity.xyz[0]' in table.columns
+    return {'sensor.gyro_filter_hz': float(cut)} if filtered else {}
 
 
 def _vehicle(table: Table) -> tuple[str, ...]:
