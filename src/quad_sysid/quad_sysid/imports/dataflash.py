@@ -111,13 +111,12 @@ def _clock(found: Mapping[str, NDArray[np.void]]) -> str:
 def _kinds(data: NDArray[np.uint8]) -> dict[int, Kind]:
     """Every message that a whole FMT describes, by its number."""
     out = {}
-    raw = memoryview(data)
     for at in _headers(data, 0, len(data), {FMT}):
         if at + FMT_LENGTH > len(data):
             continue
-        number, length = raw[at + 3], raw[at + 4]
-        name, form, labels = (
-            bytes(raw[at + a : at + b]).rstrip(b'\0') for a, b in ((5, 9), (9, 25), (25, 89)))
+        raw = data[at : at + FMT_LENGTH].tobytes()
+        number, length = raw[3], raw[4]
+        name, form, labels = (raw[a:b].rstrip(b'\0') for a, b in ((5, 9), (9, 25), (25, 89)))
         try:
             kind = _kind(number, length, name.decode('ascii'), form.decode('ascii'),
                          labels.decode('ascii').split(','))

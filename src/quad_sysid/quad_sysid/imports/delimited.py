@@ -323,7 +323,7 @@ def _day(text: str) -> float:
 def _refuse_text(
     cells: Sequence[str], values: FloatArray, numbers: NDArray[np.int64], name: str, source: str
 ) -> None:
-    for k in np.flatnonzero(np.isnan(values)):
+    for k in np.flatnonzero(np.isnan(values)).tolist():
         text = cells[k].strip()
         if text.lower() not in WORDS:
             raise BadInputError(

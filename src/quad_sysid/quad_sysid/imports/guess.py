@@ -181,8 +181,8 @@ class Guess:
 
 def guesses(table: Table) -> Iterator[Guess]:
     """Guesses from names and values of all columns, for each column that may be the time."""
-    for time in _times(table) or [None]:
-        yield guess(table, time)
+    times: Sequence[str | None] = _times(table) or (None,)
+    yield from (guess(table, time) for time in times)
 
 
 def guess(table: Table, time: str | None = None) -> Guess:  # noqa: C901 - option by option

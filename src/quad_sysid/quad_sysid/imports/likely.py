@@ -62,10 +62,10 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
         return [whole] * len(names)  # signed by their spin
     if option == 'acceleration':
         size = max(float(np.nanmedian(np.abs(values))) for values in columns)
-        known = header_unit(names[0], 'acceleration') in UNITS['acceleration']
+        said = header_unit(names[0], 'acceleration') in UNITS['acceleration']
         near = next((unit for unit, (factor, _) in UNITS['acceleration'].items()
                      if 0.5 < size * factor / ONE_G < 2.0), f'{ONE_G / size:.4g}')
-        return ['' if known or near == 'm/s2' else near] * len(names)
+        return ['' if said or near == 'm/s2' else near] * len(names)
     if option == 'battery':
         return ['mV' if float(np.nanmedian(columns[0])) > LARGEST_V else '']
     if option == 'motors' and 1.0 < high <= 2200.0:

@@ -28,7 +28,7 @@ def read_mat(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
         from scipy.io import loadmat
 
         content = loadmat(str(path), squeeze_me=True, struct_as_record=False)
-    vectors = {}
+    vectors: dict[str, FloatArray] = {}
     for name, value in content.items():
         if not name.startswith('__'):
             vectors |= dict(_vectors(name, value))

@@ -17,10 +17,11 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import LAYOUTS, Craft, of_px4
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.experiments import Experiment, runs_of
+from quad_sysid.imports.experiments import runs_of
 from quad_sysid.imports.log import (
     ASKED_FOR,
     RPM,
+    Experiment,
     ForeignLog,
     Reading,
     Stream,

@@ -296,7 +296,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     )
 
 
-def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
+def _prepare(record: Record, axis: str) -> dict[str, Any]:
     """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
     index, n = AXES.index(axis), record.n
     rate, control = record.rates[:, index], record.control
@@ -313,7 +313,7 @@ def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
     angles = np.full((n, 3), np.nan) if record.angles is None else record.angles
     nothing, external = np.full(n, np.nan), record.external(axis)
     others = [i for i in range(3) if i != index]
-    return {
+    out: dict[str, Any] = {
         'rate': across_short_gaps(np.where(good, rate, np.nan), record.dt),
         'lost': ~good,
         'angle': angles[:, index],
@@ -324,6 +324,7 @@ def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
         'battery_v': nothing if record.battery_v is None else record.battery_v,
         'reference': nothing if external is None else external,
     }
+    return out
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
@@ -332,8 +333,10 @@ def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
 
 
 def across_short_gaps(values: FloatArray, dt: float) -> FloatArray:
-    """(n,) or (n, k) with unknown rows interpolated in gaps of at most SHORT_GAP_S."""
-    known = np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
+    """(n,) or (n, k) with unknown samples interpolated in gaps of at most SHORT_GAP_S."""
+    if values.ndim > 1:
+        return np.column_stack([across_short_gaps(column, dt) for column in values.T])
+    known = np.asarray(np.isfinite(values))
     if known.all() or not known.any():
         return values
     out = np.full_like(values, np.nan)
