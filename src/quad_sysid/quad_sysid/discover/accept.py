@@ -257,7 +257,7 @@ def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Ver
     )
     if told:
         verdict, reason = ('effects_added', unexplained(unseen, chosen)) if parts \
-            else _empty(found, ladder, unseen, base)
+            else _empty(ladder, unseen, base)
     probabilities, rivals = _posterior(found, chosen, ladder)
     return Verdict(
         verdict=verdict, reason=reason, base=base, chosen=chosen, claims=tuple(claims),
@@ -400,7 +400,7 @@ def _commands_tell(problem: Problem, unseen: Unseen, fitted: Fit) -> bool:
     return clearly and p_value(np.mean(shares, axis=0)) <= LEVEL
 
 
-def _empty(found: Found, ladder: Ladder, unseen: Unseen, base: Fit) -> tuple[str, str]:
+def _empty(ladder: Ladder, unseen: Unseen, base: Fit) -> tuple[str, str]:
     """Verdict and reason without effects, where the commands predict."""
     left = unexplained(unseen, base)
     if left:
@@ -408,11 +408,6 @@ def _empty(found: Found, ladder: Ladder, unseen: Unseen, base: Fit) -> tuple[str
     if len(ladder.rungs) > 1 and not ladder.answer:
         return 'no_missing_effect', (
             f'the base predicts all but {100.0 - ladder.predicts_pct:.1g} % of the motion'
-        )
-    if found.probabilities()[[not s.fit.structure.parts for s in found.all]].sum() < LEVEL:
-        return 'unexplained_residual', (
-            'the training contradicts the base alone, but no effect is confirmed by the held-out '
-            'segments and comes again in resampled flights'
         )
     return 'no_missing_effect', ''
 
