@@ -124,10 +124,21 @@ class AxisData:
         return tuple(name for name in AXES if name != self.axis)[:2]
 
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
-        """Windows in `spans`, by default of the contract's length, end to end, no partial ones."""
+        """Windows in `spans`, by default of the contract's length, end to end, no partial ones.
+
+        They keep off every gap as off a start, unless that leaves less than half of them: in a
+        log that loses samples throughout, short gaps are none.
+        """
         length = max(2, round(length_s / self.dt))
         settle = round(SETTLE_S / self.dt)
-        starts = [k for a, b in spans for k in range(a + settle, b - length + 1, length)]
+
+        def inside(runs: Sequence[Span]) -> list[int]:
+            return [k for a, b in runs for k in range(a + settle, b - length + 1, length)]
+
+        starts = inside(spans)
+        if self.lost is not None and self.lost.any():
+            apart = inside([run for span in spans for run in finite_runs(~self.lost, span)])
+            starts = apart if 2 * len(apart) >= len(starts) else starts
         return Windows(np.array(starts, dtype=np.int64), length)
 
     @property
