@@ -971,15 +971,16 @@ def read(effect) -> dict[str, str]:
     return {name: unit for name, (_, unit) in told.items()}
 
 
-def test_the_contracts_names_stand_in_the_table_and_its_page_with_their_units():
-    """Every name in docs/what_is_missing.md with its parameters and units, and the matrix."""
+def test_the_contracts_names_stand_in_the_tables_of_the_pages_with_their_units():
+    """Every name with its parameters and units, and the matrix: what is named, what has a form."""
     found = {f'{e.name}.{name}': unit for e in EFFECTS for name, unit in read(e).items()}
     assert {key: found.get(key) for key in UNITS} == UNITS
     named = {e.name for e in EFFECTS if e.kind == 'named'}
     assert named == {key.split('.')[0] for key in UNITS}
-    page = Path(__file__).resolve().parents[2] / 'docs' / 'what_is_missing.md'
+    docs = Path(__file__).resolve().parents[2] / 'docs'
     rows, cells = {}, {}
-    for line in page.read_text(encoding='utf-8').splitlines():
+    pages = (docs / name for name in ('what_is_missing.md', 'theory.md'))
+    for line in (line for page in pages for line in page.read_text('utf-8').splitlines()):
         parts = [cell.strip() for cell in line.strip('|').split('|')]
         if len(parts) == 5 and parts[0].startswith('`'):
             rows[parts[0].strip('`')] = parts[2]
