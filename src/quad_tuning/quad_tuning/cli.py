@@ -103,6 +103,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
+    model = model.predicting
     if arguments.method == 'pid':
         proposal = design(model)
         gains = None if proposal.gains is None else dict(proposal.gains)

@@ -159,7 +159,7 @@ class Unseen:
     def p_value(self, fitted: Fitted, other: Fitted) -> float:
         """Chance of this much evidence for a model against another if it predicts no better.
 
-        Each block of BLOCK_S counts by its balance of the free runs of both lengths and of the
+        Each window of the metric counts by its balance of the free runs of both lengths and of the
         likelihood of the next sample: where gusts rule long windows, short ones may tell.
         """
         long, short = (shares_of(*pair) for pair in self.squares(other, fitted))
