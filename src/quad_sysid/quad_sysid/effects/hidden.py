@@ -208,8 +208,8 @@ class Load(Effect):
         self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
         begun: FloatArray | None = None,
     ) -> FloatArray:
-        out, (pull, moved) = np.zeros((2, s.rate.size)), self._inputs(s, p)
-        out[1] = moved
+        pull, moved = self._inputs(s, p)
+        out = np.stack([np.zeros_like(moved), moved]) if begun is None else begun.copy()
         w = 2.0 * math.pi * float(p[0])
         for start, stop in stretches:
             recursion.loose(pull, moved, w, float(p[1]), s.dt, start, stop, out)
@@ -360,7 +360,7 @@ class Memory(Shape, Linear):
         return self._push(signal_of(s, self.signal), settings)
 
     def settled(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return np.full((1, *s.time.shape), 0.0 if self.leans else 1.0)
+        return self.driver(s, settings)[None] if self.leans else np.ones((1, *s.time.shape))
 
     def factors(self, p: FloatArray, settings: Settings) -> FloatArray:
         """Factors on what it changes, cold and warm."""

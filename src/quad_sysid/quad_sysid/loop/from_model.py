@@ -19,6 +19,7 @@ from scipy.linalg import logm
 
 from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray, motors_from_wrench
 from quad_sysid.effects.actuators import Following
+from quad_sysid.effects.hidden import Linear
 from quad_sysid.effects.hidden import Memory as Warming
 from quad_sysid.estimate.stored import fitted_of, part_of
 from quad_sysid.loop.plant import SHORTEST_LAG_S, Curve, LoopPlant, Memory, SlowMotors
@@ -45,7 +46,7 @@ WIDE, NEAR_REST = (4.0, 0.35, 0.3), (0.3, 0.05, 0.03)
 """Amplitudes of rate (rad/s), angle (rad) and command at which a loop is linearised."""
 TONES = (0.41, 1.0, 2.17)
 """Frequencies of the motion that a memory sees meanwhile, over rate / angle."""
-SWINGS = 12
+SWINGS = 4
 """Number of swings of the slowest of them."""
 SLOW_HZ = 10.0
 """What repeats itself slower than this is no vibration to a loop: its worst case counts."""
@@ -223,17 +224,16 @@ def _beside(model: AxisModel, one: Placed, at: Mapping[str, float],
 
     start = one.signals(at, 1, dt=dt, motors=tuple(np.full((4, 1), at['throttle'])))
     rest = effect.settled(start, p, settings)[:, 0]
-    if m > FEW_STATES:
-        steps = SMALL * np.eye(m + 3)
-        s = seen(*steps[:, m:].T)
-        x = rest[:, None] + steps[:, :m].T
-        ahead = effect.advance(x, s, p, settings).T
-        given = required(effect.torque(replace(s, hidden=x), p, settings))
-        still = seen(*np.zeros((3, 1)))
-        still_ahead = effect.advance(rest[:, None], still, p, settings)[:, 0]
-        still_given = required(effect.torque(replace(still, hidden=rest[:, None]), p, settings))
-        slopes = np.column_stack([ahead - still_ahead, given - still_given]) / SMALL
-    else:
+
+    def after(x: FloatArray, s: Signals) -> FloatArray:
+        """(n, m + 1) the states a cycle later, and the torque meanwhile."""
+        torque = required(effect.torque(replace(s, hidden=x), p, settings))
+        return np.column_stack([effect.advance(x, s, p, settings).T, torque])
+
+    steps = SMALL * np.eye(m + 3)
+    still = after(rest[:, None], seen(*np.zeros((3, 1))))
+    slopes = (after(rest[:, None] + steps[:, :m].T, seen(*steps[:, m:].T)) - still) / SMALL
+    if m <= FEW_STATES:
         w = level[0] / level[1]
         t = dt * np.arange(max(64, math.ceil(SWINGS * 2.0 * np.pi / (w * TONES[0] * dt))))
         phases = np.outer(t, w * np.array(TONES))
@@ -242,12 +242,12 @@ def _beside(model: AxisModel, one: Placed, at: Mapping[str, float],
         rate = level[0] * size * (np.cos(phases) * TONES).sum(axis=1)
         drive = gain * level[2] * size * np.sin(1.13 * phases + 1.0).sum(axis=1)
         s = seen(rate, angle, drive)
-        begun = np.repeat(rest[:, None], t.size, axis=1)
-        x = effect.trace(s, p, settings, ((0, t.size),), begun)
-        given = required(effect.torque(replace(s, hidden=x), p, settings))
-        ahead = effect.advance(x, s, p, settings)
-        known = np.column_stack([x.T, rate, angle, drive, np.ones(t.size)])
-        slopes = np.linalg.lstsq(known, np.column_stack([ahead.T, given]), rcond=None)[0][:-1]
+        x = effect.trace(s, p, settings, ((0, t.size),), np.repeat(rest[:, None], t.size, axis=1))
+        known = np.column_stack([(x - rest[:, None]).T, rate, angle, drive, np.ones(t.size)])
+        sizes = np.maximum(np.linalg.norm(known, axis=0), 1e-300)
+        moved = np.linalg.lstsq(known / sizes, after(x, s), rcond=None)[0][:-1] / sizes[:-1, None]
+        first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
+        slopes[:, first:] = moved[:, first:]
     return [_continuous(slopes[:m, :m].T, slopes[m:, :m].T, slopes[:m, m], slopes[m:, m], dt)]
 
 

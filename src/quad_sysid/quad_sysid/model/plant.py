@@ -241,6 +241,29 @@ class Plant:
         angle = None if x.angle is None else x.angle + dt / 6.0 * (r + 4.0 * bent + new)
         return Turning(new, angle, seen, hidden)
 
+    def flat(self, x: State) -> FloatArray:
+        """(states, w) all numbers of a state, one below the other."""
+        turning = x.turning
+        hidden = [known for known in (*turning.hidden, *x.hidden) if known is not None]
+        angle = [] if turning.angle is None else [turning.angle[None]]
+        parts = [turning.rate[None], *angle, turning.seen, x.motors, *x.line, *hidden]
+        return np.concatenate(parts)
+
+    def unflat(self, numbers: FloatArray, like: State) -> State:
+        """The inverse, for states of the shapes of another."""
+        rest = iter(numbers)
+
+        def taken(shape: FloatArray | None) -> FloatArray | None:
+            return None if shape is None else np.stack([next(rest) for _ in shape])
+
+        turning = like.turning
+        rate = next(rest)
+        angle = None if turning.angle is None else next(rest)
+        seen, motors = required(taken(turning.seen)), required(taken(like.motors))
+        line = np.stack([required(taken(one)) for one in like.line])
+        own, sent = (tuple(map(taken, one)) for one in (turning.hidden, like.hidden))
+        return State(Turning(rate, angle, seen, own), motors, line, sent)
+
     def measured(self, x: State) -> tuple[FloatArray, FloatArray | None]:
         """Rate and angle as the gyro and what integrates it show them, without noise."""
         rate, angle, (g, slope), _ = x.turning

@@ -31,7 +31,7 @@ def between(x, knots, values):
 
 @njit(**_OPTIONS)
 def motor_ahead(w, new, before, tau, factors, fraction, dt, known, out):
-    """A motor's lagged command w a cycle later, where the command changes after a `fraction` of it.
+    """A motor's lagged command w a cycle later, whose command changes after a `fraction` of it.
 
     tau s, times the exponential of a curve over how far the motor has to go, factors (2, k) its
     knots and values. out (4,) receives the areas over both halves of the cycle, w and the command
