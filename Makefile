@@ -1,5 +1,6 @@
 # One command each; all of them make the workspace ready first (tools/set_up.sh: venv, pinned
-# packages, colcon build), which costs nothing where nothing changed.
+# packages, colcon build), which costs nothing where nothing changed. What only tests, linters and
+# documentation need is installed with the first of them.
 #
 #   PYTHON=/path/to/python3.X   interpreter for the venv (3.10 to 3.13; default: python3)
 #   ARGS='...'                  more arguments for what is started
@@ -16,7 +17,7 @@ ARGS ?=
 # cache of bytecode, also where the shell has it switched off
 PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup
 
-.PHONY: help demo flight qemu pictures test test-qemu test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood bench-outside wheel docs lock shell clean
+.PHONY: build-test build-lint build-docs help demo flight qemu pictures test test-qemu test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood bench-outside wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -42,19 +43,22 @@ pictures:  ## renew the pictures of README and docs from the last demo_out/
 	@cp demo_out/report/pictures/roll_effect_shape.png docs/images/missing_torque.png
 	@ls -l docs/images/*.png
 
-test: build  ## all tests but those below, two more at once than there are cores
+test: build-test  ## all tests but those below, two more at once than there are cores
 	@$(PYTEST) $(ARGS)
 
-test-qemu: build  ## the STM32's ELF in QEMU: gains under faults, and the whole loop (two minutes)
+test-qemu: build-test  ## the STM32's ELF in QEMU: gains under faults, and the whole loop (two minutes)
 	@$(PYTEST) -m qemu $(ARGS)
 
-test-long: build  ## soaks, studies and sweeps alone (an hour or more)
+test-long: build-test  ## soaks, studies and sweeps alone (an hour or more)
 	@$(PYTEST) -m long $(ARGS)
 
 build:  ## venv with the pinned packages and colcon build into install/
 	@tools/set_up.sh
 
-lint: build  ## ruff, mypy --strict, mypy for benchmarks, the import rules; the firmware's C with clang and cppcheck
+build-test build-lint build-docs:
+	@tools/set_up.sh $(@:build-%=%)
+
+lint: build-lint  ## ruff, mypy --strict, mypy for benchmarks, the import rules; the firmware's C with clang and cppcheck
 	@$(RUN) status=0; \
 	ruff check --output-format concise $(SOURCES) || status=1; \
 	mypy || status=1; \
@@ -90,7 +94,7 @@ bench-link: build  ## decoder fuzzed, clock studied, link under load (15 minutes
 bench-log: build  ## what the log loses under load and when killed, how fast bags are read (10 min)
 	@$(RUN) exec python bench/log.py $(ARGS)
 
-docs: build  ## the documentation as a site in site/, links checked
+docs: build-docs  ## the documentation as a site in site/, links checked
 	@$(RUN) exec python -m mkdocs build --clean --quiet
 
 wheel: build  ## wheels of the part that needs no ROS, in dist/
@@ -98,13 +102,17 @@ wheel: build  ## wheels of the part that needs no ROS, in dist/
 	    python -m pip wheel --quiet --no-deps --no-build-isolation \
 	        --wheel-dir dist src/$$package; rm -rf src/$$package/build; done; ls dist/*.whl
 
+PIN := uv pip compile -q --no-annotate --no-header --no-emit-index-url --no-emit-find-links
+FOR_ALL := $(PIN) --universal --python-version 3.10
+OURS := sed -E "/(; |and )[a-z_]+ == '(win32|darwin|pypy)'$$/d"
 lock:  ## pin anew what requirements/*.in ask for (needs uv and a network)
-	@cd requirements && \
-	uv pip compile -q -U --universal --python-version 3.10 --no-annotate --no-header \
-	    --no-emit-index-url --no-emit-find-links ros-wheels.in | \
-	    sed -E "/(win32|darwin|pypy)'$$/d" >ros-wheels.txt && \
-	uv pip compile -q -U --python-version 3.12 --no-annotate --no-header \
-	    --no-emit-index-url --no-emit-find-links jazzy.in >jazzy.txt
+	@cd requirements && every=$$(mktemp) common=$$(mktemp) && trap 'rm "$$every" "$$common"' EXIT && \
+	$(FOR_ALL) ros-wheels.in test.in lint.in docs.in >"$$every" && \
+	$(FOR_ALL) -c "$$every" ros-wheels.in | $(OURS) >ros-wheels.txt && \
+	$(FOR_ALL) -c "$$every" build.in >"$$common" && \
+	for name in test lint docs; do \
+	    $(FOR_ALL) -c "$$every" build.in $$name.in | grep -vxFf "$$common" | $(OURS) >$$name.txt; done && \
+	$(PIN) --python-version 3.12 jazzy.in >jazzy.txt
 
 shell: build  ## a shell with the venv and the workspace sourced
 	@$(RUN) exec bash --norc

@@ -21,9 +21,19 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))  # probe, node_process, flown_axis …
 
 from node_process import Started, node_command
+from nursery import Nursery
 from probe import Probe
 
 from quad_tuning.demo.processes import own_domain
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # as in a script's background: ignored here too, but by the default in what tests start
+    signal.signal(signal.SIGINT, lambda *_: None)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest first, so that none begins when the others are done."""
+    items.sort(key=lambda item: item.get_closest_marker('timeout') is None)
 
 
 @pytest.fixture
@@ -53,22 +63,36 @@ def workspace(ros: None) -> None:
 
 
 @pytest.fixture
-def probe(ros: None, ros_domain: int, tmp_path: Path) -> Iterator[Probe]:
+def probe(ros: None, ros_domain: int, tmp_path: Path, nursery: Nursery) -> Iterator[Probe]:
     """A participant in the test's ROS domain; see probe.py."""
     del ros, ros_domain
-    probe = Probe(tmp_path)
+    probe = Probe(tmp_path, nursery)
     yield probe
     assert probe.close() == 0, (tmp_path / 'probe.stderr').read_text()
 
 
+@pytest.fixture(scope='session')
+def nursery() -> Iterator[Nursery]:
+    """Forks our programs, which it has imported."""
+    nursery = Nursery()
+    yield nursery
+    nursery.close()
+
+
 @pytest.fixture
-def run(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable]:
-    """A function that starts a command, which is ended where it still runs in the end."""
+def run(
+    ros_domain: int, tmp_path_factory: pytest.TempPathFactory, nursery: Nursery
+) -> Iterator[Callable]:
+    """A function that starts a command, which is ended where it still runs in the end.
+
+    `fresh`: with a Python of its own, also where it is one of our programs.
+    """
     del ros_domain
     started, folder, number = [], tmp_path_factory.mktemp('processes'), itertools.count()
 
-    def begin(*command: object, **options: object) -> Started:
-        started.append(Started(command, folder / f'{next(number)}', **options))
+    def begin(*command: object, fresh: bool = False, **options: object) -> Started:
+        by = None if fresh or 'LD_PRELOAD' in os.environ else nursery
+        started.append(Started(command, folder / f'{next(number)}', by, **options))
         return started[-1]
 
     yield begin

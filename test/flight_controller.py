@@ -54,7 +54,7 @@ import numpy as np
 from quad_bridge.gains.protocol import GainProtocol
 from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.link.machine import Link
-from quad_bridge.link.stamping import Restarted, Stamped
+from quad_bridge.link.stamping import Described, Restarted, Stamped
 from quad_bridge.virtual.native import library
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
@@ -375,6 +375,7 @@ class Line:
         self.up, self.down = Direction((1, 191)), Direction((1, 1))
         self.out = []
         """What the link has stamped."""
+        self.described: Described | None = None
         self.steps, self.host0_ns = 0, host0_ns
         self.delay, self._way = 0, deque()
         """Cycles that each cycle is on its way; answers are not."""
@@ -432,6 +433,8 @@ class Line:
         """What the node does with one event."""
         if isinstance(event, Stamped):
             self.out.append(event)
+        elif isinstance(event, Described):
+            self.described = event
         elif isinstance(event, Restarted):
             self.gains.restart()
         elif isinstance(event.frame, (f.ParamValue, f.GainsState)):
@@ -568,6 +571,33 @@ class Socket:
         for part in (self.peer, self.server):
             if part is not None:
                 part.close()
+
+
+class Datagrams:
+    """A UDP socket that waits for a bridge and answers it; `url` is the bridge's `port`."""
+
+    def __init__(self):
+        self.socket, self.peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), None
+        self.socket.bind(('127.0.0.1', 0))
+        self.socket.setblocking(False)
+        self.url = f'udp://127.0.0.1:{self.socket.getsockname()[1]}'
+
+    def fileno(self):
+        return self.socket.fileno()
+
+    def read(self):
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            data, self.peer = self.socket.recvfrom(65536)
+            return data
+        return b''
+
+    def write(self, data):
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            return self.socket.sendto(data[:1400], self.peer) if self.peer else len(data)
+        return 0
+
+    def close(self):
+        self.socket.close()
 
 
 class _Runner(threading.Thread):

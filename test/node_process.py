@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from nursery import Nursery
 from probe import PATIENCE_S
 from rosbags.highlevel import AnyReader
 
@@ -23,6 +25,15 @@ STARTS = {
     'virtual_stm32': 'quad_bridge.start',
 }
 """Programs by name, and where `ros2 run` would begin."""
+MODULES = {
+    'serial_bridge': 'quad_bridge.nodes.serial_bridge',
+    'bag_logger': 'quad_bridge.nodes.bag_logger',
+    'monitor': 'quad_bridge.nodes.monitor',
+    'excitation': 'quad_sysid.excitation_node',
+    'identification': 'quad_sysid.identification_node',
+    'virtual_stm32': 'quad_bridge.virtual.process',
+}
+"""What they import first."""
 GRACE_S = 30.0
 """So long may a process take to end before it is killed; measures nothing."""
 
@@ -74,12 +85,24 @@ def until(
 class Started:
     """A running process; what it says goes into files, so that it never waits for who reads."""
 
-    def __init__(self, command: Sequence[object], files: Path, **options: Any) -> None:
+    def __init__(
+        self, command: Sequence[object], files: Path, nursery: Nursery | None = None,
+        **options: Any,
+    ) -> None:
+        """`nursery`: forks it where it is one of our programs."""
         self._out, self._err = files.with_suffix('.out'), files.with_suffix('.err')
-        with self._out.open('w') as out, self._err.open('w') as err:
-            self.process = subprocess.Popen(
-                [str(word) for word in command], **{'stdout': out, 'stderr': err, **options}
-            )
+        words = [str(word) for word in command]
+        name = next((n for n in MODULES if f' import {n} as start' in ' '.join(words[2:3])), '')
+        none = Path(os.devnull)
+        with self._out.open('w') as out, self._err.open('w') as err, none.open() as given:
+            if nursery is None or not name or words[:2] != [sys.executable, '-c']:
+                options = {'stdout': out, 'stderr': err, **options}
+                self.process: Any = subprocess.Popen(words, **options)
+            else:
+                streams = [given.fileno(), options.pop('stdout', out.fileno()),
+                           options.pop('stderr', err.fileno())]
+                self.process = nursery.fork([MODULES[name]], *words[2:3], words[3:], streams,
+                                            **options)
         self.pid = self.process.pid
 
     @property
@@ -119,7 +142,7 @@ class Started:
 
     def kill(self) -> None:
         self.process.kill()
-        self.process.wait()
+        self.process.wait(PATIENCE_S)
 
     def until(self, condition: Callable[[], object], what: object = '') -> None:
         """Wait for a condition as long as the process lives."""

@@ -1,25 +1,30 @@
 """The tests' one participant in ROS: a process of its own that hears, publishes and calls.
 
-`python probe.py` takes one JSON object per line and answers in lines; `Probe` is its client. No
+Its process takes one JSON object per line and answers in lines; `Probe` is its client. No
 test imports rclpy: a fault in the middleware ends the probe and one test, never the run.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
+import os
 import signal
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nursery import Nursery
 
 PATIENCE_S = 500.0
 """A bound on whatever is waited for, so long that no busy machine reaches it; measures nothing."""
+RUN = 'import faulthandler, probe; faulthandler.enable(); probe.main()'
 TRIGGER = 'std_srvs/srv/Trigger'
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
 KINDS = {bool: (1, 'bool_value'), int: (2, 'integer_value'), float: (3, 'double_value'),
@@ -52,12 +57,15 @@ class Probe:
     """A participant in the ROS domain of the environment. What it has heard are plain objects with
     the fields of the messages; NaN is NaN, a byte is a number."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, nursery: Nursery) -> None:
         self._said = (folder / 'probe.stderr').open('w+', encoding='utf-8')
-        self._process = subprocess.Popen(
-            [sys.executable, '-X', 'faulthandler', __file__], stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE, stderr=self._said, text=True,
-        )  # fmt: skip
+        theirs, ours = os.pipe()
+        answers, told = os.pipe()
+        self._asks, self._tells = os.fdopen(ours, 'w'), os.fdopen(answers)
+        streams = theirs, told, self._said.fileno()
+        self._process = nursery.fork(['rclpy', 'probe'], RUN, [], streams)
+        for number in (theirs, told):
+            os.close(number)
         self.pid = self._process.pid
         self._heard: dict[str, list[Any]] = {}
         self._answers: dict[int, Answer] = {}
@@ -157,14 +165,15 @@ class Probe:
 
     def close(self) -> int:
         """End the process; its exit status."""
-        with self._process:
-            self._process.stdin.close()
-            try:
-                return self._process.wait(PATIENCE_S)
-            finally:
-                self._process.kill()
-                self._reader.join()
-                self._said.close()
+        with contextlib.suppress(BrokenPipeError):
+            self._asks.close()
+        try:
+            return self._process.wait(PATIENCE_S)
+        finally:
+            self._process.kill()
+            self._reader.join()
+            self._tells.close()
+            self._said.close()
 
     def _do(self, name: str, **about: Any) -> Any:
         return self.answer(self._send(name, **about))
@@ -173,14 +182,14 @@ class Probe:
         number = len(self._answers)
         self._answers[number] = answer = Answer(f'{name} {about}')
         try:
-            self._process.stdin.write(json.dumps({'do': name, 'number': number, **about}) + '\n')
-            self._process.stdin.flush()
+            self._asks.write(json.dumps({'do': name, 'number': number, **about}) + '\n')
+            self._asks.flush()
         except OSError as error:
             raise AssertionError(f'the probe has ended: {self.words()[-2000:]}') from error
         return answer
 
     def _read(self) -> None:
-        for line in self._process.stdout:
+        for line in self._tells:
             told = json.loads(line, object_hook=lambda pairs: SimpleNamespace(**pairs))
             if hasattr(told, 'number'):
                 self._answers[told.number].take(told)
@@ -425,7 +434,3 @@ def main() -> None:
     server.executor.shutdown()
     server.node.destroy_node()
     rclpy.shutdown()
-
-
-if __name__ == '__main__':
-    main()

@@ -1,3 +1,4 @@
+#!/usr/bin/env python
 """`ros2 run` and `ros2 service call` for a shell of `make shell` where ROS 2 itself is missing.
 
 The rclpy wheels bring no `ros2` command. Nothing else of it is imitated here: launch files, `ros2

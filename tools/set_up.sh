@@ -4,9 +4,10 @@
 # depends on is unchanged, so a second call takes a fraction of a second and no network. No test is
 # run and no node started here.
 #
-#   tools/set_up.sh            venv and build
-#   tools/set_up.sh venv       the venv alone
+#   tools/set_up.sh [test] [lint] [docs]    venv and build, and the packages that these need
+#   tools/set_up.sh venv                    the venv alone
 #
+# Packages are installed by uv, which is fetched where it is missing, and by pip where uv fails.
 # PYTHON=/path/to/python3.X chooses the interpreter (3.10 to 3.13).
 set -u -o pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
@@ -77,6 +78,22 @@ commands() {  # quad-sysid and quad-tune in .venv/bin, which need nothing source
     done
 }
 
+uv_there() {  # sets uv, to the one of the shell or to one of the venv's own
+    for uv in uv .venv/bin/uv; do
+        "$uv" --version >>"$LOG" 2>&1 && return
+    done
+    .venv/bin/python -m pip install --no-input --retries 1 uv >>"$LOG" 2>&1 && uv=.venv/bin/uv
+}
+
+install() {  # a list of exact versions: every package that is needed stands in it
+    if uv_there && "$uv" pip install --quiet --python .venv/bin/python --no-deps -r "$1" \
+        >>"$LOG" 2>&1; then
+        return
+    fi
+    run_logged "pip could not install $1" \
+        .venv/bin/python -m pip install --no-deps --no-input --disable-pip-version-check -r "$1"
+}
+
 make_venv() {
     local lock want flags=()
     if with_ros; then
@@ -90,17 +107,27 @@ make_venv() {
     [ "$(cat .venv/packages.stamp 2>/dev/null)" = "$want" ] && .venv/bin/python -c '' && return
 
     choose_python
-    say "Python $(version_of "$python"), venv in .venv, packages of $lock (a minute or two)"
+    say "Python $(version_of "$python"), venv in .venv, packages of $lock"
     rm -rf .venv
     mkdir .venv
-    run_logged "cannot make a venv (on Debian and Ubuntu: apt install python3-venv)" \
-        "$python" -m venv "${flags[@]+"${flags[@]}"}" .venv
-    run_logged "pip could not install $lock" \
-        .venv/bin/python -m pip install --no-deps --no-input --disable-pip-version-check -r "$lock"
+    uv venv --quiet --seed --allow-existing "${flags[@]+"${flags[@]}"}" \
+        --python "$("$python" -c 'import sys; print(sys.executable)')" .venv >>"$LOG" 2>&1 ||
+        run_logged "cannot make a venv (on Debian and Ubuntu: apt install python3-venv)" \
+            "$python" -m venv "${flags[@]+"${flags[@]}"}" .venv
+    install "$lock"
     if ! with_ros; then
-        run_logged "rclpy cannot be imported" .venv/bin/python -c 'import rclpy'
+        run_logged "rclpy cannot be imported" env PYTHONDONTWRITEBYTECODE= .venv/bin/python -c 'import rclpy'
     fi
     echo "$want" >.venv/packages.stamp
+}
+
+more_packages() {  # what tests, linters or the documentation need as well
+    local lock=requirements/$1.txt want
+    want=$(digest <"$lock")
+    [ "$(cat ".venv/$1.stamp" 2>/dev/null)" = "$want" ] && return
+    say "packages of $lock"
+    install "$lock"
+    echo "$want" >".venv/$1.stamp"
 }
 
 build() {
@@ -141,33 +168,49 @@ firmware() {  # the Linux build of firmware/, which the virtual STM32 flies
     echo "$want" >firmware/build/build.stamp
 }
 
-compile() {  # fills numba's cache, which follows changes of a function's own file only
-    local want
+compile() {  # package, command...: fills numba's cache, which follows a function's own file only
+    local package=$1 want
+    shift
     want=$({
         grep -m 1 'model name' /proc/cpuinfo
-        cat .venv/packages.stamp tools/warm_up.py
-        grep -lrE '^(from|import) numba|compiled import' src --include='*.py' | sort | xargs cat
+        cat .venv/packages.stamp tools/set_up.sh tools/warm_up.py
+        grep -lrE '^(from|import) numba|compiled import' "src/$package" --include='*.py' | sort | xargs cat
     } | digest)
-    [ "$(cat .venv/compiled.stamp 2>/dev/null)" = "$want" ] && return
-    say 'compiling what numba compiles (a minute)'
-    find src/quad_sysid -name '*.nb[ic]' -delete
-    if PYTHONPATH=$(printf '%s:' "$PWD"/src/quad_{bridge,sysid,tuning}) \
-        .venv/bin/python tools/warm_up.py >.venv/compile.log 2>&1; then
-        echo "$want" >.venv/compiled.stamp
+    [ "$(cat ".venv/$package.stamp" 2>/dev/null)" = "$want" ] && return
+    say "compiling what numba compiles of $package"
+    find "src/$package" -name '*.nb[ic]' -delete
+    # bytecode is kept whatever the shell says, since uv leaves it to the first import
+    if PYTHONDONTWRITEBYTECODE='' PYTHONPATH=$(printf '%s:' "$PWD"/src/quad_{bridge,sysid,tuning}) \
+        "$@" >".venv/$package.log" 2>&1; then
+        echo "$want" >".venv/$package.stamp"
     else
-        say 'not all could be compiled, first uses will take longer (see .venv/compile.log)'
+        say "not all could be compiled, first uses will take longer (see .venv/$package.log)"
     fi
 }
 
+groups=("$@")
+for group in "${groups[@]+"${groups[@]}"}"; do
+    case $group in
+        venv | test | lint | docs) ;;
+        *) fail "no packages are known for $group; there are test, lint, docs" ;;
+    esac
+done
+if command -v flock >/dev/null; then  # two at once, as of make -j lint docs, would meet in the venv
+    exec 9<tools/set_up.sh
+    flock 9
+fi
 make_venv
 commands
 [ "${1:-}" = venv ] && exit
-firmware
-set -m  # the warm-up is a process group of its own, so that all of it ends with a failed build
-compile &
-warm_up=$!
+for group in "${groups[@]+"${groups[@]}"}"; do
+    more_packages "$group"
+done
+set -m  # a process group of its own, so that all of it ends with a failed build
+{ firmware && compile quad_bridge .venv/bin/python tools/warm_up.py; } &
+beside=$!
 set +m
-trap 'kill -- "-$warm_up" 2>/dev/null' EXIT
+trap 'kill -- "-$beside" 2>/dev/null' EXIT
 build
-wait
+compile quad_sysid .venv/bin/quad-sysid compile
+wait "$beside" || exit
 trap - EXIT

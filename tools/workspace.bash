@@ -7,8 +7,4 @@ fi
 set +u
 . install/local_setup.bash
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
-if ! type ros2 >/dev/null 2>&1; then  # the wheels bring rclpy but no ros2 command
-    export QUAD_ROS2=$PWD/tools/ros2_stand_in.py
-    ros2() { python "$QUAD_ROS2" "$@"; }
-    export -f ros2
-fi
+export PATH=$PATH:$PWD/tools/bin  # last: its ros2 is for wheels, which bring rclpy but no such command

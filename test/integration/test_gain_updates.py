@@ -172,7 +172,7 @@ def bench(tmp_path: Path, ros_domain: int, probe: Probe) -> Iterator[Bench]:
         yield Bench(crew, probe)
 
 
-def test_updates_parameters_services_and_a_killed_bridge(bench):
+def test_updates_parameters_services_a_killed_bridge_and_the_second_control_mode(bench, tmp_path):
     bench.start(polarity='manual', sources=['test', 'a flood', 'ros2 *', 'quad-tune*'])
     bench.ask({KP: 0.1})
     bench.said('call ~/check_polarity')
@@ -198,9 +198,7 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bench.said('rolled back, old gains: quad-tune rollback asked for it')
     bench.active(OLD)
 
-    for bad, words in (
-        (math.nan, 'finite'), (math.inf, 'finite'), (-3.0, 'must lie in'), (99.0, 'must lie in'),
-    ):  # fmt: skip
+    for bad, words in ((math.nan, 'finite'), (99.0, 'must lie in')):
         assert words in bench.set(ANGLE, bad).reason
     assert bench.set(ANGLE, 5.0).successful
     bench.active({ANGLE: 5.0})
@@ -212,20 +210,18 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bench.heard.clear()
     bench.told.clear()
     bench.rest(2.5)
-    bench.start_bridge(polarity='manual')
+    bench.start_bridge(sources=['test', 'quad-tune*'], polarity='off')
     bench.active({ANGLE: 3.0})
     sets = [entry['gains'][ANGLE] for entry in bench.history() if 'gains' in entry]
     assert sets == [3.0, 4.0, 3.0, 5.0, 3.0]
 
-
-def test_the_second_control_mode_comes_in_by_quarters_and_goes_back_at_once(bench, tmp_path):
+    # the second control mode comes in by quarters and goes back at once
     design = tmp_path / 'gains.json'
     proposal = propose_lqr(paper_model())
     axes = {'roll': {'gains': proposal.gains, 'figures': proposal.figures}}
     design.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
-    bench.start(sources=['test', 'quad-tune*'], polarity='off')
     bench.quad_tune('send', design, gives={'roll.lqr.share': 1.0})
-    sets = [entry['gains'] for entry in bench.history() if 'gains' in entry]
+    sets = [entry['gains'] for entry in bench.history() if 'gains' in entry][4:]
     shares = [gains['roll.lqr.share'] for gains in sets]
     assert shares[:3] == pytest.approx([0.0, 0.25, 0.5], rel=1e-3)
     assert (shares[-1], max(shares)) == (1.0, 1.0)

@@ -13,18 +13,19 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from quad_bridge.gains.motor_places import MIXER, where_motors_are
+from quad_bridge.craft import X
 from quad_bridge.gains.polarity import MOTOR_CHANNELS, PulseRun, merge_motors
 from quad_sysid import contract
 from quad_sysid.motor_layout import patterns_of, places
 
 DT = 0.004
-WHERE = np.array(MIXER, dtype=float)
+WHERE = np.array(X.signs, dtype=float)
 """(4, 3): what a motor at each place of the contract does to roll, pitch and yaw."""
 
 
 def test_both_have_the_contracts_mixer():
-    np.testing.assert_array_equal(np.sign(contract.MIXER[:, 1:]), WHERE)
+    np.testing.assert_array_equal(contract.MIXER, X.mixer)
+    np.testing.assert_array_equal(contract.MIXER_INVERSE, X.inverse)
 
 
 @pytest.mark.parametrize('order', list(permutations(range(4)))[::5])
@@ -46,7 +47,7 @@ def test_they_agree_on_every_order(order, out):
     known = merge_motors({}, check.answers)
     wanted = [[known[f'motor_{k + 1}'][axis] for k in range(4)] for axis in contract.AXES]
     assert wanted == does.T.astype(int).tolist()
-    assert (where_motors_are(known)[1] == []) == (order == (0, 1, 2, 3) and out > 0.0)
+    assert (X.where_motors_are(known)[1] == []) == (order == (0, 1, 2, 3) and out > 0.0)
     found = patterns_of(np.array(rates), np.array(motors), DT)
     assert [list(p.signs) for p in found] == wanted
-    assert places([replace(p, certain=True) for p in found]) == where_motors_are(known)
+    assert places([replace(p, certain=True) for p in found], X) == X.where_motors_are(known)

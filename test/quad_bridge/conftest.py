@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import os
 import shutil
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Receiver
 from quad_bridge.wire.frames import Cycle, GainsState, ParamValue, RcChannels
 
+ROOT = Path(__file__).resolve().parents[2]
 # the same examples on every machine and in every run
 settings.register_profile(
     'fixed', derandomize=True, deadline=None, database=None, max_examples=200
@@ -150,22 +150,23 @@ def bench(tmp_path):
 
 
 @pytest.fixture(scope='session')
-def firmware(tmp_path_factory):
-    """A function that builds a target of firmware/Makefile and gives its path."""
+def firmware():
+    """A function that builds a target of firmware/Makefile and gives its path.
+
+    It stays for the next run, as what `make` makes does.
+    """
     missing = [tool for tool in ('gcc', 'make') if shutil.which(tool) is None]
     if missing:
         pytest.skip(f'no {missing[0]} here')
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if 'PYTEST_XDIST_WORKER' in os.environ else base) / 'firmware'
-    folder.mkdir(exist_ok=True)
+    folder = ROOT / 'build/firmware_test'
+    folder.mkdir(parents=True, exist_ok=True)
 
     def build(target):
-        source = Path(__file__).resolve().parents[2] / 'firmware'
         with (folder / 'lock').open('w') as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)  # one of pytest's workers builds for all
             made = subprocess.run(
-                ['make', '-s', '-C', source, f'BUILD={folder}', f'PYTHON={sys.executable}',
-                 str(folder / target)],
+                ['make', '-s', '-C', ROOT / 'firmware', f'BUILD={folder}',
+                 f'PYTHON={sys.executable}', str(folder / target)],
                 capture_output=True, text=True, timeout=600, check=False,
             )  # fmt: skip
         assert made.returncode == 0, made.stdout + made.stderr

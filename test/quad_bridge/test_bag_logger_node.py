@@ -5,9 +5,11 @@ import signal
 from pathlib import Path
 
 import pytest
-from node_process import recorded, until
-from probe import entries, stamp
+from node_process import recorded
+from probe import content, entries, stamp
 from rosbags.highlevel import AnyReader
+
+from quad_bridge.craft import LAYOUTS, from_urdf
 
 TOPICS = ('/setpoint/attitude', '/setpoint/rates', '/excitation/setpoint', '/excitation/applied')
 RECORDING = 'bag_logger: recording'
@@ -72,24 +74,33 @@ def numbers_in(bag):
     return sorted(m.vector.x for messages in recorded(bag, *TOPICS).values() for m in messages)
 
 
-@pytest.mark.parametrize('reach', ['LOCALHOST', 'SUBNET'])
-def test_no_shared_memory_in_which_a_starved_logger_would_go_deaf(
-    tmp_path, monkeypatch, logger, reach
-):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', reach)
-    process = logger()
-    until(lambda: bags(tmp_path))
-    assert 'fastrtps_port' not in Path(f'/proc/{process.pid}/maps').read_text()
+def uses_shared_memory(process):
+    """In which a starved logger would go deaf."""
+    return 'fastrtps_port' in Path(f'/proc/{process.pid}/maps').read_text()
+
+
+def test_a_start_that_fails_is_answered_with_its_reason(monkeypatch, probe, logger):
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
+    process = logger(prefix=300 * 'a', autostart=False)
+    answer = probe.call('/bag_logger/start')
+    assert (answer.success, 'File name too long' in answer.message) == (False, True)
+    assert process.poll() is None
+    assert not uses_shared_memory(process)
 
 
 def test_what_is_published_comes_into_the_bag(tmp_path, probe, logger, load):
+    told = probe.listen('/logger/bag')
     process = logger(split_s=1)
     probe.meet(*TOPICS)
     load.arrive(4000)
+    assert not uses_shared_memory(process)
     (bag,) = bags(tmp_path)
     while len(list(bag.glob('*.mcap'))) < 3:
         load.arrive(40)
-    assert process.end() == 0
+    assert process.end(signal.SIGTERM) == 0
+    probe.until(lambda: len(told) == 2)
+    last = content(told[1])
+    assert (last['path'], last['state']) == (str(bag), 'complete')
     assert numbers_in(bag) == list(range(load.count))
     with AnyReader([bag]) as reader:
         qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
@@ -140,13 +151,6 @@ def test_after_a_recording_that_failed_the_logger_records_the_next(tmp_path, pro
     assert numbers_in(bag) == list(range(400))
 
 
-def test_a_start_that_fails_is_answered_with_its_reason(probe, logger):
-    process = logger(prefix=300 * 'a', autostart=False)
-    answer = probe.call('/bag_logger/start')
-    assert (answer.success, 'File name too long' in answer.message) == (False, True)
-    assert process.poll() is None
-
-
 def test_a_publisher_of_another_type_is_told_by_name(probe, logger):
     probe.advertise('/rc/in', 'std_msgs/msg/String')
     process = logger(topics=['/rc/in'])
@@ -164,3 +168,33 @@ def test_simulated_time_that_nobody_tells_is_waited_for(tmp_path, probe, logger)
     probe.until(lambda: bags(tmp_path))
     assert process.end() == 0
     assert len(bags(tmp_path)) == 1
+
+
+def test_a_description_without_motors_is_left_aside_and_another_one_recorded(
+    logger, probe, tmp_path
+):
+    topic, craft = '/robot_description', LAYOUTS['px4_quad_x']
+    probe.advertise(topic, 'std_msgs/msg/String')
+    process = logger(topics=[topic])
+    probe.meet(topic)
+    probe.publish(topic, {'data': '<robot name="drawn"><link name="base_link"/></robot>'})
+    probe.publish(topic, {'data': craft.to_urdf()})
+    probe.until(lambda: probe.diagnostics(RECORDING, WRITTEN) == '1')
+    assert process.end() == 0
+    assert 'has no joint motor_1: left aside' in process.said
+    (bag,) = tmp_path.glob('flight*')
+    with AnyReader([bag]) as reader:
+        texts = [reader.deserialize(raw, connection.msgtype).data
+                 for connection, _, raw in reader.messages()]  # fmt: skip
+    assert [from_urdf(text).signs for text in texts] == [craft.signs]
+
+
+def test_a_description_that_is_given_stands_in_every_bag(logger, probe, tmp_path):
+    process = logger(topics=['/robot_description'], robot_description='betaflight_hex6x')
+    probe.until(lambda: probe.diagnostics(RECORDING, WRITTEN) == '1')
+    assert process.end() == 0
+    (bag,) = tmp_path.glob('flight*')
+    with AnyReader([bag]) as reader:
+        ((connection, _, raw),) = reader.messages()
+        text = reader.deserialize(raw, connection.msgtype).data
+    assert from_urdf(text).signs == LAYOUTS['betaflight_hex6x'].signs

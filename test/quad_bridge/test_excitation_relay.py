@@ -6,7 +6,6 @@ pytest.importorskip('rcl_interfaces.msg', reason='needs the ROS 2 message packag
 
 from quad_bridge.arming import OperatorEnable
 from quad_bridge.excitation_relay import ExcitationRelay
-from quad_bridge.nodes.bridge_parameters import over_network
 from quad_bridge.wire.codec import Encoder
 from quad_bridge.wire.frames import Injection
 
@@ -41,14 +40,6 @@ def test_the_relay_ends_the_excitation_once_and_waits_for_the_next_segment():
     assert 'next segment' in relay.reason
     relay.segment(TRAIN)
     assert relay.setpoint(0.1, 0.0, 0.0, 1.9).injection == Injection.RATE
-
-
-def test_what_leads_over_a_network():
-    assert over_network('socket://localhost:5760')
-    assert over_network('RFC2217://rig:4000')
-    assert over_network('unknown://rig')
-    for wire in ('/dev/ttyACM0', 'COM3', 'loop://', 'spy:///dev/ttyUSB0', 'hwgrep://FTDI'):
-        assert not over_network(wire)
 
 
 def test_set_points_follow_the_segment():

@@ -103,7 +103,13 @@ def fly_and_intrude(rig, probe, network, key):
     assert not rig.applied
     probe.publish('/operator/enable', HELD, every_s=0.02)
     probe.publish('/excitation/segment', TRAIN)
-    probe.until(lambda: len(rig.applied) > 50, 'excitation')
+
+    def excited():
+        if 'start the next segment' in probe.diagnostics(EXCITATION):
+            probe.publish('/excitation/segment', TRAIN)  # the probe had no CPU for half a second
+        return len(rig.applied) > 50
+
+    probe.until(excited, 'excitation')
     # what is said now must be of the second silence and not of the first
     probe.until(lambda: 'silent' not in probe.diagnostics(EXCITATION), 'heard again')
     probe.silence('/operator/enable')

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from flight_controller import STILL, Fault, changed
 
+from quad_bridge.craft import LAYOUTS, X
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.history import History
-from quad_bridge.gains.motor_places import MIXER, where_motors_are
 from quad_bridge.gains.polarity import (
     PolarityCheck,
     PulseRun,
     judge_axes,
     merge_motors,
+    pulses_of,
 )
 from quad_bridge.wire import frames as f
 
@@ -62,12 +64,6 @@ def test_a_fixed_axis_is_silent_and_its_gains_are_refused(bench):
     made.ask(pitch_rate_kp=0.1)
     assert 'pitch did not respond to the pulses' in made.fly_until('refused')
     assert made.gain('pitch.rate.kp') == pytest.approx(0.0744845, rel=1e-5)
-
-
-def test_all_axes_answer_in_hover(bench):
-    made = bench(polarity='manual', mount='hover', profile='paper_hover')
-    assert checked(made) == 'roll right; pitch right; yaw right'
-    assert np.degrees(made.peak_rad) < 6.0
 
 
 def test_pulses_stop_when_an_excitation_starts_and_an_unarmed_aircraft_gets_none(bench):
@@ -119,14 +115,17 @@ def test_pulses_last_as_long_at_every_rate_of_the_loop(rate_hz, sign, verdict):
     assert cycles / rate_hz == pytest.approx(1.52, abs=0.05)
 
 
-def test_the_motors_are_found_mount_by_mount(bench):
+def test_all_axes_answer_in_hover_and_the_motors_are_found_mount_by_mount(bench):
     made = bench(polarity='manual')
     words = checked(made, motors=True)
     assert 'motor_1 rear left or front left; motor_2 rear right or front right' in words
-    flying = bench(polarity='manual', mount='hover', profile='hover')
+    flying = bench(polarity='manual', mount='hover', profile='paper_hover')
+    assert checked(flying).startswith('roll right; pitch right; yaw right; motor_1 rear left or')
+    assert np.degrees(flying.peak_rad) < 6.0
     words = checked(flying, motors=True)
     names = ('rear left', 'rear right', 'front right', 'front left')
-    assert words == '; '.join(f'motor_{k + 1} {name}' for k, name in enumerate(names))
+    motors = '; '.join(f'motor_{k + 1} {name}' for k, name in enumerate(names))
+    assert words == f'roll right; pitch right; yaw right; {motors}'
 
 
 def test_two_swapped_motors_are_named(bench):
@@ -148,7 +147,7 @@ def answers(order, spins=(1, 1, 1, 1)):
     """What pulses show where channel k drives the motor `order[k]`."""
     rows = {}
     for k, motor in enumerate(order):
-        roll, pitch, yaw = MIXER[motor]
+        roll, pitch, yaw = X.signs[motor]
         rows[f'motor_{k + 1}'] = np.array([0.2 * roll, 0.2 * pitch, 0.03 * yaw * spins[k]])
     return rows
 
@@ -156,12 +155,29 @@ def answers(order, spins=(1, 1, 1, 1)):
 def test_every_order_is_recognised_and_a_wrong_way_of_turning():
     names = ('rear left', 'rear right', 'front right', 'front left')
     for order in itertools.permutations(range(4)):
-        places, faults = where_motors_are(merge_motors({}, answers(order)))
+        places, faults = X.where_motors_are(merge_motors({}, answers(order)))
         assert list(places.values()) == [names[motor] for motor in order]
         wrong = [k for k, motor in enumerate(order) if k != motor]
         assert [fault.split()[0] for fault in faults] == [f'motor_{k + 1}' for k in wrong]
-    _, faults = where_motors_are(merge_motors({}, answers(range(4), (1, -1, 1, 1))))
+    _, faults = X.where_motors_are(merge_motors({}, answers(range(4), (1, -1, 1, 1))))
     assert faults == ['motor_2 turns the wrong way']
+
+
+def test_the_craft_that_describes_itself_says_where_its_motors_have_to_be():
+    """The contract's frame with propellers that turn the other way; a plus frame."""
+    check, turned = PolarityCheck('auto', 250.0), answers(range(4), (-1,) * 4)
+    check.load({'motors': merge_motors({}, turned)})
+    assert check.faults() == [f'motor_{k} turns the wrong way' for k in range(1, 5)]
+    check.craft = replace(X, motors=tuple(replace(m, spin=-m.spin) for m in X.motors))
+    assert check.faults() == []
+    check.craft = LAYOUTS['plus']
+    check.load({'motors': {'motor_1': {'pitch': 1}, 'motor_2': {'roll': -1, 'yaw': -1}}})
+    assert check.faults() == ['motor_1 drives the rear, must be the front']
+    pushes = pulses_of(check.craft)
+    for k, row in enumerate(check.craft.mixer):
+        motors = check.craft.mixer @ (0.0, *pushes[f'motor_{k + 1}'].direction)
+        assert np.argmax(motors) == k
+        assert row @ (1.0, 0.0, 0.0, 0.0) == 1.0
 
 
 def test_a_motor_fault_refuses_updates_and_survives_the_disk():

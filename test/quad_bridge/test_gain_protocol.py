@@ -261,8 +261,8 @@ def connected(monkeypatch):
     ('faults', 'restarts', 'writes', 'most'),
     [
         (1, 0, 1, math.inf),
-        (0, 1, 1, 20_000),
-        (0, 0, 2, 10_000),
+        (0, 1, 1, 10_000),
+        (0, 0, 2, 8_000),
         pytest.param(0, 1, 1, 300_000, marks=pytest.mark.long),
         pytest.param(0, 0, 2, 300_000, marks=pytest.mark.long),
         pytest.param(2, 1, 2, 300_000, marks=pytest.mark.long),

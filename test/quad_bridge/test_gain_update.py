@@ -274,7 +274,8 @@ STOPPED_IN = (State.WRITING, State.WATCHING, State.CONFIRMING)
 PROTOCOL_BUSY = (Protocol.OPENING, Protocol.STAGING, Protocol.COMMITTING, Protocol.VERIFYING)
 
 
-def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path, monkeypatch):
+@pytest.mark.parametrize('most', [6000, pytest.param(100_000, marks=pytest.mark.long)])
+def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path, monkeypatch, most):
     walk = Walk(tmp_path)
     write = type(walk.gains.protocol).write
 
@@ -293,7 +294,7 @@ def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path, monkeypatch):
     ):  # fewer states
         for name, value in short.items():
             monkeypatch.setattr(module, name, value)
-    met, _, _ = explore(walk, 12_000, rest_every=40)
+    met, _, _ = explore(walk, most, rest_every=40)
     assert met >= {(state, name) for state in State for name in Walk(tmp_path).moves()}
 
 

@@ -1,9 +1,9 @@
 """The key's file: made for its owner alone, refused in any other state, in one line."""
 
 import subprocess
-import sys
 
 import pytest
+from node_process import program
 
 from quad_bridge.errors import BadInputError
 from quad_bridge.key_file import main, read_key, signing_from, write_key
@@ -20,6 +20,7 @@ def test_a_key_that_was_made_is_read(tmp_path):
     assert read_key(tmp_path / 'second') != read_key(path)
 
 
+NO_INPUT = {'stdin': subprocess.DEVNULL}
 KEY = bytes([0xAB, 9, *range(1, 31)])
 HEX = KEY.hex().encode()
 NO_KEY, ZEROS = 'must hold 64 hexadecimal digits, or 32 raw bytes', 'is all zeros'
@@ -109,14 +110,14 @@ def test_the_command_keeps_what_is_there_and_says_one_line(tmp_path, capsys):
         (None, b'', 'Is a directory'),
     ],
 )
-def test_the_programs_refuse_what_is_no_key_in_one_line(tmp_path, firmware, mode, data, wrong):
+def test_the_programs_refuse_what_is_no_key_in_one_line(
+    tmp_path, firmware, run, mode, data, wrong
+):
     path = tmp_path if mode is None else held(tmp_path, data)
     path.chmod(mode or 0o700)
-    for program in ([firmware('checked/quad_firmware')],
-                    [sys.executable, '-m', 'quad_bridge.virtual.process', '--duration', '0.02']):
-        run = subprocess.run(
-            [*program, '--key', path], capture_output=True, text=True, check=False,
-            stdin=subprocess.DEVNULL,
-        )  # fmt: skip
-        assert (run.returncode, run.stderr.count('\n')) == ((2, 1) if wrong else (0, 0))
-        assert wrong in run.stderr
+    for command in ((firmware('checked/quad_firmware'),),
+                    (*program('virtual_stm32'), '--duration', '0.02')):
+        begun = run(*command, '--key', path, **({} if len(command) > 1 else NO_INPUT))
+        assert begun.wait() == (2 if wrong else 0)
+        assert begun.said.count('\n') == (1 if wrong else 0)
+        assert wrong in begun.said

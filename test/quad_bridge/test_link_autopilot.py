@@ -1,160 +1,339 @@
-"""A peer made of pymavlink's `common` dialect: what the bridge makes of standard messages."""
+"""What the bridge makes of other autopilots, as they were seen (test/autopilots.py)."""
 
 import math
+from itertools import pairwise
 
-import numpy as np
 import pytest
-from flight_controller import Line, Port, Pty
-from pymavlink.dialects.v20 import common
+from autopilots import (
+    ALL,
+    ARDUPILOT,
+    BETAFLIGHT,
+    GRAVITY,
+    PX4,
+    SET_MESSAGE_INTERVAL,
+    Autopilot,
+    Party,
+    mav,
+)
+from flight_controller import Datagrams, Line, Port
 
-from quad_bridge.link.autopilot import INTERVALS_US, SET_MESSAGE_INTERVAL, Inertial
-from quad_bridge.link.machine import Link
+from quad_bridge.craft import LAYOUTS, from_urdf
+from quad_bridge.link.autopilot import Inertial
+from quad_bridge.link.report import clock_status
+from quad_bridge.motor_outputs import MotorOutputs, motor_outputs
 from quad_bridge.wire import frames as f
 
 HOST0_NS = 5_000_000_000
-NAMES = {number: name for name, (number, _) in INTERVALS_US.items()}
+OURS = ['/control/wrench', '/setpoint/attitude', '/setpoint/rates', '/excitation/applied']
 
 
-class Autopilot:
-    """Flies nothing, but talks: streams what was asked for, answers TIMESYNC, has 3 parameters."""
-
-    def __init__(self, *, only=tuple(INTERVALS_US), sync=True, system_id=1):
-        self.mav = common.MAVLink(None, srcSystem=system_id, srcComponent=1)
-        self.ears = common.MAVLink(None)
-        self.ears.robust_parsing = True
-        self.only, self.sync, self.asked = only, sync, {}
-        self.heard, self.step = [], 0
-
-    def pack(self, message):
-        self.mav.seq = (self.mav.seq + 1) % 256
-        return bytes(message.pack(self.mav))
-
-    def cycle(self):
-        """Bytes of the coming step of 4 ms."""
-        step, self.step, out = self.step, self.step + 1, b''
-        now_us = 4000 * self.step
-        if step % 250 == 0:
-            out += self.pack(common.MAVLink_heartbeat_message(2, 3, 128, 0, 4, 3))
-            health = (1, 1, 1, 100, 11_800, 250, 77, 0, 0, 0, 0, 0, 0)
-            out += self.pack(common.MAVLink_sys_status_message(*health))
-        for name, message in self.messages(now_us).items():
-            if name in self.asked and step % max(self.asked[name] // 4000, 1) == 0:
-                out += self.pack(message)
-        return out
-
-    def messages(self, now_us):
-        ms = now_us // 1000
-        return {
-            'ATTITUDE': common.MAVLink_attitude_message(ms, 0.1, 0.2, 0.3, 0.5, -0.25, 0.125),
-            'HIGHRES_IMU': common.MAVLink_highres_imu_message(
-                now_us, 0.0, 0.0, -9.81, 0.5, -0.25, 0.125, 0.2, 0.1, -0.4, 1000.0, 0, 0, 20.0,
-                0x0FFF,
-            ),
-            'SCALED_IMU': common.MAVLink_scaled_imu_message(
-                ms, 0, 0, -1000, 500, -250, 125, 200, 100, -400
-            ),
-            'SERVO_OUTPUT_RAW': common.MAVLink_servo_output_raw_message(
-                now_us % 2**32, 0, 1100, 1200, 1300, 1400, 0, 0, 0, 0
-            ),
-            'RC_CHANNELS': common.MAVLink_rc_channels_message(
-                ms, 8, 1500, 1600, 1200, 1500, *([1000] * 4), *([65535] * 10), 255
-            ),
-            'SCALED_PRESSURE': common.MAVLink_scaled_pressure_message(ms, 990.0, 0.0, 2000),
-            'BATTERY_STATUS': common.MAVLink_battery_status_message(
-                0, 0, 0, 2000, [3900, 3900, 3900, *([65535] * 7)], 150, -1, -1, 80
-            ),
-        }  # fmt: skip
-
-    def receive(self, data, now_ns):
-        out = b''
-        for message in self.ears.parse_buffer(data) or []:
-            self.heard.append(message.get_type())
-            if message.get_type() == 'TIMESYNC' and message.tc1 == 0 and self.sync:
-                out += self.pack(common.MAVLink_timesync_message(now_ns, message.ts1))
-            elif message.get_type() == 'COMMAND_LONG':
-                assert message.command == SET_MESSAGE_INTERVAL
-                name = NAMES[int(message.param1)]
-                known = name in self.only
-                if known:
-                    self.asked[name] = int(message.param2)
-                out += self.pack(common.MAVLink_command_ack_message(511, 0 if known else 3))
-            elif message.get_type() == 'PARAM_REQUEST_LIST':
-                for i, name in enumerate((b'MC_ROLL_P', b'MC_PITCH_P', b'MC_YAW_P')):
-                    out += self.pack(common.MAVLink_param_value_message(name, 0.15, 9, 3, i))
-        return out
-
-
-def converse(peer, seconds):
+def flown(peer, seconds=4.0):
     line = Line(peer, host0_ns=HOST0_NS)
     line.fly(seconds)
-    return line.link, line.out
+    return line
 
 
-def kinds(out):
-    return {type(item.frame).__name__ for item in out if item.stamp_ns is not None}
+def sources(line):
+    """Topic to the messages that fed it in the last second."""
+    late = [item for item in line.out if item.stamp_ns > line.now_ns - 1_000_000_000]
+    return {topic: {getattr(i.frame, 'name', '') for i in late if i.topic == topic}
+            for topic in {item.topic for item in late}}  # fmt: skip
 
 
-def test_streams_are_asked_for_and_become_what_the_topics_need():
-    peer = Autopilot()
-    link, out = converse(peer, 6.0)
-    assert peer.asked == {name: us for name, (_, us) in INTERVALS_US.items()}
-    assert kinds(out) == {'Inertial', 'Outputs', 'RcChannels', 'SlowSensors', 'Battery'}
-    inertial = [item for item in out if isinstance(item.frame, Inertial)]
-    assert len(inertial) > 900
-    stamps = np.array([item.stamp_ns for item in inertial])
-    assert np.diff(stamps).min() > 0
-    true = HOST0_NS + 1000 * np.array([item.frame.time_us for item in inertial])
-    assert np.abs(stamps - true).max() < 300_000
-    last = inertial[-1].frame
-    assert last.gyro == (0.5, -0.25, 0.125)
-    assert last.accel == pytest.approx((0.0, 0.0, -9.81), abs=1e-6)
-    assert last.attitude == pytest.approx((0.1, 0.2, 0.3), abs=1e-6)
-    batteries = {item.frame.voltage_v for item in out if isinstance(item.frame, f.Battery)}
-    # SYS_STATUS stands in only as long as no BATTERY_STATUS comes
-    assert batteries <= {11.7, 11.8}
-    assert out[-1].stamp_ns > 0
-    late = [i.frame.voltage_v for i in out[-200:] if isinstance(i.frame, f.Battery)]
-    assert set(late) == {11.7}
-    missing = link.autopilot.missing(HOST0_NS + 6_000_000_000)
-    assert missing == ['/control/wrench', '/setpoint/attitude', '/setpoint/rates',
-                       '/excitation/applied']  # fmt: skip
+def inertial(line):
+    return [item.frame for item in line.out if isinstance(item.frame, Inertial)]
+
+
+def late_rate_hz(line, topic, seconds=2.0):
+    begin_ns = line.now_ns - round(1e9 * seconds)
+    return sum(i.topic == topic and i.stamp_ns > begin_ns for i in line.out) / seconds
+
+
+def stamps_are_true(line, off_ms=1.0):
+    """Every topic's stamps rise, and are the time at which the message was made."""
+    for topic in {item.topic for item in line.out}:
+        stamps = [item.stamp_ns for item in line.out if item.topic == topic]
+        assert all(b > a for a, b in pairwise(stamps)), topic
+        assert min(stamps) > HOST0_NS, topic
+        assert max(stamps) <= line.now_ns + 1e6 * off_ms, topic
+    boot_ms = 1e-3 * line.controller.boot_us
+    for item in line.out:
+        if (time_ms := getattr(item.frame, 'time_ms', None)) is not None:
+            true_ms = 1e-6 * HOST0_NS + (time_ms - boot_ms + 2**31) % 2**32 - 2**31
+            assert abs(1e-6 * item.stamp_ns - true_ms) < off_ms + 1.0, item.topic
+
+
+def test_px4_is_raised_from_the_rates_at_which_its_streams_came():
+    line = flown(Autopilot(PX4))
+    asked = {name: rates[0] for name, rates in line.controller.asked.items()}
+    assert {name: asked[name] for name in ('HIGHRES_IMU', 'ATTITUDE', 'RC_CHANNELS')} == {
+        'HIGHRES_IMU': 250.0, 'ATTITUDE': 250.0, 'RC_CHANNELS': 50.0,
+    }  # fmt: skip
+    assert late_rate_hz(line, '/imu/data') == pytest.approx(250.0, abs=2)
+    assert late_rate_hz(line, '/rc/in') == pytest.approx(50.0, abs=1)
+    assert line.link.name == 'PX4'
+    assert line.link.autopilot.missing(line.now_ns) == OURS
+    last = inertial(line)[-1]
+    assert last.accel == pytest.approx((0.0, 0.0, -GRAVITY), abs=1e-5)
+    assert last.gyro[1:] == pytest.approx((-0.25, 0.125))
+    assert last.attitude[1:] == pytest.approx((0.2, 0.3))
+    stamps_are_true(line)
+
+
+def test_ardupilots_false_compass_costs_the_compass_alone_and_another_message_has_it():
+    line = flown(Autopilot(ARDUPILOT))
+    assert late_rate_hz(line, '/imu/data') == pytest.approx(250.0, abs=2)
+    assert all(frame.gyro and frame.accel for frame in inertial(line)[-100:])
+    assert sources(line) == {
+        '/imu/data': {''}, '/motors/command': {''}, '/imu/mag': {'SCALED_IMU'},
+        '/baro': {'HIGHRES_IMU'}, '/rc/in': {'RC_CHANNELS'}, '/battery': {'BATTERY_STATUS'},
+        '/motors/state': {'ESC_TELEMETRY_1_TO_4'},
+    }  # fmt: skip
+    mags = [i.frame.mag_gauss for i in line.out if i.topic == '/imu/mag']
+    assert mags[-1] == pytest.approx((0.2, 0.1, -0.4))
+    assert line.controller.asked['SCALED_IMU'] == [50.0]  # for the compass alone
+    assert line.link.decoder.counts.implausible > 900
+    stamps_are_true(line)
+
+
+def test_betaflights_rates_of_exactly_zero_are_unknown_and_its_raw_channels_are_read():
+    line = flown(Autopilot(BETAFLIGHT), 7.0)
+    assert line.link.name == 'Betaflight'
+    assert [frame.gyro for frame in inertial(line)[-20:]] == [None] * 20
+    assert inertial(line)[-1].attitude[1:] == pytest.approx((0.2, 0.3))
+    assert line.link.autopilot.without_rates
+    assert sources(line)['/rc/in'] == {'RC_CHANNELS_RAW'}
+    sticks = [i.frame.channels[:4] for i in line.out if i.topic == '/rc/in']
+    assert set(sticks) == {(1500, 1600, 1200, 1450)}  # it sends yaw before throttle
+    assert line.link.clock.one_way
+    stamps_are_true(line)
+    line = flown(Autopilot(BETAFLIGHT, rates=True, sticks=(0, 1, 2, 3)))
+    assert None not in [frame.gyro for frame in inertial(line)]
+    assert line.link.name == 'the autopilot'  # a generic one, whose channels are as usual
+    sticks = [i.frame.channels[:4] for i in line.out if i.topic == '/rc/in']
+    assert set(sticks) == {(1500, 1600, 1200, 1450)}
+
+
+def test_an_aircraft_at_rest_has_rates_that_are_zero_and_known():
+    peer = Autopilot(BETAFLIGHT)
+    peer.edit = lambda name, m: (
+        mav.MAVLink_attitude_message(m.time_boot_ms, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
+        if name == 'ATTITUDE' else m
+    )  # fmt: skip
+    assert {frame.gyro for frame in inertial(flown(peer))} == {(0.0, 0.0, 0.0)}
+
+
+ONE_EACH = {
+    '/imu/data': ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE'),
+    '/imu/mag': ('HIGHRES_IMU', 'SCALED_IMU'),
+    '/baro': ('HIGHRES_IMU', 'SCALED_PRESSURE'), '/rc/in': ('RC_CHANNELS', 'RC_CHANNELS_RAW'),
+    '/battery': ('BATTERY_STATUS', 'SYS_STATUS'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('without', [(), ('HIGHRES_IMU',), ('HIGHRES_IMU', 'SCALED_IMU'),
+                                     ('RC_CHANNELS', 'BATTERY_STATUS')])  # fmt: skip
+def test_each_topic_has_one_source_the_best_that_comes(without):
+    only = tuple(name for name in ALL if name not in without)
+    line = flown(Autopilot(ARDUPILOT, only=only, unasked=dict.fromkeys(ALL, 50.0), gauss=1.0))
+    best = {topic: next((name for name in names if name in only), None)
+            for topic, names in ONE_EACH.items()}  # fmt: skip
+    late = sources(line)
+    for topic in ('/imu/mag', '/baro', '/rc/in', '/battery'):
+        assert late.get(topic, {None}) == {best[topic]}
+    last = inertial(line)[-1]
+    assert (last.accel is None) == (best['/imu/data'] == 'ATTITUDE')
+    assert last.gyro[1:] == pytest.approx((-0.25, 0.125))
+    stamps_are_true(line)
+
+
+US_WRAPS, MS_WRAPS = 2**32, 1000 * 2**32
+"""Counters of 32 bits: after 71.6 minutes and 49.7 days."""
+
+
+@pytest.mark.parametrize(('kind', 'boot_us'), [
+    (PX4, US_WRAPS - 3_000_000), (PX4, MS_WRAPS - 3_000_000), (PX4, MS_WRAPS + 7_000_000),
+    (ARDUPILOT, 40 * 60_000_000), (ARDUPILOT, MS_WRAPS - 3_000_000),
+    (BETAFLIGHT, US_WRAPS - 3_000_000), (BETAFLIGHT, US_WRAPS + 7_000_000),
+])  # fmt: skip
+def test_no_stamp_of_any_topic_jumps_where_a_counter_wraps(kind, boot_us):
+    line = flown(Autopilot(kind, boot_us=boot_us, timesync_s=0.0002), 5.0)
+    stamps_are_true(line)
+    assert line.link.stamping.false_times == 0
+    topic, least_hz = ('/imu/data', 9.0) if kind is BETAFLIGHT else ('/motors/command', 240.0)
+    assert late_rate_hz(line, topic) >= least_hz
+
+
+@pytest.mark.parametrize('false_ms', [0, 2**32 - 1], ids=['of the boot', '49.7 days ahead'])
+def test_a_time_that_cannot_be_is_dropped_and_counted(false_ms):
+    peer = Autopilot(PX4, boot_us=60_000_000)
+
+    def late_stick(name, message):
+        if name == 'RC_CHANNELS' and peer.step % 250 > 125:
+            message.time_boot_ms = false_ms
+        return message
+
+    peer.edit = late_stick
+    line = flown(peer)
+    assert false_ms not in [getattr(item.frame, 'time_ms', None) for item in line.out]
+    stamps_are_true(line)
+    assert line.link.stamping.false_times > 30
+
+
+@pytest.mark.parametrize(('taken_s', 'words', 'one_way'), [
+    (0.004, 'converged', False),
+    (0.040, 'TIMESYNC takes 40 ms there and back, more than 10: stamps are times of arriv', True),
+    (None, 'no answer to TIMESYNC: stamps are times of arrival', True),
+])  # fmt: skip
+def test_slow_answers_to_timesync_are_told_as_that(taken_s, words, one_way):
+    only = ('HIGHRES_IMU', 'ATTITUDE')
+    line = flown(Autopilot(ARDUPILOT, timesync_s=taken_s, only=only), 6.0)
+    told = clock_status(line.link, 0, unset=False, now_s=1e-9 * line.now_ns)
+    assert words in told.message
+    assert line.link.clock.one_way == one_way
+    stamps_are_true(line, off_ms=2.5)
+
+
+def test_what_is_not_given_is_asked_for_ever_less_often_and_named():
+    line = flown(Autopilot(PX4, most_hz={'HIGHRES_IMU': 50.0}, unasked={'HIGHRES_IMU': 1.0}), 60.0)
+    assert 4 <= len(line.controller.asked['HIGHRES_IMU']) <= 7
+    assert line.link.autopilot.slow_ones(line.now_ns) == ['HIGHRES_IMU']
+    assert not line.link.autopilot.lowered
+
+
+def test_an_autopilot_that_restarts_is_raised_again_and_nobody_is_blamed():
+    line = flown(Autopilot(PX4, boot_us=60_000_000), 3.0)
+    line.controller = Autopilot(PX4, boot_us=-3_000_000)
+    line.controller.step = 750  # its time is 0 again
+    line.fly(5.0)
+    assert late_rate_hz(line, '/imu/data') == pytest.approx(250.0, abs=2)
+    assert not line.link.autopilot.lowered
+    for topic in {item.topic for item in line.out}:
+        stamps = [item.stamp_ns for item in line.out if item.topic == topic]
+        assert all(b > a for a, b in pairwise(stamps)), topic
+        assert max(stamps) <= line.now_ns + 1_000_000
+    first = next(i for i in line.out if i.stamp_ns > HOST0_NS + 3_500_000_000)
+    assert first.stamp_ns < HOST0_NS + 5_000_000_000  # it was not silent for long
+
+
+# Parameters: how the craft is built.
+
+
+@pytest.mark.parametrize('kind', [PX4, ARDUPILOT], ids=['PX4', 'ArduPilot'])
+def test_the_craft_is_read_from_the_autopilots_parameters(kind):
+    line = flown(Autopilot(kind), 2.0)
+    peer, parameters = line.described
+    true = {name: value for name, value in kind.parameters.items() if name in parameters}
+    assert parameters == pytest.approx(true, rel=1e-6)
+    assert len(parameters) >= 17
+    motors = motor_outputs(peer.autopilot, line.link.name, parameters)
+    layout = LAYOUTS['px4_quad_x' if kind is PX4 else 'ardupilot_quad_plus']
+    assert motors.craft.signs == layout.signs
+    assert motors.efforts((1100, 1200, 1300, 1400)) == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert from_urdf(motors.craft.to_urdf()).signs == layout.signs
+    assert 'PARAM_REQUEST_LIST' not in line.controller.heard  # a thousand, of which few are needed
+
+
+def test_outputs_in_another_order_are_followed():
+    functions = {'SERVO1_FUNCTION': 0} | {f'SERVO{k}_FUNCTION': 38 - k for k in range(2, 6)}
+    told = {'FRAME_CLASS': 1, 'FRAME_TYPE': 1, **functions}
+    assert motor_outputs(3, 'ArduPilot', told).channels == (4, 3, 2, 1)
+    rows = {f'CA_ROTOR{k}_{part}': value for k, row in enumerate(((1, 0, 1), (-1, 0, -1)))
+            for part, value in zip(('PX', 'PY', 'KM'), row, strict=True)}  # fmt: skip
+    told = {'CA_ROTOR_COUNT': 2, **rows, 'PWM_MAIN_FUNC3': 102, 'PWM_MAIN_FUNC6': 101}
+    assert motor_outputs(12, 'PX4', told).channels == (5, 2)
+
+
+def test_who_does_not_tell_is_taken_for_an_x_frame_and_that_is_said():
+    line = flown(Autopilot(PX4, parameters={}), 6.0)
+    peer, parameters = line.described
+    motors = motor_outputs(peer.autopilot, line.link.name, parameters)
+    assert (motors.craft, motors.channels) == (None, (1, 3, 0, 2))
+    assert 'PX4 has no CA_ROTOR_COUNT: its motors are taken for an X frame' in motors.words
+    assert late_rate_hz(line, '/motors/command') == pytest.approx(250.0, abs=2)
+    given = motor_outputs(peer.autopilot, 'PX4', {}, LAYOUTS['ardupilot_hexa_x'])
+    assert (given.craft.count, given.channels) == (6, (0, 1, 2, 3, 4, 5))
+
+
+# Other programs on the same line (docs/beside.md).
+
+
+class Shared(Line):
+    """A router joins all: what the autopilot sends all hear, what a party says all others hear."""
+
+    def __init__(self, peer, party, heartbeat=True):
+        self.party, self.beats, self.said, self.party_heard = party, heartbeat, b'', []
+        super().__init__(peer, host0_ns=HOST0_NS)
+
+    def say_party(self, *messages):
+        data = self.party.say(*messages)
+        self.hear(data)
+        answers = self.controller.receive(data, self.since_ns)
+        self.hear(answers)
+
+    def hear(self, data, late_ns=0):
+        self.party_heard += self.party.hear(data)
+        super().hear(data, late_ns)
+
+    def fly_beside(self, seconds, every_s, *messages):
+        for _ in range(round(seconds / every_s)):
+            self.say_party(*messages)
+            self.fly(every_s)
+
+
+def interval(name, hz):
+    number = next(n for n, m in mav.mavlink_map.items() if m.msgname == name)
+    return mav.MAVLink_command_long_message(
+        1, 1, SET_MESSAGE_INTERVAL, 0, float(number), 1e6 / hz, 0, 0, 0, 0, 0
+    )
+
+
+GROUND_STATION = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+MAVROS = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
 
 
 @pytest.mark.parametrize(
-    ('only', 'accel'), [(('SCALED_IMU', 'ATTITUDE'), (0.0, 0.0, -9.80665)), (('ATTITUDE',), None)]
+    ('sender', 'beat'),
+    [((255, 190), GROUND_STATION), ((1, 240), MAVROS), ((1, 191), MAVROS)],
+    ids=['ground station', 'mavros', 'a second bridge'],
 )
-def test_without_highres_imu_the_scaled_one_does_and_without_both_the_attitude(only, accel):
-    _, out = converse(Autopilot(only=only), 4.0)
-    last = [item.frame for item in out if isinstance(item.frame, Inertial)][-1]
-    assert last.accel == (accel and pytest.approx(accel, abs=1e-6))
-    assert last.gyro == pytest.approx((0.5, -0.25, 0.125))
+def test_a_program_beside_is_not_taken_for_the_aircraft(sender, beat):
+    line = Shared(Autopilot(PX4), Party(*sender))
+    read = mav.MAVLink_param_request_read_message(1, 1, b'CA_ROTOR_COUNT', -1)
+    line.fly_beside(4.0, 0.5, beat, mav.MAVLink_timesync_message(0, 123), read)
+    link = line.link
+    assert (link.peer.system, link.peer.component) == (1, 1)
+    assert link.decoder.counts.foreign >= 16
+    assert link.name == 'PX4'
+    assert line.described.parameters['CA_ROTOR_COUNT'] == 4
+    stamps_are_true(line)
+    # and the autopilot's answers reach the other one
+    assert {'TIMESYNC', 'PARAM_VALUE'} <= {m.get_type() for m in line.party_heard}
 
 
-def test_an_autopilot_that_answers_no_timesync_is_stamped_by_arrival():
-    link, out = converse(Autopilot(sync=False), 12.0)
-    assert link.clock.one_way
-    inertial = [item for item in out if isinstance(item.frame, Inertial)]
-    assert len(inertial) > 1000
-    true = HOST0_NS + 1000 * np.array([item.frame.time_us for item in inertial])
-    assert np.abs(np.array([item.stamp_ns for item in inertial]) - true).max() < 1_000_000
+def test_answers_to_anothers_timesync_tell_our_clock_nothing():
+    """A router hands the autopilot's answers to all; another clock's times stand in these."""
+    line = Shared(Autopilot(PX4), Party(1, 240))
+    line.fly(2.0)
+    accepted, offset = line.link.clock.accepted, line.link.clock.offset_ns
+    for k in range(50):
+        line.say_party(mav.MAVLink_timesync_message(0, line.now_ns - 700_000_000 + k))
+    assert line.link.clock.accepted == accepted
+    line.fly(2.0)
+    assert line.link.clock.offset_ns == pytest.approx(offset, abs=1e5)
+    assert line.link.clock.restarts == 0
 
 
-def test_its_parameters_are_let_alone_and_nothing_of_ours_is_sent_to_it():
-    peer = Autopilot()
-    converse(peer, 8.0)
-    assert peer.heard.count('PARAM_REQUEST_LIST') <= 2
-    # in the first second, before the bridge knows, it may have asked for our own set of gains
-    ours = [name for name in peer.heard if name.startswith(('UNKNOWN', 'BAD'))]
-    assert set(ours) <= {'UNKNOWN_24102'}
-    assert len(ours) <= 5
+def test_who_lowers_the_rates_beside_us_is_outbid_and_named():
+    line = Shared(Autopilot(PX4, only=('HIGHRES_IMU', 'ATTITUDE')), Party(255, 190))
+    line.fly(3.0)
+    line.fly_beside(10.0, 5.0, interval('HIGHRES_IMU', 10.0), interval('ATTITUDE', 4.0))
+    assert late_rate_hz(line, '/imu/data') == pytest.approx(250.0, abs=2)
+    assert line.link.autopilot.lowered == {'HIGHRES_IMU', 'ATTITUDE'}
+    assert len(line.controller.asked['HIGHRES_IMU']) <= 2 + 2 * 2
 
 
-def test_messages_that_do_not_come_are_asked_for_again():
-    peer = Autopilot(only=('ATTITUDE',))
-    link, _ = converse(peer, 12.0)
-    assert peer.asked == {'ATTITUDE': 4000}
-    assert link.autopilot.asked > 2 * (len(INTERVALS_US) - 1)
-    assert '/motors/command' in link.autopilot.missing(HOST0_NS + 12_000_000_000)
+# The node.
 
 
 def test_messages_in_ros_units_and_axes():
@@ -169,28 +348,41 @@ def test_messages_in_ros_units_and_axes():
     assert (rate.x, rate.y, rate.z) == (0.5, 0.25, -0.125)
     assert imu.linear_acceleration.z == 9.81
     assert imu.orientation_covariance[0] == -1.0
-    imu = conversion.inertial_message(Inertial(0, (0.0,) * 3, None, (0.0, 0.0, 0.0)), 1)
+    imu = conversion.inertial_message(Inertial(0, None, None, (0.0, 0.0, 0.0)), 1)
     assert imu.linear_acceleration_covariance[0] == -1.0
+    assert imu.angular_velocity_covariance[0] == -1.0
     # front right 0.1, rear left 0.2, front left 0.3, rear right 0.4 in the autopilots' order
-    motors = conversion.outputs_message(f.Outputs(0, 0, (1100, 1200, 1300, 1400)), 1)
+    motors = conversion.outputs_message(
+        f.Outputs(0, 0, (1100, 1200, 1300, 1400)), MotorOutputs(), 1
+    )
     assert list(motors.effort) == pytest.approx([0.2, 0.4, 0.1, 0.3])
-    assert not math.isnan(sum(motors.effort))
-    assert not Link().autopilot.outputs(f.Outputs(0, 1, (1100,) * 4), 0)  # no motors there
+    speeds = f.RotorSpeeds(0, (600.0, math.nan, 1200.0, 1800.0))
+    motors = MotorOutputs(LAYOUTS['px4_quad_x'], (0, 1, 2, 3))
+    rotors = conversion.rotors_message(speeds, motors, 1)
+    assert list(rotors.name) == ['motor_1', 'motor_2', 'motor_3', 'motor_4']
+    turns = [20 * math.pi, math.nan, 40 * math.pi, 60 * math.pi]
+    assert list(rotors.velocity) == pytest.approx(turns, nan_ok=True)
 
 
-PUBLISHED = ('/imu/data', '/motors/command', '/rc/in', '/imu/mag', '/baro', '/battery')
+PUBLISHED = ('/imu/data', '/motors/command', '/motors/state', '/rc/in', '/imu/mag', '/baro',
+             '/battery', '/robot_description')  # fmt: skip
 REFUSED = 'refused: the aircraft has no QUAD_GAINS'
-MISSING = 'without QUAD_CYCLE there is no /control/wrench'
+MISSING = 'ArduPilot sends standard MAVLink messages only: without QUAD_CYCLE there is no'
 
 
 def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, probe, start):
     heard = {topic: probe.listen(topic) for topic in (*PUBLISHED, '/control/wrench')}
-    with Port(Autopilot(), Pty(tmp_path / 'tty')):
-        bridge = start('serial_bridge', port=tmp_path / 'tty', state_folder=tmp_path)
-        probe.until(lambda: min(len(heard[topic]) for topic in PUBLISHED) > 5)
+    with Port(Autopilot(ARDUPILOT), Datagrams()) as port:  # loopback needs no key
+        bridge = start('serial_bridge', port=port.end.url, state_folder=tmp_path)
+        probe.until(lambda: min(len(heard[topic]) for topic in PUBLISHED) > 0)
         probe.until(lambda: MISSING in probe.diagnostics('serial_bridge: link'))
         probe.until(lambda: probe.diagnostics('serial_bridge: gains') == REFUSED)
+        answer = probe.call('/serial_bridge/check_polarity')
+        assert answer.message.startswith('ArduPilot has no QUAD_GAINS')
         assert bridge.end() == 0
     assert heard['/control/wrench'] == []
-    assert heard['/imu/data'][-1].linear_acceleration.z == pytest.approx(9.81)
-    assert heard['/motors/command'][-1].effort == pytest.approx([0.2, 0.4, 0.1, 0.3])
+    assert heard['/imu/data'][-1].linear_acceleration.z == pytest.approx(9.81, abs=0.01)
+    assert heard['/motors/command'][-1].effort == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert heard['/motors/state'][-1].velocity[0] == pytest.approx(200 * math.pi)
+    craft = from_urdf(heard['/robot_description'][0].data)
+    assert craft.places == ('right', 'left', 'front', 'rear')

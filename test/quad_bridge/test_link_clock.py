@@ -114,8 +114,6 @@ def test_device_time_that_wraps_at_32_bits_goes_on():
     assert np.diff(told).tolist() == [4000] * 4999
     assert time.wraps == 1
     assert time.extend(2**32 - 1000, near) == 2**32 - 1000  # was under way when it wrapped
-    for off in (12, -12):
-        assert time.nearest(told[-1] % 2**32 + off) == told[-1] + off
     time.restart()
     assert time.extend(5000, near) == 5000
 

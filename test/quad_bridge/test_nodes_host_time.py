@@ -1,6 +1,6 @@
 """Stamps where somebody sets the system clock: followed on the ground, not in flight, not back."""
 
-from quad_bridge.nodes.host_time import HostTime
+from quad_bridge.nodes.host_time import CLOSE_NS, Epoch, HostTime, read_epoch
 
 MS = 1_000_000
 
@@ -24,3 +24,29 @@ def test_a_step_back_waits_for_the_next_opening():
     time.opened(400 * MS)
     assert time.measured(400 * MS, armed=False) == ''
     assert time.epoch_ns == 400 * MS
+
+
+def test_a_process_that_is_pre_empted_between_two_clocks_sees_no_step():
+    """25 ms pass between two readings: nothing is said, and no stamp moves."""
+    now, pauses = [1_000_000], iter([25 * MS, 0, 25 * MS])
+
+    def steady():
+        now[0] += 1000
+        return now[0]
+
+    def ros():
+        now[0] += next(pauses, 0)
+        return 7_000_000_000 + now[0]
+
+    epoch = read_epoch(ros, steady)
+    assert abs(epoch.ns - 7_000_000_000) <= epoch.error_ns <= CLOSE_NS
+    time = HostTime(*epoch)
+    assert time.measured(*read_epoch(ros, steady), armed=False) == ''
+    assert time.epoch_ns == epoch.ns
+
+
+def test_clocks_that_cannot_be_read_closely_bound_what_counts_as_a_step():
+    time = HostTime(*Epoch(0, 20 * MS))
+    assert time.measured(22 * MS, armed=False) == ''
+    assert time.measured(-30 * MS, 10 * MS, armed=False) == ''
+    assert 'stamps move' in time.measured(40 * MS, 10 * MS, armed=False)

@@ -37,8 +37,7 @@ def test_motor_commands_are_the_mixed_and_clipped_wrench():
     assert (flight.limits > 0).any()
 
 
-@pytest.mark.parametrize('profile', ['plain', 'paper'])
-@pytest.mark.parametrize('axis', ['roll', 'pitch'])
+@pytest.mark.parametrize(('profile', 'axis'), [('plain', 'roll'), ('paper', 'pitch')])
 def test_the_papers_gains_track_a_square_wave_of_12_degrees(profile, axis):
     config = fly(profile, [], 0.1, 1).profile
     config = replace(config, axis=axis)

@@ -5,7 +5,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import common
+from pymavlink.dialects.v20 import ardupilotmega, common
 
 from quad_bridge.wire import dialect
 from quad_bridge.wire.dialect import OTHER_MESSAGES
@@ -26,7 +26,10 @@ def test_the_committed_dialect_is_generated_from_the_xml():
 
 @pytest.mark.parametrize('number', sorted(set(dialect.mavlink_map) - OWN - {-1}))
 def test_standard_messages_are_those_of_common(number):
-    ours, theirs = dialect.mavlink_map[number], common.mavlink_map[number]
+    ours, theirs = dialect.mavlink_map[number], ardupilotmega.mavlink_map.get(number)
+    if theirs is None:  # this pymavlink leaves out what was "work in progress"
+        assert (ours.msgname, ours.crc_extra) == ('ESC_STATUS', 10)
+        return
     # TIMESYNC has gained addressee extensions in common: extensions are beside the checksum
     for name in WIRE_FIELDS:
         mine, other = getattr(ours, name), getattr(theirs, name)

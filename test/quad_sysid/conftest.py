@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import math
-from collections.abc import Callable, Iterator
+import os
+import pickle
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +16,10 @@ from flown_axis import SHORT, Axis, fly
 from threadpoolctl import threadpool_limits
 
 from quad_sysid.bags import write_bag
+from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError
-from quad_sysid.model import AxisModel, GainProposal
+from quad_sysid.model import AxisModel, Designer, GainProposal
+from quad_sysid.model.effect import Effect
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import Record
@@ -24,6 +30,31 @@ def one_thread() -> Iterator[None]:
     """The matrices are narrow: more threads of BLAS only wait for each other."""
     with threadpool_limits(limits=1):
         yield
+
+
+Identified = Callable[..., AxisAnswer]
+
+
+@pytest.fixture(scope='session')
+def identified(tmp_path_factory: pytest.TempPathFactory) -> Identified:
+    """A function: what `identify` says of roll; made once in a run, whichever worker asks."""
+    own = tmp_path_factory.getbasetemp()
+    folder = own.parent if 'PYTEST_XDIST_WORKER' in os.environ else own
+
+    def answer(
+        flight: Record, effects: Sequence[Effect] = EFFECTS, designer: Designer | None = None
+    ) -> AxisAnswer:
+        asked = pickle.dumps((flight, [e.label for e in effects],
+                              getattr(designer, '__qualname__', '')))
+        file = folder / hashlib.sha256(asked).hexdigest()
+        with file.with_suffix('.lock').open('w') as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not file.exists():
+                options = Options(axes=('roll',), designer=designer, effects=tuple(effects))
+                file.write_bytes(pickle.dumps(identify([flight], options)['roll']))
+        return pickle.loads(file.read_bytes())  # noqa: S301
+
+    return answer
 
 
 @pytest.fixture(scope='session')
@@ -39,9 +70,9 @@ def plain_bag(plain_flight: Record, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture(scope='session')
-def plain_answer(plain_flight: Record) -> AxisAnswer:
+def plain_answer(plain_flight: Record, identified: Identified) -> AxisAnswer:
     """What `identify` says of it, asked for no effects."""
-    return identify([plain_flight], Options(axes=('roll',), effects=()))['roll']
+    return identified(plain_flight, ())
 
 
 @pytest.fixture(scope='session')
@@ -76,9 +107,8 @@ def rubbed_flight() -> Record:
 
 
 @pytest.fixture(scope='session')
-def rubbed_answer(rubbed_flight: Record) -> AxisAnswer:
+def rubbed_answer(rubbed_flight: Record, identified: Identified) -> AxisAnswer:
     """What `identify` says of it, with a designer that proposes always the same."""
     gains = {'roll.angle.kp': 4.0, 'roll.rate.kp': 0.12, 'roll.rate.ki': 0.0, 'roll.rate.kd': 0.0}
     figures = {'rise_time_s': 0.3, 'rise_time_s_before': 0.5}
-    options = Options(axes=('roll',), designer=lambda _: GainProposal(gains, figures=figures))
-    return identify([rubbed_flight], options)['roll']
+    return identified(rubbed_flight, designer=lambda _: GainProposal(gains, figures=figures))

@@ -294,11 +294,11 @@ def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
     whole = (write_bag(make_record(100), tmp_path / 'bag') / 'bag.mcap').read_bytes()
     rng = np.random.default_rng(5)
     spoiled, read = tmp_path / 'spoiled.mcap', 0
-    for length in sorted(rng.integers(0, len(whole), 60)):
+    for length in sorted(rng.integers(0, len(whole), 30)):
         spoiled.write_bytes(whole[:length])
         read += record_or_line(spoiled)
-    assert read > 10
-    for _ in range(40):
+    assert read > 5
+    for _ in range(20):
         data = bytearray(whole)
         for place in rng.integers(8, len(data), 20):
             data[place] = rng.integers(256)
@@ -451,8 +451,8 @@ def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, chunked, harm, w
     assert words in ' '.join(got.warnings)
 
 
-@pytest.mark.parametrize('plugin', list(StoragePlugin))
-@pytest.mark.parametrize('foreign_last', [True, False])
+@pytest.mark.parametrize(('plugin', 'foreign_last'),
+                         zip(StoragePlugin, (True, False), strict=True))
 def test_of_a_topic_with_two_types_the_contracts_one_is_read(tmp_path, plugin, foreign_last):
     bag = write_bag(make_record(200), tmp_path / 'bag')
     store, foreign = cdr.typestore(), ('/imu/data', 'std_msgs/msg/String')

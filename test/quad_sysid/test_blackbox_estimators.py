@@ -26,8 +26,6 @@ from quad_sysid.blackbox import (
 from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.record import IOData
 
-QUICK_AND_FULL = [3, pytest.param(20, marks=pytest.mark.long)]
-
 
 @pytest.fixture(scope='module')
 def study() -> Study:
@@ -49,33 +47,25 @@ def distance(model: Model, truth: Model) -> float:
     return float(error @ np.linalg.solve(model.covariance, error))
 
 
-@pytest.mark.parametrize('flights', QUICK_AND_FULL)
-def test_fits_reach_the_ceiling_on_each_seed(study, flights):
+@pytest.mark.parametrize('flights', [3, pytest.param(20, marks=pytest.mark.long)])
+def test_fits_reach_the_ceiling_and_their_covariance_on_each_seed(study, flights):
     """Free-run fit on another seed, in points below the true model's: 0.03, 0.06.
 
     ARMAX cannot describe this noise: its optimum lies 0.25 below (0.27 with 300,000 samples) and
-    scatters, 0.30 in the mean and 0.42 on each seed are asked.
+    scatters, 0.30 in the mean and 0.42 on each seed are asked. Squared distances of BJ and CL-RIV
+    from the truth are chi² with 8 degrees of freedom: their mean within 4 sigma.
     """
-    below = []
+    below, nees = [], []
     for seed in range(flights):
         z, validation = flight(study, seed), flight(study, 1000 + seed)
-        models = [bj(z, 2, 2, 2, 2, 3), oe(z, 2, 2, 3), armax(z, 3, 3, 3, 1)]
-        assert all(model.converged for model in models)
+        first, second = bj(z, 2, 2, 2, 2, 3), clriv(z, 2, 2, 2, 2, 3)
+        models = [first, oe(z, 2, 2, 3), armax(z, 3, 3, 3, 1)]
+        assert all(model.converged for model in (*models, second))
         below.append(compare(validation, study.truth)[0] - np.array(compare(validation, *models)))
+        nees.append([distance(model, study.truth) for model in (first, second)])
+        np.testing.assert_allclose(second.std, first.std, rtol=0.5)
     np.testing.assert_array_less(np.max(below, axis=0), [0.03, 0.06, 0.42])
     assert np.mean(below, axis=0)[2] < 0.30
-
-
-@pytest.mark.parametrize('flights', QUICK_AND_FULL)
-def test_bj_and_clriv_are_consistent_with_their_covariance(study, flights):
-    """Squared distances are chi² with 8 degrees of freedom: their mean within 4 sigma."""
-    nees = []
-    for seed in range(100, 100 + flights):
-        z = flight(study, seed)
-        models = [bj(z, 2, 2, 2, 2, 3), clriv(z, 2, 2, 2, 2, 3)]
-        assert models[1].converged
-        nees.append([distance(model, study.truth) for model in models])
-        np.testing.assert_allclose(models[1].std, models[0].std, rtol=0.5)
     np.testing.assert_allclose(np.mean(nees, axis=0), 8.0, atol=4 * math.sqrt(16 / flights))
 
 
@@ -162,7 +152,7 @@ def test_indirect_finds_the_plant_without_the_recorded_command(study, refusal, s
     assert 'too few samples' in refusal(indirect, short, 2, 2, 3, controller, start=model)
 
 
-@pytest.mark.parametrize('seed', [1, 5, 6, 7])
+@pytest.mark.parametrize('seed', [1, 6])
 def test_a_drift_leaves_oe_on_the_edge_of_stability_and_converged(seed):
     """A random walk beside the plant: the least loss is on the edge, no start has less (1e-6)."""
     truth = polynomial_model([0, 0, 0.004, 0.003], F=[1, -1.9, 0.9025], dt=0.004)
@@ -185,7 +175,7 @@ def test_a_drift_leaves_oe_on_the_edge_of_stability_and_converged(seed):
         assert model.loss <= again.loss * (1.0 + 1e-6)
 
 
-@pytest.mark.parametrize('pole', [0.9, 0.99, 0.999])
+@pytest.mark.parametrize('pole', [0.9, 0.999])
 def test_oe_under_strongly_coloured_noise_is_no_worse_than_from_the_truth(pole):
     """Closed loop, where such noise moves the minimum far from the plant: N ln V within 0.5."""
     plant = polynomial_model([0, 0, 0.1, 0.05], F=[1, -1.6, 0.68], dt=0.004)

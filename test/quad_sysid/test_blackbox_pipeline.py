@@ -140,6 +140,8 @@ def test_the_text_fits_a_terminal_and_every_elimination_has_its_reason(answers):
     assert '  - /imu/data: the clock was set back' in '\n'.join(lines)
     assert '  not tested: 14 shapes: still' in lines
     assert max(map(len, lines)) <= 80
+    assert lines[3].startswith('verdict')  # after the axis, and before all else
+    assert lines.index('warnings') < next(i for i, line in enumerate(lines) if 'loop, %' in line)
     for model in roll['models']:
         gone = not (model['passed_first_step'] and model['passed_second_step'])
         assert gone == bool(model.get('eliminated_because')), model
@@ -193,7 +195,7 @@ def test_poor_excitation_is_told():
                for line in found.selection.advice)
 
 
-def test_held_out_motion_beyond_the_trainings_is_told():
+def test_held_out_motion_beyond_the_trainings_is_told(roll):
     record = flight()
     larger = np.ones((record.n, 1))
     for segment in record.segments:
@@ -202,11 +204,9 @@ def test_held_out_motion_beyond_the_trainings_is_told():
     beyond = dataclasses.replace(
         record, rates=larger * record.rates, control=larger * record.control
     )
-    told = [
-        any('held-out rates reach' in line for line in
-            identify([one], Options(axes=('roll',), effects=()))['roll'].selection.advice)
-        for one in (record, beyond)
-    ]
+    found = identify([beyond], Options(axes=('roll',), effects=()))['roll']
+    told = [any('held-out rates reach' in line for line in one.selection.advice)
+            for one in (roll, found)]
     assert told == [False, True]
 
 

@@ -178,51 +178,57 @@ def test_a_schedule_is_flown_and_the_process_ends(aircraft, fly):
     assert 'complete' in aircraft.state['reason']
 
 
-def test_started_by_service_and_ended_by_failsafe_or_a_silent_link(aircraft, fly):
-    fly(LONG)
+def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):
+    """Battery, failsafe, STM32, abort switch, a silent link, SIGTERM: one after the other."""
+    process = fly(LONG, battery_min_v=10.2)
     aircraft.until_state('ready')
     assert not aircraft.setpoints
-    assert aircraft.call('/excitation/start').success
-    aircraft.until(lambda: len(aircraft.heard) > 20)
-    aircraft.failsafe = 1
-    aircraft.until_state('aborted')
-    assert 'failsafe' in aircraft.state['reason']
-    aircraft.until(lambda: aircraft.segments[-1].get('reason'))
-    assert aircraft.segments[-1]['signal'] == 'none'
-    assert aircraft.setpoints[-1] == (0.0, 0.0, 0.0)
-    refused = aircraft.call('/excitation/start')
-    assert (refused.success, 'failsafe' in refused.message) == (False, True)
-    aircraft.failsafe, begun = 0, len(aircraft.heard)
-    aircraft.until(lambda: aircraft.call('/excitation/start').success)
-    aircraft.until(lambda: len(aircraft.heard) > begun + 20)
-    aircraft.silent = True
-    aircraft.until(lambda: '/imu/data is 0.2' in aircraft.state['reason'])
+    aircraft.aux[1] = 1.0  # aux 2 arms on the project's own board: it is no abort switch
 
+    def refused(words: str) -> None:
+        answer = aircraft.call('/excitation/start')
+        assert (answer.success, words in answer.message) == (False, True), answer.message
 
-def test_the_arming_switch_is_no_abort_switch_and_an_unheard_battery_keeps_from_starting(
-    aircraft, fly
-):
-    fly(LONG, battery_min_v=10.2)
-    aircraft.until_state('ready')
-    aircraft.aux[1] = 1.0  # aux 2 arms on the project's own board
-    refused = aircraft.call('/excitation/start')
-    assert (refused.success, 'no voltage on /battery yet' in refused.message) == (False, True)
+    def begin(setpoints: int = 20) -> None:
+        aircraft.until(lambda: aircraft.call('/excitation/start').success)
+        begun = len(aircraft.heard)
+        aircraft.until(lambda: len(aircraft.heard) > begun + setpoints)
+
+    def ended(words: str) -> None:
+        aircraft.until(lambda: words in aircraft.state['reason'], words)
+        aircraft.until_state('aborted')
+        aircraft.until(lambda: aircraft.segments[-1].get('reason'))
+        assert aircraft.segments[-1]['signal'] == 'none'
+        aircraft.until_taken_back()
+
+    def flags(told: str) -> None:
+        values = [{'key': 'flags of the STM32', 'value': told}]
+        aircraft.probe.publish('/diagnostics', {'status': [
+            {'name': 'serial_bridge: excitation', 'values': values}]})
+
+    refused('no voltage on /battery yet')
     aircraft.volts = 11.5
-    aircraft.until(lambda: aircraft.call('/excitation/start').success)
-    aircraft.until(lambda: len(aircraft.heard) > 20)
+    begin()
+    aircraft.failsafe = 1
+    ended('failsafe')
+    refused('failsafe')
+    aircraft.failsafe = 0
+    begin(200)  # what the STM32 refused before the start counts no more
+    flags('armed excitation_refused')
+    ended('the STM32 refuses the excitation')
+    flags('armed')
+    begin()
     aircraft.aux[2] = 1.0
-    aircraft.until_state('aborted')
-    assert 'abort switch' in aircraft.state['reason']
-
-
-def test_the_schedule_ends_where_the_stm32_refuses(aircraft, fly):
-    fly(LONG, autostart=True)
-    aircraft.until(lambda: len(aircraft.heard) > 200)
-    flags = [{'key': 'flags of the STM32', 'value': 'armed excitation_refused'}]
-    aircraft.probe.publish('/diagnostics', {'status': [
-        {'name': 'serial_bridge: excitation', 'values': flags}]})
-    aircraft.until_state('aborted')
-    assert 'the STM32 refuses the excitation' in aircraft.state['reason']
+    ended('abort switch')
+    aircraft.aux[2] = -1.0
+    begin()
+    aircraft.silent = True
+    ended('/imu/data is 0.2')
+    aircraft.silent = False
+    begin()
+    process.send(signal.SIGTERM)
+    aircraft.until(lambda: process.poll() is not None, 'its end')
+    assert process.poll() == 0
     aircraft.until_taken_back()
 
 
@@ -234,15 +240,6 @@ def test_a_standstill_of_the_node_itself_is_no_stale_link(aircraft, fly):
     aircraft.probe.until(lambda: aircraft.state.get('state') in {'done', 'aborted'})
     assert 'stood still for 0.60 s' in process.said
     assert aircraft.state['reason'] == 'the schedule is complete'
-
-
-def test_an_interrupt_takes_the_excitation_back(aircraft, fly):
-    process = fly(LONG, autostart=True)
-    aircraft.until(lambda: len(aircraft.heard) > 20)
-    process.send(signal.SIGTERM)
-    aircraft.until(lambda: process.poll() is not None, 'its end')
-    assert process.poll() == 0
-    aircraft.until_taken_back()
 
 
 BROKEN = """

@@ -16,6 +16,7 @@ from quad_sysid.bags import read_bag
 from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER_INVERSE, control_from_motors, motors_from_wrench
+from quad_sysid.craft import LAYOUTS, Craft
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
 from quad_sysid.imports.mixers import mixer_of
@@ -743,12 +744,15 @@ def test_units_of_commands_and_motors():
 def test_mixers(tmp_path):
     names = ('a', 'b', 'c', 'd')
     plus = mixer_of('plus', names)
-    np.testing.assert_allclose(plus.matrix @ np.full(4, 0.5), [0.5, 0, 0, 0])
-    assert (plus.matrix @ np.array([0.5, 0.4, 0.5, 0.6]))[1] > 0.0
-    assert plus.order is None
+    assert plus.places == ('front', 'right', 'rear', 'left')
     file = tmp_path / 'mixer.yaml'
     file.write_text(f'matrix: {MIXER_INVERSE[:, [2, 1, 0, 3]].tolist()}')
-    assert mixer_of(str(file), names).order == (2, 1, 0, 3)
+    assert mixer_of(str(file), names).places == (
+        'front right', 'rear right', 'rear left', 'front left')
+    file.write_text(f'matrix: {(MIXER_INVERSE * [1, 1, 1, 2]).tolist()}')
+    assert not isinstance(mixer_of(str(file), names), Craft)  # no places and spins give that
+    file.write_text(LAYOUTS['ardupilot_quad_h'].to_urdf())
+    assert mixer_of(str(file), names).signs == LAYOUTS['ardupilot_quad_h'].signs
     for text, words in (
         ('[1, 2]', 'matrix of numbers'), ('matrix: [[1, 2]]', '4 rows'), ('{', 'is not YAML'),
         ('matrix: [[1], [2], [3], [4]]', 'one of 1 motors'), ('colums: {}', 'is not YAML with'),

@@ -137,19 +137,6 @@ def test_a_command_of_the_wrong_sign_is_told_without_motors(record, tmp_path, ca
     assert 'motor_' not in out
 
 
-def test_one_gap_has_one_length(bag):
-    page = lines(content(bag))
-    (imu,) = [line for line in page if line.lstrip().startswith('/imu/data ')]
-    assert imu.split()[-1] == '0.204'
-    assert sum('0.204' in line for line in page) == 3  # with the line on the flight, and a warning
-
-
-def test_a_stored_model_must_have_the_bags_rate(bag):
-    (use,) = content(bag).uses
-    assert use.possible
-    assert use.because == "one of this bag's rate, 250 Hz"
-
-
 def test_what_identify_would_refuse_is_no_use(record, tmp_path, capsys):
     short = tuple(replace(s, end_s=s.start_s + 4.0) if s.role == 'train' else s
                   for s in record.segments)  # 6 windows, the fit needs 8
@@ -185,7 +172,14 @@ def test_a_bag_without_commands_tells_its_topics(record, tmp_path, capsys):
 
 
 def test_the_page_fits_a_terminal_and_json_is_whole(bag, capsys):
-    assert max(map(len, lines(content(bag)))) <= 80
+    held = content(bag)
+    page = lines(held)
+    assert max(map(len, page)) <= 80
+    (imu,) = [line for line in page if line.lstrip().startswith('/imu/data ')]
+    assert imu.split()[-1] == '0.204'
+    assert sum('0.204' in line for line in page) == 3  # with the line on the flight, and a warning
+    assert [(use.possible, use.because) for use in held.uses] == [
+        (True, "one of this bag's rate, 250 Hz")]  # a stored model must have it
     assert main(['inspect', str(bag), '--json']) == 0
     tree = json.loads(capsys.readouterr().out)
     assert tree['schema'] == 'quad_sysid/inspection/1'

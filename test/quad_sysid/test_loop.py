@@ -248,11 +248,12 @@ SPRING = np.interp(np.linspace(-0.5, 0.7, 6), [-0.5, 0.1, 0.7], [0.0, 0.0, -4.8]
 )
 def test_a_model_flies_in_the_loop_as_its_effects_say(found, law):
     """A step of 0.2 rad: within 5e-4 rad of the loop by hand."""
-    ours = simulate_cascade(loop_plant(model_of(*found)), GAINS, STEP, DT)
-    angle, _ = by_hand(PLANT, GAINS, STEP, **law)
+    step = STEP[:120]
+    ours = simulate_cascade(loop_plant(model_of(*found)), GAINS, step, DT)
+    angle, _ = by_hand(PLANT, GAINS, step, **law)
     np.testing.assert_allclose(ours.angle, angle, atol=5e-4)
     if law:
-        plain = simulate_cascade(PLANT, GAINS, STEP, DT)
+        plain = simulate_cascade(PLANT, GAINS, step, DT)
         assert np.abs(plain.angle - angle).max() > 2e-3
 
 
@@ -427,10 +428,10 @@ def by_the_loops_kernel(flight, axis, excitation, injection):
     return np.array(rows) + np.stack((0 * excitation, added['control']), axis=1)
 
 
-@pytest.mark.parametrize(
-    ('injection', 'size'), [('attitude', 0.3), ('attitude', 1.4), ('rate', 1.0), ('control', 0.05)]
-)
-@pytest.mark.parametrize('axis', ['roll', 'pitch'])
+@pytest.mark.parametrize(('axis', 'injection', 'size'), [
+    ('roll', 'attitude', 0.3), ('pitch', 'attitude', 1.4), ('roll', 'rate', 1.0),
+    ('pitch', 'control', 0.05),
+])
 def test_the_firmware_in_c_flies_this_cascade(injection, size, axis):
     """To 1e-6 of the command and rad/s over a flight, limits and integral included."""
     excitation = size * np.repeat([1.0, -1.0] * 4, 500)

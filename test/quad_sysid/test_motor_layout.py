@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import gzip
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from quad_sysid.craft import of_betaflight
 from quad_sysid.imports.log import ForeignLog, Stream
-from quad_sysid.imports.mixers import mixer_at_places
+from quad_sysid.imports.mixers import chosen
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.motor_layout import patterns_of, share_of
 
@@ -80,15 +80,18 @@ def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path, seed):
         assert 'not certain' not in line
 
 
-@pytest.mark.parametrize('unsaid', [('yaw',), ()])
-def test_the_motion_says_what_a_log_does_not(unsaid):
-    """A Betaflight Quad X with its propellers out, and a header that is silent on them."""
-    layout = ('- - + +', '+ - + -', '- + + -')
-    mixer = mixer_at_places('Quad X', (2, 0, 1, 3), clockwise_rear_left=False)
-    found = replace(mixer, unsaid=unsaid).told_by(patterns_of(*flown(layout), DT))
-    yaw = signs(layout[2]) * (1.0 if unsaid else -1.0)
-    np.testing.assert_allclose(
-        4.0 * found.matrix, [np.ones(4), signs(layout[0]), signs(layout[1]), yaw])
+@pytest.mark.parametrize(('layout', 'wanted'), [
+    (('- - + +', '+ - + -', '- + + -'), 'QUADX, propellers out'),
+    (('- - + + - +', '+ - + - 0 0', '- - + + + -'), 'HEX6X, propellers in'),
+])
+def test_the_motion_says_what_a_log_does_not(layout, wanted):
+    """A blackbox header that names neither the mixer nor the sense of the propellers."""
+    mixers = ('QUADX',) if len(signs(layout[0])) == 4 else ('HEX6', 'HEX6X', 'Y6')
+    crafts = [of_betaflight({'mixer': mixer, 'yaw_motors_reversed': out})
+              for mixer in mixers for out in ('0', '1')]
+    rates, motors = flown(layout)
+    assert chosen(crafts, patterns_of(rates, motors, DT), rates, motors, DT).name == (
+        f"Betaflight's {wanted}")
 
 
 @pytest.mark.parametrize('motors', [4, 8])

@@ -41,7 +41,8 @@ class Cogging(qs.Effect):
 pytestmark = pytest.mark.xdist_group('own effect')
 TRUTH = 4.0
 AXIS = Axis(torque=lambda _t, _rate, angle: -TRUTH * math.sin(12.0 * angle))
-OWN = (*qs.EFFECTS, Cogging())
+OWN = (*qs.EFFECTS[:8], Cogging())
+"""Beside friction, drag, springs, play and the like."""
 
 
 @pytest.fixture(scope='module')

@@ -77,13 +77,14 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
     assert result['roll'].model.value('gain') == pytest.approx(450.0, rel=0.02)
     assert 'effects were not searched for' in result.reason
     assert 'better than the base' not in str(result)
-    assert 'suffices' not in result._repr_html_()
+    shown = result._repr_html_()
+    assert 'suffices' not in shown
     untested = {entry['name'] for entry in result.report['axes']['roll']['not_tested']}
     assert untested == {effect.label for effect in quad_sysid.EFFECTS}
     assert 'no_missing_effect' in str(result)
     assert f'{result.errors["before"]:.3g}'[:4] in str(result)
-    assert '<pre>' in result._repr_html_()
-    assert '<img' in result._repr_html_()
+    assert '<pre>' in shown
+    assert '<img' in shown
     assert result.plot('free_run').axes
     saved = result.save(tmp_path / 'out', pictures=False)
     assert {'report.json', 'model.json', 'report.html'} <= {

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
+import quad_sysid
 from quad_sysid import cli
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.discover.base import best_base
@@ -129,9 +130,9 @@ def test_emps_error_falls_on_the_unseen_second_file(emps, capsys):
 @pytest.fixture(scope='module')
 def independent(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the report on the flight."""
-    flight = measured('independent/flight')
+    result = quad_sysid.identify(measured('independent/flight'), 'roll')
     out = tmp_path_factory.mktemp('independent') / 'out'
-    assert cli.main(['identify', str(flight), '--axis', 'roll', '--out', str(out), '--quiet']) == 0
+    result.save(out, html=False, pictures=False)
     return out
 
 

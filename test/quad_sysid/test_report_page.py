@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -21,8 +22,6 @@ SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
 )
 
-pytestmark = pytest.mark.xdist_group('rubbed')
-
 
 @pytest.fixture(scope='module')
 def answers(rubbed_answer) -> dict[str, AxisAnswer]:
@@ -34,6 +33,11 @@ def written(answers, tmp_path_factory):
     folder = tmp_path_factory.mktemp('report')
     store.write(folder, document.document(answers, ['flights/<one>']), answers)
     return folder
+
+
+@pytest.fixture(scope='module')
+def drawn(rubbed_answer) -> plots.Gallery:
+    return plots.gallery(rubbed_answer)
 
 
 class Page(HTMLParser):
@@ -98,6 +102,18 @@ def test_a_report_that_is_interrupted_leaves_the_one_before(answers, tmp_path, m
         assert folder.exists() == bool(before)
 
 
+def test_a_report_leaves_nothing_of_an_earlier_one(written, tmp_path):
+    out, answers = tmp_path / 'out', {'yaw': AxisAnswer('yaw', 250.0, (), 'cannot_tell', 'still')}
+    shutil.copytree(written, out)
+    (out / 'pictures' / 'mine.png').write_bytes(b'mine')
+    (out / 'gains.json').write_text('{}')
+    assert (out / 'model.json').exists()
+    store.write(out, document.document(answers, ['bag']), answers)
+    left = sorted(str(p.relative_to(out)) for p in out.rglob('*') if p.is_file())
+    assert left == ['gains.json', 'pictures/mine.png', 'report.html', 'report.json']
+    assert list(json.loads((out / 'report.json').read_text())['axes']) == ['yaw']
+
+
 def test_every_figure_is_in_the_page_and_beside_it(answers, written):
     assert answers['roll'].verdict == 'effects_added'
     answer, rest = (written / 'report.html').read_text().split('<figure', 1)
@@ -114,9 +130,12 @@ def test_every_figure_is_in_the_page_and_beside_it(answers, written):
     assert all(png.startswith(b'\x89PNG') and len(png) > 4000 for png in files.values())
 
 
-def test_page_is_self_contained_well_formed_and_the_same_for_the_same_answer(answers, written):
+def test_page_is_self_contained_well_formed_and_the_same_for_the_same_answer(
+    answers, written, drawn
+):
     text = (written / 'report.html').read_text()
-    assert page(document.document(answers, ['flights/<one>']), answers) == text
+    tree = document.document(answers, ['flights/<one>'])
+    assert page(tree, answers, {'roll': drawn}) == text
     found = Page(text)
     assert not found.stack
     assert all(link.startswith('#') for link in found.links)
@@ -229,9 +248,8 @@ def test_friction_is_seen_in_what_the_base_leaves_and_gone_when_it_is_added(tree
         assert abs(one['largest_cross_correlation']['value']) <= 1.0
 
 
-def test_every_panel_names_both_axes_with_a_unit(answers):
+def test_every_panel_names_both_axes_with_a_unit(drawn):
     """And the missing torque, 0.8 rad/s² against the rate, is drawn within a quarter."""
-    drawn = plots.gallery(answers['roll'])
     assert not drawn.failed
     for name, picture in drawn.pictures.items():
         for x, y in picture.labels:

@@ -5,7 +5,7 @@ import pytest
 
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Problem, fit, start_of
-from quad_sysid.estimate.stored import completed, noise_of, part_of, readings
+from quad_sysid.estimate.stored import completed, noise_of, readings
 from quad_sysid.model import AxisModel, EffectEstimate
 from quad_sysid.model.data import axis_data
 from quad_sysid.model.effect import Part
@@ -56,15 +56,9 @@ def test_a_delay_of_nothing_has_no_standard_error(problem):
     assert delay.interval[1] > delay.value
 
 
-def test_an_effect_that_is_not_known_is_refused(true_model, refusal):
-    unknown = EffectEstimate('perpetual_motion', 'named', (), ())
-    assert 'not known here: found perpetual_motion' in refusal(part_of, true_model, unknown)
-
-
 # up to where a model is worth something
 
 
-@pytest.mark.xdist_group('rubbed')
 def test_the_error_over_the_horizon_grows_from_the_noise_and_is_told(rubbed_answer):
     tree = document.document({'roll': rubbed_answer}, ['bag'])['axes']['roll']
     listed = tree['error']['horizons']

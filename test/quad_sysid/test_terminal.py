@@ -8,18 +8,19 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from types import SimpleNamespace
+from pathlib import Path
 
+import numba
 import pytest
 from probe import PATIENCE_S
 
-from quad_sysid import session
+from quad_sysid import compiled
 from quad_sysid.arguments import progress
 from quad_sysid.cli import main
-from quad_sysid.model import recursion
+from quad_sysid.model.recursion import slew
 
 COMMANDS = ('inspect', 'identify', 'evaluate', 'import', 'design-excitation', 'export', 'compare',
-            'fleet')
+            'fleet', 'compile')
 
 
 def shown_by(arguments: list[str], capsys) -> str:
@@ -37,17 +38,27 @@ def test_every_command_is_listed_and_has_an_example_in_its_help(capsys):
         assert f'quad-sysid {name}' in told.partition('example: ')[2]
 
 
-def test_a_first_use_says_that_it_compiles(monkeypatch, tmp_path):
-    found = SimpleNamespace(save=lambda _: None)
-    monkeypatch.setattr(session, 'identify', lambda _, progress: progress('roll: gains') or found)
-    for index in ('recursion.motors-1.py311.nbi', 'recursion.predict-1.py311.nbi'):
-        (tmp_path / index).touch()
-        monkeypatch.setattr(recursion, 'predict', SimpleNamespace(
-            stats=SimpleNamespace(cache_path=str(tmp_path))))
-        told: list[str] = []
-        session.run(['bag'], tmp_path / 'out', {}, told.append)
-        assert told[0] == ('roll: gains' + ' (compiling, once)' * ('motors' in index))
-        assert told[-1] == ''
+def test_a_first_use_says_once_that_it_compiles_and_a_second_does_not_compile(tmp_path):
+    use = ('import numpy as np; from quad_sysid.model.recursion import play, slew\n'
+           'for f in (play, slew): f(np.ones(2), 1.0, 0, 2, np.ones(2))')
+    said = [subprocess.run([sys.executable, '-c', use], check=True, capture_output=True, text=True,
+                           env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}).stderr
+            for _ in range(2)]
+    assert said == ['compiling for this machine, once, half a minute\n', '']
+
+
+def test_what_is_compiled_of_an_installed_package_outlives_its_folder(monkeypatch, tmp_path):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    monkeypatch.setattr(numba.config, 'CACHE_DIR', '')
+    beside = compiled.kernel()(slew.py_func).stats.cache_path
+    monkeypatch.setattr(compiled, '__file__', '/venv/site-packages/quad_sysid/compiled.py')
+    kept = compiled.kernel()(slew.py_func).stats.cache_path
+    monkeypatch.setattr(numba.config, 'CACHE_DIR', str(tmp_path / 'wished'))
+    wished = compiled.kernel()(slew.py_func).stats.cache_path
+    assert Path(beside) == Path(slew.py_func.__code__.co_filename).parent / '__pycache__'
+    assert Path(kept).parent == tmp_path / 'quad_suite'
+    assert Path(wished).parent == tmp_path / 'wished'
+    assert str(tmp_path / 'wished') == numba.config.CACHE_DIR
 
 
 def test_completion_answers(tmp_path):

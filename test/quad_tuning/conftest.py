@@ -28,12 +28,12 @@ def build_model(axis='roll', effects=(), stds=None, **values):
     )  # fmt: skip
 
 
-@pytest.fixture
+@pytest.fixture(scope='session')
 def model():
     """Factory: build_model(axis=..., effects=..., stds={...}, gain=..., ...)."""
     return build_model
 
 
-@pytest.fixture
+@pytest.fixture(scope='session')
 def changed():
     return dataclasses.replace

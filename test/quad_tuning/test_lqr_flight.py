@@ -25,7 +25,7 @@ def profile():
     return replace(load_profile('plain'), mount='rig', axis='roll')
 
 
-@pytest.fixture
+@pytest.fixture(scope='module')
 def proposal(model, profile):
     """For the profile's own roll axis."""
     body, firmware = profile.airframe, profile.firmware

@@ -93,7 +93,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         assert 'data loaded from' in done.stdout
-        assert 'data saved to' not in done.stdout, 'tools/warm_up.py misses a function'
+        assert 'data saved to' not in done.stdout, 'quad-sysid compile misses types of arguments'
         assert ('\x1b' in done.stdout, done.stderr) == (False, '')
         said = [line for line in done.stdout.splitlines() if not line.startswith('[cache]')]
         assert program == 'quad-tune' or max(map(len, said)) <= 80, said

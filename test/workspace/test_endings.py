@@ -8,18 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from node_process import STARTS, Started, node_command, program
-from probe import Probe, content, entries, event
+from node_process import MODULES, STARTS, Started, node_command, program
+from probe import Probe, entries, event
 
 INT, TERM = signal.SIGINT, signal.SIGTERM
 NODES = {
-    'serial_bridge': ('quad_bridge.nodes.serial_bridge', 'SerialBridge', '_on_report'),
-    'bag_logger': ('quad_bridge.nodes.bag_logger', 'BagLogger', '_on_report'),
-    'monitor': ('quad_bridge.nodes.monitor', 'Monitor', '_look'),
-    'excitation': ('quad_sysid.excitation_node', 'ExcitationNode', '_report'),
-    'identification': ('quad_sysid.identification_node', 'IdentificationNode', '_collect'),
-}
-"""Module, class, and a callback that a timer calls."""
+    'serial_bridge': 'SerialBridge._on_report', 'bag_logger': 'BagLogger._on_report',
+    'monitor': 'Monitor._look', 'excitation': 'ExcitationNode._report',
+    'identification': 'IdentificationNode._collect',
+}  # fmt: skip
+"""Class, and a callback that a timer calls."""
 assert {*NODES, 'virtual_stm32'} == set(STARTS)
 ONE_OF_EACH = ('serial_bridge', 'excitation', 'virtual_stm32')
 """The nodes of a package begin by the same lines."""
@@ -45,7 +43,7 @@ FAIL = """
 import {0} as module
 def fail(*_given):
     raise OverflowError('too large')
-module.{1}.{2} = fail
+module.{1} = fail
 """
 
 
@@ -78,50 +76,37 @@ def ended(process: Started, status: int = 0) -> str:
 def test_a_signal_while_it_imports(begin, name, number):
     last = 'rclpy.executors' if name in NODES else 'quad_bridge.virtual.receiver'
     module = 'numpy' if number == INT else last
-    process = begin(name, INTERRUPT_AT_IMPORT.format(module, int(number)))
+    process = begin(name, INTERRUPT_AT_IMPORT.format(module, int(number)), fresh=True)
     assert ended(process, 0 if name in NODES else 130) == ''
 
 
 @pytest.mark.parametrize('name', NODES)
-def test_a_callback_that_fails_is_said_and_the_node_goes_on(begin, name):
-    process = begin(name, FAIL.format(*NODES[name]))
+def test_a_callback_that_fails_is_said_and_only_signals_end_the_node(begin, name):
+    process = begin(name, FAIL.format(MODULES[name], NODES[name]))
     process.says('a callback failed and was left out: OverflowError: too large')
-    process.send(INT)
+    for number in (INT, INT, TERM):
+        process.send(number)
     assert ended(process).count('OverflowError') == 1
 
 
 @pytest.mark.parametrize('name', ONE_OF_EACH)
-def test_nobody_reads_what_it_says(begin, name):
+def test_no_standard_streams_or_nobody_who_reads_them(begin, name):
     """As behind `| head`, or in a terminal that is gone."""
     reading, writing = os.pipe()
     os.close(reading)
-    process = begin(name, SAY_READY * (name in NODES), stdout=writing, stderr=writing)
+    ready, before = Path('ready'), SAY_READY * (name in NODES)
+    deaf = begin(name, before, stdout=writing, stderr=writing)
     os.close(writing)
-    process.until(Path('ready').exists)
-    process.send(TERM)
-    ended(process)
-
-
-@pytest.mark.parametrize('name', STARTS)
-def test_more_than_one_signal_and_no_standard_streams(begin, name):
-    process = begin(name, SAY_READY * (name in NODES), 'exec "$@" <&- >&- 2>&-')
-    process.until(Path('ready').exists)
+    deaf.until(ready.exists)
+    deaf.send(TERM)
+    ended(deaf)
+    ready.unlink(missing_ok=True)
+    without = begin(name, before, 'exec "$@" <&- >&- 2>&-')
+    without.until(ready.exists)
     for number in range(3):  # else a port or a bag could get what ROS logs
-        assert str(Path(f'/proc/{process.pid}/fd/{number}').readlink()) == os.devnull
-    for number in (INT, INT, TERM):
-        process.send(number)
-    ended(process)
-
-
-def test_a_recording_ends_with_its_node(begin, probe):
-    told = probe.listen('/logger/bag')
-    process = begin('bag_logger')
-    probe.until(lambda: told)
-    process.send(TERM)
-    ended(process)
-    probe.until(lambda: len(told) == 2)
-    bag = Path(content(told[1])['path'])
-    assert (content(told[1])['state'], (bag / 'metadata.yaml').exists()) == ('complete', True)
+        assert str(Path(f'/proc/{without.pid}/fd/{number}').readlink()) == os.devnull
+    without.send(INT)
+    ended(without)
 
 
 def test_an_identification_that_still_computes_is_not_waited_for(begin, probe):
@@ -141,9 +126,9 @@ session.run = run
     ended(process)
 
 
-def test_a_fault_of_the_middleware_is_one_failed_assertion(ros_domain, tmp_path):
+def test_a_fault_of_the_middleware_is_one_failed_assertion(ros_domain, tmp_path, nursery):
     del ros_domain
-    probe = Probe(tmp_path)
+    probe = Probe(tmp_path, nursery)
     probe.nodes()
     os.kill(probe.pid, signal.SIGSEGV)
     with pytest.raises(AssertionError, match='the probe has ended'):

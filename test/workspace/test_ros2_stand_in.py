@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -23,8 +22,9 @@ def ros2(tmp_path):
 
     def command(*words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, str(ROOT / 'tools/ros2_stand_in.py'), *words], check=False,
-            capture_output=True, text=True, env={**os.environ, 'AMENT_PREFIX_PATH': str(tmp_path)},
+            ['timeout', '60', 'ros2', *words], check=False,
+            capture_output=True, text=True, env={**os.environ, 'AMENT_PREFIX_PATH': str(tmp_path),
+                 'PATH': os.pathsep.join([str(ROOT / 'tools/bin'), os.environ['PATH']])},
         )
 
     return command

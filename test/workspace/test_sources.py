@@ -97,7 +97,7 @@ def test_maths_calls_nothing_that_touches_files() -> None:
 def test_what_both_packages_share_is_linked_and_knows_neither() -> None:
     for shared, link in (
         ('log/stored', SYSID / 'bags/stored'),
-        ('gains/motor_places.py', SYSID / 'motor_places.py'),
+        ('craft.py', SYSID / 'craft.py'),
         ('gains/table.py', TUNING / 'gain_table.py'),
     ):
         source = BRIDGE / shared

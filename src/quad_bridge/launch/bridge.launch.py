@@ -35,6 +35,8 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument('port', default_value='/dev/ttyACM0'),
             DeclareLaunchArgument('key_file', default_value=''),
+            DeclareLaunchArgument('unsigned', default_value='false'),
+            DeclareLaunchArgument('robot_description', default_value=''),
             DeclareLaunchArgument('log', default_value='false'),
             DeclareLaunchArgument('record', default_value='true'),
             DeclareLaunchArgument('folder', default_value='.'),
@@ -46,7 +48,15 @@ def generate_launch_description() -> LaunchDescription:
                 namespace=namespace,
                 parameters=[
                     shipped('serial_bridge'),
-                    {'port': text('port'), 'key_file': text('key_file'), 'managed': managed},
+                    {
+                        'port': text('port'),
+                        'key_file': text('key_file'),
+                        'unsigned': ParameterValue(
+                            LaunchConfiguration('unsigned'), value_type=bool
+                        ),
+                        'robot_description': text('robot_description'),
+                        'managed': managed,
+                    },
                 ],
                 **common,
             ),

@@ -63,6 +63,9 @@ def _parser() -> Parser:
     exports.add(commands)
     comparison.add(commands)
     fleet.add(commands)
+    command(commands, 'compile', _compile,
+            'Compile all that numba compiles, so that no first use has to wait (images, CI).',
+            'quad-sysid compile')
     return parser
 
 
@@ -75,8 +78,8 @@ def _identify_parser(commands: Commands) -> None:
         'quad-sysid identify flight/ --axis roll --out report/', reads='bags',
     )
     parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--axis', choices=[*AXES, 'all'],
-                        help='default: the axes that the bag says were excited')
+    parser.add_argument('--axis', metavar='AXES', help='roll, pitch or yaw, several with commas '
+                        'between, or all (default: the axes that the bag says were excited)')
     parser.add_argument('--train', metavar='A:B', help='seconds from the first /imu/data stamp')
     parser.add_argument('--validate', metavar='A:B', help='seconds from the first stamp')
     parser.add_argument('--out', metavar='DIR', type=Path, help='folder of the report, which '
@@ -137,8 +140,8 @@ def _identify(options: argparse.Namespace) -> int:
     from quad_sysid.report import text
 
     wanted = session.asked(
-        [options.axis] if options.axis else (), options.train or '', options.validate or '',
-        options.inertia or '',
+        () if options.axis is None else options.axis.split(','), options.train or '',
+        options.validate or '', options.inertia or '',
     ) | {'effects': candidates(options)}
     show = progress(quiet=options.quiet)
     outcome = session.run(options.bags, options.out, wanted, show)
@@ -202,6 +205,13 @@ def _evaluate(options: argparse.Namespace) -> int:
         beyond = (line for one in e.outside for line in tables.wrapped(str(one)))
         print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)), *text.growth(tree),
                          *beyond]))
+    return DONE
+
+
+def _compile(_: argparse.Namespace) -> int:
+    from quad_sysid.compiled import compile_all
+
+    print('\n'.join(f'compiled in {folder}' for folder in compile_all()))
     return DONE
 
 

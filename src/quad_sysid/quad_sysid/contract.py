@@ -5,16 +5,12 @@ Source: the project's contract of topics, bags and commands (docs/reference/topi
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.float64]
-
-AXES = ('roll', 'pitch', 'yaw')
+from quad_sysid.craft import AXES, FloatArray, X
 
 TOPIC_TYPES = {
     '/imu/data': 'sensor_msgs/msg/Imu',
     '/motors/command': 'sensor_msgs/msg/JointState',
+    '/motors/state': 'sensor_msgs/msg/JointState',
     '/control/wrench': 'geometry_msgs/msg/WrenchStamped',
     '/setpoint/attitude': 'geometry_msgs/msg/Vector3Stamped',
     '/setpoint/rates': 'geometry_msgs/msg/Vector3Stamped',
@@ -28,33 +24,20 @@ TOPIC_TYPES = {
     '/gains/update': 'rcl_interfaces/msg/ParameterEvent',
     '/gains/active': 'rcl_interfaces/msg/ParameterEvent',
     '/logger/bag': 'rcl_interfaces/msg/ParameterEvent',
+    '/robot_description': 'std_msgs/msg/String',
     '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray',
 }
 
-MIXER: FloatArray = np.array(
-    [
-        [1.0, 1.0, 1.0, 1.0],
-        [1.0, -1.0, 1.0, -1.0],
-        [1.0, -1.0, -1.0, 1.0],
-        [1.0, 1.0, -1.0, -1.0],
-    ]
-)
-"""(4, 4): motor commands m1..m4 = MIXER @ (U1, U2, U3, U4), normalised."""
+MIXER, MIXER_INVERSE = X.mixer, X.inverse
+"""(4, 4) each: m1..m4 = MIXER @ (U1..U4) of the X frame, and back; another craft has its own."""
+motors_from_wrench, control_from_motors = X.commands, X.control
 
-MIXER_INVERSE: FloatArray = MIXER.T / 4.0
-"""(4, 4): (U1..U4) = MIXER_INVERSE @ (m1..m4); MIXER is orthogonal up to the factor 4."""
-
-MIXER.setflags(write=False)
-MIXER_INVERSE.setflags(write=False)
-
-
-def motors_from_wrench(wrench: FloatArray) -> FloatArray:
-    """Motor commands (n, 4) in 0..1 from controller outputs U1..U4 (n, 4)."""
-    motors: FloatArray = np.clip(wrench @ MIXER.T, 0.0, 1.0)
-    return motors
-
-
-def control_from_motors(motors: FloatArray) -> FloatArray:
-    """The plant's input U1..U4 (n, 4) from motor commands (n, 4), normalised."""
-    control: FloatArray = motors @ MIXER_INVERSE.T
-    return control
+__all__ = [
+    'AXES',
+    'MIXER',
+    'MIXER_INVERSE',
+    'TOPIC_TYPES',
+    'FloatArray',
+    'control_from_motors',
+    'motors_from_wrench',
+]

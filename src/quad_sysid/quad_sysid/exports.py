@@ -60,6 +60,7 @@ def as_mat(models: Mapping[str, AxisModel]) -> bytes:
     for axis, model in models.items():
         content[axis] = {
             **matrices(model), 'outputs': list(OUTPUTS),
+            'mixer': model.craft.mixer, 'mixer_inverse': model.craft.inverse,
             'base': {p.name: p.value for p in model.base},
             'effects': {e.name.replace(':', '_'): {p.name: p.value for p in e.parameters}
                         for e in model.effects},
@@ -78,6 +79,7 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
         lines += [
             '', (f'# {axis}: normalised command to rate (rad/s) and angle (rad), held over '
             f'{found["dt_s"]:g} s,'), f'# the delay of {found["delay_s"]:.6g} s as states',
+            f'# command = {model.craft.inverse[1 + AXES.index(axis)].tolist()} @ motors',
             *(f'# {p.name} = {p.value:.6g} {p.unit}' for p in model.base),
             *(f'# not in the matrices: {e.name}.{p.name} = {p.value:.6g} {p.unit}'
               for e in model.effects for p in e.parameters),

@@ -10,6 +10,7 @@ keeps his handlers.
 from __future__ import annotations
 
 import atexit
+import io
 import os
 import signal
 import sys
@@ -42,6 +43,7 @@ def take_over(program: str = '', *, terminated: bool = False) -> None:
         signal.signal(number, signal.SIG_DFL)  # a second one ends it at once
         if os.getpid() == owner:  # else one of its processes, which has just been forked
             ending = True
+            sys.stderr = io.StringIO()  # what its threads lose by the end is no error
             with starting:
                 pass
             _end_processes()

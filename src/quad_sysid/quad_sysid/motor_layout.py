@@ -15,8 +15,8 @@ from itertools import product
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft
 from quad_sysid.foresight import tell
-from quad_sysid.motor_places import MOTORS, where_motors_are
 from quad_sysid.record import finite_runs
 
 LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08, 0.15)
@@ -206,15 +206,15 @@ def share_of(
                 for r in _responses(rate, motors, dt, angle) if r.name == response), default=0.0)
 
 
-def places(patterns: Sequence[Pattern]) -> tuple[dict[str, str], list[str]]:
-    """Position of each of four motors, and differences from the contract's layout, in words.
+def places(patterns: Sequence[Pattern], craft: Craft) -> tuple[dict[str, str], list[str]]:
+    """Position of each motor, and differences from the craft's layout, in words.
 
     From certain patterns only, with the function of the polarity check in flight.
     """
-    certain = [p for p in patterns if p.certain and len(p.signs) == len(MOTORS)]
-    return where_motors_are({
+    certain = [p for p in patterns if p.certain and len(p.signs) == craft.count]
+    return craft.where_motors_are({
         f'motor_{k + 1}': {p.axis: p.signs[k] for p in certain if p.signs[k]}
-        for k in range(len(MOTORS))
+        for k in range(craft.count)
     })
 
 

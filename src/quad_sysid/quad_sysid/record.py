@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError, NotInformativeError
 
 ROLES = ('train', 'validation', 'idle')
@@ -44,6 +45,15 @@ class GainChange:
 
 
 @dataclass(frozen=True)
+class RotorLag:
+    """The lag from command to rotor speed."""
+
+    seconds: float
+    spread: float
+    """Standard deviation of its logarithm."""
+
+
+@dataclass(frozen=True)
 class Record:
     """One flight on a uniform grid of the control cycle; a lost sample is NaN, never invented.
 
@@ -57,13 +67,22 @@ class Record:
     rates: FloatArray
     """(n, 3) body rates p q r, rad/s (FLU)."""
     control: FloatArray
-    """(n, 4) the plant's input U1..U4, normalised: mixer inverse of the motor commands."""
+    """(n, 4) the plant's input U1..U4, normalised: the craft's mixer inverse of the motors."""
     angles: FloatArray | None = None
     """(n, 3) roll, pitch, yaw, rad (yaw unwrapped)."""
     acceleration: FloatArray | None = None
     """(n, 3) m/s²."""
     motors: FloatArray | None = None
-    """(n, 4) motor commands 0..1."""
+    """(n, k) commands 0..1 of the craft's k motors, each in its true place."""
+    speeds: FloatArray | None = None
+    """(n, k) measured speeds of the rotors, rad/s, positive in flight; NaN where not measured."""
+    craft: Craft = X
+    """Where the motors are and how they turn; the X frame where the bag does not say."""
+    rotor_lag: RotorLag | None = None
+    """The motors' lag by these speeds during training; the pipeline takes it (rotors.py)."""
+    desaturation: str = 'clip'
+    """What the aircraft does with commands that its motors cannot give: `clip`, `yaw_first`; by
+    `none` the mixer is not known, and the control is as another controller commanded it."""
     wrench: FloatArray | None = None
     """(n, 4) controller output before mixer and limits, normalised."""
     attitude_setpoint: FloatArray | None = None
@@ -92,6 +111,7 @@ class Record:
 
     def __repr__(self) -> str:
         head = f'{self.source}: {self.n * self.dt:.1f} s at {1.0 / self.dt:.6g} Hz'
+        head += '' if self.craft == X else f', {self.craft.count} motors'
         lines = [head, *(f'  {s.role}: {s.signal} on {s.axis}, {s.start_s:.1f} to {s.end_s:.1f} s'
                          for s in self.segments)]
         lines += [f'  lacks {", ".join(self.missing)}'] if self.missing else []

@@ -26,8 +26,9 @@ def asked(axes: Sequence[str] = (), train: str = '', validate: str = '',
     """
     for name in axes:
         if name not in (*AXES, 'all'):
-            raise BadInputError('axis', f'must be one of {", ".join(AXES)}, all', repr(name))
-    return {'axes': AXES if 'all' in axes else tuple(axes),
+            raise BadInputError('axis', f'must be one of {", ".join(AXES)}, all', repr(name),
+                                'several stand with commas between, as in roll,pitch')
+    return {'axes': AXES if 'all' in axes else tuple(dict.fromkeys(axes)),
             'train': parse_span(train, '--train') if train else None,
             'validate': parse_span(validate, '--validate') if validate else None,
             'inertia': _inertia(inertia) if inertia else None}
@@ -42,24 +43,11 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
     check_place(out or Path())
     if out is not None:
         check_own(out)
-    told = ' (compiling, once)' if compiles() else ''
-
-    def tell(line: str) -> None:
-        progress(line and line + told)
-
-    found = identify(bags, progress=tell, **wanted)
-    tell('writing the report')
+    found = identify(bags, progress=progress, **wanted)
+    progress('writing the report')
     saved = found.save(out)
-    tell('')
+    progress('')
     return saved
-
-
-def compiles() -> bool:
-    """Whether numba has nothing in its cache yet, so that a first fit waits a minute for it."""
-    from quad_sysid.model import recursion
-
-    stats = getattr(recursion.predict, 'stats', None)  # none where numba is switched off
-    return stats is not None and not any(Path(stats.cache_path).glob('recursion.predict-*.nbi'))
 
 
 def _inertia(given: str) -> dict[str, float]:

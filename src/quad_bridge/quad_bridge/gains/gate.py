@@ -210,7 +210,7 @@ def _check_one(
         raise RefusedError(f'{name}: must lie in {span}: found {value:g}')
     now = active.get(name)
     if now is None:
-        raise RefusedError(f'{name}: the STM32 has not reported it yet; wait for /gains/active')
+        raise RefusedError(f'{name}: the aircraft has not reported it yet; wait for /gains/active')
     slack = 1e-6 * max(abs(bound.lower), abs(bound.upper))
     if not _idle(name, active) and not bound.lower - slack <= now <= bound.upper + slack:
         words = f'its active value {now:g} lies outside {span}; bring it there by hand'

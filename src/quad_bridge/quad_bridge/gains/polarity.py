@@ -1,7 +1,7 @@
 """The check by small pulses of each axis' sign, and of each motor's signs. Pure.
 
 A pulse is a doublet added to U2..U4, once each way round; the rates' answers are compared with
-what the contract's mixer and axes promise. A wrong sign refuses every update; an axis that never
+what the craft's mixer and axes promise. A wrong sign refuses every update; an axis that never
 answered refuses its own gains. The record is plain data, kept by history.py.
 """
 
@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from quad_bridge.craft import AXES, Craft, X
 from quad_bridge.errors import RefusedError
-from quad_bridge.gains.motor_places import MIXER, where_motors_are
-from quad_bridge.gains.table import AXES
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection, Vector3
 
@@ -37,25 +36,33 @@ NONE: Vector3 = (0.0, 0.0, 0.0)
 class Pulse(NamedTuple):
     """A direction in (U2, U3, U4) and the half-amplitudes to try, normalised command."""
 
-    direction: tuple[int, int, int]
+    direction: Vector3
     levels: tuple[float, ...]
     watched: tuple[int, ...]  # axes whose answer ends the tries
 
 
-PULSES = {
-    'roll': Pulse((1, 0, 0), (0.012, 0.04), (0,)),
-    'pitch': Pulse((0, 1, 0), (0.012, 0.04), (1,)),
-    'yaw': Pulse((0, 0, 1), (0.03, 0.08), (2,)),
-    **{f'motor_{k}': Pulse(row, (0.012, 0.03), (0, 1, 2)) for k, row in enumerate(MIXER, 1)},
-}
-MOTOR_CHANNELS = tuple(name for name in PULSES if name not in AXES)
+FLOWN = 4  # motors of the firmware
+MOTOR_CHANNELS = tuple(f'motor_{k}' for k in range(1, FLOWN + 1))
+
+
+def pulses_of(craft: Craft) -> dict[str, Pulse]:
+    """A pulse for each axis, and one that pushes each motor of this craft alone."""
+    pushes = craft.inverse[1:] / np.abs(craft.inverse[1:]).max()
+    return {
+        'roll': Pulse((1.0, 0.0, 0.0), (0.012, 0.04), (0,)),
+        'pitch': Pulse((0.0, 1.0, 0.0), (0.012, 0.04), (1,)),
+        'yaw': Pulse((0.0, 0.0, 1.0), (0.03, 0.08), (2,)),
+        **{name: Pulse((float(x), float(y), float(z)), (0.012, 0.03), (0, 1, 2))
+           for name, (x, y, z) in zip(MOTOR_CHANNELS, pushes.T, strict=True)},
+    }  # fmt: skip
 
 
 class PulseRun:
     """Plays pulses cycle by cycle and collects the responses, (3,) rad/s of rate per pulse."""
 
-    def __init__(self, names: Sequence[str], rate_hz: float) -> None:
+    def __init__(self, names: Sequence[str], rate_hz: float, craft: Craft = X) -> None:
         self._left, self._level = list(names), 0
+        self._pulses = pulses_of(craft)
         self._rate_hz = rate_hz
         self._samples: list[Vector3] = []
         self._length = round((QUIET_S + 2 * HALF_S + REST_S) * rate_hz)
@@ -71,7 +78,7 @@ class PulseRun:
         if self.finished:
             return NONE
         self._samples.append(rates)
-        pulse = PULSES[self._left[0]]
+        pulse = self._pulses[self._left[0]]
         size = pulse.levels[self._level] * self._shape(len(self._samples))
         if len(self._samples) == 2 * self._length:
             self._judge(pulse)
@@ -143,6 +150,8 @@ class PolarityCheck:
     def __init__(self, mode: str, rate_hz: float = 250.0) -> None:
         """`rate_hz`: control cycles per second, of the next run."""
         self._mode, self.rate_hz = mode, rate_hz
+        self.craft = X
+        """Where the motors have to be; one of FLOWN motors."""
         self._run: PulseRun | None = None
         self._axes: dict[str, str] = {}
         self._motors: Signs = {}
@@ -180,11 +189,11 @@ class PolarityCheck:
             'crossed': 'a pulse on {} moves another axis more',
         }
         found = [words[v].format(a) for a, v in self._axes.items() if v in words]
-        return found + where_motors_are(self._motors)[1]
+        return found + self.craft.where_motors_are(self._motors)[1]
 
     def refuse_faults(self) -> None:
         """Raise RefusedError where something is wrong, with the check that clears it."""
-        faults, motors = self.faults(), where_motors_are(self._motors)[1]
+        faults, motors = self.faults(), self.craft.where_motors_are(self._motors)[1]
         if faults and self._mode != 'off':
             due = {'~/check_polarity': len(faults) > len(motors), '~/find_motors': bool(motors)}
             calls = ' and '.join(call for call in due if due[call])
@@ -197,7 +206,7 @@ class PolarityCheck:
 
     def start(self, axes: Sequence[str]) -> None:
         """Begin with pulses about these axes; with none, of one motor channel after the other."""
-        self._run = PulseRun(axes or MOTOR_CHANNELS, self.rate_hz)
+        self._run = PulseRun(axes or MOTOR_CHANNELS, self.rate_hz, self.craft)
         self._cycles, self.trouble = 0, ''
 
     def abort(self, trouble: str) -> None:
@@ -228,6 +237,6 @@ class PolarityCheck:
         """The results in one line."""
         parts = [f'{axis} {verdict}' for axis, verdict in self._axes.items()]
         if self._motors:
-            places, _ = where_motors_are(self._motors)
+            places, _ = self.craft.where_motors_are(self._motors)
             parts += [f'{motor} {place}' for motor, place in places.items()]
         return '; '.join([*parts, *self.faults()]) or 'nothing has been checked'

@@ -157,7 +157,7 @@ class GainUpdates:
         if self._history.fault:
             return Status('gains', WARN, self._history.fault, values)
         if self.state is State.IDLE and self.protocol.state is Protocol.READING:
-            words = 'the STM32 has not reported its parameters yet'
+            words = 'the aircraft has not reported its parameters yet'
             return Status('gains', WARN, words, values)
         return Status('gains', OK, self.words, values)
 

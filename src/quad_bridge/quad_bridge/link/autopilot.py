@@ -1,40 +1,73 @@
-"""An autopilot with standard messages only: their use, and the topics that are missing. Pure.
+"""An autopilot with standard messages only: their use, their rates, and what is missing. Pure.
 
-Two tables: which message feeds which topic, and how often it is asked for
-(MAV_CMD_SET_MESSAGE_INTERVAL). Stamps are the link's affair.
+Two tables: which message feeds which topic, the better one first, and how often a topic is wanted.
+Of several messages with the same content one feeds the topic: the best that arrives. Rates are
+compared with the wanted ones, whoever asked for the streams first, and raised by
+MAV_CMD_SET_MESSAGE_INTERVAL. Stamps are stamping.py's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
-from quad_bridge.wire.frames import Attitude, Battery, Command, Outputs, SlowSensors, Vector3
+from quad_bridge.wire.frames import (
+    Attitude,
+    Battery,
+    Command,
+    Heartbeat,
+    Outputs,
+    RcChannels,
+    RotorSpeeds,
+    SlowSensors,
+    Vector3,
+)
 
 SET_MESSAGE_INTERVAL = 511
-ASK_AGAIN_NS = 5_000_000_000
+ROUND_NS = 1_000_000_000  # between two looks at the rates
+PAUSE_NS = (2_000_000_000, 60_000_000_000)
+"""Between two requests for one message; each that changes nothing doubles it, up to the second."""
+ENOUGH = 0.8  # share of the wanted rate that need not be raised
 ALIVE_NS = 1_000_000_000  # a message that has not come for so long does not come
+LONGEST_NS = 10_000_000_000  # or for three of its own intervals, up to this
+MOVED_RAD = 0.01  # angles that change by more while all rates are exactly zero
+INERTIAL, MOTORS, ROTORS = '/imu/data', '/motors/command', '/motors/state'
+STICKS, COMPASS, PRESSURE, BATTERY = '/rc/in', '/imu/mag', '/baro', '/battery'
 
-INTERVALS_US = {
-    'HIGHRES_IMU': (105, 4000),
-    'SCALED_IMU': (26, 4000),
-    'ATTITUDE': (30, 4000),
-    'SERVO_OUTPUT_RAW': (36, 4000),
-    'RC_CHANNELS': (65, 20_000),
-    'SCALED_PRESSURE': (29, 20_000),
-    'BATTERY_STATUS': (147, 100_000),
-}
-"""Name: id and wanted interval, µs."""
+IDS = {
+    'SCALED_IMU': 26, 'SCALED_PRESSURE': 29, 'ATTITUDE': 30, 'RC_CHANNELS_RAW': 35,
+    'SERVO_OUTPUT_RAW': 36, 'RC_CHANNELS': 65, 'HIGHRES_IMU': 105, 'BATTERY_STATUS': 147,
+    'SYS_STATUS': 1, 'RPM': 226, 'ESC_STATUS': 291, 'ESC_TELEMETRY_1_TO_4': 11030,
+    'ESC_TELEMETRY_5_TO_8': 11031, 'ESC_TELEMETRY_9_TO_12': 11032,
+}  # fmt: skip
+TELEMETRY = ('ESC_TELEMETRY_1_TO_4', 'ESC_TELEMETRY_5_TO_8', 'ESC_TELEMETRY_9_TO_12')
+"""Messages for four ESCs each: they are one source together, under the name of the first."""
 SOURCES = {
-    '/imu/data': ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE'),
-    '/motors/command': ('SERVO_OUTPUT_RAW',),
-    '/rc/in': ('RC_CHANNELS',),
-    '/imu/mag': ('HIGHRES_IMU', 'SCALED_IMU'),
-    '/baro': ('HIGHRES_IMU', 'SCALED_PRESSURE'),
-    '/battery': ('BATTERY_STATUS', 'SYS_STATUS'),
+    INERTIAL: ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE'),
+    MOTORS: ('SERVO_OUTPUT_RAW',),
+    ROTORS: ('ESC_STATUS', TELEMETRY[0], 'RPM'),
+    STICKS: ('RC_CHANNELS', 'RC_CHANNELS_RAW'),
+    COMPASS: ('HIGHRES_IMU', 'SCALED_IMU'),
+    PRESSURE: ('HIGHRES_IMU', 'SCALED_PRESSURE'),
+    BATTERY: ('BATTERY_STATUS', 'SYS_STATUS'),
 }
 """Topics that standard messages can feed, the better one first."""
+WANTED_HZ = {
+    INERTIAL: 250.0, MOTORS: 250.0, ROTORS: 250.0, STICKS: 50.0, COMPASS: 50.0, PRESSURE: 50.0,
+    BATTERY: 10.0,
+}  # fmt: skip
+OPTIONAL = (ROTORS,)  # topics without which nothing is missing: few autopilots measure them
 NEVER = ('/control/wrench', '/setpoint/attitude', '/setpoint/rates', '/excitation/applied')
 """Topics that need QUAD_CYCLE."""
+AUTOPILOTS = {3: 'ArduPilot', 12: 'PX4'}  # MAV_AUTOPILOT
+GENERIC = 0  # MAV_AUTOPILOT
+BETAFLIGHT = {'ATTITUDE', 'RC_CHANNELS_RAW', 'VFR_HUD'}
+"""Messages of Betaflight, which calls itself generic; its ATTITUDE has no rates at all."""
+
+
+def name_of(peer: Heartbeat) -> str:
+    """The autopilot's name by its heartbeat; empty for one that does not say."""
+    return AUTOPILOTS.get(peer.autopilot, '')
 
 
 @dataclass(frozen=True)
@@ -42,76 +75,229 @@ class Inertial:
     """Data for /imu/data, FRD, rad/s, m/s², rad; None where unknown."""
 
     time_us: int
-    gyro: Vector3
+    gyro: Vector3 | None
     accel: Vector3 | None
     attitude: Vector3 | None
+    grain_us: int = 1  # of the time: 1000 where it is in ms, of 32 bits
+
+
+@dataclass
+class _Stream:
+    """One message's arrivals, and what was asked for."""
+
+    count: int = 0  # since the last look
+    rate_hz: float = math.nan  # at the last look
+    asked: int = 0  # requests since the rate was last high enough
+    next_ask_ns: int = 0
+    pause_ns: int = PAUSE_NS[0]
+    reached: bool = False  # whether the wanted rate has been reached before
 
 
 class Autopilot:
-    """Arrival times of messages; chooses among those with the same content."""
+    """What arrives, what of it feeds the topics, and what is to be asked for."""
 
     def __init__(self) -> None:
-        self._seen: dict[str, int] = {}
+        self._streams: dict[str, _Stream] = {}
+        self._sources: dict[tuple[str, str], tuple[int, int]] = {}
+        """Topic and message to when its content last came, and how long it counts as alive."""
         self._angles: Vector3 | None = None
-        self._next_ask_ns = 0
+        self._zeros: dict[str, Vector3] = {}
+        """Messages with rates of exactly zero to the angles at which these began."""
+        self._without_rates: set[str] = set()
+        self._rpm: dict[int, float] = {}
+        self._look_ns = self._looked_ns = 0
+        self._battery: int | None = None
+        self._turns = False  # whether any rate has ever been other than zero
+        self.generic = False  # whether its heartbeat bears no name
         self.asked = 0  # intervals asked for so far
+        self.lowered: set[str] = set()  # messages whose rate was reached and lowered by another
 
     def clear(self) -> None:
         """Forget the autopilot."""
         self.__init__()  # type: ignore[misc]
 
-    def note(self, name: str, now_ns: int) -> None:
-        """Take the arrival of a message of that name."""
-        self._seen[name] = now_ns
+    @property
+    def betaflight(self) -> bool:
+        """Whether it is Betaflight, by what it sends."""
+        return self.generic and not self._turns and set(self._streams) >= BETAFLIGHT
 
-    def alive(self, name: str, now_ns: int) -> bool:
-        """Whether it is still being received."""
-        return now_ns - self._seen.get(name, -ALIVE_NS - 1) <= ALIVE_NS
+    def restarted(self) -> None:
+        """The autopilot has started anew, with its own rates: nobody has lowered them."""
+        self.lowered.clear()
+        for stream in self._streams.values():
+            stream.reached, stream.next_ask_ns, stream.pause_ns = False, 0, PAUSE_NS[0]
+
+    def note(self, name: str) -> None:
+        """Take the arrival of a message of that name."""
+        self._streams.setdefault(name, _Stream()).count += 1
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all received messages, sorted."""
-        return tuple(sorted(self._seen))
+        known = self._streams.items()
+        return tuple(sorted(name for name, s in known if s.count or s.rate_hz > 0.0))
+
+    def feeds(self, topic: str, name: str, now_ns: int) -> bool:
+        """Take a message's content for a topic; False where a better message brings it."""
+        last_ns, _ = self._sources.get((topic, name), (now_ns, 0))
+        lasting_ns = max(ALIVE_NS, min(3 * (now_ns - last_ns), LONGEST_NS))
+        self._sources[topic, name] = now_ns, lasting_ns
+        return self._source(topic, now_ns) == name
 
     def inertial(self, frame: Attitude | SlowSensors, now_ns: int) -> Inertial | None:
         """Data for /imu/data from `frame`; None: nothing, or a better message is received."""
+        self.note('ATTITUDE' if isinstance(frame, Attitude) else frame.name)
         if isinstance(frame, Attitude):
-            self.note('ATTITUDE', now_ns)
             self._angles = frame.angles
-            if self.alive('HIGHRES_IMU', now_ns) or self.alive('SCALED_IMU', now_ns):
+            rates = self._measured('ATTITUDE', frame.rates)
+            if not self.feeds(INERTIAL, 'ATTITUDE', now_ns):
                 return None
-            return Inertial(1000 * frame.time_ms, frame.rates, None, frame.angles)
-        self.note(frame.name, now_ns)
-        better = frame.name != 'HIGHRES_IMU' and self.alive('HIGHRES_IMU', now_ns)
-        if frame.gyro is None or better:
+            return Inertial(1000 * frame.time_ms, rates, None, frame.angles, 1000)
+        gyro = self._measured(frame.name, frame.gyro)
+        if gyro is None or not self.feeds(INERTIAL, frame.name, now_ns):
             return None
-        angles = self._angles if self.alive('ATTITUDE', now_ns) else None
-        return Inertial(frame.time_us, frame.gyro, frame.accel, angles)
+        fresh = self._alive(INERTIAL, 'ATTITUDE', now_ns)
+        grain_us = 1 if frame.name == 'HIGHRES_IMU' else 1000
+        angles = self._angles if fresh else None
+        return Inertial(frame.time_us, gyro, frame.accel, angles, grain_us)
+
+    def slow(self, frame: SlowSensors, now_ns: int) -> list[tuple[str, SlowSensors]]:
+        """Topic and frame of what this message feeds beside /imu/data."""
+        parts = []
+        if frame.mag_gauss is not None and self.feeds(COMPASS, frame.name, now_ns):
+            parts.append((COMPASS, replace(frame, pressure_hpa=None)))
+        if frame.pressure_hpa is not None and self.feeds(PRESSURE, frame.name, now_ns):
+            parts.append((PRESSURE, replace(frame, mag_gauss=None)))
+        return parts
+
+    def sticks(self, frame: RcChannels, now_ns: int) -> RcChannels | None:
+        """The pilot's channels: roll, pitch, throttle, yaw …; None where others bring them.
+
+        Betaflight sends them in its own order, yaw before throttle.
+        """
+        self.note(frame.name)
+        there = frame.port == 0 and bool(frame.channels)
+        if not there or not self.feeds(STICKS, frame.name, now_ns):
+            return None
+        if self.betaflight and len(frame.channels) > 3:
+            roll, pitch, yaw, throttle, *others = frame.channels
+            return replace(frame, channels=(roll, pitch, throttle, yaw, *others))
+        return frame
 
     def battery(self, frame: Battery, now_ns: int) -> bool:
-        """Whether this one counts: SYS_STATUS only where no BATTERY_STATUS comes."""
-        self.note(frame.name, now_ns)
-        return frame.name == 'BATTERY_STATUS' or not self.alive('BATTERY_STATUS', now_ns)
+        """Whether this one counts: of several batteries the one with the lowest number."""
+        self.note(frame.name)
+        if frame.name == 'BATTERY_STATUS':
+            self._battery = min(frame.number, self._battery or frame.number)
+            if frame.number != self._battery:
+                return False
+        return self.feeds(BATTERY, frame.name, now_ns)
 
     def outputs(self, frame: Outputs, now_ns: int) -> bool:
         """Whether these are the motors' pulses: those of the first port."""
-        self.note('SERVO_OUTPUT_RAW', now_ns)
-        return frame.port == 0
+        self.note('SERVO_OUTPUT_RAW')
+        return frame.port == 0 and self.feeds(MOTORS, 'SERVO_OUTPUT_RAW', now_ns)
+
+    def rotors(self, frame: RotorSpeeds, now_ns: int) -> RotorSpeeds | None:
+        """All ESCs' speeds, once the last of the messages that bring them has come."""
+        self.note(frame.name)
+        source = TELEMETRY[0] if frame.name in TELEMETRY else frame.name
+        measured = not all(math.isnan(v) for v in frame.rpm)
+        if not measured or not self.feeds(ROTORS, source, now_ns):
+            return None
+        whole = frame.first + len(frame.rpm) > max(self._rpm, default=-1)
+        self._rpm |= dict(enumerate(frame.rpm, frame.first))
+        rpm = tuple(self._rpm.get(k, math.nan) for k in range(max(self._rpm) + 1))
+        return replace(frame, first=0, rpm=rpm) if whole else None
 
     def due(self, now_ns: int) -> list[Command]:
-        """Messages to request now: those not being received."""
-        if now_ns < self._next_ask_ns:
+        """Messages to request now: those that come too rarely, or not at all."""
+        if now_ns < self._look_ns:
             return []
-        self._next_ask_ns = now_ns + ASK_AGAIN_NS
-        wanted = [(n, v) for n, v in INTERVALS_US.items() if not self.alive(n, now_ns)]
-        self.asked += len(wanted)
-        return [Command(SET_MESSAGE_INTERVAL, (float(i), float(us))) for _, (i, us) in wanted]
+        passed_s = 1e-9 * (now_ns - self._looked_ns) if self._looked_ns else math.inf
+        self._look_ns, self._looked_ns = now_ns + ROUND_NS, now_ns
+        for stream in self._streams.values():
+            stream.rate_hz, stream.count = stream.count / passed_s, 0
+        asked = []
+        for name, wanted_hz in self._wanted(now_ns).items():
+            stream = self._streams.setdefault(name, _Stream())
+            if stream.rate_hz >= ENOUGH * wanted_hz:
+                stream.pause_ns, stream.asked, stream.reached = PAUSE_NS[0], 0, True
+                stream.next_ask_ns = 0
+            elif now_ns >= stream.next_ask_ns:
+                if stream.reached and stream.rate_hz > 0.0:
+                    self.lowered.add(name)
+                stream.next_ask_ns = now_ns + stream.pause_ns
+                stream.pause_ns = min(2 * stream.pause_ns, PAUSE_NS[1])
+                stream.asked += 1
+                interval_us = float(round(1e6 / wanted_hz))
+                asked.append(Command(SET_MESSAGE_INTERVAL, (float(IDS[name]), interval_us)))
+        self.asked += len(asked)
+        return asked
+
+    def rates(self, now_ns: int) -> dict[str, tuple[float, float]]:
+        """Messages that feed a topic, with their rate and the wanted one, Hz."""
+        wanted = self._wanted(now_ns)
+        return {
+            name: (stream.rate_hz, wanted[name])
+            for name, stream in sorted(self._streams.items())
+            if name in wanted and stream.rate_hz > 0.0
+        }
+
+    def slow_ones(self, now_ns: int) -> list[str]:
+        """Messages that come more rarely than wanted although they were asked for."""
+        return [
+            name
+            for name, (rate_hz, wanted_hz) in self.rates(now_ns).items()
+            if rate_hz < ENOUGH * wanted_hz and self._streams[name].asked > 1
+        ]
+
+    @property
+    def without_rates(self) -> bool:
+        """Whether the rates are unknown, since they are exactly zero while the angles move."""
+        return bool(self._without_rates)
 
     def missing(self, now_ns: int) -> list[str]:
         """Topics of the contract that stay empty."""
-        silent = [
-            topic
-            for topic, names in SOURCES.items()
-            if not any(self.alive(name, now_ns) for name in names)
-        ]
-        return [*silent, *NEVER]
+        silent = [topic for topic in SOURCES if self._source(topic, now_ns) is None]
+        return [*(topic for topic in silent if topic not in OPTIONAL), *NEVER]
+
+    def _alive(self, topic: str, name: str, now_ns: int) -> bool:
+        last_ns, lasting_ns = self._sources.get((topic, name), (0, -1))
+        return lasting_ns >= 0 and now_ns - last_ns <= lasting_ns
+
+    def _source(self, topic: str, now_ns: int) -> str | None:
+        """The best message that brings the content of a topic now."""
+        return next((n for n in SOURCES[topic] if self._alive(topic, n, now_ns)), None)
+
+    def _wanted(self, now_ns: int) -> dict[str, float]:
+        """Message to wanted rate: of each topic the source and the better ones.
+
+        Where nothing comes, one more after each request that brought nothing.
+        """
+        wanted = {'ATTITUDE': WANTED_HZ[INERTIAL]}  # beside another source it has the angles
+        for topic, names in SOURCES.items():
+            source = self._source(topic, now_ns)
+            for name in names:
+                also = TELEMETRY if name == TELEMETRY[0] and source == name else (name,)
+                wanted |= {n: max(WANTED_HZ[topic], wanted.get(n, 0.0)) for n in also}
+                stream = self._streams.get(name)
+                tried = stream is not None and (stream.asked or stream.rate_hz > 0.0)
+                if name == source or (source is None and not tried):
+                    break
+        return wanted
+
+    def _measured(self, name: str, rates: Vector3 | None) -> Vector3 | None:
+        """Rates, or None where they are exactly zero although the angles have moved."""
+        if rates is None:
+            return None
+        if any(rates):
+            self._turns = True
+            self._zeros.pop(name, None)
+            self._without_rates.discard(name)
+        elif self._angles is not None:
+            begun = self._zeros.setdefault(name, self._angles)
+            turns = zip(self._angles, begun, strict=True)
+            if max(abs(math.remainder(a - b, math.tau)) for a, b in turns) > MOVED_RAD:
+                self._without_rates.add(name)
+        return None if name in self._without_rates else rates

@@ -37,7 +37,7 @@ class ClockEstimator:
         min_samples: int = 8,
         jump_s: float = 0.001,
     ) -> None:
-        """Set the limits: trips longer than `max_round_trip_s` are dropped.
+        """Set the limits: trips longer than `max_round_trip_s` are dropped (`too_long_s` says so).
 
         `jump_s` beyond a trip's own error is a jump; `min_samples` trips make it converged.
         While the first trips still find the drift, five times as much is allowed.
@@ -52,6 +52,7 @@ class ClockEstimator:
         self.one_way = False
         """Whether times come from arrivals, without TIMESYNC, and are late by the transport."""
         self.off_ns = 0.0  # by how much the last trip was off what was estimated before it
+        self.too_long_s = math.nan  # the last round trip, where it was dropped as too long
         self._block: list[tuple[int, int]] = []
 
     @property
@@ -105,7 +106,9 @@ class ClockEstimator:
         trip = _Trip(device_ns, (sent_ns + received_ns) // 2 - device_ns, received_ns - sent_ns)
         if trip.round_trip_ns > self._max_ns:
             self.rejected += 1
+            self.too_long_s = 1e-9 * trip.round_trip_ns
             return False
+        self.too_long_s = math.nan
         if self.one_way:
             self.reset()
         return self._take(trip)
@@ -194,7 +197,3 @@ class DeviceTime:
             return extended - self._span  # sent before the wrap, arrived behind it
         return extended
 
-    def nearest(self, time: int) -> int:
-        """The time closest to the latest one of which `time` holds the low bits."""
-        offset = (time - self._last + self._span // 2) % self._span - self._span // 2
-        return self._last + offset

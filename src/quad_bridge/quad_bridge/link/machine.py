@@ -6,12 +6,22 @@ are ns of one steady host clock. Not thread-safe: the node holds a lock around i
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from quad_bridge.link.autopilot import Autopilot
-from quad_bridge.link.stamping import Arrived, Event, Restarted, Stamped, Stamping
+from quad_bridge.link.autopilot import (
+    BATTERY,
+    GENERIC,
+    MOTORS,
+    ROTORS,
+    STICKS,
+    Autopilot,
+    name_of,
+)
+from quad_bridge.link.parameters import Parameters
+from quad_bridge.link.stamping import Arrived, Described, Event, Restarted, Stamping
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import NO_AUTOPILOT, Decoder, Encoder
 from quad_bridge.wire.signing import Signing
@@ -21,7 +31,7 @@ ONBOARD_CONTROLLER = 18  # MAV_TYPE
 ADDRESSED = (
     f.Command, f.Excitation, f.GainsCommand, f.ParamRequestList, f.ParamRequestRead, f.ParamSet,
 )  # fmt: skip
-_HANDED_ON = (f.ParamValue, f.GainsState, f.CommandAck, f.StatusText)
+_HANDED_ON = (f.GainsState, f.CommandAck, f.StatusText)
 HEARTBEAT_NS = 1_000_000_000
 SYNC_NS, SOON_NS = 200_000_000, 40_000_000
 """Between TIMESYNC questions once the clock has converged, and before."""
@@ -33,6 +43,8 @@ CYCLE_OLD_NS, PEER_OLD_NS = 500_000_000, 2_500_000_000
 SAME_START_NS = 2_000_000_000
 """Starts that differ by less are one: the clocks drift, and the last bytes may have come late."""
 WRAP_NS = 1000 << 32
+RESTART_US = 1_000_000  # an autopilot's time that goes back by more: it has started anew
+QUESTIONS = 64  # of TIMESYNC whose answers still count
 
 
 class Link:
@@ -46,12 +58,15 @@ class Link:
         self.clock = self.stamping.clock
         self.peer: f.Heartbeat | None = None
         self.autopilot = Autopilot()  # where the aircraft sends standard messages only
+        self.parameters: Parameters | None = None  # of such an autopilot
+        self._described = False
         self.last_cycle: f.Cycle | None = None
         self.last_cycle_ns = 0  # host time at which the last cycle arrived
         self.cycles = 0
         self._encoder = Encoder(BRIDGE_SYSTEM, BRIDGE_COMPONENT, signing)
         self._outbox = bytearray()
         self._restarts = 0
+        self._inertial_us = 0  # an autopilot's time when it last sent its rates
         self._started_ns: int | None = None
         """When the aircraft had started that was heard before the port was opened anew."""
         self._peer_since_ns = 0
@@ -59,6 +74,8 @@ class Link:
         self._heard_ns = self._peer_ns = 0
         self._next_heartbeat_ns = 0
         self._next_sync_ns = self._next_urgent_ns = 0
+        self._questions: deque[int] = deque(maxlen=QUESTIONS)
+        """Times of our own: another party's answers may come along the same line."""
         self._takes: dict[type, Callable[[Any, int], None]] = {
             **dict.fromkeys(_HANDED_ON, self._arrived),
             f.Cycle: self._cycle,
@@ -67,9 +84,11 @@ class Link:
             f.Battery: self._battery,
             f.Attitude: self._inertial,
             f.Outputs: self._outputs,
+            f.RotorSpeeds: self._rotors,
+            f.ParamValue: self._parameter,
             f.TimeSync: self._time_sync,
             f.Heartbeat: self._heartbeat,
-            f.Standard: lambda frame, now_ns: self.autopilot.note(frame.name, now_ns),
+            f.Standard: lambda frame, _: self.autopilot.note(frame.name),
         }
 
     @property
@@ -78,6 +97,17 @@ class Link:
         if self.last_cycle is not None:
             return bool(self.last_cycle.flags & f.Flag.ARMED)
         return self.peer is not None and self.peer.armed
+
+    @property
+    def name(self) -> str:
+        """What messages call the aircraft: by its heartbeat, where it sends no control cycles."""
+        if self.last_cycle is not None:
+            return 'the STM32'
+        if self.peer is None:
+            return 'the aircraft'
+        if self.autopilot.betaflight:
+            return 'Betaflight'
+        return name_of(self.peer) or 'the autopilot'
 
     def armed_lately(self, now_ns: int) -> bool | None:
         """Whether it is armed by a cycle, else a heartbeat, of just now; None without any."""
@@ -93,8 +123,7 @@ class Link:
             self._started_ns = self.last_cycle_ns - 1000 * self.last_cycle.time_us
         self.decoder.resync()
         self.stamping.restart()
-        self.peer = None
-        self.autopilot.clear()
+        self._forget_autopilot()
         self.last_cycle = None
         self._outbox.clear()
 
@@ -110,6 +139,11 @@ class Link:
             if take is not None:
                 take(frame, now_ns)
         self.tick(now_ns)
+        if self._described or self.parameters is None or self.peer is None:
+            return events
+        if self.parameters.settled:
+            self._described = True
+            events.append(Described(self.peer, self.parameters.values))
         return events
 
     def tick(self, now_ns: int) -> None:
@@ -125,18 +159,17 @@ class Link:
         if now_ns >= self._next_sync_ns:
             calm = self.clock.converged and not self.clock.doubtful
             self._next_sync_ns = now_ns + (SYNC_NS if calm else SOON_NS)
-            self.send(f.TimeSync(0, now_ns))
+            self._ask_time(now_ns)
         if self.standard_only(now_ns):
             for command in self.autopilot.due(now_ns):
                 self.send(command)
+            self._ask_parameters(now_ns)
 
     def standard_only(self, now_ns: int) -> bool:
-        """Whether an autopilot is there that has sent no control cycle."""
-        return (
-            self.peer is not None
-            and self.last_cycle is None
-            and now_ns - self._peer_since_ns > NO_CYCLE_NS
-        )
+        """Whether an autopilot is there that has sent no control cycle, or is known for that."""
+        if self.peer is None or self.last_cycle is not None:
+            return False
+        return bool(name_of(self.peer)) or now_ns - self._peer_since_ns > NO_CYCLE_NS
 
     def send(self, frame: f.Frame) -> None:
         """Queue a frame, addressed to the peer where the message has an address."""
@@ -155,8 +188,7 @@ class Link:
         restarts = self.decoder.counts.restarts
         if self.peer is not None and self.decoder.peer != (self.peer.system, self.peer.component):
             self._restarted()  # what was known was of one that had sent no cycle
-            self.peer = None
-            self.autopilot.clear()
+            self._forget_autopilot()
         if restarts != self._restarts:
             self._restarts = restarts
             self._restarted()
@@ -179,47 +211,84 @@ class Link:
     def _ask_urgently(self, now_ns: int) -> None:
         if self.stamping.asks and now_ns >= self._next_urgent_ns:
             self._next_urgent_ns = now_ns + URGENT_NS
-            self.send(f.TimeSync(0, now_ns))
+            self._ask_time(now_ns)
+
+    def _ask_time(self, now_ns: int) -> None:
+        self._questions.append(now_ns)
+        self.send(f.TimeSync(0, now_ns))
+
+    def _ask_parameters(self, now_ns: int) -> None:
+        if self._described or self.peer is None:
+            return
+        if self.parameters is None:
+            self.parameters = Parameters(self.peer)
+        for request in self.parameters.due(now_ns):
+            self.send(request)
+
+    def _forget_autopilot(self) -> None:
+        self.peer, self.parameters, self._described = None, None, False
+        self.autopilot.clear()
 
     def _arrived(self, frame: Any, _now_ns: int) -> None:
         self.stamping.out.append(Arrived(frame))
 
     def _sticks(self, frame: f.RcChannels, now_ns: int) -> None:
-        self._arrived(frame, now_ns)
-        self.autopilot.note('RC_CHANNELS', now_ns)
-        self.stamping.other(frame, frame.time_ms * 1000, 1000, now_ns)
+        sticks = self.autopilot.sticks(frame, now_ns)
+        if sticks is not None:
+            self._arrived(sticks, now_ns)
+            self.stamping.other(STICKS, sticks, frame.time_ms * 1000, 1000, now_ns)
 
     def _slow_sensors(self, frame: f.SlowSensors, now_ns: int) -> None:
         self._inertial(frame, now_ns)
-        self.stamping.other(frame, frame.time_us, 1, now_ns)
+        grain_us = 1 if frame.name == 'HIGHRES_IMU' else 1000
+        for topic, part in self.autopilot.slow(frame, now_ns):
+            self.stamping.other(topic, part, frame.time_us, grain_us, now_ns)
 
     def _battery(self, frame: f.Battery, now_ns: int) -> None:
-        last_ns = self.stamping.last_ns
-        if self.autopilot.battery(frame, now_ns) and self.clock.converged and last_ns:
-            self.stamping.out.append(Stamped(frame, last_ns))
+        if self.autopilot.battery(frame, now_ns):
+            self.stamping.untimed(BATTERY, frame)
 
     def _outputs(self, frame: f.Outputs, now_ns: int) -> None:
-        if self.autopilot.outputs(frame, now_ns) and self.last_cycle is None:
-            self.stamping.outputs(frame)
+        if self.autopilot.outputs(frame, now_ns) and self._described and not self.cycles:
+            self.stamping.other(MOTORS, frame, frame.time_us, 1, now_ns, bits=32)
+
+    def _rotors(self, frame: f.RotorSpeeds, now_ns: int) -> None:
+        speeds = self.autopilot.rotors(frame, now_ns)
+        if speeds is None or not self._described:
+            return
+        if speeds.time_us is None:
+            self.stamping.untimed(ROTORS, speeds)
+        else:
+            self.stamping.other(ROTORS, speeds, speeds.time_us, 1, now_ns)
+
+    def _parameter(self, frame: f.ParamValue, now_ns: int) -> None:
+        if not self.standard_only(now_ns):
+            self._arrived(frame, now_ns)
+        elif self.parameters is not None:
+            self.parameters.take(frame)
 
     def _heartbeat(self, frame: f.Heartbeat, now_ns: int) -> None:
         if frame.autopilot != NO_AUTOPILOT:
             if self.peer is None:
                 self._peer_since_ns = now_ns
             self.peer, self._peer_ns = frame, now_ns
+            self.autopilot.generic = frame.autopilot == GENERIC
 
     def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
         """Events of another autopilot's messages; none once a control cycle was received."""
         inertial = self.autopilot.inertial(frame, now_ns)
         if inertial is None or self.last_cycle is not None:
             return
+        before_us, self._inertial_us = self._inertial_us, inertial.time_us
+        if inertial.time_us < before_us - RESTART_US:
+            self.autopilot.restarted()
         self.stamping.inertial(inertial, now_ns)
         self._ask_urgently(now_ns)
 
     def _time_sync(self, frame: f.TimeSync, now_ns: int) -> None:
         if frame.tc1_ns == 0:
             self.send(f.TimeSync(now_ns, frame.ts1_ns))
-        elif frame.ts1_ns <= now_ns:
+        elif frame.ts1_ns in self._questions:
             self.answered_ns = now_ns
             sent_ns, received_ns = frame.ts1_ns, now_ns
             if self._one_clock_ns is not None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import glob
+import ipaddress
 import os
 import select
 import termios
@@ -23,6 +24,7 @@ from typing import Any
 
 import serial
 
+from quad_bridge.link.udp import UdpPort, is_udp, parts
 from quad_bridge.lockstep import clock
 
 REOPEN_S = 0.25
@@ -33,7 +35,9 @@ HALF_OPEN_S = (5.0, 60.0)
 STOP_S, OPENING_S = 2.0, 0.5
 """How long the thread's end is waited for, with the port open and while it is being opened."""
 CHUNK = 65536
-NETWORK = ('socket://', 'rfc2217://')
+NETWORK = ('socket://', 'rfc2217://', 'udp://', 'udpin://', 'udpout://')
+WIRED = ('loop', 'spy', 'hwgrep', 'alt', 'cp2110')
+"""Schemes of pyserial's URLs that lead to no network."""
 FAULTS = (serial.SerialException, OSError, termios.error, TypeError, ValueError)
 """SerialException from read and write, OSError from in_waiting, termios.error from configuring,
 TypeError and ValueError when another thread has closed the port."""
@@ -57,6 +61,7 @@ _BY_ERRNO = {
     errno.ENXIO: PortState.NOT_THERE,
     errno.ENODEV: PortState.NOT_THERE,
     errno.EBUSY: PortState.BUSY,
+    errno.EADDRINUSE: PortState.BUSY,
     errno.EAGAIN: PortState.BUSY,
     errno.EACCES: PortState.DENIED,
     errno.EPERM: PortState.DENIED,
@@ -88,7 +93,7 @@ class SerialPort:
         *,
         reopen_s: float = REOPEN_S,
     ) -> None:
-        """`path` is a device, a pattern (`/dev/ttyACM*`) or a URL of pyserial.
+        """`path` is a device, a pattern (`/dev/ttyACM*`), a URL of pyserial or of udp.py.
 
         Of several devices that match, the first that opens is taken, and the next one where that
         stays silent. `on_silence` is called where nothing has come for `SILENT_S`, and when the
@@ -160,9 +165,13 @@ class SerialPort:
         for k in range(len(found)):
             device = found[(k + self._skip) % len(found)]
             try:
-                self._port = serial.serial_for_url(
-                    device, baudrate=self._baud, timeout=0, write_timeout=0, exclusive=True
-                )
+                if is_udp(device):
+                    self._port = UdpPort(device)
+                    device = self._port.url  # which says whether it listens
+                else:
+                    self._port = serial.serial_for_url(
+                        device, baudrate=self._baud, timeout=0, write_timeout=0, exclusive=True
+                    )
             except FAULTS as error:
                 number = getattr(error, 'errno', None)
                 known = _BY_ERRNO.get(number) if isinstance(number, int) else None
@@ -188,6 +197,9 @@ class SerialPort:
             except FAULTS as error:
                 self._note(state=PortState.HUNG_UP, detail=_one_line(error))
                 return
+            refused = isinstance(port, UdpPort) and port.refused
+            if refused != (self.status.state is PortState.UNREACHABLE):
+                self._note(state=PortState.UNREACHABLE if refused else PortState.OPEN)
             if data:
                 heard_s = clock().now_s()
                 self._patience_s = HALF_OPEN_S[0]
@@ -240,6 +252,26 @@ def latency_timer(device: str) -> int | None:
     return None
 
 
+def over_network(port: str) -> bool:
+    """Whether others than this computer, and whoever holds its wires, can speak on `port`."""
+    scheme, separator, rest = port.partition('://')
+    if not separator or scheme.lower() in WIRED:
+        return False
+    if is_udp(port):
+        try:
+            host = parts(port)[1]
+        except ValueError:
+            return True
+    else:
+        host = rest.partition('/')[0].rpartition(':')[0].rpartition('@')[2].strip('[]')
+    if host.lower() == 'localhost':
+        return False
+    try:
+        return not ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return True
+
+
 def _read(port: Any) -> bytes:
     """Bytes that have arrived, after a short wait; b'' if none."""
     try:
@@ -257,6 +289,8 @@ def _write(port: Any, data: bytes) -> int:
 
     pyserial's own write tries for ever where the output is full, a core at its limit.
     """
+    if isinstance(port, UdpPort):
+        return port.write(data)
     try:
         number = port.fileno()
     except (AttributeError, OSError):

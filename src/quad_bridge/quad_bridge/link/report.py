@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
+from quad_bridge.link.autopilot import Autopilot
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import PortState, PortStatus
 from quad_bridge.status import ERROR, OK, WARN, Status
@@ -21,7 +23,7 @@ _COUNTED = {
     'from other senders': 'foreign', 'implausible': 'implausible',
     'MAVLink 1 messages': 'old_version', 'refused, unsigned': 'unsigned',
     'refused, other key': 'forged', 'refused, replayed': 'replayed',
-    'refused, time ahead': 'ahead', 'restarts of the STM32': 'restarts', 'bytes': 'bytes',
+    'refused, time ahead': 'ahead', 'restarts of the aircraft': 'restarts', 'bytes': 'bytes',
 }  # fmt: skip
 """Name in /diagnostics to the field of Counts."""
 _UNHEARD = {
@@ -78,7 +80,13 @@ class LinkReport:
             'cycle rate (Hz)': f'{rate:.1f}',
             'cycles': link.cycles,
             **{name: getattr(counts, field) for name, field in _COUNTED.items()},
+            'aircraft': link.name,
         }
+        if link.cycles == before.cycles:
+            values |= {
+                f'{name} (Hz)': f'{rate_hz:.1f} of {wanted_hz:.0f}'
+                for name, (rate_hz, wanted_hz) in link.autopilot.rates(round(1e9 * now_s)).items()
+            }
         level, text = self._verdict(port, counts, before, now_s)
         clock = clock_status(link, behind_ns, unset=unset, now_s=now_s)
         return [Status('link', level, text, values), clock]
@@ -118,14 +126,25 @@ class LinkReport:
         return ERROR, words
 
     def _no_cycle(self, now_ns: int) -> tuple[int, str]:
-        names = ', '.join(self._link.autopilot.names)
-        if not names:
+        link, autopilot = self._link, self._link.autopilot
+        if not autopilot.names:
             return ERROR, 'no control cycle since the last report'
-        missing = ', '.join(self._link.autopilot.missing(now_ns))
-        return WARN, (
-            f'only standard MAVLink messages arrive ({names}): without QUAD_CYCLE there is no '
-            f'{missing}; excitation and gains are refused'
-        )
+        missing = ', '.join(autopilot.missing(now_ns))
+        only = f'{link.name} sends standard MAVLink messages only'
+        words = [f'{only}: without QUAD_CYCLE there is no {missing}',
+                 'excitation and gains are refused']  # fmt: skip
+        if autopilot.without_rates:
+            words.append('its rates are exactly zero while the angles move: marked unknown')
+        slow = autopilot.slow_ones(now_ns)
+        if slow:
+            words.append(f'{", ".join(slow)} rarer than asked for: {_why_slow(autopilot, slow)}')
+        return WARN, '; '.join(words)
+
+
+def _why_slow(autopilot: Autopilot, slow: list[str]) -> str:
+    if autopilot.lowered & set(slow):
+        return 'another program on the line lowers them again'
+    return 'the line is too slow, or the autopilot gives no more'
 
 
 def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> Status:
@@ -142,8 +161,11 @@ def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> St
         'uneven steps of device time': link.stamping.guard.alarms,
         'wraps at 32 bits': link.stamping.device_time.wraps,
         'cycles held back': link.stamping.held,
+        'false times, dropped': link.stamping.false_times,
     }
     deaf, silent_s = 'no answer to TIMESYNC', now_s - 1e-9 * link.answered_ns
+    if silent_s <= SILENT_S and not math.isnan(clock.too_long_s):
+        deaf = f'TIMESYNC takes {1e3 * clock.too_long_s:.0f} ms there and back, more than 10'
     if link.decoder.counts.unverified:
         deaf += ' (the aircraft signs its frames and answers only who has its key: set key_file)'
     level, text = WARN, ''
@@ -153,7 +175,7 @@ def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> St
         set_by = f'the system clock was set by {1e-9 * behind_ns:.3f} s'
         text = f'stamps still use the old time: {set_by}'
     elif not clock.converged:
-        heard = clock.accepted or clock.rejected
+        heard = math.isnan(clock.too_long_s) and (clock.accepted or clock.rejected)
         text = f'{"not converged" if heard else deaf}: nothing is published'
     elif clock.one_way:
         text = f'{deaf}: stamps are times of arrival, late by the transport'

@@ -5,24 +5,29 @@ All times are ns of one steady host clock, device times µs. What TIMESYNC asks 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import NamedTuple
 
-from quad_bridge.link.autopilot import Inertial
+from quad_bridge.link.autopilot import INERTIAL, Inertial
 from quad_bridge.link.clock import ClockEstimator, DeviceTime
 from quad_bridge.link.guards import PATIENCE_NS, LateGuard, StepGuard
 from quad_bridge.wire import frames as f
 
 FUTURE_NS = 100_000_000  # a stamp later than its arrival by more is false
+PAST_US = 2_000_000  # a time so far behind what else the aircraft says is false
 NEAR_US = 60_000_000  # a device time has wrapped at 32 bits only within this of the wrap
+WRAP_US = 1 << 32
 
 
 class Stamped(NamedTuple):
     """A frame for a topic with its stamp, host time in ns; the node makes ROS time of it."""
 
-    frame: f.Cycle | f.RcChannels | f.Battery | f.SlowSensors | Inertial | f.Outputs
+    frame: (
+        f.Cycle | f.RcChannels | f.Battery | f.SlowSensors | Inertial | f.Outputs | f.RotorSpeeds
+    )
     stamp_ns: int
+    topic: str  # that it is for: a message may feed several
 
 
 class Arrived(NamedTuple):
@@ -35,7 +40,14 @@ class Restarted(NamedTuple):
     """The aircraft has restarted, or is another one."""
 
 
-Event = Stamped | Arrived | Restarted
+class Described(NamedTuple):
+    """Another autopilot has told how its craft is built, as far as it does."""
+
+    peer: f.Heartbeat
+    parameters: Mapping[str, float]
+
+
+Event = Stamped | Arrived | Restarted | Described
 
 
 class Stamping:
@@ -49,7 +61,11 @@ class Stamping:
         self.guard, self.late = StepGuard(), LateGuard()
         self.held = 0
         """Not published: no clock yet, or a stamp that runs backwards or lies in the future."""
-        self.last_ns = 0  # the latest stamp
+        self.false_times = 0
+        """Not published, beside cycles: a time that runs backwards or is days off."""
+        self.last_ns = 0  # the latest stamp of a cycle
+        self._last: dict[str, int] = {}  # the latest stamp of each topic beside
+        self._anchor_us = 0  # the latest device time that is known as a whole, 0 before one is
         self._stamped: f.Cycle | Inertial | None = None  # what has this stamp
         self._waiting: list[Callable[[int], None]] = []
         """Frames that wait until it is known whether the aircraft's clock is still the same."""
@@ -63,6 +79,7 @@ class Stamping:
         self.held += len(self._waiting)
         self._waiting.clear()
         self._stamped = None
+        self._anchor_us = 0
 
     @property
     def asks(self) -> bool:
@@ -71,28 +88,42 @@ class Stamping:
 
     def cycle(self, frame: f.Cycle, now_ns: int) -> None:
         """Stamp a cycle that has arrived, or let it wait."""
-        device_us = self.device_time.extend(frame.time_us, NEAR_US)
+        device_us = self._anchor_us = self.device_time.extend(frame.time_us, NEAR_US)
         uneven = self.guard.step(frame.cycle, device_us, now_ns)
         self._timed(frame, 1000 * device_us, now_ns, uneven=uneven)
 
     def inertial(self, frame: Inertial, now_ns: int) -> None:
         """Stamp what an autopilot sends in place of a cycle; its arrival tells the clock too."""
-        device_ns = 1000 * self.device_time.extend(frame.time_us, NEAR_US)
-        self.clock.add_arrival(device_ns, now_ns)
-        self._timed(frame, device_ns, now_ns, uneven=False)
+        whole_us = frame.time_us
+        if frame.grain_us > 1:
+            whole_us = self._nearest(whole_us, WRAP_US * frame.grain_us)
+        device_us = self._anchor_us = self.device_time.extend(whole_us, NEAR_US)
+        self.clock.add_arrival(1000 * device_us, now_ns)
+        self._timed(frame, 1000 * device_us, now_ns, uneven=False)
 
-    def outputs(self, frame: f.Outputs) -> None:
-        """Stamp an autopilot's motor pulses, whose time has 32 bits."""
-        if self.clock.converged:
-            device_ns = 1000 * self.device_time.nearest(frame.time_us)
-            self.out.append(Stamped(frame, self.clock.host_ns(device_ns)))
+    def untimed(self, topic: str, frame: f.Battery | f.RotorSpeeds) -> None:
+        """Stamp a frame without a time of its own: with that of the latest cycle."""
+        if self.clock.converged and self.last_ns > self._last.get(topic, 0):
+            self._last[topic] = self.last_ns
+            self.out.append(Stamped(frame, self.last_ns, topic))
 
     def other(
-        self, frame: f.RcChannels | f.SlowSensors, time_us: int, grain_us: int, now_ns: int
-    ) -> None:
-        """Stamp a frame whose time has this grain: with its cycle's stamp where it was of one."""
-        device_ns = 1000 * self.device_time.peek(time_us, NEAR_US)
-        stamp = partial(self._stamp_other, frame, time_us // grain_us, grain_us, device_ns)
+        self, topic: str, frame: f.RcChannels | f.SlowSensors | f.Outputs | f.RotorSpeeds,
+        time_us: int, grain_us: int, now_ns: int, *, bits: int = 64,
+    ) -> None:  # fmt: skip
+        """Stamp a frame whose time has this grain: with its cycle's stamp where it was of one.
+
+        A time in ms has 32 bits, one in µs as many as `bits` says.
+        """
+        device_us = self.device_time.peek(time_us, NEAR_US)
+        if grain_us > 1 or bits == 32:
+            device_us = self._nearest(device_us, WRAP_US * grain_us)
+        if self._anchor_us and device_us < self._anchor_us - PAST_US:
+            self.false_times += 1
+            return
+        device_ns = 1000 * device_us
+        grains = time_us // grain_us
+        stamp = partial(self._stamp_other, topic, frame, grains, grain_us, device_ns)
         late_ns = self._late_ns(device_ns, now_ns) if self._sure else 0
         if self._waiting and now_ns - self._waits_since_ns > 2 * PATIENCE_NS:
             # cycles would have lost their patience by now: they have stopped, others go on
@@ -110,13 +141,18 @@ class Stamping:
         """Take a round trip of TIMESYNC: sent and received by us, told by the aircraft."""
         # who counts µs in 32 bits wraps here too
         whole_us, rest_ns = divmod(told_ns, 1000)
-        device_ns = 1000 * self.device_time.peek(whole_us, NEAR_US) + rest_ns
+        device_us = self.device_time.peek(whole_us, NEAR_US)
+        near_us = self._nearest(device_us, WRAP_US)  # Betaflight's TIMESYNC alone has 32 bits
+        if abs(near_us - self._anchor_us) < PAST_US:
+            device_us = near_us
+        device_ns = 1000 * device_us + rest_ns
         if self._sure:
             off_ns = (sent_ns + now_ns) // 2 - self.clock.host_ns(device_ns)
             self.late.trip(sent_ns, off_ns, now_ns - sent_ns)
         if self.late.gone:
             self._begin_anew()
             device_ns = told_ns
+        self._anchor_us = device_ns // 1000
         accepted = self.clock.add(sent_ns, device_ns, now_ns)
         self.guard.trip(sent_ns, self.clock.off_ns, accepted=accepted)
         if not self.clock.converged:
@@ -127,6 +163,13 @@ class Stamping:
     @property
     def _sure(self) -> bool:
         return self.clock.converged and not self.clock.one_way
+
+    def _nearest(self, time_us: int, span_us: int) -> int:
+        """The time nearest to the latest known one that equals `time_us` but for its wraps."""
+        if not self._anchor_us:
+            return time_us
+        off_us = (time_us - self._anchor_us + span_us // 2) % span_us - span_us // 2
+        return max(self._anchor_us + off_us, 0)
 
     def _late_ns(self, device_ns: int, now_ns: int) -> int:
         return now_ns - self.clock.host_ns(device_ns)
@@ -172,14 +215,19 @@ class Stamping:
             self.held += 1
             return
         self.last_ns, self._stamped = stamp_ns, frame
-        self.out.append(Stamped(frame, stamp_ns))
+        self.out.append(Stamped(frame, stamp_ns, INERTIAL))
 
     def _stamp_other(
-        self, frame: f.RcChannels | f.SlowSensors, grains: int, grain_us: int, device_ns: int,
-        _now_ns: int,
+        self, topic: str, frame: f.RcChannels | f.SlowSensors | f.Outputs | f.RotorSpeeds,
+        grains: int, grain_us: int, device_ns: int, now_ns: int,
     ) -> None:  # fmt: skip
-        if self.clock.converged:
-            last = self._stamped
-            same = last is not None and last.time_us // grain_us == grains
-            stamp_ns = self.last_ns if same else self.clock.host_ns(device_ns)
-            self.out.append(Stamped(frame, stamp_ns))
+        if not self.clock.converged:
+            return
+        last = self._stamped
+        same = last is not None and last.time_us // grain_us == grains
+        stamp_ns = self.last_ns if same else self.clock.host_ns(device_ns)
+        if stamp_ns <= self._last.get(topic, 0) or stamp_ns > now_ns + FUTURE_NS:
+            self.false_times += 1
+            return
+        self._last[topic] = stamp_ns
+        self.out.append(Stamped(frame, stamp_ns, topic))

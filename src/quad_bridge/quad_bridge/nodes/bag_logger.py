@@ -14,13 +14,15 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.log.disk import MB, free_bytes
 from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
 from quad_bridge.log.writer import Limits, free_paths, new_bag
-from quad_bridge.nodes import conversion, diagnostics, ros_node
+from quad_bridge.nodes import conversion, description, diagnostics, ros_node
 from quad_bridge.nodes.managed_node import ManagedNode, answered, relative
 from quad_bridge.nodes.qos import EVENT, STATE, adapted, offered
 from quad_bridge.status import WARN, Status
@@ -33,7 +35,7 @@ NUMBERS = {
     'reserve_mb': (200, 'MB of free disk without which no recording starts', (0, 1_000_000)),
 }
 """Integer parameters: default, description, range."""
-NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', *NUMBERS)
+NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', description.PARAMETER, *NUMBERS)
 
 
 class BagLogger(ManagedNode):
@@ -56,6 +58,8 @@ class BagLogger(ManagedNode):
         for topic in self._topics:
             if topic not in TOPIC_TYPES:
                 raise BadInputError('parameter topics', 'is not a topic of the contract', topic)
+        self._craft = description.declared_craft(self)
+        self._described: dict[bytes, bool] = {}  # descriptions heard, and whether they count
         self._recording: Recording | None = None
         self._subscribed: dict[str, tuple[Any, Any]] = {}
         self._gaps: dict[str, Gaps] = {}
@@ -134,6 +138,10 @@ class BagLogger(ManagedNode):
             raise BadInputError(where, f'cannot be used ({error.strerror})') from error
         path = writer.path
         self._recording, self._failed = Recording(writer, capacity=self._capacity), None
+        if self._craft is not None:
+            self._recording.declare(description.TOPIC, TOPIC_TYPES[description.TOPIC], ())
+            data = serialize_message(String(data=self._craft.to_urdf()))
+            self._recording.put(description.TOPIC, self._now_ns(), data)
         for topic in self._topics:
             self._subscribe(topic)
         self._announce(path, 'recording')
@@ -183,7 +191,7 @@ class BagLogger(ManagedNode):
 
     def _receive(self, topic: str, data: bytes, about: dict[str, Any]) -> None:
         recording = self._recording
-        if recording is None:
+        if recording is None or (topic == description.TOPIC and not self._describes(data)):
             return
         number = about.get('publication_sequence_number')
         if number is not None:
@@ -194,6 +202,17 @@ class BagLogger(ManagedNode):
         if not recording.known(topic):
             recording.declare(topic, TOPIC_TYPES[topic], offered(self._offers(topic)))
         recording.put(topic, self._now_ns(), data)
+
+    def _describes(self, data: bytes) -> bool:
+        """Whether a description counts; where it does not, that is said once."""
+        if data not in self._described:
+            words = 'the parameter robot_description holds: that of another node is left aside'
+            if self._craft is None:
+                words = description.why_left_aside(deserialize_message(data, String).data)
+            self._described[data] = not words
+            if words:
+                self.get_logger().warning(words)
+        return self._described[data]
 
     def _lose(self, topic: str, event: Any) -> None:
         """Count what the middleware reports, where messages are not numbered."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 
+from quad_bridge.craft import Craft
 from quad_bridge.errors import BadInputError
 from quad_bridge.gains.gate import bound_from
 from quad_bridge.gains.history import default_folder
@@ -16,11 +17,11 @@ from quad_bridge.gains.polarity import MODES
 from quad_bridge.gains.table import DEFAULT_BOUNDS, SETTABLE, Bound
 from quad_bridge.gains.update import GainSettings
 from quad_bridge.key_file import MAKE, signing_from
+from quad_bridge.link.port import over_network
+from quad_bridge.link.udp import is_udp, parts
 from quad_bridge.nodes import ros_node
+from quad_bridge.nodes.description import declared_craft
 from quad_bridge.wire.signing import Signing
-
-WIRED = ('loop', 'spy', 'hwgrep', 'alt', 'cp2110')
-"""Schemes of pyserial's URLs that lead to no network."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,13 @@ class BridgeSettings:
     signing: Signing | None
     require_enable: bool
     correct_sensors: bool
+    craft: Craft | None
     gains: GainSettings
 
 
 OWN = (
-    'port', 'baud', 'excitation_valid_ms', 'key_file', 'require_enable', 'sources', 'polarity',
-    'aircraft', 'state_folder', 'managed', 'correct_sensors',
+    'port', 'baud', 'excitation_valid_ms', 'key_file', 'unsigned', 'require_enable', 'sources',
+    'polarity', 'aircraft', 'state_folder', 'managed', 'correct_sensors', 'robot_description',
 )  # fmt: skip
 
 
@@ -47,9 +49,11 @@ def declare(node: Any) -> BridgeSettings:
     bounds = {f'bounds.{name}': name for name in SETTABLE}
     ros_node.refuse_unknown(node, [*OWN, *bounds])
     port = ros_node.declared(
-        node, 'port', '/dev/ttyACM0', 'device, pattern (/dev/ttyACM*) or URL of pyserial'
+        node, 'port', '/dev/ttyACM0',
+        'device, pattern (/dev/ttyACM*), udp://HOST:PORT, udpin://, udpout:// or URL of pyserial',
     )
-    settings = BridgeSettings(
+    _refuse_bad(port)
+    return BridgeSettings(
         port=port,
         baud=ros_node.declared(node, 'baud', 921600, 'baud rate, bit/s', (9600, 12_000_000)),
         excitation_valid_ms=ros_node.declared(
@@ -60,33 +64,43 @@ def declare(node: Any) -> BridgeSettings:
         signing=_signing(node, port),
         require_enable=ros_node.declared(
             node, 'require_enable', over_network(port),
-            'excite and arm only while /operator/enable is alive; default: where port is a URL; '
+            'excite and arm only while /operator/enable is alive; default: over a network; '
             'elsewhere once somebody has held it',
         ),
         correct_sensors=ros_node.declared(
             node, 'correct_sensors', True,
             "subtract the gyro's bias at rest from /imu/data",
         ),
+        craft=declared_craft(node),
         gains=_gains(node, bounds),
     )  # fmt: skip
-    if not settings.port:
+
+
+def _refuse_bad(port: str) -> None:
+    if not port:
         raise BadInputError('parameter port', 'must name a device', "''")
-    return settings
-
-
-def over_network(port: str) -> bool:
-    """Whether others than whoever holds the wire can speak on `port`."""
-    scheme, separator, _ = port.partition('://')
-    return bool(separator) and scheme.lower() not in WIRED
+    if is_udp(port):
+        try:
+            parts(port)
+        except ValueError as error:
+            raise BadInputError('parameter port', str(error)) from error
 
 
 def _signing(node: Any, port: str) -> Signing | None:
     given = ros_node.declared(
-        node, 'key_file', '', 'key for MAVLink 2 signing; required where port is a network URL'
+        node, 'key_file', '',
+        'key for MAVLink 2 signing; required where port leads to another computer',
     )
-    if not given and over_network(port):
-        what = f'is required where the port is a network URL ({port})'
-        raise BadInputError('parameter key_file', what, remedy=MAKE)
+    unsigned = ros_node.declared(
+        node, 'unsigned', False,
+        'true: whoever reaches the port over a network may speak, without a key',
+    )
+    if given and unsigned:
+        raise BadInputError('parameter unsigned', 'must be false where key_file is set', 'true')
+    if not given and not unsigned and over_network(port):
+        what = f'is required where the port leads to another computer ({port})'
+        remedy = f'{MAKE}; or set unsigned:=true where everybody on that network may command'
+        raise BadInputError('parameter key_file', what, remedy=remedy)
     return signing_from(Path(given).expanduser() if given else None)
 
 

@@ -18,16 +18,15 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
 from quad_bridge.link.autopilot import Inertial
+from quad_bridge.motor_outputs import MotorOutputs
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control, quaternion
 
 FRAME_ID = 'base_link'
 MOTORS = ('motor_1', 'motor_2', 'motor_3', 'motor_4')
-AUTOPILOT_ORDER = (1, 3, 0, 2)
-"""Outputs of PX4's and ArduPilot's X frame (front right, rear left, front left, rear right) that
-are the contract's motors 1 to 4. Theirs turn the other way round: U4 has the opposite sign."""
 TESLA_PER_GAUSS = 1e-4
 PASCAL_PER_HPA = 100.0
+RAD_S_PER_RPM = math.tau / 60.0
 RC_CHANNELS, THROTTLE, STICKS = 9, 2, 4
 
 
@@ -120,7 +119,10 @@ def time_message(stamp_ns: int) -> Time:
 def inertial_message(inertial: Inertial, stamp_ns: int) -> Imu:
     """Another autopilot's data; -1 in a covariance marks what is unknown (sensor_msgs)."""
     message = _stamped(Imu(), stamp_ns)
-    _set(message.angular_velocity, flip_body(inertial.gyro))
+    if inertial.gyro is None:
+        message.angular_velocity_covariance[0] = -1.0
+    else:
+        _set(message.angular_velocity, flip_body(inertial.gyro))
     if inertial.accel is None:
         message.linear_acceleration_covariance[0] = -1.0
     else:
@@ -133,12 +135,22 @@ def inertial_message(inertial: Inertial, stamp_ns: int) -> Imu:
     return message
 
 
-def outputs_message(outputs: f.Outputs, stamp_ns: int) -> JointState:
-    """Pulses of PX4's and ArduPilot's X frame in the contract's order of motors, 0..1."""
-    message = _stamped(JointState(name=list(MOTORS)), stamp_ns)
-    pulses = [outputs.pulses[i] for i in AUTOPILOT_ORDER]
-    message.effort = [min(max((pulse - 1000) / 1000.0, 0.0), 1.0) for pulse in pulses]
+def outputs_message(outputs: f.Outputs, motors: MotorOutputs, stamp_ns: int) -> JointState:
+    """Pulses of another autopilot as commands of the motors, 0..1."""
+    message = _stamped(JointState(name=_names(len(motors.channels))), stamp_ns)
+    message.effort = motors.efforts(outputs.pulses)
     return message
+
+
+def rotors_message(speeds: f.RotorSpeeds, motors: MotorOutputs, stamp_ns: int) -> JointState:
+    """Speeds of the rotors in rad/s, positive as they fly; NaN where one is not measured."""
+    message = _stamped(JointState(name=_names(len(motors.channels))), stamp_ns)
+    message.velocity = [RAD_S_PER_RPM * rpm for rpm in motors.ordered(speeds.rpm)]
+    return message
+
+
+def _names(count: int) -> list[str]:
+    return [f'motor_{k}' for k in range(1, count + 1)]
 
 
 def rc_message(rc: f.RcChannels, stamp_ns: int, *, failsafe: bool) -> Joy:

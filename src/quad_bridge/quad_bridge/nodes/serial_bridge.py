@@ -21,20 +21,24 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
 from quad_bridge.arming import OperatorEnable
+from quad_bridge.craft import Craft
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
+from quad_bridge.gains.polarity import FLOWN
 from quad_bridge.gains.update import GainUpdates, News, State
-from quad_bridge.link.autopilot import Inertial
+from quad_bridge.link.autopilot import BATTERY, COMPASS, INERTIAL, MOTORS, PRESSURE, ROTORS
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort
 from quad_bridge.link.report import LinkReport
-from quad_bridge.link.stamping import Arrived, Restarted, Stamped
+from quad_bridge.link.stamping import Arrived, Described, Restarted, Stamped
 from quad_bridge.lockstep import START_NS, WIRE, clock
+from quad_bridge.motor_outputs import MotorOutputs, motor_outputs
 from quad_bridge.nodes import conversion, diagnostics
 from quad_bridge.nodes.bridge_parameters import BridgeSettings, declare
+from quad_bridge.nodes.description import Description
 from quad_bridge.nodes.fence import LogLimiter
-from quad_bridge.nodes.host_time import NEVER_NS, HostTime
+from quad_bridge.nodes.host_time import NEVER_NS, Epoch, HostTime, read_epoch
 from quad_bridge.nodes.managed_node import ManagedNode
 from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 from quad_bridge.nodes.ros_node import run
@@ -65,8 +69,12 @@ class SerialBridge(ManagedNode):
         self._history = History(settings.gains.folder, self._worker)
         self._gains = GainUpdates(settings.gains, self._history)
         self._sensors = LiveSensors(correct=settings.correct_sensors)
+        self._description = Description(self, settings.craft, self._on_craft)
+        self._motors: MotorOutputs | None = None  # of another autopilot, once it has told
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
-        self._operator = OperatorServices(self, self._enable, self._forward, self._armed)
+        self._operator = OperatorServices(
+            self, self._enable, self._forward, self._armed, lambda: self._link.name
+        )
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
         self._messages = conversion.CycleMessages()
         self._arrived: dict[type, Callable[[Any, int], None]] = {
@@ -75,11 +83,11 @@ class SerialBridge(ManagedNode):
             f.GainsState: self._on_gains_frame,
             f.RcChannels: self._on_sticks,
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
-            f.StatusText: lambda frame, _: self._say_once(f'STM32: {frame.text}'),
+            f.StatusText: lambda frame, _: self._say_once(f'{self._link.name}: {frame.text}'),
         }
         self._reported_s = 0.0
         self._simulated = self.simulated
-        self._time = HostTime(self._epoch())
+        self._time = HostTime(*self._epoch())
         self._told_time: Any = None  # in lockstep, for whoever is not on the line
         if clock().simulated:
             self._told_time = self.create_publisher(ClockMessage, '/clock', 1)
@@ -105,15 +113,16 @@ class SerialBridge(ManagedNode):
         )
         self._applied = publisher(Vector3Stamped, '/excitation/applied')
         self._rc = publisher(Joy, '/rc/in')
-        self._others: dict[type, tuple[tuple[Any, Callable[[Any, int], Any]], ...]] = {
-            f.Battery: ((publisher(BatteryState, '/battery'), conversion.battery_message),),
-            f.SlowSensors: (
-                (publisher(MagneticField, '/imu/mag'), conversion.mag_message),
-                (publisher(FluidPressure, '/baro'), conversion.baro_message),
-            ),
-            Inertial: ((imu, conversion.inertial_message),),
-            f.Outputs: ((motors, conversion.outputs_message),),
+        rotors = publisher(JointState, ROTORS)
+        self._others: dict[str, tuple[Any, Callable[[Any, int], Any]]] = {
+            BATTERY: (publisher(BatteryState, BATTERY), conversion.battery_message),
+            COMPASS: (publisher(MagneticField, COMPASS), conversion.mag_message),
+            PRESSURE: (publisher(FluidPressure, PRESSURE), conversion.baro_message),
+            INERTIAL: (imu, conversion.inertial_message),
+            MOTORS: (motors, partial(self._of_motors, conversion.outputs_message)),
+            ROTORS: (rotors, partial(self._of_motors, conversion.rotors_message)),
         }
+        self._description.configure()
         self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
         self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
@@ -124,6 +133,9 @@ class SerialBridge(ManagedNode):
 
     def activate(self) -> None:
         """Open the port; it need not be there yet."""
+        if self._settings.craft is not None:
+            self._on_craft(self._settings.craft)
+            self._description.publish(self._settings.craft)
         self._port = self._new_port()
         self._timers_of_work = (
             self.create_timer(TICK_S, self._on_tick),
@@ -148,11 +160,14 @@ class SerialBridge(ManagedNode):
     def _on_open(self) -> None:
         with self._lock:
             self._link.opened()
+            self._motors = None
             self._report.opened()
             self._gains.restarted(clock().now_s())
             self._gains.disturb('the port was opened anew')
-            self._time.opened(self._epoch())
-        self._say_once(f'{self._port.status.path}: open at {self._settings.baud} baud')
+            self._time.opened(*self._epoch())
+        path = self._port.status.path
+        at = '' if '://' in path else f' at {self._settings.baud} baud'
+        self._say_once(f'{path}: open{at}')
 
     def _on_bytes(self, data: bytes) -> None:
         now_ns = clock().now_ns()
@@ -162,6 +177,8 @@ class SerialBridge(ManagedNode):
                     self._publish(event)
                 elif isinstance(event, Arrived):
                     self._arrived[type(event.frame)](event.frame, now_ns)
+                elif isinstance(event, Described):
+                    self._on_described(event)
                 elif isinstance(event, Restarted):
                     self._gains.restarted(1e-9 * now_ns)
                     self._sensors.restarted()
@@ -198,10 +215,10 @@ class SerialBridge(ManagedNode):
             lost = last is not None and bool(last.flags & f.Flag.RC_FAILSAFE)
             self._rc.publish(conversion.rc_message(frame, stamp_ns, failsafe=lost))
         else:
-            for publisher, convert in self._others[type(frame)]:
-                message = convert(frame, stamp_ns)
-                if message is not None:
-                    publisher.publish(message)
+            publisher, convert = self._others[event.topic]
+            message = convert(frame, stamp_ns)
+            if message is not None:
+                publisher.publish(message)
 
     def _publish_cycle(self, frame: f.Cycle, stamp_ns: int) -> None:
         bias = self._sensors.stamped(stamp_ns).gyro_bias
@@ -213,6 +230,20 @@ class SerialBridge(ManagedNode):
             self._applied.publish(self._messages.applied(frame, stamp_ns))
         if self._told_time is not None:
             self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
+
+    def _on_described(self, told: Described) -> None:
+        self._motors = motor_outputs(
+            told.peer.autopilot, self._link.name, told.parameters, self._description.craft
+        )
+        self._say_once(self._motors.words)
+        if self._motors.craft is not None:
+            self._description.publish(self._motors.craft)
+
+    def _of_motors(
+        self, convert: Callable[[Any, MotorOutputs, int], Any], frame: Any, stamp_ns: int
+    ) -> Any:
+        """A message by motor; None as long as nobody has said which output is which motor."""
+        return convert(frame, self._motors, stamp_ns) if self._motors is not None else None
 
     # In both threads, the lock being held.
 
@@ -267,6 +298,12 @@ class SerialBridge(ManagedNode):
         if self._limiter.allow(words, clock().now_s()):
             self.get_logger().info(words)
 
+    def _on_craft(self, craft: Craft) -> None:
+        """Take the craft that the parameter gives, or another node describes."""
+        if craft.count == FLOWN:
+            with self._lock:
+                self._gains.polarity.craft = craft
+
     def _on_segment(self, event: ParameterEvent) -> None:
         end = self._relay.segment(conversion.parameters(event))
         with self._lock:
@@ -296,10 +333,18 @@ class SerialBridge(ManagedNode):
         """Hand on an update; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
+            self._refuse_autopilot()
             words = self._gains.ask(parameters, clock().now_s())
             self._poll_gains(clock().now_ns())
             self._flush()
         self.get_logger().info(words)
+
+    def _refuse_autopilot(self) -> None:
+        """Raise RefusedError where the aircraft has no sets of gains and no test pulses."""
+        if self._link.standard_only(clock().now_ns()):
+            words = f'{self._link.name} has no QUAD_GAINS: no gains or pulses for it'
+            self._say_once(words)
+            raise RefusedError(words)
 
     def _armed(self) -> bool | None:
         with self._lock:
@@ -309,6 +354,7 @@ class SerialBridge(ManagedNode):
         """Have the polarity or the motors checked; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
+            self._refuse_autopilot()
             self._gains.check(clock().now_s(), told, motors=motors)
 
     def _on_report(self) -> None:
@@ -338,16 +384,18 @@ class SerialBridge(ManagedNode):
             diagnostics.diagnostic_array(self.get_name(), port, now, entries)
         )
 
-    def _epoch(self) -> int:
-        """ROS time minus the steady clock, ns."""
-        now_ns = int(self.get_clock().now().nanoseconds)
-        return NEVER_NS if self._simulated and not now_ns else now_ns - clock().now_ns()
+    def _epoch(self) -> Epoch:
+        """ROS time minus the steady clock."""
+        ros = self.get_clock()
+        if self._simulated and not ros.now().nanoseconds:
+            return Epoch(NEVER_NS)
+        return read_epoch(lambda: int(ros.now().nanoseconds), clock().now_ns)
 
     def _keep_epoch(self) -> None:
         if self._simulated:
-            self._time.follow(self._epoch())
+            self._time.follow(self._epoch().ns)
             return
-        words = self._time.measured(self._epoch(), armed=self._link.armed)
+        words = self._time.measured(*self._epoch(), armed=self._link.armed)
         if words:
             self.get_logger().warning(words)
 

@@ -48,7 +48,8 @@ class GainServices:
         self._node, self._ask, self._check = node, ask, check
         self._showing = False
         for name in SETTABLE:
-            words = f'{ROWS[name].meaning}, {ROWS[name].unit}; NaN until the STM32 has reported it'
+            row = ROWS[name]
+            words = f'{row.meaning}, {row.unit}; NaN until the aircraft has reported it'
             descriptor = ParameterDescriptor(description=words, dynamic_typing=True)
             node.declare_parameter(name, math.nan, descriptor)
         node.add_on_set_parameters_callback(self._on_set)
@@ -89,10 +90,11 @@ class GainServices:
 
 
 class OperatorServices:
-    """Topic operator/enable and service `~/arm`, which answers with what the STM32 said.
+    """Topic operator/enable and service `~/arm`, which answers with what the aircraft said.
 
     `send` puts a frame on the wire. `armed` says whether the aircraft is armed, as heard just now;
-    None where it is not heard. `acknowledged` may be called from any thread.
+    None where it is not heard; `name` what messages call it. `acknowledged` may be called from any
+    thread.
     """
 
     def __init__(
@@ -101,8 +103,10 @@ class OperatorServices:
         enable: OperatorEnable,
         send: Callable[[Command], None],
         armed: Callable[[], bool | None],
+        name: Callable[[], str],
     ) -> None:
         self._node, self._enable, self._send, self._armed = node, enable, send, armed
+        self._name = name
         self._arming = Arming()
         self._late = ''
         node.create_subscription(Bool, 'operator/enable', self._on_enable, qos_profile_sensor_data)
@@ -156,7 +160,7 @@ class OperatorServices:
         except RefusedError as error:
             return answered(response, False, str(error))
         answer = await done
-        return answered(response, answer == ACCEPTED, f'the STM32: {answer}')
+        return answered(response, answer == ACCEPTED, f'{self._name()}: {answer}')
 
 
 class SensorServices:

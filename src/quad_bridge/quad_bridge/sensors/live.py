@@ -23,7 +23,7 @@ from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag
 
 STANDING_S = LEAST_S + 1.0  # of cycles without armed motors are kept for an estimate
-NOT_YET = 'not estimated since the STM32 started'
+NOT_YET = 'not estimated since the aircraft started'
 
 Sample = tuple[float, float, float, float, float, float, float]
 """Device time in s, rates in rad/s, accelerations in m/s², FLU."""

@@ -29,12 +29,12 @@ KERNEL_FILES = (
 
 def kernel(function: _F) -> _F:
     """Compile `function`, uncached: it is inlined into the entry points that call it."""
-    return cast('_F', njit(function))
+    return cast('_F', njit(error_model='numpy')(function))
 
 
 def entry(function: _F) -> _F:
     """Compile `function` with an on-disk cache; it must close over `source_digest()`'s value."""
-    return cast('_F', njit(cache=True)(function))
+    return cast('_F', njit(cache=True, error_model='numpy')(function))
 
 
 def source_digest() -> str:

@@ -117,7 +117,9 @@ def begin(
     """The firmware's part of a cycle; fills the log row and `acting`."""
     state, sensed = machine.state, machine.sensed
     sense_cycle(sensed, state, machine.chips, normals, cycle)
-    used = given.copy()
+    used = np.empty(INPUTS)
+    for i in range(INPUTS):
+        used[i] = given[i]
     used[THROTTLE] = held_throttle(machine, given[THROTTLE])
     volts = battery_voltage(state, machine.plant)
     log[29] = _fly(
@@ -129,10 +131,11 @@ def begin(
     delayed(machine, cycle, log[20:24])
     log[0] = state[TIME]
     log[24] = volts
-    log[25:28] = sensed[MAG : MAG + 3]
+    for i in range(3):  # one by one: whole slices take numba seconds to compile
+        log[25 + i] = sensed[MAG + i]
+        log[31 + i] = state[RATES + i]
     log[28] = sensed[PRESSURE]
     log[30] = used[THROTTLE]
-    log[31:34] = state[RATES : RATES + 3]
     euler_from_quaternion(state[QUAT : QUAT + 4], log[34:37])
     log[37] = state[POSITION + 2]
 
@@ -152,7 +155,8 @@ def look(machine: Machine, seen: FloatArray) -> None:
     state, plant = machine.state, machine.plant
     voltage = battery_voltage(state, plant)
     seen[0] = state[TIME]
-    seen[1:4] = state[RATES : RATES + 3]
+    for i in range(3):
+        seen[1 + i] = state[RATES + i]
     euler_from_quaternion(state[QUAT : QUAT + 4], seen[4:7])
     motor_thrusts(state, plant, voltage, seen[7:11])
     seen[11] = voltage

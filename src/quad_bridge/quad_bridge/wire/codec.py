@@ -104,9 +104,12 @@ class Decoder:
         else:
             self.counts.standard += 1
             frame = f.Standard(_NAMES[packet.message])
-        if self._own is not None and not plausible(frame):
-            self.counts.implausible += 1
-            return
+        if self._own is not None:
+            checked = plausible(frame)
+            self.counts.implausible += checked is not frame
+            if checked is None:
+                return
+            frame = checked
         if isinstance(frame, f.Cycle):
             self._count(frame.cycle)
         if self._own is not None and not self._known(frame, packet):

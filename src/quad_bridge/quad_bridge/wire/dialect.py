@@ -454,6 +454,7 @@ MAVLINK_MSG_ID_SCALED_IMU = 26
 MAVLINK_MSG_ID_SCALED_PRESSURE = 29
 MAVLINK_MSG_ID_ATTITUDE = 30
 MAVLINK_MSG_ID_ATTITUDE_QUATERNION = 31
+MAVLINK_MSG_ID_RC_CHANNELS_RAW = 35
 MAVLINK_MSG_ID_SERVO_OUTPUT_RAW = 36
 MAVLINK_MSG_ID_RC_CHANNELS = 65
 MAVLINK_MSG_ID_COMMAND_LONG = 76
@@ -464,7 +465,12 @@ MAVLINK_MSG_ID_HIGHRES_IMU = 105
 MAVLINK_MSG_ID_TIMESYNC = 111
 MAVLINK_MSG_ID_ACTUATOR_CONTROL_TARGET = 140
 MAVLINK_MSG_ID_BATTERY_STATUS = 147
+MAVLINK_MSG_ID_RPM = 226
 MAVLINK_MSG_ID_STATUSTEXT = 253
+MAVLINK_MSG_ID_ESC_STATUS = 291
+MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4 = 11030
+MAVLINK_MSG_ID_ESC_TELEMETRY_5_TO_8 = 11031
+MAVLINK_MSG_ID_ESC_TELEMETRY_9_TO_12 = 11032
 MAVLINK_MSG_ID_QUAD_CYCLE = 24100
 MAVLINK_MSG_ID_QUAD_EXCITATION = 24101
 MAVLINK_MSG_ID_QUAD_GAINS = 24102
@@ -954,6 +960,54 @@ class MAVLink_attitude_quaternion_message(MAVLink_message):
 setattr(MAVLink_attitude_quaternion_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_rc_channels_raw_message(MAVLink_message):
+    """
+    The RAW values of the RC channels received
+    """
+
+    id = MAVLINK_MSG_ID_RC_CHANNELS_RAW
+    msgname = "RC_CHANNELS_RAW"
+    fieldnames = ["time_boot_ms", "port", "chan1_raw", "chan2_raw", "chan3_raw", "chan4_raw", "chan5_raw", "chan6_raw", "chan7_raw", "chan8_raw", "rssi"]
+    ordered_fieldnames = ["time_boot_ms", "chan1_raw", "chan2_raw", "chan3_raw", "chan4_raw", "chan5_raw", "chan6_raw", "chan7_raw", "chan8_raw", "port", "rssi"]
+    fieldtypes = ["uint32_t", "uint8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "chan1_raw": "us", "chan2_raw": "us", "chan3_raw": "us", "chan4_raw": "us", "chan5_raw": "us", "chan6_raw": "us", "chan7_raw": "us", "chan8_raw": "us"}
+    native_format = bytearray(b"<IHHHHHHHHBB")
+    orders = [0, 9, 1, 2, 3, 4, 5, 6, 7, 8, 10]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 244
+    unpacker = struct.Struct("<IHHHHHHHHBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, port: int, chan1_raw: int, chan2_raw: int, chan3_raw: int, chan4_raw: int, chan5_raw: int, chan6_raw: int, chan7_raw: int, chan8_raw: int, rssi: int):
+        MAVLink_message.__init__(self, MAVLink_rc_channels_raw_message.id, MAVLink_rc_channels_raw_message.msgname)
+        self._fieldnames = MAVLink_rc_channels_raw_message.fieldnames
+        self._instance_field = MAVLink_rc_channels_raw_message.instance_field
+        self._instance_offset = MAVLink_rc_channels_raw_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.port = port
+        self.chan1_raw = chan1_raw
+        self.chan2_raw = chan2_raw
+        self.chan3_raw = chan3_raw
+        self.chan4_raw = chan4_raw
+        self.chan5_raw = chan5_raw
+        self.chan6_raw = chan6_raw
+        self.chan7_raw = chan7_raw
+        self.chan8_raw = chan8_raw
+        self.rssi = rssi
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.chan1_raw, self.chan2_raw, self.chan3_raw, self.chan4_raw, self.chan5_raw, self.chan6_raw, self.chan7_raw, self.chan8_raw, self.port, self.rssi), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_rc_channels_raw_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_servo_output_raw_message(MAVLink_message):
     """
     Superseded by ACTUATOR_OUTPUT_STATUS. The RAW values of the servo
@@ -1434,6 +1488,45 @@ class MAVLink_battery_status_message(MAVLink_message):
 setattr(MAVLink_battery_status_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_rpm_message(MAVLink_message):
+    """
+    Speeds of two rotors (dialect ardupilotmega)
+    """
+
+    id = MAVLINK_MSG_ID_RPM
+    msgname = "RPM"
+    fieldnames = ["rpm1", "rpm2"]
+    ordered_fieldnames = ["rpm1", "rpm2"]
+    fieldtypes = ["float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<ff")
+    orders = [0, 1]
+    lengths = [1, 1]
+    array_lengths = [0, 0]
+    crc_extra = 207
+    unpacker = struct.Struct("<ff")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, rpm1: float, rpm2: float):
+        MAVLink_message.__init__(self, MAVLink_rpm_message.id, MAVLink_rpm_message.msgname)
+        self._fieldnames = MAVLink_rpm_message.fieldnames
+        self._instance_field = MAVLink_rpm_message.instance_field
+        self._instance_offset = MAVLink_rpm_message.instance_offset
+        self.rpm1 = rpm1
+        self.rpm2 = rpm2
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.rpm1, self.rpm2), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_rpm_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_statustext_message(MAVLink_message):
     """
     Status text message
@@ -1474,6 +1567,177 @@ class MAVLink_statustext_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_statustext_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_esc_status_message(MAVLink_message):
+    """
+    ESC information for higher rate streaming
+    """
+
+    id = MAVLINK_MSG_ID_ESC_STATUS
+    msgname = "ESC_STATUS"
+    fieldnames = ["index", "time_usec", "rpm", "voltage", "current"]
+    ordered_fieldnames = ["time_usec", "rpm", "voltage", "current", "index"]
+    fieldtypes = ["uint8_t", "uint64_t", "int32_t", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "rpm": "rpm", "voltage": "V", "current": "A"}
+    native_format = bytearray(b"<QiffB")
+    orders = [4, 0, 1, 2, 3]
+    lengths = [1, 4, 4, 4, 1]
+    array_lengths = [0, 4, 4, 4, 0]
+    crc_extra = 10
+    unpacker = struct.Struct("<Q4i4f4fB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, index: int, time_usec: int, rpm: Sequence[int], voltage: Sequence[float], current: Sequence[float]):
+        MAVLink_message.__init__(self, MAVLink_esc_status_message.id, MAVLink_esc_status_message.msgname)
+        self._fieldnames = MAVLink_esc_status_message.fieldnames
+        self._instance_field = MAVLink_esc_status_message.instance_field
+        self._instance_offset = MAVLink_esc_status_message.instance_offset
+        self.index = index
+        self.time_usec = time_usec
+        self.rpm = rpm
+        self.voltage = voltage
+        self.current = current
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.rpm[0], self.rpm[1], self.rpm[2], self.rpm[3], self.voltage[0], self.voltage[1], self.voltage[2], self.voltage[3], self.current[0], self.current[1], self.current[2], self.current[3], self.index), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_esc_status_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_esc_telemetry_1_to_4_message(MAVLink_message):
+    """
+    ESC telemetry of ESCs 1 to 4 (dialect ardupilotmega)
+    """
+
+    id = MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4
+    msgname = "ESC_TELEMETRY_1_TO_4"
+    fieldnames = ["temperature", "voltage", "current", "totalcurrent", "rpm", "count"]
+    ordered_fieldnames = ["voltage", "current", "totalcurrent", "rpm", "count", "temperature"]
+    fieldtypes = ["uint8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"temperature": "degC", "voltage": "cV", "current": "cA", "totalcurrent": "mAh", "rpm": "rpm"}
+    native_format = bytearray(b"<HHHHHB")
+    orders = [5, 0, 1, 2, 3, 4]
+    lengths = [4, 4, 4, 4, 4, 4]
+    array_lengths = [4, 4, 4, 4, 4, 4]
+    crc_extra = 144
+    unpacker = struct.Struct("<4H4H4H4H4H4B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, temperature: Sequence[int], voltage: Sequence[int], current: Sequence[int], totalcurrent: Sequence[int], rpm: Sequence[int], count: Sequence[int]):
+        MAVLink_message.__init__(self, MAVLink_esc_telemetry_1_to_4_message.id, MAVLink_esc_telemetry_1_to_4_message.msgname)
+        self._fieldnames = MAVLink_esc_telemetry_1_to_4_message.fieldnames
+        self._instance_field = MAVLink_esc_telemetry_1_to_4_message.instance_field
+        self._instance_offset = MAVLink_esc_telemetry_1_to_4_message.instance_offset
+        self.temperature = temperature
+        self.voltage = voltage
+        self.current = current
+        self.totalcurrent = totalcurrent
+        self.rpm = rpm
+        self.count = count
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.voltage[0], self.voltage[1], self.voltage[2], self.voltage[3], self.current[0], self.current[1], self.current[2], self.current[3], self.totalcurrent[0], self.totalcurrent[1], self.totalcurrent[2], self.totalcurrent[3], self.rpm[0], self.rpm[1], self.rpm[2], self.rpm[3], self.count[0], self.count[1], self.count[2], self.count[3], self.temperature[0], self.temperature[1], self.temperature[2], self.temperature[3]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_esc_telemetry_1_to_4_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_esc_telemetry_5_to_8_message(MAVLink_message):
+    """
+    ESC telemetry of ESCs 5 to 8 (dialect ardupilotmega)
+    """
+
+    id = MAVLINK_MSG_ID_ESC_TELEMETRY_5_TO_8
+    msgname = "ESC_TELEMETRY_5_TO_8"
+    fieldnames = ["temperature", "voltage", "current", "totalcurrent", "rpm", "count"]
+    ordered_fieldnames = ["voltage", "current", "totalcurrent", "rpm", "count", "temperature"]
+    fieldtypes = ["uint8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"temperature": "degC", "voltage": "cV", "current": "cA", "totalcurrent": "mAh", "rpm": "rpm"}
+    native_format = bytearray(b"<HHHHHB")
+    orders = [5, 0, 1, 2, 3, 4]
+    lengths = [4, 4, 4, 4, 4, 4]
+    array_lengths = [4, 4, 4, 4, 4, 4]
+    crc_extra = 133
+    unpacker = struct.Struct("<4H4H4H4H4H4B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, temperature: Sequence[int], voltage: Sequence[int], current: Sequence[int], totalcurrent: Sequence[int], rpm: Sequence[int], count: Sequence[int]):
+        MAVLink_message.__init__(self, MAVLink_esc_telemetry_5_to_8_message.id, MAVLink_esc_telemetry_5_to_8_message.msgname)
+        self._fieldnames = MAVLink_esc_telemetry_5_to_8_message.fieldnames
+        self._instance_field = MAVLink_esc_telemetry_5_to_8_message.instance_field
+        self._instance_offset = MAVLink_esc_telemetry_5_to_8_message.instance_offset
+        self.temperature = temperature
+        self.voltage = voltage
+        self.current = current
+        self.totalcurrent = totalcurrent
+        self.rpm = rpm
+        self.count = count
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.voltage[0], self.voltage[1], self.voltage[2], self.voltage[3], self.current[0], self.current[1], self.current[2], self.current[3], self.totalcurrent[0], self.totalcurrent[1], self.totalcurrent[2], self.totalcurrent[3], self.rpm[0], self.rpm[1], self.rpm[2], self.rpm[3], self.count[0], self.count[1], self.count[2], self.count[3], self.temperature[0], self.temperature[1], self.temperature[2], self.temperature[3]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_esc_telemetry_5_to_8_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_esc_telemetry_9_to_12_message(MAVLink_message):
+    """
+    ESC telemetry of ESCs 9 to 12 (dialect ardupilotmega)
+    """
+
+    id = MAVLINK_MSG_ID_ESC_TELEMETRY_9_TO_12
+    msgname = "ESC_TELEMETRY_9_TO_12"
+    fieldnames = ["temperature", "voltage", "current", "totalcurrent", "rpm", "count"]
+    ordered_fieldnames = ["voltage", "current", "totalcurrent", "rpm", "count", "temperature"]
+    fieldtypes = ["uint8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"temperature": "degC", "voltage": "cV", "current": "cA", "totalcurrent": "mAh", "rpm": "rpm"}
+    native_format = bytearray(b"<HHHHHB")
+    orders = [5, 0, 1, 2, 3, 4]
+    lengths = [4, 4, 4, 4, 4, 4]
+    array_lengths = [4, 4, 4, 4, 4, 4]
+    crc_extra = 85
+    unpacker = struct.Struct("<4H4H4H4H4H4B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, temperature: Sequence[int], voltage: Sequence[int], current: Sequence[int], totalcurrent: Sequence[int], rpm: Sequence[int], count: Sequence[int]):
+        MAVLink_message.__init__(self, MAVLink_esc_telemetry_9_to_12_message.id, MAVLink_esc_telemetry_9_to_12_message.msgname)
+        self._fieldnames = MAVLink_esc_telemetry_9_to_12_message.fieldnames
+        self._instance_field = MAVLink_esc_telemetry_9_to_12_message.instance_field
+        self._instance_offset = MAVLink_esc_telemetry_9_to_12_message.instance_offset
+        self.temperature = temperature
+        self.voltage = voltage
+        self.current = current
+        self.totalcurrent = totalcurrent
+        self.rpm = rpm
+        self.count = count
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.voltage[0], self.voltage[1], self.voltage[2], self.voltage[3], self.current[0], self.current[1], self.current[2], self.current[3], self.totalcurrent[0], self.totalcurrent[1], self.totalcurrent[2], self.totalcurrent[3], self.rpm[0], self.rpm[1], self.rpm[2], self.rpm[3], self.count[0], self.count[1], self.count[2], self.count[3], self.temperature[0], self.temperature[1], self.temperature[2], self.temperature[3]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_esc_telemetry_9_to_12_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_quad_cycle_message(MAVLink_message):
@@ -1671,6 +1935,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_SCALED_PRESSURE: MAVLink_scaled_pressure_message,
     MAVLINK_MSG_ID_ATTITUDE: MAVLink_attitude_message,
     MAVLINK_MSG_ID_ATTITUDE_QUATERNION: MAVLink_attitude_quaternion_message,
+    MAVLINK_MSG_ID_RC_CHANNELS_RAW: MAVLink_rc_channels_raw_message,
     MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: MAVLink_servo_output_raw_message,
     MAVLINK_MSG_ID_RC_CHANNELS: MAVLink_rc_channels_message,
     MAVLINK_MSG_ID_COMMAND_LONG: MAVLink_command_long_message,
@@ -1681,7 +1946,12 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_TIMESYNC: MAVLink_timesync_message,
     MAVLINK_MSG_ID_ACTUATOR_CONTROL_TARGET: MAVLink_actuator_control_target_message,
     MAVLINK_MSG_ID_BATTERY_STATUS: MAVLink_battery_status_message,
+    MAVLINK_MSG_ID_RPM: MAVLink_rpm_message,
     MAVLINK_MSG_ID_STATUSTEXT: MAVLink_statustext_message,
+    MAVLINK_MSG_ID_ESC_STATUS: MAVLink_esc_status_message,
+    MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4: MAVLink_esc_telemetry_1_to_4_message,
+    MAVLINK_MSG_ID_ESC_TELEMETRY_5_TO_8: MAVLink_esc_telemetry_5_to_8_message,
+    MAVLINK_MSG_ID_ESC_TELEMETRY_9_TO_12: MAVLink_esc_telemetry_9_to_12_message,
     MAVLINK_MSG_ID_QUAD_CYCLE: MAVLink_quad_cycle_message,
     MAVLINK_MSG_ID_QUAD_EXCITATION: MAVLink_quad_excitation_message,
     MAVLINK_MSG_ID_QUAD_GAINS: MAVLink_quad_gains_message,
@@ -2404,6 +2674,44 @@ class MAVLink(object):
         """
         self.send(self.attitude_quaternion_encode(time_boot_ms, q1, q2, q3, q4, rollspeed, pitchspeed, yawspeed, repr_offset_q), force_mavlink1=force_mavlink1)
 
+    def rc_channels_raw_encode(self, time_boot_ms: int, port: int, chan1_raw: int, chan2_raw: int, chan3_raw: int, chan4_raw: int, chan5_raw: int, chan6_raw: int, chan7_raw: int, chan8_raw: int, rssi: int) -> MAVLink_rc_channels_raw_message:
+        """
+        The RAW values of the RC channels received
+
+        time_boot_ms              : Timestamp (time since system boot) [ms] (type:uint32_t)
+        port                      : Servo output port (set of 8 outputs = 1 port) (type:uint8_t)
+        chan1_raw                 : RC channel 1 value [us] (type:uint16_t)
+        chan2_raw                 : RC channel 2 value [us] (type:uint16_t)
+        chan3_raw                 : RC channel 3 value [us] (type:uint16_t)
+        chan4_raw                 : RC channel 4 value [us] (type:uint16_t)
+        chan5_raw                 : RC channel 5 value [us] (type:uint16_t)
+        chan6_raw                 : RC channel 6 value [us] (type:uint16_t)
+        chan7_raw                 : RC channel 7 value [us] (type:uint16_t)
+        chan8_raw                 : RC channel 8 value [us] (type:uint16_t)
+        rssi                      : Receive signal strength indicator in device-dependent units/scale (type:uint8_t)
+
+        """
+        return MAVLink_rc_channels_raw_message(time_boot_ms, port, chan1_raw, chan2_raw, chan3_raw, chan4_raw, chan5_raw, chan6_raw, chan7_raw, chan8_raw, rssi)
+
+    def rc_channels_raw_send(self, time_boot_ms: int, port: int, chan1_raw: int, chan2_raw: int, chan3_raw: int, chan4_raw: int, chan5_raw: int, chan6_raw: int, chan7_raw: int, chan8_raw: int, rssi: int, force_mavlink1: bool = False) -> None:
+        """
+        The RAW values of the RC channels received
+
+        time_boot_ms              : Timestamp (time since system boot) [ms] (type:uint32_t)
+        port                      : Servo output port (set of 8 outputs = 1 port) (type:uint8_t)
+        chan1_raw                 : RC channel 1 value [us] (type:uint16_t)
+        chan2_raw                 : RC channel 2 value [us] (type:uint16_t)
+        chan3_raw                 : RC channel 3 value [us] (type:uint16_t)
+        chan4_raw                 : RC channel 4 value [us] (type:uint16_t)
+        chan5_raw                 : RC channel 5 value [us] (type:uint16_t)
+        chan6_raw                 : RC channel 6 value [us] (type:uint16_t)
+        chan7_raw                 : RC channel 7 value [us] (type:uint16_t)
+        chan8_raw                 : RC channel 8 value [us] (type:uint16_t)
+        rssi                      : Receive signal strength indicator in device-dependent units/scale (type:uint8_t)
+
+        """
+        self.send(self.rc_channels_raw_encode(time_boot_ms, port, chan1_raw, chan2_raw, chan3_raw, chan4_raw, chan5_raw, chan6_raw, chan7_raw, chan8_raw, rssi), force_mavlink1=force_mavlink1)
+
     def servo_output_raw_encode(self, time_usec: int, port: int, servo1_raw: int, servo2_raw: int, servo3_raw: int, servo4_raw: int, servo5_raw: int, servo6_raw: int, servo7_raw: int, servo8_raw: int, servo9_raw: int = 0, servo10_raw: int = 0, servo11_raw: int = 0, servo12_raw: int = 0, servo13_raw: int = 0, servo14_raw: int = 0, servo15_raw: int = 0, servo16_raw: int = 0) -> MAVLink_servo_output_raw_message:
         """
         Superseded by ACTUATOR_OUTPUT_STATUS. The RAW values of the servo
@@ -2784,6 +3092,26 @@ class MAVLink(object):
         """
         self.send(self.battery_status_encode(id, battery_function, type, temperature, voltages, current_battery, current_consumed, energy_consumed, battery_remaining, time_remaining, charge_state, voltages_ext, mode, fault_bitmask), force_mavlink1=force_mavlink1)
 
+    def rpm_encode(self, rpm1: float, rpm2: float) -> MAVLink_rpm_message:
+        """
+        Speeds of two rotors (dialect ardupilotmega)
+
+        rpm1                      : RPM Sensor1 (type:float)
+        rpm2                      : RPM Sensor2 (type:float)
+
+        """
+        return MAVLink_rpm_message(rpm1, rpm2)
+
+    def rpm_send(self, rpm1: float, rpm2: float, force_mavlink1: bool = False) -> None:
+        """
+        Speeds of two rotors (dialect ardupilotmega)
+
+        rpm1                      : RPM Sensor1 (type:float)
+        rpm2                      : RPM Sensor2 (type:float)
+
+        """
+        self.send(self.rpm_encode(rpm1, rpm2), force_mavlink1=force_mavlink1)
+
     def statustext_encode(self, severity: int, text: bytes, id: int = 0, chunk_seq: int = 0) -> MAVLink_statustext_message:
         """
         Status text message
@@ -2807,6 +3135,116 @@ class MAVLink(object):
 
         """
         self.send(self.statustext_encode(severity, text, id, chunk_seq), force_mavlink1=force_mavlink1)
+
+    def esc_status_encode(self, index: int, time_usec: int, rpm: Sequence[int], voltage: Sequence[float], current: Sequence[float]) -> MAVLink_esc_status_message:
+        """
+        ESC information for higher rate streaming
+
+        index                     : Index of the first ESC in this message (type:uint8_t)
+        time_usec                 : Timestamp (UNIX Epoch time or time since system boot) [us] (type:uint64_t)
+        rpm                       : Reported motor RPM from each ESC (negative for reverse rotation) [rpm] (type:int32_t)
+        voltage                   : Voltage measured from each ESC [V] (type:float)
+        current                   : Current measured from each ESC [A] (type:float)
+
+        """
+        return MAVLink_esc_status_message(index, time_usec, rpm, voltage, current)
+
+    def esc_status_send(self, index: int, time_usec: int, rpm: Sequence[int], voltage: Sequence[float], current: Sequence[float], force_mavlink1: bool = False) -> None:
+        """
+        ESC information for higher rate streaming
+
+        index                     : Index of the first ESC in this message (type:uint8_t)
+        time_usec                 : Timestamp (UNIX Epoch time or time since system boot) [us] (type:uint64_t)
+        rpm                       : Reported motor RPM from each ESC (negative for reverse rotation) [rpm] (type:int32_t)
+        voltage                   : Voltage measured from each ESC [V] (type:float)
+        current                   : Current measured from each ESC [A] (type:float)
+
+        """
+        self.send(self.esc_status_encode(index, time_usec, rpm, voltage, current), force_mavlink1=force_mavlink1)
+
+    def esc_telemetry_1_to_4_encode(self, temperature: Sequence[int], voltage: Sequence[int], current: Sequence[int], totalcurrent: Sequence[int], rpm: Sequence[int], count: Sequence[int]) -> MAVLink_esc_telemetry_1_to_4_message:
+        """
+        ESC telemetry of ESCs 1 to 4 (dialect ardupilotmega)
+
+        temperature               : Temperature [degC] (type:uint8_t)
+        voltage                   : Voltage [cV] (type:uint16_t)
+        current                   : Current [cA] (type:uint16_t)
+        totalcurrent              : Total current [mAh] (type:uint16_t)
+        rpm                       : RPM (eRPM) [rpm] (type:uint16_t)
+        count                     : count of telemetry packets received (wraps at 65535) (type:uint16_t)
+
+        """
+        return MAVLink_esc_telemetry_1_to_4_message(temperature, voltage, current, totalcurrent, rpm, count)
+
+    def esc_telemetry_1_to_4_send(self, temperature: Sequence[int], voltage: Sequence[int], current: Sequence[int], totalcurrent: Sequence[int], rpm: Sequence[int], count: Sequence[int], force_mavlink1: bool = False) -> None:
+        """
+        ESC telemetry of ESCs 1 to 4 (dialect ardupilotmega)
+
+        temperature               : Temperature [degC] (type:uint8_t)
+        voltage                   : Voltage [cV] (type:uint16_t)
+        current                   : Current [cA] (type:uint16_t)
+        totalcurrent              : Total current [mAh] (type:uint16_t)
+        rpm                       : RPM (eRPM) [rpm] (type:uint16_t)
+        count                     : count of telemetry packets received (wraps at 65535) (type:uint16_t)
+
+        """
+        self.send(self.esc_telemetry_1_to_4_encode(temperature, voltage, current, totalcurrent, rpm, count), force_mavlink1=force_mavlink1)
+
+    def esc_telemetry_5_to_8_encode(self, temperature: Sequence[int], voltage: Sequence[int], current: Sequence[int], totalcurrent: Sequence[int], rpm: Sequence[int], count: Sequence[int]) -> MAVLink_esc_telemetry_5_to_8_message:
+        """
+        ESC telemetry of ESCs 5 to 8 (dialect ardupilotmega)
+
+        temperature               : Temperature [degC] (type:uint8_t)
+        voltage                   : Voltage [cV] (type:uint16_t)
+        current                   : Current [cA] (type:uint16_t)
+        totalcurrent              : Total current [mAh] (type:uint16_t)
+        rpm                       : RPM (eRPM) [rpm] (type:uint16_t)
+        count                     : count of telemetry packets received (wraps at 65535) (type:uint16_t)
+
+        """
+        return MAVLink_esc_telemetry_5_to_8_message(temperature, voltage, current, totalcurrent, rpm, count)
+
+    def esc_telemetry_5_to_8_send(self, temperature: Sequence[int], voltage: Sequence[int], current: Sequence[int], totalcurrent: Sequence[int], rpm: Sequence[int], count: Sequence[int], force_mavlink1: bool = False) -> None:
+        """
+        ESC telemetry of ESCs 5 to 8 (dialect ardupilotmega)
+
+        temperature               : Temperature [degC] (type:uint8_t)
+        voltage                   : Voltage [cV] (type:uint16_t)
+        current                   : Current [cA] (type:uint16_t)
+        totalcurrent              : Total current [mAh] (type:uint16_t)
+        rpm                       : RPM (eRPM) [rpm] (type:uint16_t)
+        count                     : count of telemetry packets received (wraps at 65535) (type:uint16_t)
+
+        """
+        self.send(self.esc_telemetry_5_to_8_encode(temperature, voltage, current, totalcurrent, rpm, count), force_mavlink1=force_mavlink1)
+
+    def esc_telemetry_9_to_12_encode(self, temperature: Sequence[int], voltage: Sequence[int], current: Sequence[int], totalcurrent: Sequence[int], rpm: Sequence[int], count: Sequence[int]) -> MAVLink_esc_telemetry_9_to_12_message:
+        """
+        ESC telemetry of ESCs 9 to 12 (dialect ardupilotmega)
+
+        temperature               : Temperature [degC] (type:uint8_t)
+        voltage                   : Voltage [cV] (type:uint16_t)
+        current                   : Current [cA] (type:uint16_t)
+        totalcurrent              : Total current [mAh] (type:uint16_t)
+        rpm                       : RPM (eRPM) [rpm] (type:uint16_t)
+        count                     : count of telemetry packets received (wraps at 65535) (type:uint16_t)
+
+        """
+        return MAVLink_esc_telemetry_9_to_12_message(temperature, voltage, current, totalcurrent, rpm, count)
+
+    def esc_telemetry_9_to_12_send(self, temperature: Sequence[int], voltage: Sequence[int], current: Sequence[int], totalcurrent: Sequence[int], rpm: Sequence[int], count: Sequence[int], force_mavlink1: bool = False) -> None:
+        """
+        ESC telemetry of ESCs 9 to 12 (dialect ardupilotmega)
+
+        temperature               : Temperature [degC] (type:uint8_t)
+        voltage                   : Voltage [cV] (type:uint16_t)
+        current                   : Current [cA] (type:uint16_t)
+        totalcurrent              : Total current [mAh] (type:uint16_t)
+        rpm                       : RPM (eRPM) [rpm] (type:uint16_t)
+        count                     : count of telemetry packets received (wraps at 65535) (type:uint16_t)
+
+        """
+        self.send(self.esc_telemetry_9_to_12_encode(temperature, voltage, current, totalcurrent, rpm, count), force_mavlink1=force_mavlink1)
 
     def quad_cycle_encode(self, time_usec: int, cycle: int, gyro: Sequence[float], accel: Sequence[float], attitude: Sequence[float], attitude_setpoint: Sequence[float], rate_setpoint: Sequence[float], control: Sequence[float], excitation: Sequence[float], motors: Sequence[float], flags: int, excitation_seq: int, injection: int) -> MAVLink_quad_cycle_message:
         """
@@ -2957,7 +3395,6 @@ OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
     32: ('LOCAL_POSITION_NED', 185),
     33: ('GLOBAL_POSITION_INT', 104),
     34: ('RC_CHANNELS_SCALED', 237),
-    35: ('RC_CHANNELS_RAW', 244),
     37: ('MISSION_REQUEST_PARTIAL_LIST', 212),
     38: ('MISSION_WRITE_PARTIAL_LIST', 9),
     39: ('MISSION_ITEM', 254),
@@ -3091,7 +3528,6 @@ OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
     218: ('GOPRO_SET_REQUEST', 17),
     219: ('GOPRO_SET_RESPONSE', 162),
     225: ('EFI_STATUS', 208),
-    226: ('RPM', 207),
     230: ('ESTIMATOR_STATUS', 163),
     231: ('WIND_COV', 105),
     232: ('GPS_INPUT', 151),
@@ -3189,9 +3625,6 @@ OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
     11010: ('ADAP_TUNING', 46),
     11011: ('VISION_POSITION_DELTA', 106),
     11020: ('AOA_SSA', 205),
-    11030: ('ESC_TELEMETRY_1_TO_4', 144),
-    11031: ('ESC_TELEMETRY_5_TO_8', 133),
-    11032: ('ESC_TELEMETRY_9_TO_12', 85),
     11033: ('OSD_PARAM_CONFIG', 195),
     11034: ('OSD_PARAM_CONFIG_REPLY', 79),
     11035: ('OSD_PARAM_SHOW_CONFIG', 128),

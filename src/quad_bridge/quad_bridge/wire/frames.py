@@ -11,6 +11,7 @@ from enum import IntEnum, IntFlag
 
 Vector3 = tuple[float, float, float]
 Vector4 = tuple[float, float, float, float]
+REAL32 = 9  # MAV_PARAM_TYPE: a parameter's float; 1 to 8 are integers
 
 
 class Flag(IntFlag):
@@ -144,16 +145,18 @@ class ParamSet:
     value: float
     target_system: int = 0
     target_component: int = 0
+    kind: int = REAL32
 
 
 @dataclass(frozen=True)
 class ParamValue:
-    """The value that the STM32 uses now."""
+    """The value that the flight controller uses now."""
 
     name: str
-    value: float
+    value: float  # as on the wire: PX4 puts the bytes of an integer into it
     count: int
     index: int
+    kind: int = REAL32
 
 
 @dataclass(frozen=True)
@@ -182,11 +185,16 @@ class GainsState:
 
 @dataclass(frozen=True)
 class RcChannels:
-    """RC_CHANNELS: pulse lengths in µs, receiver order; `channels` holds `count` <= 18 of them."""
+    """RC_CHANNELS: pulse lengths in µs, receiver order; `channels` holds `count` <= 18 of them.
+
+    RC_CHANNELS_RAW holds eight of a `port`, counted from 0.
+    """
 
     time_ms: int
     channels: tuple[int, ...]
     rssi: int = 255
+    port: int = 0
+    name: str = 'RC_CHANNELS'  # the message that it came in
 
 
 @dataclass(frozen=True)
@@ -197,6 +205,7 @@ class Battery:
     current_a: float = float('nan')
     remaining: float = float('nan')
     name: str = 'BATTERY_STATUS'  # the message that it came in; SYS_STATUS has it too
+    number: int = 0  # of the battery, where there are several
 
 
 @dataclass(frozen=True)
@@ -248,16 +257,26 @@ class Attitude:
 
     time_ms: int
     angles: Vector3
-    rates: Vector3
+    rates: Vector3 | None  # None where they cannot be
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """SERVO_OUTPUT_RAW of another autopilot: the first four pulses of a port, µs."""
+    """SERVO_OUTPUT_RAW of another autopilot: the pulses of a port, µs, 0 where there is none."""
 
     time_us: int  # 32 bits: wraps after 71.6 minutes
     port: int
-    pulses: tuple[int, int, int, int]
+    pulses: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class RotorSpeeds:
+    """ESC_STATUS, ESC_TELEMETRY_*, RPM of another autopilot; NaN where an ESC measures none."""
+
+    first: int  # number of the first of these ESCs, from 0
+    rpm: tuple[float, ...]  # magnitudes
+    time_us: int | None = None  # None: the message bears no time
+    name: str = 'ESC_STATUS'  # the message that it came in
 
 
 @dataclass(frozen=True)
@@ -270,5 +289,5 @@ class Standard:
 Frame = (
     Cycle | Excitation | Heartbeat | TimeSync | ParamRequestList | ParamRequestRead | ParamSet
     | ParamValue | GainsCommand | GainsState | RcChannels | Battery | SlowSensors | Command
-    | CommandAck | StatusText | Attitude | Outputs | Standard
+    | CommandAck | StatusText | Attitude | Outputs | RotorSpeeds | Standard
 )  # fmt: skip

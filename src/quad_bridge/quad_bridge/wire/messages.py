@@ -36,8 +36,9 @@ _ROWS: tuple[tuple[type, Any, str], ...] = (
     (f.TimeSync, d.MAVLink_timesync_message, 'tc1 ts1'),
     (f.ParamRequestList, d.MAVLink_param_request_list_message, _TARGET),
     (f.ParamRequestRead, d.MAVLink_param_request_read_message, f'param_id param_index {_TARGET}'),
-    (f.ParamSet, d.MAVLink_param_set_message, f'param_id param_value {_TARGET}'),
-    (f.ParamValue, d.MAVLink_param_value_message, 'param_id param_value param_count param_index'),
+    (f.ParamSet, d.MAVLink_param_set_message, f'param_id param_value {_TARGET} param_type'),
+    (f.ParamValue, d.MAVLink_param_value_message,
+     'param_id param_value param_count param_index param_type'),
     (f.GainsCommand, d.MAVLink_quad_gains_message,
      f'action transaction checksum watch_ms {_TARGET}'),
     (f.GainsState, d.MAVLink_quad_gains_state_message,
@@ -47,7 +48,6 @@ _ROWS: tuple[tuple[type, Any, str], ...] = (
 )  # fmt: skip
 """Frame class, message, and the message's fields in the order of the frame's."""
 COPIED = {kind: (message, tuple(names.split())) for kind, message, names in _ROWS}
-_ALWAYS = {'param_type': 9}  # fields that never differ: MAV_PARAM_TYPE_REAL32
 
 _CYCLE = d.MAVLink_quad_cycle_message.unpacker
 _LAYOUT: dict[int, tuple[Any, tuple[tuple[str, int, int], ...]]] = {}
@@ -93,6 +93,7 @@ def _battery(m: Fields) -> f.Battery:
         current / 100.0 if current >= 0 else math.nan,
         remaining / 100.0 if remaining >= 0 else math.nan,
         'BATTERY_STATUS' if 'voltages' in m else 'SYS_STATUS',
+        m.get('id', 0),
     )
 
 
@@ -116,6 +117,18 @@ def _scaled_imu(m: Fields) -> f.SlowSensors:
         accel=_columns(m, accel, 1e-3 * GRAVITY),
         name='SCALED_IMU',
     )
+
+
+def _esc_telemetry(first: int) -> Callable[[Fields], f.RotorSpeeds]:
+    """ESC_TELEMETRY_*; an ESC from which no packet has come measures nothing."""
+    name = f'ESC_TELEMETRY_{first + 1}_TO_{first + 4}'
+
+    def speeds(m: Fields) -> f.RotorSpeeds:
+        pairs = zip(m['rpm'], m['count'], strict=True)
+        rpm = tuple(float(v) if packets else math.nan for v, packets in pairs)
+        return f.RotorSpeeds(first, rpm, name=name)
+
+    return speeds
 
 
 def _columns(m: Fields, names: tuple[str, ...], unit: float = 1.0) -> f.Vector3:
@@ -159,10 +172,22 @@ FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
         temperature_c=0.01 * m['temperature'], name='SCALED_PRESSURE',
     ),
     d.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: lambda m: f.Outputs(
-        m['time_usec'], m['port'],
-        (m['servo1_raw'], m['servo2_raw'], m['servo3_raw'], m['servo4_raw']),
+        m['time_usec'], m['port'], tuple(m[f'servo{i}_raw'] for i in range(1, 17))
+    ),
+    d.MAVLINK_MSG_ID_RC_CHANNELS_RAW: lambda m: f.RcChannels(
+        m['time_boot_ms'], tuple(m[n] for n in _CHANNELS[:8]), m['rssi'], m['port'],
+        'RC_CHANNELS_RAW',
     ),
     d.MAVLINK_MSG_ID_SYS_STATUS: _battery,
+    d.MAVLINK_MSG_ID_ESC_STATUS: lambda m: f.RotorSpeeds(
+        m['index'], tuple(abs(float(v)) for v in m['rpm']), m['time_usec']
+    ),
+    d.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4: _esc_telemetry(0),
+    d.MAVLINK_MSG_ID_ESC_TELEMETRY_5_TO_8: _esc_telemetry(4),
+    d.MAVLINK_MSG_ID_ESC_TELEMETRY_9_TO_12: _esc_telemetry(8),
+    d.MAVLINK_MSG_ID_RPM: lambda m: f.RotorSpeeds(
+        0, tuple(v if v >= 0.0 else math.nan for v in (m['rpm1'], m['rpm2'])), name='RPM'
+    ),
 }  # fmt: skip
 """The same for what other autopilots send beside; ids in neither table are `Standard`."""
 
@@ -223,7 +248,7 @@ def message_of(frame: f.Frame) -> Any:
     if build is not None:
         return build(frame)
     message, names = COPIED[type(frame)]
-    values: Fields = {n: _ALWAYS[n] for n in message.fieldnames if n in _ALWAYS}
+    values: Fields = {}
     for name, value in zip(names, vars(frame).values(), strict=True):
         values[name] = value.encode('ascii') if isinstance(value, str) else value
     return message(**values)

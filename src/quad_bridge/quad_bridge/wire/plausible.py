@@ -1,12 +1,15 @@
 """Whether a frame can be what was sent: one damaged frame in 65,536 has a good checksum after all.
 
-The bounds are far outside of what a quadrotor does; what is merely unlikely passes.
+The bounds are far outside of what a quadrotor does; what is merely unlikely passes. Of an
+autopilot's sensors a vector that cannot be is dropped alone: one autopilot sends a compass in
+another unit for all of a flight, beside a good gyro.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from quad_bridge.wire import frames as f
@@ -17,10 +20,17 @@ LARGEST_FLAGS = 0x0FFF
 _ABOVE_ONE = 1.001
 
 
-def plausible(frame: f.Frame) -> bool:
-    """False for values that are no numbers, out of all bounds, or of no known meaning."""
+def plausible(frame: f.Frame) -> f.Frame | None:
+    """The frame without vectors that cannot be; None where nothing of it can be used.
+
+    What cannot be are values that are no numbers, out of all bounds, or of no known meaning.
+    """
+    if isinstance(frame, f.Attitude):
+        return _attitude(frame)
+    if isinstance(frame, f.SlowSensors):
+        return _sensors(frame)
     check = _CHECKS.get(type(frame))
-    return check is None or check(frame)
+    return frame if check is None or check(frame) else None
 
 
 def _cycle(frame: f.Cycle) -> bool:
@@ -42,8 +52,27 @@ def _bounded(values: tuple[float, ...]) -> bool:
     return math.isfinite(sum(values)) and max(values) < LARGEST and min(values) > -LARGEST
 
 
-def _sensors(frame: f.SlowSensors) -> bool:
-    return all(_bounded(v) for v in (frame.gyro, frame.accel, frame.mag_gauss) if v is not None)
+def _attitude(frame: f.Attitude) -> f.Attitude | None:
+    if not _bounded(frame.angles):
+        return None
+    return frame if _whole(frame.rates) else replace(frame, rates=None)
+
+
+def _sensors(frame: f.SlowSensors) -> f.SlowSensors:
+    fine = [_whole(v) for v in (frame.gyro, frame.accel, frame.mag_gauss)]
+    pressure = frame.pressure_hpa
+    fine.append(pressure is None or math.isfinite(pressure))
+    if all(fine):
+        return frame
+    gyro, accel, mag, air = fine
+    return replace(
+        frame, gyro=frame.gyro if gyro else None, accel=frame.accel if accel else None,
+        mag_gauss=frame.mag_gauss if mag else None, pressure_hpa=pressure if air else None,
+    )  # fmt: skip
+
+
+def _whole(vector: f.Vector3 | None) -> bool:
+    return vector is None or _bounded(vector)
 
 
 _CHECKS: dict[type, Callable[[Any], bool]] = {
@@ -54,8 +83,6 @@ _CHECKS: dict[type, Callable[[Any], bool]] = {
         and x.phase <= max(f.GainsPhase)
     ),
     f.GainsCommand: lambda x: x.action <= max(f.GainsAction),
-    f.ParamValue: lambda x: math.isfinite(x.value),
+    f.ParamValue: lambda x: math.isfinite(x.value) or x.kind != f.REAL32,
     f.Excitation: lambda x: _bounded(x.value) and x.injection <= max(f.Injection),
-    f.Attitude: lambda x: _bounded(x.angles + x.rates),
-    f.SlowSensors: _sensors,
 }

@@ -48,21 +48,59 @@ JOINTS = 'sensor_msgs/msg/JointState'
 WRENCH = 'geometry_msgs/msg/WrenchStamped'
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 BATTERY = 'sensor_msgs/msg/BatteryState'
-
-MOTOR_NAMES = ('motor_1', 'motor_2', 'motor_3', 'motor_4')
+TEXT = 'std_msgs/msg/String'
 
 COLUMNS = {
     IMU: (*(f'orientation.{axis}' for axis in 'xyzw'), 'orientation_covariance[0]',
           *(f'angular_velocity.{axis}' for axis in 'xyz'),
           *(f'linear_acceleration.{axis}' for axis in 'xyz')),
-    JOINTS: tuple(f'effort of {name}' for name in MOTOR_NAMES),
     WRENCH: tuple(f'wrench.{part}.{axis}' for part in ('force', 'torque') for axis in 'xyz'),
     VECTOR: ('vector.x', 'vector.y', 'vector.z'),
     BATTERY: ('voltage',),
 }
-"""Which fields of a type are read, in the order of the columns."""
+"""Which fields of a type are read, in the order of the columns; of JOINTS those of Joints."""
 
 WIDTH = {msgtype: len(columns) for msgtype, columns in COLUMNS.items()}
+
+
+@dataclass(frozen=True)
+class Joints:
+    """What is read of a JointState: one number of each motor, motor_1 first."""
+
+    count: int = 4
+    field: str = 'effort'
+    """`effort` or `velocity`."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """motor_1 to motor_n."""
+        return tuple(f'motor_{i + 1}' for i in range(self.count))
+
+    def of(self, message: Any) -> FloatArray:
+        """(count,) the numbers; without names they stand in order. Raises LayoutError."""
+        names, values = list(message.name), np.asarray(getattr(message, self.field), dtype=float)
+        if names and sorted(names) != sorted(self.names):
+            raise LayoutError(f'names {names}')
+        if values.size != self.count:
+            raise LayoutError(f'{values.size} numbers of {self.count} motors')
+        return values[[names.index(name) for name in self.names]] if names else values
+
+
+FOUR = Joints()
+
+
+def joints_of(messages: Sequence[bytes], field: str) -> Joints:
+    """The motors of the first message that names them, or has one number for each."""
+    for raw in messages:
+        try:
+            message: Any = typestore().deserialize_cdr(raw, JOINTS)
+            found = Joints(len(getattr(message, field)), field)
+            found.of(message)
+        except Exception:  # noqa: BLE001, S112 - rosbags raises many kinds on spoiled bytes
+            continue
+        if found.count:
+            return found
+    return Joints(field=field)
 
 MOST_LAYOUTS = 8
 """Layouts that are tried for messages of one length before they are read one by one."""
@@ -72,7 +110,7 @@ FIRST = 1_000_003
 
 @dataclass(frozen=True)
 class Stamped:
-    """Messages of one topic: stamps (n,) ns, values (n, WIDTH[type]), `spoiled`: unreadable."""
+    """Messages of one topic: stamps (n,) ns, values (n, w), `spoiled`: unreadable."""
 
     stamps: npt.NDArray[np.int64]
     values: FloatArray
@@ -91,7 +129,7 @@ class Layout:
     """Offset and type of the number that each of COLUMNS[type] is."""
 
 
-def layout_of(msgtype: str, raw: bytes) -> Layout:
+def layout_of(msgtype: str, raw: bytes, joints: Joints = FOUR) -> Layout:
     """Layout of one little-endian message. Raises LayoutError for what rosbags cannot read."""
     if raw[:2] != LITTLE_ENDIAN:
         raise LayoutError(raw[:2].hex())
@@ -102,7 +140,8 @@ def layout_of(msgtype: str, raw: bytes) -> Layout:
                                for numbers in (repeat(0), repeat(None), count(FIRST)))
         low, high, told = (np.frombuffer(bytes(typestore().serialize_cdr(one, msgtype)), np.uint8)
                            for one in (bare, full, counted))
-        columns = tuple(_place(told, value) for value in _values(msgtype, counted).tolist())
+        wanted = _values(msgtype, counted, joints).tolist()
+        columns = tuple(_place(told, value) for value in wanted)
     except Exception as error:  # rosbags raises many kinds on spoiled bytes
         raise LayoutError(str(error)) from error
     fixed = finite_runs(low == high, (0, low.size))
@@ -139,15 +178,15 @@ def _place(told: npt.NDArray[np.uint8], value: float) -> tuple[int, str]:
     raise LayoutError(f'{value} cannot be found')
 
 
-def decode(msgtype: str, messages: Sequence[bytes]) -> Stamped:
+def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> Stamped:
     """Stamps and values of `messages` in order; unreadable ones are left out and counted."""
     stamps = np.zeros(len(messages), dtype=np.int64)
-    values = np.full((len(messages), WIDTH[msgtype]), np.nan)
+    values = np.full((len(messages), WIDTH.get(msgtype, joints.count)), np.nan)
     good = np.zeros(len(messages), dtype=bool)
     lengths = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
-        key = msgtype, int(length)
+        key = msgtype, joints, int(length)
         layout = _LAST.get(key)
         for _ in range(MOST_LAYOUTS):
             if len(rows) == 0:
@@ -156,7 +195,7 @@ def decode(msgtype: str, messages: Sequence[bytes]) -> Stamped:
             if layout is None:
                 taken[0] = True  # of no layout to be read in bulk: one by one below
                 try:
-                    layout = _LAST[key] = layout_of(msgtype, messages[int(rows[0])])
+                    layout = _LAST[key] = layout_of(msgtype, messages[int(rows[0])], joints)
                 except LayoutError:
                     rows = rows[~taken]
                     continue
@@ -171,15 +210,15 @@ def decode(msgtype: str, messages: Sequence[bytes]) -> Stamped:
             rows, layout = rows[~(same | taken)], None
     for i in np.flatnonzero(~good).tolist():
         try:
-            stamps[i], values[i] = _decode_one(msgtype, messages[i])
+            stamps[i], values[i] = _decode_one(msgtype, messages[i], joints)
         except Exception:  # noqa: BLE001, S112 - rosbags raises many kinds on spoiled bytes
             continue
         good[i] = True
     return Stamped(stamps[good], values[good], int(np.count_nonzero(~good)))
 
 
-_LAST: dict[tuple[str, int], Layout] = {}
-"""By type and length the layout that was found last: a stream's messages are alike."""
+_LAST: dict[tuple[str, Joints, int], Layout] = {}
+"""By type, motors and length the layout that was found last: a stream's messages are alike."""
 
 
 def _fill(table: npt.NDArray[np.uint8], rows: npt.NDArray[np.intp], layout: Layout,
@@ -196,24 +235,26 @@ def _fill(table: npt.NDArray[np.uint8], rows: npt.NDArray[np.intp], layout: Layo
 
 
 def encode(msgtype: str, template: bytes, stamps: npt.NDArray[np.int64],
-           values: FloatArray) -> list[bytes]:
+           values: FloatArray, joints: Joints = FOUR) -> list[bytes]:
     """Serialised copies of `template` with stamps (n,) ns and values (n, w)."""
     table = np.tile(np.frombuffer(template, dtype=np.uint8), (len(stamps), 1))
     seconds, rest = np.divmod(stamps, 1_000_000_000)
-    columns = zip(layout_of(msgtype, template).columns, values.T, strict=False)
+    columns = zip(layout_of(msgtype, template, joints).columns, values.T, strict=False)
     for (offset, dtype), numbers in [((4, '<i4'), seconds), ((8, '<u4'), rest), *columns]:
         block = np.ascontiguousarray(numbers, dtype=dtype)[:, None].view(np.uint8)
         table[:, offset : offset + block.shape[1]] = block
     return [row.tobytes() for row in table]
 
 
-def motor_order(names: Sequence[str]) -> tuple[int, ...]:
-    """Indices of motor_1..motor_4 in `names`; without names 0..3."""
-    if not names:
-        return 0, 1, 2, 3
-    if sorted(names) != sorted(MOTOR_NAMES):
-        raise LayoutError(f'names {list(names)}')
-    return tuple(list(names).index(name) for name in MOTOR_NAMES)
+def text_of(messages: Sequence[bytes]) -> str:
+    """The text of the last readable std_msgs/String; '' without one."""
+    for raw in reversed(messages):
+        try:
+            message: Any = typestore().deserialize_cdr(raw, TEXT)
+        except Exception:  # noqa: BLE001, S112 - rosbags raises many kinds on spoiled bytes
+            continue
+        return str(message.data)
+    return ''
 
 
 def blank(msgtype: str, **given: Any) -> Any:
@@ -234,17 +275,17 @@ def _nothing(description: Any) -> Any:
     return np.zeros(count, dtype=_DTYPES[inner[1][0]])
 
 
-def _decode_one(msgtype: str, raw: bytes) -> tuple[int, FloatArray]:
+def _decode_one(msgtype: str, raw: bytes, joints: Joints) -> tuple[int, FloatArray]:
     """Stamp and values of one message by rosbags' deserialiser."""
     message: Any = typestore().deserialize_cdr(raw, msgtype)
     stamp = message.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec, _values(msgtype, message)
+    return stamp.sec * 1_000_000_000 + stamp.nanosec, _values(msgtype, message, joints)
 
 
-def _values(msgtype: str, message: Any) -> FloatArray:
-    """(WIDTH[type],) the wanted numbers of a message."""
+def _values(msgtype: str, message: Any, joints: Joints) -> FloatArray:
+    """(w,) the wanted numbers of a message."""
     if msgtype == JOINTS:
-        return np.asarray(message.effort, dtype=float)[list(motor_order(message.name))]
+        return joints.of(message)
     found = []
     for column in COLUMNS[msgtype]:  # such as `orientation.x` or `orientation_covariance[0]`
         path, _, index = column.rstrip(']').partition('[')

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
 ROLES = ('train', 'validation', 'idle')
+DESATURATION = 'mixer.desaturation'
+DESATURATIONS = ('clip', 'yaw_first', 'none')
+"""Its values; the first holds where a bag does not say."""
 SECOND = 1_000_000_000
 KINDS: dict[int, tuple[str, type]] = {1: ('bool_value', bool), 2: ('integer_value', int),
                                       3: ('double_value', float), 4: ('string_value', str)}
@@ -101,6 +104,12 @@ def segments_from(events: Sequence[Event], seconds: Callable[[int], float],
                 Segment(role, signal, one, injection, start, stop, values) for one in axes
             ]
     return tuple(segments), warnings
+
+
+def desaturation_from(events: Sequence[Event]) -> str:
+    """What the aircraft does with commands that its motors cannot give, `mixer.desaturation`."""
+    said = [str(event.values[DESATURATION]) for event in events if DESATURATION in event.values]
+    return said[-1] if said and said[-1] in DESATURATIONS else DESATURATIONS[0]
 
 
 def gains_from(events: Sequence[Event], seconds: Callable[[int], float]) -> tuple[GainChange, ...]:

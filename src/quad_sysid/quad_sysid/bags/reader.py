@@ -11,22 +11,25 @@ from pathlib import Path
 
 import numpy as np
 
-from quad_sysid.bags.cdr import WIDTH, Stamped, decode
-from quad_sysid.bags.events import EVENT, decode_events, gains_from, segments_from
+from quad_sysid.bags.cdr import JOINTS, WIDTH, Joints, Stamped, decode, joints_of, text_of
+from quad_sysid.bags.events import (
+    EVENT,
+    decode_events,
+    desaturation_from,
+    gains_from,
+    segments_from,
+)
 from quad_sysid.bags.orientation import euler_angles
 from quad_sysid.bags.stamps import Grid, uniform_grid
 from quad_sysid.bags.storage import Storage
-from quad_sysid.contract import (
-    TOPIC_TYPES,
-    FloatArray,
-    control_from_motors,
-    motors_from_wrench,
-)
+from quad_sysid.contract import TOPIC_TYPES, FloatArray
+from quad_sysid.craft import Craft, X, from_urdf
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import Record
 
 IMU_TOPIC = '/imu/data'
 MOTORS, CONTROL = '/motors/command', '/control/wrench'
+SPEEDS, DESCRIPTION = '/motors/state', '/robot_description'
 SEGMENT, GAINS = '/excitation/segment', '/gains/active'
 OPTIONAL = {
     'wrench': CONTROL,
@@ -35,11 +38,13 @@ OPTIONAL = {
     'rate_setpoint': '/setpoint/rates',
     'excitation': '/excitation/applied',
 }
-TOPICS = (IMU_TOPIC, *OPTIONAL.values(), '/battery', SEGMENT, GAINS)
+TOPICS = (IMU_TOPIC, *OPTIONAL.values(), SPEEDS, DESCRIPTION, '/battery', SEGMENT, GAINS)
 
 PLAUSIBLE_PACK_V = (2.0, 100.0)
 BATTERY_GAP_S = 2.0
 LOST_WARNING = 0.01
+SPEED_GAP = 5.0
+"""Rotor speeds that are further apart than this many of their usual intervals are not joined."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,8 @@ class _Content:
     warnings: list[str]
     alike: list[str]
     """Other topics of the type of /imu/data."""
+    description: str = ''
+    """The text of /robot_description."""
 
 
 def read_bag(path: str | Path) -> Record:
@@ -78,10 +85,18 @@ def read_bag(path: str | Path) -> Record:
     rates = _finite(placed[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
     arrays = {name: _array(name, content, grid, warnings) for name in OPTIONAL}
     wrench, motors = arrays['wrench'], arrays['motors']
+    gain_events, spoiled_gains = decode_events(content.events.get(GAINS, ()))
+    desaturation = desaturation_from(gain_events)
+    craft = _craft(content, source, warnings)
     if motors is not None:
-        control = control_from_motors(motors)
+        _check_count(motors.shape[1], craft, source, told=bool(content.description))
+        control = craft.control(motors)
+    elif wrench is not None and desaturation == 'none':
+        control = wrench
+        warnings.append(f'{MOTORS} is missing: the input is {CONTROL} as it was commanded; what '
+                        'the motors made of it is not known')
     elif wrench is not None:
-        control = control_from_motors(motors_from_wrench(wrench))
+        control = craft.control(craft.commands(wrench, desaturation))
         warnings.append(f'{MOTORS} is missing: the input is {CONTROL} through mixer and limits')
     else:
         raise BadInputError(source, f'{MOTORS} and {CONTROL} are both missing or empty',
@@ -93,13 +108,14 @@ def read_bag(path: str | Path) -> Record:
 
     segment_events, spoiled = decode_events(content.events.get(SEGMENT, ()))
     segments, told = segments_from(segment_events, seconds, grid.n * grid.dt)
-    gain_events, spoiled_gains = decode_events(content.events.get(GAINS, ()))
     if spoiled + spoiled_gains:
         told.append(f'{spoiled + spoiled_gains} parameter events cannot be read')
     acceleration = placed[:, 8:11] if np.isfinite(placed[:, 8:11]).any() else None
     return Record(source=source, dt=grid.dt, rates=_frozen(rates), control=_frozen(control),
                   angles=_optional(_angles(placed[:, :5])), acceleration=_optional(acceleration),
                   motors=_optional(motors), wrench=_optional(wrench),
+                  speeds=_optional(_speeds(content, grid, craft, warnings)), craft=craft,
+                  desaturation=desaturation,
                   attitude_setpoint=_optional(arrays['attitude_setpoint']),
                   rate_setpoint=_optional(arrays['rate_setpoint']),
                   excitation=_optional(arrays['excitation']), battery_v=_optional(battery),
@@ -113,13 +129,16 @@ def _read(path: Path) -> _Content:
     storage = Storage(path, TOPICS)
     parts: dict[str, list[Stamped]] = {}
     events: dict[str, list[bytes]] = {}
+    joints: dict[str, Joints] = {}
     for batch in storage.batches():
         for topic, raws in batch.items():
             wanted = TOPIC_TYPES[topic]
-            if wanted == EVENT:
+            if wanted == EVENT or topic == DESCRIPTION:
                 events.setdefault(topic, []).extend(raws)
-            else:
-                parts.setdefault(topic, []).append(decode(wanted, raws))
+                continue
+            if wanted == JOINTS and topic not in joints:
+                joints[topic] = joints_of(raws, 'velocity' if topic == SPEEDS else 'effort')
+            parts.setdefault(topic, []).append(decode(wanted, raws, joints.get(topic, Joints())))
     warnings = list(storage.warnings)
     warnings += [f'{key}: {text}' for key, text in storage.notes.items()]
     streams = {}
@@ -134,7 +153,60 @@ def _read(path: Path) -> _Content:
             )
     alike = [name for name, kind in sorted(storage.others.items())
              if kind.replace('/msg/', '/') == TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/')]
-    return _Content(streams, events, warnings, alike)
+    description = text_of(events.pop(DESCRIPTION, []))
+    return _Content(streams, events, warnings, alike, description)
+
+
+def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:
+    """The craft that the bag describes; the contract's X frame where it does not."""
+    if not content.description:
+        return X
+    try:
+        found = from_urdf(content.description)
+    except ValueError as error:
+        raise BadInputError(source, f'{DESCRIPTION} {error}') from error
+    if found is None:
+        warnings.append(f'{DESCRIPTION} has no joints motor_1 to motor_n, so it says nothing of '
+                        "the motors: left aside, the contract's X frame holds")
+    return found or X
+
+
+def _check_count(motors: int, craft: Craft, source: str, *, told: bool) -> None:
+    """Raise BadInputError where the commands are of more or fewer motors than the craft has."""
+    if motors != craft.count:
+        said = f'of {craft.count}' if told else 'missing, so there are four'
+        raise BadInputError(source, f'{MOTORS} is of {motors} motors, {DESCRIPTION} is {said}',
+                            remedy='record the description of this craft, a URDF with joints '
+                            f'motor_1 to motor_{motors}')
+
+
+def _speeds(content: _Content, grid: Grid, craft: Craft, warnings: list[str]) -> FloatArray | None:
+    """Speeds of the rotors (n, k), rad/s, on the grid; None where they were not measured."""
+    stream = content.streams.get(SPEEDS)
+    if stream is None or len(stream.stamps) < 2 or not np.isfinite(stream.values).any():
+        return None
+    if stream.values.shape[1] != craft.count:
+        warnings.append(f'{SPEEDS} has {stream.values.shape[1]} motors, the craft {craft.count}: '
+                        'left out')
+        return None
+    stamps, rows = np.unique(stream.stamps, return_index=True)
+    return joined(grid.position(stamps), stream.values[rows], np.arange(grid.n, dtype=float))
+
+
+def joined(at: FloatArray, values: FloatArray, grid: FloatArray) -> FloatArray:
+    """Samples (m, k) at increasing places, interpolated on a grid (n,); NaN over gaps."""
+    out = np.full((grid.size, values.shape[1]), np.nan)
+    for column, own in zip(out.T, values.T, strict=True):
+        known = np.isfinite(own)
+        places = at[known]
+        if places.size < 2:
+            continue
+        steps = np.diff(places)
+        after = np.clip(np.searchsorted(places, grid), 1, places.size - 1)
+        near = steps[after - 1] <= SPEED_GAP * float(np.median(steps))
+        inside = (grid >= places[0]) & (grid <= places[-1])
+        column[:] = np.where(near & inside, np.interp(grid, places, own[known]), np.nan)
+    return out
 
 
 def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> FloatArray | None:

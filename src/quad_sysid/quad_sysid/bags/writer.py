@@ -24,17 +24,20 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from quad_sysid.bags.cdr import (
     BATTERY,
+    FOUR,
     IMU,
     JOINTS,
-    MOTOR_NAMES,
+    TEXT,
+    Joints,
     Stamped,
     blank,
     encode,
     typestore,
 )
-from quad_sysid.bags.events import EVENT, Event, encode_event
+from quad_sysid.bags.events import DESATURATION, DESATURATIONS, EVENT, Event, encode_event
 from quad_sysid.bags.orientation import quaternions
-from quad_sysid.contract import MIXER, TOPIC_TYPES, FloatArray
+from quad_sysid.contract import TOPIC_TYPES, FloatArray
+from quad_sysid.craft import X
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import unfinished
 from quad_sysid.record import Record, Segment
@@ -59,14 +62,15 @@ class BagOptions:
 def write_bag(record: Record, path: str | Path, options: BagOptions | None = None) -> Path:
     """Write a record as a rosbag2 directory; rows of NaN are not written.
 
-    Without motors and wrench, the control is written as /motors/command through the mixer. Raises
+    Without motors and wrench, the control is written as /motors/command through the craft's mixer.
+    A craft that is not the contract's X frame is written as /robot_description. Raises
     BadInputError where `path` exists or the motor commands would lie outside 0..1.
     """
     stamps = record.t0_ns + np.rint(np.arange(record.n) * record.dt * 1e9).astype(np.int64)
     streams = {'/imu/data': _imu(record, stamps)}
     motors = record.motors
     if motors is None and record.wrench is None:
-        motors = record.control @ MIXER.T
+        motors = record.control @ record.craft.mixer.T
         low, high = float(np.nanmin(motors)), float(np.nanmax(motors))
         if low < -1e-9 or high > 1.0 + 1e-9:
             raise BadInputError(record.source, 'control gives motor commands outside 0..1',
@@ -80,6 +84,7 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
     step = max(1, round(BATTERY_PERIOD_S / record.dt))
     arrays: dict[str, FloatArray | None] = {
         '/motors/command': motors,
+        '/motors/state': record.speeds,
         '/control/wrench': wrench,
         '/setpoint/attitude': record.attitude_setpoint,
         '/setpoint/rates': record.rate_setpoint,
@@ -90,13 +95,17 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
             streams[topic] = _stream(stamps, array)
     if battery is not None:
         streams['/battery'] = _stream(stamps[::step], battery[::step, None])
-    return write_streams(path, streams, _events(record), options)
+    return write_streams(path, streams, _events(record), options,
+                         '' if record.craft == X else record.craft.to_urdf())
 
 
 def write_streams(path: str | Path, streams: Mapping[str, Stamped],
                   events: Mapping[str, Sequence[Event]],
-                  options: BagOptions | None = None) -> Path:
-    """Write the given topics in the order of their stamps. BadInputError where `path` exists."""
+                  options: BagOptions | None = None, description: str = '') -> Path:
+    """Write the given topics in the order of their stamps. BadInputError where `path` exists.
+
+    `description`: the URDF of /robot_description, which stands before all others.
+    """
     path = Path(path)
     options = options or BagOptions()
     if path.exists():
@@ -106,12 +115,21 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
     for topic, stream in streams.items():
         kind = TOPIC_TYPES[topic]
         measured = kind != IMU or not (stream.values[:, 4] == -1.0).all()
-        pattern = template(kind, measured_orientation=measured)
-        raws = encode(kind, pattern, stream.stamps, stream.values)
+        joints = Joints(stream.values.shape[1],
+                        'velocity' if topic == '/motors/state' else 'effort')
+        pattern = template(kind, joints, measured_orientation=measured)
+        raws = encode(kind, pattern, stream.stamps, stream.values, joints)
         queue += zip(stream.stamps.tolist(), [topic] * len(raws), raws, strict=True)
     for topic, items in events.items():
         node = NODE_NAMES.get(topic, '/import')
         queue += [(event.stamp, topic, encode_event(event, node)) for event in items]
+    topics = [*streams, *events]
+    if description:
+        topics.append('/robot_description')
+        first = min((stamp for stamp, _, _ in queue), default=0)
+        message = blank(TEXT, data=description)
+        queue.insert(0, (first, '/robot_description',
+                         bytes(typestore().serialize_cdr(message, TEXT))))
     queue.sort(key=lambda entry: entry[0])
     plugin = StoragePlugin.MCAP if options.storage == 'mcap' else StoragePlugin.SQLITE3
     try:
@@ -129,7 +147,7 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
             connections = {
                 topic: writer.add_connection(topic, TOPIC_TYPES[topic], typestore=typestore(),
                                              offered_qos_profiles=[_qos(TOPIC_TYPES[topic])])
-                for topic in [*streams, *events]
+                for topic in topics
             }
             for stamp, topic, raw in queue:
                 writer.write(connections[topic], stamp, raw)
@@ -175,20 +193,25 @@ def _events(record: Record) -> dict[str, list[Event]]:
             idle = {**names, 'segment': 'idle', 'signal': 'none'}
             segments.append(Event(stamp(segment.end_s), idle))
     gains = [Event(stamp(change.time_s), dict(change.values)) for change in record.gains]
+    if record.desaturation != DESATURATIONS[0]:
+        gains.insert(0, Event(stamp(0.0), {DESATURATION: record.desaturation}))
     found = {'/excitation/segment': segments, '/gains/active': gains}
     return {topic: events for topic, events in found.items() if events}
 
 
 def _qos(msgtype: str) -> Qos:
-    """Reliable; parameter events are kept for late subscribers (contract: transient local)."""
+    """Reliable; events and texts are kept for late subscribers (contract: transient local)."""
     unlimited = QosTime(9223372036, 854775807)
-    durability = QosDurability.TRANSIENT_LOCAL if msgtype == EVENT else QosDurability.VOLATILE
+    durability = QosDurability.TRANSIENT_LOCAL if msgtype in {EVENT, TEXT} \
+        else QosDurability.VOLATILE
     return Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, durability, unlimited, unlimited,
                QosLiveliness.AUTOMATIC, unlimited, False)
 
 
 @lru_cache(maxsize=8)
-def template(msgtype: str, *, measured_orientation: bool = True) -> bytes:
+def template(
+    msgtype: str, joints: Joints = FOUR, *, measured_orientation: bool = True
+) -> bytes:
     """CDR of one message. Without measured orientation its covariance[0] is -1 (REP-145)."""
     message = blank(msgtype)
     message.header.frame_id = 'base_link'
@@ -196,7 +219,8 @@ def template(msgtype: str, *, measured_orientation: bool = True) -> bytes:
         message.orientation.w = 1.0
         message.orientation_covariance[0] = 0.0 if measured_orientation else -1.0
     elif msgtype == JOINTS:
-        message.name, message.effort = list(MOTOR_NAMES), np.zeros(4)
+        message.name = list(joints.names)
+        setattr(message, joints.field, np.zeros(joints.count))
     elif msgtype == BATTERY:
         message.present = True
         for name in UNMEASURED:

@@ -1,29 +1,31 @@
 """The one compiled loop: a rational filter run over a signal, its lags, or several columns.
 
-Nothing statistical belongs here. Compiled once per installation and cached.
+Nothing statistical belongs here.
 """
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from quad_sysid.compiled import LINE, WHOLE, kernel
 from quad_sysid.contract import FloatArray
 
 
-@numba.njit('void(float64[::1], float64[::1], float64[::1], int64, int64, float64[::1])',
-            cache=True, fastmath={'contract'})
-def _run(num, den, x, lag, first, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel(LINE, LINE, LINE, WHOLE, WHOLE, LINE, fastmath={'contract'})
+def _run(num, den, x, lag, first, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202, C901
     """out(t) = Σ num_i x(t-lag-i) - Σ den_i out(t-i) from t = first on, 0 before; x(<0) = 0.
 
     Where the last three outputs are enough they stay in registers; else the latest comes last in
     the sum, so that the processor need not wait for it.
     """
-    out[:] = 0.0
+    for t in range(out.size):
+        out[t] = 0.0
     for i in range(num.size):
         begin = max(first, lag + i)
         if num[i] != 0.0 and begin < out.size:
-            out[begin:] += num[i] * x[begin - lag - i : out.size - lag - i]
+            share, later, given = num[i], out[begin:], x[begin - lag - i :]
+            for t in range(later.size):
+                later[t] += share * given[t]
     if den.size > 4:
         for t in range(first, out.size):
             value = out[t]

@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import fftconvolve, find_peaks, lfilter
 
 from quad_sysid.beside import side_by_side
-from quad_sysid.contract import MIXER_INVERSE, FloatArray
+from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
@@ -155,7 +155,7 @@ class _Beside:
         late = round(self.values[2] / data.dt)
         bins = np.clip(np.roll(data.motors, late, axis=0), 0.0, 1.0) // BIN
         sums = np.zeros(1 + round(1.0 / BIN))
-        for one, share in zip(bins.T.astype(int), MIXER_INVERSE[data.index + 1], strict=True):
+        for one, share in zip(bins.T.astype(int), data.share, strict=True):
             sums += np.bincount(one, share * pushed, sums.size)
         waves, count = np.fft.rfft(sums, PADDED), np.fft.rfftfreq(PADDED, BIN)
         size = np.where((count > STEPS[0]) & (count < STEPS[1]), np.abs(waves), 0.0)
@@ -241,17 +241,26 @@ class _Beside:
 
     def _followed(self, p: FloatArray, psi: FloatArray) -> FloatArray:
         """(n, 1) change of the innovations if a coefficient follows them."""
-        flight, e, psi = self.problem.flight, self.innovation, psi[:, 0]
+        flight, e, psi = self.problem.flight, self.innovation, np.ascontiguousarray(psi[:, 0])
         pursuit, out = flight.pursuit(psi, p), e.copy()
         for start, stop in flight.passes:
             recursion.pursued(e, psi, pursuit, start, stop, out)
         return (out - e)[:, None]
 
 
+FEWEST_MOTORS = 4
+"""A report lists the effects of so many motors as not tested where no motor is known."""
+
+
 def candidates(
     problem: Problem, effects: Sequence[Effect]
 ) -> tuple[list[Part], dict[str, str]]:
-    """Candidates that these data can show, and the reasons against the others."""
-    prepared = [(effect, effect.prepare(problem.data)) for effect in effects]
+    """Candidates that these data can show, and the reasons against the others.
+
+    What differs in a motor that the craft does not have is none of them.
+    """
+    count = max(problem.data.motors.shape[1], FEWEST_MOTORS)
+    prepared = [(effect, effect.prepare(problem.data)) for effect in effects
+                if max(effect.motors, default=0) < count]
     parts = [Part(effect, found) for effect, found in prepared if not isinstance(found, str)]
     return parts, {effect.label: found for effect, found in prepared if isinstance(found, str)}

@@ -37,13 +37,15 @@ MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
 SLOPING = 0.05
 """Share of a step over which one level gives way to the next."""
+MOST_MOTORS = 12
+"""Motors that may each have an effect of their own."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
 
 
 def why_not(data: AxisData, *, single: bool = False) -> str:
     """Why an effect of the motors, or of a single one, cannot be told here; '' if it can."""
-    if np.ptp(data.training(data.motors), axis=0).max() < 1e-6:
+    if not data.motors.shape[1] or np.ptp(data.training(data.motors), axis=0).max() < 1e-6:
         return 'the bag holds no motor commands'
     if single and all(isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)):
         return 'the other axes hardly move, so no single motor can be told apart'
@@ -327,7 +329,6 @@ class Propellers(Effect):
 
     term = 'command'
     states = 1
-    motors: tuple[int, ...] = (0, 1, 2, 3)
 
     def bend(
         self, m: FloatArray, p: FloatArray, settings: Settings
@@ -339,7 +340,7 @@ class Propellers(Effect):
         raise NotImplementedError
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return np.stack([required(s.motors)[i] for i in self.motors])
+        return np.stack([required(s.motors)[i] for i in of_motors(s, self.motors)])
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
@@ -358,7 +359,7 @@ class Propellers(Effect):
         u = self.begin(s, p, settings)
         m = over_cycle(required(s.hidden), u, s.lag, s.dt)
         thrust, slope = self.bend(m, p, settings)
-        share = required(s.share)[list(self.motors)]
+        share = required(s.share)[list(of_motors(s, self.motors))]
         more = np.tensordot(share, thrust + slope * (u - m), 1)
         commands = np.concatenate([drive.commands[:1] + more, drive.commands[1:]])
         return replace(drive, commands=commands)
@@ -368,12 +369,14 @@ class ThrustCurve(Propellers):
     """The thrust of each propeller is quadratic in its motor command."""
 
     name = 'thrust_curve'
-    signals = ('command', 'throttle')
+    signals = ('command', 'throttle', 'motors')
     parameters = (Spec('curvature', '1', spread=0.4),)
     physics = 'thrust (1 - k) m + k m² of each motor command m'
     excite = 'throttle changes during the excitation, or large commands on two axes at once'
 
     def prepare(self, data: AxisData) -> Settings | str:
+        if why := why_not(data):
+            return why
         throttle = data.training(data.control[:, 0])
         others = [data.training(data.control[:, i + 1]) for i in range(3) if i != data.index]
         mean = float(np.mean(throttle))
@@ -396,7 +399,7 @@ class MotorCurve(Propellers, Curve):
 
     def __init__(self, smoothness: str, *motors: int) -> None:
         super().__init__('gain', 'command', smoothness)
-        self.motors = motors or Propellers.motors
+        self.motors = motors
         who = f'motor {motors[0] + 1}' if motors else 'motors'
         self.term, self.variant = 'command', f'{smoothness}, {who}'
         self.signals = ('command', 'motors', 'throttle')
@@ -415,7 +418,7 @@ class MotorCurve(Propellers, Curve):
             'knots': tuple(np.linspace(low, high, self.count).tolist()),
             'place': tuple(np.linspace(-1.0, 1.0, self.count).tolist()),
             # of all motors the mean slope is the gain; one may be weaker than the others
-            'mean': (1.0 / self.count if len(self.motors) > 1 else 0.0,) * self.count,
+            'mean': (0.0 if self.motors else 1.0 / self.count,) * self.count,
             'throttle': float(np.mean(data.training(data.control[:, 0]))),
         }
 
@@ -469,6 +472,11 @@ class Saturation(Map):
         return {'throttle': 0.5 * float(p[0] + (0.0 if self.variant == 'upper' else 1.0))}
 
 
+def of_motors(s: Signals, motors: Sequence[int]) -> Sequence[int]:
+    """These motors; none named: all."""
+    return motors or range(len(required(s.motors)))
+
+
 def differing(
     s: Signals, drive: Drive, motors: Sequence[int], slow_s: float | None = None,
     factors: tuple[FloatArray, FloatArray] | None = None,
@@ -496,11 +504,10 @@ class Motors(Row):
     """What happens between commands and torque: the law gives the Drive after it."""
 
     term = 'response'
-    motors: tuple[int, ...] = ()
-    """Those that differ from the others; none: the command of the axis does."""
 
     def prepare(self, data: AxisData) -> Settings | str:
-        return (why_not(data, single=len(self.motors) == 1) if self.motors else '') or {}
+        return (why_not(data, single=len(self.motors) == 1)
+                if 'motors' in self.signals else '') or {}
 
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         return self.law(s, drive, p)
@@ -529,17 +536,19 @@ def _slow_share(sign: float) -> Callable[[Signals, Drive, FloatArray], Drive]:
     return shared
 
 
-def _asymmetric(variant: str, *motors: int) -> Effect:
+def _asymmetric(variant: str, *motors: int, each: bool = True) -> Effect:
+    """Of these motors, of each one (none named), or of the axis' command."""
+
     def uneven(s: Signals, drive: Drive, p: FloatArray) -> Drive:
         factors = BOTH_WAYS, -float(p[0]) * np.sign(BOTH_WAYS)
-        if motors:
-            return differing(s, drive, motors, factors=factors)
+        if each:
+            return differing(s, drive, of_motors(s, motors), factors=factors)
         whole = drive.factors.copy()
         whole[0] = factors
         return replace(drive, factors=whole)
 
     return Motors(
-        'shape:lag:direction', ('command', 'direction', *(('motors',) if motors else ())),
+        'shape:lag:direction', ('command', 'direction', *(('motors',) if each else ())),
         (Spec('asymmetry', '1', spread=0.5),), uneven, kind='shape', variant=variant,
         motors=motors, excite='steps of the command up and down',
         physics='a motor slows down with the lag times exp(a) and speeds up with the lag over '
@@ -569,7 +578,7 @@ class HasteCurve(Curve):
 
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         knots, values = np.array(settings['knots']), p - float(np.dot(settings['mean'], p))
-        return differing(s, drive, range(4), factors=(knots, values))
+        return differing(s, drive, of_motors(s, ()), factors=(knots, values))
 
 
 BOTH_WAYS = np.array([-3.0, -2.0, -1e-9, 1e-9, 2.0, 3.0])
@@ -579,7 +588,8 @@ SLOW = Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=Tr
 SHARE = Spec('share', '1', spread=0.3, positive=True)
 ACTUATORS: tuple[Effect, ...] = (
     *MAPS, BatterySag(), ThrustCurve(), MotorCurve('smooth'), MotorCurve('rough'),
-    *(MotorCurve('smooth', i) for i in range(4)), Saturation('upper'), Saturation('lower'),
+    *(MotorCurve('smooth', i) for i in range(MOST_MOTORS)), Saturation('upper'),
+    Saturation('lower'),
     Motors(
         'motor_lag', ('command',), (SLOW, SHARE), _slow_share(1.0),
         physics='a share of the motors answers with a longer lag than the others',
@@ -590,6 +600,7 @@ ACTUATORS: tuple[Effect, ...] = (
         physics="the torque overshoots and falls back by a share: rotors' own reaction in yaw",
         excite='a PRBS that reaches beyond 1 / lag',
     ),
-    *(_slow_motor(i) for i in range(4)), _asymmetric('motors', 0, 1, 2, 3), _asymmetric('axis'),
-    HasteCurve(), *(_asymmetric(f'motor {i + 1}', i) for i in range(4)), *SLOW_MAPS,
+    *(_slow_motor(i) for i in range(MOST_MOTORS)), _asymmetric('motors'),
+    _asymmetric('axis', each=False), HasteCurve(),
+    *(_asymmetric(f'motor {i + 1}', i) for i in range(MOST_MOTORS)), *SLOW_MAPS,
 )

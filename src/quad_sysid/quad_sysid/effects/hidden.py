@@ -31,7 +31,8 @@ FADES = 0.7
 """Size of a coefficient beside that of one degree less: the less a form bends, the likelier."""
 EDGE = 1.1
 """A polynomial goes on for a tenth of its half range, and is constant from there on."""
-SHOWN_BY = tuple(itertools.product(range(4), range(1, DEGREE + 1)))
+SHOWN_MOTORS = 4
+SHOWN_BY = tuple(itertools.product(range(SHOWN_MOTORS), range(1, DEGREE + 1)))
 """Motor and degree of each term that a gyro may show."""
 RING = "z'' + 2 d w z' + w² z = w²"
 
@@ -453,6 +454,8 @@ class Shown(Shape):
         self.shaped('torque', 'throttle', 'shown by the gyro', 'command', 'motors', 'history')
 
     def prepare(self, data: AxisData) -> Settings | str:
+        if data.motors.shape[1] != SHOWN_MOTORS:
+            return f'it is stated for {SHOWN_MOTORS} motors'
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         if not high - low > SLOW_MOVES * high:
             return 'the bag holds no motor commands that move'

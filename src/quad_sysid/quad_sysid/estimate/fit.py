@@ -18,7 +18,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span, high, moved, part_of, typical_acceleration
 from quad_sysid.model.effect import Part, required
 from quad_sysid.model.plant import Flight, Prediction, passes_of
-from quad_sysid.model.structure import BASE, NOISE, Structure
+from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.qr import upper
 
 SETTLE_S = 0.5
@@ -140,11 +140,20 @@ class Problem:
         """(p,) prior standard deviation of each parameter, in the coordinates of the fit."""
         rows, wide = self.rows, WIDE * self.acceleration
         base = [
-            wide / high(self.data.command[rows]), BASE[1].spread, BASE[2].spread,
+            wide / high(self.data.command[rows]),
+            BASE[1].spread if self.data.rotor_lag is None else self.data.rotor_lag.spread,
+            BASE[2].spread,
             wide / high(self.data.rate[rows]), wide,
         ]
         own = [size for part in structure.parts for size in self.sizes_of(part)]
         return np.array([*base, *own, *(s.spread for s in structure.noise)], dtype=float)
+
+    def centres(self, structure: Structure) -> FloatArray:
+        """(p,) prior mean of each parameter, in the coordinates of the fit."""
+        out = np.array([s.centre for s in structure.specs])
+        if self.data.rotor_lag is not None:
+            out[1] = math.log(self.data.rotor_lag.seconds)
+        return out
 
     def precision(self, structure: Structure, sizes: FloatArray) -> FloatArray:
         """(p, p) prior precision."""
@@ -187,7 +196,7 @@ class Fit:
 
 def start_of(problem: Problem) -> FloatArray:
     """(p,) start values of the base from the priors alone."""
-    theta = np.array([s.centre for s in (*BASE, *NOISE)])
+    theta = problem.centres(Structure())
     command = problem.data.command[problem.rows]
     theta[0] = problem.acceleration / max(float(np.std(command)), 1e-9)
     return theta
@@ -207,7 +216,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     sizes = problem.sizes(structure)
     precision = problem.precision(structure, sizes)
     root = np.linalg.cholesky(precision).T
-    centres = np.array([s.centre for s in structure.specs])
+    centres = problem.centres(structure)
     positive = np.array([s.positive and not s.log for s in structure.specs])
     logs = np.array([s.log for s in structure.specs])
     steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
@@ -182,7 +182,7 @@ def plant_of(model: AxisModel) -> Plant:
     return Plant(
         stored.structure, stored.structure.natural(stored.theta), model.dt,
         sensor_of(model.gyro_filter_hz, None, model.dt),
-        MIXER_INVERSE[AXES.index(model.axis) + 1],
+        model.craft.inverse[AXES.index(model.axis) + 1],
     )
 
 

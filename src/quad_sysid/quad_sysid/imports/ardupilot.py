@@ -13,38 +13,26 @@ from typing import Any
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft, ardupilot_channels, of_ardupilot
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
 from quad_sysid.imports.log import (
     ASKED_FOR,
     DEGREE,
+    RPM,
     ForeignLog,
     Reading,
     Stream,
     Wanted,
     gains_of,
 )
-from quad_sysid.imports.mixers import (
-    MIRROR,
-    Mixer,
-    angles_from_ned,
-    mirrored,
-    mixer_at_places,
-)
+from quad_sysid.imports.mixers import MIRROR, angles_from_ned, mirrored
 from quad_sysid.imports.table import Table
 
 FIRST_INSTANCE = ('IMU', 'BAT')
 INSTANCE = ('I', 'Instance', 'Inst')
-MOTOR_ORDER = (1, 3, 0, 2)
-"""Motor at rear left, rear right, front right, front left in Quad X (1 front right, 2 rear left,
-3 front left, 4 rear right); the rear left one turns counter-clockwise."""
-MOTOR_FUNCTIONS = (33, 34, 35, 36, 37, 38, 39, 40)
-"""SERVOn_FUNCTION of motors 1..8."""
-CHANNELS = 14
-MOTORS_OF_FRAME = {1: 4, 2: 6, 3: 8, 4: 8, 5: 6}
-"""By FRAME_CLASS: quad, hexa, octa, octaquad, Y6."""
-QUAD, X_FRAME = 1, 1
-"""FRAME_CLASS, FRAME_TYPE."""
+QUAD = 4
+"""Number of motors where the parameters do not say it."""
 ARMED, DISARMED = 10, 11
 """Id of EV."""
 AS_FAST = 0.9
@@ -83,7 +71,7 @@ WANTED = (
 OUTPUTS = Wanted('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
                  'as they are, pitch and yaw turned; U is in the unit of these outputs',
                  lambda values: values * [1.0, *MIRROR])
-MESSAGES = ('RATE', 'ATT', 'IMU', 'BAT', 'RCOU', 'EV')
+MESSAGES = ('RATE', 'ATT', 'IMU', 'BAT', 'RCOU', 'ESC', 'EV')
 
 
 def read(path: Path) -> ForeignLog:
@@ -99,9 +87,9 @@ def read(path: Path) -> ForeignLog:
             table.messages or 'no message of use',
             'set LOG_BITMASK to log fast attitude (bit 0) and log again',
         )
-    mixer, gains, warnings = _input(reading)
-    return reading.log('an ArduPilot log', WANTED, mixer=mixer, armed=_armed(table), gains=gains,
-                       faster=FASTER, warnings=(*_frame(table), *warnings))
+    crafts, gains, warnings = _input(reading)
+    return reading.log('an ArduPilot log', WANTED, crafts=crafts, armed=_armed(table),
+                       gains=gains, faster=FASTER, warnings=tuple(warnings))
 
 
 def _armed(table: Table) -> Stream | None:
@@ -143,22 +131,22 @@ def _instance(message: Any) -> int:
     return int(next((getattr(message, n) for n in INSTANCE if hasattr(message, n)), 0))
 
 
-def _input(reading: Reading) -> tuple[Mixer | None, dict[str, float], list[str]]:
-    """Take the commands: their mixer, the gains in their unit, warnings."""
+def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[str]]:
+    """Take the commands: the craft of the motors, the gains in their unit, warnings."""
     table = reading.table
-    channels = _channels(table)
-    pulses = _of('RCOU', *channels)
+    craft = of_ardupilot(table.header)
+    count = craft.count if isinstance(craft, Craft) else QUAD
+    channels = ardupilot_channels(table.header, count)
+    pulses = _of('RCOU', *(f'C{n}' for n in channels))
     if reading.motors_fast(table.stream(*pulses), table.stream(*OUTPUTS.columns)):
         low = table.header.get('MOT_PWM_MIN', 0.0) or 1000.0
         high = table.header.get('MOT_PWM_MAX', 0.0) or 2000.0
-        mixer, how = None, 'U by what the motion shows'
-        if len(channels) == len(MOTOR_ORDER) and not _frame(table):
-            mixer = mixer_at_places("ArduPilot's Quad X", MOTOR_ORDER, clockwise_rear_left=False)
-            how = ('motors 2, 4, 1, 3 stand rear left, rear right, front right, front left; U by '
-                   "the mixer's inverse, yaw by their sense of rotation")
+        how = f'in the places of {craft.name}' if isinstance(craft, Craft) else (
+            f'{craft}: their places by what the motion shows')
         reading.take(Wanted('motors', pulses, 'µs', f'(pulse - {low:g}) / {high - low:g}; {how}',
                             lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
-        return mixer, {}, [
+        _speeds(reading, channels)
+        return (craft,) if isinstance(craft, Craft) else (), {}, [
             ("ArduPilot's gains are not carried over: between its outputs and the pulses stands a "
             'thrust curve (MOT_THST_EXPO)')
         ]
@@ -168,16 +156,24 @@ def _input(reading: Reading) -> tuple[Mixer | None, dict[str, float], list[str]]
             table.source, 'holds no RCOU and no RATE messages', table.messages,
             'set LOG_BITMASK to log fast attitude (bit 0) or RC output (bit 10) and log again',
         )
-    return None, _gains(table), [ASKED_FOR]
+    return (), _gains(table), [ASKED_FOR]
 
 
-def _channels(table: Table) -> tuple[str, ...]:
-    """RCOU columns of the motors, by SERVOn_FUNCTION where the log says it."""
-    count = MOTORS_OF_FRAME.get(int(table.header.get('FRAME_CLASS', QUAD)), 4)
-    found = {table.header.get(f'SERVO{n}_FUNCTION'): f'C{n}' for n in range(1, CHANNELS + 1)}
-    motors = [found.get(function) for function in MOTOR_FUNCTIONS[:count]]
-    named = tuple(channel for channel in motors if channel is not None)
-    return named if len(named) == count else tuple(f'C{i + 1}' for i in range(count))
+def _speeds(reading: Reading, channels: tuple[int, ...]) -> None:
+    """Take the speeds that the speed controllers report; their instance is the output less 1."""
+    table = reading.table
+    which, rpm = table.columns.get('ESC.Instance'), table.columns.get('ESC.RPM')
+    if which is None or rpm is None or not np.nanmax(rpm) > 0.0:
+        return
+    known = set(np.unique(which).astype(int).tolist())
+    own = [n - 1 for n in channels] if known <= {n - 1 for n in channels} else \
+        [*range(len(channels))]
+    values = np.full((len(rpm), len(channels)), np.nan)
+    for motor, instance in enumerate(own):
+        mine = which == instance
+        values[mine, motor] = rpm[mine] * RPM
+    reading.put(Wanted('speeds', ('ESC.RPM',), 'rpm', 'to rad/s'),
+                Stream(table.times['ESC.RPM'], values))
 
 
 def _gains(table: Table) -> dict[str, float]:
@@ -192,11 +188,3 @@ def _gains(table: Table) -> dict[str, float]:
         ))
         for axis, name in zip(AXES, ('RLL', 'PIT', 'YAW'), strict=True)
     })
-
-
-def _frame(table: Table) -> tuple[str, ...]:
-    kind = table.header.get('FRAME_CLASS'), table.header.get('FRAME_TYPE')
-    if kind[0] is None or (kind[0], kind[1]) == (QUAD, X_FRAME):
-        return ()
-    return ((f'FRAME_CLASS {kind[0]:g}, FRAME_TYPE {kind[1] or 0:g} is not a quadrotor in X '
-            f'({QUAD}, {X_FRAME}): its motors stand elsewhere; be careful'),)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import csv
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -19,17 +18,16 @@ from typing import Any
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.craft import BETAFLIGHT, Craft, of_betaflight
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.log import DEGREE, ForeignLog, Mapped, Reading, Wanted
-from quad_sysid.imports.mixers import MIRROR, Mixer, mixer_at_places, ned_angles
+from quad_sysid.imports.log import DEGREE, RPM, ForeignLog, Mapped, Reading, Wanted
+from quad_sysid.imports.mixers import MIRROR, ned_angles
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
 from quad_sysid.imports.units import header_unit, unit_of
 
-MOTOR_ORDER = (2, 0, 1, 3)
-"""Motor at rear left, rear right, front right, front left in Quad X (1 rear right, 2 front right,
-3 rear left, 4 front left); the rear left one turns counter-clockwise unless the yaw motors are
-reversed (propellers out)."""
+POLES = 14.0
+"""Magnets of a motor where the header does not say them (motor_poles)."""
 DSHOT = (48.0, 2047.0)
 PULSE_US = (1000.0, 2000.0)
 MOST_VOLTS = 100.0
@@ -41,7 +39,7 @@ UNIT_AS_INTEGER = 8127.0
 """INDIflight's 1.0 of a command or a quaternion, (127 << 6) - 1."""
 WANTED = frozenset({
     'time', 'gyroADC', 'motor', 'setpoint', 'axisRate', 'accSmooth', 'vbatLatest', 'vbat',
-    'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp',
+    'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp', 'eRPM', 'erpm',
 })
 FILTERS = (
     'gyro_lpf1_static_hz', 'gyro_lpf2_static_hz', 'gyro_lowpass_hz', 'gyro_lowpass2_hz',
@@ -74,12 +72,12 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
         'u[0]' in table.columns
     wanted = _wanted(table, units, indi=indi)
-    motors, mixer = _motors(table, indi=indi)
+    motors, crafts = _motors(table, indi=indi)
     reading = Reading(table)
-    reading.take(*wanted, motors)
+    reading.take(*wanted, motors, *_speeds(table, units, len(motors.columns)))
     kept = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
     reading.mapped += [Mapped('header', '-', 'note', kept)] if kept else []
-    return reading.log('a blackbox log', wanted, mixer=mixer, faster=FASTER,
+    return reading.log('a blackbox log', wanted, crafts=crafts, faster=FASTER,
                        no_gains=NO_GAINS)
 
 
@@ -210,8 +208,18 @@ def _read(path: Path) -> tuple[Table, dict[str, str]]:
     return Table(str(path), columns, header=header, told=read.told), units
 
 
-def _motors(table: Table, *, indi: bool) -> tuple[Wanted, Mixer | None]:
-    """Motor commands (n, k) 0..1, and their mixer."""
+def _speeds(table: Table, units: dict[str, str], count: int) -> list[Wanted]:
+    """Rotor speeds: electrical turns in hundreds a minute, a pole pair for each of the rotor."""
+    poles = float(table.header.get('motor_poles') or POLES)
+    factor, how = 100.0 * RPM / (0.5 * poles), f'of {poles:g} poles, to rad/s'
+    if units.get('eRPM[0]') == 'rpm':
+        factor, how = RPM, 'to rad/s'
+    return [Wanted('speeds', _several(name, count), units.get(f'{name}[0]') or '100 eRPM', how,
+                   lambda values: values * factor) for name in ('eRPM', 'erpm')]
+
+
+def _motors(table: Table, *, indi: bool) -> tuple[Wanted, tuple[Craft, ...]]:
+    """Motor commands (n, k) 0..1, and the crafts that the header leaves open."""
     name = 'u' if 'u[0]' in table.columns else 'motor'
     slots = [slot for slot in _several(name, 8) if slot in table.columns]
     used = [slot for slot in slots if name == 'motor' or np.nanmax(table.columns[slot]) > 0.0]
@@ -223,20 +231,26 @@ def _motors(table: Table, *, indi: bool) -> tuple[Wanted, Mixer | None]:
         low, high, why = 0.0, UNIT_AS_INTEGER, 'the largest number'
     else:
         low, high, why = _motor_range(table, np.array([table.columns[one] for one in columns]))
-    how, mixer = f'({name} - {low:g}) / {high - low:g} ({why}); U by ', None
-    if indi or count != len(MOTOR_ORDER):
-        how += 'what the motion shows'
-    else:
-        said = table.header.get('yaw_motors_reversed', '').strip()
-        mixer = replace(
-            mixer_at_places("Betaflight's Quad X", MOTOR_ORDER, clockwise_rear_left=said == '1'),
-            unsaid=() if said else ('yaw',),
-        )
-        how += ("the mixer's inverse: motors 3, 1, 2, 4 stand rear left, rear right, front right, "
-                f'front left, propellers {"out" if said == "1" else "in"}')
-        how += '' if said else ', or as the motion shows (the header does not say)'
+    crafts = () if indi else _crafts(table, count)
+    how = f'({name} - {low:g}) / {high - low:g} ({why}); in the places of ' + (
+        crafts[0].name if len(crafts) == 1 else 'what the motion shows' if not crafts else
+        f"Betaflight's {count} motors that the motion fits best (the header does not say)")
     return Wanted('motors', columns, 'raw', how,
-                  lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)), mixer
+                  lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)), crafts
+
+
+def _crafts(table: Table, count: int) -> tuple[Craft, ...]:
+    """The crafts of as many motors that the header leaves open.
+
+    It names the sense of the propellers, which recent versions leave out, and no mixer: four
+    motors are taken for a Quad X.
+    """
+    said = table.header.get('yaw_motors_reversed', '').strip()
+    mixers = [m for m, motors in BETAFLIGHT.items() if len(motors) == count]
+    mixers = ['QUADX'] if count == 4 else mixers
+    found = (of_betaflight({'mixer': mixer, 'yaw_motors_reversed': out})
+             for mixer in mixers for out in ((said,) if said else ('0', '1')))
+    return tuple(one for one in found if isinstance(one, Craft))
 
 
 def _motor_range(table: Table, raw: FloatArray) -> tuple[float, float, str]:

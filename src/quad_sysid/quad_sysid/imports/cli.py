@@ -41,8 +41,11 @@ def add(commands: Commands) -> None:
                         'times say)')
     parser.add_argument('--log', metavar='N', type=int, default=1,
                         help='of several logs in one blackbox file (default 1)')
-    parser.add_argument('--mixer', metavar='auto|x|plus|crazyflie|FILE',
-                        help='what the motors do (default x; auto: what the motion shows)')
+    parser.add_argument('--mixer', metavar='auto|LAYOUT|FILE',
+                        help='where the motors are: a layout such as x, plus, crazyflie, '
+                        'ardupilot_hexa_x, betaflight_octox8, a URDF, or a YAML file with '
+                        'matrix: (default what the log says, else x; auto: what the motion '
+                        'shows)')
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
     table = parser.add_argument_group(
         'for a table', 'COLS are columns separated by commas, one for each axis of --axis'
@@ -88,7 +91,7 @@ def _log(options: argparse.Namespace, known: Format) -> int:
     if options.mixer is not None and log.motors is not None:
         motors = tuple(f'motor_{i + 1}' for i in range(log.motors.values.shape[1]))
         log = replace(
-            log, mixer=None if options.mixer == 'auto' else mixer_of(options.mixer, motors)
+            log, crafts=() if options.mixer == 'auto' else (mixer_of(options.mixer, motors),)
         )
     return _write(log, options)
 

@@ -104,8 +104,8 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
         control=_wrench(options, _stream(
             table, units, options.control and (*options.control, *options.names('thrust')))),
         motors=found['motors'],
-        mixer=None if not options.motors or options.mixer == 'auto'
-        else mixer_of(options.mixer, options.motors),
+        crafts=() if not options.motors or options.mixer == 'auto'
+        else (mixer_of(options.mixer, options.motors),),
         battery=found['battery'], mapped=_mapped(options, units, found), checks=tuple(odd),
         clock=table.told, reversing={
             axis: _column(options, units, name, table.columns[name]).advise(units[name].reversed)

@@ -14,17 +14,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft
 from quad_sysid.imports.mixers import Mixer
 
 if TYPE_CHECKING:
     from quad_sysid.imports.table import Table
 
-DEGREE = np.pi / 180.0
+DEGREE, RPM = np.pi / 180.0, np.pi / 30.0
+"""One degree in rad, one turn a minute in rad/s."""
 TOPICS = {
     'rates': '/imu/data angular_velocity', 'angles': '/imu/data orientation',
     'acceleration': '/imu/data linear_acceleration', 'attitude_setpoint': '/setpoint/attitude',
     'rate_setpoint': '/setpoint/rates', 'battery': '/battery', 'control': '/control/wrench',
-    'motors': '/control/wrench',
+    'motors': '/motors/command', 'speeds': '/motors/state',
 }
 """Topic of each stream of ForeignLog."""
 LACKING = {
@@ -83,8 +85,11 @@ class ForeignLog:
     """(n, 4) U1..U4, normalised, with the contract's signs; None where there are motors."""
     motors: Stream | None = None
     """(n, k) commands 0..1 in the log's own order."""
-    mixer: Mixer | None = None
-    """Mixer of the motors; None: from the motion."""
+    crafts: tuple[Craft | Mixer, ...] = ()
+    """The craft; several where the log leaves some open, which the motion decides; none: all comes
+    from the motion."""
+    speeds: Stream | None = None
+    """(n, k) measured speeds of the rotors in the order of the motors, rad/s; NaN: not known."""
     armed: Stream | None = None
     """(n, 1) 1 where the motors follow the commands, 0 where they stand; None: always 1."""
     axes: tuple[str, ...] = AXES

@@ -12,26 +12,27 @@ from typing import Any
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import LAYOUTS, Craft, of_px4
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.log import ASKED_FOR, ForeignLog, Reading, Stream, Wanted, gains_of
-from quad_sysid.imports.mixers import (
-    MIRROR,
-    Mixer,
-    mirrored,
-    mixer_at_places,
-    ned_angles,
-    order_by_places,
+from quad_sysid.imports.log import (
+    ASKED_FOR,
+    RPM,
+    ForeignLog,
+    Reading,
+    Stream,
+    Wanted,
+    gains_of,
 )
+from quad_sysid.imports.mixers import MIRROR, mirrored, ned_angles
 from quad_sysid.imports.table import Table
 
-MOTOR_ORDER = (1, 3, 0, 2)
-"""Motor at rear left, rear right, front right, front left in PX4's Quad X (1 front right, 2 rear
-left, 3 front left, 4 rear right)."""
 ARMED = 2
 """arming_state of vehicle_status."""
-QUADROTOR = 2
-"""MAV_TYPE."""
+MULTIROTORS = (2, 3, 13, 14, 15, 29, 35)
+"""MAV_TYPE of those that fly by their rotors alone."""
+FIRST_MOTOR, MOST_ESCS = 101, 8
+"""actuator_function of motor 1; entries of esc_status."""
 LINEAR = 0.98
 """R² of motors over torque set-point from which PX4's gains can be stated in our unit."""
 FASTER = 'set SDLOG_PROFILE to high rate (bit 2) or system identification (bit 3)'
@@ -65,7 +66,7 @@ WANTED = (
 TOPICS = (
     *dict.fromkeys(one.columns[0].partition('.')[0] for one in WANTED), 'actuator_motors',
     'vehicle_torque_setpoint', 'vehicle_thrust_setpoint', 'actuator_controls_0', 'actuator_armed',
-    'vehicle_status',
+    'vehicle_status', 'esc_status',
 )
 
 
@@ -80,9 +81,9 @@ def read(path: Path) -> ForeignLog:
             table.messages or 'no topic of use',
             'set SDLOG_PROFILE to high rate or system identification and log again',
         )
-    mixer, gains, warnings = _input(reading)
-    return reading.log('a PX4 log', WANTED, mixer=mixer, armed=_armed(table), gains=gains,
-                       faster=FASTER, warnings=(*_frame(table), *warnings))
+    crafts, gains, warnings = _input(reading)
+    return reading.log('a PX4 log', WANTED, crafts=crafts, armed=_armed(table), gains=gains,
+                       faster=FASTER, warnings=(*_vehicle(table), *warnings))
 
 
 def _load(path: Path) -> Table:
@@ -123,24 +124,25 @@ def _armed(table: Table) -> Stream | None:
     return None if state is None else Stream(state.time_s, 1.0 * (state.values == ARMED))
 
 
-def _input(reading: Reading) -> tuple[Mixer | None, dict[str, float], list[str]]:
-    """Take the commands: their mixer, the gains in their unit, warnings."""
+def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[str]]:
+    """Take the commands: the craft of the motors, the gains in their unit, warnings."""
     table = reading.table
     old = _of('actuator_controls_0', *(f'control[{i}]' for i in (3, 0, 1, 2)))
     new = (*_vector('vehicle_torque_setpoint', 'xyz'), 'vehicle_thrust_setpoint.xyz[2]')
     torque = _torque(table, old, new)
-    count = int(table.header.get('CA_ROTOR_COUNT', 0)) or len(MOTOR_ORDER)
+    count = int(table.header.get('CA_ROTOR_COUNT', 0)) or LAYOUTS['px4_quad_x'].count
     columns = _vector('actuator_motors', 'control', count)
     motors = table.stream(*columns)
     if motors is not None and reading.motors_fast(motors, torque):
-        mixer, how = _mixer(table, count)
+        crafts, how = _craft(table, count)
         reading.take(Wanted('motors', columns, '0..1', how))
-        scale = None if torque is None or mixer is None else _scale(
-            Stream(motors.time_s, motors.values @ mixer.matrix.T), torque
+        _speeds(reading, count)
+        scale = None if torque is None or not crafts else _scale(
+            Stream(motors.time_s, crafts[0].control(motors.values)), torque
         )
         told = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')
-        return mixer, _gains(table, scale) if scale else {}, [] if scale else [told]
+        return crafts, _gains(table, scale) if scale else {}, [] if scale else [told]
     if torque is None:
         raise BadInputError(
             table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
@@ -151,7 +153,7 @@ def _input(reading: Reading) -> tuple[Mixer | None, dict[str, float], list[str]]
         'control', old if old[0] in table.columns else new, '-1..1',
         "as it is, pitch and yaw turned; U is in the unit of PX4's torque set-point",
     ), torque)
-    return None, _gains(table, (1.0, 1.0, 1.0)), [ASKED_FOR]
+    return (), _gains(table, (1.0, 1.0, 1.0)), [ASKED_FOR]
 
 
 def _torque(table: Table, old: tuple[str, ...], new: tuple[str, ...]) -> Stream | None:
@@ -166,23 +168,32 @@ def _torque(table: Table, old: tuple[str, ...], new: tuple[str, ...]) -> Stream 
     return Stream(torque.time_s, np.column_stack([up, torque.values * MIRROR]))
 
 
-def _mixer(table: Table, count: int) -> tuple[Mixer | None, str]:
-    """What the motors do by the log's parameters; None where only the motion can say it."""
-    known = table.header
-    places = None
-    if 'CA_ROTOR0_PX' in known and count == len(MOTOR_ORDER):
-        places = order_by_places(*(
-            np.array([known[f'CA_ROTOR{i}_P{axis}'] for i in range(count)]) for axis in 'XY'
-        ))
-    if count != len(MOTOR_ORDER) or ('CA_ROTOR0_PX' in known and places is None):
-        return None, f'{count} motors that are no X frame: U by what the motion shows'
-    order = places or MOTOR_ORDER
-    clockwise = known.get(f'CA_ROTOR{order[0]}_KM', 0.05) < 0.0
-    where = 'CA_ROTOR parameters' if places else "PX4's Quad X"
-    return mixer_at_places(where, order, clockwise_rear_left=clockwise), (
-        f'motors {", ".join(str(i + 1) for i in order)} of {where} stand rear left, rear right, '
-        f"front right, front left; U by the mixer's inverse, yaw by their sense of rotation"
-    )
+def _craft(table: Table, count: int) -> tuple[tuple[Craft, ...], str]:
+    """The craft by the log's parameters; none where only the motion can say it."""
+    found = of_px4(table.header)
+    if isinstance(found, Craft):
+        return (found,), 'as they are, in their places by the CA_ROTOR parameters'
+    if count == 4 and 'CA_ROTOR_COUNT' not in table.header:  # before 1.13
+        return (LAYOUTS['px4_quad_x'],), "as they are, in PX4's order of the Quad X"
+    return (), f'as they are; {found}: their places by what the motion shows'
+
+
+def _speeds(reading: Reading, count: int) -> None:
+    """Take the speeds that the speed controllers report, each by the motor it drives."""
+    table, size = reading.table, 0
+    while f'esc_status.esc[{size}].esc_rpm' in table.columns:
+        size += 1
+    rpm = table.stream(*(f'esc_status.esc[{i}].esc_rpm' for i in range(size))) if size else None
+    if rpm is None or not np.nanmax(np.abs(rpm.values)) > 0.0:
+        return
+    values = np.full((len(rpm.time_s), count), np.nan)
+    for i in range(min(size, MOST_ESCS)):
+        named = table.columns.get(f'esc_status.esc[{i}].actuator_function', np.zeros(1))
+        motor = int(named[-1]) - FIRST_MOTOR if named[-1] >= FIRST_MOTOR else i
+        if 0 <= motor < count:
+            values[:, motor] = np.abs(rpm.values[:, i]) * RPM
+    reading.put(Wanted('speeds', ('esc_status.esc_rpm',), 'rpm', 'to rad/s, positive in flight'),
+                Stream(rpm.time_s, values))
 
 
 def _scale(control: Stream, torque: Stream) -> tuple[float, ...] | None:
@@ -220,9 +231,9 @@ def _gains(table: Table, scale: tuple[float, ...]) -> dict[str, float]:
     return out
 
 
-def _frame(table: Table) -> tuple[str, ...]:
+def _vehicle(table: Table) -> tuple[str, ...]:
     kind = table.header.get('MAV_TYPE')
-    if kind is None or int(kind) == QUADROTOR:
+    if kind is None or int(kind) in MULTIROTORS:
         return ()
-    return ((f'MAV_TYPE is {int(kind)}, not {QUADROTOR} (quadrotor): the model is one of a '
-            'quadrotor in X; be careful'),)
+    return ((f'MAV_TYPE is {int(kind)}, no multirotor: wings and tilting rotors are not in the '
+             'model; be careful'),)

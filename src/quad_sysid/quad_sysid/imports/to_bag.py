@@ -11,18 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
+from quad_sysid.bags.reader import joined
 from quad_sysid.bags.writer import BagOptions, write_bag
-from quad_sysid.contract import (
-    AXES,
-    MIXER,
-    FloatArray,
-    control_from_motors,
-    motors_from_wrench,
-)
+from quad_sysid.contract import FloatArray
+from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import EPOCH_S, LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.log import ForeignLog, Stream
-from quad_sysid.imports.mixers import Mixer, mixer_of_patterns
+from quad_sysid.imports.mixers import Mixer, chosen, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
 from quad_sysid.imports.stretches import told as stretches_told
@@ -32,19 +28,13 @@ from quad_sysid.motor_layout import (
     doubts,
     opposite,
     patterns_of,
-    places,
 )
-from quad_sysid.motor_places import MOTORS
 from quad_sysid.record import GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
 """U1 beside the command of a single axis: the middle of the motors' range."""
 SLOW = 0.5
 """Share of the rates' sample rate below which slow commands cause a warning."""
-BEYOND_LIMIT = 0.1
-"""Largest share of samples beyond an X frame's motors that are left out as gaps."""
-TINY = 1e-6
-"""Rounding of a normalised command."""
 LEAST_SAMPLES = 100
 SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
@@ -82,9 +72,8 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
     told, warnings = [*log.clock, *laid.told], list(log.warnings)
     gains = dict(log.gains)
     rates, angles = _motion(log, laid, gains, told, warnings)
-    control, motors = _commands(log, laid, rates, angles, told, warnings)
+    control, motors, craft = _commands(log, laid, rates, angles, told, warnings)
     control, motors = _armed(log, laid, control, motors, warnings)
-    control = _possible(control, log, warnings)
     if not (np.nanstd(control, axis=0) > 0.0).any():
         raise BadInputError(log.source, 'holds commands that never change',
                             remedy='import a log of a flight')
@@ -106,7 +95,9 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
     record = Record(
         source=log.source, dt=laid.dt, t0_ns=round(start * 1e9),
         rates=rates, control=control, wrench=None if motors is not None else control,
-        motors=motors, angles=angles, acceleration=_drawn(log.acceleration, laid),
+        motors=motors, craft=craft, speeds=_speeds(log, laid, motors),
+        desaturation='clip' if motors is not None else 'none', angles=angles,
+        acceleration=_drawn(log.acceleration, laid),
         attitude_setpoint=_maybe_held(log.attitude_setpoint, laid),
         rate_setpoint=_maybe_held(log.rate_setpoint, laid),
         battery_v=_volts(log.battery, laid.times),
@@ -150,8 +141,8 @@ def _motion(
 def _commands(
     log: ForeignLog, laid: Cycles, rates: FloatArray, angles: FloatArray | None,
     told: list[str], warnings: list[str],
-) -> tuple[FloatArray, FloatArray | None]:
-    """U1..U4 (n, 4), and the motors (n, 4) where those are the contract's in another order."""
+) -> tuple[FloatArray, FloatArray | None, Craft]:
+    """U1..U4 (n, 4), and the motors (n, k) with their craft, where one is known."""
     if log.motors is None:
         if log.control is None:
             raise BadInputError(log.source, 'holds no commands',
@@ -160,26 +151,23 @@ def _commands(
         patterns = commands_of(rates, control[:, 1:], laid.dt, angles)
         told += [pattern.sentence for pattern in patterns]
         warnings += opposite(patterns, log.reversing)
-        return control, None
+        return control, None, X
     motors = _held(log.motors, laid)
     rates = np.where(airborne(motors.mean(axis=1), laid.dt)[:, None], rates, np.nan)
     patterns = patterns_of(rates, motors, laid.dt, angles)
     told += [pattern.sentence for pattern in patterns]
-    if motors.shape[1] == len(MOTORS) and {p.axis for p in patterns if p.certain} >= {*AXES[:2]}:
-        told.append(', '.join(f'{name} {place}' for name, place in places(patterns)[0].items()))
-    mixer = log.mixer
-    if mixer is None:
-        mixer = _by_motion(log, patterns, motors.shape[1], warnings)
+    found = chosen(log.crafts, patterns, rates, motors, laid.dt)
+    if found is None:
+        found = _by_motion(log, patterns, motors.shape[1], warnings)
     else:
-        mixer = mixer.told_by(patterns)
-        warnings += doubts(
-            mixer.name, mixer.matrix, patterns, rates, motors, laid.dt, angles
-        )
-    order = mixer.order
-    if order is not None:
-        ordered = motors[:, list(order)]
-        return control_from_motors(ordered), ordered
-    return motors @ mixer.matrix.T, None
+        warnings += doubts(found.name, found.inverse, patterns, rates, motors, laid.dt, angles)
+    if isinstance(found, Mixer):
+        warnings.append(f'{found.name} is no place and spin of each motor, so the bag holds what '
+                        'the motors do together, not each of them')
+        return motors @ found.inverse.T, None, X
+    told.append(f'{found.name}: ' + ', '.join(
+        f'motor_{k} {place}' for k, place in enumerate(found.places, 1)))
+    return found.control(motors), motors, found
 
 
 def _armed(
@@ -201,7 +189,7 @@ def _armed(
 
 def _by_motion(
     log: ForeignLog, patterns: tuple[Pattern, ...], motors: int, warnings: list[str]
-) -> Mixer:
+) -> Craft | Mixer:
     certain = [p for p in patterns if p.certain and p.axis in log.axes]
     if not certain:
         best = '; '.join(pattern.sentence for pattern in patterns) or 'nothing moves'
@@ -218,6 +206,13 @@ def _held(stream: Stream, laid: Cycles) -> FloatArray:
     if laid.own:
         return hold(stream, laid.times, laid.dt)
     return mean_ahead(stream, laid.times, laid.dt)
+
+
+def _speeds(log: ForeignLog, laid: Cycles, motors: FloatArray | None) -> FloatArray | None:
+    """Rotor speeds (n, k) beside the motors that they belong to."""
+    if log.speeds is None or motors is None or log.speeds.values.shape[1] != motors.shape[1]:
+        return None
+    return joined(log.speeds.time_s, log.speeds.values, laid.times)
 
 
 def _maybe_held(stream: Stream | None, laid: Cycles) -> FloatArray | None:
@@ -257,57 +252,3 @@ def _derivative(angles: FloatArray, dt: float) -> tuple[FloatArray, str]:
                 axis=0,
             )
     return out, f'a zero-phase Savitzky-Golay derivative (cubic over {width} samples)'
-
-
-def _possible(control: FloatArray, log: ForeignLog, warnings: list[str]) -> FloatArray:
-    """Keep what the contract's mixer and limits let through, as the bag's reader will ask.
-
-    Motors that turn the other way can give more yaw than the contract's: there its command is
-    limited. A controller may ask for torque at a throttle that allows none.
-    """
-    if float(np.mean(_beyond(control))) > BEYOND_LIMIT and log.motors is None:
-        warnings.append(
-            f'U1 is set to {MIDDLE_COMMAND:g}: in {100.0 * np.mean(_beyond(control)):.0f} % of '
-            'the samples the throttle is too low for the torque that was demanded (on the '
-            'ground, or not a multirotor?); what the motors did is not known, so a thrust curve '
-            'cannot be identified'
-        )
-        control = control.copy()
-        control[~np.isnan(control[:, 0]), 0] = MIDDLE_COMMAND
-    limited = _yaw_limited(control)
-    changed = int(np.count_nonzero(np.abs(limited[:, 3] - control[:, 3]) > TINY))
-    if changed:
-        warnings.append(
-            f"the yaw command of {changed} samples is limited to what the contract's mixer can "
-            'give beside the others'
-        )
-    beyond = _beyond(limited)
-    if beyond.mean() > BEYOND_LIMIT:
-        raise BadInputError(
-            log.source, 'commands are beyond what the motors of an X frame can give',
-            f'{100.0 * beyond.mean():.0f} % of the samples', 'scale them down with --unit',
-        )
-    if beyond.any():
-        warnings.append(
-            f'{int(beyond.sum())} samples left out: the motors of an X frame cannot give them'
-        )
-        limited[beyond] = np.nan
-    return limited
-
-
-def _yaw_limited(control: FloatArray) -> FloatArray:
-    """The control with U4 within what U1..U3 leave to each motor, where they leave any."""
-    out: FloatArray = control.copy()
-    out[:, 3] = 0.0
-    up, down = MIXER[:, 3] > 0.0, MIXER[:, 3] < 0.0
-    motors = out @ MIXER.T
-    least = np.maximum(-motors[:, up].min(axis=1), motors[:, down].max(axis=1) - 1.0)
-    most = np.minimum(1.0 - motors[:, up].max(axis=1), motors[:, down].min(axis=1))
-    out[:, 3] = np.where(least <= most, np.clip(control[:, 3], least, most), control[:, 3])
-    return out
-
-
-def _beyond(control: FloatArray) -> np.ndarray:
-    limited = control_from_motors(motors_from_wrench(control))
-    with np.errstate(invalid='ignore'):
-        return np.asarray((np.abs(limited - control) > TINY).any(axis=1))

@@ -101,7 +101,12 @@ def _flight(held: Content) -> Iterator[str]:
         shares = ', '.join(f'{share:.2g}' for share in held.motors_at_limit_pct)
         yield f'motors    at 0 or 1 for {shares} % of the time'
     else:
-        yield 'motors    not recorded: limits are known from the wrench only'
+        known = 'known from the wrench only' if held.craft else 'not known, nor is the mixer'
+        yield f'motors    not recorded: limits are {known}'
+    if held.craft:
+        yield from wrapped(held.craft, '          ', first='craft     ')
+    for line in held.rotors:
+        yield from wrapped(line, '          ', first='rotors    ')
     for pattern in held.layout:
         yield from wrapped(pattern.sentence, '          ')
     if held.battery:

@@ -16,7 +16,8 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.bags.storage import Storage
 from quad_sysid.blackbox import excitation_order
-from quad_sysid.contract import MIXER_INVERSE, TOPIC_TYPES
+from quad_sysid.contract import TOPIC_TYPES
+from quad_sysid.craft import Craft, X
 from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
@@ -37,10 +38,12 @@ from quad_sysid.pipeline.evaluate import flown_spans
 from quad_sysid.pipeline.identify import asked_axes
 from quad_sysid.pipeline.usable import AT_LIMIT, check_usable, refusal
 from quad_sysid.record import Record, Segment, finite_runs
+from quad_sysid.rotors import rotors_of
 
 GAP_CYCLES = 1.5
 """A pause between stamps longer than this many intervals is a gap."""
 ON_CHANGE = 'rcl_interfaces/msg/ParameterEvent'
+TEXT = 'std_msgs/msg/String'
 STAMP_END = 12
 
 
@@ -79,7 +82,9 @@ def topics(path: Path) -> Topics:
     stamps: dict[str, list[npt.NDArray[np.int64]]] = {}
     for batch in storage.batches():
         for topic, raws in batch.items():
-            stamps.setdefault(topic, []).append(_stamps(raws))
+            none = TOPIC_TYPES[topic] == TEXT
+            stamps.setdefault(topic, []).append(
+                np.zeros(len(raws), np.int64) if none else _stamps(raws))
     found = tuple(
         _content(topic, np.concatenate(stamps[topic])) for topic in TOPIC_TYPES if topic in stamps
     )
@@ -251,6 +256,10 @@ class Content:
     motors_at_limit_pct: tuple[float, ...] = ()
     """Per motor, share of the time at 0 or 1; empty where /motors/command is missing."""
     battery: Battery | None = None
+    craft: str = ''
+    """Where its motors are, in words; empty where only the control is known."""
+    rotors: tuple[str, ...] = ()
+    """The motors' lag by the measured speeds of the rotors, and motors that lag, slip or stop."""
     layout: tuple[Pattern, ...] = ()
     """Patterns of each moving axis by the motion, in the order of the contract: of the motors, or
     where the bag lacks them of the axis' command."""
@@ -288,7 +297,18 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
                    segments=record.segments, gains=tuple(sorted(record.gains_at(np.inf))),
                    motors_at_limit_pct=_at_limit(record), battery=_battery(record), layout=layout,
                    axes=axes, uses=_uses_of_flight(axes, 1.0 / record.dt),
+                   craft=described(record.craft)
+                   if record.motors is not None or record.craft != X else '',
+                   rotors=rotors_of(record).lines,
                    warnings=(*record.warnings, *((warning,) if warning else ()), *odd))
+
+
+def described(craft: Craft) -> str:
+    """The craft's motors in one line."""
+    turns = {1: 'counter-clockwise', -1: 'clockwise'}
+    return f'{craft.name}: ' + ', '.join(
+        f'motor_{k} {place} {turns[motor.spin]}'
+        for k, (place, motor) in enumerate(zip(craft.places, craft.motors, strict=True), 1))
 
 
 def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
@@ -298,8 +318,9 @@ def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
         return found, opposite(found, {})
     layout = told(patterns_of(record.rates, record.motors, record.dt, record.angles),
                   record.rates, record.motors, record.dt)
-    return layout, doubts("the contract's mixer", MIXER_INVERSE, layout, record.rates,
-                          record.motors, record.dt, record.angles) + places(layout)[1]
+    craft = record.craft
+    return layout, doubts(f'the mixer of {craft.name}', craft.inverse, layout, record.rates,
+                          record.motors, record.dt, record.angles) + places(layout, craft)[1]
 
 
 def _axis(record: Record, axis: str) -> AxisContent:

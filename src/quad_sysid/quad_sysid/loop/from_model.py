@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import logm
 
-from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray, motors_from_wrench
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.effects.actuators import Following
 from quad_sysid.effects.hidden import Linear
 from quad_sysid.effects.hidden import Memory as Warming
@@ -220,9 +220,10 @@ def _beside(model: AxisModel, one: Placed, at: Mapping[str, float],
         wrench[:, 0], wrench[:, AXES.index(model.axis) + 1] = at['throttle'], command
         return one.signals(at, rate.size, rate=rate, angle=angle, drive=drive, command=drive,
                            lagged=command, sent=command, dt=dt, lag=model.value('lag'),
-                           motors=tuple(motors_from_wrench(wrench).T), share=_share(model))
+                           motors=tuple(model.craft.commands(wrench).T), share=_share(model))
 
-    start = one.signals(at, 1, dt=dt, motors=tuple(np.full((4, 1), at['throttle'])))
+    hover = np.full((_share(model).size, 1), at['throttle'])
+    start = one.signals(at, 1, dt=dt, motors=tuple(hover))
     rest = effect.settled(start, p, settings)[:, 0]
 
     def after(x: FloatArray, s: Signals) -> FloatArray:
@@ -300,7 +301,7 @@ def _passed(one: Placed, at: Mapping[str, float], gain: float) -> Function:
 
 
 def _share(model: AxisModel) -> FloatArray:
-    return MIXER_INVERSE[AXES.index(model.axis) + 1]
+    return np.asarray(model.craft.inverse[AXES.index(model.axis) + 1])
 
 
 def commanded(model: AxisModel, at: Mapping[str, float], command: FloatArray) -> Signals:
@@ -308,7 +309,7 @@ def commanded(model: AxisModel, at: Mapping[str, float], command: FloatArray) ->
     n = command.size
     wrench = np.zeros((n, 4))
     wrench[:, 0], wrench[:, AXES.index(model.axis) + 1] = at['throttle'], command
-    motors, rest = np.clip(motors_from_wrench(wrench), 0.0, 1.0), np.zeros(n)
+    motors, rest = model.craft.commands(wrench), np.zeros(n)
     return Signals(rest, rest, rest, rest, rest, rest, np.full(n, at['throttle']),
                    np.full(n, at['battery']), (rest, rest), (rest, rest), np.full(n, LATE_S),
                    (rest, rest), motors=tuple(motors.T), sent=command, share=_share(model),

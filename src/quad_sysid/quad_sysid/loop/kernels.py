@@ -6,25 +6,19 @@ Only arithmetic on arrays; simulation.py says what the numbers mean.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+from numba import types
 
+from quad_sysid.compiled import BLOCK, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.contract import FloatArray
 
-_F = TypeVar('_F', bound=Callable[..., object])
 IntArray = npt.NDArray[np.int64]
 INTEGRAL, LAST_RATE, D_PART = 0, 1, 2
 EMPTY = 3
 """Size of an empty table."""
-
-
-def kernel(function: _F) -> _F:
-    """`function` compiled at its first call and cached on disk."""
-    return cast('_F', njit(cache=True, error_model='numpy')(function))
 
 
 class Constants(NamedTuple):
@@ -62,7 +56,12 @@ class Cycle(NamedTuple):
     """Tables are (x0, step, y0, y1, …), or of size EMPTY."""
 
 
-@kernel
+GAINS = types.NamedUniTuple(NUMBER, len(Constants._fields), Constants)
+CYCLE = types.NamedTuple(
+    (BLOCK, TABLE, TABLE, WHOLES, WHOLE, WHOLE, WHOLE, LINE, LINE, LINE), Cycle)
+
+
+@inner
 def look_up(table: FloatArray, x: float) -> float:
     """Value of a table at x, outside it along the end slopes; 0 if empty."""
     if table.size == EMPTY:
@@ -74,7 +73,7 @@ def look_up(table: FloatArray, x: float) -> float:
     return float(low + (position - index) * (table[3 + index] - low))
 
 
-@kernel
+@inner
 def control(gains: Constants, memory: FloatArray, reference: float, angle: float, rate: float,
             added: float) -> tuple[float, float]:
     """One cycle of C1/C2: (rate reference, u). `added` is a rate excitation; memory (3,)."""
@@ -90,7 +89,7 @@ def control(gains: Constants, memory: FloatArray, reference: float, angle: float
     return wanted, min(max(u, -gains.output_limit), gains.output_limit)
 
 
-@kernel
+@kernel(GAINS, TABLE, TABLE, LINE, LINE, LINE)
 def control_each(gains: Constants, memory: FloatArray, inputs: FloatArray, angle: FloatArray,
                  rate: FloatArray, out: FloatArray) -> None:
     """One cycle of f cascades: u (f,) with the excitation after C2.
@@ -103,7 +102,7 @@ def control_each(gains: Constants, memory: FloatArray, inputs: FloatArray, angle
         out[i] = u + inputs[i, 2]
 
 
-@kernel
+@inner
 def advance(cycle: Cycle, part: int, v: float, torque: float, state: FloatArray) -> None:
     """One step of `part` in place: exact linear part, Heun for the curves."""
     n = state.size
@@ -123,7 +122,7 @@ def advance(cycle: Cycle, part: int, v: float, torque: float, state: FloatArray)
         state[i] = free[i] + push[i] * x
 
 
-@kernel
+@kernel(GAINS, CYCLE, TABLE, LINE, TABLE, NUMBER)
 def run_plant(gains: Constants, cycle: Cycle, signals: FloatArray, state: FloatArray,
               out: FloatArray, lead: float) -> None:
     """The cascade around the plant; `lead`: of the measured angle over the rate's integral, s.
@@ -147,7 +146,7 @@ def run_plant(gains: Constants, cycle: Cycle, signals: FloatArray, state: FloatA
                 advance(cycle, part, v, signals[2, k], state)
 
 
-@kernel
+@kernel(GAINS, TABLE, LINE, LINE, TABLE, NUMBER)
 def run_polynomial(gains: Constants, signals: FloatArray, a: FloatArray, b: FloatArray,
                    out: FloatArray, lead: float) -> None:
     """The cascade around A(q) rate = B(q) u with a[0] = 1, b[0] = 0; the angle is its sum."""

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft, X
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.record import Record, finite_runs
+from quad_sysid.record import Record, RotorLag, finite_runs
 
 Span = tuple[int, int]
 
@@ -65,7 +66,7 @@ class AxisData:
     control: FloatArray
     """(n, 4) U1..U4."""
     motors: FloatArray
-    """(n, 4) motor commands 0..1."""
+    """(n, k) motor commands 0..1; k is 0 where only the control is known."""
     other_rates: FloatArray
     """(n, 2) the other two axes' rates in the order of AXES, rad/s; NaN where not measured."""
     battery_v: FloatArray | None
@@ -95,11 +96,20 @@ class AxisData:
     is whole itself."""
     trim: tuple[float, float] | None = None
     """Command and rate (rad/s) of the equilibrium that a fit has found; None: not known."""
+    craft: Craft = X
+    """Where its motors are and how they turn."""
+    rotor_lag: RotorLag | None = None
+    """The motors' lag as the measured speeds of the rotors show it; None: not measured."""
 
     @property
     def index(self) -> int:
         """0 roll, 1 pitch, 2 yaw; -1 for no axis of rotation, such as the climb over U1."""
         return AXES.index(self.axis) if self.axis in AXES else -1
+
+    @property
+    def share(self) -> FloatArray:
+        """(k,) what a unit of each motor's command adds to this axis' command."""
+        return self.craft.inverse[self.index + 1]
 
     @property
     def command(self) -> FloatArray:
@@ -240,6 +250,8 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     """
     dt = records[0].dt
     parts = [_prepare(record, axis) for record in records]
+    if len({part['motors'].shape[1] for part in parts}) > 1:  # not known in one of them
+        parts = [part | {'motors': part['motors'][:, :0]} for part in parts]
     joined: dict[str, Any] = {
         key: np.concatenate([values[key] for values in parts]) for key in parts[0]
     }
@@ -277,7 +289,8 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         else np.concatenate([np.full(count, hz) for hz, count in own]),
         derived_s=known_gains.get('sensor.rate_from_angle_s') or None,
         validation_names=tuple(name for _, name in pieces('validation')),
-        flights=flights,
+        flights=flights, craft=records[0].craft,
+        rotor_lag=next((r.rotor_lag for r in records if r.rotor_lag is not None), None),
     )
 
 
@@ -285,7 +298,10 @@ def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
     """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
     index, n = AXES.index(axis), record.n
     rate, control = record.rates[:, index], record.control
-    motors = motors_from_wrench(control) if record.motors is None else record.motors
+    motors = record.motors
+    if motors is None:
+        motors = np.zeros((n, 0)) if record.desaturation == 'none' else \
+            record.craft.commands(control)
     good = np.isfinite(rate) & np.isfinite(control[:, index + 1])
     if not good.any():
         raise NotInformativeError(
@@ -300,7 +316,7 @@ def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
         'angle': angles[:, index],
         'other_angles': angles[:, others],
         'control': filled(control),
-        'motors': filled(motors),
+        'motors': filled(motors) if motors.shape[1] else motors,
         'other_rates': record.rates[:, others],
         'battery_v': nothing if record.battery_v is None else record.battery_v,
         'reference': nothing if external is None else external,

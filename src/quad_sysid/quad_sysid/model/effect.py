@@ -175,6 +175,8 @@ class Effect:
     kind: str = 'named'
     signals: tuple[str, ...] = ()
     """What it depends on; reports draw it over the first."""
+    motors: tuple[int, ...] = ()
+    """Which motors, from 0, differ from the others; none: no single one does."""
     others: tuple[int, ...] = ()
     """Which of the other two axes (0, 1) it depends on."""
     term: str = 'torque'

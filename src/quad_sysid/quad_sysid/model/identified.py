@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.effect import Effect
 
@@ -140,6 +141,8 @@ class AxisModel:
     plain: tuple[Parameter, ...] = ()
     """The base fitted without effects, for the error `before`; empty: the base above."""
     plain_noise: NoiseEstimate | None = None
+    craft: Craft = X
+    """Where the motors are and how they turn."""
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
     """Effects from outside quad_sysid.effects that `effects` and rivals may name."""
 

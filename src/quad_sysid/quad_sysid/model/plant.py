@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
@@ -353,7 +353,7 @@ class Flight:
         if np.isfinite(data.other_rates).mean() > 0.5:
             self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
         columns = [AXES.index(name) + 1 for name in data.other_axes]
-        self.share = MIXER_INVERSE[data.index + 1]
+        self.share = data.share
         self._known: dict[str, Any] = {
             'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
             'time': data.clock + 0.5 * data.dt, 'other_rates': self.others,
@@ -644,6 +644,7 @@ class Flight:
         psi (n,): derivative of the innovations by it; logs (2,): of its spread and correlation.
         """
         spread, correlation = np.exp(logs)
+        psi = np.ascontiguousarray(psi)
         out = np.zeros((psi.size, 2))
         out[:, 1] = math.exp(-self.data.dt / correlation)
         for start, stop in self.passes if self.variance else ():

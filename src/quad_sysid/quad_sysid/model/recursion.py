@@ -4,20 +4,30 @@ Only arithmetic on arrays. The predictor's states are the rate, the torque distu
 states of the sensor. Physics enters as accelerations over the two halves of each cycle, already
 evaluated along a trajectory, with their slope over the rate. So the recursion is linear, and one
 loop serves every structure and all its derivatives (model/plant.py).
+Numbers are handled one by one: whole arrays in an expression take numba seconds to compile.
 """
 
 from __future__ import annotations
 
-import cmath
 import math
 
 import numpy as np
-from numba import njit
 
-_OPTIONS = {'cache': True, 'nogil': True, 'error_model': 'numpy'}
+from quad_sysid.compiled import (
+    BLOCK,
+    BLOCKS,
+    FLAG,
+    LINE,
+    NUMBER,
+    TABLE,
+    WHOLE,
+    WHOLES,
+    inner,
+    kernel,
+)
 
 
-@njit(**_OPTIONS)
+@inner
 def between(x, knots, values):
     """A curve over x, linear between its values at the knots (k,) and constant beyond them."""
     if x <= knots[0]:
@@ -29,14 +39,14 @@ def between(x, knots, values):
     return values[-1]
 
 
-@njit(**_OPTIONS)
-def motor_ahead(w, new, before, tau, factors, fraction, dt, known, out):
+@inner
+def motor_ahead(w, new, before, tau, uneven, factors, fraction, dt, known, out):
     """A motor's lagged command w a cycle later, whose command changes after a `fraction` of it.
 
-    tau s, times the exponential of a curve over how far the motor has to go, factors (2, k) its
-    knots and values. out (4,) receives the areas over both halves of the cycle, w and the command
-    at its middle. known (3, 3) are lengths, lags and decays of the cycle before, most often the
-    same. Solved exactly for a held command and a constant lag.
+    tau s, where `uneven` times the exponential of a curve over how far the motor has to go,
+    factors (2, k) its knots and values. out (4,) receives the areas over both halves of the cycle,
+    w and the command at its middle. known (3, 3) are lengths, lags and decays of the cycle before,
+    most often the same. Solved exactly for a held command and a constant lag.
     """
     cut0, cut1 = min(fraction, 0.5), max(fraction, 0.5)
     older = 1 if fraction < 0.5 else 2  # lengths with the older command
@@ -47,7 +57,7 @@ def motor_ahead(w, new, before, tau, factors, fraction, dt, known, out):
         u = before if i < older else new
         if h > 0.0:
             lag = tau
-            if factors.size:
+            if uneven:
                 lag *= math.exp(between(u - w, factors[0], factors[1]))
             if lag != known[1, i] or h != known[0, i]:
                 known[0, i], known[1, i], known[2, i] = h, lag, math.exp(-h / lag)
@@ -59,7 +69,7 @@ def motor_ahead(w, new, before, tau, factors, fraction, dt, known, out):
     return w
 
 
-@njit(**_OPTIONS)
+@inner
 def sent(commands, k, age, start):
     """The command (n,) that was sent `age` cycles before the k-th, linear between two."""
     whole = math.floor(age)
@@ -69,7 +79,7 @@ def sent(commands, k, age, start):
     return new + (age - whole) * (commands[max(k - int(whole) - 1, start)] - new)
 
 
-@njit(**_OPTIONS)
+@kernel(TABLE, LINE, TABLE, BLOCK, TABLE, LINE, NUMBER, WHOLE, WHOLE, TABLE, TABLE)
 def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves, states):
     """Drive of one axis: each command after its delay and lag, mixed by `row`.
 
@@ -80,44 +90,51 @@ def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves,
     """
     out = np.zeros(4)
     for c in range(commands.shape[0]):
-        weight = row[c]
+        weight, uneven = row[c], False
         if weight == 0.0:
             continue
-        curve = factors[c] if np.any(factors[c, 1] != 0.0) else factors[c, :, :0]
+        for i in range(factors.shape[2]):
+            uneven = uneven or factors[c, 1, i] != 0.0
         w, known = commands[c, start], np.zeros((3, 3))
         for k in range(start, stop):
             w = motor_ahead(
                 w, sent(commands[c], k, ages[1, k], start),
-                sent(commands[c], k, ages[0, k], start), lag[c, k], curve, fraction[k], dt,
-                known, out,
+                sent(commands[c], k, ages[0, k], start), lag[c, k], uneven, factors[c],
+                fraction[k], dt, known, out,
             )
             halves[0, k] += weight * out[0]
             halves[1, k] += weight * out[1]
             states[0, k] += weight * out[2]
             states[1, k] += weight * out[3]
-    halves[:, start:stop] *= 2.0 / dt
+    for k in range(start, stop):
+        halves[0, k] *= 2.0 / dt
+        halves[1, k] *= 2.0 / dt
 
 
-@njit(**_OPTIONS)
+@kernel(TABLE, TABLE, TABLE, LINE, TABLE, BLOCK, LINE, NUMBER, TABLE)
 def motors_ahead(w, new, before, row, lag, factors, fraction, dt, out):
     """One cycle of m flights: w (c, m) in place; new, before, lag (c, m), fraction (m,).
 
     out (4, m) receives the mean drive over both halves, the drive and the command at mid-cycle.
     """
     own, known = np.zeros(4), np.zeros((3, 3))
-    out[:] = 0.0
+    for i in range(w.shape[1]):
+        out[0, i] = out[1, i] = out[2, i] = out[3, i] = 0.0
     for c in range(w.shape[0]):
-        curve = factors[c] if np.any(factors[c, 1] != 0.0) else factors[c, :, :0]
+        uneven = False
+        for i in range(factors.shape[2]):
+            uneven = uneven or factors[c, 1, i] != 0.0
         for i in range(w.shape[1]):
-            w[c, i] = motor_ahead(w[c, i], new[c, i], before[c, i], lag[c, i], curve, fraction[i],
-                                  dt, known, own)
+            w[c, i] = motor_ahead(w[c, i], new[c, i], before[c, i], lag[c, i], uneven, factors[c],
+                                  fraction[i], dt, known, own)
             out[0, i] += row[c] * own[0] * 2.0 / dt
             out[1, i] += row[c] * own[1] * 2.0 / dt
             out[2, i] += row[c] * own[2]
             out[3, i] += row[c] * own[3]
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, NUMBER, TABLE, LINE, LINE, LINE, TABLE, FLAG, NUMBER, WHOLE, WHOLE, TABLE, TABLE,
+        WHOLES, TABLE, TABLE, BLOCK, BLOCKS, WHOLES, LINE, TABLE, LINE, TABLE)
 def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, columns, bends,
             bent, filters, wander, pursuit, by_pursuit, place, rate, states, innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
@@ -142,18 +159,27 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
     g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
     c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
     fade, hold = move[0], move[1]
-    n = np.ascontiguousarray(filters[:, :4].T)
-    t = np.ascontiguousarray(filters[:, first : first + 2].T)
+    n, t, lines = np.empty((4, m)), np.empty((2, m)), first // 2 - 2
     # each line is one complex state, which turns
-    into, turn = gain[4:].view(np.complex128), move[2:].view(np.complex128)
-    by_into = np.ascontiguousarray(filters[:, 4:first]).view(np.complex128)
-    by_turn = np.ascontiguousarray(filters[:, first + 2 :]).view(np.complex128)
-    lines = turn.size
+    into, turn = np.empty(lines, np.complex128), np.empty(lines, np.complex128)
+    by_into = np.empty((m, lines), np.complex128)
+    by_turn = np.empty((m, lines), np.complex128)
+    for j in range(m):
+        n[0, j], n[1, j], n[2, j], n[3, j] = (
+            filters[j, 0], filters[j, 1], filters[j, 2], filters[j, 3])
+        t[0, j], t[1, j] = filters[j, first], filters[j, first + 1]
+    for i in range(lines):
+        into[i] = complex(gain[4 + 2 * i], gain[5 + 2 * i])
+        turn[i] = complex(move[2 + 2 * i], move[3 + 2 * i])
+        for j in range(m):
+            by_into[j, i] = complex(filters[j, 4 + 2 * i], filters[j, 5 + 2 * i])
+            at = first + 2 + 2 * i
+            by_turn[j, i] = complex(filters[j, at], filters[j, at + 1])
     r, d, g, q = begin, 0.0, y[start], 0.0
     v, x = np.zeros(lines, np.complex128), np.zeros(wanders)
     s, sv, sx = np.zeros((4, m)), np.zeros((lines, m), np.complex128), np.zeros((wanders, m))
     for k in range(start, stop):
-        states[k, :4] = r, d, g, q
+        states[k, 0], states[k, 1], states[k, 2], states[k, 3] = r, d, g, q
         e = y[k] - (g if behind else r)
         for j in range(m):
             jacobian[k, j] = -(s[2, j] if behind else s[0, j])
@@ -166,7 +192,8 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
         innovation[k] = e
         if not np.isfinite(y[k]):
             e = 0.0
-            jacobian[k] = 0.0
+            for j in range(m):
+                jacobian[k, j] = 0.0
         r += c0 * e
         d += c1 * e
         g += c2 * e
@@ -224,7 +251,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
         d *= fade
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, NUMBER, NUMBER, WHOLE, WHOLE, TABLE)
 def pursuit(psi, variance, spread, start, stop, out):
     """Gain of a wandering parameter per innovation into the first column of `out` (n, 2).
 
@@ -241,7 +268,7 @@ def pursuit(psi, variance, spread, start, stop, out):
         p = left * left * p * variance / total + more
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, LINE, TABLE, WHOLE, WHOLE, LINE)
 def pursued(e, psi, pursuit, start, stop, out):
     """Innovations e (n,) after such a parameter has followed them with this gain, into `out`."""
     x = 0.0
@@ -250,33 +277,107 @@ def pursued(e, psi, pursuit, start, stop, out):
         x = pursuit[k, 1] * (x + pursuit[k, 0] * out[k])
 
 
-@njit(**_OPTIONS)
+@inner
+def product(a, b):
+    """A matrix times another one."""
+    out = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            for j in range(b.shape[1]):
+                out[i, j] += a[i, k] * b[k, j]
+    return out
+
+
+@inner
+def transposed(a, rows):
+    """A matrix' first rows as columns."""
+    out = np.empty((a.shape[1], rows))
+    for i in range(rows):
+        for j in range(a.shape[1]):
+            out[j, i] = a[i, j]
+    return out
+
+
+@inner
+def corner(a, size):
+    """The first (size, size) of a matrix."""
+    out = np.empty((size, size))
+    for i in range(size):
+        for j in range(size):
+            out[i, j] = a[i, j]
+    return out
+
+
+@inner
+def inverse(a):
+    """A matrix' inverse by Gauss and Jordan, the largest pivot of each column; `a` is used up."""
+    n = a.shape[0]
+    out = np.zeros((n, n))
+    for i in range(n):
+        out[i, i] = 1.0
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(a[i, k]) > abs(a[pivot, k]):
+                pivot = i
+        for j in range(n):
+            a[k, j], a[pivot, j] = a[pivot, j], a[k, j]
+            out[k, j], out[pivot, j] = out[pivot, j], out[k, j]
+        scale = 1.0 / a[k, k]
+        for j in range(n):
+            a[k, j] *= scale
+            out[k, j] *= scale
+        for i in range(n):
+            share = a[i, k]
+            if i != k and share != 0.0:
+                for j in range(n):
+                    a[i, j] -= share * a[k, j]
+                    out[i, j] -= share * out[k, j]
+    return out
+
+
+@inner
 def riccati(f, q, c, r):
     """Steady predicted covariance (n, n) of a Kalman filter, by doubling.
 
     f (n, n) transition, q (n, n) its noise, c (n,) output, r its noise variance. Anderson (1978).
     """
-    a, g, h = np.ascontiguousarray(f.T), np.outer(c, c) / r, q
-    eye = np.eye(c.size)
+    n = c.size
+    a, g, h = transposed(f, n), np.empty((n, n)), corner(q, n)
+    for i in range(n):
+        for j in range(n):
+            g[i, j] = c[i] * c[j] / r
     for _ in range(60):
-        w = np.linalg.inv(eye + g @ h)
-        new_h = h + a.T @ h @ w @ a
-        g = g + a @ w @ g @ a.T
-        a = a @ w @ a
-        change = np.max(np.abs(new_h - h))
-        h = 0.5 * (new_h + new_h.T)
-        if change <= 1e-13 * np.max(np.abs(h)):
+        mixed = product(g, h)
+        for i in range(n):
+            mixed[i, i] += 1.0
+        w, back = inverse(mixed), transposed(a, n)
+        more_h = product(product(product(back, h), w), a)
+        ahead = product(a, w)
+        more_g = product(product(ahead, g), back)
+        a = product(ahead, a)
+        change = largest = 0.0
+        for i in range(n):
+            for j in range(n):
+                g[i, j] += more_g[i, j]
+                change = max(change, abs(more_h[i, j]))
+                more_h[i, j] += h[i, j]
+        for i in range(n):
+            for j in range(n):
+                h[i, j] = 0.5 * (more_h[i, j] + more_h[j, i])
+                largest = max(largest, abs(h[i, j]))
+        if change <= 1e-13 * largest:
             break
     return h
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, NUMBER, TABLE, FLAG, FLAG, FLAG, NUMBER)
 def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
     """The fields of noise.Filter, its floor excepted, for a sensor that measures the rate.
 
     Arguments: as noise.kalman and noise.Sensor name them; noise (4 + 3 v,).
     """
-    white, disturbance, correlation, after = noise[:4]
+    white, disturbance, correlation, after = noise[0], noise[1], noise[2], noise[3]
     lines = (noise.size - 4) // 3
     fade = math.exp(-dt / correlation)
     hold = correlation / dt * (1.0 - fade)
@@ -288,53 +389,70 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
     rows = np.zeros((whole, whole))
     rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
     by_halves = np.zeros((whole, 2))  # of accelerations over the two halves
-    by_halves[0] = 0.5 * push
-    move = np.empty(2 + 2 * lines)
+    by_halves[0, 0] = by_halves[0, 1] = 0.5 * push
+    move, inside = np.empty(2 + 2 * lines), np.empty(2)
     move[0], move[1] = fade, hold
-    begin, half, end = step[:, 2], step[:, 3], step[:, 4]
-    by_mean, inside = 0.5 * half + end, begin + half + end
-    rows[2:4, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
-    rows[2:4, 1] = by_mean * push * hold
-    rows[2:4, 2:4] = step[:, :2]
-    by_halves[2:4, 0] = by_mean * 0.5 * push + 0.25 * dt * half
-    by_halves[2:4, 1] = by_mean * 0.5 * push - 0.25 * dt * half
-    process = white**2 * 2.0 / dt * (by_halves @ by_halves.T)
-    process[1, 1] += disturbance**2 * (1.0 - fade**2)
+    for i in range(2):
+        begin, half, end = step[i, 2], step[i, 3], step[i, 4]
+        by_mean = 0.5 * half + end
+        inside[i] = begin + half + end
+        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
+        rows[2 + i, 1] = by_mean * push * hold
+        rows[2 + i, 2], rows[2 + i, 3] = step[i, 0], step[i, 1]
+        by_halves[2 + i, 0] = by_mean * 0.5 * push + 0.25 * dt * half
+        by_halves[2 + i, 1] = by_mean * 0.5 * push - 0.25 * dt * half
+    process = product(by_halves, transposed(by_halves, whole))
+    for i in range(whole):
+        for j in range(whole):
+            process[i, j] *= white * white * 2.0 / dt
+    process[1, 1] += disturbance * disturbance * (1.0 - fade * fade)
     c = np.zeros(whole)
     c[2 if behind else 0] = 1.0
     for i in range(lines):
-        rms, frequency, width = noise[4 + 3 * i : 7 + 3 * i]
-        turn = cmath.exp(math.pi * dt * complex(-width, 2.0 * frequency))  # over a cycle
+        rms, frequency, width = noise[4 + 3 * i], noise[5 + 3 * i], noise[6 + 3 * i]
+        left = math.exp(-math.pi * dt * width)  # after a cycle, in which it turns by an angle
+        angle = 2.0 * math.pi * dt * frequency
+        turned, across = left * math.cos(angle), left * math.sin(angle)
         k = 4 + 2 * i
         c[k] = 1.0
-        move[2 + 2 * i], move[3 + 2 * i] = turn.real, turn.imag
-        rows[k, k] = rows[k + 1, k + 1] = turn.real
-        rows[k, k + 1], rows[k + 1, k] = -turn.imag, turn.imag
-        process[k, k] = process[k + 1, k + 1] = rms**2 * (1.0 - abs(turn) ** 2)
+        move[2 + 2 * i], move[3 + 2 * i] = turned, across
+        rows[k, k] = rows[k + 1, k + 1] = turned
+        rows[k, k + 1], rows[k + 1, k] = -across, across
+        process[k, k] = process[k + 1, k + 1] = rms * rms * (1.0 - left * left)
     r = adds = 1.0
     if noisy:
-        r = adds = after**2
+        r = adds = after * after
         if averaged:
             # Noise enters over two cycles, with equal shares. The second share is put in with the
             # first, as the states would have to be for it to end where it does; what they then
             # show too early is taken from the output.
-            inside *= math.sqrt(0.5)
-            early = np.linalg.solve(step[:, :2].copy(), inside)
-            inside += early
-            process[size, size], c[size] = 1.0, -early[0]
-            process[2:4, size] = process[size, 2:4] = inside
-            adds += early[0] ** 2 - 2.0 * inside[0] * early[0]
-        process[2:4, 2:4] += np.outer(inside, inside)
+            inside[0] *= math.sqrt(0.5)
+            inside[1] *= math.sqrt(0.5)
+            area = step[0, 0] * step[1, 1] - step[0, 1] * step[1, 0]
+            early = (step[1, 1] * inside[0] - step[0, 1] * inside[1]) / area
+            inside[1] += (step[0, 0] * inside[1] - step[1, 0] * inside[0]) / area
+            inside[0] += early
+            process[size, size], c[size] = 1.0, -early
+            for i in range(2):
+                process[2 + i, size] = process[size, 2 + i] = inside[i]
+            adds += early * early - 2.0 * inside[0] * early
+        for i in range(2):
+            for j in range(2):
+                process[2 + i, 2 + j] += inside[i] * inside[j]
     covariance = riccati(rows, process, c, r)
-    shown = covariance @ c
-    s = shown @ c + r
-    return (
-        shown[:size] / s, move, s, rows[:size, :size].copy(), process[:size, :size].copy(),
-        covariance[:size, :size].copy(), c[:size].copy(), adds,
-    )
+    gain, output, s = np.zeros(size), np.empty(size), r
+    for i in range(whole):
+        for j in range(whole):
+            s += c[i] * covariance[i, j] * c[j]
+    for i in range(size):
+        output[i] = c[i]
+        for j in range(whole):
+            gain[i] += covariance[i, j] * c[j] / s
+    return (gain, move, s, corner(rows, size), corner(process, size), corner(covariance, size),
+            output, adds)
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
 def play(command, width, start, stop, out):
     """What a backlash of +-width holds at the start of each cycle."""
     held = command[start]
@@ -343,7 +461,7 @@ def play(command, width, start, stop, out):
         held = min(max(held, command[k] - width), command[k] + width)
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
 def in_steps(x, hysteresis, start, stop, out):
     """The whole step of x at the start of each cycle, kept until x is 0.5 + hysteresis away."""
     kept = math.floor(x[start] + 0.5)
@@ -353,7 +471,7 @@ def in_steps(x, hysteresis, start, stop, out):
             kept = math.floor(x[k] + 0.5)
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
 def slew(command, step, start, stop, out):
     """At the start of each cycle the command, which changes by at most `step` per cycle."""
     held = command[start]
@@ -362,14 +480,16 @@ def slew(command, step, start, stop, out):
         held += min(max(command[k] - held, -step), step)
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, TABLE, LINE, WHOLE, WHOLE, TABLE)
 def linear_states(moving, a, b, start, stop, out):
     """States x of x+ = a x + b moving, at the start of each cycle: (m, n) into `out`.
 
     They begin as out[:, start].
     """
     m = b.size
-    x, new = out[:, start].copy(), np.empty(m)
+    x, new = np.empty(m), np.empty(m)
+    for i in range(m):
+        x[i] = out[i, start]
     for k in range(start, stop - 1):
         for i in range(m):
             total = b[i] * moving[k]
@@ -380,7 +500,7 @@ def linear_states(moving, a, b, start, stop, out):
         x, new = new, x
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, LINE, NUMBER, WHOLE, WHOLE, LINE)
 def led(measured, turned, gain, start, stop, out):
     """A measured angle, followed with this gain and carried on by what was turned since, rad.
 
@@ -395,7 +515,7 @@ def led(measured, turned, gain, start, stop, out):
         x += turned[k]
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
 def built_up(rate, share, start, stop, out):
     """State (-1..1) of a friction that builds up over an angle, at the start of each cycle."""
     x = 0.0
@@ -405,7 +525,7 @@ def built_up(rate, share, start, stop, out):
         x = way + (x - way) * math.exp(-abs(rate[k]) * share)
 
 
-@njit(**_OPTIONS)
+@inner
 def loose_ahead(pull, moved, spring, damping, dt, z, q):
     """A loose mass a cycle later: its place z and own speed q, and its acceleration f meanwhile.
 
@@ -425,7 +545,7 @@ def loose_ahead(pull, moved, spring, damping, dt, z, q):
     return z, q, (q - before) / dt - pull
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, WHOLE, WHOLE, TABLE)
 def loose(pull, moved, spring, damping, dt, start, stop, out):
     """Such z and q at the start of each cycle, (2, n) into `out`, as they begin."""
     z, q = out[0, start], out[1, start]
@@ -434,7 +554,7 @@ def loose(pull, moved, spring, damping, dt, start, stop, out):
         z, q, _ = loose_ahead(pull[k], moved[k], spring, damping, dt, z, q)
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, TABLE, TABLE)
 def all_loose_ahead(pull, moved, spring, damping, dt, states, out):
     """The same of many a cycle later, and f meanwhile, into `out` (3, w)."""
     for i in range(pull.size):
@@ -443,7 +563,7 @@ def all_loose_ahead(pull, moved, spring, damping, dt, states, out):
         )
 
 
-@njit(**_OPTIONS)
+@inner
 def yielded(x, push, slope, lean, flow, dt):
     """A state x a cycle later: x' = push - flow (slope x + lean x² + x³).
 
@@ -459,7 +579,7 @@ def yielded(x, push, slope, lean, flow, dt):
     return x
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, NUMBER, NUMBER, NUMBER, NUMBER, WHOLE, WHOLE, LINE)
 def yielding(push, slope, lean, flow, dt, start, stop, out):
     """Such a state at the start of each cycle into `out` (n,), from zero."""
     x = 0.0
@@ -468,7 +588,7 @@ def yielding(push, slope, lean, flow, dt, start, stop, out):
         x = yielded(x, push[k], slope, lean, flow, dt)
 
 
-@njit(**_OPTIONS)
+@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, NUMBER)
 def all_yielded(x, push, slope, lean, flow, dt):
     """The states (w,) a cycle later."""
     out = np.empty_like(x)

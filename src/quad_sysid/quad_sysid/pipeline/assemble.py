@@ -53,6 +53,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         trusted_band_rad_s=band,
         plain=base.base,
         plain_noise=stored.noise_of(findings.before.fit),
+        craft=data.craft,
         own_effects=tuple(effect for effect in candidates if effect not in EFFECTS),
     )
 

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from quad_sysid.blackbox import Model
-from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft
 from quad_sysid.discover.accept import Horizon, Unseen, horizons, rms
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate import stored
@@ -23,7 +24,7 @@ from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.model.effect import Signals
 from quad_sysid.pipeline import blackbox_part
 from quad_sysid.pipeline.assemble import outside_of
-from quad_sysid.pipeline.usable import check_limits, same_rate
+from quad_sysid.pipeline.usable import check_limits, same_craft, same_rate
 from quad_sysid.record import Record, finite_runs
 
 MOTION = 1.5
@@ -33,7 +34,7 @@ PHASES = 12
 """Starts of the search for the phase of a periodic effect."""
 NEEDS = {'other angle': "the other axes' angles in /imu/data",
          'angle': 'an orientation in /imu/data', 'battery': '/battery',
-         'other rate': "the other axes' rates"}
+         'other rate': "the other axes' rates", 'motors': 'the motors of its craft'}
 """Signals that a bag may lack, and their topics; the first whose name is in an effect's counts."""
 
 
@@ -98,7 +99,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
             f'rad/s in half a second{noise}); is the axis held, or the aircraft at rest?'
         )
     before, after = stored.plain(model), stored.completed(model)
-    _check_signals(record, unseen, after)
+    _check_signals(record, unseen, after, model.craft)
     after = of_this_flight(unseen, after)
     base = {p.name: p.value for p in model.plain or model.base}
     about = blackbox_part.about_base(replace(data, reference=None), base['gain'], base['bias'])
@@ -118,12 +119,13 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     )
 
 
-def _check_signals(record: Record, unseen: Unseen, model: Stored) -> None:
+def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) -> None:
     """Raise BadInputError where an effect needs a signal that the bag lacks."""
     data = unseen.problem.data
     known = {'other angle': data.other_angles is not None, 'angle': data.angle is not None,
              'battery': data.battery_v is not None,
-             'other rate': unseen.problem.flight.others is not None}
+             'other rate': unseen.problem.flight.others is not None,
+             'motors': bool(data.motors.shape[1]) and same_craft(record.craft, craft)}
     for part in model.structure.parts:
         for signal in part.effect.signals:
             need = next((n for n in NEEDS if n in signal), '')
@@ -203,7 +205,7 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     around = Signals(
         *[rest] * 6, wrench[None, :, 0], _like(battery_v, n, 'battery_v', usual['battery'])[None],
         (rest, rest), (rest, rest), model.dt * (np.arange(n) + 0.5)[None],
-        other_angles=(rest, rest), motors=tuple(motors_from_wrench(wrench).T[:, None]),
+        other_angles=(rest, rest), motors=tuple((wrench @ model.craft.mixer.T).T[:, None]),
         sent=command[None],
     )
     plant = plant_of(model)
@@ -211,7 +213,7 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     still = np.zeros(4)
     still[0] = wrench[0, 0]
     at_rest = replace(at_rest, sent=np.zeros(1),
-                      motors=tuple(motors_from_wrench(still[None]).T))
+                      motors=tuple((model.craft.mixer @ still)[:, None]))
     x = plant.begin(at_rest, *(np.array([float(value)]) for value in x0))
     out = np.empty(n)
     for k in range(n):

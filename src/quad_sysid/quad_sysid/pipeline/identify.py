@@ -196,7 +196,8 @@ def _below(p: float) -> str:
 
 
 def _warnings(records: Sequence[Record]) -> tuple[str, ...]:
-    return tuple(w for r in records for w in (*r.warnings, refusal(r)) if w)
+    return tuple(w for r in records
+                 for w in (*r.warnings, refusal(r)) if w)
 
 
 def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray | None:

@@ -8,25 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, permutations
+from itertools import combinations
 
 import numpy as np
 
-from quad_sysid.contract import AXES, FloatArray, motors_from_wrench
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
-from quad_sysid.record import Record
+from quad_sysid.record import Record, RotorLag
+from quad_sysid.rotors import rotors_of
 
 SAME_RATE = 5e-3
 """Relative difference of sample intervals that two clocks of one rate may have."""
 WORTH_SAYING = 5e-4
 """Above this, a warning states the difference."""
+SAME_PLACES = 0.02
+"""Difference of mixers that two descriptions of one craft may have."""
 LEAST_OVERLAP = 50
 """Samples; fewer may agree by chance, as at rest."""
 
 
 def together(records: Sequence[Record]) -> tuple[Record, ...]:
     """The records on the first one's sample interval, its clock's difference taken as nothing.
+
+    With the motors' lag where the speeds of the rotors were measured.
 
     Raises BadInputError where their rates differ by more than SAME_RATE, or where two of them
     hold the same measurement, which would count twice.
@@ -37,6 +43,10 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
             raise BadInputError(record.source, 'all bags must have one sample rate',
                                 f'{1.0 / record.dt:.6g} Hz, the first {1.0 / first.dt:.6g} Hz',
                                 'identify them one by one')
+        if not same_craft(record.craft, first.craft):
+            raise BadInputError(record.source, 'all bags must be of one craft',
+                                f'motors {", ".join(record.craft.places)}; the first '
+                                f'{", ".join(first.craft.places)}', 'identify them one by one')
     for one, other in combinations(records, 2):
         _check_apart(one, other)
     taken = []
@@ -46,8 +56,17 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
             told = (f"{record.source}: its {1.0 / record.dt:.6g} Hz are taken as the first bag's "
                     f'{1.0 / dt:.6g} Hz')
             own = replace(own, warnings=(*own.warnings, told))
-        taken.append(own)
+        rotors = rotors_of(own, training=True)
+        if rotors.lag_s is not None:
+            own = replace(own, rotor_lag=RotorLag(rotors.lag_s, rotors.spread))
+        taken.append(replace(own, warnings=(*own.warnings, *rotors.lines)))
     return tuple(taken)
+
+
+def same_craft(one: Craft, other: Craft) -> bool:
+    """Whether two descriptions give one mixer."""
+    return one.count == other.count and bool(
+        np.allclose(one.inverse, other.inverse, atol=SAME_PLACES))
 
 
 def same_rate(dt: float, other: float) -> bool:
@@ -79,27 +98,29 @@ FLOOR = 2e-4
 
 
 def swapped_motors(record: Record) -> tuple[int, ...] | None:
-    """The motors (1..4) that stand in the four places of /motors/command; None: in order.
+    """The motors (1..n) that stand in the places of /motors/command; None: in order.
 
     None also where the record lacks one of the topics. Only orders are compared, so that topics
     that lag by a cycle, or limits below the nominal ones, raise no alarm.
     """
-    if record.motors is None or record.wrench is None:
+    if record.motors is None or record.wrench is None or record.desaturation == 'none':
         return None
-    expected = motors_from_wrench(record.wrench)
+    expected = record.craft.commands(record.wrench, record.desaturation)
     both = np.isfinite(record.motors).all(axis=1) & np.isfinite(expected).all(axis=1)
     good = np.flatnonzero(both)
     rows = good[:: max(1, good.size // ROWS)]
     if rows.size == 0:
         return None
     motors, expected = record.motors[rows], expected[rows]
-    left = {order: float(np.sqrt(np.mean((motors - expected[:, order]) ** 2)))
-            for order in permutations(range(4))}
-    best = min(left, key=left.__getitem__)
-    plain = left[0, 1, 2, 3]
-    if plain <= FLOOR or left[best] >= BETTER * plain:
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    square = np.mean((motors[:, :, None] - expected[:, None, :]) ** 2, axis=0)
+    best = linear_sum_assignment(square)[1]
+    plain = float(np.sqrt(np.mean(np.diag(square))))
+    left = float(np.sqrt(np.mean(square[np.arange(len(best)), best])))
+    if plain <= FLOOR or left >= BETTER * plain:
         return None
-    return tuple(motor + 1 for motor in best)
+    return tuple(int(motor) + 1 for motor in best)
 
 
 def refusal(record: Record) -> str:
@@ -108,7 +129,8 @@ def refusal(record: Record) -> str:
     if order is None:
         return ''
     return (f'{record.source}: /motors/command holds the motors in the order '
-            f'{", ".join(map(str, order))} (by /control/wrench and the mixer), not 1, 2, 3, 4; '
+            f'{", ".join(map(str, order))} (by /control/wrench and the mixer), not '
+            f'{", ".join(map(str, range(1, len(order) + 1)))}; '
             'put them in order and fly again')
 
 
@@ -151,7 +173,8 @@ def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
     """Raise NotInformativeError for motors or gyro at their limits over spans, named `where`."""
     motors = _inside(data.motors, spans)
     stuck = np.all((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT), axis=1)
-    if stuck.mean() > THROUGHOUT:  # the commands no longer say what the controller does
+    # the commands no longer say what the controller does
+    if motors.shape[1] and stuck.mean() > THROUGHOUT:
         raise NotInformativeError(
             f'{data.axis}: all motors are at their limits (0 or 1) during '
             f'{100.0 * stuck.mean():.0f} % of {where}; is it armed? Fly with less excitation '

@@ -32,6 +32,8 @@ BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
 NOT_STORED = {'axis', 'interval', 'own_effects'}
 """Fields that follow from the file's form, are for reports, or come from the caller."""
+OPTIONAL = {'craft'}
+"""Fields that older files lack."""
 BLACKBOX = ('structure', 'orders', 'approach', *POLYNOMIALS, 'nk', 'dt', 'noise_variance',
             'covariance')
 """Fields of a polynomial model that are stored."""
@@ -264,7 +266,7 @@ def _keys(tree: object, where: str, known: set[str], *, more: bool = False) -> d
     """An object with all of these fields, and no others but where there may be `more`."""
     if not isinstance(tree, dict):
         raise BadInputError(where, 'must be an object', type(tree).__name__)
-    missing = sorted(known - tree.keys())
+    missing = sorted(known - tree.keys() - OPTIONAL)
     if missing:
         raise BadInputError(where, f'lacks {", ".join(missing)}', remedy=AGAIN)
     unknown = sorted(tree.keys() - known)

@@ -1,4 +1,8 @@
-"""The answer as plain text for a terminal of 80 columns: the report's tables, and sentences."""
+"""The answer as plain text for a terminal of 80 columns: the report's tables, and sentences.
+
+Of each axis first the answer (verdict, what was missing, error before and after), the black-box
+models last.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +18,18 @@ def lines(report: Mapping[str, Any]) -> list[str]:
     """The text that `quad-sysid identify` prints of a report's tree."""
     out: list[str] = []
     for axis, tree in report['axes'].items():
-        models, parts = tables.models(tree), []
-        loop, outcome = (models.head.index(name) for name in ('loop, %', 'outcome'))
-        shown = [0, 1, *range(2, min(loop, 6)), loop]
-        parts.append(models.text(shown, outcome, caption=False))
+        parts = [_verdict(tree), tables.errors(tree).text((0, 1, 2)), growth(tree),
+                 _details(tree), _gains(axis, tree)]
         parts.append([line for note in tree.get('advice', ())
                       for line in wrapped(note, '    ', '  - ')])
         parts.append([
             line for i, warning in enumerate(tree.get('warnings', []))
             for line in (*(() if i else ('warnings',)), *wrapped(warning, '    ', '  - '))
         ])
-        parts += [_verdict(tree), tables.errors(tree).text((0, 1, 2)),
-                  growth(tree), _gains(axis, tree)]
+        models = tables.models(tree)
+        loop, outcome = (models.head.index(name) for name in ('loop, %', 'outcome'))
+        shown = [0, 1, *range(2, min(loop, 6)), loop]
+        parts.append(models.text(shown, outcome, caption=False))
         out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz']
         out += [line for part in parts if part for line in ('', *part)]
     return out
@@ -37,7 +41,12 @@ def _verdict(tree: Mapping[str, Any]) -> list[str]:
     for effect in tree['effects']:
         near = ', '.join(f'{r["name"]} {r["probability"]:.2f}' for r in effect['rivals'][:3])
         out += wrapped(f'rivals of {effect["name"]}: {near}') if near else []
-    out += tables.parameters(tree).text()
+    return out
+
+
+def _details(tree: Mapping[str, Any]) -> list[str]:
+    """The model's numbers, and what else became of what was asked."""
+    out = tables.parameters(tree).text()
     noise = (f'{p["name"].replace("_", " ")} {p["value"]:.3g} {p["unit"]}'
              for p in tree['base']['noise'])
     out += wrapped(', '.join(noise))

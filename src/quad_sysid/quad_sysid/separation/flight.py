@@ -12,7 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from quad_sysid.contract import AXES, MIXER_INVERSE, FloatArray, motors_from_wrench
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import Placed, placed
@@ -56,6 +57,7 @@ class Aircraft:
     noise: NoiseEstimate = field(default=PAPER_NOISE)
     battery_v: float = VOLTS
     throttle: float = THROTTLE
+    craft: Craft = X
     told: str = "the paper's plant"
     """Where the values come from, for the user."""
 
@@ -82,7 +84,7 @@ def aircraft_of(model: AxisModel, less: str, told: str) -> Aircraft:
         gains=CascadeGains.from_mapping(model.active_gains, model.axis) if known
         else CascadeGains.default(model.axis),
         dt=model.dt, gyro_filter_hz=model.gyro_filter_hz, noise=model.noise or PAPER_NOISE,
-        battery_v=model.mean_battery_v or VOLTS, told=told,
+        battery_v=model.mean_battery_v or VOLTS, craft=model.craft, told=told,
     )
 
 
@@ -161,7 +163,7 @@ def fly(aircraft: Aircraft, acting: Sequence[Placed],
         control[:, data.index + 1] = commands[:, i]
         flown.append(Flown(replace(
             data, rate=np.ascontiguousarray(rates[:, i]), control=control,
-            angle=np.ascontiguousarray(angles[:, i]), motors=motors_from_wrench(control),
+            angle=np.ascontiguousarray(angles[:, i]), motors=data.craft.commands(control),
         ), float(peak)))
     return flown
 
@@ -175,7 +177,7 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
     values = np.concatenate([aircraft.theta, *(one.p for one in acting)])
     index = AXES.index(aircraft.axis)
     plant = Plant(structure, values, dt, sensor_of(aircraft.gyro_filter_hz, None, dt),
-                  MIXER_INVERSE[index + 1])
+                  aircraft.craft.inverse[index + 1])
     known, wrench = _known(around), np.stack([d.control for d in around], axis=1)
     torque, gyro = _noise(aircraft, n)
     gains, memory = constants(aircraft.gains, dt), np.zeros((count, 3))
@@ -187,7 +189,7 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
         rates[k], angles[k] = rate + gyro[k], required(angle)
         control_each(gains, memory, inputs[:, :, k], angles[k], rates[k], u[k])
         wrench[k, :, index + 1] = u[k]
-        s = replace(known.at(k), sent=u[k], motors=tuple(motors_from_wrench(wrench[k]).T))
+        s = replace(known.at(k), sent=u[k], motors=tuple(aircraft.craft.commands(wrench[k]).T))
         x = plant.step(x, s, torque[k])
     return rates, angles, u
 
@@ -247,7 +249,8 @@ def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisDat
             rates[:, column], control[:, AXES.index(axis) + 1] = _stirred(axis, dt, n)
     volts = aircraft.battery_v - (fall - fall[-1] / 2.0)
     return AxisData(axis=aircraft.axis, dt=dt, rate=np.zeros(n), angle=np.zeros(n),
-                    control=control, motors=motors_from_wrench(control), other_rates=rates,
+                    control=control, motors=aircraft.craft.commands(control),
+                    craft=aircraft.craft, other_rates=rates,
                     other_angles=np.cumsum(rates, axis=0) * dt,
                     battery_v=volts - VOLTS_PER_THROTTLE * (throttle - aircraft.throttle),
                     gyro_filter_hz=aircraft.gyro_filter_hz, stretches=((0, n),),

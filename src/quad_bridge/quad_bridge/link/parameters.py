@@ -1,0 +1,89 @@
+"""Parameters of another autopilot that say how its craft is built, asked for by name. Pure.
+
+PX4 and ArduPilot have a thousand parameters; a few dozen are read, some at a time, each asked for
+again where no answer comes. A name that the firmware does not know gets no answer either. What the
+values mean is not known here.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+
+from quad_bridge.wire.frames import REAL32, Heartbeat, ParamRequestRead, ParamValue
+
+AT_ONCE = 8  # requests on their way: a telemetry radio must not be flooded
+AGAIN_NS, TRIES = 400_000_000, 3
+PX4 = 12  # MAV_AUTOPILOT
+_INTEGERS = {1: 'B', 2: 'b', 3: 'H', 4: 'h', 5: 'I', 6: 'i'}  # MAV_PARAM_TYPE to its layout
+_PX4_ROTOR = ('PX', 'PY', 'PZ', 'AZ', 'KM')
+_PX4_MOST, _PX4_OUTPUTS = 12, 16
+_PX4_FIRST_MOTOR = 101  # output function Motor 1
+_COUNT = 'CA_ROTOR_COUNT'
+_ARDUPILOT = (
+    'FRAME_CLASS', 'FRAME_TYPE', 'MOT_PWM_MIN', 'MOT_PWM_MAX',
+    *(f'SERVO{k}_FUNCTION' for k in range(1, 17)),
+)  # fmt: skip
+
+
+def number(value: ParamValue, *, bytewise: bool) -> float:
+    """The value of a parameter: an integer's bytes lie in the float (PX4), or it is the float."""
+    layout = _INTEGERS.get(value.kind)
+    if not bytewise or layout is None:
+        return value.value
+    return float(struct.unpack_from(f'<{layout}', struct.pack('<f', value.value))[0])
+
+
+class Parameters:
+    """Asks for the parameters of one autopilot; `settled` once all have come or been given up."""
+
+    def __init__(self, peer: Heartbeat) -> None:
+        self.values: dict[str, float] = {}
+        self._bytewise = peer.autopilot == PX4
+        self._autopilot = peer.autopilot
+        self._asked: dict[str, tuple[int, int]] = {}  # name to tries and when it is due again
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing more is asked for."""
+        return not any(self._open(name) for name in self._names())
+
+    def take(self, value: ParamValue) -> None:
+        """Take an answer, or what another party has asked for."""
+        if value.kind == REAL32 or value.kind in _INTEGERS:
+            self.values[value.name] = number(value, bytewise=self._bytewise)
+
+    def due(self, now_ns: int) -> list[ParamRequestRead]:
+        """What to ask for now."""
+        waiting = [name for name in self._names() if self._open(name)][:AT_ONCE]
+        asked = []
+        for name in waiting:
+            tries, again_ns = self._asked.get(name, (0, 0))
+            if now_ns >= again_ns:
+                self._asked[name] = tries + 1, now_ns + AGAIN_NS
+                if tries < TRIES:
+                    asked.append(ParamRequestRead(name))
+        return asked
+
+    def _open(self, name: str) -> bool:
+        return name not in self.values and self._asked.get(name, (0, 0))[0] <= TRIES
+
+    def _names(self) -> tuple[str, ...]:
+        if self._autopilot == PX4:
+            return px4_names(self.values)
+        return _ARDUPILOT if self._autopilot == 3 else ()
+
+
+def px4_names(values: Mapping[str, float]) -> tuple[str, ...]:
+    """What is to be known of PX4's geometry, by what is known already."""
+    count = min(max(int(values.get(_COUNT, 0)), 0), _PX4_MOST)
+    if not count:
+        return (_COUNT,)
+    rotors = (f'CA_ROTOR{k}_{part}' for k in range(count) for part in _PX4_ROTOR)
+    outputs = [f'PWM_MAIN_FUNC{k}' for k in range(1, _PX4_OUTPUTS + 1)]
+    motors = range(_PX4_FIRST_MOTOR, _PX4_FIRST_MOTOR + count)
+    if {values.get(name) for name in outputs} >= set(motors):
+        outputs = []  # every motor has its output
+    elif not all(name in values for name in outputs[:count]):
+        outputs = outputs[:count]
+    return (_COUNT, *rotors, *outputs)

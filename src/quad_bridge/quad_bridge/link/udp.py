@@ -1,0 +1,120 @@
+"""MAVLink over UDP as a port: `udp://`, `udpin://`, `udpout://`. No frames here.
+
+`udpin://HOST:PORT` listens, and answers all who have spoken lately; `udpout://HOST:PORT` speaks to
+that address. `udp://HOST:PORT` listens where the address is this computer's and free, else it
+speaks to it: PX4's simulator sends to port 14540, others wait there. No host means any address.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+import time
+
+SCHEMES = ('udp', 'udpin', 'udpout')
+HEARD_S = 10.0  # whoever has been silent for longer gets no answers
+MOST_PEERS = 8
+LARGEST = 65536
+BUFFER = 1 << 20  # bytes that wait in the kernel while the bridge gets no time
+ELSEWHERE = (errno.EADDRINUSE, errno.EADDRNOTAVAIL)
+
+
+class UdpPort:
+    """Datagrams as a stream of bytes; raises OSError and ValueError as a port does."""
+
+    def __init__(self, url: str) -> None:
+        scheme, host, port = parts(url)
+        self.refused = False
+        """Whether nobody listens at the address that is spoken to."""
+        self._peers: dict[tuple[str, int], float] = {}
+        family, kind, _, _, address = socket.getaddrinfo(
+            host or '0.0.0.0', port, type=socket.SOCK_DGRAM  # noqa: S104
+        )[0]
+        self._socket = socket.socket(family, kind)
+        self._socket.setblocking(False)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+        try:
+            self.listens = scheme != 'udpout' and self._bound(address, scheme)
+            if not self.listens:
+                self._socket.connect(address)
+        except OSError:
+            self._socket.close()
+            raise
+        self.url = f'{"udpin" if self.listens else "udpout"}://{host}:{port}'
+
+    def fileno(self) -> int:
+        """For select."""
+        return self._socket.fileno()
+
+    def read(self, _size: int) -> bytes:
+        """All datagrams that wait."""
+        data = bytearray()
+        with contextlib.suppress(BlockingIOError):
+            while len(data) < LARGEST:
+                try:
+                    datagram, sender = self._socket.recvfrom(LARGEST)
+                except ConnectionRefusedError:
+                    self.refused = True
+                    break
+                data += datagram
+                if datagram:
+                    self.refused = False
+                    self._heard(sender)
+        return bytes(data)
+
+    def write(self, data: bytes) -> int:
+        """Send one datagram to each peer; 0 where the output is full."""
+        try:
+            if not self.listens:
+                return self._sent(data)
+            now_s = time.monotonic()
+            self._peers = {p: s for p, s in self._peers.items() if now_s - s < HEARD_S}
+            return max((self._socket.sendto(data, peer) for peer in self._peers),
+                       default=len(data))  # fmt: skip
+        except BlockingIOError:
+            return 0
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _sent(self, data: bytes) -> int:
+        """Send to the one address; that an earlier datagram found nobody is told in its stead."""
+        try:
+            return self._socket.send(data)
+        except ConnectionRefusedError:
+            self.refused = True
+        with contextlib.suppress(ConnectionRefusedError):
+            return self._socket.send(data)
+        return len(data)
+
+    def _bound(self, address: tuple[object, ...], scheme: str) -> bool:
+        try:
+            self._socket.bind(address)
+        except OSError as error:
+            if scheme == 'udp' and error.errno in ELSEWHERE:
+                return False
+            raise
+        return True
+
+    def _heard(self, sender: tuple[str, int]) -> None:
+        if sender in self._peers or len(self._peers) < MOST_PEERS:
+            self._peers[sender] = time.monotonic()
+
+
+def is_udp(url: str) -> bool:
+    """Whether a port is one of these."""
+    scheme, separator, _ = url.partition('://')
+    return bool(separator) and scheme.lower() in SCHEMES
+
+
+def parts(url: str) -> tuple[str, str, int]:
+    """Scheme, host (empty: any address) and port; raises ValueError where the URL has no port."""
+    scheme, _, rest = url.partition('://')
+    host, separator, port = rest.partition('/')[0].rpartition(':')
+    if not separator or not port.isdecimal() or not 0 < int(port) < LARGEST:
+        raise ValueError(f'{url}: a UDP port is written udp://HOST:PORT')
+    if not host and scheme.lower() == 'udpout':
+        raise ValueError(f'{url}: must name the host that is spoken to')
+    return scheme.lower(), host.strip('[]'), int(port)

@@ -1,0 +1,84 @@
+"""Another autopilot's outputs as the motors of a craft: which output drives which motor. Pure.
+
+By its parameters, as far as it has told them, and by the description that the user gave. Where
+nobody says where the motors are, its outputs are taken for the X frame of PX4 and ArduPilot and
+put into the order of the contract's; the senses of rotation are then not known to be true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from quad_bridge.craft import Craft, ardupilot_channels, of_ardupilot, of_px4
+
+PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
+X_ORDER = (1, 3, 0, 2)
+"""Outputs of the X frame (front right, rear left, front left, rear right) that are the contract's
+motors 1 to 4."""
+PX4_FIRST_MOTOR = 101  # output function Motor 1
+RANGE_US = (1000.0, 2000.0)
+REMEDY = "set robot_description to a URDF or a layout's name"
+
+
+@dataclass(frozen=True)
+class MotorOutputs:
+    """The outputs that are motors."""
+
+    craft: Craft | None = None
+    """None: not known; the contract's X frame holds."""
+    channels: tuple[int, ...] = X_ORDER
+    """Output (from 0) of each motor."""
+    range_us: tuple[float, float] = RANGE_US
+    """Pulses of the commands 0 and 1."""
+    words: str = ''
+    """Where this is from, for the log."""
+
+    def efforts(self, pulses: tuple[int, ...]) -> list[float]:
+        """Normalised command of each motor, 0..1, of all outputs' pulses, µs."""
+        low, high = self.range_us
+        row = [pulses[k] if k < len(pulses) else 0 for k in self.channels]
+        return [min(max((pulse - low) / (high - low), 0.0), 1.0) for pulse in row]
+
+    def ordered(self, values: tuple[float, ...]) -> list[float]:
+        """What is known by output, such as speeds, by motor; NaN where it is not known."""
+        return [values[k] if k < len(values) else float('nan') for k in self.channels]
+
+
+def motor_outputs(
+    autopilot: int, name: str, parameters: Mapping[str, float], given: Craft | None = None
+) -> MotorOutputs:
+    """The motors by the autopilot's parameters; where they are is `given`, if anything is.
+
+    `autopilot` is its MAV_AUTOPILOT, `name` what messages call it.
+    """
+    craft: Craft | str = f'{name} does not say where its motors are'
+    if given is not None:
+        craft = given
+    elif autopilot == PX4:
+        craft = of_px4(parameters)
+    elif autopilot == ARDUPILOT and 'FRAME_CLASS' in parameters:
+        craft = of_ardupilot(parameters)
+    if isinstance(craft, str):
+        words = f"{craft}: its motors are taken for an X frame in the contract's order; {REMEDY}"
+        return MotorOutputs(words=words)
+    channels, range_us = tuple(range(craft.count)), RANGE_US
+    if autopilot == PX4:
+        channels = px4_channels(parameters, craft.count)
+    elif autopilot == ARDUPILOT:
+        channels = tuple(k - 1 for k in ardupilot_channels(parameters, craft.count))
+        low, high = (parameters.get(f'MOT_PWM_{end}', 0.0) for end in ('MIN', 'MAX'))
+        range_us = (low, high) if 0.0 < low < high else RANGE_US
+    words = f'the craft is {craft.name}, {craft.count} motors in their true places'
+    return MotorOutputs(craft, channels, range_us, words)
+
+
+def px4_channels(parameters: Mapping[str, float], count: int) -> tuple[int, ...]:
+    """Output (from 0) of each motor by PWM_MAIN_FUNCn; in order where these do not name all."""
+    named = {
+        round(value) - PX4_FIRST_MOTOR: int(name.removeprefix('PWM_MAIN_FUNC')) - 1
+        for name, value in parameters.items()
+        if name.startswith('PWM_MAIN_FUNC')
+    }
+    whole = all(k in named for k in range(count))
+    return tuple(named[k] if whole else k for k in range(count))

@@ -1,1 +1,0 @@
-../../quad_bridge/quad_bridge/gains/motor_places.py
