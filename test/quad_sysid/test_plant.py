@@ -103,7 +103,7 @@ def followed(flight: Flight, structure: Structure, theta: np.ndarray, sweeps: in
     return flight.predict(structure, theta, sweeps=sweeps)
 
 
-SHAPED = [effect for effect in EFFECTS if not effect.wanders]
+SHAPED = [e for e in EFFECTS if not e.wanders and max(e.motors, default=0) < 4]
 FIRST = [*{(type(e), e.kind == 'shape' or e.name, e.term, e.states, e.moves_command): e
            for e in reversed(SHAPED)}.values()][::-1]
 """One of each kind; all of them fly in make test-long."""

@@ -214,7 +214,7 @@ class Load(Effect):
         w = 2.0 * math.pi * float(p[0])
         for start, stop in stretches:
             recursion.loose(pull, moved, w, float(p[1]), s.dt, start, stop, out)
-        return out
+        return np.vstack([out, self._ahead(out, s, p)[2:]])  # what pushed too, along a flight
 
     def _ahead(self, x: FloatArray, s: Signals, p: FloatArray) -> FloatArray:
         """(3, …) the states a cycle later, and what pushed the mass meanwhile."""
@@ -231,7 +231,8 @@ class Load(Effect):
         return self._ahead(x, s, p)[:2]
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        z, pushed = required(s.hidden)[0], self._ahead(required(s.hidden), s, p)[2]
+        hidden = required(s.hidden)
+        z, pushed = hidden[0], (hidden if len(hidden) == 3 else self._ahead(hidden, s, p))[2]
         turned = float(p[2]) if self.moved != 'leaning' else 1.0 / float(p[2])
         directly = s.drive if self.moved == 'driven' else 0.0
         return p[3] * z - p[4] * (directly + turned * pushed)  # turned: rad or s² per unit of z

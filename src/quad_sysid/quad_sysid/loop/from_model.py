@@ -94,14 +94,9 @@ class Placed:
 
     def signals(self, at: Mapping[str, float], n: int = 1, **moved: Any) -> Signals:
         """Signals (n,) at the usual values `at`, all but `moved` at rest."""
-        rest = np.zeros(n)
-        signals: dict[str, Any] = {
-            'rate': rest, 'angle': rest, 'drive': rest, 'command': rest, 'change': rest,
-            'lagged': rest, 'time': np.full(n, LATE_S), 'throttle': np.full(n, at['throttle']),
-            'battery_v': np.full(n, at['battery']), 'other_rates': (rest, rest),
-            'other_commands': (rest, rest), 'other_angles': (rest, rest), 'sent': rest,
-        } | moved
-        return Signals(**signals)
+        usual = {'time': np.full(n, LATE_S), 'throttle': np.full(n, at['throttle']),
+                 'battery_v': np.full(n, at['battery']), 'sent': np.zeros(n)}
+        return Signals.at_rest(**(usual | moved))
 
     def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
         """(n,) acceleration, rad/s², at the usual values `at`, all signals but `moved` at rest.
@@ -243,7 +238,8 @@ def _beside(model: AxisModel, one: Placed, at: Mapping[str, float],
         rate = level[0] * size * (np.cos(phases) * TONES).sum(axis=1)
         drive = gain * level[2] * size * np.sin(1.13 * phases + 1.0).sum(axis=1)
         s = seen(rate, angle, drive)
-        x = effect.trace(s, p, settings, ((0, t.size),), np.repeat(rest[:, None], t.size, axis=1))
+        begun = np.repeat(rest[:, None], t.size, axis=1)
+        x = effect.trace(s, p, settings, ((0, t.size),), begun)[:m]
         known = np.column_stack([(x - rest[:, None]).T, rate, angle, drive, np.ones(t.size)])
         sizes = np.maximum(np.linalg.norm(known, axis=0), 1e-300)
         moved = np.linalg.lstsq(known / sizes, after(x, s), rcond=None)[0][:-1] / sizes[:-1, None]
@@ -261,9 +257,9 @@ def _continuous(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, dt: 
     if m and np.all((np.abs(values.imag) > 0.0) | (values.real > 1e-6)):
         slope = np.real(logm(block)) / dt
         return Memory(slope[:m, :m], slope[:m, m:], c, d)
-    eye = np.eye(m)  # where no such step exists: by the trapezoidal rule
-    return Memory(2.0 / dt * (a - eye) @ np.linalg.inv(a + (1.0 + 1e-9) * eye),
-                  2.0 / dt * np.linalg.solve(a + (1.0 + 1e-9) * eye, b), c, d)
+    back = np.linalg.inv(a + (1.0 + 1e-9) * np.eye(m))  # where no such step exists: trapezoidal
+    return Memory(np.asarray(2.0 / dt * (a - np.eye(m)) @ back, dtype=np.float64),
+                  np.asarray(2.0 / dt * back @ b, dtype=np.float64), c, d)
 
 
 def _before(model: AxisModel, one: Placed, at: Mapping[str, float], size: float) -> Memory:
@@ -309,12 +305,11 @@ def commanded(model: AxisModel, at: Mapping[str, float], command: FloatArray) ->
     n = command.size
     wrench = np.zeros((n, 4))
     wrench[:, 0], wrench[:, AXES.index(model.axis) + 1] = at['throttle'], command
-    motors, rest = model.craft.commands(wrench), np.zeros(n)
-    return Signals(rest, rest, rest, rest, rest, rest, np.full(n, at['throttle']),
-                   np.full(n, at['battery']), (rest, rest), (rest, rest), np.full(n, LATE_S),
-                   (rest, rest), motors=tuple(motors.T), sent=command, share=_share(model),
-                   lag=max(model.value('lag'), SHORTEST_LAG_S), delay=model.value('delay'),
-                   dt=model.dt)
+    return Signals.at_rest(
+        np.full(n, LATE_S), np.full(n, at['throttle']), battery_v=np.full(n, at['battery']),
+        motors=tuple(model.craft.commands(wrench).T), sent=command, share=_share(model),
+        lag=max(model.value('lag'), SHORTEST_LAG_S), delay=model.value('delay'), dt=model.dt,
+    )
 
 
 def _settled(one: Placed, s: Signals) -> Signals:

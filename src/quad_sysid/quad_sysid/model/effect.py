@@ -100,15 +100,26 @@ class Signals:
     dt: float = 0.0
     """Length of a cycle, s."""
 
+    @classmethod
+    def at_rest(cls, time: FloatArray, throttle: FloatArray, **known: Any) -> Signals:
+        """The axis at rest, and the other two, but for what is `known`."""
+        rest = np.zeros_like(time)
+        still = dict.fromkeys(('rate', 'angle', 'drive', 'command', 'change', 'lagged'), rest)
+        others = dict.fromkeys(('other_rates', 'other_commands', 'other_angles'), (rest, rest))
+        own: dict[str, Any] = {**still, **others, 'battery_v': None, **known}
+        return cls(time=time, throttle=throttle, **own)
+
     def at(self, k: int | NDArray[np.int64]) -> Signals:
         """Those of one cycle, or of several."""
-        taken: dict[str, Any] = {}
+        taken, known = dict(vars(self)), {}  # many are one array, of what is at rest
         for name, value in vars(self).items():
             if isinstance(value, tuple):
                 taken[name] = tuple(one[..., k] for one in value)
             elif isinstance(value, np.ndarray) and name != 'share':
-                taken[name] = value[..., k]
-        return replace(self, **taken)
+                if id(value) not in known:
+                    known[id(value)] = value[..., k]
+                taken[name] = known[id(value)]
+        return Signals(**taken)
 
 
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',

@@ -425,15 +425,12 @@ class Flight:
     def commanded(self, p: FloatArray) -> Signals:
         """What acts before the torque sees: the commands, and what else was measured."""
         lag, delay = lag_and_delay(p)
-        nothing = np.zeros(self.data.rate.size)
-        return Signals(
-            rate=nothing, angle=None, drive=nothing, command=nothing, change=nothing,
-            lagged=nothing, sent=self.data.command, share=self.share, lag=lag, delay=delay,
-            dt=self.data.dt, **{
-                name: tuple(value) if isinstance(value, list) else value
-                for name, value in self._known.items()
-            },
-        )
+        known: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in self._known.items()
+        }
+        return Signals.at_rest(**known, angle=None, sent=self.data.command, share=self.share,
+                               lag=lag, delay=delay, dt=self.data.dt)
 
     def signals(
         self, p: FloatArray, halves: FloatArray, states: FloatArray, rate: FloatArray
@@ -697,16 +694,17 @@ class Flight:
         angle = None if self.angle is None else self.angle[windows.starts] + late * r
         turning = Turning(r, angle, np.stack([g, q]), tuple(
             next(followed)[None, :] if part.effect.wanders else
-            required(self.hidden(part, along, values).hidden)[:, windows.starts]
+            required(self.hidden(part, along, values).hidden)[: part.effect.states, windows.starts]
             if part.effect.states else None for part, values in plant.pushing
         ))
+        around = self.commanded(p)
         for i in range(windows.length):
             k = windows.starts + i
             out[:, i] = (turning.seen[0] if self.sensor.noisy else turning.rate) \
                 - self.data.rate[k]
             if not self.sensor.derived:
                 out[:, i] += v.real.sum(axis=1)
-            turning = plant.turn(turning, along.at(k), halves[:, k], states[:, k], hold * d, step)
+            turning = plant.turn(turning, around.at(k), halves[:, k], states[:, k], hold * d, step)
             d, v = d * fade, v * turn
         return out
 

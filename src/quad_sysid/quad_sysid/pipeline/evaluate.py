@@ -198,14 +198,14 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
         if 'battery' in part.effect.signals and battery_v is None and not model.mean_battery_v:
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
                                 remedy='give battery_v in V, one value for each command')
-    n, rest = command.size, np.zeros((1, command.size))
+    n = command.size
     wrench = np.zeros((n, 4))
     wrench[:, 0] = _like(throttle, n, 'throttle', usual['throttle'])
     wrench[:, 1 + AXES.index(model.axis)] = command
-    around = Signals(
-        *[rest] * 6, wrench[None, :, 0], _like(battery_v, n, 'battery_v', usual['battery'])[None],
-        (rest, rest), (rest, rest), model.dt * (np.arange(n) + 0.5)[None],
-        other_angles=(rest, rest), motors=tuple((wrench @ model.craft.mixer.T).T[:, None]),
+    around = Signals.at_rest(
+        model.dt * (np.arange(n, dtype=np.float64) + 0.5)[None], wrench[None, :, 0],
+        battery_v=_like(battery_v, n, 'battery_v', usual['battery'])[None],
+        motors=tuple((wrench @ model.craft.mixer.T).T[:, None]),
         sent=command[None],
     )
     plant = plant_of(model)

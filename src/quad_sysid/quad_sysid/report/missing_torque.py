@@ -267,7 +267,7 @@ def _lag(part: Part, x: FloatArray) -> Evaluate:
 
     def evaluate(p: FloatArray) -> FloatArray:
         s = Placed(part, p).signals(REST, n, sent=x, throttle=x, battery_v=x, time=x)
-        return part.effect.actuate(drive, s, p, part.settings).lag[0]
+        return np.asarray(part.effect.actuate(drive, s, p, part.settings).lag[0])
 
     return evaluate
 

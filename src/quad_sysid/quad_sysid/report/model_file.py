@@ -37,7 +37,7 @@ OPTIONAL = {'craft'}
 BLACKBOX = ('structure', 'orders', 'approach', *POLYNOMIALS, 'nk', 'dt', 'noise_variance',
             'covariance')
 """Fields of a polynomial model that are stored."""
-SINCE = {'mean_throttle': None, 'ranges': {}}
+SINCE: Mapping[str, Any] = {'mean_throttle': None, 'ranges': {}}
 """Fields that older files of this schema lack, as they were meant."""
 REMEDY = 'give the model.json of quad-sysid identify, or its folder'
 AGAIN = 'identify again with this version'
@@ -128,7 +128,7 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
 
 def _model(axis: str, tree: object, where: str) -> AxisModel:
     known = {f.name for f in fields(AxisModel)} - NOT_STORED
-    tree = SINCE | tree if isinstance(tree, dict) else tree
+    tree = {**SINCE, **tree} if isinstance(tree, dict) else tree
     read = _read_fields(AxisModel, _keys(tree, where, known), where)
     model = AxisModel(axis=axis, **read)
     if sorted(p.name for p in model.base) != sorted(BASE_NAMES):

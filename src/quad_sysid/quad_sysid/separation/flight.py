@@ -206,11 +206,10 @@ def _known(around: Sequence[AxisData]) -> Signals:
             ([required(d.other_angles) for d in around], (0, 1)),
         )
     ]
-    return Signals(
-        *[nothing] * 6, throttle=np.stack([d.control[:, 0] for d in around]),
+    return Signals.at_rest(
+        nothing + first.clock + 0.5 * first.dt, np.stack([d.control[:, 0] for d in around]),
         battery_v=np.stack([required(d.battery_v) for d in around]), other_commands=pairs[0],
         other_rates=pairs[1], other_angles=pairs[2], motors=tuple(motors),
-        time=nothing + first.clock + 0.5 * first.dt,
     )
 
 
