@@ -18,6 +18,9 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 
 ROLES = ('train', 'validation', 'idle')
 INJECTIONS = ('attitude', 'rate', 'control')
+SHORT_GAP_S = 0.05
+"""A gap up to this long, some motors' lag, does not end a segment: the filter predicts through it,
+and the rate is compared with a straight line."""
 
 
 @dataclass(frozen=True)
@@ -246,6 +249,19 @@ def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]
     start, stop = span
     edges = np.flatnonzero(np.diff(np.concatenate(([False], good[start:stop], [False]))))
     return [(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def joined_runs(
+    runs: Sequence[tuple[int, int]], dt: float, longest_s: float
+) -> list[tuple[int, int]]:
+    """Runs joined over gaps of at most `longest_s`, s."""
+    joined: list[tuple[int, int]] = []
+    for start, stop in runs:
+        if joined and (start - joined[-1][1]) * dt <= longest_s:
+            joined[-1] = joined[-1][0], stop
+        else:
+            joined.append((start, stop))
+    return joined
 
 
 @dataclass(frozen=True)

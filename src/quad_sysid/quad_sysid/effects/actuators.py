@@ -37,6 +37,8 @@ MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
 SLOPING = 0.05
 """Share of a step over which one level gives way to the next."""
+AT_ONCE_S = 1e-5
+"""A lag that counts as none."""
 MOST_MOTORS = 12
 """Motors that may each have an effect of their own."""
 LIGHT = 0.3
@@ -536,6 +538,18 @@ def _slow_share(sign: float) -> Callable[[Signals, Drive, FloatArray], Drive]:
     return shared
 
 
+def _reaction(_: Signals, drive: Drive, p: FloatArray) -> Drive:
+    """Torque T drive' beside the drive; as drive' = (u - drive) / lag, it is a share of u."""
+    lag = drive.lag[:1]
+    share = float(p[0]) / float(lag[0, 0])
+    return replace(
+        drive, commands=np.concatenate([drive.commands, drive.commands[:1]]),
+        row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
+        lag=np.concatenate([drive.lag, np.full_like(lag, AT_ONCE_S)]),
+        factors=np.concatenate([drive.factors, drive.factors[:1]]),
+    )
+
+
 def _asymmetric(variant: str, *motors: int, each: bool = True) -> Effect:
     """Of these motors, of each one (none named), or of the axis' command."""
 
@@ -598,6 +612,15 @@ ACTUATORS: tuple[Effect, ...] = (
     Motors(
         'mode', ('command',), (SLOW, SHARE), _slow_share(-1.0), kind='mode', variant='lead',
         physics="the torque overshoots and falls back by a share: rotors' own reaction in yaw",
+        excite='a PRBS that reaches beyond 1 / lag',
+    ),
+    Motors(
+        'mode', ('command',),
+        (Spec('lead_time', 's', spread=1.0, centre=math.log(0.1), log=True,
+              starts=(0.03, 0.1, 0.3)),),
+        _reaction, kind='mode', variant='lead of rotors',
+        physics='T times the change of the drive: rotors that speed up push the body the other '
+        'way, a true lead in yaw',
         excite='a PRBS that reaches beyond 1 / lag',
     ),
     *(_slow_motor(i) for i in range(MOST_MOTORS)), _asymmetric('motors'),

@@ -8,7 +8,8 @@ from quad_sysid.model.identified import (
     NoiseEstimate,
     Outside,
     Parameter,
+    RungModel,
 )
 
 __all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate', 'Outside',
-           'Parameter']
+           'Parameter', 'RungModel']

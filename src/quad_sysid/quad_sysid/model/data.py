@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.record import Record, RotorLag, finite_runs
+from quad_sysid.record import SHORT_GAP_S, Record, RotorLag, finite_runs, joined_runs
 
 Span = tuple[int, int]
 
@@ -60,7 +60,7 @@ class AxisData:
     axis: str
     dt: float
     rate: FloatArray
-    """(n,) measured, rad/s."""
+    """(n,) measured, rad/s; a straight line through short gaps, NaN in longer ones."""
     angle: FloatArray | None
     """(n,) measured, rad."""
     control: FloatArray
@@ -79,6 +79,8 @@ class AxisData:
     validation: tuple[Span, ...]
     idle: tuple[Span, ...] = ()
     validation_names: tuple[str, ...] = ()
+    lost: NDArray[np.bool_] | None = None
+    """(n,) whether the rate was not measured; None: only where it is NaN."""
     reference: FloatArray | None = None
     """(n,) external reference of the loop (Record.external); NaN where a record lacks it."""
     time_s: FloatArray | None = None
@@ -122,10 +124,21 @@ class AxisData:
         return tuple(name for name in AXES if name != self.axis)[:2]
 
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
-        """Windows in `spans`, by default of the contract's length, end to end, no partial ones."""
+        """Windows in `spans`, by default of the contract's length, end to end, no partial ones.
+
+        They keep off every gap as off a start, unless that leaves less than half of them: in a
+        log that loses samples throughout, short gaps are none.
+        """
         length = max(2, round(length_s / self.dt))
         settle = round(SETTLE_S / self.dt)
-        starts = [k for a, b in spans for k in range(a + settle, b - length + 1, length)]
+
+        def inside(runs: Sequence[Span]) -> list[int]:
+            return [k for a, b in runs for k in range(a + settle, b - length + 1, length)]
+
+        starts = inside(spans)
+        if self.lost is not None and self.lost.any():
+            apart = inside([run for span in spans for run in finite_runs(~self.lost, span)])
+            starts = apart if 2 * len(apart) >= len(starts) else starts
         return Windows(np.array(starts, dtype=np.int64), length)
 
     @property
@@ -208,7 +221,7 @@ def other_axis(data: AxisData, which: int) -> AxisData:
     return replace(
         data, axis=data.other_axes[which], rate=np.ascontiguousarray(data.other_rates[:, which]),
         angle=None, other_rates=np.full_like(data.other_rates, np.nan), other_angles=None,
-        derived_s=None, reference=None, source=None,
+        derived_s=None, reference=None, source=None, lost=None,
     )
 
 
@@ -294,7 +307,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     )
 
 
-def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
+def _prepare(record: Record, axis: str) -> dict[str, Any]:
     """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
     index, n = AXES.index(axis), record.n
     rate, control = record.rates[:, index], record.control
@@ -311,27 +324,37 @@ def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
     angles = np.full((n, 3), np.nan) if record.angles is None else record.angles
     nothing, external = np.full(n, np.nan), record.external(axis)
     others = [i for i in range(3) if i != index]
-    return {
-        'rate': np.where(good, rate, np.nan),
+    out: dict[str, Any] = {
+        'rate': across_short_gaps(np.where(good, rate, np.nan), record.dt),
+        'lost': ~good,
         'angle': angles[:, index],
         'other_angles': angles[:, others],
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
-        'other_rates': record.rates[:, others],
+        'other_rates': across_short_gaps(record.rates[:, others], record.dt),
         'battery_v': nothing if record.battery_v is None else record.battery_v,
         'reference': nothing if external is None else external,
     }
+    return out
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
     """Runs joined over gaps of at most BRIDGED_S."""
-    joined: list[Span] = []
-    for start, stop in runs:
-        if joined and (start - joined[-1][1]) * dt <= BRIDGED_S:
-            joined[-1] = joined[-1][0], stop
-        else:
-            joined.append((start, stop))
-    return joined
+    return joined_runs(runs, dt, BRIDGED_S)
+
+
+def across_short_gaps(values: FloatArray, dt: float) -> FloatArray:
+    """(n,) or (n, k) with unknown samples interpolated in gaps of at most SHORT_GAP_S."""
+    if values.ndim > 1:
+        return np.column_stack([across_short_gaps(column, dt) for column in values.T])
+    known = np.asarray(np.isfinite(values))
+    if known.all() or not known.any():
+        return values
+    out = np.full_like(values, np.nan)
+    line = filled(values)
+    for start, stop in joined_runs(finite_runs(known, (0, known.size)), dt, SHORT_GAP_S):
+        out[start:stop] = line[start:stop]
+    return out
 
 
 def filled(values: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ class Parameter:
 
 
 UNLISTED = 'unlisted_physics'
-"""Among an effect's rivals: it describes a part of physics that no effect of the list is."""
+"""Among an effect's rivals: a cause that the search did not compare with it."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,8 @@ class EffectEstimate:
     probability: float = 1.0
     rivals: tuple[tuple[str, float], ...] = ()
     """Names of alternatives in its place, with their probabilities; one may be UNLISTED."""
+    explains_pct: float = 0.0
+    """Share of the squared error between base and reference that it takes away on its rung."""
 
     @property
     def listed_rivals(self) -> tuple[tuple[str, float], ...]:
@@ -84,6 +86,18 @@ class NoiseEstimate:
     def correlation_s(self) -> float:
         """Correlation time of the torque disturbance, s."""
         return self.ratios['correlation']
+
+
+@dataclass(frozen=True)
+class RungModel:
+    """One rung of the explanation: the base with some effects, projected."""
+
+    base: tuple[Parameter, ...]
+    effects: tuple[EffectEstimate, ...]
+    noise: NoiseEstimate
+    explains_pct: float
+    error: float
+    """RMS of the free run on the held-out segments, rad/s."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +153,12 @@ class AxisModel:
     trusted_band_rad_s: tuple[float, float] | None = None
     """Where the data support the model, rad/s."""
     plain: tuple[Parameter, ...] = ()
-    """The base fitted without effects, for the error `before`; empty: the base above."""
+    """Rung 0, the base alone, for the error `before`; empty: the base above."""
     plain_noise: NoiseEstimate | None = None
+    rungs: tuple[RungModel, ...] = ()
+    """The explanation above rung 0; empty where nothing was missing."""
+    reference: AxisModel | None = None
+    """The model that predicts best, with which gains are designed; None: this one."""
     craft: Craft = X
     """Where the motors are and how they turn."""
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
@@ -153,6 +171,11 @@ class AxisModel:
             *(f'  {name} {p.value:.4g}' + ('' if p.std is None else f' ± {p.std:.2g}') +
               f' {p.unit}' for name, p in self._named),
         ])
+
+    @property
+    def predicting(self) -> AxisModel:
+        """The model that predicts best."""
+        return self.reference or self
 
     @property
     def noise_rms(self) -> float | None:

@@ -298,10 +298,16 @@ def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
     return required(part.effect.torque(one, p, part.settings))
 
 
+def unmeasured(data: AxisData) -> NDArray[np.bool_]:
+    """(n,) whether the rate was lost, or stood at the gyro's limit."""
+    lost = ~np.isfinite(data.rate) | at_limit(data.rate)
+    return lost if data.lost is None else lost | data.lost
+
+
 def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
     """What the filter runs over: each span with LEAD_S before it, where that is unbroken."""
     lead = round(LEAD_S / data.dt)
-    seen = np.isfinite(data.rate) & ~at_limit(data.rate)
+    seen = ~unmeasured(data)
     merged: list[list[int]] = []
     for start, stop in sorted(spans):
         home = next(s for s in data.stretches if s[0] <= start < s[1])
@@ -342,8 +348,7 @@ class Flight:
         for one in () if own is None else np.unique(own):
             self.late[own == one] = sensor_of(float(one), data.derived_s, data.dt).late_s
         output = required(data.angle) / data.dt if self.sensor.derived else data.rate
-        lost = ~np.isfinite(data.rate) | at_limit(data.rate)
-        self.measured = np.where(lost, np.nan, output)
+        self.measured = np.where(unmeasured(data), np.nan, output)
         self.gyro = filled(data.rate)
         self.angle = None
         if data.angle is not None:

@@ -12,6 +12,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Verdict
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.explain import Ladder
 from quad_sysid.model import AxisModel, GainProposal, Outside
 from quad_sysid.model.data import AxisData
 from quad_sysid.record import IOData, Segment
@@ -93,6 +94,7 @@ class Findings:
     problem: Problem
     """Its training segments, cut out, on which `found` was fitted."""
     found: Found
+    ladder: Ladder
     verdict: Verdict
     before: HeldOut
     after: HeldOut

@@ -49,6 +49,10 @@ class Evaluation:
     one_step_after: float
     hold: float
     windows: int
+    reference: float | None = None
+    """Of the model that predicts best, where that is another one than the answer."""
+    rungs: tuple[tuple[tuple[str, ...], float, float], ...] = ()
+    """The explanation: names of the effects, percent explained, error on this flight."""
     blackbox: float | None = None
     """None where none was given, or where its predictions diverge."""
     horizons: tuple[Horizon, ...] = ()
@@ -58,7 +62,8 @@ class Evaluation:
 
     def __repr__(self) -> str:
         told = {'hold the last value': self.hold, 'base (before)': self.before,
-                'completed (after)': self.after, 'black box': self.blackbox}
+                'completed (after)': self.after, 'reference': self.reference,
+                'black box': self.blackbox}
         lines = [f'  {name} {value:.4g}' for name, value in told.items() if value is not None]
         head = f'{self.axis}: RMS error of the rate, rad/s, over {self.windows} free runs of 0.5 s'
         return '\n'.join([head, *lines, *(f'  {one}' for one in self.outside)])
@@ -111,12 +116,23 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         one_step_after=unseen.one_step(after),
         hold=hold,
         windows=unseen.windows.count,
+        reference=_of(unseen, model.predicting) if model.reference else None,
+        rungs=tuple(
+            (tuple(effect.name for effect in rung.effects), rung.explains_pct,
+             _of(unseen, replace(model, base=rung.base, effects=rung.effects, noise=rung.noise)))
+            for rung in model.rungs
+        ),
         blackbox=None if blackbox is None else blackbox_part.window_error(about, blackbox, spans),
         horizons=horizons(unseen, before, after),
         blackbox_horizons={} if blackbox is None
         else blackbox_part.horizons(about, blackbox, spans),
         outside=outside_of(model, data, spans),
     )
+
+
+def _of(unseen: Unseen, model: AxisModel) -> float:
+    """Error of a stored model on this flight."""
+    return rms(unseen.errors(of_this_flight(unseen, stored.completed(model))))
 
 
 def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) -> None:

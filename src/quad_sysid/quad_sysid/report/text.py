@@ -37,6 +37,8 @@ def lines(report: Mapping[str, Any]) -> list[str]:
 
 def _verdict(tree: Mapping[str, Any]) -> list[str]:
     out = [f'verdict  {tree["verdict"]}', *wrapped(tree.get('reason', ''))]
+    out += wrapped(words.causes(tree))
+    out += tables.explanation(tree).text()
     out += tables.effects(tree).text((0, 3, 4, 5))
     for effect in tree['effects']:
         near = ', '.join(f'{r["name"]} {r["probability"]:.2f}' for r in effect['rivals'][:3])
