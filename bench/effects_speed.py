@@ -95,7 +95,8 @@ def linear(problem: Problem, base: Fit) -> tuple[Filter, np.ndarray]:
     """The base's steady filter, and (n,) what pushes its rate in each cycle, rad/s."""
     flight, p = problem.flight, base.values
     known = flight.pushed(base.structure, p, flight.rate).known.mean(axis=0)
-    return flight.filter_of(base.structure, base.theta, float(p[3])), problem.data.dt * known
+    found, *_ = flight.filters_of(base.structure, base.theta, float(p[3]))
+    return found, problem.data.dt * known
 
 
 def plain_filter(problem: Problem, base: Fit, evaluations: int) -> float:

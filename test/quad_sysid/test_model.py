@@ -399,9 +399,12 @@ def test_a_delay_by_another_clock_is_the_same_in_segments_that_are_joined():
     here = np.concatenate([np.arange(20, 980), np.arange(1020, 1980)])
     for effect, p in zip(CLOCKED, (np.r_[1.3, np.full(12, 0.002)], np.array([47.0, 0.4])),
                          strict=True):
-        one, other = (effect.command(d, d.command, p, {}) for d in (whole, torn))
-        np.testing.assert_allclose(other[here], one[at], atol=1e-12)
-        assert np.std(one - whole.command) > 0.1 * np.std(whole.command)
+        base = np.array([450.0, 0.0, 0.02, 0.4, 0.0])
+        one, other = (Flight(d, d.stretches).driven(Structure((Part(effect),)), np.r_[base, p])[0]
+                      for d in (whole, torn))
+        np.testing.assert_allclose(other[:, here], one[:, at], atol=1e-12)
+        plain = Flight(whole, whole.stretches).driven(Structure(), base)[0]
+        assert np.std(one - plain) > 0.1 * np.std(plain)
 
 
 def test_a_motor_whose_lag_follows_how_far_it_has_to_go_is_integrated_over_each_cycle():
@@ -409,7 +412,8 @@ def test_a_motor_whose_lag_follows_how_far_it_has_to_go_is_integrated_over_each_
     command, dt, lag, parts = np.random.default_rng(2).uniform(0.3, 0.5, 40), 0.004, 0.03, 400
     halves, states = np.zeros((2, 40)), np.zeros((2, 40))
     recursion.motors(command[None, :], np.ones(1), np.full((1, 40), lag),
-                     np.stack([knots, values])[None], 0, 0.0, dt, 0, 40, halves, states)
+                     np.stack([knots, values])[None], np.repeat([[1.0], [0.0]], 40, axis=1),
+                     np.zeros(40), dt, 0, 40, halves, states)
     w, truth = command[0], []
     for u in command:
         sums = []

@@ -241,7 +241,7 @@ def _unwrapped(setpoint: FloatArray, yaw: FloatArray | None) -> FloatArray:
         return setpoint
     out = setpoint.copy()
     out[known, 2] += turn * whole
-    return out
+    return np.asarray(out)
 
 
 def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:

@@ -100,13 +100,6 @@ class Shape(Effect):
         self.variant = ' '.join([*words, *(['friction'] if term == 'friction' else [])])
         self.signals = (signal, *ACTS_ON[term], *more)
 
-    def known(self, data: AxisData) -> FloatArray:
-        """(n,) the signal of a flight that has it, as it was measured."""
-        found = data.signal(self.signal)
-        if isinstance(found, str):
-            raise ValueError(found)  # noqa: TRY004 - why this flight cannot be used
-        return found
-
 
 class Smooth(Shape):
     """A shape whose parameters from `first` on are the `count` values of a curve at its knots."""
@@ -169,11 +162,11 @@ class Curve(Smooth):
         factor = per_unit(self.term, s, float(p[-1]))
         return factor * self._along(signal_of(s, self.signal), p, settings)
 
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         if not self.moves_command:
             return drive
-        factor = np.exp(self._along(self.known(data), p, settings))
-        return replace(drive, lag=drive.lag * factor[None, :])
+        signal = required(s.sent) if self.signal == 'command' else signal_of(s, self.signal)
+        return replace(drive, lag=drive.lag * np.exp(self._along(signal, p, settings)))
 
     @property
     def linear(self) -> list[int]:
@@ -231,9 +224,9 @@ class Wandering(Shape):
         return settings['unit'] * s.hidden[0] * per_unit(self.term, s)
 
     def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        return x * math.exp(-dt / float(p[1]))
+        return x * math.exp(-s.dt / float(p[1]))
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
         return {

@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part, Settings, required
-from quad_sysid.model.plant import central
+from quad_sysid.model.noise import sensor_of
+from quad_sysid.model.plant import Plant, central
 from quad_sysid.model.structure import BASE, NOISE, Structure, coordinates
 
 SHORTEST = 0.25
@@ -177,6 +178,16 @@ def completed(model: AxisModel) -> Stored:
     parts = [part_of(model, effect) for effect in model.effects]
     fitted = [fitted_of(part, one) for part, one in zip(parts, model.effects, strict=True)]
     return _stored(model.base, parts, fitted, model.noise)
+
+
+def plant_of(model: AxisModel) -> Plant:
+    """The completed model as a plant that can be flown, cycle by cycle."""
+    stored = completed(model)
+    return Plant(
+        stored.structure, stored.structure.natural(stored.theta), model.dt,
+        sensor_of(model.gyro_filter_hz, None, model.dt),
+        model.craft.inverse[AXES.index(model.axis) + 1],
+    )
 
 
 def plain(model: AxisModel) -> Stored:

@@ -207,6 +207,8 @@ class GainProposal:
     figures: Mapping[str, float] = field(default_factory=dict)
     """Predicted figures: phase_margin_deg, rise_time_s, …; those of the old gains end in
     `_before`."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Effects that the margins do not hold, and why."""
     steps: tuple[Mapping[str, float], ...] = ()
     """Updates that lead to the target, each within the step limit; the last is the target."""
 

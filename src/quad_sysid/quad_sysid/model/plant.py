@@ -1,4 +1,4 @@
-"""The base and its effects along a flight: predicted with innovations, or as a free run.
+"""The base and its effects: Plant goes from one cycle to the next, Flight follows a measured one.
 
     rate' = drive - damping rate + bias + effects + d
     lag drive' = gain u(t - delay) - drive
@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,6 +75,213 @@ def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
             )
             start = start + (ahead - back) / (2.0 * SLOPE_STEP)
     return start
+
+
+Sending = Sequence[tuple[Part, FloatArray]]
+"""Effects that act before the torque, each with its own parameters."""
+
+
+def sent_on(
+    sending: Sending, s: Signals, remembered: Callable[[int, Signals], FloatArray | None]
+) -> Drive:
+    """What becomes of a command s.sent before the motors; along a flight or in one cycle.
+
+    remembered: the hidden states of the effect of this number, which sees these signals.
+    """
+    seen = []
+    for i, (part, p) in enumerate(sending):
+        s = replace(s, hidden=remembered(i, s))
+        seen.append(s)
+        s = replace(s, sent=part.effect.command(s, p, part.settings))
+    sent = required(s.sent)
+    drive = Drive(sent[None], np.ones(1), np.full((1, *sent.shape), s.lag))
+    drive = drive.behind(np.full(sent.shape, s.delay / s.dt))
+    for (part, p), own in zip(sending, seen, strict=True):
+        drive = part.effect.actuate(drive, own, p, part.settings)
+    return drive
+
+
+def lag_and_delay(p: FloatArray) -> tuple[float, float]:
+    """Of a base, s, as they are flown."""
+    return max(float(p[1]), SHORTEST_S), min(max(float(p[2]), 0.0), 0.5)
+
+
+class Turning(NamedTuple):
+    """The axis at the start of a cycle; arrays of one shape (w,)."""
+
+    rate: FloatArray
+    """rad/s."""
+    angle: FloatArray | None
+    """rad."""
+    seen: FloatArray
+    """(2, w) the states of the gyro's filter."""
+    hidden: tuple[FloatArray | None, ...]
+    """Those of each effect that adds a torque."""
+
+
+class State(NamedTuple):
+    """The whole plant at the start of a cycle."""
+
+    turning: Turning
+    motors: FloatArray
+    """(c, w) command of each channel behind its lag."""
+    line: FloatArray
+    """(d, c, w) commands that are under way, the newest first."""
+    hidden: tuple[FloatArray | None, ...]
+    """Those of each effect that acts before the torque."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """A structure with its parameters (p,) in their units, cycle by cycle.
+
+    Everything it sees besides its states is in the Signals of a cycle: s.sent, what the controller
+    gives, throttle, voltage, time, motors and the other axes; arrays (w,).
+    """
+
+    structure: Structure
+    p: FloatArray
+    dt: float
+    sensor: Sensor
+    share: FloatArray
+    """(motors,) what a unit of each motor's command adds to that of the axis."""
+    rounds: int = 1
+    """Rounds of Newton's method in a cycle; one is enough where torques hardly bend in it."""
+
+    @cached_property
+    def sending(self) -> Sending:
+        """The effects that act before the torque."""
+        return [(part, self.p[at]) for part, at in self.structure.placed()
+                if part.effect.moves_command]
+
+    @cached_property
+    def pushing(self) -> Sending:
+        """The effects that add a torque."""
+        return [(part, self.p[at]) for part, at in self.structure.placed()
+                if not part.effect.moves_command]
+
+    def _told(self, s: Signals) -> Signals:
+        lag, delay = lag_and_delay(self.p)
+        return replace(s, lag=lag, delay=delay, dt=self.dt, share=self.share)
+
+    def begin(self, s: Signals, rate: FloatArray, angle: FloatArray | None) -> State:
+        """The state in which the command s.sent has long been given, s the first cycle."""
+        s = self._told(s)
+        own: list[FloatArray | None] = []
+
+        def remembered(i: int, seen: Signals) -> FloatArray | None:
+            part, p = self.sending[i]
+            own.append(part.effect.begin(seen, p, part.settings) if part.effect.states else None)
+            return own[-1]
+
+        drive = sent_on(self.sending, s, remembered)
+        longest = s.delay + sum(part.effect.longest_s(p) for part, p in self.sending)
+        line = np.repeat(drive.commands[None], 3 + math.ceil(longest / self.dt), axis=0)
+        lagged = np.tensordot(drive.row, drive.commands, 1)
+        moved = replace(s, rate=rate, angle=angle, drive=self.p[0] * lagged, lagged=lagged,
+                        command=self.p[0] * lagged, change=np.zeros_like(lagged))
+        hidden = tuple(part.effect.begin(moved, p, part.settings) if part.effect.states else None
+                       for part, p in self.pushing)
+        turning = Turning(rate, angle, np.stack([rate, np.zeros_like(rate)]), hidden)
+        return State(turning, drive.commands.copy(), line, tuple(own))
+
+    def step(self, x: State, s: Signals, push: FloatArray | float = 0.0) -> State:
+        """The state a cycle later; push (w,): more acceleration over the cycle, rad/s²."""
+        s = self._told(s)
+        seen: list[Signals] = []
+
+        def remembered(i: int, own: Signals) -> FloatArray | None:
+            seen.append(own)
+            return x.hidden[i]
+
+        drive = sent_on(self.sending, s, remembered)
+        hidden = tuple(
+            None if known is None else part.effect.advance(known, own, p, part.settings)
+            for known, own, (part, p) in zip(x.hidden, seen, self.sending, strict=True)
+        )
+        line = np.concatenate([drive.commands[None], x.line[:-1]])
+        before, new = (_sent_before(line, age) for age in required(drive.ages))
+        motors, out = x.motors.copy(), np.empty((4, s.time.size))
+        recursion.motors_ahead(motors, new, before, drive.row, np.ascontiguousarray(drive.lag),
+                               drive.factors, required(drive.fraction), self.dt, out)
+        turning = self.turn(x.turning, s, out[:2], out[2:], push, self.sensor.step)
+        return State(turning, motors, line, hidden)
+
+    def turn(
+        self, x: Turning, s: Signals, halves: FloatArray, states: FloatArray,
+        push: FloatArray | float, step: FloatArray,
+    ) -> Turning:
+        """How the axis turns in a cycle; drive (2, w) as Flight.driven gives it, at unit gain.
+
+        push: more acceleration, rad/s². step (2, 5) or (2, 5, w): of the gyro's filter.
+        """
+        p, dt, h, r = self.p, self.dt, 0.5 * self.dt, x.rate
+        drive, command = p[0] * halves, p[0] * states[1]
+        mean = 0.5 * (drive[0] + drive[1])
+        s = replace(s, drive=mean, command=command, lagged=0.5 * (halves[0] + halves[1]),
+                    change=(command - p[0] * states[0]) / max(float(p[1]), 0.25 * dt))
+        middle = r + h * mean  # where physics is evaluated, then corrected by its slope
+        for _ in range(self.rounds):
+            s = replace(s, rate=middle, angle=None if x.angle is None else x.angle + h * middle)
+            now = [(part, own, s if known is None else replace(s, hidden=known))
+                   for (part, own), known in zip(self.pushing, x.hidden, strict=True)]
+            force = with_torques(p[4] - p[3] * middle, now)
+            slope = with_slopes(np.full(middle.size, -p[3]), now)
+            a = h * slope
+            new = ((1.0 + a) * r + dt * (mean + force - slope * middle + push)) / (1.0 - a)
+            middle = 0.5 * (r + new)
+        s = replace(s, rate=middle, angle=None if x.angle is None else x.angle + h * middle)
+        hidden = tuple(
+            None if known is None else part.effect.advance(known, s, own, part.settings)
+            for known, (part, own) in zip(x.hidden, self.pushing, strict=True)
+        )
+        bent = middle + 0.25 * dt * (drive[0] - drive[1])
+        inside = np.stack([*x.seen, r, bent, new])
+        seen = step @ inside if step.ndim == 2 else np.sum(step * inside, axis=1)
+        angle = None if x.angle is None else x.angle + dt / 6.0 * (r + 4.0 * bent + new)
+        return Turning(new, angle, seen, hidden)
+
+    def flat(self, x: State) -> FloatArray:
+        """(states, w) all numbers of a state, one below the other."""
+        turning = x.turning
+        hidden = [known for known in (*turning.hidden, *x.hidden) if known is not None]
+        angle = [] if turning.angle is None else [turning.angle[None]]
+        parts = [turning.rate[None], *angle, turning.seen, x.motors, *x.line, *hidden]
+        return np.concatenate(parts)
+
+    def unflat(self, numbers: FloatArray, like: State) -> State:
+        """The inverse, for states of the shapes of another."""
+        rest = iter(numbers)
+
+        def taken(shape: FloatArray | None) -> FloatArray | None:
+            return None if shape is None else np.stack([next(rest) for _ in shape])
+
+        turning = like.turning
+        rate = next(rest)
+        angle = None if turning.angle is None else next(rest)
+        seen, motors = required(taken(turning.seen)), required(taken(like.motors))
+        line = np.stack([required(taken(one)) for one in like.line])
+        own, sent = (tuple(map(taken, one)) for one in (turning.hidden, like.hidden))
+        return State(Turning(rate, angle, seen, own), motors, line, sent)
+
+    def measured(self, x: State) -> tuple[FloatArray, FloatArray | None]:
+        """Rate and angle as the gyro and what integrates it show them, without noise."""
+        rate, angle, (g, slope), _ = x.turning
+        if not self.sensor.noisy:
+            return rate, angle
+        late = self.sensor.late_s  # of a Butterworth filter, sqrt(2) / cut-off
+        return g, None if angle is None else angle - late * g - 0.5 * late**2 * slope
+
+
+def _sent_before(line: FloatArray, age: FloatArray) -> FloatArray:
+    """(c, w) commands of a line (d, c, w) that were sent so many cycles ago (w,)."""
+    whole = np.floor(age).astype(np.int64)
+    each = np.arange(age.size)
+    new = line[whole, :, each].T
+    share = age - whole
+    if share.any():
+        new = new + share * (line[whole + 1, :, each].T - new)
+    return np.ascontiguousarray(new)
 
 
 def central(
@@ -151,6 +358,7 @@ class Flight:
         if np.isfinite(data.other_rates).mean() > 0.5:
             self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
         columns = [AXES.index(name) + 1 for name in data.other_axes]
+        self.share = data.share
         self._known: dict[str, Any] = {
             'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
             'time': data.clock + 0.5 * data.dt, 'other_rates': self.others,
@@ -201,47 +409,44 @@ class Flight:
         found = self._drives.get(key)
         if found is not None:
             return found
-        data, command = self.data, self.data.command
-        for part, where in acting:
-            command = part.effect.command(data, command, p[where], part.settings)
-        lag = np.full((1, command.size), max(float(p[1]), SHORTEST_S))
-        drive = Drive(command[None, :], np.ones(1), lag)
-        for part, where in acting:
-            drive = part.effect.actuate(data, drive, p[where], part.settings)
-        delay = min(max(float(p[2]), 0.0), 0.5) / data.dt
-        whole = math.floor(delay + 1e-9)
-        halves, states = np.zeros((2, 2, command.size))
+        data = self.data
+        sending = [(part, p[where]) for part, where in acting]
+
+        def along(i: int, s: Signals) -> FloatArray | None:
+            part, own = sending[i]
+            return self.hidden(part, s, own).hidden if part.effect.states else None
+
+        drive = sent_on(sending, self.commanded(p), along)
+        halves, states = np.zeros((2, 2, data.rate.size))
         channels = [np.ascontiguousarray(x) for x in (drive.commands, drive.row, drive.lag)]
+        when = [np.ascontiguousarray(required(x)) for x in (drive.ages, drive.fraction)]
         for start, stop in data.stretches if remembered else self.passes:
-            recursion.motors(*channels, drive.factors, whole, max(delay - whole, 0.0), data.dt,
-                             start, stop, halves, states)
+            recursion.motors(*channels, drive.factors, *when, data.dt, start, stop, halves, states)
         if len(self._drives) > 40:
             self._drives.clear()
         self._drives[key] = halves, states
         return halves, states
 
-    def signals(
-        self, p: FloatArray, halves: FloatArray, states: FloatArray, rate: FloatArray,
-        at: slice | NDArray[np.int64] = slice(None), angle: FloatArray | None = None,
-    ) -> Signals:
-        """Signals for a rate at mid-cycle: all along the flight, or of the samples `at`.
-
-        angle: at the start of the cycle, rad; by default the measured one.
-        """
-        data, gain, h = self.data, p[0], 0.5 * self.data.dt
-        if angle is not None:
-            angle = angle + h * rate
-        elif self.angle is not None:
-            angle = self.angle[at] + (h + self.late[at]) * rate
-        lagged = 0.5 * (halves[0, at] + halves[1, at])
-        command = gain * states[1, at]
+    def commanded(self, p: FloatArray) -> Signals:
+        """What acts before the torque sees: the commands, and what else was measured."""
+        lag, delay = lag_and_delay(p)
         known: dict[str, Any] = {
-            name: tuple(one[at] for one in value) if isinstance(value, list) else
-            None if value is None else value[at] for name, value in self._known.items()
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in self._known.items()
         }
-        return Signals(
-            rate=rate, angle=angle, drive=gain * lagged, command=command, lagged=lagged,
-            change=(command - gain * states[0, at]) / max(float(p[1]), 0.25 * data.dt), **known,
+        return Signals.at_rest(**known, angle=None, sent=self.data.command, share=self.share,
+                               lag=lag, delay=delay, dt=self.data.dt)
+
+    def signals(
+        self, p: FloatArray, halves: FloatArray, states: FloatArray, rate: FloatArray
+    ) -> Signals:
+        """Signals for a rate (n,) at mid-cycle, all along the flight."""
+        data, gain = self.data, p[0]
+        lagged, command = 0.5 * (halves[0] + halves[1]), gain * states[1]
+        return replace(
+            self.commanded(p), rate=rate, drive=gain * lagged, command=command, lagged=lagged,
+            angle=None if self.angle is None else self.angle + (0.5 * data.dt + self.late) * rate,
+            change=(command - gain * states[0]) / max(float(p[1]), 0.25 * data.dt),
         )
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
@@ -250,16 +455,18 @@ class Flight:
         What integrates the rate takes the measured one at all that is slower than FOLLOWED_S:
         errors of an estimated rate would add up in it, and from one pass to the next.
         """
-        if not part.effect.states:
+        effect, data = part.effect, self.data
+        if not effect.states:
             return s
         rate = s.rate
-        if part.effect.integrates and not self.sensor.derived:
-            dt, grid = self.data.dt, np.arange(rate.size)
+        if effect.integrates and not self.sensor.derived:
+            dt, grid = data.dt, np.arange(rate.size)
             keep = math.exp(-dt / FOLLOWED_S)
             away = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
             rate = rate + lfilter([1.0 - keep], [1.0, -keep], away)
         seen = replace(s, rate=rate)
-        return replace(s, hidden=part.effect.trace(self.data, seen, p, part.settings))
+        begun = effect.begun(data, p, part.settings)
+        return replace(s, hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
@@ -281,6 +488,7 @@ class Flight:
         s = self.signals(p, *driven, rate)
         return p[0] * driven[0], [
             (part, p[where], self.hidden(part, s, p[where])) for part, where in placed
+            if not part.effect.moves_command
         ]
 
     def columns(
@@ -465,13 +673,17 @@ class Flight:
 
     def free_run(
         self, structure: Structure, theta: FloatArray, windows: Windows, *,
-        prediction: Prediction | None = None,
+        prediction: Prediction | None = None, rounds: int = 1,
     ) -> FloatArray:
-        """(windows, length) error of the rate, rad/s, run freely from each predicted start."""
+        """(windows, length) error of the rate, rad/s, run freely from each predicted start.
+
+        rounds: as in Plant.
+        """
         dt, p = self.data.dt, structure.natural(theta)
         prediction = prediction or self.predict(structure, theta)
         found = prediction.filter
         halves, states = self.driven(structure, p)
+        plant = Plant(structure, p, dt, self.sensor, self.share, rounds)
         x = prediction.states[windows.starts]
         r, d, g, q = x[:, :4].T
         end = 4 + 2 * structure.lines
@@ -480,47 +692,25 @@ class Flight:
         turn = found.move[2::2] + 1j * found.move[3::2]
         fade, hold = found.move[:2]
         late = self.late[windows.starts]
-        angle = None if self.angle is None else self.angle[windows.starts] + late * r
         own = np.searchsorted([a for a, _ in self.passes], windows.starts, side='right') - 1
         step = np.stack([one.step for one in self.sensors], axis=2)[:, :, np.maximum(own, 0)]
         out = np.full((windows.count, windows.length), np.nan)
-        acting = [(part, p[where]) for part, where in structure.placed()]
         along = self.signals(p, halves, states, prediction.rate)
-        hidden = [
+        angle = None if self.angle is None else self.angle[windows.starts] + late * r
+        turning = Turning(r, angle, np.stack([g, q]), tuple(
             next(followed)[None, :] if part.effect.wanders else
-            required(self.hidden(part, along, values).hidden)[:, windows.starts]
-            if part.effect.states else None for part, values in acting
-        ]
+            required(self.hidden(part, along, values).hidden)[: part.effect.states, windows.starts]
+            if part.effect.states else None for part, values in plant.pushing
+        ))
+        around = self.commanded(p)
         for i in range(windows.length):
             k = windows.starts + i
-            out[:, i] = (g if self.sensor.noisy else r) - self.data.rate[k]
+            out[:, i] = (turning.seen[0] if self.sensor.noisy else turning.rate) \
+                - self.data.rate[k]
             if not self.sensor.derived:
                 out[:, i] += v.real.sum(axis=1)
-            drive = p[0] * halves[:, k]
-            mean = 0.5 * (drive[0] + drive[1])
-            middle = r + 0.5 * dt * mean  # where physics is evaluated, then corrected by its slope
-            s = self.signals(p, halves, states, middle, k, angle)
-            now = [
-                (part, values, replace(s, hidden=x))
-                for x, (part, values) in zip(hidden, acting, strict=True)
-            ]
-            force = with_torques(p[4] - p[3] * middle, now)
-            slope = with_slopes(np.full(middle.size, -p[3]), now)
-            a = 0.5 * dt * slope
-            push = mean + force - slope * middle + hold * d
-            new = ((1.0 + a) * r + dt * push) / (1.0 - a)
-            half = 0.5 * (r + new)
-            s = replace(s, rate=half)
-            hidden = [
-                None if x is None else part.effect.advance(x, s, values, part.settings, dt)
-                for x, (part, values) in zip(hidden, acting, strict=True)
-            ]
-            bent = half + 0.25 * dt * (drive[0] - drive[1])
-            g, q = np.sum(step * np.stack([g, q, r, bent, new]), axis=1)
-            if angle is not None:
-                angle = angle + dt * half
-            r, d = new, d * fade
-            v = v * turn
+            turning = plant.turn(turning, around.at(k), halves[:, k], states[:, k], hold * d, step)
+            d, v = d * fade, v * turn
         return out
 
 

@@ -238,7 +238,7 @@ def _gains(proposal: GainProposal | None) -> dict[str, Any]:
         why = {} if proposal is None else {'gains_refused_because': proposal.refused_because}
         return {'gains': None, **why}
     return {'gains': proposal.gains, 'gain_figures': proposal.figures,
-            'gain_steps': proposal.steps}
+            'gain_steps': proposal.steps, 'gain_left_out': dict(proposal.left_out)}
 
 
 def _model(row: ModelRow) -> dict[str, Any]:

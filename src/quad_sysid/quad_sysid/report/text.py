@@ -70,6 +70,7 @@ def growth(tree: Mapping[str, Any]) -> list[str]:
 
 def _gains(axis: str, tree: Mapping[str, Any]) -> list[str]:
     if tree.get('gains'):
-        return tables.gains(tree, axis, {}).text()
+        left_out = words.left_out(tree.get('gain_left_out', {}))
+        return tables.gains(tree, axis, {}).text() + wrapped(left_out)
     because = tree.get('gains_refused_because')
     return wrapped(f'no gains: {because}', first='') if because else []

@@ -311,3 +311,9 @@ def _bare(axis: str, reason: str) -> str:
 
 def _interval(interval: Sequence[float] | None) -> str:
     return f' (95 %: {number(interval[0])} to {number(interval[1])})' if interval else ''
+
+
+def left_out(effects: Mapping[str, str]) -> str:
+    """Which effects the margins of a design do not hold; '' where they hold all."""
+    told = '; '.join(f'{name}, since {why}' for name, why in effects.items())
+    return told and f'not in the margins: {told}'
