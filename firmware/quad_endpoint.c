@@ -66,10 +66,10 @@ static uint16_t late(const quad_endpoint *e, uint64_t now_us)
     return overrun ? QUAD_FLAG_OVERRUN : 0u;
 }
 
-static void revert_where_due(quad_endpoint *e, uint64_t now_us)
+static void revert_where_due(quad_endpoint *e, uint64_t now_us, bool flying)
 {
     uint8_t result;
-    if (quad_gains_tick(&e->gains, now_us, &result)) {
+    if (quad_gains_tick(&e->gains, now_us, flying, &result)) {
         quad_put_gains_state(e, QUAD_GAINS_ACTION_QUERY, result);
         quad_put_text(e, 2, result == QUAD_GAINS_RESULT_LINK_LOST
                                 ? "link lost: last good gains restored"
@@ -81,7 +81,7 @@ void quad_endpoint_begin_cycle(quad_endpoint *e, uint64_t now_us, const quad_pil
                                quad_cycle *record)
 {
     keep_time(e, now_us);
-    revert_where_due(e, now_us);
+    revert_where_due(e, now_us, e->armed && !pilot->throttle_low);
     memcpy(e->in_force, e->gains.active, sizeof e->in_force);
     e->armed = e->armed && !pilot->kill; /* nothing starts again by the switch's going back */
     const bool allowed = e->armed && !pilot->throttle_low && !pilot->failsafe && !e->low_battery && !e->tilted;

@@ -28,6 +28,8 @@
 #define QUAD_RC_CHANNELS 18
 #define QUAD_LOW_THROTTLE 0.05f /* below it nothing but itself is commanded, and only there something arms */
 #define QUAD_MOST_VOLTS 100.0f  /* a measurement beyond is none */
+#define QUAD_BRIDGE_SYSTEM 1       /* who the bridge is: its frames alone say that it is there */
+#define QUAD_BRIDGE_COMPONENT 191
 #define QUAD_SIGNING_LAST (1ull << 47) /* August 2059: no signature's time is beyond it */
 
 typedef struct {

@@ -66,7 +66,20 @@ static uint8_t commit(quad_gains *gains, const quad_gains_request *request, uint
     copy_set(gains->active, gains->copy);
     gains->staging = false;
     gains->watching = true;
-    gains->deadline_us = now_us + 1000u * (uint64_t)request->watch_ms;
+    gains->watch_us = 1000u * (uint64_t)request->watch_ms;
+    gains->flown_us = 0;
+    gains->ticked_us = now_us;
+    return QUAD_GAINS_RESULT_OK;
+}
+
+static uint8_t confirm(quad_gains *gains)
+{
+    if (gains->watching && gains->flown_us < gains->watch_us / 2u) {
+        return QUAD_GAINS_RESULT_NOT_FLOWN;
+    }
+    copy_set(gains->good, gains->active);
+    gains->watching = false;
+    gains->confirmations++;
     return QUAD_GAINS_RESULT_OK;
 }
 
@@ -101,24 +114,25 @@ uint8_t quad_gains_act(quad_gains *gains, const quad_gains_request *request, uin
     case QUAD_GAINS_ACTION_COMMIT:
         return commit(gains, request, now_us);
     case QUAD_GAINS_ACTION_CONFIRM:
-        copy_set(gains->good, gains->active);
-        gains->watching = false;
-        gains->confirmations++;
-        break;
+        return confirm(gains);
     default:
         revert(gains);
     }
     return QUAD_GAINS_RESULT_OK;
 }
 
-bool quad_gains_tick(quad_gains *gains, uint64_t now_us, uint8_t *result)
+bool quad_gains_tick(quad_gains *gains, uint64_t now_us, bool flying, uint8_t *result)
 {
+    if (flying && gains->watching && now_us > gains->ticked_us) {
+        gains->flown_us += now_us - gains->ticked_us;
+    }
+    gains->ticked_us = now_us;
     if (!gains->staging && !gains->watching) {
         return false;
     }
     if (passed(now_us, gains->heard_us, QUAD_LINK_DEAD_US)) {
         *result = QUAD_GAINS_RESULT_LINK_LOST;
-    } else if (gains->watching && now_us > gains->deadline_us) {
+    } else if (gains->watching && gains->flown_us > gains->watch_us) {
         *result = QUAD_GAINS_RESULT_NOT_CONFIRMED;
     } else {
         return false;

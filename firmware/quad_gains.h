@@ -1,8 +1,9 @@
 /* The sets of parameters: in force, the copy that is being written, the last confirmed one.
  *
- * The bridge opens a copy, writes it, commits it with a checksum and confirms it after a watch.
- * Without its word, or with a dead link, the confirmed set comes back by itself: a bad set never
- * outlives the link that brought it. No frames here. */
+ * The bridge opens a copy, writes it, commits it with a checksum and confirms it after a watch, whose
+ * time passes in flight only: what has not flown for half of it cannot be confirmed. Without its
+ * word, or with a dead link, the confirmed set comes back by itself: a bad set never outlives the
+ * link that brought it. No frames here. */
 #ifndef QUAD_GAINS_H
 #define QUAD_GAINS_H
 
@@ -20,7 +21,8 @@ typedef struct {
     bool staging, watching;
     uint8_t transaction;
     uint32_t confirmations;
-    uint64_t deadline_us, heard_us;
+    uint64_t watch_us, flown_us; /* of the set on trial: the watch, and how much of it has flown */
+    uint64_t ticked_us, heard_us;
 } quad_gains;
 
 /* One QUAD_GAINS message. */
@@ -46,8 +48,9 @@ float quad_gains_shown(const quad_gains *gains, size_t index);
 uint8_t quad_gains_act(quad_gains *gains, const quad_gains_request *request, uint64_t now_us,
                        uint8_t *answered);
 
-/* Once a cycle. True where the confirmed set has come back by itself; then `result` says why. */
-bool quad_gains_tick(quad_gains *gains, uint64_t now_us, uint8_t *result);
+/* Once a cycle, `flying` where it is armed and the throttle is up. True where the confirmed set has
+ * come back by itself; then `result` says why. */
+bool quad_gains_tick(quad_gains *gains, uint64_t now_us, bool flying, uint8_t *result);
 
 /* A QUAD_GAINS_PHASE. */
 uint8_t quad_gains_phase(const quad_gains *gains);

@@ -135,7 +135,9 @@ static void use(quad_endpoint *e, uint64_t now_us)
         return; /* our own echo is no sign of life */
     }
     e->counts.frames++;
-    quad_gains_heard(&e->gains, now_us);
+    if (m->sysid == QUAD_BRIDGE_SYSTEM && m->compid == QUAD_BRIDGE_COMPONENT) {
+        quad_gains_heard(&e->gains, now_us); /* a ground station beside it does not watch the gains */
+    }
     switch (m->msgid) {
     case MAVLINK_MSG_ID_TIMESYNC:
         take_time(e, now_us);

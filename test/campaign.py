@@ -71,7 +71,7 @@ def flown(folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
                 schedule.write_text(wanted['again'])
                 outcome['again'] = str(stages.fly(run, 'again', schedule).bag)
             outcome['after'] = list(observer.active_gains.items())
-            outcome['updates'] = [str(told['source']) for told in observer.updates]
+            outcome['update'] = run.told.get('update')
         except StageFailedError as failed:
             outcome['failed'] = str(failed)
     outcome['processes'] = sorted(crew.children)

@@ -193,7 +193,8 @@ def quad_gains(name):
         'init': (None, (HERE, HERE)), 'heard': (None, (HERE, WORD)),
         'write': (None, (HERE, ctypes.c_size_t, ctypes.c_float)),
         'shown': (ctypes.c_float, (HERE, ctypes.c_size_t)), 'phase': (BYTE, (HERE,)),
-        'act': (BYTE, (HERE, HERE, WORD, HERE)), 'tick': (ctypes.c_bool, (HERE, WORD, HERE)),
+        'act': (BYTE, (HERE, HERE, WORD, HERE)),
+        'tick': (ctypes.c_bool, (HERE, WORD, ctypes.c_bool, HERE)),
         'checksum': (ctypes.c_uint32, (HERE,)),
     }[name]  # fmt: skip
     return function
@@ -205,7 +206,7 @@ class Store(ctypes.Structure):
     _fields_ = (
         ('active', Set), ('good', Set), ('copy', Set), ('staging', ctypes.c_bool),
         ('watching', ctypes.c_bool), ('transaction', BYTE), ('confirmations', ctypes.c_uint32),
-        ('deadline_us', WORD), ('heard_us', WORD),
+        ('watch_us', WORD), ('flown_us', WORD), ('ticked_us', WORD), ('heard_us', WORD),
     )  # fmt: skip
 
     @classmethod
@@ -233,9 +234,13 @@ class Store(ctypes.Structure):
     def write(self, name, value):
         quad_gains('write')(self.here, INDEX[name], value)
 
+    def hears(self, now_us):
+        """The bridge is there."""
+        quad_gains('heard')(self.here, now_us)
+
     def answers(self, frame, now_us):
         """What the STM32 answers to a frame about parameters or sets."""
-        quad_gains('heard')(self.here, now_us)
+        self.hears(now_us)
         if isinstance(frame, f.GainsCommand):
             asked = Request(frame.action, frame.transaction, frame.watch_ms, frame.checksum)
             action = BYTE()
@@ -252,14 +257,14 @@ class Store(ctypes.Structure):
 
     def pass_by(self, seconds, now_us, oldest_us=2_500_000):
         """Time goes by where it stands still at `now_us`: what lies in it moves."""
-        for name in ('deadline_us', 'heard_us'):
+        for name in ('ticked_us', 'heard_us'):
             moved = getattr(self, name) - round(1e6 * seconds)
             setattr(self, name, max(moved, now_us - oldest_us))
 
-    def tick(self, now_us):
+    def tick(self, now_us, *, flying=True):
         """Once a cycle: the state to send where the firmware has reverted by itself."""
         result = BYTE()
-        back = quad_gains('tick')(self.here, now_us, ctypes.byref(result))
+        back = quad_gains('tick')(self.here, now_us, flying, ctypes.byref(result))
         return self.state(result=result.value) if back else None
 
     def state(self, action=0, result=0):

@@ -94,7 +94,8 @@ class Probe:
     def publish(self, topic: str, *messages: Mapping[str, Any], every_s: float = 0.0) -> None:
         """Say messages one after the other; `every_s`: the one message again and again.
 
-        A message is a mapping of the fields that are not zero or empty.
+        A message is a mapping of the fields that are not zero or empty; one that has a stamp has
+        that of now, unless another is given.
         """
         self._do('publish', topic=topic, messages=messages, every_s=every_s, kind=kind_of(topic))
 
@@ -105,6 +106,10 @@ class Probe:
     def listeners(self, topic: str) -> int:
         """How many subscriptions a topic has."""
         return int(self._do('listeners', topic=topic))
+
+    def opened(self, node: str) -> dict[str, set[str]]:
+        """What a node publishes, hears, offers and calls, by full name."""
+        return {what: set(names) for what, names in vars(self._do('opened', node=node)).items()}
 
     def nodes(self) -> list[str]:
         """Full names of the nodes that are there."""
@@ -129,13 +134,17 @@ class Probe:
         self.until(answer.done, answer.words)
         return answer.result()
 
-    def set_parameter(self, node: str, name: str, value: Any) -> Any:
-        """Ask a node to take a value; its answer has `successful` and `reason`."""
-        kind = 'rcl_interfaces/srv/SetParameters'
-        (result,) = self.call(
-            f'{node}/set_parameters', kind, parameters=event({name: value})['changed_parameters']
-        ).results
-        return result
+    def serve(self, service: str, kind: str, **answer: Any) -> list[Any]:
+        """Offer a service that always answers this; a list that grows with what is asked."""
+        heard = self._heard.setdefault(f'service {service}', [])
+        self._do('serve', service=service, kind=kind, response=answer)
+        return heard
+
+    def set_gains(self, values: Mapping[str, Any]) -> Answer:
+        """Ask the bridge for gains; its answer's `result` has `successful` and `reason`."""
+        kind = 'rcl_interfaces/srv/SetParametersAtomically'
+        wanted = event(values)['changed_parameters']
+        return self.ask('/serial_bridge/set_gains', kind, parameters=wanted)
 
     def transition(self, node: str, number: int) -> bool:
         """Ask a lifecycle node for a transition (1 configure … 4 deactivate); whether it went."""
@@ -206,14 +215,15 @@ def kind_of(topic: str) -> str:
     return next((kind for name, kind in known.items() if topic.endswith(name)), '')
 
 
-def event(values: Mapping[str, Any]) -> dict[str, Any]:
+def event(values: Mapping[str, Any], now_ns: int = 0) -> dict[str, Any]:
     """A ParameterEvent with these values, as `publish` takes it."""
     kinds = {name: KINDS[type(value)] for name, value in values.items()}
     return {
         'changed_parameters': [
             {'name': name, 'value': {'type': kinds[name][0], kinds[name][1]: value}}
             for name, value in values.items()
-        ]
+        ],
+        'stamp': stamp(now_ns)['stamp'],
     }
 
 
@@ -322,12 +332,26 @@ class Server:
     def publish(self, topic: str, kind: str, messages: list[Any], every_s: float) -> None:
         self.advertise(topic, kind)
         publisher, made = self._publishers[topic]
-        for message in (filled(made(), values) for values in messages):
-            publisher.publish(message)
+        for values in messages:
+            say = partial_of(self._say, publisher, made, values)
+            say()
             if every_s:
                 self.silence(topic)
-                again = partial_of(publisher.publish, message)
-                self._timers[topic] = self.node.create_timer(every_s, again)
+                self._timers[topic] = self.node.create_timer(every_s, say)
+
+    def _say(self, publisher: Any, made: type, values: Mapping[str, Any]) -> None:
+        message = filled(made(), values)
+        place = getattr(message, 'header', message)
+        if hasattr(place, 'stamp') and not (place.stamp.sec or place.stamp.nanosec):
+            place.stamp = self.node.get_clock().now().to_msg()
+        publisher.publish(message)
+
+    def serve(self, service: str, kind: str, response: Any) -> None:
+        def asked(request: Any, answer: Any) -> Any:
+            tell(heard=f'service {service}', message=plain(request))
+            return filled(answer, response)
+
+        self.node.create_service(interface(kind), service, asked)
 
     def silence(self, topic: str) -> None:
         if topic in self._timers:
@@ -341,6 +365,16 @@ class Server:
     def nodes(self) -> list[str]:
         found = self.node.get_node_names_and_namespaces()
         return [f'{space.rstrip("/")}/{name}' for name, space in found if name != 'probe']
+
+    def opened(self, node: str) -> dict[str, list[str]]:
+        own = self.node
+        found = {
+            'publishes': own.get_publisher_names_and_types_by_node(node, '/'),
+            'hears': own.get_subscriber_names_and_types_by_node(node, '/'),
+            'offers': own.get_service_names_and_types_by_node(node, '/'),
+            'calls': own.get_client_names_and_types_by_node(node, '/'),
+        }
+        return {what: [topic for topic, _ in pairs] for what, pairs in found.items()}
 
     def ask(self, number: int, service: str, kind: str, request: Any) -> None:
         made = interface(kind)

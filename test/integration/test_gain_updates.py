@@ -12,7 +12,6 @@ import math
 import os
 import signal
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -44,7 +43,6 @@ class Bench:
         crew.clock.hold()
         self.told = probe.listen('/diagnostics')
         self.heard = probe.listen('/gains/active')
-        self.wanted = probe.listen('/gains/update')
         probe.advertise('/gains/update')
         self.state = crew.folder / 'state'
         self.stm32 = crew.folder / 'stm32'
@@ -60,7 +58,7 @@ class Bench:
         own |= settings
         self.crew.start_node('quad_bridge', 'serial_bridge', own)
         self.said('read back')
-        self.until(lambda: self.probe.listeners('/gains/update') > 1, 'a bridge beside us')
+        self.until(lambda: self.probe.listeners('/gains/update'), 'a bridge')
         self.rest(2.5)
 
     def rest(self, seconds):
@@ -115,36 +113,28 @@ class Bench:
 
     def ask(self, *sets, source='test'):
         self.told.clear()
-        self.probe.publish('/gains/update', *(event({**one, 'source': source}) for one in sets))
+        now_ns = self.crew.clock.now_ns()
+        said = (event({**one, 'source': source}, now_ns) for one in sets)
+        self.probe.publish('/gains/update', *said)
 
     def set(self, name, value):
-        """`ros2 param set` of one gain."""
-        return self.probe.set_parameter('/serial_bridge', name, value)
+        """What the bridge's service answers."""
+        answer = self.probe.set_gains({name: value})
+        self.until(answer.done, 'the answer')
+        return answer.result().result
 
     def quad_tune(self, *words: object, gives: dict[str, float]) -> str:
         """Run a command that gives these gains; what it prints.
 
-        It hears the bridge once in a second of simulated time, before it asks and when the gains
-        are active. The rest of the time stands still: new gains are watched for 10 s only.
+        Time passes until the bridge has answered, and stands still then: new gains are watched for
+        10 s only.
         """
         environment = {**os.environ, VARIABLE: str(self.crew.socket)}
         command = [sys.executable, '-m', 'quad_tuning.cli', *words]
-        listeners, asked = self.probe.listeners('/diagnostics'), len(self.wanted)
         done = Started(command, self.crew.folder / 'quad_tune', env=environment)
 
-        def over():
-            return done.poll() is not None
-
-        def pass_seconds(met):
-            while not met():
-                self.rest(1.1)
-                end_s = time.monotonic() + 10.0
-                self.probe.until(lambda end_s=end_s: met() or time.monotonic() > end_s)
-
-        self.probe.until(lambda: over() or self.probe.listeners('/diagnostics') > listeners)
-        pass_seconds(lambda: over() or len(self.wanted) > asked)
         self.active(gives)
-        pass_seconds(over)
+        self.probe.until(lambda: done.poll() is not None, 'its end')
         assert (done.poll(), done.said) == (0, '')
         return done.printed
 
@@ -173,7 +163,7 @@ def bench(tmp_path: Path, ros_domain: int, probe: Probe) -> Iterator[Bench]:
 
 
 def test_updates_parameters_services_a_killed_bridge_and_the_second_control_mode(bench, tmp_path):
-    bench.start(polarity='manual', sources=['test', 'a flood', 'ros2 *', 'quad-tune*'])
+    bench.start(polarity='manual', sources=['test', 'a flood', '~/set_gains', 'quad-tune*'])
     bench.ask({KP: 0.1})
     bench.said('call ~/check_polarity')
     answer = bench.probe.ask('/serial_bridge/check_polarity')
@@ -188,6 +178,7 @@ def test_updates_parameters_services_a_killed_bridge_and_the_second_control_mode
     bench.ask(*({ANGLE: 5.0 + 0.01 * k} for k in range(200)), source='a flood')
     bench.said('gains of a flood refused: an earlier update is in flight')
     refused = bench.set(ANGLE, 5.0)
+    bench.told.clear()
     assert not refused.successful
     assert 'in flight' in refused.reason
     bench.ask({KP: 0.1}, source='a stranger')  # the last of this publisher: the flood is over

@@ -14,7 +14,9 @@ from flight_controller import Line
 from hypothesis import settings
 from virtual_aircraft import Endpoint
 
+from quad_bridge.aircraft import Quad
 from quad_bridge.gains.history import History
+from quad_bridge.gains.polarity import PULSE_VALID_MS
 from quad_bridge.gains.update import GainSettings, GainUpdates
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Restarted, Stamped
@@ -57,7 +59,7 @@ class Bench(Line):
 
     def opened(self):
         self.link.opened()
-        self.updates.restarted(self.now_s)
+        self.updates.restarted()
 
     def new_bridge(self):
         """Kill the bridge, start another."""
@@ -91,7 +93,7 @@ class Bench(Line):
     def handle(self, event):
         frame = getattr(event, 'frame', None)
         if isinstance(event, Restarted):
-            self.updates.restarted(self.now_s)
+            self.updates.restarted()
         elif isinstance(event, Stamped):
             pass
         elif isinstance(frame, RcChannels):
@@ -132,7 +134,7 @@ class Bench(Line):
         self.peak_rad = max(self.peak_rad, *(abs(a) for a in frame.attitude[:2]))
         pulse = self.updates.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
-            self.link.send(pulse)
+            self.link.send(Quad().excite(*pulse, PULSE_VALID_MS))
 
 
 @pytest.fixture

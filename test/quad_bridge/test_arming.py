@@ -2,7 +2,8 @@
 
 import pytest
 
-from quad_bridge.arming import ARM_DISARM, Arming
+from quad_bridge.aircraft import ARM_DISARM
+from quad_bridge.arming import Arming, SecondCall
 from quad_bridge.errors import RefusedError
 from quad_bridge.wire.frames import CommandAck
 
@@ -99,3 +100,14 @@ def test_one_that_arms_after_it_was_given_up_is_told_once_and_disarmed_by_nobody
     assert desk.arming.late(3.0, armed=False) == ''
     assert 'armed 9 s after a request' in desk.arming.late(10.1, armed=True)
     assert desk.arming.late(10.2, armed=True) == ''
+
+
+def test_disarming_in_flight_takes_a_second_call_within_two_seconds():
+    second = SecondCall()
+    assert second.fault(1.0, flies=False) == ''
+    assert 'call again within 2 s' in second.fault(1.0, flies=True)
+    assert second.fault(2.9, flies=True) == ''
+    assert 'call again' in second.fault(3.0, flies=True)  # it has armed again
+    assert 'call again' in second.fault(5.1, flies=True)  # too late
+    assert second.fault(5.2, flies=False) == ''  # it has landed
+    assert 'call again' in second.fault(5.3, flies=True)

@@ -16,11 +16,28 @@ TRAIN = {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'rat
 def test_half_a_second_of_silence_counts_as_letting_go(required):
     enable = OperatorEnable(required=required)
     assert ('silent' in enable.fault(0.0)) is required
-    enable.take(True, 1.0)  # who has taken it is relied on, needed or not
+    enable.take(0.0, 1.0)  # who has taken it is relied on, needed or not
     assert enable.fault(1.5) == ''
     assert 'silent' in enable.fault(1.501)
-    enable.take(False, 2.0)
-    assert 'off' in enable.fault(2.0)
+    enable.take(0.3, 2.0)  # it was held at 1.7
+    assert enable.fault(2.199) == ''
+    assert 'silent' in enable.fault(2.201)
+
+
+@pytest.mark.parametrize('age_s', [-0.2, 0.6, 1e9])
+def test_what_bears_a_stamp_of_another_time_commands_nothing_and_is_counted(age_s):
+    """As set-points, segments and enables of a bag that is played beside a live aircraft."""
+    enable = OperatorEnable(required=True)
+    relay = ExcitationRelay(100, enable)
+    enable.take(age_s, 1.0)
+    assert 'its stamp is' in enable.fault(1.0)
+    enable.take(0.0, 1.0)
+    relay.segment(TRAIN)
+    assert relay.setpoint(0.1, 0.0, 0.0, 1.0, age_s) is None
+    assert relay.segment({**TRAIN, 'injection': 'control'}, age_s) is None
+    assert relay.segment({'segment': 'idle'}, age_s) is None
+    assert (enable.refused, relay.dropped, 'its stamp is' in relay.reason) == (1, 3, True)
+    assert relay.setpoint(0.1, 0.0, 0.0, 1.0, 0.4).injection == Injection.RATE
 
 
 def test_the_relay_ends_the_excitation_once_and_waits_for_the_next_segment():
@@ -29,13 +46,13 @@ def test_the_relay_ends_the_excitation_once_and_waits_for_the_next_segment():
     relay.segment(TRAIN)
     assert relay.setpoint(0.1, 0.0, 0.0, 0.9) is None
     assert 'silent' in relay.reason
-    enable.take(True, 1.0)
+    enable.take(0.0, 1.0)
     assert relay.tick(1.2) is None
     assert relay.setpoint(0.1, 0.0, 0.0, 1.2).injection == Injection.RATE
     end = relay.tick(1.6)
     assert (end.injection, end.value) == (Injection.NONE, (0.0, 0.0, 0.0))
     assert relay.tick(1.7) is None
-    enable.take(True, 1.8)
+    enable.take(0.0, 1.8)
     assert relay.setpoint(0.1, 0.0, 0.0, 1.9) is None  # not by itself: somebody had let go
     assert 'next segment' in relay.reason
     relay.segment(TRAIN)

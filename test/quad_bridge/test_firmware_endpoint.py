@@ -294,11 +294,20 @@ def test_an_observer_that_diverges_does_not_come_in(board):
     made.run(50)
     made.update(ROLL_LQR_GAIN=200.0, ROLL_LQR_KANG=0.3, ROLL_LQR_KRATE=0.1, ROLL_LQR_LAG=0.03,
                 ROLL_LQR_OBS=0.005, ROLL_LQR_DAMP=-5.0)  # fmt: skip
+    (early,) = made.tell(f.GainsCommand(f.GainsAction.CONFIRM, 5))
+    assert early.result == f.GainsResult.NOT_FLOWN
+    for _ in range(8):  # on the ground the watch stands still
+        made.run(250, throttle=0.0)
+        made.tell(f.Heartbeat())
+    (early,) = made.tell(f.GainsCommand(f.GainsAction.CONFIRM, 5))
+    assert (early.result, early.phase) == (f.GainsResult.NOT_FLOWN, f.GainsPhase.WATCH)
+    made.run(130)
     made.tell(f.GainsCommand(f.GainsAction.CONFIRM, 5))
     made.run(6250, sample=(0.001, *LEVEL[1:]))
     made.update(ROLL_LQR_SHARE=0.25)
     (cycle,) = of(f.Cycle, made.run())
     assert abs(cycle.control[1]) < 0.05
+    made.run(130)
     made.tell(f.GainsCommand(f.GainsAction.CONFIRM, 5))
     cycles = of(f.Cycle, made.run(1250, sample=(0.001, *LEVEL[1:])))
     assert all(math.isfinite(c.control[1]) for c in cycles)
@@ -337,15 +346,16 @@ def test_a_full_outbox_drops_whole_frames_and_counts_them(board):
     assert made.decoder.counts.bad_crc == made.decoder.counts.garbage_bytes == 0
 
 
-def test_our_own_echo_is_no_sign_of_life_and_only_who_is_meant_is_commanded(board):
+def test_only_the_bridge_is_a_sign_of_life_and_only_who_is_meant_is_commanded(board):
+    """Neither our own echo nor a ground station beside the bridge."""
     made = board()
     for target, answers in (((2, 1), 0), ((1, 7), 0), ((0, 0), 1)):
         assert len(made.tell(f.ParamRequestRead('YAW_ANG_KP', -1, *target))) == answers
     assert arm(board(may_arm=False), 1.0) == 2
     made.tell(f.GainsCommand(f.GainsAction.OPEN, 9))
-    echo, frames = Encoder(1, 1), []
+    echo, ground, frames = Encoder(1, 1), Encoder(255, 190), []
     for _ in range(510):
-        made.feed(echo.encode(f.Heartbeat()))
+        made.feed(echo.encode(f.Heartbeat()) + ground.encode(f.Heartbeat()))
         frames += made.run()
     assert f.GainsResult.LINK_LOST in [s.result for s in of(f.GainsState, frames)]
 

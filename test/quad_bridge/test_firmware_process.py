@@ -21,7 +21,9 @@ from quad_bridge.wire.codec import Encoder
 
 TRAIN = event({'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'rate'})
 SETPOINT = {'vector': {'x': 0.25}}
-HELD = {'data': True}
+HELD = {'frame_id': 'operator'}
+OLD = {'stamp': {'sec': 1_000_000_000, 'nanosec': 1}}
+"""The time of a recording."""
 GAINS, EXCITATION = 'serial_bridge: gains', 'serial_bridge: excitation'
 
 
@@ -82,7 +84,8 @@ def test_over_a_network_only_the_key_commands_and_only_while_the_operator_holds(
 
 def fly_and_intrude(rig, probe, network, key):
     device, end = network.ends
-    rig.start('serial_bridge', port=end.url, key_file=key, state_folder=rig.folder / 'state')
+    rig.start('serial_bridge', port=end.url, key_file=key, state_folder=rig.folder / 'state',
+              require_enable='true')
     probe.meet('/gains/update', '/excitation/segment', '/excitation/setpoint', '/operator/enable')
     probe.until(lambda: len(rig.imu) > 100, 'cycles')
     probe.until(lambda: rig.told, 'parameters')
@@ -91,6 +94,8 @@ def fly_and_intrude(rig, probe, network, key):
     arm = ('/serial_bridge/arm', 'std_srvs/srv/SetBool')
     answer = probe.call(*arm, data=True)
     assert (answer.success, '/operator/enable is silent' in answer.message) == (False, True)
+    probe.publish('/operator/enable', {**HELD, **OLD}, every_s=0.02)  # as from a bag
+    probe.until(lambda: 'its stamp is' in probe.call(*arm, data=True).message)
     probe.publish('/operator/enable', HELD, every_s=0.02)
     probe.until(lambda: 'armed already' in probe.call(*arm, data=True).message)
     probe.silence('/operator/enable')
@@ -99,7 +104,7 @@ def fly_and_intrude(rig, probe, network, key):
     rig.says(GAINS, '/operator/enable is silent')
     probe.publish('/excitation/segment', TRAIN)
     probe.publish('/excitation/setpoint', SETPOINT, every_s=0.01)
-    rig.says(EXCITATION, 'set-point dropped')
+    rig.says(EXCITATION, 'dropped: /operator/enable is silent')
     assert not rig.applied
     probe.publish('/operator/enable', HELD, every_s=0.02)
     probe.publish('/excitation/segment', TRAIN)
@@ -110,6 +115,18 @@ def fly_and_intrude(rig, probe, network, key):
         return len(rig.applied) > 50
 
     probe.until(excited, 'excitation')
+    # a bag that is played beside it
+    probe.publish('/excitation/setpoint', {**SETPOINT, 'header': OLD}, every_s=0.01)
+    probe.publish('/excitation/segment', {**TRAIN, **OLD})
+    probe.publish('/gains/update', {**event({'source': 'bag', 'roll.rate.kp': 0.1}), **OLD})
+    rig.says(EXCITATION, 'dropped: its stamp is')
+    rig.says(GAINS, 'gains of bag refused: its stamp is')
+    heard = len(rig.imu)
+    probe.until(lambda: len(rig.imu) > heard + 250)
+    at = len(rig.applied)
+    probe.until(lambda: len(rig.imu) > heard + 500)
+    assert len(rig.applied) == at
+    probe.publish('/excitation/setpoint', SETPOINT, every_s=0.01)
     # what is said now must be of the second silence and not of the first
     probe.until(lambda: 'silent' not in probe.diagnostics(EXCITATION), 'heard again')
     probe.silence('/operator/enable')

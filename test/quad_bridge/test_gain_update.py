@@ -12,7 +12,10 @@ are stand-ins that speak when the walk says so. In every state that can be reach
    unless the STM32 has confirmed it by then. The gesture, and who asks back, end a check of the
    polarity too, and drop what waits for it.
 4. What is published as active is what the STM32 flies, as long as nothing else has happened.
-5. Left alone, the machine comes to IDLE within the time of an update.
+5. Nothing is good that has not flown well: what the STM32 confirms has flown for the watch's time
+   since it was in force, without an alarm. Nothing is asked for without a fresh stamp.
+6. Left alone in flight, the machine comes to IDLE within the time of an update; on the ground a
+   set stays on trial.
 """
 
 import errno
@@ -31,6 +34,7 @@ from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.protocol import State as Protocol
 from quad_bridge.gains.table import DEFAULT_BOUNDS
 from quad_bridge.gains.update import GainSettings, GainUpdates, State
+from quad_bridge.gains.watch import GainWatch
 from quad_bridge.wire import frames as f
 
 KP, RATE = 'ROLL_RATE_KP', INDEX['LOOP_RATE_HZ']
@@ -45,7 +49,15 @@ class Watch:
     def __init__(self):
         self.bad = self.begun = False
 
+    good, before, known = False, [], None
+
     def step(self, *_):
+        pass
+
+    def anew(self):
+        pass
+
+    def know(self, _):
         pass
 
     def begin(self, *_):
@@ -114,6 +126,7 @@ class Walk:
         self.gains.protocol.gated = frozenset({0.1})
         self.asks, self.faults = 2, 1
         self.armed = False  # while a set of the update in flight was in force
+        self.good, self.seen_s = self.flown('good'), 0.0  # flight seen of what is on trial
         for _ in range(20):
             self.exchange()
         self.cycle(f.Flag.ARMED)
@@ -138,12 +151,12 @@ class Walk:
         flight = g._update and (g._update.written, str(g._update.steps), g._update.armed)
         return (
             g.state, flight, bool(g._pending), g._flags, g._cycle_s, g._excited_s > -0.5,
-            g.state is State.WATCHING and g._until_s,
+            g.state is State.WATCHING and g._left_s, g._flying_s is None,
             g.watch.bad, g.watch.begun, g.polarity.left, g.polarity.known, p.state, p._left,
             p._due_s, p._number % 4, tuple(p._queue), len(p._values), p._values.get(KP),
             self.flown(), self.flown('good'), s.staging and self.flown('copy'),
-            s.watching and (s.deadline_us, s.heard_us), self.asks, self.faults, self.armed,
-            p._late,
+            s.watching and (s.flown_us, s.heard_us), self.asks, self.faults, self.armed,
+            p._late, self.seen_s,
         )  # fmt: skip
 
     # Events.
@@ -160,6 +173,8 @@ class Walk:
 
     def cycle(self, flags):
         before, armed = self.gains.state, flags & f.Flag.ARMED
+        if before is State.WATCHING and armed:
+            self.seen_s = min(self.seen_s - min(self.gains._cycle_s, 0.0), 2.0)
         self.gains.cycle(cycle(flags), 0.0)
         if flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE) or (self.armed and not armed):
             self.goes_back(before, STOPPED_IN)
@@ -189,29 +204,30 @@ class Walk:
     def tick(self, *, excited=False):
         g, s = self.gains, self.stm32
         for part, name in (
-            (g, '_cycle_s'), (g, '_excited_s'), (g, '_until_s'), (g.protocol, '_due_s'),
+            (g, '_cycle_s'), (g, '_excited_s'), (g.protocol, '_due_s'),
         ):  # fmt: skip
             setattr(part, name, max(getattr(part, name) - STEP_S, -OLDEST_S))
         s.pass_by(STEP_S, NOW_US)
         g._stick_ends.clear()
         if excited:
             self.cycle(f.Flag.ARMED | f.Flag.EXCITATION)
-        before, told = g.state, s.tick(NOW_US)
+        before, told = g.state, s.tick(NOW_US, flying=bool(g._flags & f.Flag.ARMED))
         if told is not None:
             g.take(told, 0.0)
         g.tick(0.0)
         if excited and before is not State.WRITING:  # the next step waits
             assert g.state is not State.WRITING
 
-    def ask(self, value, **more):
+    def ask(self, value, age_s=0.0, **more):
         before, refusals = self.gains.state, self.gains.refusals
         gains = {'roll.rate.kp': value} if value is not HELD else {}
         try:
-            self.gains.ask({**gains, 'source': 'test', **more}, 0.0)
+            self.gains.ask({**gains, 'source': 'test', **more}, 0.0, age_s=age_s)
         except RefusedError:
             assert self.gains.state is before
             assert self.gains.refusals == refusals + 1
         else:
+            assert -0.1 <= age_s <= 0.5
             if more.get('rollback'):
                 dropped = before is State.CHECKING
                 assert self.gains.state is (State.IDLE if dropped else State.REVERTING)
@@ -224,7 +240,7 @@ class Walk:
     def restarts(self):
         self.faults -= 1
         self.stm32 = self.stm32.restarted()
-        self.gains.restarted(0.0)
+        self.gains.restarted()
 
     def moves(self):
         armed, g = f.Flag.ARMED, self.gains
@@ -236,6 +252,8 @@ class Walk:
             'disarmed': lambda w: w.cycle(f.Flag.NONE),
             'alarm': Walk.alarm, 'gesture': Walk.gesture, 'tick': Walk.tick,
             'nan': lambda w: w.ask(math.nan), 'back': lambda w: w.ask(HELD, rollback=True),
+            'late': lambda w: w.ask(0.15, 0.6),
+            'ahead': lambda w: w.ask(HELD, -0.2, rollback=True),
             'disturb': lambda w: w.gains.disturb(),
         }  # fmt: skip
         if self.asks or g.state is not State.IDLE:
@@ -253,6 +271,11 @@ class Walk:
                 assert item.active['roll.rate.kp'] == flown
         g.news.clear()
         assert any(abs(flown - gated) < 1e-6 for gated in g.protocol.gated), 'never gated'
+        if self.flown('good') != self.good:
+            self.good = self.flown('good')
+            assert self.seen_s >= update.WATCH_S, 'good without a good flight'
+        if g.state is not State.WATCHING and g.state is not State.CONFIRMING:
+            self.seen_s = 0.0
         assert flown == self.flown('good') or g.polarity.known
         if g.state is State.IDLE:
             assert g._update is None
@@ -302,9 +325,13 @@ def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path, monkeypatch, mo
 
 
 class Bench:
-    """An aircraft that lies still, 20 ms after 20 ms, with these `flags` and `throttle`."""
+    """An aircraft that lies still, 20 ms after 20 ms, with these `flags` and `throttle`.
 
-    def __init__(self, folder):
+    In flight it rolls with a rate of `shakes` rad/s at 12 rad/s.
+    """
+
+    def __init__(self, folder, rate_hz=50.0):
+        self.period_s, self.shakes = 1.0 / rate_hz, 0.0
         self.folder, self.history = folder, History(folder, lambda job: job())
         self.gains = GainUpdates(GainSettings(polarity='off'), self.history)
         self.gains.watch, self.stm32 = Watch(), Store.begun({KP: 0.1})
@@ -315,10 +342,17 @@ class Bench:
     def goes_on(self, seconds=20.0):
         """The lines of news as they come."""
         g = self.gains
-        for _ in range(round(50 * seconds)):
-            self.now_s += 0.02
-            control = (self.throttle, 0.0, 0.0, 0.0)
-            g.cycle(replace(cycle(self.flags), control=control), self.now_s)
+        for _ in range(round(seconds / self.period_s)):
+            self.now_s += self.period_s
+            control, armed = (self.throttle, 0.0, 0.0, 0.0), bool(self.flags & f.Flag.ARMED)
+            turns = armed * self.shakes * math.sin(12.0 * self.now_s)
+            time_us = round(1e6 * self.now_s)
+            g.cycle(replace(cycle(self.flags), control=control, gyro=(turns, 0.0, 0.0),
+                            time_us=time_us), self.now_s)
+            self.stm32.hears(time_us)
+            told = self.stm32.tick(time_us, flying=armed and self.throttle > 0.05)
+            if told is not None:
+                g.take(told, self.now_s)
             frame = g.poll(self.now_s)
             if frame is not None:
                 for answer in self.stm32.answers(frame, round(1e6 * self.now_s)):
@@ -342,30 +376,72 @@ class Bench:
         return json.loads(path.read_text().splitlines()[-1])
 
 
-def test_gains_confirmed_on_the_ground_have_not_flown_until_they_have(tmp_path):
-    bench = Bench(tmp_path)
-    bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
-    assert 'have not flown for 10 s' in bench.until('confirmed')
-    assert (bench.stored['state'], bench.stored['flown']) == ('confirmed', False)
-    assert 'not flown' in bench.gains.status(standard=False).message
+def test_gains_stay_on_trial_on_the_ground_and_are_good_after_ten_seconds_of_flight(tmp_path):
+    bench, told = Bench(tmp_path), []
+    bench.gains.ask({'roll.rate.kp': 0.15}, bench.now_s, lambda *x: told.append(x))
+    assert not told
+    assert not any('confirmed' in text for text in bench.goes_on(40.0))
+    assert told == [(True, '')]  # read back, and no more
+    assert 'on trial on the ground' in bench.gains.status(standard=False).message
     bench.flags, bench.throttle = f.Flag.ARMED, 0.0  # the motors turn, but do not control
-    assert not any('flown' in text for text in bench.goes_on())
+    assert not any('confirmed' in text for text in bench.goes_on())
+    assert bench.stm32.of([KP], 'good') == pytest.approx((0.1,))
     bench.throttle = 0.5
-    bench.until('have flown for 10 s')
-    assert bench.stored['state'] == 'flown'
-    assert 'not flown' not in bench.gains.status(standard=False).message
-    bench.gains.ask({'roll.rate.kp': 0.2, 'source': 'test'}, bench.now_s)
-    assert 'not flown' not in bench.until('confirmed')
-    assert bench.stored['flown'] is True
+    begin_s = bench.now_s
+    bench.until('confirmed: they flew well')
+    assert bench.now_s - begin_s == pytest.approx(10.0, abs=0.3)
+    assert (bench.stored['state'], bench.stored['flown']) == ('confirmed', True)
+    assert bench.stm32.of([KP], 'good') == pytest.approx((0.15,))
 
 
-def test_gains_armed_in_the_midst_of_the_watch_have_not_flown_for_its_time(tmp_path):
-    bench = Bench(tmp_path)
-    bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
-    assert not any('confirmed' in text for text in bench.goes_on(5.0))
+def test_on_the_ground_the_next_step_waits_for_flight_and_who_asked_is_told(tmp_path):
+    bench, told = Bench(tmp_path), []
+    bench.gains.ask({'roll.rate.kp': 0.29}, bench.now_s, lambda *x: told.append(x))
+    assert not any('step 2' in text for text in bench.goes_on(20.0))
+    ((done, words),) = told
+    assert (done, 'step 1 of 2' in words, 'after 3 s of flight' in words) == (False, True, True)
     bench.flags = f.Flag.ARMED
-    bench.until('confirmed')
-    assert bench.stored['flown'] is False
+    bench.until('step 2 of 2')
+
+
+def test_a_set_that_shakes_after_take_off_is_taken_back_though_it_lay_still_before(tmp_path):
+    """Roll rates of 1.5 rad/s RMS, as an aircraft with seven times the gain had."""
+    bench = Bench(tmp_path)
+    bench.gains.watch = GainWatch(50.0)
+    bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
+    assert any('in force' in text for text in bench.goes_on(20.0))
+    bench.flags, bench.shakes = f.Flag.ARMED, 2.1
+    assert 'roll' in bench.until('rolled back')
+    assert not any('confirmed' in text for text in bench.goes_on())
+
+
+def test_the_next_flight_is_held_to_the_last_good_one(tmp_path):
+    """0.6 rad/s at 12 rad/s: a sound aircraft may, one that has flown with 0.05 may not."""
+    for calm in (False, True):
+        bench = Bench(tmp_path / str(calm))
+        bench.gains.watch = GainWatch(50.0)
+        if calm:
+            bench.flags, bench.shakes = f.Flag.ARMED, 0.05
+            assert not list(bench.goes_on(13.0))
+            assert bench.stored['state'] == 'flown'
+        again = Bench(tmp_path / str(calm))  # another bridge
+        again.gains.watch = GainWatch(50.0)
+        again.gains.watch.know(again.history.kept('flight.json').get('flight'))
+        again.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, again.now_s)
+        assert any('in force' in text for text in again.goes_on(2.0))
+        again.flags, again.shakes = f.Flag.ARMED, 0.6
+        assert any('rolled back' in text for text in again.goes_on(13.0)) is calm
+
+
+@pytest.mark.parametrize('rate_hz', [30.0, 50.0])
+def test_a_link_too_slow_for_the_watch_gets_no_gains(tmp_path, rate_hz):
+    bench = Bench(tmp_path, rate_hz=rate_hz)
+    list(bench.goes_on(20.0))
+    if rate_hz < 50.0:
+        with pytest.raises(RefusedError, match='brings 30 cycles per second: the watch needs 50'):
+            bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
+    else:
+        bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
 
 
 def test_a_rollback_drops_the_gains_that_wait_for_the_polarity_check(tmp_path):
@@ -387,13 +463,13 @@ def test_another_aircraft_on_the_port_writes_nothing_into_the_firsts_files(tmp_p
     kept = first.read_text()
     bench.gains.polarity.load({'axes': {'roll': 'ok'}})
     bench.number, bench.executor_late, bench.stm32 = 8, True, Store.begun({KP: 0.3})
-    bench.gains.restarted(bench.now_s)
+    bench.gains.restarted()
     bench.until('read back')
     assert bench.gains.aircraft != first.parent.name
     bench.gains.ask({'roll.rate.kp': 0.35, 'source': 'test'}, bench.now_s)
     bench.until('in force')
     assert bench.gains.polarity.record == {'axes': {}, 'motors': {}}
-    bench.executor_late = False
+    bench.executor_late, bench.flags = False, f.Flag.ARMED
     bench.until('confirmed')
     assert first.read_text() == kept
     (second,) = set(tmp_path.rglob('gains.jsonl')) - {first}

@@ -1,9 +1,13 @@
 """The clock finds offset and drift through jitter and stalls, and starts again after a jump."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from flight_controller import STILL
 
 from quad_bridge.link.clock import ClockEstimator, DeviceTime
+from quad_bridge.sensors.live import LiveSensors
 
 OFFSET_NS = 1_700_000_000_000_000_000
 
@@ -131,3 +135,14 @@ def test_other_times_are_no_wrap(times):
         assert time.extend(now_us, 1_000_000 * near_s + 60) == now_us
         assert time.peek(2**32 - 1, 60) == 2**32 - 1  # only looked at
     assert time.wraps == 0
+
+
+def test_a_device_whose_time_stands_still_fills_no_memory():
+    clock = ClockEstimator()
+    for k in range(20_000):
+        clock.add_arrival(1_000_000, 1000 * k)
+    assert len(clock._block) <= 5000
+    sensors = LiveSensors(correct=True)
+    for _ in range(2000):
+        sensors.cycle(replace(STILL, flags=0))
+    assert len(sensors.standing()) == 1

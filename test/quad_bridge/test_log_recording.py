@@ -7,6 +7,7 @@ import shutil
 import struct
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -48,6 +49,23 @@ def put(recording, numbers):
 def numbers_in(bag):
     with AnyReader([bag]) as reader:
         return [struct.unpack_from('<Q', raw, 4)[0] for _, _, raw in reader.messages()]
+
+
+def test_what_waits_is_bounded_by_bytes_too(bag, monkeypatch):
+    """Messages of a megabyte, while the disk hangs."""
+    hangs, begun = threading.Event(), threading.Event()
+    monkeypatch.setattr(mcap.os, 'fdatasync', lambda _: (begun.set(), hangs.wait(60.0)))
+    recording = started(bag, capacity_bytes=8_000_000)
+    put(recording, range(1))
+    until(begun.is_set)
+    for k in range(1, 51):
+        recording.put(TOPIC, 10**18 + k, struct.pack('<4xQ', k) + bytes(10**6))
+    waiting = recording.status.waiting
+    hangs.set()
+    status = recording.stop()
+    assert waiting == 7
+    assert (status.dropped, status.failure) == (43, '')
+    assert numbers_in(bag) == [0, *range(44, 51)]
 
 
 def test_a_sync_that_stalls_for_a_second_loses_nothing_and_is_told(bag, monkeypatch):

@@ -1,11 +1,15 @@
 """What is wrong with a node's arguments or parameters ends it with status 2 and one line."""
 
+import runpy
 from pathlib import Path
 
 import pytest
 import yaml
 from node_process import node_command, program
 
+from quad_bridge.topics import NODES
+
+MADE = runpy.run_path(str(Path(__file__).parents[2] / 'tools/policies.py'))
 CONFIG = Path(__file__).resolve().parents[2] / 'src' / 'quad_bridge' / 'config'
 ONE_OF = 'must be one of auto, manual, off: found'
 
@@ -26,6 +30,7 @@ PARAMETERS = [
     ('bag_logger', {'reserve_mb': 1_000_000}, 'MB of free disk for a flight'),
     ('bag_logger', {'folder': '/proc/nowhere', 'reserve_mb': 0}, 'cannot write a bag here'),
     ('bag_logger', {'prefix': 300 * 'a'}, 'File name too long'),
+    ('bag_logger', {'prefix': '../flight'}, 'prefix: must be a plain name'),
     ('monitor', {'band_low_rad_s': 30.0}, 'is not below band_high_rad_s 20'),
     ('excitation', {'schedule': '/nowhere.yaml'}, '/nowhere.yaml: cannot be read'),
     ('identification', {'train': '5:1'}, 'parameter train: needs two times START:END'),
@@ -108,3 +113,29 @@ def test_a_parameter_file_of_another_node_is_told(start, run, tmp_path):
 def test_a_configuration_file_is_rooted_at_its_node(name):
     given = yaml.safe_load((CONFIG / f'{name}.yaml').read_text(encoding='utf-8'))
     assert {node: set(given[node]) for node in given} == {name: {'ros__parameters'}}
+
+
+def test_each_node_opens_what_the_table_of_topics_says_and_so_its_policy(start, probe, tmp_path):
+    assert MADE['POLICIES'].read_text() == MADE['policies'](), 'run tools/policies.py'
+    for name, opens in NODES.items():
+        if name == 'quad_tune':
+            continue
+        own = {'folder': tmp_path, 'autostart': 'true'} if name == 'bag_logger' else {}
+        own = {'port': tmp_path / 'none'} if name == 'serial_bridge' else own
+        start(name, **own)
+        services = {*opens.offers, *MADE['PARAMETERS'], *(MADE['STATES'] if opens.managed else ())}
+        event = {f'/{name}/transition_event'} if opens.managed else set()
+        wanted = {
+            'publishes': {'/rosout', '/parameter_events', *event, *opens.publishes},
+            'hears': {'/parameter_events', *opens.hears},
+            'offers': {f'/{name}/{service}' for service in services},
+            'calls': set(opens.calls),
+        }
+
+        def agrees(name=name, wanted=wanted):
+            found = probe.opened(name) if f'/{name}' in probe.nodes() else {}
+            aside = {'/parameter_events', '/clock', f'/{name}/get_type_description'}
+            found = {what: names - aside for what, names in found.items()}
+            return found == {what: names - aside for what, names in wanted.items()}
+
+        probe.until(agrees, f'{name} opens {wanted}')

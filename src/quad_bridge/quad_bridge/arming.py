@@ -14,42 +14,67 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
+from quad_bridge.aircraft import ACCEPTED, Aircraft, Quad
 from quad_bridge.errors import RefusedError
-from quad_bridge.wire.frames import Command, CommandAck
+from quad_bridge.fresh import stale
+from quad_bridge.wire.frames import CommandAck, Frame
 
-ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
 ANSWER_S = 1.0  # an answer is waited for so long; a late one may come for as long again
 LATE_S = 60.0  # so long a request may have lain on the way
 AGAIN_S = 0.2  # between two disarms that nothing has answered
+AGAIN_WITHIN_S = 2.0  # between two calls that disarm in flight
 HELD_S = 0.5  # after so long without a message the switch counts as let go
-ACCEPTED = 'accepted'
-_RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 
 
 class OperatorEnable:
     """The dead-man switch, /operator/enable: alive or not. Times in s on a steady clock.
 
-    Whoever holds it says `true` at 5 Hz or faster; half a second of silence counts as letting go.
-    Where it is not `required` it counts once somebody has held it: who takes it relies on it.
+    Whoever holds it says so at 5 Hz or faster, with the time of now; half a second after the last
+    stamp it counts as let go. What is stamped otherwise, as from a bag, holds nothing. Where it
+    is not `required` it counts once somebody has held it: who takes it relies on it.
     """
 
     def __init__(self, *, required: bool) -> None:
         self.required = required
-        self._heard_s = -math.inf
-        self._on = False
+        self.refused, self.reason = 0, ''  # messages with a stamp of another time, and the last
+        self._held_s = -math.inf
 
-    def take(self, on: bool, now_s: float) -> None:
-        """Take a message."""
-        self._on, self._heard_s = on, now_s
+    def take(self, age_s: float, now_s: float) -> None:
+        """Take a message that was stamped `age_s` ago."""
+        self.reason = stale(age_s)
+        if self.reason:
+            self.refused += 1
+            return
+        self._held_s = max(self._held_s, now_s - max(age_s, 0.0))
         self.required = True
 
     def fault(self, now_s: float) -> str:
         """Why excitation and arming are refused now; empty if they are allowed."""
         if not self.required:
             return ''
-        if now_s - self._heard_s > HELD_S:
-            return f'/operator/enable is silent: publish true to it every {HELD_S / 2.5:g} s'
-        return '' if self._on else "the operator's enable is off"
+        if now_s - self._held_s <= HELD_S:
+            return ''
+        if self.reason:
+            return f'/operator/enable: {self.reason}'
+        return f'/operator/enable is silent: publish to it every {HELD_S / 2.5:g} s'
+
+
+class SecondCall:
+    """To disarm in flight lets it fall: that takes a second call, or the pilot's own switch."""
+
+    def __init__(self) -> None:
+        self._first_s = -math.inf
+
+    def fault(self, now_s: float, *, flies: bool) -> str:
+        """Why a call to disarm does nothing yet; empty where it does."""
+        first_s, self._first_s = self._first_s, -math.inf
+        if not flies or now_s - first_s <= AGAIN_WITHIN_S:
+            return ''
+        self._first_s = now_s
+        return (
+            f'it flies: call again within {AGAIN_WITHIN_S:g} s to let it fall, or use the '
+            "pilot's switch"
+        )
 
 
 class _Request:
@@ -67,13 +92,14 @@ class Arming:
     its request.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, aircraft: Aircraft | None = None) -> None:
+        self._aircraft = aircraft or Quad()
         self._lock = threading.RLock()
         self._asked: _Request | None = None
         self._sent: deque[_Request] = deque()  # one per command on the way, of earlier ones too
         self._owed_until_s = self._given_up_s = -math.inf
 
-    def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Command:
+    def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Frame:
         """Accept a request; returns the frame to send. Raises RefusedError."""
         with self._lock:
             self._expire(now_s)
@@ -86,7 +112,7 @@ class Arming:
             asked.told.append((now_s + ANSWER_S, told))
             return self._send(asked, now_s)
 
-    def tick(self, now_s: float, *, armed: bool = False) -> Command | None:
+    def tick(self, now_s: float, *, armed: bool = False) -> Frame | None:
         """Give up where no answer has come; what to send again.
 
         `armed` says what the aircraft is: where it has armed, only its answer was lost.
@@ -112,13 +138,13 @@ class Arming:
         """Take the STM32's answer to a command."""
         with self._lock:
             self._expire(now_s)
-            if ack.command != ARM_DISARM or not self._sent:
+            told = self._aircraft.armed_answer(ack)
+            if told is None or not self._sent:
                 return
             answered, asked = self._sent.popleft(), self._asked
             # an answer to the disarm of before is as good for the one that waits
             if asked is not None and (answered is asked or not (answered.arm or asked.arm)):
-                known = ack.result < len(_RESULTS)
-                self._end(_RESULTS[ack.result] if known else f'result {ack.result}', now_s)
+                self._end(told, now_s)
 
     def late(self, now_s: float, *, armed: bool) -> str:
         """What to say of an aircraft that armed after the request had been given up; once."""
@@ -135,10 +161,10 @@ class Arming:
         with self._lock:
             self._end(why, -math.inf)
 
-    def _send(self, asked: _Request, now_s: float) -> Command:
+    def _send(self, asked: _Request, now_s: float) -> Frame:
         asked.last_s = now_s
         self._sent.append(asked)
-        return Command(ARM_DISARM, (1.0 if asked.arm else 0.0,))
+        return self._aircraft.arm(asked.arm)
 
     def _end(self, text: str, now_s: float) -> None:
         """End the waiting request and answer its caller."""

@@ -12,6 +12,7 @@ import signal
 import sys
 from pathlib import Path
 
+RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 INTERRUPTED = 130  # of a command; a node is meant to run until then and ends with 0
 
@@ -20,6 +21,7 @@ def begin(module: str) -> None:
     """Import `module` and run its `main`, which takes the signals over."""
     _guard(0)
     listen_by_udp()
+    stay_on_this_computer()
     importlib.import_module(module).main()
 
 
@@ -45,6 +47,14 @@ def listen_by_udp() -> None:
     if not {PROFILES, 'FASTDDS_BUILTIN_TRANSPORTS'} & os.environ.keys():
         os.environ[PROFILES] = str(Path(__file__).with_name('fastdds.xml'))
         os.environ['FASTDDS_BUILTIN_TRANSPORTS'] = 'UDPv4'
+
+
+def stay_on_this_computer() -> None:
+    """Let no other computer find the nodes, unless the user opened that: whoever does commands.
+
+    `ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET` opens it, as ROS 2 has it by default.
+    """
+    os.environ.setdefault(RANGE, 'LOCALHOST')
 
 
 def _open_standard_streams() -> None:

@@ -1,6 +1,11 @@
-"""The contract's topics and their types: what the logger records and how it must subscribe."""
+"""The contract's topics and their types, and which node opens which of them.
+
+config/policies.xml follows from it (tools/policies.py), and a test holds it against the nodes.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 TOPIC_TYPES = {
     '/imu/data': 'sensor_msgs/msg/Imu',
@@ -20,7 +25,7 @@ TOPIC_TYPES = {
     '/gains/active': 'rcl_interfaces/msg/ParameterEvent',
     '/logger/bag': 'rcl_interfaces/msg/ParameterEvent',
     '/robot_description': 'std_msgs/msg/String',
-    '/operator/enable': 'std_msgs/msg/Bool',
+    '/operator/enable': 'std_msgs/msg/Header',
     '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray',
 }
 
@@ -28,3 +33,53 @@ LATCHED = frozenset(
     {'/excitation/segment', '/gains/active', '/logger/bag', '/robot_description'}
 )
 """Topics published transient local."""
+
+
+@dataclass(frozen=True)
+class Opens:
+    """What a node publishes, hears, offers (services of its own) and calls."""
+
+    publishes: tuple[str, ...]
+    hears: tuple[str, ...]
+    offers: tuple[str, ...] = ()
+    calls: tuple[str, ...] = ()
+    managed: bool = False
+    """Whether it is a lifecycle node."""
+
+
+SET_GAINS = '/serial_bridge/set_gains'
+NODES = {
+    'serial_bridge': Opens(
+        (
+            '/imu/data', '/motors/command', '/motors/state', '/control/wrench',
+            '/setpoint/attitude', '/setpoint/rates', '/rc/in', '/battery', '/imu/mag', '/baro',
+            '/excitation/applied', '/gains/active', '/robot_description', '/diagnostics',
+        ),
+        (
+            '/excitation/setpoint', '/excitation/segment', '/gains/update', '/operator/enable',
+            '/logger/bag', '/robot_description',
+        ),
+        ('arm', 'calibrate_at_rest', 'check_polarity', 'find_motors', 'set_gains'),
+        managed=True,
+    ),
+    'bag_logger': Opens(
+        ('/logger/bag', '/diagnostics'), tuple(TOPIC_TYPES), ('start', 'stop'), managed=True
+    ),
+    'monitor': Opens(
+        (),
+        (
+            '/diagnostics', '/imu/data', '/battery', '/excitation/applied', '/excitation/segment',
+            '/logger/bag',
+        ),
+    ),
+    'excitation': Opens(
+        ('/excitation/setpoint', '/excitation/segment', '/diagnostics'),
+        ('/imu/data', '/rc/in', '/battery', '/diagnostics'),
+        ('start', 'stop'),
+    ),
+    'identification': Opens(
+        ('/diagnostics',), ('/logger/bag',), ('identify',), (SET_GAINS,)
+    ),
+    'quad_tune': Opens((), (), (), (SET_GAINS,)),
+}  # fmt: skip
+"""By the name of the node."""

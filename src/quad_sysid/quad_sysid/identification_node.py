@@ -1,10 +1,13 @@
 """The `identification` node: identifies each complete bag, reports, and designs gains.
 
-Wiring only: session.run does the work, in its own thread so that the node keeps responding.
+Wiring only: session.run does the work, in its own thread so that the node keeps responding. Only
+bags below `folder` are read, and gains are sent only for one that the logger has begun and
+completed since this node began: anybody can say something on /logger/bag.
 """
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections import deque
@@ -13,8 +16,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import QuadBridgeError
@@ -22,13 +27,20 @@ from quad_bridge.lockstep import clock
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.conversion import event_message, parameters
 from quad_bridge.nodes.diagnostics import diagnostic_array
+from quad_bridge.nodes.managed_node import MOST_BYTES, answered
 from quad_bridge.nodes.qos import EVENT, STATE
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_sysid import session
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.result import Result
 
-PARAMETERS = ('out', 'axes', 'auto_update', 'train', 'validate', 'inertia')
+PARAMETERS = ('out', 'axes', 'auto_update', 'train', 'validate', 'inertia', 'folder', 'bag')
+LOGGER, BRIDGE = 'bag_logger', 'serial_bridge'
+MOST_BAGS = 100
+"""That wait, or are remembered: more than that is a flood."""
+
+
+EARLIER = 'the bag was complete before this node began'
 
 
 class IdentificationNode(Node):  # type: ignore[misc]
@@ -41,54 +53,95 @@ class IdentificationNode(Node):  # type: ignore[misc]
             self, 'out', '', 'folder of the report; empty: <bag>_identified beside the bag'
         )
         self._auto_update = ros_node.declared(
-            self, 'auto_update', False, 'publish gains that are better and safe'
+            self, 'auto_update', False, 'send gains that are better and safe to the bridge'
         )
+        folder = ros_node.declared(
+            self, 'folder', '.', "the logger's: bags that do not lie below it are not read"
+        )
+        self._folder = Path(folder).expanduser().resolve()
+        words = 'what ~/identify reads, below the folder; empty: the newest bag there'
+        self.declare_parameter('bag', '', ParameterDescriptor(description=words))
         self._wanted = _wanted(self)
         self._bag = ''
-        self._seen: set[str] = set()
-        self._earlier: set[str] = set()  # complete before this node began, and not asked for
+        self._begun: set[str] = set()  # recordings that the logger began since this node did
+        self._seen: dict[str, str] = {}  # bags, and why their gains are not sent
         self._queue: deque[str] = deque()
         self._values: dict[str, str] = {'state': 'waiting'}
         self._level = OK
         self._worker: threading.Thread | None = None
         self._outcome: Result | str | None = None
         self._begun_ns = time.time_ns()  # by the middleware's clock, whatever that of the flight
-        self._gains = self.create_publisher(ParameterEvent, 'gains/update', EVENT)
+        self._gains = self.create_client(SetParametersAtomically, f'{BRIDGE}/set_gains')
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
-        self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
+        self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE, raw=True)
         self.create_service(Trigger, '~/identify', self._on_identify)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time stands still meanwhile
         self.create_timer(0.2, self._collect, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
         self.get_logger().info('waits for /logger/bag to say complete')
 
-    def _on_bag(self, event: Any, info: Any) -> None:
-        said = parameters(event)
-        bag = str(said.get('path', '')) if said.get('state') == 'complete' else ''
-        if not bag or bag in self._seen:
+    def _on_bag(self, data: bytes, info: Any) -> None:
+        if len(data) > MOST_BYTES or len(self._seen) >= MOST_BAGS:
             return
-        self._seen.add(bag)
-        earlier = info['source_timestamp'] < self._begun_ns
+        event = deserialize_message(data, ParameterEvent)
+        said = parameters(event)
+        bag, state = str(said.get('path', '')), said.get('state')
+        earlier, stranger = info['source_timestamp'] < self._begun_ns, self._stranger(event.node)
+        if state == 'recording' and not earlier and not stranger and len(self._begun) < MOST_BAGS:
+            self._begun.add(bag)
+        if state != 'complete' or bag in self._seen:
+            return
+        if not self._ours(Path(bag)):
+            why = f'{bag}: not read: it does not lie below the parameter folder ({self._folder})'
+            self.get_logger().warning(why, throttle_duration_sec=1.0)
+            self._say(WARN, state='waiting', reason=why)
+            return
         if earlier:
             # the logger repeats its last ones to whoever comes late; the newest may be of use
-            self._queue = deque(one for one in self._queue if one not in self._earlier)
-            self._earlier.add(bag)
+            before = {one for one, why in self._seen.items() if why == EARLIER}
+            self._queue = deque(one for one in self._queue if one not in before)
+        unseen = '' if bag in self._begun else 'its recording has not begun since this node did'
+        self._seen[bag] = EARLIER if earlier else stranger or unseen
         self._queue.append(bag)
         if not earlier:
             self._start_next()
 
+    def _stranger(self, node: str) -> str:
+        """Why what was said on /logger/bag may not be the logger's; empty if it is."""
+        known = f'{self.get_namespace().rstrip("/")}/{LOGGER}'
+        said_by = [
+            f'{one.node_namespace.rstrip("/")}/{one.node_name}'
+            for one in self.get_publishers_info_by_topic(self.resolve_topic_name('logger/bag'))
+        ]
+        if node == known and said_by == [known]:
+            return ''
+        others = ', '.join(sorted({node, *said_by} - {known})) or 'another of that name'
+        return f'not {known} alone speaks on /logger/bag, but {others}'
+
+    def _ours(self, bag: Path) -> bool:
+        try:
+            return bag.resolve().is_relative_to(self._folder)
+        except (OSError, RuntimeError, ValueError):
+            return False
+
     def _on_identify(self, request: Any, response: Any) -> Any:
+        """Identify a bag below the folder; its gains are not sent, whoever asks."""
         del request
         if self._worker is not None:
-            response.success, response.message = False, f'{self._bag} is still being identified'
-        elif not self._bag:
-            response.success, response.message = False, 'no complete bag on /logger/bag yet'
-        else:
-            self._earlier.discard(self._bag)
-            self._queue.append(self._bag)
-            self._start_next()
-            response.success, response.message = True, f'identifying {self._bag}'
-        return response
+            return answered(response, False, f'{self._bag} is still being identified')
+        wanted = str(self.get_parameter('bag').value)
+        found = self._folder / wanted if wanted else self._newest()
+        if found is None or not self._ours(found):
+            where = wanted or 'no bag'
+            return answered(response, False, f'{where} below {self._folder}: see parameter bag')
+        self._seen[str(found)] = 'it was asked for by ~/identify'
+        self._queue.append(str(found))
+        self._start_next()
+        return answered(response, True, f'identifying {found}')
+
+    def _newest(self) -> Path | None:
+        bags = [path.parent for path in self._folder.glob('**/metadata.yaml')]
+        return max(bags, key=lambda path: path.stat().st_mtime, default=None)
 
     def _start_next(self) -> None:
         if self._worker is not None or not self._queue:
@@ -135,11 +188,12 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._say(
             OK if outcome.answered else WARN,
             state='done', reason=outcome.reasons or f'done; gains: {update}', bag=bag,
-            report=f'{outcome.folder}/report.json', update=update, **verdicts,
+            report=f'{outcome.folder}/report.json', update=update,
+            gains=json.dumps(outcome.gains or {}), **verdicts,
         )
 
     def _update(self, outcome: Result, bag: str) -> str:
-        """Publish the gains if auto_update is on; returns what was done, or why not."""
+        """Send the gains if auto_update is on; returns what was done, or why not."""
         for axis, reason in outcome.refusals().items():
             self.get_logger().warning(f'{axis}: no gains: {reason}')
         wanted = outcome.gains
@@ -148,18 +202,36 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if not self._auto_update:
             self.get_logger().info(f'gains not sent (auto_update is off): {wanted}')
             return 'not sent: auto_update is off'
-        if bag in self._earlier:
-            why = 'not sent: the bag was complete before this node began; ask ~/identify for them'
-            self.get_logger().warning(f'gains {why}: {wanted}')
-            return why
+        why = self._seen.get(bag, '')
+        if not why and not self._gains.service_is_ready():
+            why = f'no bridge offers {self._gains.srv_name}'
+        if why:
+            text = f'gains not sent: {why}; quad-tune send takes them: {wanted}'
+            self.get_logger().warning(text)
+            return f'not sent: {why}'
         told: dict[str, float | str] = {
             **wanted, 'source': f'identification of {bag}', 'bag': bag,
             'model': f'{outcome.folder}/model.json', 'predicted': outcome.predictions(),
         }  # fmt: skip
-        stamp_ns = self.get_clock().now().nanoseconds
-        self._gains.publish(event_message(told, '/identification', stamp_ns))
+        event = event_message(told, '/identification', 0)
+        request = SetParametersAtomically.Request(parameters=event.changed_parameters)
+        self._gains.call_async(request).add_done_callback(self._on_answer)
         self.get_logger().info(f'gains sent: {wanted}')
         return 'sent'
+
+    def _on_answer(self, future: Any) -> None:
+        """Say what the bridge has answered, beside what was found."""
+        answer = future.result().result
+        words = 'in force, on trial' if answer.successful else f'refused: {answer.reason}'
+        text, log = f'gains {words}', self.get_logger()
+        if answer.successful:  # rclpy wants one severity for each line of code
+            log.info(text)
+        else:
+            log.error(text)
+        if self._values.get('update') == 'sent':
+            level = self._level if answer.successful else WARN
+            self._say(level, **{**self._values, 'update': f'sent: {words}',
+                                'reason': f'done; gains: {words}'})  # fmt: skip
 
     def _say(self, level: int, **values: str) -> None:
         self._level, self._values = level, values

@@ -27,6 +27,7 @@ def generate_launch_description() -> LaunchDescription:
     defaults = {**BRIDGE, 'auto_update': 'false'}
     handed_on = {name: LaunchConfiguration(name) for name in BRIDGE}
     update = ParameterValue(LaunchConfiguration('auto_update'), value_type=bool)
+    folder = ParameterValue(handed_on['folder'], value_type=str)
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=value) for name, value in defaults.items()),
         IncludeLaunchDescription(
@@ -35,5 +36,6 @@ def generate_launch_description() -> LaunchDescription:
         ),
         Node(package='quad_sysid', executable='identification', name='identification',
              namespace=handed_on['namespace'], output='screen',
-             parameters=[shipped['identification']['ros__parameters'], {'auto_update': update}]),
+             parameters=[shipped['identification']['ros__parameters'],
+                         {'auto_update': update, 'folder': folder}]),
     ])

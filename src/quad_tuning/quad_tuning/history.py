@@ -236,8 +236,8 @@ def send(arguments: argparse.Namespace) -> int:
     gains, predicted = read_design(arguments.design)
     refusal = _publish('send')(gains, SENDER, predicted=json.dumps(predicted),
                                namespace=arguments.namespace)
-    return _told(refusal, f'active: {_words(gains)}; the bridge watches them for 10 s more and '
-                 'takes them back if they fly badly: see quad-tune history')
+    return _told(refusal, f'active: {_words(gains)}; the bridge watches them for 10 s of '
+                 'flight and takes them back if they fly badly: see quad-tune history')
 
 
 def _publish(command: str) -> Callable[..., str]:

@@ -1,9 +1,9 @@
 """The files of each aircraft: every set of gains that was active, and its polarity check.
 
 `<folder>/<aircraft>/gains.jsonl` is only ever appended to, one line per event, each on the disk
-before the next; `polarity.json` is replaced whole. A thread of its own writes: a disk that takes
-seconds delays no control cycle and no confirmation. `quad-tune history` reads the first file by
-itself.
+before the next; `polarity.json` and `flight.json`, how it last flew well, are replaced whole. A
+thread of its own writes: a disk that takes seconds delays no control cycle and no confirmation.
+`quad-tune history` reads the first file by itself.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Jobs = queue.SimpleQueue[Callable[[], None] | None]
 SCHEMA = 'quad_bridge/gains/1'
 HISTORY, POLARITY = 'gains.jsonl', 'polarity.json'
+FLIGHT = 'flight'
 CLOSE_S = 2.0  # how long the last lines are waited for when the node ends
 
 
@@ -79,15 +80,21 @@ class History:
         self._count = 0
 
     def open(self, aircraft: str) -> dict[str, Any] | None:
-        """Take this aircraft's files; its polarity record where it is another one than before.
+        """Take this aircraft's files; what they say where it is another one than before.
 
-        Reads a small file. {} where no check was kept, or its file is damaged.
+        Reads two small files: the polarity record, and under `flight` how it last flew well.
+        Nothing of what was not kept, or is damaged.
         """
         if aircraft in {'', self._aircraft}:
             return None
         self._aircraft, self._last = aircraft, {}
+        return self.kept(POLARITY) | self.kept(f'{FLIGHT}.json')
+
+    def kept(self, name: str) -> dict[str, Any]:
+        """What is in one of the aircraft's files that are replaced whole; {} where nothing."""
         try:
-            found = json.loads((self._folder / aircraft / POLARITY).read_text(encoding='utf-8'))
+            path = self._folder / self._aircraft / name
+            found = json.loads(path.read_text(encoding='utf-8'))
         except (OSError, ValueError, RecursionError):
             return {}
         return found if isinstance(found, dict) else {}
@@ -132,8 +139,15 @@ class History:
 
     def keep_polarity(self, record: Mapping[str, Any]) -> None:
         """Replace the aircraft's polarity record."""
+        self._keep(POLARITY, record)
+
+    def keep_flight(self, figures: object) -> None:
+        """Replace the figures of the aircraft's last good flight."""
+        self._keep(f'{FLIGHT}.json', {FLIGHT: figures})
+
+    def _keep(self, name: str, record: Mapping[str, Any]) -> None:
         if self._aircraft:
-            path = self._folder / self._aircraft / POLARITY
+            path = self._folder / self._aircraft / name
             text = json.dumps({**record, 'time': now_text()}, indent=1) + '\n'
             self._run(lambda: self._replace(path, text))
 
@@ -150,7 +164,8 @@ class History:
                 os.close(file)
             self.fault = ''
         except OSError as error:
-            self.fault = f'{path}: cannot be written ({error.strerror}); gains are not kept'
+            what = f'cannot be written ({error.strerror})'
+            self.fault = f'{path}: {what}; no gains are taken that nobody could trace'
             self._last = {}  # not stored: when they are read again, they are written again
 
     def _replace(self, path: Path, text: str) -> None:
@@ -161,6 +176,7 @@ class History:
             fresh.replace(path)
         except OSError as error:
             self.fault = f'{path}: cannot be written ({error.strerror})'
+            self._last = {}
             with contextlib.suppress(OSError):
                 fresh.unlink()
 

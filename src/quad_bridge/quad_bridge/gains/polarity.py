@@ -17,7 +17,7 @@ import numpy.typing as npt
 from quad_bridge.craft import AXES, Craft, X
 from quad_bridge.errors import RefusedError
 from quad_bridge.wire.axes import flip_body
-from quad_bridge.wire.frames import Cycle, Excitation, Flag, Injection, Vector3
+from quad_bridge.wire.frames import Cycle, Flag, Injection, Vector3
 
 FloatArray = npt.NDArray[np.float64]
 Signs = dict[str, dict[str, int]]  # motor channel to axis to the sign of its answer
@@ -144,6 +144,13 @@ def merge_motors(
     return merged
 
 
+class Push(NamedTuple):
+    """What is to be added now."""
+
+    value: Vector3  # FLU
+    injection: Injection
+
+
 class PolarityCheck:
     """The record, the rule, and the run."""
 
@@ -213,7 +220,7 @@ class PolarityCheck:
         """Stop the pulses without a result."""
         self._run, self.trouble = None, trouble
 
-    def step(self, frame: Cycle) -> Excitation:
+    def step(self, frame: Cycle) -> Push:
         """Take one cycle of the check; what to send. Afterwards `running` says whether it goes on.
 
         `trouble` is why it ended without a result, empty where it has one.
@@ -231,7 +238,7 @@ class PolarityCheck:
                 self._axes.update(judge_axes(self._run.answers))
                 self._motors = merge_motors(self._motors, self._run.answers)
                 self._run, added, injection = None, NONE, Injection.NONE
-        return Excitation(flip_body(added), int(injection), self._cycles % 256, PULSE_VALID_MS)
+        return Push(added, injection)
 
     def words(self) -> str:
         """The results in one line."""

@@ -2,7 +2,8 @@
 
 What to do with a set; how it gets to the STM32 and what is proven of it is protocol.py's. Cycles,
 frames and ticks come in with their time (s on a steady clock); what is to be published or logged
-waits in `news`. The state diagram stands in docs/reference/gain_machines.md.
+waits in `news`. Time of the watch passes in flight only: nothing is good that has not flown well.
+The state diagram stands in docs/reference/gain_machines.md.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from typing import Any
 import numpy as np
 
 from quad_bridge.errors import QuadBridgeError, RefusedError
+from quad_bridge.fresh import refuse_stale
 from quad_bridge.gains import gate
-from quad_bridge.gains.history import History
-from quad_bridge.gains.polarity import PolarityCheck
+from quad_bridge.gains.history import FLIGHT, History
+from quad_bridge.gains.polarity import PolarityCheck, Push
 from quad_bridge.gains.protocol import GainEvent, GainProtocol, Request, What
 from quad_bridge.gains.protocol import State as Protocol
 from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, WIRE_NAMES, Bound
@@ -35,6 +37,9 @@ QUIET_S = 0.5
 """Without excitation before gains may change; without a cycle after which a check ends."""
 LOW_THROTTLE = 0.05  # below which the STM32 commands no torque (QUAD_LOW_THROTTLE)
 LINK_S = 1.0  # without a control cycle after which gains on trial are asked back
+RATE_SHARE = 0.01
+"""By which the rate at which cycles arrive follows the last one."""
+LOOK_S = 1.0  # between two looks at whether the gains in force fly well
 LEAST_HZ, MOST_HZ = 50.0, 1000.0
 """Control cycles per second with which watch and pulses work."""
 GESTURE_END, GESTURE_ENDS, GESTURE_S = 0.8, 3, 2.0
@@ -76,6 +81,10 @@ class News:
     active: Mapping[str, float] | None = None
 
 
+Told = Callable[[bool, str], None]
+"""What is called once with whether the aircraft has read a set back, or why not."""
+
+
 @dataclass
 class _Update:
     """The update in flight."""
@@ -83,37 +92,48 @@ class _Update:
     asked: gate.GainRequest
     steps: list[dict[str, float]]
     identity: str
+    told: Told | None = None
     written: int = 0
     armed: bool = False  # at any time since the first step was in force
+
+    def tell(self, reason: str = '', *, done: bool = False) -> None:
+        """Answer who waits, once: it is read back as a whole, or why it is not."""
+        told, self.told = self.told, None
+        if told is not None:
+            told(done, reason)
 
 
 class GainUpdates:
     """See the module. `ask` and `check` raise RefusedError, the rest never."""
 
-    def __init__(self, settings: GainSettings, history: History) -> None:
+    def __init__(
+        self, settings: GainSettings, history: History, protocol: GainProtocol | None = None
+    ) -> None:
+        """`protocol` is the aircraft's: how its sets of gains are written and read back."""
         self.news: list[News] = []
         self.refused = ''
         """Why the last update was refused, failed or reverted; empty after a good one."""
         self.refusals = self.commits = self.rollbacks = 0
         self.state = State.IDLE
-        self.protocol = GainProtocol()
+        self.protocol = protocol or GainProtocol()
         self.rate_hz = gate.USUAL_HZ
         self.watch = GainWatch(gate.USUAL_HZ)
         self.polarity = PolarityCheck(settings.polarity, gate.USUAL_HZ)
         self._settings, self._history = settings, history
         self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
         self._update: _Update | None = None
-        self._pending: gate.GainRequest | None = None
+        self._pending: tuple[gate.GainRequest, Told | None] | None = None
         """The update that waits for the check of its axes."""
+        self._going_back: list[Told] = []  # who waits for the gains of before
         self._checked: Callable[[str], None] | None = None
-        self._until_s = 0.0
+        self._left_s = 0.0  # of flight until the next step, or the confirmation
         self._cycle_s = self._excited_s = float('-inf')
         self._flags = 0
         self._flying_s: float | None = None  # since when it is armed with the throttle up
-        self._in_force_s = 0.0  # since when the active gains are
-        self._flown = False  # they have flown for the watch's time, and the history says so
-        self._ground: Mapping[str, float] = {}
-        """A set that was confirmed and has not flown for the watch's time."""
+        self._period_s = 0.0  # between the cycles that arrive, about
+        self._time_us = 0  # of the last one
+        self._looked_s = float('-inf')  # at how it flies
+        self._flown = False  # the gains in force have flown well, and the history says so
         self._rate_kp = np.ones(3)
 
     @property
@@ -131,15 +151,12 @@ class GainUpdates:
     def words(self) -> str:
         """The state in a few words."""
         if self.state is State.IDLE or self._update is None:
-            ground = ', confirmed on the ground, not flown' if self._on_ground else ''
-            return self.protocol.busy or self.state.value + ground
-        source, left = self._update.asked.source, self._until_s - self._cycle_s
-        text = f'{self.state.value} gains of {source}'
-        return f'{text}, {max(left, 0.0):.0f} s left' if self.state is State.WATCHING else text
-
-    @property
-    def _on_ground(self) -> bool:
-        return bool(self.active) and self.active == self._ground
+            return self.protocol.busy or self.state.value
+        text = f'{self.state.value} gains of {self._update.asked.source}'
+        if self.state is not State.WATCHING:
+            return text
+        on_ground = ' (on trial on the ground)' if self._flying_s is None else ''
+        return f'{text}, {max(self._left_s, 0.0):.0f} s of flight left{on_ground}'
 
     def status(self, *, standard: bool) -> Status:
         """For /diagnostics; `standard`: the aircraft has no QUAD_GAINS."""
@@ -163,19 +180,24 @@ class GainUpdates:
 
     # What is asked for.
 
-    def ask(self, parameters: Mapping[str, object], now_s: float) -> str:
-        """Take on what a message or `ros2 param set` asks for; what happens next, in words.
+    def ask(
+        self, parameters: Mapping[str, object], now_s: float, told: Told | None = None,
+        *, age_s: float = 0.0,
+    ) -> str:  # fmt: skip
+        """Take on what a message or a service asks for; what happens next, in words.
 
-        Raises RefusedError; the refusal is in `news` too.
+        `age_s` is how long ago it was said, by its stamp. Raises RefusedError; the refusal is in
+        `news` too. Else `told` is called with the outcome.
         """
         source = gate.shorten(str(parameters.get('source', 'unknown source')))
         try:
-            return self._request(gate.read_request(parameters), now_s)
+            refuse_stale(age_s)
+            return self._request(gate.read_request(parameters), now_s, told)
         except RefusedError as error:
             self._refuse(source, error)
             raise
 
-    def _request(self, asked: gate.GainRequest, now_s: float) -> str:
+    def _request(self, asked: gate.GainRequest, now_s: float, told: Told | None) -> str:
         gate.check_source(asked.source, self._settings.sources)
         if asked.aircraft not in {'', self.aircraft}:
             raise RefusedError(
@@ -184,10 +206,13 @@ class GainUpdates:
             )
         if asked.rollback and self.state in {State.WRITING, State.WATCHING}:
             self._take_back(f'{asked.source} asked for it')
+            self._going_back += [told] if told is not None else []
             return 'taking back the gains in flight'
         if asked.rollback and self.state is State.CHECKING:
             self.disturb('a rollback was asked for')  # which drops the gains that waited for it
             if not asked.gains:
+                if told is not None:
+                    told(True, 'the check was stopped')
                 return 'stopped the check, and dropped what waited for it'
         path = self._admit(asked, now_s)
         self.polarity.refuse_faults()
@@ -200,9 +225,9 @@ class GainUpdates:
             )
         if axes:
             self._start_check(axes, now_s)
-            self._pending = asked
+            self._pending = asked, told
             return f'checking the polarity of {words} before the first update'
-        self._begin(asked, path)
+        self._begin(asked, path, told)
         return f'writing {len(asked.gains)} gains of {asked.source} in {len(path)} steps'
 
     def _refuse(self, source: str, error: RefusedError) -> None:
@@ -236,17 +261,34 @@ class GainUpdates:
         if self._flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE):
             raise RefusedError("the pilot's kill switch or the receiver's failsafe is on")
         self._known_rate()
+        if self._history.fault:
+            self._history.found(self.active)  # is written again: the disk may be mended
+        if self._history.fault:
+            raise RefusedError(f'{self._history.fault}; mend that and send them again')
         return path
 
+    @property
+    def _slow(self) -> bool:
+        """Whether the link brings fewer cycles than the watch needs; some may be lost."""
+        return self._period_s > 1.2 / LEAST_HZ
+
+    def _slow_words(self) -> str:
+        found = f'{1.0 / self._period_s:.0f} cycles per second'
+        return f'the link brings {found}: the watch needs {LEAST_HZ:g}'
+
     def _known_rate(self) -> None:
+        if self._slow:
+            raise RefusedError(self._slow_words())
         if not LEAST_HZ <= self.rate_hz <= MOST_HZ:
             raise RefusedError(
                 f'loop.rate_hz: the watch works at {LEAST_HZ:g} to {MOST_HZ:g} Hz: '
                 f'found {self.rate_hz:g}'
             )
 
-    def _begin(self, asked: gate.GainRequest, path: list[dict[str, float]]) -> None:
-        update = _Update(asked, path, self._history.identity())
+    def _begin(
+        self, asked: gate.GainRequest, path: list[dict[str, float]], told: Told | None
+    ) -> None:
+        update = _Update(asked, path, self._history.identity(), told)
         self._write_step(update)
         self._update, self.refused = update, ''
         # what flies from the commit on, seen some time before its answer, is not "before"
@@ -263,29 +305,32 @@ class GainUpdates:
     def know(self, record: Mapping[str, Any]) -> None:
         """Set the stored polarity record of the connected aircraft."""
         self.polarity.load(record)
-        self._ground = {}  # was another aircraft's
+        self.watch.know(record.get(FLIGHT))
         self._history.found(self.active)
 
     def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
         """Take an answer about parameters or sets."""
         self.protocol.take(frame, now_s)
-        self._take_events(now_s)
+        self._take_events()
 
     def poll(self, now_s: float) -> Request | None:
         """Frames to send now."""
         wanted = self.protocol.poll(now_s)
-        self._take_events(now_s)
+        self._take_events()
         return wanted
 
-    def restarted(self, now_s: float) -> None:
+    def restarted(self) -> None:
         """Handle a restart of the STM32, or another one."""
         self.protocol.restart()
-        self._take_events(now_s)
+        self._take_events()
 
-    def cycle(self, frame: f.Cycle, now_s: float) -> f.Excitation | None:
+    def cycle(self, frame: f.Cycle, now_s: float) -> Push | None:
         """Take one control cycle; a pulse to send while the polarity is checked."""
-        self._cycle_s, self._flags = now_s, frame.flags
-        self._note_takeoff(frame, now_s)
+        since_s, self._cycle_s, self._flags = now_s - self._cycle_s, now_s, frame.flags
+        self._measure_rate(frame.time_us)
+        flies = self._flies(frame, now_s)
+        if flies and self.state is State.WATCHING:
+            self._left_s -= min(since_s, LINK_S)
         injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
@@ -293,7 +338,8 @@ class GainUpdates:
             injected = flip_body(frame.excitation) / self._rate_kp
         attitude = flip_attitude(frame.attitude)
         reference = flip_attitude(frame.attitude_setpoint)
-        self.watch.step(flip_body(frame.gyro), attitude, reference, injected)
+        if flies:
+            self.watch.step(flip_body(frame.gyro), attitude, reference, injected)
         if self.state is State.CHECKING:
             pulse = self.polarity.step(frame)
             if not self.polarity.running:
@@ -302,20 +348,25 @@ class GainUpdates:
         if frame.flags & f.Flag.EXCITATION:
             self._excited_s = now_s
         if self.state in {State.WATCHING, State.WRITING}:
-            alarm = self.watch.alarm()
+            alarm = self._slow_words() if flies and self._slow else self.watch.alarm()
             if alarm is not None:
                 self._take_back(str(alarm))
         self._heed_pilot(frame.flags)
         self._note_flight(now_s)
         return None
 
-    def _note_takeoff(self, frame: f.Cycle, now_s: float) -> None:
-        if frame.flags & f.Flag.ARMED and frame.control[0] >= LOW_THROTTLE:
-            self._flying_s = now_s if self._flying_s is None else self._flying_s
-            return
-        self._flying_s = None
-        if self._update is None:
-            self.watch.end()  # how it was handled, or another one flew, is not "before"
+    def _measure_rate(self, time_us: int) -> None:
+        since_s = min(max(1e-6 * (time_us - self._time_us), 0.0), LINK_S)
+        self._time_us = time_us
+        self._period_s += RATE_SHARE * (since_s - self._period_s)
+
+    def _flies(self, frame: f.Cycle, now_s: float) -> bool:
+        """Whether it is armed with the throttle up."""
+        flies = bool(frame.flags & f.Flag.ARMED) and frame.control[0] >= LOW_THROTTLE
+        if flies is (self._flying_s is None):
+            self.watch.anew()
+            self._flying_s = now_s if flies else None
+        return flies
 
     def _heed_pilot(self, flags: int) -> None:
         """Take back what the pilot, or the loss of the receiver, has ended."""
@@ -332,20 +383,17 @@ class GainUpdates:
         elif update.written:
             update.armed = update.armed or armed
 
-    def _has_flown(self, now_s: float) -> bool:
-        """Whether the active gains have flown for the watch's time."""
-        since_s = self._flying_s
-        return since_s is not None and now_s - max(since_s, self._in_force_s) >= WATCH_S
-
     def _note_flight(self, now_s: float) -> None:
-        """Tell the history once that gains fly that were found or confirmed on the ground."""
+        """Keep, once, how the gains in force fly where they fly well; the next are held to it."""
         if self._flown or self.state is not State.IDLE or not self.active:
             return
-        if self._has_flown(now_s):
-            if self._on_ground:
-                self.news.append(News(f'the gains in force have flown for {WATCH_S:g} s'))
-            self._flown, self._ground = True, {}
-            self._history.write('flown')
+        if self._flying_s is not None and now_s - self._looked_s >= LOOK_S:
+            self._looked_s = now_s
+            if self.watch.good:
+                self._flown = True
+                self._history.write('flown')
+                self._history.keep_flight(self.watch.before)
+                self.watch.know(self.watch.before)
 
     def sticks(self, yaw: float, now_s: float) -> None:
         """Take the yaw stick's position, -1..1."""
@@ -368,7 +416,7 @@ class GainUpdates:
             self.disturb(f'no control cycle for {QUIET_S:g} s')
         if watching and now_s - self._cycle_s > LINK_S:
             self._take_back(f'no control cycle for {LINK_S:g} s')
-        elif watching and now_s >= self._until_s and not self.protocol.busy:
+        elif watching and self._left_s <= 0.0 and not self.protocol.busy:
             self._go_on(now_s)
 
     def _go_on(self, now_s: float) -> None:
@@ -384,25 +432,29 @@ class GainUpdates:
         self.state = State.CONFIRMING
         self.protocol.confirm()
 
-    def _take_events(self, now_s: float) -> None:
+    def _take_events(self) -> None:
         if self.protocol.events:
             events, self.protocol.events = self.protocol.events, []
             for event in events:
-                self._event(event, now_s)
+                self._event(event)
 
-    def _event(self, event: GainEvent, now_s: float) -> None:
+    def _event(self, event: GainEvent) -> None:
         if event.what is What.READ:
             self._know(event)
             if self._history.leave(self.aircraft):  # plugged in anew, and its files not open yet
                 self.polarity.load({})
-            self._in_force_s, self._flown = now_s, False
+                self.watch.know(None)
+            self._flown = False
             self._history.found(self.active)
+            going_back, self._going_back = self._going_back, []
+            for told in going_back:
+                told(True, 'the gains of before are in force')
             text = f'{len(self.active)} gains and constants read back'
             self.news.append(News(text, active=self.active))
         elif event.what is What.COMMITTED:
-            self._committed(event, now_s)
+            self._committed(event)
         elif event.what is What.CONFIRMED:
-            self._confirmed(event, now_s)
+            self._confirmed(event)
         elif event.what is What.REVERTED:
             who = 'the STM32 took its last good gains' if event.by_stm32 else 'old gains'
             self.rollbacks += 1
@@ -415,14 +467,13 @@ class GainUpdates:
             if busy:
                 self._fault(f'gains not taken over: {event.reason}')
 
-    def _confirmed(self, event: GainEvent, now_s: float) -> None:
-        self._flown = self._has_flown(now_s)
-        self._ground = {} if self._flown else self.active
-        text = 'the new gains are confirmed'
-        if not self._flown:
-            text += f' but have not flown for {WATCH_S:g} s: no rollback returns to them yet'
-        self._ended('confirmed', event.reason, flown=self._flown)
-        self.news.append(News(text))
+    def _confirmed(self, event: GainEvent) -> None:
+        self._ended('confirmed', event.reason, flown=True)
+        self._flown = False  # as the next one's "before", which this flight may still give
+        self.news.append(News(f'the new gains are confirmed: they flew well for {WATCH_S:g} s'))
+        for told in self._going_back:
+            told(False, 'the STM32 had confirmed the gains')
+        self._going_back.clear()
         if event.reason:
             self._fault(f'{event.reason}, but the STM32 had confirmed the gains')
 
@@ -432,23 +483,36 @@ class GainUpdates:
         rate_hz = active.get('loop.rate_hz', gate.USUAL_HZ)
         if rate_hz != self.rate_hz:
             self.rate_hz = self.polarity.rate_hz = rate_hz
+            known = self.watch.known
             self.watch = GainWatch(min(max(rate_hz, LEAST_HZ), MOST_HZ))
+            self.watch.know(known)
 
-    def _committed(self, event: GainEvent, now_s: float) -> None:
+    def _committed(self, event: GainEvent) -> None:
         update = self._update
         self._know(event)
         if update is None:
             return
         update.written += 1
         update.armed = update.armed or bool(self._flags & f.Flag.ARMED)
-        self._in_force_s = now_s
         self.commits += 1
         last = update.written == len(update.steps)
-        self._until_s = now_s + (WATCH_S if last else STEP_WATCH_S)
+        self._left_s = WATCH_S if last else STEP_WATCH_S
         self.state = State.WATCHING
         self._log('active', self.active, step=update.written, steps=len(update.steps))
         text = f'step {update.written} of {len(update.steps)} of {update.asked.source} is in force'
         self.news.append(News(text, active=self.active))
+        if last:
+            update.tell(done=True)
+        elif self._flying_s is None:
+            update.tell(f'{text}, on trial: the next after {STEP_WATCH_S:g} s of flight')
+
+    def end(self, why: str) -> None:
+        """Answer whoever waits, because no answer can come."""
+        waiting, self._going_back = self._going_back, []
+        for told in waiting:
+            told(False, why)
+        if self._update is not None:
+            self._update.tell(why)
 
     # The way back.
 
@@ -461,6 +525,7 @@ class GainUpdates:
         if self._update is not None:
             figures = {k: round(v, 4) for k, v in self.watch.figures().items()}
             self._log(outcome, None, reason=reason, figures=figures, **more)
+            self._update.tell(f'{outcome}: {reason}')
         if self.state is State.CHECKING:
             self.polarity.abort(f'stopped: {reason}')
             self._end_check()
@@ -502,14 +567,16 @@ class GainUpdates:
         self.news.append(News(f'polarity: {words}', fault=bool(self.polarity.faults())))
         pending, self._pending = self._pending, None
         if pending is not None:
-            self._after_check(pending, trouble)
+            self._after_check(*pending, trouble)
 
-    def _after_check(self, asked: gate.GainRequest, trouble: str) -> None:
+    def _after_check(self, asked: gate.GainRequest, told: Told | None, trouble: str) -> None:
         try:
             self._refuse_unanswered(asked, trouble)
-            self._begin(asked, self._admit(asked, self._cycle_s))
+            self._begin(asked, self._admit(asked, self._cycle_s), told)
         except RefusedError as error:
             self._refuse(asked.source, error)
+            if told is not None:
+                told(False, str(error))
 
     def _refuse_unanswered(self, asked: gate.GainRequest, trouble: str) -> None:
         if trouble:

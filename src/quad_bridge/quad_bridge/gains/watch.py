@@ -2,7 +2,9 @@
 
 Pure arithmetic on arrays of three axes, no clock and no ROS. What an axis may do is what it did
 before (times a margin and what the design predicts), plus what its references explain, plus a
-floor; more than that for a while is an alarm, on which update.py acts.
+floor; more than that for a while is an alarm, on which update.py acts. Before is the flight in
+which new gains come; for gains that take off, the aircraft's last good flight, or what any sound
+aircraft does. On the ground nothing is compared: cycles that do not fly are not given to `step`.
 """
 
 from __future__ import annotations
@@ -28,6 +30,8 @@ PEAK = 1.8
 FLOOR_DEG = 1.5  # amplitude of an oscillation that is of no concern whatever it was before
 FLOOR_RMS_RAD_S = 0.3
 """The same for the whole rate, as gusts that begin with the update cause on a slow aircraft."""
+SOUND_RMS_RAD_S = 0.5
+"""Rate RMS of a sound aircraft in gusts, where none of its flights is known."""
 FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06  # by which the place is predicted from the rate: turning back takes that long
@@ -36,6 +40,7 @@ BEFORE_S, BLOCK_S = 10.0, 0.5
 MOST_HZ = 125.0
 """A faster loop is watched by the means of so many of its cycles that no more remain: twice what
 the fastest band needs, and half the work of every cycle."""
+UPRIGHT_S = 2.0  # after take-off within which it may still be on its way to its reference
 SETTLE_S = 1.0  # of data before the first figures count
 
 
@@ -67,20 +72,56 @@ class GainWatch:
         self._patience[-1] = 0.3
         octaves = np.clip(centres * math.radians(FLOOR_DEG) / math.sqrt(2.0), 0.2, 0.5)
         self._floor = (np.append(octaves, FLOOR_RMS_RAD_S) ** 2)[:, np.newaxis]
-        channels = (periods.size, 3)
+        self._sound = self._usual = np.repeat(
+            np.append(octaves, SOUND_RMS_RAD_S)[:, np.newaxis] ** 2, 3, axis=1
+        )
+        self._blocks: deque[FloatArray] = deque(maxlen=round(BEFORE_S / BLOCK_S))
+        self._bound: FloatArray | None = None
+        self.anew()
+        self._watched = np.ones(3, bool)
+        self._peak = np.full(3, PEAK**2)
+
+    def anew(self) -> None:
+        """Forget: it takes off or has landed, and how it was handled says nothing of a flight."""
+        channels = (len(CENTRES_RAD_S) + 1, 3)
+        self._held.clear()
         self._memory = np.zeros((2, 2, *channels))
         self._energy = np.zeros((2, *channels))  # of the rates, and of what the references explain
         self._explained, self._worst = np.zeros(channels), np.zeros(channels)
         self._over_s = np.zeros(channels)
-        self._blocks: deque[FloatArray] = deque(maxlen=round(BEFORE_S / BLOCK_S))
+        self._blocks.clear()
         self._last: FloatArray | None = None
         self._slow = np.zeros(3)
         self._distance, self._allowed = np.zeros(2), np.zeros(2)
         self._allowed_before, self._far_s = np.zeros(2), np.zeros(2)
+        self._near = np.zeros(2, bool)  # it has come to its reference, from how it stood
         self._rows = 0
-        self._bound: FloatArray | None = None
-        self._watched = np.ones(3, bool)
-        self._peak = np.full(3, PEAK**2)
+
+    @property
+    def known(self) -> list[list[float]]:
+        """The figures of the aircraft's last good flight, or what stands for them."""
+        return [[float(v) for v in row] for row in self._sound]
+
+    @property
+    def before(self) -> list[list[float]]:
+        """The figures of the last ten seconds of flight, for a later one."""
+        return [[float(v) for v in row] for row in self._before()]
+
+    @property
+    def good(self) -> bool:
+        """Whether this flight has gone well for ten seconds, by what a sound aircraft may do."""
+        whole = len(self._blocks) == self._blocks.maxlen
+        return whole and bool((self._before() <= self._most(self._usual)).all())
+
+    def know(self, before: object) -> None:
+        """Take `before` of the aircraft's last good flight; what is none leaves none known."""
+        self._sound = self._usual
+        try:
+            told = np.array(before, dtype=float)
+        except (TypeError, ValueError):
+            return
+        if told.shape == self._usual.shape and (told >= 0.0).all():  # nor is one of them NaN
+            self._sound = np.minimum(told, self._usual)
 
     def step(
         self,
@@ -138,9 +179,10 @@ class GainWatch:
         ratio[:-1] = [p.oscillation_ratio**2 for p in said]
         ratio[-1] = [p.rate_rms_ratio**2 for p in said]
         self._peak = np.array([p.peak**2 for p in said])
-        before = np.max([*self._blocks, self._worst], axis=0)
+        before = self._before() if self._blocks else self._sound
+        self._near[:] = bool(self._blocks)
         self._far_s[:] = 0.0
-        self._bound = MARGIN**2 * ratio * before + self._floor
+        self._bound = self._most(ratio * before)
         self._over_s[:] = 0.0
 
     def end(self) -> None:
@@ -181,6 +223,13 @@ class GainWatch:
             for i, axis in enumerate(AXES)
         }
 
+    def _before(self) -> FloatArray:
+        return np.asarray(np.max([*self._blocks, self._worst], axis=0))
+
+    def _most(self, before: FloatArray) -> FloatArray:
+        most: FloatArray = MARGIN**2 * before + self._floor
+        return most
+
     def _remember(self) -> None:
         if self._rows * self._dt < SETTLE_S:
             return
@@ -199,7 +248,9 @@ class GainWatch:
         return math.radians(FAR_DEG) + self._allowed + MARGIN * self._allowed_before
 
     def _compare(self, bound: FloatArray) -> None:
-        far = (self._distance > self._limit()) & self._watched[:2]
+        far = self._distance > self._limit()
+        self._near |= ~far | (self._rows * self._dt > UPRIGHT_S)
+        far &= self._near & self._watched[:2]
         self._far_s = np.where(far, self._far_s + self._dt, 0.0)
         over = (self._energy[0] > bound + self._peak * self._explained) & self._watched
         self._over_s = np.where(over, self._over_s + self._dt, 0.0)

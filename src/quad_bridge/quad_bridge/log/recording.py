@@ -1,7 +1,8 @@
 """A recording in progress: a queue between the subscriptions and the thread that writes the bag.
 
-No ROS. A slow disk fills the queue; a full queue drops its oldest messages and counts them. A
-disk that is full, read-only or gone ends the recording, and the bag is closed with what it has.
+No ROS. A slow disk fills the queue; a full queue, by messages or by bytes, drops its oldest
+messages and counts them. A disk that is full, read-only or gone ends the recording, and the bag is
+closed with what it has.
 """
 
 from __future__ import annotations
@@ -84,10 +85,14 @@ def recording_status(
 class Recording:
     """Owns one bag and its thread from construction to `stop`."""
 
-    def __init__(self, writer: BagWriter, *, capacity: int = 50_000) -> None:
-        """Start the thread; `capacity` is the number of messages that may wait."""
+    def __init__(
+        self, writer: BagWriter, capacity: int = 50_000, capacity_bytes: int = 64_000_000
+    ) -> None:
+        """Start the thread; so many messages, and bytes of them, may wait."""
         self._writer = writer
-        self._capacity = capacity
+        self._capacity, self._capacity_bytes = capacity, capacity_bytes
+        # that came into the queue, and left it: each counted in one thread only
+        self._put_bytes = self._taken_bytes = self._dropped_bytes = 0
         self._queue: deque[tuple[str, int, bytes]] = deque()
         self._declared: dict[str, tuple[str, tuple[Qos, ...]]] = {}
         self._dropped = 0
@@ -130,7 +135,18 @@ class Recording:
             return
         if len(self._queue) >= self._capacity and self._drop_oldest():
             self._dropped += 1
+        self._put_bytes += len(data)
+        while self._waiting_bytes > self._capacity_bytes and self._drop_oldest():
+            self._dropped += 1
         self._queue.append((topic, time_ns, data))
+
+    @property
+    def _waiting_bytes(self) -> int:
+        return self._put_bytes - self._taken_bytes - self._dropped_bytes
+
+    def count_large(self) -> None:
+        """Add a message that was too large to be queued."""
+        self._dropped += 1
 
     def count_lost(self, number: int) -> None:
         """Add messages that the middleware lost."""
@@ -144,9 +160,10 @@ class Recording:
 
     def _drop_oldest(self) -> bool:
         try:
-            self._queue.popleft()
+            _, _, data = self._queue.popleft()
         except IndexError:  # the thread was faster
             return False
+        self._dropped_bytes += len(data)
         return True
 
     def _run(self) -> None:
@@ -175,6 +192,7 @@ class Recording:
             except IndexError:  # dropped meanwhile
                 return
             self._taken += 1
+            self._taken_bytes += len(data)
             if topic not in self._writer.counts:
                 self._writer.add_topic(topic, *self._declared[topic])
             self._writer.write(topic, time_ns, data)

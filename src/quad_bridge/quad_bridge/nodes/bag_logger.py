@@ -30,11 +30,15 @@ from quad_bridge.topics import TOPIC_TYPES
 
 NUMBERS = {
     'queue_messages': (50_000, 'messages that may wait for the disk', (100, 10_000_000)),
+    'queue_mb': (64, 'MB of messages that may wait for the disk', (1, 100_000)),
     'split_mb': (0, 'a new file in the bag after so many MB, 0 for never', (0, 1_000_000)),
     'split_s': (0, 'a new file in the bag after so many seconds, 0 for never', (0, 86_400)),
     'reserve_mb': (200, 'MB of free disk without which no recording starts', (0, 1_000_000)),
 }
 """Integer parameters: default, description, range."""
+MOST_TEXTS = description.MOST_TEXTS
+MOST_BYTES = description.MOST_BYTES
+"""Of a message: the largest of the contract, a description, may have that."""
 NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', description.PARAMETER, *NUMBERS)
 
 
@@ -49,8 +53,10 @@ class BagLogger(ManagedNode):
         ros_node.refuse_unknown(self, NAMES)
         self._folder = Path(ros_node.declared(self, 'folder', '.', 'where bags are written'))
         self._prefix = ros_node.declared(self, 'prefix', 'flight', 'how names of bags begin')
+        if '/' in self._prefix or self._prefix.startswith('.'):
+            raise BadInputError('parameter prefix', 'must be a plain name', self._prefix)
         numbers = {name: ros_node.declared(self, name, *rest) for name, rest in NUMBERS.items()}
-        self._capacity = numbers['queue_messages']
+        self._capacity = numbers['queue_messages'], numbers['queue_mb'] * MB
         self._limits = Limits(
             numbers['split_mb'] * MB, numbers['split_s'], numbers['reserve_mb'] * MB
         )
@@ -137,7 +143,7 @@ class BagLogger(ManagedNode):
             where = str(error.filename or self._folder)
             raise BadInputError(where, f'cannot be used ({error.strerror})') from error
         path = writer.path
-        self._recording, self._failed = Recording(writer, capacity=self._capacity), None
+        self._recording, self._failed = Recording(writer, *self._capacity), None
         if self._craft is not None:
             self._recording.declare(description.TOPIC, TOPIC_TYPES[description.TOPIC], ())
             data = serialize_message(String(data=self._craft.to_urdf()))
@@ -191,6 +197,14 @@ class BagLogger(ManagedNode):
 
     def _receive(self, topic: str, data: bytes, about: dict[str, Any]) -> None:
         recording = self._recording
+        if recording is not None and len(data) > MOST_BYTES:
+            self.refused_large += 1
+            recording.count_large()
+            self.get_logger().warning(
+                f'{topic}: a message of {len(data)} bytes is not recorded, at most {MOST_BYTES} '
+                'are', throttle_duration_sec=5.0,
+            )  # fmt: skip
+            return
         if recording is None or (topic == description.TOPIC and not self._describes(data)):
             return
         number = about.get('publication_sequence_number')
@@ -206,6 +220,8 @@ class BagLogger(ManagedNode):
     def _describes(self, data: bytes) -> bool:
         """Whether a description counts; where it does not, that is said once."""
         if data not in self._described:
+            if len(self._described) >= MOST_TEXTS:  # a flood
+                return False
             words = 'the parameter robot_description holds: that of another node is left aside'
             if self._craft is None:
                 words = description.why_left_aside(deserialize_message(data, String).data)
@@ -248,7 +264,7 @@ class BagLogger(ManagedNode):
         if not self._clock_runs:
             silent = 'time is simulated, and nothing comes on /clock: nothing is recorded'
             entries.append(Status('clock', WARN, silent))
-        entries += self.fence.entries()
+        entries += [*self.bounds(), *self.fence.entries()]
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
             diagnostics.diagnostic_array(self.get_name(), str(self._folder), now, entries)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -223,9 +223,19 @@ def _parameter_value(value: bool | float | str) -> ParameterValue:
 
 
 def parameters(event: ParameterEvent) -> dict[str, object]:
-    """`changed_parameters` as a plain mapping; what is not set is None, arrays are tuples."""
+    """`changed_parameters` as a plain mapping."""
+    return values_of(event.changed_parameters)
+
+
+def age_s(stamp: Time, now_ns: int) -> float:
+    """How long ago a message was stamped; negative: that is still to come."""
+    return 1e-9 * (now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec)
+
+
+def values_of(given: Sequence[Parameter]) -> dict[str, object]:
+    """Parameters as a plain mapping; what is not set is None, arrays are tuples."""
     found: dict[str, object] = {}
-    for parameter in event.changed_parameters:
+    for parameter in given:
         field = _FIELDS.get(parameter.value.type, '')
         value: Any = getattr(parameter.value, field, None)
         found[parameter.name] = tuple(value) if field.endswith('array_value') else value

@@ -57,6 +57,11 @@ def craft_of(given: str) -> Craft:
     return craft
 
 
+MOST_BYTES = 1_000_000  # of a description
+MOST_TEXTS = 20
+"""Different descriptions that are looked at: more than that is a flood."""
+
+
 def why_left_aside(text: str) -> str:
     """Why a description says nothing of the motors; empty where it does."""
     try:
@@ -84,7 +89,7 @@ class Description:
         """Create topic and subscription."""
         self._texts.clear()
         self._publisher = self._node.publisher(String, TOPIC, STATE)
-        self._node.subscribe(String, TOPIC, self._take, STATE)
+        self._node.subscribe(String, TOPIC, self._take, STATE, MOST_BYTES)
 
     def publish(self, craft: Craft) -> None:
         """Describe this craft, unless somebody else has."""
@@ -94,7 +99,7 @@ class Description:
             self._publisher.publish(String(data=text))
 
     def _take(self, message: String) -> None:
-        if message.data in self._texts:
+        if message.data in self._texts or len(self._texts) >= MOST_TEXTS:
             return
         self._texts.add(message.data)
         words = why_left_aside(message.data)

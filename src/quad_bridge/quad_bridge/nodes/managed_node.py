@@ -13,12 +13,15 @@ from typing import Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.serialization import deserialize_message
 
 from quad_bridge.errors import QuadBridgeError, RefusedError
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.node_time import TimedNode
+from quad_bridge.status import WARN, Status
 
+MOST_BYTES = 65_536  # of a message: all gains at once are a tenth of that
 SELDOM_S, LOOK_S = 1.0, 0.02  # how often, and for how long
 RCLError = rclpy_implementation.RCLError
 
@@ -52,6 +55,7 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         service = self._service_change_state
         service.callback = _refusing(service.callback)
         self.active = False
+        self.refused_large = 0  # messages that were too large to be looked at
         self.fence = Fence(self.get_logger().error)  # what notes callbacks that fail
         self._managed = ros_node.declared(
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'
@@ -75,10 +79,31 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         self._entities.append((self.destroy_publisher, made))
         return made
 
-    def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: Any) -> None:
-        """Create a subscription that lives until `cleanup`."""
-        made = self.create_subscription(kind, relative(topic), callback, qos)
+    def subscribe(
+        self, kind: Any, topic: str, callback: Callable[[Any], None], qos: Any,
+        most_bytes: int = MOST_BYTES,
+    ) -> None:  # fmt: skip
+        """Create a subscription that lives until `cleanup`; what is larger is never unpacked."""
+
+        def take(data: bytes) -> None:
+            if len(data) <= most_bytes:
+                callback(deserialize_message(data, kind))
+                return
+            self.refused_large += 1
+            self.get_logger().warning(
+                f'{topic}: a message of {len(data)} bytes was refused, at most {most_bytes} are '
+                'taken', throttle_duration_sec=5.0,
+            )  # fmt: skip
+
+        made = self.create_subscription(kind, relative(topic), take, qos, raw=True)
         self._entities.append((self.destroy_subscription, made))
+
+    def bounds(self) -> list[Status]:
+        """The entry for /diagnostics of messages that were too large; empty without any."""
+        if not self.refused_large:
+            return []
+        words = f'{self.refused_large} messages were refused because they are too large'
+        return [Status('bounds', WARN, words, {'refused, too large': self.refused_large})]
 
     def refuse_unless_active(self) -> None:
         """Raise RefusedError where the node is not active."""

@@ -20,13 +20,14 @@ from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
+from quad_bridge.aircraft import Ability, Quad
 from quad_bridge.arming import OperatorEnable
 from quad_bridge.craft import Craft
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
-from quad_bridge.gains.polarity import FLOWN
-from quad_bridge.gains.update import GainUpdates, News, State
+from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
+from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, State, Told
 from quad_bridge.link.autopilot import BATTERY, COMPASS, INERTIAL, MOTORS, PRESSURE, ROTORS
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort
@@ -50,7 +51,6 @@ from quad_bridge.wire import frames as f
 TICK_S = 0.1  # an executor's turn costs half a millisecond; what is urgent the port's thread does
 REPORT_S = 0.1  # least time between two reports, however many updates are refused
 YAW_STICK = 3
-NO_EXCITATION = 'the aircraft sends standard messages only: it has no QUAD_EXCITATION'
 
 
 class SerialBridge(ManagedNode):
@@ -64,16 +64,18 @@ class SerialBridge(ManagedNode):
         self._link = Link(settings.signing, START_NS if clock().simulated else None)
         self._report = LinkReport(self._link, clock().now_s())
         self._enable = OperatorEnable(required=settings.require_enable)
-        self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable)
+        self._aircraft = Quad(self._standard)
+        self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable, self._aircraft)
         self._worker = Worker()
         self._history = History(settings.gains.folder, self._worker)
-        self._gains = GainUpdates(settings.gains, self._history)
+        self._gains = GainUpdates(settings.gains, self._history, self._aircraft.gains)
         self._sensors = LiveSensors(correct=settings.correct_sensors)
         self._description = Description(self, settings.craft, self._on_craft)
         self._motors: MotorOutputs | None = None  # of another autopilot, once it has told
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
         self._operator = OperatorServices(
-            self, self._enable, self._forward, self._armed, lambda: self._link.name
+            self, self._enable, self._aircraft, self._forward, self._armed, self._flies,
+            lambda: self._link.name,
         )
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
         self._messages = conversion.CycleMessages()
@@ -125,6 +127,8 @@ class SerialBridge(ManagedNode):
         self._description.configure()
         self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
+        self._operator.configure()
+        self._sensor_services.configure()
         self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
         self.subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
         self.subscribe(
@@ -152,6 +156,7 @@ class SerialBridge(ManagedNode):
         self._operator.end()
         with self._lock:
             self._gains.disturb('the node was deactivated')
+            self._gains.end('the node was deactivated')
         self._port.stop()
         self._worker.close()
 
@@ -162,7 +167,7 @@ class SerialBridge(ManagedNode):
             self._link.opened()
             self._motors = None
             self._report.opened()
-            self._gains.restarted(clock().now_s())
+            self._gains.restarted()
             self._gains.disturb('the port was opened anew')
             self._time.opened(*self._epoch())
         path = self._port.status.path
@@ -180,7 +185,7 @@ class SerialBridge(ManagedNode):
                 elif isinstance(event, Described):
                     self._on_described(event)
                 elif isinstance(event, Restarted):
-                    self._gains.restarted(1e-9 * now_ns)
+                    self._gains.restarted()
                     self._sensors.restarted()
             self._poll_gains(now_ns)
             self._flush()
@@ -196,7 +201,7 @@ class SerialBridge(ManagedNode):
                 self._gains.disturb(fault)
         pulse = self._gains.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
-            self._link.send(pulse)
+            self._link.send(self._aircraft.excite(*pulse, PULSE_VALID_MS))
 
     def _on_gains_frame(self, frame: f.ParamValue | f.GainsState, now_ns: int) -> None:
         self._gains.take(frame, 1e-9 * now_ns)
@@ -275,6 +280,7 @@ class SerialBridge(ManagedNode):
             self._flush()
             news, self._gains.news = self._gains.news, []
         self._operator.tick()
+        self._gain_services.tick()
         self._sensor_services.tick()
         end = self._relay.tick(clock().now_s())
         if end is not None:
@@ -292,7 +298,6 @@ class SerialBridge(ManagedNode):
         if item.active is not None:
             name, now_ns = self.get_fully_qualified_name(), self.get_clock().now().nanoseconds
             self._active.publish(conversion.event_message(item.active, name, now_ns))
-        self._gain_services.show(self._gains.active)
 
     def _say_once(self, words: str) -> None:
         if self._limiter.allow(words, clock().now_s()):
@@ -305,7 +310,7 @@ class SerialBridge(ManagedNode):
                 self._gains.polarity.craft = craft
 
     def _on_segment(self, event: ParameterEvent) -> None:
-        end = self._relay.segment(conversion.parameters(event))
+        end = self._relay.segment(conversion.parameters(event), self._age_s(event.stamp))
         with self._lock:
             if self._relay.injection:
                 self._gains.disturb()
@@ -316,7 +321,8 @@ class SerialBridge(ManagedNode):
 
     def _on_setpoint(self, message: Vector3Stamped) -> None:
         v = message.vector
-        frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s())
+        age_s = self._age_s(message.header.stamp)
+        frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s(), age_s)
         if frame is not None:
             self._forward(frame)
 
@@ -327,28 +333,46 @@ class SerialBridge(ManagedNode):
 
     def _on_gains(self, event: ParameterEvent) -> None:
         with contextlib.suppress(RefusedError):  # it is in the news
-            self._ask_gains(conversion.parameters(event))
+            self._ask_gains(conversion.parameters(event), age_s=self._age_s(event.stamp))
 
-    def _ask_gains(self, parameters: Mapping[str, object]) -> None:
+    def _age_s(self, stamp: Any) -> float:
+        return conversion.age_s(stamp, self.get_clock().now().nanoseconds)
+
+    def _ask_gains(
+        self, parameters: Mapping[str, object], told: Told | None = None, *, age_s: float = 0.0
+    ) -> None:
         """Hand on an update; raises RefusedError."""
+        if not self.active:
+            self._say_once('gains refused: the node is not active')
         self.refuse_unless_active()
         with self._lock:
             self._refuse_autopilot()
-            words = self._gains.ask(parameters, clock().now_s())
+            words = self._gains.ask(parameters, clock().now_s(), told, age_s=age_s)
             self._poll_gains(clock().now_ns())
             self._flush()
         self.get_logger().info(words)
 
     def _refuse_autopilot(self) -> None:
         """Raise RefusedError where the aircraft has no sets of gains and no test pulses."""
-        if self._link.standard_only(clock().now_ns()):
-            words = f'{self._link.name} has no QUAD_GAINS: no gains or pulses for it'
+        words = self._aircraft.cannot(Ability.GAINS)
+        if words:
             self._say_once(words)
             raise RefusedError(words)
+
+    def _standard(self) -> str:
+        """Name of an autopilot that sends standard messages only; '' for ours."""
+        return self._link.name if self._link.standard_only(clock().now_ns()) else ''
 
     def _armed(self) -> bool | None:
         with self._lock:
             return self._link.armed_lately(clock().now_ns())
+
+    def _flies(self) -> bool:
+        """Whether it may be in the air: armed, and the throttle up or not known."""
+        with self._lock:
+            last = self._link.last_cycle
+            low = last is not None and last.control[0] < LOW_THROTTLE
+            return bool(self._link.armed_lately(clock().now_ns())) and not low
 
     def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
         """Have the polarity or the motors checked; raises RefusedError."""
@@ -361,8 +385,7 @@ class SerialBridge(ManagedNode):
         self._keep_epoch()
         self._reported_s = now_s = clock().now_s()
         with self._lock:
-            link, standard = self._link, self._link.standard_only(clock().now_ns())
-            self._relay.refusal = NO_EXCITATION if standard else ''
+            link = self._link
             unset = self._time.epoch_ns == NEVER_NS
             entries = self._report.entries(
                 self._port.status, now_s, behind_ns=self._time.behind_ns, unset=unset
@@ -378,7 +401,8 @@ class SerialBridge(ManagedNode):
                 log.info(text)
             else:
                 log.warning(text)
-        entries += [self._sensors.status(), *self._operator.entries(), *self.fence.entries()]
+        entries += [self._sensors.status(), *self._operator.entries()]
+        entries += [*self.bounds(), *self.fence.entries()]
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
             diagnostics.diagnostic_array(self.get_name(), port, now, entries)

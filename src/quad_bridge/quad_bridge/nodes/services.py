@@ -1,83 +1,87 @@
-"""The bridge's services, and its gains as parameters of the node. Wiring only.
+"""The bridge's services. Wiring only.
 
-`ros2 param set /serial_bridge roll.rate.kp 0.08` passes the same gate as /gains/update. Services
-that wait (pulses, arming) have callback groups of their own: meanwhile the node goes on.
+Services that wait (for gains that are read back, pulses, arming) have callback groups of their
+own: meanwhile the node goes on.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent, SetParametersResult
+from rcl_interfaces.msg import ParameterEvent, SetParametersResult
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
-from std_msgs.msg import Bool
+from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from quad_bridge.arming import ACCEPTED, Arming, OperatorEnable
+from quad_bridge.aircraft import ACCEPTED, Aircraft
+from quad_bridge.arming import Arming, OperatorEnable, SecondCall
 from quad_bridge.errors import RefusedError
-from quad_bridge.gains.table import ROWS, SETTABLE, WIRE_NAMES
+from quad_bridge.gains.update import Told
 from quad_bridge.lockstep import clock
 from quad_bridge.nodes import conversion
 from quad_bridge.nodes.managed_node import answered
 from quad_bridge.nodes.qos import STATE
 from quad_bridge.sensors.live import LiveSensors, Wanted
-from quad_bridge.status import WARN, Status
-from quad_bridge.wire.frames import Command, CommandAck
+from quad_bridge.status import OK, WARN, Status
+from quad_bridge.wire.frames import CommandAck, Frame
 
-SOURCE = 'ros2 param set'
+SOURCE = '~/set_gains'
+MOST_PARAMETERS = 500
+"""In one call: some times what there is to set."""
+GAINS_S = 120.0  # the longest an update may take: a check of the polarity, and sixteen steps
 
 
 class GainServices:
-    """Declares the parameters of `node` and offers `~/check_polarity` and `~/find_motors`.
+    """Offers `~/set_gains`, `~/check_polarity` and `~/find_motors`.
 
-    `ask` takes an update, `check` starts pulses and calls back; both raise RefusedError.
+    `ask` takes an update, `check` starts pulses; both raise RefusedError, and call back.
     """
 
     def __init__(
         self,
         node: Any,
-        ask: Callable[[Mapping[str, object]], None],
+        ask: Callable[[Mapping[str, object], Told], None],
         check: Callable[[Callable[[str], None], bool], None],
     ) -> None:
         self._node, self._ask, self._check = node, ask, check
-        self._showing = False
-        for name in SETTABLE:
-            row = ROWS[name]
-            words = f'{row.meaning}, {row.unit}; NaN until the aircraft has reported it'
-            descriptor = ParameterDescriptor(description=words, dynamic_typing=True)
-            node.declare_parameter(name, math.nan, descriptor)
-        node.add_on_set_parameters_callback(self._on_set)
+        self._waiting: list[tuple[float, Any]] = []
         group = ReentrantCallbackGroup()
+        node.create_service(
+            SetParametersAtomically, '~/set_gains', self._on_set, callback_group=group
+        )
         for name, motors in (('~/check_polarity', False), ('~/find_motors', True)):
             node.create_service(
                 Trigger, name, partial(self._on_check, motors), callback_group=group
             )
 
-    def show(self, active: Mapping[str, float]) -> None:
-        """Set the parameters to the gains in force."""
-        self._showing = True
-        try:
-            self._node.set_parameters(
-                [Parameter(n, value=v) for n, v in active.items() if n in SETTABLE]
-            )
-        finally:
-            self._showing = False
+    def tick(self) -> None:
+        """Answer those who have waited too long."""
+        now_s = clock().now_s()
+        late = [done for until_s, done in self._waiting if now_s > until_s]
+        self._waiting = [one for one in self._waiting if now_s <= one[0] and not one[1].done()]
+        for done in late:
+            _settle(done, (False, f'not read back in {GAINS_S:g} s: /diagnostics says why'))
 
-    def _on_set(self, given: Sequence[Any]) -> Any:
-        wanted = {p.name: p.value for p in given if p.name in WIRE_NAMES}
-        if self._showing or not wanted:
-            return SetParametersResult(successful=True)
+    async def _on_set(self, request: Any, response: Any) -> Any:
+        """Answer once the aircraft has read the set back, or with the reason why it has not."""
+        done = Future()
         try:
-            self._ask({**wanted, 'source': SOURCE})
+            count = len(request.parameters)
+            if count > MOST_PARAMETERS:
+                raise RefusedError(f'at most {MOST_PARAMETERS} parameters: found {count}')  # noqa: TRY301
+            wanted = {'source': SOURCE, **conversion.values_of(request.parameters)}
+            self._waiting.append((clock().now_s() + GAINS_S, done))
+            self._ask(wanted, lambda good, why: _settle(done, (good, why)))
         except RefusedError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+            _settle(done, (False, str(error)))
+        good, why = await done
+        response.result = SetParametersResult(successful=good, reason=why)
+        return response
 
     async def _on_check(self, motors: bool, _: Any, response: Any) -> Any:
         done = Future()
@@ -93,25 +97,33 @@ class OperatorServices:
     """Topic operator/enable and service `~/arm`, which answers with what the aircraft said.
 
     `send` puts a frame on the wire. `armed` says whether the aircraft is armed, as heard just now;
-    None where it is not heard; `name` what messages call it. `acknowledged` may be called from any
-    thread.
+    None where it is not heard; `flies` whether it may be in the air; `name` what messages call it.
+    `acknowledged` may be called from any thread.
     """
 
     def __init__(
         self,
         node: Any,
         enable: OperatorEnable,
-        send: Callable[[Command], None],
+        aircraft: Aircraft,
+        send: Callable[[Frame], None],
         armed: Callable[[], bool | None],
+        flies: Callable[[], bool],
         name: Callable[[], str],
     ) -> None:
         self._node, self._enable, self._send, self._armed = node, enable, send, armed
-        self._name = name
-        self._arming = Arming()
+        self._name, self._flies = name, flies
+        self._second = SecondCall()
+        self._arming = Arming(aircraft)
         self._late = ''
-        node.create_subscription(Bool, 'operator/enable', self._on_enable, qos_profile_sensor_data)
         group = ReentrantCallbackGroup()
         node.create_service(SetBool, '~/arm', self._on_arm, callback_group=group)
+
+    def configure(self) -> None:
+        """Create the subscription."""
+        self._node.subscribe(
+            Header, '/operator/enable', self._on_enable, qos_profile_sensor_data
+        )
 
     def acknowledged(self, ack: CommandAck) -> None:
         """The STM32 has answered a command."""
@@ -130,19 +142,28 @@ class OperatorServices:
 
     def entries(self) -> list[Status]:
         """Entries for /diagnostics: a warning for as long as its reason lasts."""
-        return [Status('operator', WARN, self._late)] if self._late else []
+        refused = self._enable.refused
+        if not (self._late or refused):
+            return []
+        words = self._late or self._enable.reason or 'holds the enable'
+        level = WARN if self._late or self._enable.reason else OK
+        return [Status('operator', level, words, {'enables refused for their stamp': refused})]
 
     def end(self) -> None:
         """End requests before the port is closed."""
         self._arming.end('no answer before the node was deactivated')
 
-    def _on_enable(self, message: Bool) -> None:
-        self._enable.take(bool(message.data), clock().now_s())
+    def _on_enable(self, message: Header) -> None:
+        now_ns = self._node.get_clock().now().nanoseconds
+        self._enable.take(conversion.age_s(message.stamp, now_ns), clock().now_s())
 
-    def _command(self, arm: bool, told: Callable[[str], None]) -> Command:
+    def _command(self, arm: bool, told: Callable[[str], None]) -> Frame:
         now_s = clock().now_s()
         self._node.refuse_unless_active()
-        fault = (self._enable.fault(now_s) or self._not_disarmed()) if arm else ''
+        if arm:
+            fault = self._enable.fault(now_s) or self._not_disarmed()
+        else:
+            fault = self._second.fault(now_s, flies=self._flies())
         if fault:
             raise RefusedError(fault)
         return self._arming.ask(arm, told, now_s)
@@ -170,7 +191,10 @@ class SensorServices:
         self._node, self._sensors, self._report = node, sensors, report
         self._since_ns = 0
         node.create_service(Trigger, '~/calibrate_at_rest', self._on_calibrate)
-        node.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
+
+    def configure(self) -> None:
+        """Create the subscription."""
+        self._node.subscribe(ParameterEvent, '/logger/bag', self._on_bag, STATE)
 
     def tick(self) -> None:
         """Make the estimate that arming or a recording asks for; report a change at once."""
@@ -196,3 +220,9 @@ class SensorServices:
             return answered(response, True, self._sensors.estimate(wanted))
         except RefusedError as error:
             return answered(response, False, str(error))
+
+
+def _settle(done: Any, result: object) -> None:
+    """Set a future's result, unless it has one: its caller may have been answered by then."""
+    if not done.done():
+        done.set_result(result)

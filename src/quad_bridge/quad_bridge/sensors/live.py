@@ -23,6 +23,7 @@ from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag
 
 STANDING_S = LEAST_S + 1.0  # of cycles without armed motors are kept for an estimate
+MOST_SAMPLES = 8000  # of cycles, however fast they come
 NOT_YET = 'not estimated since the aircraft started'
 
 Sample = tuple[float, float, float, float, float, float, float]
@@ -45,7 +46,7 @@ class LiveSensors:
         self.rest: RestEstimate | None = None  # the last estimate since the STM32 has started
         self.words, self.warned = NOT_YET, False
         self._lock = threading.RLock()
-        self._standing: deque[Sample] = deque()
+        self._standing: deque[Sample] = deque(maxlen=MOST_SAMPLES)
         self._correct = correct
         self._armed = False
         self._wanted: Wanted | None = None
@@ -85,8 +86,8 @@ class LiveSensors:
             return
         with self._lock:
             standing = self._standing
-            if standing and time_s < standing[-1][0]:
-                standing.clear()  # its clock has wrapped or jumped
+            if standing and time_s <= standing[-1][0]:
+                standing.clear()  # its clock has wrapped, jumped or stands still
             standing.append((time_s, *flip_body(frame.gyro), *flip_body(frame.accel)))
             while time_s - standing[0][0] > STANDING_S:
                 standing.popleft()

@@ -437,8 +437,10 @@ QUAD_GAINS_RESULT_LINK_LOST = 3
 enums["QUAD_GAINS_RESULT"][3] = EnumEntry("QUAD_GAINS_RESULT_LINK_LOST", """Unasked: reverted by itself, the link was dead.""")
 QUAD_GAINS_RESULT_NOT_CONFIRMED = 4
 enums["QUAD_GAINS_RESULT"][4] = EnumEntry("QUAD_GAINS_RESULT_NOT_CONFIRMED", """Unasked: reverted by itself, no CONFIRM came in time.""")
-QUAD_GAINS_RESULT_ENUM_END = 5
-enums["QUAD_GAINS_RESULT"][5] = EnumEntry("QUAD_GAINS_RESULT_ENUM_END", """""")
+QUAD_GAINS_RESULT_NOT_FLOWN = 5
+enums["QUAD_GAINS_RESULT"][5] = EnumEntry("QUAD_GAINS_RESULT_NOT_FLOWN", """Not confirmed: the set has not flown for half of its watch.""")
+QUAD_GAINS_RESULT_ENUM_END = 6
+enums["QUAD_GAINS_RESULT"][6] = EnumEntry("QUAD_GAINS_RESULT_ENUM_END", """""")
 
 # message IDs
 MAVLINK_MSG_ID_BAD_DATA = -1

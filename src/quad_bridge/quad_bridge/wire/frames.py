@@ -57,13 +57,14 @@ class GainsPhase(IntEnum):
 
 
 class GainsResult(IntEnum):
-    """The result of an action (enum QUAD_GAINS_RESULT); the last two are sent unasked."""
+    """The result of an action (enum QUAD_GAINS_RESULT); 3 and 4 are sent unasked."""
 
     OK = 0
     WRONG_ID = 1
     CHECKSUM = 2
     LINK_LOST = 3
     NOT_CONFIRMED = 4
+    NOT_FLOWN = 5
 
 
 @dataclass(frozen=True)

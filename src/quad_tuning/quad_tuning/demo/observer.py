@@ -36,9 +36,8 @@ class Observer:
     def __init__(self, domain: int, clock: Clock | None = None) -> None:
         self._clock = clock or Clock()
         self.active_gains: dict[str, float] = {}
-        self.updates: list[dict[str, Any]] = []
-        self.update_time = self.gains_time = 0.0
-        """When the last word on /gains/update and on /gains/active came, s on the run's clock."""
+        self.gains_time = 0.0
+        """When the last word on /gains/active came, s on the run's clock."""
         self.segment: dict[str, Any] = {}
         self.diagnostics: dict[str, tuple[int, str, dict[str, str]]] = {}
         self.imu_count = 0
@@ -50,7 +49,6 @@ class Observer:
         self._executor.add_node(self._node)
         subscribe = self._node.create_subscription
         subscribe(ParameterEvent, '/gains/active', self._on_gains, STATE)
-        subscribe(ParameterEvent, '/gains/update', self._on_update, EVENT)
         subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
         subscribe(DiagnosticArray, '/diagnostics', self._on_diagnostics, EVENT)
         self._imu: Any = None
@@ -114,10 +112,6 @@ class Observer:
         self.active_gains.update(
             {name: v for name, v in parameters(event).items() if isinstance(v, float)}
         )
-
-    def _on_update(self, event: ParameterEvent) -> None:
-        self.update_time = self._clock.now_s()
-        self.updates.append(parameters(event))
 
     def _on_segment(self, event: ParameterEvent) -> None:
         self.segment = parameters(event)

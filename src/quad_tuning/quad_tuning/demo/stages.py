@@ -6,9 +6,11 @@ The order of the stages and what is told of them is story.py's.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from quad_sysid.excitation_settings import load_schedule
 from quad_tuning.demo.observer import Observer
@@ -54,7 +56,9 @@ class Campaign:
     crew: Crew
     observer: Observer
     say: Callable[[str], None]
-    told: dict[str, object] = field(default_factory=dict)
+    told: dict[str, Any] = field(default_factory=dict)
+    asked_s: float = 0.0
+    """When the new gains were sent, s on the run's clock."""
 
     @property
     def folder(self) -> Path:
@@ -126,7 +130,7 @@ def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
 def start_identification(campaign: Campaign, *, auto_update: bool, axes: Sequence[str]) -> None:
     """Start the node that waits for a complete bag and writes the report."""
     settings = {'out': str(campaign.folder / 'report'), 'auto_update': auto_update,
-                'axes': list(axes)}
+                'axes': list(axes), 'folder': str(campaign.folder)}
     campaign.crew.start_node('quad_sysid', 'identification', settings)
 
 
@@ -142,21 +146,19 @@ def await_report(campaign: Campaign) -> Path:
     _, text, values = said[node]
     if state() == 'failed':
         raise StageFailedError('identify', text)
-    campaign.told['update'] = values.get('update', '')
+    campaign.told |= {name: values.get(name, '') for name in ('update', 'gains')}
+    campaign.asked_s = campaign.crew.clock.now_s()
     return Path(values['report'])
 
 
 def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
     """Wait until gains were sent and the STM32 has read them back; s from sending to that."""
     observer = campaign.observer
-    if campaign.told.get('update') != 'sent':
+    if not str(campaign.told.get('update')).startswith('sent'):
         raise StageFailedError('update', f'no gains were sent: {campaign.told.get("update")}')
-    campaign.wait('update', '/gains/update', lambda: bool(observer.updates), ACKNOWLEDGE_S)
-    wanted = {name: float(value)
-              for name, value in observer.updates[-1].items()
-              if isinstance(value, float | int)}
+    wanted = {name: float(value) for name, value in json.loads(campaign.told['gains']).items()}
     if not changed(old, wanted):
         raise StageFailedError('update', 'the gains that were sent are the ones already flown')
     campaign.wait('update', 'acknowledgement on /gains/active',
                   lambda: not changed(observer.active_gains, wanted), ACKNOWLEDGE_S)
-    return max(0.0, observer.gains_time - observer.update_time)
+    return max(0.0, observer.gains_time - campaign.asked_s)

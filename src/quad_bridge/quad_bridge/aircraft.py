@@ -1,0 +1,141 @@
+"""One aircraft as the bridge asks it: excitation, set-points, gains, arming, what it cannot do.
+
+`Aircraft` is what bridge, relay and services know; the frames that an autopilot wants for it are
+its own class's. `Quad` speaks to the firmware of this project. Another autopilot is one more
+class here, and its messages in `wire/`. Nothing here sends: each request gives the frame to send.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from enum import Enum
+from typing import Protocol
+
+from quad_bridge.errors import RefusedError
+from quad_bridge.gains.protocol import GainEvent, GainProtocol, Request
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.axes import flip_body
+
+ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
+ACCEPTED = 'accepted'
+_RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
+STILL = (0.0, 0.0, 0.0)
+
+
+class Ability(Enum):
+    """What an aircraft may be able to do."""
+
+    EXCITE = 'excitation'
+    SET_POINTS = 'set-points'
+    GAINS = 'gains'
+    PULSES = 'test pulses'
+
+
+class Gains(Protocol):
+    """Sets of gains on the aircraft: nothing is active that was not read back. No I/O.
+
+    `poll` says what to send, `take` what came back, `events` what has happened.
+    """
+
+    events: list[GainEvent]
+    active: Mapping[str, float]
+    """Contract names, SI; empty until they are read back."""
+
+    @property
+    def busy(self) -> str:
+        """The current activity; empty where a set may be written."""
+
+    def write(self, writes: Mapping[str, float], watch_ms: int) -> None:
+        """Begin to write a set on trial, whole or not at all."""
+
+    def confirm(self) -> None:
+        """Keep the set on trial."""
+
+    def revert(self, reason: str) -> None:
+        """Take back the set that is being written or on trial."""
+
+    def restart(self) -> None:
+        """Read everything again."""
+
+    def poll(self, now_s: float) -> Request | None:
+        """Say what to send now."""
+
+    def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
+        """Take an answer."""
+
+
+class Aircraft(ABC):
+    """See the module. What it cannot do raises RefusedError with the words of `cannot`."""
+
+    gains: Gains
+
+    @abstractmethod
+    def cannot(self, ability: Ability) -> str:
+        """Why it has not this ability; empty where it has."""
+
+    @abstractmethod
+    def excite(self, value: f.Vector3, injection: f.Injection, valid_ms: int) -> f.Frame:
+        """Give the frame that adds `value` (FLU, the injection's unit) for so long."""
+
+    @abstractmethod
+    def abort(self) -> f.Frame:
+        """Give the frame that ends an excitation at once."""
+
+    @abstractmethod
+    def fly_to(self, attitude: f.Vector3, thrust: float) -> f.Frame:
+        """Give the frame that makes `attitude` (rad, FLU against ENU) the set-point."""
+
+    @abstractmethod
+    def arm(self, on: bool) -> f.Frame:
+        """Give the frame that arms or disarms."""
+
+    @abstractmethod
+    def armed_answer(self, frame: f.CommandAck) -> str | None:
+        """Say what an answer to `arm` says (`ACCEPTED` or why not); None where it is no such."""
+
+
+class Quad(Aircraft):
+    """An aircraft with this project's firmware; of another, what MAVLink's standard gives."""
+
+    def __init__(self, standard: Callable[[], str] = lambda: '') -> None:
+        """`standard` gives the name of an autopilot that sends standard messages only, or ''."""
+        self.gains = GainProtocol()
+        self._standard = standard
+        self._seq = 0
+
+    def cannot(self, ability: Ability) -> str:
+        """Why it has not this ability; empty where it has."""
+        if ability is Ability.SET_POINTS:
+            return 'it is flown by its pilot: it takes no set-points from the bridge'
+        name = self._standard()
+        if not name:
+            return ''
+        if ability is Ability.EXCITE:
+            return f'{name} has no QUAD_EXCITATION: no excitation of it'
+        return f'{name} has no QUAD_GAINS: no gains or pulses for it'
+
+    def excite(self, value: f.Vector3, injection: f.Injection, valid_ms: int) -> f.Frame:
+        """Give the frame that adds `value`; the numbers of the frames tell that none is old."""
+        self._seq = (self._seq + 1) % 256
+        return f.Excitation(flip_body(value), int(injection), self._seq, valid_ms)
+
+    def abort(self) -> f.Frame:
+        """Give the frame that ends an excitation; it clears a refusal too."""
+        return self.excite(STILL, f.Injection.NONE, 100)
+
+    def fly_to(self, attitude: f.Vector3, thrust: float) -> f.Frame:
+        """Refuse: its pilot flies it."""
+        del attitude, thrust
+        raise RefusedError(self.cannot(Ability.SET_POINTS))
+
+    def arm(self, on: bool) -> f.Frame:
+        """Give the frame that arms or disarms."""
+        return f.Command(ARM_DISARM, (1.0 if on else 0.0,))
+
+    def armed_answer(self, frame: f.CommandAck) -> str | None:
+        """Say what an answer to `arm` says."""
+        if frame.command != ARM_DISARM:
+            return None
+        known = frame.result < len(_RESULTS)
+        return _RESULTS[frame.result] if known else f'result {frame.result}'
