@@ -59,7 +59,8 @@ def answered(scenario: scenarios.Scenario) -> Row:
         'covered': covered(scenario, model),
         'before': error.before, 'after': error.after, 'true': true,
         'factor': error.before / true, 'lost': error.before / true,
-        'e_value': min(found.verdict.e_value, 1e99), 'seconds': seconds,
+        'reference': error.reference, 'first_rung': [*found.ladder.rungs[1].labels]
+        if len(found.ladder.rungs) > 1 else [], 'seconds': seconds,
     }
 
 

@@ -22,9 +22,11 @@ from threadpoolctl import threadpool_limits
 
 from quad_sysid.discover.accept import judge
 from quad_sysid.discover.base import best_base
+from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.explain import explain
 from quad_sysid.model.data import axis_data
 from quad_sysid.model.noise import Filter
 
@@ -72,7 +74,7 @@ def axis(flight: scenarios.Scenario, peers: str | None) -> None:
                       f'sample, ratio {told["us_derivatives"] / (1e6 * ours / n):.0f}')
     began = time.process_time()
     found = search(problem, EFFECTS)
-    verdict = judge(data, problem, found)
+    verdict = judge(data, problem, found, explain(problem, found, candidates(problem, EFFECTS)[0]))
     spent = time.process_time() - began
     print(f'  whole axis               {spent:7.2f} s of CPU, {len(found.all)} structures fitted, '
           f'{verdict.chosen.structure.labels}')
@@ -93,7 +95,8 @@ def linear(problem: Problem, base: Fit) -> tuple[Filter, np.ndarray]:
     """The base's steady filter, and (n,) what pushes its rate in each cycle, rad/s."""
     flight, p = problem.flight, base.values
     known = flight.pushed(base.structure, p, flight.rate).known.mean(axis=0)
-    return flight.filter_of(base.structure, base.theta, float(p[3])), problem.data.dt * known
+    found, *_ = flight.filters_of(base.structure, base.theta, float(p[3]))
+    return found, problem.data.dt * known
 
 
 def plain_filter(problem: Problem, base: Fit, evaluations: int) -> float:

@@ -135,7 +135,7 @@ def answered(case: Case) -> dict[str, Any]:
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
-    """The figures of the table in docs/what_is_missing.md."""
+    """The figures of the table in docs/results.md."""
     counted = [row for row in rows if row['counts']]
     return {
         'flights': len(rows), 'counted': len(counted),

@@ -28,6 +28,8 @@ class Airframe:
     damping: tuple[float, float, float] = (1.0, 1.0, 0.5)
     squared: bool = False
     """Whether thrust follows the square of the speed, else the speed."""
+    reaction_s: float = 0.0
+    """What the change of the rotors' speeds adds to the yaw torque, s: a true lead."""
     full_rad_s: float = 900.0
     """Speed of a rotor at a command of 1."""
     stops: tuple[int, float, float] | None = None
@@ -81,6 +83,8 @@ def fly(airframe: Airframe, seed: int, seconds: float = 26.0) -> dict[str, np.nd
             middle = sent + (speed - sent) * np.sqrt(keep)
             thrust = middle**2 if airframe.squared else middle
             torque = np.array(airframe.push) * (weights @ thrust) + gust
+            change = weights[2] @ ((sent - middle) / lags)
+            torque[2] += airframe.push[2] * airframe.reaction_s * change
             rate = rate + h * (torque - np.array(airframe.damping) * rate)
             angle = angle + h * rate
             speed = sent + (speed - sent) * keep

@@ -39,7 +39,7 @@ setup(
         'backports.zstd; python_version < "3.14"',
     ],
     extras_require={
-        'logs': ['pyulog', 'pymavlink'],
+        'logs': ['pyulog'],
         'blackbox': ['orangebox<0.5'],  # GPL-3; 0.5 cannot be installed by pip
         'export': ['control'],
         'shell': ['argcomplete'],

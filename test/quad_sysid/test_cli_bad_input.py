@@ -42,7 +42,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        ('--axis sideways', "--axis: invalid choice: 'sideways'"),
+        ('--axis sideways', "axis: must be one of roll, pitch, yaw, all: found 'sideways'"),
         ('--train 0:20 --validate 10:30', 'training and validation overlap'),
         ('--train 100:130', '--train starts after the end'),
         ('--train all', '--train: needs two times'),
@@ -206,7 +206,7 @@ def test_where_a_model_is_wanted_the_folder_of_its_report_will_do(
     [
         (None, 'cannot be read'),
         ('{"a": 1}', 'lacks axes, schema'),
-        ('{"schema": "quad_sysid/report/1", "axes": {}}', 'schema: must be quad_sysid/model/2'),
+        ('{"schema": "quad_sysid/report/1", "axes": {}}', 'schema: must be quad_sysid/model/3'),
         ('{"schema": "quad_sysid/model/2", "axes": {"roll": {', 'is not JSON'),
         ('{"schema": "quad_sysid/model/2", "axes": {}}', 'found {}; give the model.json of'),
         ('[' * 100_000, 'is not JSON'),

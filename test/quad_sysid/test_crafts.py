@@ -13,8 +13,10 @@ from quad_sysid.bags import read_bag, write_bag
 from quad_sysid.craft import Craft, Motor
 from quad_sysid.effects import EFFECTS
 from quad_sysid.inspection.content import content
+from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import Record, Segment
+from quad_sysid.report.model_file import load_models, save_models
 from quad_sysid.rotors import rotors_of
 
 HEXA = Airframe(((90, -1), (-90, 1), (-30, -1), (150, 1), (30, 1), (-150, -1)),
@@ -24,8 +26,11 @@ OCTO = Airframe(((45, 1), (-45, -1), (-135, 1), (135, -1), (-45, 1), (45, -1), (
                  (-135, -1)), lag_s=0.06, push=(400.0, 300.0, 60.0), damping=(9.0, 9.0, 2.0),
                 squared=True, torque_noise=0.6)
 """Coaxial pairs; thrust follows the square of the speed, and much damping hides behind the lag."""
-SEGMENTS = (Segment('train', 'prbs', 'roll', 'rate', 1.0, 15.0),
-            Segment('validation', 'prbs', 'roll', 'rate', 15.5, 26.0))
+QUAD = Airframe(((135, -1), (45, 1), (-135, 1), (-45, -1)), lag_s=0.03, reaction_s=0.12)
+"""Betaflight's order, propellers in, whose rotors' own reaction leads the yaw."""
+SEGMENTS = tuple(Segment(role, 'prbs', axis, 'rate', start, end)
+                 for role, start, end in (('train', 1.0, 15.0), ('validation', 15.5, 26.0))
+                 for axis in ('roll', 'yaw'))
 
 
 def described(airframe: Airframe) -> Craft:
@@ -42,12 +47,13 @@ def recorded(airframe: Airframe, seed: int, *, speeds: bool = False) -> Record:
                   craft=craft, segments=SEGMENTS, t0_ns=10**18)
 
 
-def model_of(record: Record, *names: str):
-    few = tuple(effect for effect in EFFECTS if effect.name in names)
-    return identify([record], Options(axes=('roll',), effects=few))['roll'].model
+def model_of(record: Record, *names: str, axis: str = 'roll'):
+    """The model with these candidates, by their names or labels."""
+    few = tuple(effect for effect in EFFECTS if {effect.name, effect.label} & {*names})
+    return identify([record], Options(axes=(axis,), effects=few))[axis].model
 
 
-def test_a_hexacopter_with_a_slow_motor_is_a_bag_like_any_other(tmp_path):
+def test_a_hexacopter_with_a_slow_motor_is_a_bag_like_any_other(tmp_path, refusal):
     record = read_bag(write_bag(recorded(HEXA, 3), tmp_path / 'hexa'))
     assert (record.craft.count, record.motors.shape[1], record.warnings) == (6, 6, ())
     model = model_of(record, 'motor_lag')
@@ -55,6 +61,14 @@ def test_a_hexacopter_with_a_slow_motor_is_a_bag_like_any_other(tmp_path):
     assert model.value('gain') == pytest.approx(400.0, rel=0.03)
     assert model.value('lag') == pytest.approx(0.04, rel=0.06)
     assert model.value('motor_lag.slow_time_constant') == pytest.approx(0.16, rel=0.1)
+    save_models({'roll': model}, tmp_path / 'model.json')
+    stored = load_models(tmp_path / 'model.json')['roll']
+    assert stored.craft.signs == record.craft.signs
+    assert evaluate(stored, record, ((15.5, 26.0),)).after < 0.03
+    fewer = replace(record.craft, motors=record.craft.motors[:4])
+    other = replace(record, craft=fewer, motors=record.motors[:, :4])
+    assert 'motor_lag of the model needs the motors of its craft' in refusal(
+        evaluate, stored, other)
 
 
 def test_an_octocopters_lag_comes_from_its_rotors_and_leaves_the_damping_to_the_rate(tmp_path):
@@ -65,6 +79,15 @@ def test_an_octocopters_lag_comes_from_its_rotors_and_leaves_the_damping_to_the_
     assert told.value('damping') == pytest.approx(9.0, rel=0.12)
     (damping,), (wide,) = ([p.std for p in m.base if p.name == 'damping'] for m in (told, alone))
     assert damping < wide
+
+
+def test_yaw_shows_the_lead_of_heavy_rotors():
+    """It draws the base so far away that no small step leads from there to the truth."""
+    model = model_of(recorded(QUAD, 2), 'mode/lead of rotors', 'mode/lead', 'motor_lag',
+                     axis='yaw')
+    assert [(e.name, e.variant) for e in model.effects] == [('mode', 'lead of rotors')]
+    for name, true in (('gain', 60.0), ('lag', 0.03), ('damping', 0.5), ('mode.lead_time', 0.12)):
+        assert model.value(name) == pytest.approx(true, rel=0.15 if name == 'damping' else 0.05)
 
 
 def test_a_motor_that_stops_slips_or_lags_is_named(tmp_path):

@@ -151,7 +151,7 @@ def test_px4_motors_angles_and_battery(flight, px4):
     check_motion(record, flight, angles=1e-5)
     assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
     assert 'vehicle_attitude_setpoint' in told
-    assert record.gains == ()
+    assert record.gains_at(0.0) == {'sensor.gyro_filter_hz': 40.0}
 
 
 def test_px4_rotors_stand_and_turn_as_its_parameters_say(flight, px4):
@@ -300,7 +300,6 @@ def ardupilot_messages(flight: Flight) -> dict:
 
 
 def test_ardupilot_pulses(flight, tmp_path):
-    pytest.importorskip('pymavlink')
     messages = ardupilot_messages(flight)
     stamps = messages['RCOU'][1][:, 0]
     messages['ESC'] = ('TimeUS', 'Instance', 'RPM'), np.concatenate([
@@ -328,7 +327,6 @@ def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
 ):
     stamps = 3_000_000 + DT_US * np.array([0, N // 2])
     if topic == 'EV':
-        pytest.importorskip('pymavlink')
         messages = ardupilot_messages(flight)
         messages['EV'] = (('TimeUS', field), np.column_stack([stamps, values]))
         path = dataflash(tmp_path / 'log', messages, {'FRAME_CLASS': 1, 'FRAME_TYPE': 1})
@@ -344,7 +342,6 @@ def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
 
 
 def test_ardupilot_outputs_carry_the_gains(flight, tmp_path):
-    pytest.importorskip('pymavlink')
     messages = ardupilot_messages(flight)
     del messages['RCOU']
     record, told = imported(dataflash(tmp_path / 'log.bin', messages, {
@@ -356,6 +353,53 @@ def test_ardupilot_outputs_carry_the_gains(flight, tmp_path):
     assert gains['roll.angle.rate_limit'] == pytest.approx(np.pi / 2)
     assert (record.desaturation, record.motors) == ('none', None)
     assert 'the controller demanded' in told
+
+
+@pytest.mark.parametrize('firmware', ['ArduPilot', 'PX4'])
+def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware):
+    """SYSTEM ID mode at the mixer's pitch input; the autotune's steps of the roll rate."""
+    t = 1e-6 * DT_US * np.arange(N)
+    on = (t >= 0.2) & (t < 5.8)
+    if firmware == 'ArduPilot':
+        messages, added, axis = ardupilot_messages(flight), 0.06 * np.sin(9.0 * t), 1
+        stamps = messages['RATE'][1][on, 0]
+        messages['SIDS'] = ('TimeUS', 'Ax', 'Mag'), np.array([[stamps[0], 11.0, 0.06]])
+        messages['SIDD'] = ('TimeUS', 'Time', 'Targ'), np.column_stack(
+            [stamps, t[on], -added[on]])
+        path = dataflash(tmp_path / 'log', messages, {'FRAME_CLASS': 1, 'FRAME_TYPE': 1})
+        said = 'chirp', 'pitch', 'control'
+    else:
+        pytest.importorskip('pyulog')
+        added, axis, topics = 0.5 * np.sign(np.sin(7.0 * t)), 0, px4_topics(flight)
+        topics['autotune_attitude_control_status'] = {
+            'timestamp': topics['vehicle_attitude']['timestamp'],
+            'rate_sp': np.column_stack([np.where(on, added, 0.0), np.zeros((N, 2))])}
+        path = ulog(tmp_path / 'log', topics, {})
+        said = 'square', 'roll', 'rate'
+    record, told = imported(path, tmp_path / 'bag')
+    used = [s for s in record.segments if s.role != 'idle']
+    assert [s.role for s in used] == ['train', 'validation']
+    assert {(s.signal, s.axis, s.injection) for s in used} == {said}
+    assert (used[0].start_s, used[1].end_s) == (pytest.approx(0.2, abs=0.01),
+                                                pytest.approx(5.8, abs=0.01))
+    np.testing.assert_allclose(record.excitation[100:1400, axis], added[100:1400], atol=1e-6)
+    assert 'the log holds experiments' in told
+
+
+def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
+    messages = ardupilot_messages(flight)
+    lines = ['ArduCopter V4.5.1 (0ef2c1a7)']
+    for number, (name, (labels, _)) in enumerate(messages.items(), 130):
+        form = 'Q' + 'f' * (len(labels) - 1)
+        lines.append(f'FMT, {number}, 40, {name}, {form}, {",".join(labels)}')
+    rows = [(row[0], name, row) for name, (_, some) in messages.items() for row in some]
+    lines += [', '.join([name, f'{row[0]:.0f}', *(f'{np.float32(x):.9g}' for x in row[1:])])
+              for _, name, row in sorted(rows, key=lambda one: one[0])]
+    (tmp_path / 'log.log').write_text('\n'.join(lines) + '\n')
+    text, _ = imported(tmp_path / 'log.log', tmp_path / 'text_bag')
+    binary, _ = imported(dataflash(tmp_path / 'log.bin', messages, {}), tmp_path / 'binary_bag')
+    np.testing.assert_allclose(text.rates, binary.rates, atol=1e-7)
+    np.testing.assert_allclose(text.control, binary.control, atol=1e-7)
 
 
 def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:
@@ -510,7 +554,7 @@ def test_a_real_px4_log_through_the_command(tmp_path, capsys):
 @pytest.mark.parametrize(
     ('name', 'content', 'words'),
     [
-        ('LOG00001.BFL', b'H Product:Blackbox flight data recorder\n', 'blackbox_decode'),
+        ('LOG00001.BFL', b'H Product:Blackbox flight data recorder\n', 'holds no frames'),
         ('plain.csv', b't,u\n0,1\n', 'columns need names'),
         ('log.csv', b'', 'log.csv, line 2, column vbatLatest (V): needs a number'),
         *(('log', magic + np.random.default_rng(1).bytes(400), '')
@@ -519,7 +563,6 @@ def test_a_real_px4_log_through_the_command(tmp_path, capsys):
 )
 def test_what_cannot_be_imported_is_one_line(flight, tmp_path, capsys, name, content, words):
     pytest.importorskip('pyulog')
-    pytest.importorskip('pymavlink')
     path = tmp_path / name
     if content:
         path.write_bytes(content)

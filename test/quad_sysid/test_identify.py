@@ -163,8 +163,8 @@ def test_the_true_base_leaves_the_noise_whatever_lag_delay_and_filter(
 
 
 def test_windows_keep_off_starts_and_gaps_and_leave_no_part(plain_flight, true_model):
-    """2 s to 9.8 s with a sample lost at 5.0 s: 4 windows from 3.0 s on, 7 from 6.004 s on."""
-    record = spoiled(plain_flight, 'rates', 1250, np.nan)
+    """2 s to 9.8 s with 80 ms lost at 5.0 s: 4 windows from 3.0 s on, 7 from 6.08 s on."""
+    record = spoiled(plain_flight, 'rates', slice(1250, 1270), np.nan)
     assert evaluate(true_model, record, ((2.0, 9.8),)).windows == 11
 
 

@@ -70,7 +70,7 @@ def rows(t: np.ndarray) -> np.ndarray:
 
 def test_restarts_and_jumps_are_experiments_one_after_the_other():
     times = np.concatenate([T, T[:700] + 0.5, T[:700] + 3600.0])
-    found = unroll(times, rows(times), 'file')
+    found = unroll(times, rows(times).T, 'file')
     assert (np.diff(found.time_s) > 0.0).all()
     assert np.flatnonzero(np.diff(found.time_s) > 1.0).tolist() == [N - 1, N + 699]
     assert found.time_s[-1] < 20.0
@@ -87,7 +87,7 @@ def test_restarts_and_jumps_are_experiments_one_after_the_other():
     ],
 )
 def test_stray_shuffled_and_ticking_times(times, left, words):
-    found = unroll(times, rows(times), 'file')
+    found = unroll(times, rows(times).T, 'file')
     assert len(found.rows) == left
     assert (np.diff(found.time_s) > 0.0).all()
     assert words in '; '.join(found.told)
@@ -95,14 +95,14 @@ def test_stray_shuffled_and_ticking_times(times, left, words):
 
 def test_rows_written_twice_are_told_from_a_clock_that_ticks():
     times = np.repeat(T, 2)
-    twice = unroll(times, np.repeat(rows(T), 2, axis=0), 'file')
+    twice = unroll(times, np.repeat(rows(T), 2, axis=0).T, 'file')
     assert len(twice.rows) == N
     assert f'{N} rows written twice' in twice.told[0]
-    ticking = unroll(times, rows(times), 'file')
+    ticking = unroll(times, rows(times).T, 'file')
     assert np.diff(ticking.time_s) == pytest.approx(0.5 * DT, rel=0.01)
 
 
 @pytest.mark.parametrize('times', [np.zeros(50), -T, np.full(50, np.nan)])
 def test_what_cannot_be_mended_is_refused(times):
     with pytest.raises(BadInputError, match='file'):
-        unroll(times, rows(times), 'file')
+        unroll(times, rows(times).T, 'file')

@@ -566,7 +566,7 @@ BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
         (b'\xbc\x01\x00\x01\x00\x00', 'is not a whole log of a Crazyflie SD card'),
         (b'#ROSBAG V2.0\n and noise', 'is not a whole bag'),
         ('{"t": [0, 1]}\n', 'is JSON, not a table; give a CSV file'),
-        (MAGIC, 'is a file of a bag; give the folder'),
+        (MAGIC, 'is not a whole bag'),
         pytest.param(np.random.default_rng(0).bytes(1000), 'nor a log of PX4, ArduPilot',
                      id='noise'),
         pytest.param(BROKEN, '', id='broken gzip'),

@@ -29,7 +29,7 @@ from quad_sysid.loop.cascade import (
 )
 from quad_sysid.loop.figures import square_figures, square_wave, step_figures
 from quad_sysid.loop.from_model import gain_range, loop_plant, not_in_the_loop, throttle_factor
-from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, Slopes, SlowMotors, exact_cycles
+from quad_sysid.loop.plant import Curve, LoopPlant, Memory, Slopes, SlowMotors, exact_cycles
 from quad_sysid.loop.simulation import angle_lead_s, simulate_cascade, simulate_polynomial_cascade
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.pipeline.selection import approaches, controller, reproduced
@@ -73,6 +73,8 @@ FILTER = (2 * np.pi * 42.0) ** 2 / (
     S**2 + np.sqrt(2) * 2 * np.pi * 42.0 * S + (2 * np.pi * 42.0) ** 2
 )
 MODE = 44.0**2 / (S**2 + 2 * 0.05 * 44.0 * S + 44.0**2)
+RINGING = Memory(np.array([[0.0, 44.0], [-44.0, -4.4]]), np.array([[0.0], [44.0]]),
+                 np.array([0.1, 0.2]), np.ones(1))
 
 
 @pytest.mark.parametrize(
@@ -80,7 +82,7 @@ MODE = 44.0**2 / (S**2 + 2 * 0.05 * 44.0 * S + 44.0**2)
     [
         ({}, 1 / (0.043 * S + 1)),
         ({'gyro_filter_hz': 42.0}, FILTER / (0.043 * S + 1)),
-        ({'slow': SlowMotors(0.25, 0.1), 'mode': LightMode(44.0, 0.05, 0.1, 0.2)},
+        ({'slow': (SlowMotors(0.25, 0.1),), 'before': (RINGING,)},
          (0.75 / (0.043 * S + 1) + 0.25 / (0.1 * S + 1)) * (1 + MODE * (0.1 + 0.2 * S / 44.0))),
     ],
     ids=['lag', 'filter', 'slow motors and a mode'],
@@ -262,8 +264,8 @@ def test_what_has_no_place_in_the_loop_is_named_and_what_varies_has_its_range():
     both = model_of(coupled, effect('dead_zone', 0.01))
     bent = model_of(effect('thrust_curve', 0.5, settings={'throttle': 0.4}))
     along = model_of(curve('shape:gain:time', [0.0, 20.0, 60.0], [0.1, 0.0, -0.2]))
-    assert not_in_the_loop(both) == ('gyroscopic_coupling',)
-    assert not_in_the_loop(bent) == not_in_the_loop(along) == ()
+    assert [*not_in_the_loop(both)] == ['gyroscopic_coupling']
+    assert not_in_the_loop(bent) == not_in_the_loop(along) == {}
     factors = throttle_factor(bent, 1.0), throttle_factor(bent, 1.2)
     assert factors == pytest.approx((1.0, (0.5 + 0.48) / (0.5 + 0.4)))
     assert gain_range(along) == pytest.approx((0.8, 0.8, 1.1))

@@ -81,7 +81,7 @@ def test_a_value_that_is_not_finite_is_refused_and_keeps_the_old_file(tmp_path, 
 @pytest.mark.parametrize(
     ('damage', 'said'),
     [
-        (lambda t, _: t.update(schema='other/1'), 'must be quad_sysid/model/2'),
+        (lambda t, _: t.update(schema='other/1'), 'must be quad_sysid/model/3'),
         (lambda t, _: t['axes'].update(tail={}), 'roll, pitch, yaw: found tail'),
         (lambda _, roll: roll.pop('dt'), 'lacks dt'),
         (lambda _, roll: roll.update(dt=0.0), 'roll.dt: must be a positive'),
@@ -135,3 +135,19 @@ def test_a_broken_polynomial_is_named(polynomial, tmp_path, refusal, change, nam
     path = tmp_path / 'model.json'
     path.write_text(json.dumps({'blackbox': {'roll': tree_of(polynomial) | change}}))
     assert re.search(f'roll.*{named}', refusal(load_blackbox, path))
+
+
+def test_a_file_of_the_version_before_is_read_as_one_without_an_explanation(tmp_path):
+    path = tmp_path / 'model.json'
+    save_models({'roll': some_model()}, path)
+    tree = json.loads(path.read_text())
+    tree['schema'] = 'quad_sysid/model/2'
+    roll = tree['axes']['roll']
+    for name in ('rungs', 'reference', 'ranges', 'mean_throttle'):
+        roll.pop(name)
+    roll['effects'][0].pop('explains_pct')
+    path.write_text(json.dumps(tree))
+    back = load_models(path)['roll']
+    assert back.rungs == ()
+    assert back.predicting is back
+    assert back.effects == some_model().effects

@@ -72,7 +72,7 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
     """What the command prints, the pictures, the files, a simulation and another flight."""
     z = plain_flight.axis('roll', 'train')
     result = quad_sysid.identify(plain_flight, axes='roll', effects=())
-    assert (result.verdict, result.effects, result.rivals) == ('no_missing_effect', (), {})
+    assert (result.verdict, result.effects, result.rivals) == ('not_searched', (), {})
     assert list(result) == ['roll']
     assert result['roll'].model.value('gain') == pytest.approx(450.0, rel=0.02)
     assert 'effects were not searched for' in result.reason
@@ -81,7 +81,7 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path):
     assert 'suffices' not in shown
     untested = {entry['name'] for entry in result.report['axes']['roll']['not_tested']}
     assert untested == {effect.label for effect in quad_sysid.EFFECTS}
-    assert 'no_missing_effect' in str(result)
+    assert 'not_searched' in str(result)
     assert f'{result.errors["before"]:.3g}'[:4] in str(result)
     assert '<pre>' in shown
     assert '<img' in shown

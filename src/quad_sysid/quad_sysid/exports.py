@@ -12,8 +12,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from quad_sysid.arguments import Commands, command, effects_option, own_effects
-from quad_sysid.contract import AXES
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.files import check_new, write_whole
 
 if TYPE_CHECKING:
@@ -89,6 +91,40 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
     return ('\n'.join(lines) + '\n').encode()
 
 
+def to_control(model: AxisModel, *, linear: bool = False) -> Any:
+    """A model as a system of python-control, a control cycle a step: command to rate and angle.
+
+    An `nlsys` with all effects, at the flight's mean throttle and voltage, the other axes at rest;
+    `linear`: an `ss` of the plant as its margins are judged, at rest. `linearize`, `interconnect`
+    and `input_output_response` take both.
+    """
+    import control
+
+    from quad_sysid.estimate.stored import plant_of
+    from quad_sysid.loop.from_model import commanded, loop_plant, usual_signals
+    from quad_sysid.loop.plant import slopes_at, state_space
+
+    told: dict[str, Any] = {'inputs': ['command'], 'outputs': list(OUTPUTS), 'name': model.axis}
+    if linear:
+        loop = loop_plant(model)
+        cycle = state_space(loop, slopes_at(loop, *SMALL))
+        return control.ss(cycle.a, cycle.b, cycle.c, 0.0, model.dt, **told)
+    plant, still = plant_of(model), commanded(model, usual_signals(model), np.zeros(1))
+    rest = plant.begin(still, np.zeros(1), np.zeros(1))
+
+    def ahead(_: float, x: FloatArray, u: FloatArray, __: object) -> FloatArray:
+        s = commanded(model, usual_signals(model), np.atleast_1d(u))
+        return plant.flat(plant.step(plant.unflat(x[:, None], rest), s))[:, 0]
+
+    def shown(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
+        rate, angle = plant.measured(plant.unflat(x[:, None], rest))
+        return np.array([rate[0], 0.0 if angle is None else angle[0]])
+
+    return control.nlsys(ahead, shown, states=plant.flat(rest).shape[0], dt=model.dt, **told)
+
+
+SMALL = (1e-3, 1e-3, 1e-3)
+"""Amplitudes of rate, angle and command at which `to_control` is linear."""
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {
     'mat': (as_mat, '.mat'), 'control': (as_control, '.py'),
 }

@@ -24,6 +24,12 @@ MOST_ROWS = 20_000
 """At most so many samples are predicted, spread over the recording."""
 ROWS_EACH = 2
 """Least number of rows for each coefficient."""
+FLAT = 0.02
+"""Share of its RMS below which a difference counts as none."""
+DRAWN = 0.6
+"""Share of a moving command's samples on straight lines from which it was interpolated."""
+REGULAR, LEAST_APART = 0.7, 3
+"""Least share of the lines' ends that come at one interval, or a multiple, of so many samples."""
 
 
 def tell(
@@ -64,3 +70,32 @@ def _ratio(rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, in
 
     alone, together = error(rates), error(both)
     return alone / together if together > 0.0 else 1.0
+
+
+def drawn_hz(commands: FloatArray, dt: float) -> float:
+    """Rate, Hz, between whose samples commands (n, k) were interpolated linearly; 0 if not.
+
+    Such a command moves and yet hardly ever bends, and it bends at regular intervals. One that is
+    held does not move between its samples.
+    """
+    found = [rate for column in commands.T if (rate := _drawn(column)) is not None]
+    return float(np.median(found)) / dt if found and min(found) > 0.0 else 0.0
+
+
+def _drawn(command: FloatArray) -> float | None:
+    """The rate of one command's samples, per sample; 0 if it is as logged, None if it rests."""
+    slope = np.diff(command)
+    bend = np.diff(slope)
+    known = np.isfinite(bend)
+    if known.sum() < ROWS_EACH * LAGS or not np.ptp(bend[known]) > 0.0:
+        return None
+    flat = np.abs(bend) < FLAT * float(np.sqrt(np.mean(bend[known] ** 2)))
+    usual = float(np.sqrt(np.nanmean(slope**2)))
+    moving = known & (np.abs(slope[1:]) > FLAT * usual) & (np.abs(slope[:-1]) > FLAT * usual)
+    ends = np.diff(np.flatnonzero(known & ~flat))
+    if moving.sum() < ROWS_EACH * LAGS or ends.size < LAGS or flat[moving].mean() < DRAWN:
+        return 0.0
+    apart = float(np.median(ends))
+    off = np.abs(ends / apart - np.maximum(np.round(ends / apart), 1.0))
+    regular = float(np.mean(off * apart <= 1.0))
+    return 1.0 / apart if apart >= LEAST_APART and regular >= REGULAR else 0.0

@@ -47,6 +47,8 @@ CLEARLY_LESS = 0.5
 """Share of the best pattern's explanation below which a mixer is in doubt."""
 REVERSED_SHARE = 0.2
 """Least share with which a command is called reversed: a slow motion may have any phase to it."""
+MOST_ROWS = 200_000
+"""At most so many samples are compared, in as many parts as there are blocks."""
 MOST_MOTORS = 8
 PLUS = range(4)
 """Of a plus frame two motors are idle for roll and the other two for pitch; every propeller turns
@@ -130,6 +132,8 @@ def patterns_of(
         rates = rates[:n:thin]
         angles = None if angles is None else angles[:n:thin]
         dt *= thin
+    rates, motors = _parts(rates), _parts(motors)
+    angles = None if angles is None else _parts(angles)
     responses = {
         axis: tuple(_responses(rates[:, i], motors, dt, None if angles is None else angles[:, i]))
         for i, axis in enumerate(AXES)
@@ -149,12 +153,24 @@ def commands_of(
     commands (n, 3), normalised.
     """
     found: list[Pattern] = []
+    rates, commands = _parts(rates), _parts(commands)
+    angles = None if angles is None else _parts(angles)
     for i, axis in enumerate(AXES):
         pair = np.column_stack([commands[:, i], -commands[:, i]])
         angle = None if angles is None else angles[:, i]
         if np.nanstd(commands[:, i]) > 0.0:
             found += _best_of({axis: tuple(_responses(rates[:, i], pair, dt, angle))}, idle=())
     return told(tuple(replace(p, signs=p.signs[:1]) for p in found), rates, commands, dt)
+
+
+def _parts(values: FloatArray) -> FloatArray:
+    """Of very long arrays (n, k) parts spread over the whole, NaN rows between them."""
+    if len(values) <= MOST_ROWS:
+        return values
+    size = MOST_ROWS // BLOCKS
+    gap = np.full((1, values.shape[1]), np.nan)
+    return np.concatenate([row for part in np.array_split(values, BLOCKS)
+                           for row in (part[:size], gap)])
 
 
 def told(

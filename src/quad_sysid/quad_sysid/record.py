@@ -17,6 +17,10 @@ from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError, NotInformativeError
 
 ROLES = ('train', 'validation', 'idle')
+INJECTIONS = ('attitude', 'rate', 'control')
+SHORT_GAP_S = 0.05
+"""A gap up to this long, some motors' lag, does not end a segment: the filter predicts through it,
+and the rate is compared with a straight line."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,13 @@ class Record:
     t0_ns: int = 0
     """Stamp of the first sample, ns."""
 
+    def __post_init__(self) -> None:
+        """Put the yaw set-point on the turn of the measured yaw, as a controller's error does."""
+        if self.attitude_setpoint is not None:
+            yaw = None if self.angles is None else self.angles[:, 2]
+            setpoint = _unwrapped(self.attitude_setpoint, yaw)
+            object.__setattr__(self, 'attitude_setpoint', setpoint)
+
     def __repr__(self) -> str:
         head = f'{self.source}: {self.n * self.dt:.1f} s at {1.0 / self.dt:.6g} Hz'
         head += '' if self.craft == X else f', {self.craft.count} motors'
@@ -150,13 +161,33 @@ class Record:
         """(n,) external reference of an axis' loop; None where the bag does not hold it.
 
         The attitude set-point (rad), which contains an excitation of the attitude; where the axis
-        is excited after C1 or C2 instead, that excitation as applied (rad/s or normalised).
+        is excited after C1 or C2 instead, that excitation as applied (rad/s or normalised). It is
+        of one unit, that of the training: NaN in segments that are excited elsewhere, and None
+        where the training's are of several.
         """
         index = axis_index('Record.external', name)
-        inside = {s.injection for s in self.segments if s.axis == name} & {'rate', 'control'}
-        if inside and self.excitation is not None:
-            return np.nan_to_num(self.excitation[:, index])
-        return None if self.attitude_setpoint is None else self.attitude_setpoint[:, index]
+        at = self.injected_at(name)
+        if len(at) > 1:
+            return None
+        behind = self.excitation is not None and not at <= {'attitude'}
+        signal = self.excitation if behind else self.attitude_setpoint
+        if signal is None:
+            return None
+        out = np.nan_to_num(signal[:, index]) if behind else signal[:, index]
+        others = [s for s in self.segments if s.axis == name and s.role != 'idle'
+                  and at and s.injection in INJECTIONS and s.injection not in at]
+        if others:
+            out = out.copy()
+            for segment in others:
+                out[slice(*self.span(segment))] = np.nan
+        return out
+
+    def injected_at(self, name: str) -> set[str]:
+        """Where the axis is excited in its training (without any, in all of its segments)."""
+        own = [s for s in self.segments if s.axis == name and s.injection in INJECTIONS
+               and s.role != 'idle']
+        trained = {s.injection for s in own if s.role == 'train'}
+        return trained or {s.injection for s in own}
 
     def span(self, segment: Segment) -> tuple[int, int]:
         """Index range [start, stop) of a segment."""
@@ -193,11 +224,44 @@ class Record:
         }
 
 
+def _unwrapped(setpoint: FloatArray, yaw: FloatArray | None) -> FloatArray:
+    """Attitude set-points (n, 3) whose yaw is within half a turn of the measured one, rad.
+
+    Without one, it goes on without jumps.
+    """
+    turn, wanted = 2.0 * np.pi, setpoint[:, 2]
+    known = np.flatnonzero(np.isfinite(wanted))
+    if yaw is None or not np.isfinite(yaw).any():
+        near = np.unwrap(wanted[known])
+        whole = np.round((near - wanted[known]) / turn)
+    else:
+        measured = np.flatnonzero(np.isfinite(yaw))
+        whole = np.round((np.interp(known, measured, yaw[measured]) - wanted[known]) / turn)
+    if not whole.any():
+        return setpoint
+    out = setpoint.copy()
+    out[known, 2] += turn * whole
+    return np.asarray(out)
+
+
 def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:
     """Index ranges [start, stop) inside `span` where `good` (n,) is True without a break."""
     start, stop = span
     edges = np.flatnonzero(np.diff(np.concatenate(([False], good[start:stop], [False]))))
     return [(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def joined_runs(
+    runs: Sequence[tuple[int, int]], dt: float, longest_s: float
+) -> list[tuple[int, int]]:
+    """Runs joined over gaps of at most `longest_s`, s."""
+    joined: list[tuple[int, int]] = []
+    for start, stop in runs:
+        if joined and (start - joined[-1][1]) * dt <= longest_s:
+            joined[-1] = joined[-1][0], stop
+        else:
+            joined.append((start, stop))
+    return joined
 
 
 @dataclass(frozen=True)

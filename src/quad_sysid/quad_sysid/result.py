@@ -50,6 +50,12 @@ class Identified(AxisModel):
 
         return simulate(self, u, x0, **signals)
 
+    def to_control(self, *, linear: bool = False) -> Any:
+        """The model as a system of python-control; see exports.to_control."""
+        from quad_sysid.exports import to_control
+
+        return to_control(self, linear=linear)
+
 
 @dataclass(frozen=True)
 class Result:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.loop.cascade import CONTRACT_NAMES, TUNED, CascadeGains
+from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.gain_table import OPTIONAL, PER_AXIS, Bound
@@ -95,6 +96,8 @@ def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, 
 LARGEST_RELATIVE_STD = {'gain': 0.2, 'lag': 0.4}
 """Largest relative standard error with which margins over draws are meaningful."""
 LARGEST_DELAY_STD_CYCLES = 1.5
+LARGEST_OUTSIDE = 0.25
+"""Largest acceleration of what the loop cannot hold, over the drive's."""
 BAND_REACH = 2.0
 """Factor (one octave) by which the crossover may leave the model's trusted band."""
 
@@ -165,6 +168,17 @@ def _uncertain(model: AxisModel) -> Iterator[str]:
     if std > LARGEST_DELAY_STD_CYCLES * model.dt:
         yield (f'delay {model.value("delay"):.4g} +- {std:.2g} s is too uncertain (at most '
                f'{LARGEST_DELAY_STD_CYCLES * model.dt:.2g} s); fly a faster excitation')
+
+
+def check_inside(model: AxisModel) -> None:
+    """Refuse a model of which a large part cannot be in the loop of its axis."""
+    why = not_in_the_loop(model)
+    for name, share in share_outside(model).items():
+        if share > LARGEST_OUTSIDE:
+            raise DesignRefusedError(
+                f'{model.axis}: {name} pushes with up to {100 * share:.0f} % of the drive, and '
+                f'{why[name]}: no margin of this loop holds it; remove the cause, or tune by hand'
+            )
 
 
 def flown_gains(model: AxisModel) -> CascadeGains:

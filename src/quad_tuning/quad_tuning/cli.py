@@ -26,10 +26,11 @@ from quad_sysid.arguments import (
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import write_whole
+from quad_sysid.loop.from_model import not_in_the_loop
 from quad_sysid.model import AxisModel
 from quad_sysid.report.model_file import load_models, pick
-from quad_sysid.report.tables import Table, figure_rows
-from quad_sysid.report.words import number
+from quad_sysid.report.tables import Table, figure_rows, wrapped
+from quad_sysid.report.words import left_out, number
 from quad_tuning import exports, history
 from quad_tuning.bounds import ROWS
 from quad_tuning.designer import design
@@ -103,6 +104,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
+    model = model.predicting
     if arguments.method == 'pid':
         proposal = design(model)
         gains = None if proposal.gains is None else dict(proposal.gains)
@@ -111,6 +113,7 @@ def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
             'target': dict(proposal.steps[-1]) if proposal.steps else None,
             'steps': [dict(step) for step in proposal.steps],
             'refused_because': proposal.refused_because,
+            'left_out': dict(proposal.left_out),
             'figures': dict(proposal.figures),
         }
     from quad_tuning.lqr import Weights, propose_lqr  # python-control takes its time
@@ -121,7 +124,8 @@ def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
         found = propose_lqr(model, Weights(**given))
     except DesignRefusedError as refusal:
         return {'gains': None, 'refused_because': str(refusal), 'figures': {}}
-    return {'gains': found.gains, 'refused_because': '', 'figures': found.figures}
+    return {'gains': found.gains, 'refused_because': '', 'left_out': not_in_the_loop(model),
+            'figures': found.figures}
 
 
 def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
@@ -144,6 +148,7 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
             f'  {count} updates lead there; send {first} first and identify again, '
             'all at once is not safe'
         )
+    lines += wrapped(left_out(answer['left_out']))
     return '\n'.join(lines) + '\n'
 
 

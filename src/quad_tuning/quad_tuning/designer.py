@@ -21,6 +21,7 @@ from quad_tuning.bounds import (
     DESIGNED,
     check_band,
     check_bounds,
+    check_inside,
     check_model,
     flown_gains,
     told,
@@ -48,6 +49,7 @@ def design(model: AxisModel) -> GainProposal:
 def propose(model: AxisModel, requirements: Requirements | None = None) -> GainProposal:
     """Gains for one axis; raises DesignRefusedError with the reason where there are none."""
     check_model(model)
+    check_inside(model)
     active = flown_gains(model)
     flown, chosen = model, sag_settings(model)
     model = scheduled(model, chosen)
@@ -80,6 +82,7 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
         gains={**told(way.told, model.axis, known), **chosen},
         figures={**_figures(model, found, known, loops.draws),
                  **promise(loops, active, found.gains, plant.lag_s)},
+        left_out=not_in_the_loop(model),
         steps=along([told(step, model.axis, known) for step in way.steps], chosen,
                     flown.active_gains),
     )
@@ -113,6 +116,5 @@ def _figures(model: AxisModel, found: PidDesign, known: Mapping[str, float],
                                                      value in before.items()} | {
         'draws': draws, 'searches_that_agree': found.agreeing, 'searches': found.searches,
         'disturbance_kept': found.disturbance_kept,
-        'effects_left_out': len(not_in_the_loop(model)),
     }
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}

@@ -26,6 +26,8 @@ from quad_sysid.loop.cascade import (
     open_loop,
 )
 from quad_sysid.loop.from_model import (
+    NEAR_REST,
+    WIDE,
     Placed,
     battery_factor,
     gain_range,
@@ -34,16 +36,7 @@ from quad_sysid.loop.from_model import (
     schedule_factor,
     throttle_factor,
 )
-from quad_sysid.loop.plant import (
-    ComplexArray,
-    LightMode,
-    LoopPlant,
-    Slopes,
-    SlowMotors,
-    Step,
-    exact_cycles,
-    slopes_at,
-)
+from quad_sysid.loop.plant import ComplexArray, LoopPlant, Step, exact_cycles, slopes_at
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part
 
@@ -132,8 +125,8 @@ identified airframes (bench/tuning.py) 95 were off by less than 0.9 % in lag, 0.
 and, where another charge of the battery changed it, 3 % in gain (0.1 % in the median)."""
 DELAY_FLOOR_CYCLES = 0.05
 
-AMPLITUDES = ((4.0, 0.35, 0.3), (0.3, 0.05, 0.03))
-"""Amplitudes of rate (rad/s), angle (rad) and command for linearisation: wide, near rest."""
+AMPLITUDES = (WIDE, NEAR_REST)
+"""Amplitudes of rate (rad/s), angle (rad) and command for linearisation."""
 
 VOLTAGE_RANGE = (0.9, 1.08)
 """Battery voltage of the next flight relative to this one's mean."""
@@ -193,23 +186,31 @@ def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ens
 
     With battery sag or a thrust curve the next flight's voltage and throttle are drawn too.
     """
-    plants = [loop_plant(model)]
-    choices = variants(model)
+    choices, flights = variants(model), [(model, 1.0)]
     for number, (_, variant) in zip(shares(tuple(weight for weight, _ in choices), count), choices,
                                     strict=True):
-        plants += [_next_flight(drawn, rng) for drawn in draw_models(variant, rng, number)]
-    plants = _alike(plants)
-    levels = AMPLITUDES if any(_has_curves(p) for p in plants) else AMPLITUDES[:1]
-    slopes: list[Slopes] = [slopes_at(p, *level) for level in levels for p in plants]
-    every = plants * len(levels)
+        drawn = draw_models(variant, rng, number)
+        flights += [(one, _next_factor(one, rng)) for one in drawn]
+    plants = [_at(one, factor, WIDE) for one, factor in flights]
+    every, slopes = plants, [slopes_at(p, *WIDE) for p in plants]
+    if any(p.bends for p in plants):
+        calm = [_at(one, factor, NEAR_REST) if p.remembers else p
+                for p, (one, factor) in zip(plants, flights, strict=True)]
+        every, slopes = plants + calm, slopes + [slopes_at(p, *NEAR_REST) for p in calm]
     cycle = exact_cycles(every, slopes)
     omega = frequency_grid(model.dt)
     return Ensemble(cycle=cycle, omega=omega, response=cycle.response(omega),
                     nominal=np.arange(len(every)) % len(plants) == 0, draws=count)
 
 
-def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> LoopPlant:
-    plant = loop_plant(drawn)
+def _at(drawn: AxisModel, factor: float, level: tuple[float, float, float]) -> LoopPlant:
+    """A drawn plant with a factor on its gain, linear at these amplitudes where it remembers."""
+    plant = loop_plant(drawn, level)
+    return replace(plant, gain=plant.gain * factor)
+
+
+def _next_factor(drawn: AxisModel, rng: np.random.Generator) -> float:
+    """Factor on the gain in another flight: by voltage, throttle, and along its curves."""
     factor = 1.0
     if drawn.mean_battery_v:
         volts = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
@@ -217,21 +218,7 @@ def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> LoopPlant:
         factor *= schedule_factor(drawn, volts) / schedule_factor(drawn)
     factor *= throttle_factor(drawn, rng.uniform(*THROTTLE_RANGE))
     low, usual, high = gain_range(drawn)
-    factor *= rng.uniform(low, high) / usual
-    return replace(plant, gain=plant.gain * factor)
-
-
-def _alike(plants: list[LoopPlant]) -> list[LoopPlant]:
-    """The plants with the same kinds of states; a missing one is added with weight 0."""
-    slow = next((p.slow for p in plants if p.slow is not None), None)
-    mode = next((p.mode for p in plants if p.mode is not None), None)
-    if slow is not None:
-        none = SlowMotors(0.0, slow.lag_s)
-        plants = [p if p.slow is not None else replace(p, slow=none) for p in plants]
-    if mode is not None:
-        flat = LightMode(mode.frequency_rad_s, mode.damping_ratio, 0.0, 0.0)
-        plants = [p if p.mode is not None else replace(p, mode=flat) for p in plants]
-    return plants
+    return factor * rng.uniform(low, high) / usual
 
 
 def _believed_covariance(model: AxisModel) -> FloatArray:
@@ -266,7 +253,3 @@ def _moved(model: AxisModel, offset: dict[str, float]) -> AxisModel:
         ),
     )
 
-
-def _has_curves(plant: LoopPlant) -> bool:
-    curves = (plant.rate_curve, plant.angle_curve, plant.command_curve)
-    return any(curve is not None for curve in curves)

@@ -11,6 +11,7 @@ Source: Anderson, Moore, Optimal Control (1990), 2.3 and 7.2; Bryson, Ho, Applie
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import control
@@ -23,7 +24,7 @@ from quad_sysid.loop.plant import LoopPlant, slopes_at
 from quad_sysid.model import AxisModel
 from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import Requirements, assess, meets, promise
-from quad_tuning.bounds import BOUNDS, check_band, check_model, flown_gains
+from quad_tuning.bounds import BOUNDS, check_band, check_inside, check_model, flown_gains
 from quad_tuning.designer import LARGEST_LOSS_PCT, SEED
 from quad_tuning.ensemble import AMPLITUDES, Ensemble
 from quad_tuning.errors import DesignRefusedError
@@ -76,6 +77,7 @@ def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal
     The admission is the cascade's.
     """
     check_model(model)
+    check_inside(model)
     active = flown_gains(model)
     plant = loop_plant(model)
     loops = ensembles.build(model, np.random.default_rng(SEED))
@@ -137,15 +139,14 @@ def feedback(plant: LoopPlant, output_limit: float, factor: float, weights: Weig
              noise: Noise) -> StateFeedback:
     """The optimal feedback where the control's weight is `factor` times Bryson's."""
     slopes = slopes_at(plant, *AMPLITUDES[0])
-    dt, slow = plant.dt, plant.slow
-    lag = plant.lag_s if slow is None else (
-        (1.0 - slow.share) * plant.lag_s + slow.share * slow.lag_s
-    )
-    late = plant.delay_s
+    dt = plant.dt
+    lag = plant.lag_s + sum(one.share * (one.lag_s - plant.lag_s) for one in plant.slow)
+    late = plant.delay_s + max(sum(one.delay_s for one in plant.before), 0.0)
     if plant.gyro_filter_hz is not None:  # a Butterworth's delay at low frequency
         late += np.sqrt(2.0) / (2.0 * np.pi * plant.gyro_filter_hz)
     bare = StateFeedback(k_angle=0.0, k_rate=0.0, k_drive=0.0, k_integral=0.0,
-                         gain=plant.gain * slopes.command, lag_s=max(lag, 0.001),
+                         gain=plant.gain * slopes.command * math.prod(
+                             one.gain for one in plant.before), lag_s=max(lag, 0.001),
                          delay_s=dt * round(late / dt), damping=plant.damping - slopes.rate,
                          observer=_observer(plant.damping - slopes.rate, dt, noise), dt=dt,
                          output_limit=output_limit)

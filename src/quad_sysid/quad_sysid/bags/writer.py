@@ -5,7 +5,7 @@ The inverse of reader.py. The bag logger of quad_bridge records live.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -47,6 +47,8 @@ Compression = Literal['none', 'message', 'file', 'storage']
 
 NODE_NAMES = {'/excitation/segment': '/excitation', '/gains/active': '/serial_bridge'}
 BATTERY_PERIOD_S = 0.1
+BLOCK = 20_000
+"""Messages of a topic that are encoded at once."""
 UNMEASURED = ('temperature', 'current', 'charge', 'capacity', 'design_capacity', 'percentage')
 
 
@@ -111,26 +113,7 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
     if path.exists():
         raise BadInputError(str(path), 'exists already and is not overwritten',
                             remedy='choose another --out')
-    queue: list[tuple[int, str, bytes]] = []
-    for topic, stream in streams.items():
-        kind = TOPIC_TYPES[topic]
-        measured = kind != IMU or not (stream.values[:, 4] == -1.0).all()
-        joints = Joints(stream.values.shape[1],
-                        'velocity' if topic == '/motors/state' else 'effort')
-        pattern = template(kind, joints, measured_orientation=measured)
-        raws = encode(kind, pattern, stream.stamps, stream.values, joints)
-        queue += zip(stream.stamps.tolist(), [topic] * len(raws), raws, strict=True)
-    for topic, items in events.items():
-        node = NODE_NAMES.get(topic, '/import')
-        queue += [(event.stamp, topic, encode_event(event, node)) for event in items]
-    topics = [*streams, *events]
-    if description:
-        topics.append('/robot_description')
-        first = min((stamp for stamp, _, _ in queue), default=0)
-        message = blank(TEXT, data=description)
-        queue.insert(0, (first, '/robot_description',
-                         bytes(typestore().serialize_cdr(message, TEXT))))
-    queue.sort(key=lambda entry: entry[0])
+    topics = [*streams, *events, *(['/robot_description'] if description else [])]
     plugin = StoragePlugin.MCAP if options.storage == 'mcap' else StoragePlugin.SQLITE3
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -149,10 +132,50 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
                                              offered_qos_profiles=[_qos(TOPIC_TYPES[topic])])
                 for topic in topics
             }
-            for stamp, topic, raw in queue:
+            for stamp, topic, raw in _in_order(streams, events, description):
                 writer.write(connections[topic], stamp, raw)
         (room / path.name).rename(path)
     return path
+
+
+def _in_order(
+    streams: Mapping[str, Stamped], events: Mapping[str, Sequence[Event]], description: str
+) -> Iterator[tuple[int, str, bytes]]:
+    """Stamp, topic and bytes of every message in the order of the stamps.
+
+    They are encoded block by block, so that hours fit into memory.
+    """
+    told = [(event.stamp, topic, encode_event(event, NODE_NAMES.get(topic, '/import')))
+            for topic, items in events.items() for event in items]
+    told.sort(key=lambda entry: entry[0])
+    sources, stamps = [], [np.array([stamp for stamp, _, _ in told], dtype=np.int64)]
+    for topic, stream in streams.items():
+        kind = TOPIC_TYPES[topic]
+        joints = Joints(stream.values.shape[1],
+                        'velocity' if topic == '/motors/state' else 'effort')
+        measured = kind != IMU or not (stream.values[:, 4] == -1.0).all()
+        pattern = template(kind, joints, measured_orientation=measured)
+        order = np.argsort(stream.stamps, kind='stable')
+        sources.append((topic, kind, joints, pattern, stream, order))
+        stamps.append(stream.stamps[order])
+    if description:
+        text = typestore().serialize_cdr(blank(TEXT, data=description), TEXT)
+        first = min((int(one[0]) for one in stamps if one.size), default=0)
+        yield first, '/robot_description', bytes(text)
+    longest = max(stamps, key=len)
+    edges = [int(stamp) for stamp in longest[BLOCK::BLOCK]]
+    begins = [0] * len(stamps)
+    for edge in (*edges, None):
+        ends = [one.size if edge is None else int(np.searchsorted(one, edge)) for one in stamps]
+        part: list[tuple[int, str, bytes]] = []
+        for k, (topic, kind, joints, pattern, stream, order) in enumerate(sources, 1):
+            rows = order[begins[k] : ends[k]]
+            raws = encode(kind, pattern, stream.stamps[rows], stream.values[rows], joints)
+            part += zip(stream.stamps[rows].tolist(), [topic] * len(raws), raws, strict=True)
+        part += told[begins[0] : ends[0]]
+        part.sort(key=lambda entry: entry[0])
+        yield from part
+        begins = ends
 
 
 def _stream(stamps: np.ndarray, values: FloatArray) -> Stamped:

@@ -1,33 +1,30 @@
-"""The verdict on the validation segments, which are opened once, after the search.
+"""The verdict on the validation segments, which are opened once, after everything is chosen.
 
-Predictive log-likelihoods are compared in blocks, as a bet against the claim that the added
-effects predict nothing (an e-value: Shafer 2021, Waudby-Smith & Ramdas 2024). If the claim is
-true, the bet's expectation is at most 1, whatever the noise is.
+Each effect of the answer's rung is confirmed by a test of its own or withdrawn, and the errors are
+computed; nothing else is decided here.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import stats
 from scipy.linalg import toeplitz
-from scipy.special import expit
 
-from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import fit_without
-from quad_sysid.discover.constants import BLOCK_S, DIFFERS, EXPECTED, FLIPS, LEVEL, REFITS, STAKES
+from quad_sysid.discover.base import fit_without, fitted_from
+from quad_sysid.discover.constants import AGAIN, DIFFERS, FLIPS, LEAST_BLOCKS, LEVEL
 from quad_sysid.discover.search import Found
-from quad_sysid.estimate.fit import Fit, Problem, tail_of
+from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.estimate.stored import Stored, noise_of
+from quad_sysid.explain.ladder import Ladder
+from quad_sysid.explain.projection import Projected
 from quad_sysid.model.data import AxisData, Windows
-from quad_sysid.model.effect import Part
 from quad_sysid.model.identified import UNLISTED
 from quad_sysid.model.noise import growth
 from quad_sysid.model.plant import Prediction
@@ -35,28 +32,32 @@ from quad_sysid.model.plant import Prediction
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
+AT_MOST = 10.0
+"""Largest rate of a free run over the largest measured one."""
 HUGE = 1e100
+DISTURBANCE = 1
+"""Place of the disturbance among the parameters of the noise."""
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 
 
-def bet(speaks_for: FloatArray, against: FloatArray) -> float:
-    """E-value of 'no more speaks for the model than against it', from blocks in their order."""
-    share = shares_of(speaks_for, against)
-    with np.errstate(over='ignore'):
-        return float(np.mean([np.prod(1.0 + stake * share) for stake in STAKES]))
+def p_value(shares: FloatArray) -> float:
+    """Chance of a mean as large as that of `shares` (blocks,) where nothing speaks for a claim.
 
-
-def closed(e_values: Sequence[float]) -> list[float]:
-    """Each e-value at one level for them all: the least mean of it and any of the others.
-
-    Closed testing, since a mean of e-values is one (Vovk, Wang 2021).
+    One-sided t-test with a long-run variance from the first cosines of the sequence, so that
+    neighbouring blocks may depend on each other (equal-weighted cosine estimator: Lazarus, Lewis,
+    Stock, Watson 2018).
     """
-    counts = np.arange(1, len(e_values) + 1)
-    return [
-        float(np.min(np.cumsum([own, *np.sort(np.delete(e_values, i))]) / counts))
-        for i, own in enumerate(e_values)
-    ]
+    n = shares.size
+    if n < LEAST_BLOCKS:
+        return 1.0
+    count = max(2, int(0.3 * n ** (2.0 / 3.0)))
+    phase = np.pi * np.outer(np.arange(1, count + 1), (np.arange(n) + 0.5) / n)
+    variance = float(np.mean((np.sqrt(2.0 / n) * (np.cos(phase) @ shares)) ** 2))
+    mean = float(np.mean(shares))
+    if variance <= 0.0:
+        return 0.0 if mean > 0.0 else 1.0
+    return float(stats.t.sf(math.sqrt(n) * mean / math.sqrt(variance), count))
 
 
 def shares_of(speaks_for: FloatArray, against: FloatArray) -> FloatArray:
@@ -84,19 +85,36 @@ class Horizon:
 
 
 @dataclass(frozen=True)
+class Claim:
+    """What the held-out segments and the resampled flights say of one effect."""
+
+    p_value: float
+    without: float
+    """Error without the effect, the rest projected anew, rad/s."""
+    reproducible: float
+    stands: bool
+
+
+@dataclass(frozen=True)
 class Verdict:
     """The answer for one axis."""
 
     verdict: str
     reason: str
     """Why no effect was added; if one was, what remains unexplained."""
+    base: Fit
+    """Rung 0: the base as near to the reference as it comes, with the noise of the training."""
     chosen: Fit
-    """The reported fit: the base where no effect was accepted."""
-    e_value: float
-    """Evidence of the validation segments against the claim that nothing beats the base, at one
-    level for all structures for which it was asked."""
+    """The answer's rung; `base` where no effect is claimed."""
+    claims: tuple[Claim, ...]
+    """Of each effect of `chosen`."""
     before: float
     after: float
+    reference: float
+    """Error of the search's most probable structure, rad/s."""
+    rungs: tuple[float, ...]
+    """Error of each rung of the ladder, rad/s."""
+    rung_fits: tuple[Fit, ...]
     one_step_before: float
     one_step_after: float
     hold: float
@@ -104,14 +122,10 @@ class Verdict:
     """Error that the chosen model's own noise predicts for `after`, rad/s."""
     noise_floor: float
     horizons: tuple[Horizon, ...]
-    without: tuple[float, ...]
-    """Error without each effect of the chosen structure, the rest refitted, rad/s."""
     probabilities: tuple[float, ...]
     """Posterior of each chosen effect."""
     rivals: tuple[tuple[tuple[str, float], ...], ...]
     """For each chosen effect its alternatives with their probabilities."""
-    found: Found
-    """What the search found, as the held-out segments weigh it."""
 
 
 Fitted = Fit | Stored
@@ -126,7 +140,6 @@ class Unseen:
         self.windows = data.windows(spans)
         self.lengths = self.windows, data.windows(spans, SHORT_S)
         self.long = data.windows(spans, HORIZONS_S[-1])
-        self.block = self.problem.blocks(BLOCK_S)
         self.begun = self.problem.flight.rate
         self.known: WeakKeyDictionary[Fitted, Prediction] = WeakKeyDictionary()
         self.ran: dict[tuple[Fitted, int], FloatArray] = {}
@@ -143,12 +156,27 @@ class Unseen:
             self.known[fitted] = flight.predict(fitted.structure, fitted.theta, sweeps=3)
         return self.known[fitted]
 
-    def bet(self, fitted: Fitted, other: Fitted) -> float:
-        """E-value of the predictive log-likelihood against another model's, by blocks."""
+    def p_value(self, fitted: Fitted, other: Fitted) -> float:
+        """Chance of this much evidence for a model against another if it predicts no better.
+
+        Each window of the metric counts by its balance of the free runs of both lengths and of the
+        likelihood of the next sample: where gusts rule long windows, short ones may tell.
+        """
+        long, short = (shares_of(*pair) for pair in self.squares(other, fitted))
+        ahead = np.array([np.mean(part) for part in np.array_split(short, long.size)]) \
+            if short.size >= long.size else long
+        return p_value((long + ahead + self.balance(fitted, other)) / 3.0)
+
+    def balance(self, fitted: Fitted, other: Fitted) -> FloatArray:
+        """(windows,) balance of the log-likelihoods of a model and another, -1 to 1."""
         gain = self.log_likelihood(fitted) - self.log_likelihood(other)
-        return bet(*(
-            np.bincount(self.block, np.maximum(one, 0.0)).astype(float) for one in (gain, -gain)
-        ))
+        starts = np.searchsorted(self.problem.rows, self.windows.starts)
+        stops = np.searchsorted(self.problem.rows, self.windows.starts + self.windows.length)
+        sums = np.array([
+            [np.sum(np.maximum(way * gain[a:b], 0.0)) for way in (1.0, -1.0)]
+            for a, b in zip(starts, stops, strict=True)
+        ]).reshape(-1, 2)
+        return shares_of(*sums.T)
 
     def log_likelihood(self, fitted: Fitted) -> FloatArray:
         """(rows,) predictive log-likelihood of each sample, nats."""
@@ -194,157 +222,142 @@ def rms(errors: FloatArray) -> float:
     return value if not math.isnan(value) else math.inf
 
 
-def judge(data: AxisData, problem: Problem, found: Found) -> Verdict:
-    """Open the validation segments and decide."""
+def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Verdict:
+    """Open the validation segments, once: confirm or withdraw each claimed effect.
+
+    What is claimed, and in which order, the training has decided (explain/ladder.py).
+    """
     unseen = Unseen(data, data.validation)
     unseen.predict(found.base)  # which measures the innovations that wandering effects follow
-    known: dict[frozenset[str], Fit | None] = {
-        frozenset(one.fit.structure.labels): one.fit for one in found.all
-    }
-    trained, found = found.best, weighed(unseen, found)
-    base, chain = found.base, list(_shortened(problem, found.best, known))
-    # another choice than the training's counts once for each of those it was chosen from
-    count = 1 if found.best is trained else REFITS
-    best, e_value = _claimed(unseen, found, chain, count)
-    told = _commands_tell(problem, unseen, best)
-    chosen = best if told else base
-    parts, after = chosen.structure.parts, rms(unseen.errors(chosen))
-    without = tuple(
-        math.inf if one is None else rms(unseen.errors(one))
-        for one in _each_left_out(problem, chosen, known)
-    )
+    models = _Models(problem, found, ladder)
+    rungs = [models.fitted(rung.model) for rung in ladder.rungs]
+    base = rungs[0]
+    answer = ladder.rungs[ladder.answer].model
+    p_all = unseen.p_value(rungs[ladder.answer], base) if ladder.answer else 1.0
+    chosen, claims = base, []
+    while ladder.answer and p_all <= LEVEL:
+        chosen = models.fitted(answer)
+        without = [models.fitted(one) for one in models.each_left_out(answer)]
+        claims = [_claim(unseen, chosen, other, part.effect.name, ladder)
+                  for part, other in zip(answer.structure.parts, without, strict=True)]
+        kept = [i for i, one in enumerate(claims) if one.stands]
+        if len(kept) == len(claims):
+            break
+        if not kept:
+            chosen, claims = base, []
+            break
+        answer = models.with_only(answer, kept)
+    told = _commands_tell(problem, unseen, chosen)
+    if not told or not stays_bounded(unseen, chosen):
+        chosen, claims = base, []
+    parts = chosen.structure.parts
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
-    hold = rms(unseen.holding(unseen.windows))
     verdict, reason = 'cannot_tell', (
         'the commands do not predict the held-out rates better than the rates themselves do'
     )
     if told:
         verdict, reason = ('effects_added', unexplained(unseen, chosen)) if parts \
-            else _empty(found, unseen, e_value)
-    as_named = listed(parts, without, after, 0.5 * hold)
-    probabilities, rivals = _posterior(found, chosen, as_named)
+            else _empty(ladder, unseen, base)
+    probabilities, rivals = _posterior(found, chosen, ladder)
     return Verdict(
-        verdict=verdict, reason=reason, chosen=chosen, e_value=e_value,
-        before=rms(unseen.errors(base)), after=after,
+        verdict=verdict, reason=reason, base=base, chosen=chosen, claims=tuple(claims),
+        before=rms(unseen.errors(base)), after=rms(unseen.errors(chosen)),
+        reference=rms(unseen.errors(found.best)),
+        rungs=tuple(rms(unseen.errors(one)) for one in rungs), rung_fits=tuple(rungs),
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
-        hold=hold, predicted=noise.gyro_rms * math.sqrt(float(np.mean(spread))),
-        noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen), without=without,
-        probabilities=probabilities, rivals=rivals, found=found,
+        hold=rms(unseen.holding(unseen.windows)),
+        predicted=noise.gyro_rms * math.sqrt(float(np.mean(spread))),
+        noise_floor=noise.measured_rms, horizons=horizons(unseen, base, chosen),
+        probabilities=probabilities, rivals=rivals,
     )
 
 
-def weighed(unseen: Unseen, found: Found) -> Found:
-    """The scores of the best structures and the base with what the held-out segments say of them.
-
-    That is the likelihood of their innovations there, whose scale and tail alone are fitted: there
-    may be more or less wind. Where a likelihood is right, the variance of a log ratio is twice its
-    mean. Where that between the training's choice and its strongest rival varies more from block
-    to block, all count less (a generalised posterior: Grünwald, van Ommen 2017).
-    """
-    best = found.best
-    kept = [one for i, one in enumerate(found.all)
-            if i < REFITS or one.fit is best or one.fit is found.base]
-    if len(kept) < 2 or not unseen.block.size:
-        return found
-    innovations = side_by_side([partial(unseen.innovations, one.fit) for one in kept])
-    blocks = np.array([np.bincount(unseen.block, tail_of(e).log_density(e)) for e in innovations])
-    own = [one.fit for one in kept].index(best)
-    ratios = blocks - blocks[own]
-    rival = max(np.delete(ratios, own, axis=0), key=np.sum)
-    varies = 0.5 * float(np.sum(np.diff(rival) ** 2))  # beside what excitation does
-    share = min(1.0, 2.0 * abs(float(np.sum(rival))) / varies) if varies > 0.0 else 1.0
-    said = dict(zip(kept, share * np.sum(ratios, axis=1), strict=True))
-    scored = [replace(one, score=one.score + float(said.get(one, 0.0))) for one in found.all]
-    return replace(found, all=tuple(sorted(scored, key=lambda one: -one.score)))
-
-
-def _claimed(unseen: Unseen, found: Found, chain: Sequence[Fit], count: int) -> tuple[Fit, float]:
-    """Which structure of a chain (_shortened) is claimed, and its e-value; else the base.
-
-    The largest counts that the validation confirms against the base, and against which it confirms
-    no shorter one: what does not transfer is dropped. So is what the training misses least where
-    the odds for it, all variants of its name together, are below 1 / LEVEL and the validation does
-    not confirm it, as long as the structure without it counts in the same way.
-    count: how many structures the first of the chain was chosen from.
-    """
-    base = found.base
-    e_values = [e / count for e in closed([_evidence(unseen, base, one) for one in chain])]
-    stands = [
-        e * LEVEL >= 1.0 and _falls(unseen, base, one)
-        and not any(_better(unseen, shorter, one) for shorter in chain[i + 1 :])
-        for i, (one, e) in enumerate(zip(chain, e_values, strict=True))
-    ]
-    if not any(stands):
-        return base, e_values[0] if chain else 1.0
-    largest = last = stands.index(True)
-    for i in range(largest + 1, len(chain)):
-        if not (stands[i] and _needless(found, unseen, chain[largest], chain[i])):
-            break
-        last = i
-    return chain[last], e_values[last]
-
-
-def _evidence(unseen: Unseen, before: Fit, after: Fit) -> float:
-    """E-value of 'the second predicts nothing better than the first'.
-
-    The stakes are on the next sample and on free runs of both lengths: where gusts rule the
-    windows of the verdict, short ones may tell. A mean of e-values is one.
-    """
-    runs = (bet(*squares) for squares in unseen.squares(before, after))
-    return float(np.mean([unseen.bet(after, before), *runs]))
-
-
-def _falls(unseen: Unseen, before: Fit, after: Fit) -> bool:
-    """Whether the errors of free runs fall: their RMS, and by a paired t-test of the windows.
-
-    Noise of another colour than the model's may pay one step ahead, but not in a free run. The
-    test is made for windows of two lengths, each at half of the level.
-    """
-    return rms(unseen.errors(after)) < rms(unseen.errors(before)) and any(
-        stats.ttest_1samp(shares_of(*squares), 0.0, alternative='greater').pvalue <= 0.5 * LEVEL
-        for squares in unseen.squares(before, after)
+def _claim(unseen: Unseen, chosen: Fit, without: Fit, name: str, ladder: Ladder) -> Claim:
+    p, error, other = unseen.p_value(chosen, without), *(
+        rms(unseen.errors(one)) for one in (chosen, without)
     )
+    again = ladder.reproducible.get(name, 1.0)
+    return Claim(p, other, again, stands=p <= LEVEL and error < other and again >= AGAIN)
 
 
-def _better(unseen: Unseen, one: Fit, other: Fit) -> bool:
-    """Whether the validation confirms the first against the second."""
-    return _evidence(unseen, other, one) * LEVEL >= 1.0 and _falls(unseen, other, one)
+def stays_bounded(unseen: Unseen, fitted: Fitted) -> bool:
+    """Whether its free runs stay near what was flown, also begun at twice the rate or against it.
 
-
-def _needless(found: Found, unseen: Unseen, one: Fit, shorter: Fit) -> bool:
-    """Whether neither the odds nor the validation claim what a structure has beside another."""
-    odds = found.weight(one) - found.weight(shorter)
-    return odds < -math.log(LEVEL) and not _better(unseen, one, shorter)
-
-
-def _shortened(
-    problem: Problem, best: Fit, known: dict[frozenset[str], Fit | None]
-) -> Iterator[Fit]:
-    """The most probable structure, then one by one without the effect that training misses least.
-
-    known: as in _each_left_out.
+    Within AT_MOST times the largest measured rate: what runs away from there explains nothing,
+    and would not hold on a livelier flight.
     """
-    fitted: Fit | None = best
-    while fitted is not None and fitted.structure.parts:
-        yield fitted
-        shorter = [one for one in _each_left_out(problem, fitted, known) if one is not None]
-        fitted = max(shorter, key=lambda f: f.evidence, default=None)
+    flight, prediction = unseen.problem.flight, unseen.predict(fitted)
+    windows = unseen.long if unseen.long.count else unseen.windows
+    if not windows.count:
+        return True
+    rate = unseen.problem.data.rate
+    largest = float(np.nanmax(np.abs(rate)))
+    measured = rate[windows.starts[:, None] + np.arange(windows.length)]
+    for offset in (-largest, 0.0, largest):
+        states = prediction.states.copy()
+        states[:, 0] += offset
+        begun = replace(prediction, states=states)
+        with np.errstate(over='ignore', invalid='ignore'):
+            errors = flight.free_run(fitted.structure, fitted.theta, windows, prediction=begun)
+            if not np.nanmax(np.nan_to_num(np.abs(errors + measured), nan=np.inf)
+                             [np.isfinite(measured)], initial=0.0) <= AT_MOST * largest:
+                return False
+    return True
 
 
-def _each_left_out(
-    problem: Problem, fitted: Fit, known: dict[frozenset[str], Fit | None]
-) -> list[Fit | None]:
-    """The fits without each effect, None where one diverges.
+class _Models:
+    """Projected models with the noise that the training gives them, each fitted once."""
 
-    known: fits by the labels of their effects, to which new ones are added.
-    """
-    out = []
-    for i in range(len(fitted.structure.parts)):
-        labels = frozenset(fitted.structure.minus(i).labels)
-        if labels not in known:
-            known[labels] = fit_without(problem, fitted, i)
-        out.append(known[labels])
-    return out
+    def __init__(self, problem: Problem, found: Found, ladder: Ladder) -> None:
+        self.problem, self.projection = problem, ladder.projection
+        self.likeliest = {tuple(sorted(one.fit.structure.labels)): one.fit
+                          for one in reversed(found.all)}
+        self.known: dict[tuple[str, ...], Fit] = {}
+
+    def fitted(self, model: Projected) -> Fit:
+        """The model with its physics as projected and its noise fitted by the likelihood.
+
+        Where the most likely parameters run better over the training's windows, those.
+        """
+        reference, labels = self.projection.reference, tuple(sorted(model.structure.labels))
+        if labels == tuple(sorted(reference.structure.labels)):
+            return reference
+        if labels not in self.known:
+            physics = range(model.theta.size - self.projection.noise.size)
+            fits = (fitted_from(self.problem, model.structure, model.theta,
+                                self._loud(model.theta), rate=reference.rate,
+                                still=tuple(physics)), self.likeliest.get(labels))
+            able = [one for one in fits if one is not None]
+            if not able:
+                raise FloatingPointError(f'{" and ".join(labels) or "the base"} diverges')
+            self.known[labels] = min(able, key=self._trained)
+        return self.known[labels]
+
+    def _trained(self, fitted: Fit) -> float:
+        """Error of the free run over the training's windows, from the fit's own states, rad/s."""
+        flight, windows = self.problem.flight, self.projection.windows
+        with np.errstate(all='ignore'):
+            return rms(flight.free_run(fitted.structure, fitted.theta, windows,
+                                       prediction=fitted.prediction))
+
+    def _loud(self, theta: FloatArray) -> FloatArray:
+        """The same start with a torque disturbance a hundred times as large."""
+        out = theta.copy()
+        out[out.size - self.projection.noise.size + DISTURBANCE] += math.log(100.0)
+        return out
+
+    def each_left_out(self, model: Projected) -> list[Projected]:
+        """The model without each of its effects, the rest projected anew."""
+        count = len(model.structure.parts)
+        return [self.with_only(model, [j for j in range(count) if j != i]) for i in range(count)]
+
+    def with_only(self, model: Projected, kept: Sequence[int]) -> Projected:
+        """The model with some of its effects only, projected anew."""
+        gone = [i for i in range(len(model.structure.parts)) if i not in kept]
+        slices = model.structure.slices()
+        columns = [j for i in gone for j in range(slices[i].start, slices[i].stop)]
+        return self.projection.project(model.structure.minus(*gone),
+                                       np.delete(model.theta, columns))
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:
@@ -373,35 +386,28 @@ def _commands_tell(problem: Problem, unseen: Unseen, fitted: Fit) -> bool:
     by_command = (  # these may move by it without a gain
         i for i, part in enumerate(fitted.structure.parts) if 'command' in part.effect.signals
     )
-    uncommanded = fit_without(problem, fitted, *by_command, still=(0, 1, 2))
+    uncommanded = fit_without(problem, fitted, *by_command, still=(0, 1, 2), silent=True)
     own, held = unseen.errors(fitted), unseen.holding(unseen.windows)
-    without, evidence, clearly = held, [], False
+    without, shares, clearly = held, [], False
     if uncommanded is not None:
-        without, evidence = unseen.errors(uncommanded), [unseen.bet(fitted, uncommanded)]
+        without = unseen.errors(uncommanded)
+        shares.append(unseen.balance(fitted, uncommanded))
     for horizon in HORIZONS_S:
         k = at_horizon(horizon, unseen.problem.data.dt)
         if k < unseen.windows.length:
-            evidence.append(bet(without[:, k] ** 2, own[:, k] ** 2))
+            shares.append(shares_of(without[:, k] ** 2, own[:, k] ** 2))
             clearly |= DIFFERS * rms(own[:, k]) < min(rms(without[:, k]), rms(held[:, k]))
-    return clearly and float(np.mean(evidence)) * LEVEL >= 1.0  # a mean of e-values is one
+    return clearly and p_value(np.mean(shares, axis=0)) <= LEVEL
 
 
-def _empty(found: Found, unseen: Unseen, e_value: float) -> tuple[str, str]:
+def _empty(ladder: Ladder, unseen: Unseen, base: Fit) -> tuple[str, str]:
     """Verdict and reason without effects, where the commands predict."""
-    base = found.base
     left = unexplained(unseen, base)
     if left:
         return 'unexplained_residual', left
-    if e_value * LEVEL >= 1.0:
-        return 'unexplained_residual', (
-            'the most probable structure predicts the next sample better than the base, but not '
-            'the free run: the noise may have another colour than the model gives it, or the '
-            'structure may hold for the training only'
-        )
-    if found.probabilities()[[s.fit is base for s in found.all]].sum() < LEVEL:
-        return 'unexplained_residual', (
-            'the data contradict the base alone, but support no structure that was tried clearly '
-            'enough to claim it'
+    if len(ladder.rungs) > 1 and not ladder.answer:
+        return 'no_missing_effect', (
+            f'the base predicts all but {100.0 - ladder.predicts_pct:.1g} % of the motion'
         )
     return 'no_missing_effect', ''
 
@@ -455,54 +461,33 @@ def _size_and_spread(errors: FloatArray) -> FloatArray:
         return np.array([size, size / np.exp(0.5 * np.mean(np.log(square + 1e-300)))])
 
 
-def listed(
-    parts: Sequence[Part], without: Sequence[float], after: float, usual: float
-) -> list[float]:
-    """Probability of each effect, if it helps, that it is what its name says.
-
-    A free form describes physics that the list lacks, and so do several shapes and modes: one
-    cause is likelier than many. A named effect beside them may merely mend that description, and
-    is then no larger than they are; one of its own is as probable as any (EXPECTED), and of the
-    usual size. All in rad/s; without: errors without each.
-    """
-    squares = np.clip(np.square(without) - after**2, 0.0, HUGE)
-    named = np.array([part.effect.kind == 'named' for part in parts], dtype=bool)
-    described = float(np.sum(squares[~named]))
-    of_the_list = np.sum(~named) == 1 and not any(part.effect.free for part in parts)
-    if of_the_list or not described > 0.0:
-        return [1.0] * len(parts)
-    ratio = described / usual**2  # of the variances of two normal distributions
-    odds = math.log(EXPECTED) + 0.5 * math.log(ratio) + 0.5 * (1.0 - ratio) * squares / described
-    return [float(p) for p in np.where(named, expit(odds), 1.0)]
-
-
 def _posterior(
-    found: Found, chosen: Fit, as_named: Sequence[float]
+    found: Found, chosen: Fit, ladder: Ladder
 ) -> tuple[tuple[float, ...], tuple[tuple[tuple[str, float], ...], ...]]:
-    """Probability of each chosen effect, and of its alternatives.
+    """Probability of each chosen effect, and of its alternatives, by the training's evidence.
 
-    as_named: if it is the most probable one, that it is what its name says.
+    An effect that the search did not fit in this company stands as often as it comes again.
     """
     probabilities, rivals = [], []
     own = Counter(part.effect.name for part in chosen.structure.parts)
-    dropped = Counter(part.effect.name for part in found.best.structure.parts) - own
-    for part, listed_as in zip(chosen.structure.parts, as_named, strict=True):
+    finer = Counter(part.effect.name for part in found.best.structure.parts) - own
+    for part in chosen.structure.parts:
         name = part.effect.name
         rest = own - Counter([name])
         share: defaultdict[str, float] = defaultdict(float)
         for scored, p in zip(found.all, found.probabilities(), strict=True):
-            left = Counter(scored.names) - dropped
+            left = Counter(scored.names) - finer
             if left >= rest:
                 others = set(left - rest) or {'nothing'}
                 for one in others:
                     share[one] += float(p) / len(others)
+        if name not in {one.effect.name for one in found.best.structure.parts}:
+            again = ladder.reproducible.get(name, 1.0)
+            share = defaultdict(float, {name: again, UNLISTED: 1.0 - again})
         least = LEAST_REPORTED * sum(share.values())
         kept = {one: v for one, v in share.items() if one == name or v > least}
-        total, full = sum(kept.values()) or 1.0, kept.pop(name, 0.0)
-        doubt = (1.0 - listed_as) * full
-        if doubt > least:
-            kept[UNLISTED] = doubt
-        probabilities.append((full - kept.get(UNLISTED, 0.0)) / total)
+        total = sum(kept.values()) or 1.0
+        probabilities.append(kept.pop(name, 0.0) / total)
         rivals.append(tuple(sorted(
             ((one, v / total) for one, v in kept.items()), key=lambda item: -item[1]
         )))

@@ -23,6 +23,8 @@ LEADING = 2
 """Number of starts of the base that are fitted to convergence."""
 BEGUN_STEPS = 6
 """Steps from each start of the base before the best ones are chosen."""
+FAR_BEHIND = 30.0
+"""Nats by which a start that was begun may lag behind and still be fitted to convergence."""
 MOST_LINES = 3
 """Most vibration lines in the noise."""
 
@@ -56,7 +58,26 @@ def best_base(problem: Problem) -> Fit:
         if shaken is base:
             break
         base = shaken
-    return base
+    return both_orders(problem, base)
+
+
+def both_orders(problem: Problem, fitted: Fit) -> Fit:
+    """A fit, or a more probable one in which lag and damping have changed places.
+
+    Gain, lag and damping that follow as gain / (lag damping), 1 / damping and 1 / lag answer to
+    the command alike; only where the disturbance enters and the priors tell them apart.
+    """
+    gain, lag, _, damping = fitted.values[:4]
+    if not damping > 0.0:
+        return fitted
+    start = fitted.theta.copy()
+    start[0], start[1], start[3] = gain / (lag * damping), -math.log(damping), 1.0 / lag
+    other = fitted_from(problem, fitted.structure, start, rate=fitted.rate,
+                        most_steps=BEGUN_STEPS)
+    if other is None or other.log_posterior < fitted.log_posterior - FAR_BEHIND:
+        return fitted
+    ended = fitted_from(problem, fitted.structure, other.theta, rate=other.rate)
+    return most_probable((fitted, ended)) or fitted
 
 
 def _beside(problem: Problem, base: Fit) -> Fit:
@@ -95,11 +116,17 @@ def fitted_from(
         return None
 
 
-def fit_without(problem: Problem, fitted: Fit, *which: int, **options: Any) -> Fit | None:
-    """A fit without some of its effects, the rest refitted; None where that diverges."""
+def fit_without(problem: Problem, fitted: Fit, *which: int, silent: bool = False,
+                **options: Any) -> Fit | None:
+    """A fit without some of its effects, the rest refitted; None where that diverges.
+
+    silent: the gain starts at zero.
+    """
     slices = fitted.structure.slices()
     gone = [j for i in which for j in range(slices[i].start, slices[i].stop)]
     structure, theta = fitted.structure.minus(*which), np.delete(fitted.theta, gone)
+    if silent:
+        theta[0] = 0.0
     return fitted_from(problem, structure, theta, rate=fitted.rate, **options)
 
 

@@ -30,13 +30,37 @@ to a parameter that the data know ten times better than its prior; the fit's evi
 # what the validation segments must show
 
 LEVEL = 0.05
-"""Of the contract: a claim needs an e-value of 1 / LEVEL."""
-BLOCK_S = 0.5
-"""Length of the blocks in which predictive log-likelihoods are compared: that of the windows."""
-STAKES = (0.1, 0.3, 0.5, 0.9)
-"""Shares of the capital that are bet on each block, small to bold; the mean of the bets counts."""
+"""Of the contract: an effect is claimed with p at most this."""
+LEAST_BLOCKS = 4
+"""Windows below which a test says nothing."""
 DIFFERS = 1.1
 """Factor by which two errors must differ to count: from what noise causes (contract), and from
 the prediction without commands."""
 FLIPS = 200
 """Random draws of the innovations' signs, all of which an error must exceed: a level of 0.5 %."""
+
+# how the reference is explained
+
+EXPLAINS = 90.0
+"""Percent of the base's miss, as the reference sees it, that the answer's rung explains."""
+ENOUGH = 99.0
+"""Percent below which the whole reference stands as the last, finest rung."""
+MOST_RUNGS = 8
+NAMED_FIRST = 0.9
+"""Share of the best step that a named law has to take to stand before a curve."""
+NEGLIGIBLE = 0.01
+"""Share of the base's miss, and of the motion, below which nothing is called a cause."""
+PROJECTED = 2
+"""Named laws, and effects of the reference, that are projected at each rung."""
+LEAST_OF_BEST = 0.4
+"""Share of the missing torque, relative to the best candidate's, from which a law is projected."""
+RESAMPLES = 200
+"""Resampled flights."""
+BLOCK_S = 2.0
+"""Length of their blocks, longer than most gusts."""
+MOST_STRUCTURES = 40
+"""Structures of the search that a resampled flight chooses from."""
+LEAST_SHARE = 0.02
+"""Share of the resampled flights below which another leading structure is not looked at."""
+AGAIN = 0.5
+"""Share of the resampled flights in which an effect must come again."""

@@ -23,7 +23,7 @@ from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.plant import per_coefficient
-from quad_sysid.model.structure import coordinates, natural
+from quad_sysid.model.structure import Structure, coordinates, natural
 
 FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
@@ -84,20 +84,81 @@ def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     return sorted((score for score in found if score is not None), key=lambda s: -s.nats)
 
 
-class _Beside:
+class Along:
+    """What acts along a trajectory `rate` (n,) with a structure's parameters."""
+
+    def __init__(self, problem: Problem, structure: Structure, theta: FloatArray,
+                 rate: FloatArray) -> None:
+        self.problem, self.structure, self.theta = problem, structure, theta
+        flight = problem.flight
+        self.values = structure.natural(theta)
+        halves, states = flight.driven(structure, self.values)
+        self.signals = flight.signals(self.values, halves, states, rate)
+        self.push = flight.pushed(structure, self.values, rate)
+        self.slope = self.push.slope
+
+    @property
+    def acceleration(self) -> FloatArray:
+        """(n,) mean of each cycle, rad/s², of all but the disturbance."""
+        return np.asarray(np.mean(self.push.known, axis=0) + self.slope * self.signals.rate)
+
+    def share_of(self, part: Part, p: FloatArray, q: FloatArray, left: FloatArray) -> float:
+        """Share of `left` (rows,) that an effect explains at its coordinates p, in any size.
+
+        q (rows, m): an orthonormal basis of what others explain as well.
+        """
+        effect, at = part.effect, natural(part.effect.parameters, p)
+        if effect.moves_command:
+            one = self._added(part, p)
+        elif effect.wanders:
+            one = per_coefficient(part, self.signals, at)
+        else:
+            own = self.problem.flight.hidden(part, self.signals, at)
+            one = required(effect.torque(own, at, part.settings))
+        one = one[self.problem.rows]
+        one = one - q @ (q.T @ one)
+        size = float(one @ one) * float(left @ left)
+        return float(one @ left) ** 2 / size if size > 0.0 else 0.0
+
+    def columns(self, part: Part, linear: list[int], p: FloatArray) -> Sequence[FloatArray]:
+        """Mean acceleration of each cycle per unit of each linear parameter, (n,) each, rad/s².
+
+        Without a linear parameter the acceleration at `p`.
+        """
+        effect, at = part.effect, natural(part.effect.parameters, p)
+        if effect.wanders:
+            return [per_coefficient(part, self.signals, at)]
+        if not effect.moves_command:
+            own = self.problem.flight.hidden(part, self.signals, at)
+            return effect.columns(own, at, linear, part.settings).T
+        if not linear:
+            return [self._added(part, p)]
+        return [self._added(part, p + step) / SMALL for step in SMALL * np.eye(p.size)[linear]]
+
+    def _added(self, part: Part, p: FloatArray) -> FloatArray:
+        """(n,) what a candidate that acts before the drive changes of its mean in each cycle."""
+        structure = self.structure.plus(part)
+        whole = np.insert(self.theta, -len(structure.noise), p)
+        halves, _ = self.problem.flight.driven(structure, structure.natural(whole))
+        return self.values[0] * np.mean(halves, axis=0) - self.signals.drive
+
+
+def linear_of(part: Part) -> list[int]:
+    """The parameters that a screen takes for linear."""
+    return [j for j, spec in enumerate(part.effect.parameters)
+            if not spec.log and not spec.starts and spec.centre == 0.0]
+
+
+class _Beside(Along):
     """The fit beside which candidates are scored; its parameters are projected out.
 
     The priors of the fit's parameters are the last rows.
     """
 
     def __init__(self, problem: Problem, fitted: Fit) -> None:
-        self.problem, self.fitted = problem, fitted
-        flight, structure = problem.flight, fitted.structure
-        flight.rate = fitted.rate
-        self.values = structure.natural(fitted.theta)
-        halves, states = flight.driven(structure, self.values)
-        self.signals = flight.signals(self.values, halves, states, fitted.rate)
-        self.slope = flight.pushed(structure, self.values, fitted.rate).slope
+        self.fitted = fitted
+        problem.flight.rate = fitted.rate
+        super().__init__(problem, fitted.structure, fitted.theta, fitted.rate)
         e = self.innovation = np.nan_to_num(fitted.prediction.innovation)
         self.weight = np.zeros((e.size, 1))  # of samples that do not count
         counts = fitted.tail.weights(e[problem.rows])
@@ -110,16 +171,13 @@ class _Beside:
 
     def best(self, part: Part) -> Score | None:
         """The best start and score of a candidate; None where none is physical."""
-        linear = [
-            j for j, spec in enumerate(part.effect.parameters)
-            if not spec.log and not spec.starts and spec.centre == 0.0
-        ]
+        linear = linear_of(part)
         starts, scores = self.starts(part), []
         for at in range(0, len(starts), AT_ONCE):
             some = starts[at : at + AT_ONCE]
             inputs = np.vstack([self.columns(part, linear, p) for p in some]) + FAINT
             found = self.problem.flight.responses(
-                np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filter
+                np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filters
             )
             scores += [
                 self.score(part, linear, p, psi)
@@ -175,7 +233,7 @@ class _Beside:
         begin, n = flight.passes[0][0], self.innovation.size
         pulse = np.zeros((n, 1))
         pulse[begin] = 1.0
-        answer = flight.responses(pulse, self.slope, self.fitted.prediction.filter)
+        answer = flight.responses(pulse, self.slope, self.fitted.prediction.filters)
         answer = answer[begin : begin + round(ANSWER_S / dt), 0]
         e = self.innovation * self.weight[:, 0] ** 2
         return -fftconvolve(e, answer[::-1])[answer.size - 1 :]
@@ -190,28 +248,6 @@ class _Beside:
         """(n,) the same by the command times the gain."""
         keep = math.exp(-self.problem.data.dt / self.values[1])
         return lfilter([1.0 - keep], [1.0, -keep], self.backwards[::-1])[::-1]
-
-    def columns(self, part: Part, linear: list[int], p: FloatArray) -> Sequence[FloatArray]:
-        """Mean acceleration of each cycle per unit of each linear parameter, (n,) each, rad/s².
-
-        Without a linear parameter the acceleration at `p`.
-        """
-        effect, at = part.effect, natural(part.effect.parameters, p)
-        if effect.wanders:
-            return [per_coefficient(part, self.signals, at)]
-        if not effect.moves_command:
-            own = self.problem.flight.hidden(part, self.signals, at)
-            return effect.columns(own, at, linear, part.settings).T
-        if not linear:
-            return [self._added(part, p)]
-        return [self._added(part, p + step) / SMALL for step in SMALL * np.eye(p.size)[linear]]
-
-    def _added(self, part: Part, p: FloatArray) -> FloatArray:
-        """(n,) what a candidate that acts before the drive changes of its mean in each cycle."""
-        structure = self.fitted.structure.plus(part)
-        whole = np.insert(self.fitted.theta, -len(structure.noise), p)
-        halves, _ = self.problem.flight.driven(structure, structure.natural(whole))
-        return self.values[0] * np.mean(halves, axis=0) - self.signals.drive
 
     def score(
         self, part: Part, linear: list[int], p: FloatArray, psi: FloatArray

@@ -12,15 +12,24 @@ import numpy as np
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import best_base, fit_without, fitted_from, most_probable, shares
+from quad_sysid.discover.base import (
+    best_base,
+    both_orders,
+    fit_without,
+    fitted_from,
+    most_probable,
+    shares,
+)
 from quad_sysid.discover.constants import BEAM, EXCHANGES, EXPECTED, HOPELESS, MOST_EFFECTS, REFITS
 from quad_sysid.discover.screen import Score, candidates, screen
-from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.estimate.fit import Fit, Problem, start_of
 from quad_sysid.model.effect import Effect, Part, required
-from quad_sysid.model.structure import NOISE, VIBRATION
+from quad_sysid.model.structure import NOISE, VIBRATION, Structure, coordinates
 
 SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""
+ANEW = 20.0
+"""Nats by which a response that is fitted anew must beat the base; another is fitted from it."""
 SHARED = (
     'what disturbs this axis disturbs the other one as well, so that its command and rate answer '
     'to the same gusts; fly in calm air, or excite that axis by itself'
@@ -110,6 +119,23 @@ def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
     )
 
 
+def anew(problem: Problem, parts: Sequence[Part]) -> list[Fit]:
+    """Fits of how the motors may respond, begun from the priors and not from the base.
+
+    A response that overshoots, as of yaw with heavy rotors, draws the base so far away, up to a
+    negative gain, that no step leads back from there once the response is added.
+    """
+    begun = start_of(problem)
+    count = begun.size - len(Structure().noise)
+    tries = [
+        partial(fitted_from, problem, Structure((part,)), *(
+            np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
+            for start in part.effect.starts(problem.data, part.settings)))
+        for part in parts if part.effect.term == 'response' and not part.effect.motors
+    ]
+    return [fitted for fitted in side_by_side(tries) if fitted is not None]
+
+
 class _Search:
     """The structures fitted so far, by the labels of their effects."""
 
@@ -153,9 +179,11 @@ class _Search:
         return self.screens[labels]
 
     def keep(self, fitted: Fit) -> Scored:
-        """Store a fit with its score."""
-        one = self.known[frozenset(fitted.structure.labels)] = scored(fitted, self.prices)
-        return one
+        """Store a fit with its score, where it is the better one of its structure."""
+        labels, one = frozenset(fitted.structure.labels), scored(fitted, self.prices)
+        if labels not in self.known or one.score > self.known[labels].score:
+            self.known[labels] = one
+        return self.known[labels]
 
     def best(self) -> Scored:
         """The most probable structure."""
@@ -213,10 +241,16 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
 
 def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
     found = _Search(problem, parts, base)
-    beam = [found.best()]
+    for fitted in anew(problem, parts):
+        if fitted.evidence > base.evidence + ANEW:
+            found.keep(fitted)
+    beam = leading(found.known.values())
     for _ in range(MOST_EFFECTS):
         top = beam[0].score
         beam = leading(found.build_on(beam, REFITS))
+        if beam:
+            beam[0] = found.keep(both_orders(problem, beam[0].fit))
+            found.screens.pop(frozenset(beam[0].fit.structure.labels), None)
         if not beam or beam[0].score <= top:
             break
     for _ in range(MOST_EFFECTS):

@@ -11,13 +11,20 @@ from scipy.interpolate import make_interp_spline
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import Curve, placed_around_zero
-from quad_sysid.effects.hidden import RING, along, followed, ring, step_of
+from quad_sysid.effects.hidden import (
+    RING,
+    System,
+    along,
+    behind_lag,
+    followed,
+    ring,
+    step_of,
+)
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import recursion
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import (
     Drive,
-    Dynamics,
     Effect,
     Settings,
     Signals,
@@ -30,6 +37,8 @@ MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
 SLOPING = 0.05
 """Share of a step over which one level gives way to the next."""
+AT_ONCE_S = 1e-5
+"""A lag that counts as none."""
 MOST_MOTORS = 12
 """Motors that may each have an effect of their own."""
 LIGHT = 0.3
@@ -48,66 +57,145 @@ def why_not(data: AxisData, *, single: bool = False) -> str:
 class Map(Row):
     """A map of the command; of every motor's command where it depends on the motors.
 
-    Its law takes the data, the command (n,) or those of the motors (k, n), and the parameters;
-    `mode`, where it is linear with memory, gives its Dynamics from the parameters.
+    Its law takes the signals, the commands (1, …) or those of the motors (k, …), and the
+    parameters.
     """
 
     term = 'command'
-    mode: Callable[[FloatArray], Dynamics] | None = None
 
     def prepare(self, data: AxisData) -> Settings | str:
         why = why_not(data) if 'motors' in self.signals else ''
         return why or super().prepare(data)
 
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
+    def commands(self, s: Signals) -> FloatArray:
+        """What it maps: (1, …) the axis' command, or (k, …) those of the motors."""
+        return np.stack(required(s.motors) if 'motors' in self.signals else [required(s.sent)])
+
+    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        given = self.commands(s)
+        mapped: FloatArray = self.law(s, given, p)
         if 'motors' not in self.signals:
-            return self.law(data, command, p)
-        motors = data.motors.T
-        return command + data.share @ (self.law(data, motors, p) - motors)
-
-    def dynamics(self, p: FloatArray) -> Dynamics | None:
-        return None if self.mode is None else self.mode(p)
+            return mapped[0]
+        return required(s.sent) + np.tensordot(required(s.share), mapped - given, 1)
 
 
-def _slew(data: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
-    step = float(p[0]) * data.dt
-    return np.stack([along(data, m, recursion.slew, step) for m in motors])
+class Kept(Map):
+    """A map that keeps something of each command it maps, by a compiled loop along a flight."""
+
+    states = 1
+    kept: Callable[[FloatArray, FloatArray, Signals, FloatArray], FloatArray]
+    """What is kept after a cycle: of what was (k, …), the commands, signals and parameters."""
+    loop: Callable[..., None]
+    """The same along a flight, into what is kept at the start of each cycle."""
+    numbers: Callable[[Signals, FloatArray], tuple[float, ...]]
+    """Of the loop."""
+
+    def mapped(self, s: Signals, p: FloatArray) -> FloatArray:
+        """The commands (k, …) as the loop takes them."""
+        return self.commands(s)
+
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return self.mapped(s, p)
+
+    def advance(
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        return self.kept(x, self.mapped(s, p), s, p)
+
+    def trace(
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        begun: FloatArray | None = None,
+    ) -> FloatArray:
+        numbers = self.numbers(s, p)
+        return np.stack([along(stretches, u, self.loop, *numbers) for u in self.mapped(s, p)])
 
 
-def _in_steps(data: AxisData, motors: FloatArray, p: FloatArray) -> FloatArray:
-    """To whole steps; one level lies p[1] steps of p[0] above half of the range.
+class Steps(Kept):
+    """Motors that take whole steps; one level lies p[1] steps of p[0] above half of the range.
 
-    A level is kept until the command is p[2] steps further away from it than half of one.
+    A level is kept until the command is p[2] steps further away from it than half of one. Around
+    that point two steps share the cycle over a short slope, for a smooth likelihood.
     """
-    steps = (motors - 0.5) / p[0] - p[1]
-    taken = [along(data, one, recursion.in_steps, float(p[2]), SLOPING) for one in steps]
-    return 0.5 + p[0] * (p[1] + np.stack(taken))
+
+    def mapped(self, s: Signals, p: FloatArray) -> FloatArray:
+        return (self.commands(s) - 0.5) / p[0] - p[1]
+
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return np.floor(self.mapped(s, p) + 0.5)
+
+    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        x, kept = self.mapped(s, p), required(s.hidden)
+        away = x - kept
+        over = np.abs(away) - 0.5 - p[2]
+        new = np.where(over > 0.0, np.floor(x + 0.5),
+                       kept + np.where(over > -0.5 * SLOPING, np.sign(away), 0.0))
+        taken = new + np.maximum(0.5 - over / SLOPING, 0.0) * (kept - new)
+        mapped = 0.5 + p[0] * (p[1] + taken) - self.commands(s)
+        return required(s.sent) + np.tensordot(required(s.share), mapped, 1)
+
+
+class Following(Map):
+    """A map with a linear memory x' = A x + B u of the command."""
+
+    system: Callable[[FloatArray, float], System]
+    """A and B from the parameters and the length of a cycle, s."""
+    output: Callable[[FloatArray], tuple[FloatArray, float]]
+    """What of its states and of the command goes on."""
+
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        sent = required(s.sent)
+        return np.stack([sent, *[np.zeros_like(sent)] * (self.states - 1)])
+
+    def advance(
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        a, b = step_of(*self.system(p, s.dt), s.dt)
+        return np.tensordot(a, x, 1) + np.multiply.outer(b, required(s.sent))
+
+    def trace(
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        begun: FloatArray | None = None,
+    ) -> FloatArray:
+        x = self.begin(s, p, settings)
+        followed(stretches, required(s.sent), *step_of(*self.system(p, s.dt), s.dt), x)
+        return x
+
+
+def over_cycle(x: FloatArray, u: FloatArray, tau: float, dt: float) -> FloatArray:
+    """A command u that is held over a cycle behind a lag of `tau` s, its mean over the cycle.
+
+    x: the lagged command at the start of the cycle.
+    """
+    return u + (x - u) * (tau / dt * -math.expm1(-dt / tau))
 
 
 def lagged(data: AxisData, command: FloatArray, tau: float) -> FloatArray:
     """(n,) a held command after a first-order lag of `tau` s, mean over each cycle."""
-    keep = math.exp(-data.dt / tau)
-    a, b = np.array([[keep]]), np.array([1.0 - keep])
-    out = command[None, :].copy()
-    followed(data.stretches, command, a, b, out)
-    return command + (out[0] - command) * (tau / data.dt * (1.0 - keep))
+    return over_cycle(_behind(data.stretches, command, tau, data.dt), command, tau, data.dt)
 
 
-def _ringing(data: AxisData, command: FloatArray, p: FloatArray) -> FloatArray:
+def _behind(
+    stretches: Sequence[Span], command: FloatArray, tau: float, dt: float
+) -> FloatArray:
+    """(n,) a held command after a first-order lag of `tau` s, at the start of each cycle."""
+    keep, out = math.exp(-dt / tau), command[None, :].copy()
+    followed(stretches, command, np.array([[keep]]), np.array([1.0 - keep]), out)
+    return out[0]
+
+
+def _late(p: FloatArray) -> float:
+    return max(float(p[0]), 1e-5)
+
+
+def _ringing(s: Signals, u: FloatArray, p: FloatArray) -> FloatArray:
     """Command plus the response of a damped mode at mid-cycle."""
-    system = ring(min(float(p[0]), 0.4 / data.dt), float(p[1]))
-    x = np.stack([command, np.zeros_like(command)])
-    followed(data.stretches, command, *step_of(*system, data.dt), x)
-    a, b = step_of(*system, 0.5 * data.dt)
-    z = a @ x + b[:, None] * command
-    return command + p[2] * z[0] + p[3] * z[1]
+    a, b = step_of(*_mode(p, s.dt), 0.5 * s.dt)
+    z = np.tensordot(a, required(s.hidden), 1) + np.multiply.outer(b, u[0])
+    return u + p[2] * z[0] + p[3] * z[1]
 
 
-def _swinging(p: FloatArray) -> Dynamics:
-    """The same to a loop."""
-    return Dynamics(0.0, 2.0 * math.pi * float(p[0]), float(p[1]), float(p[2]), float(p[3]))
+def _mode(p: FloatArray, dt: float) -> System:
+    return ring(min(float(p[0]), 0.4 / dt), float(p[1]))
 
 
 def _lightly(p: FloatArray) -> FloatArray:
@@ -126,48 +214,61 @@ MAPS = (
         physics='sign(u) max(|u| - w, 0): the motors do not answer to small commands',
         excite='small commands around zero: a multisine of small amplitude',
     ),
-    Map(
+    Kept(
         'backlash', ('command', 'history'), HALF_WIDTH,
-        lambda data, u, p: along(data, u, recursion.play, float(p[0])),
+        lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]), loop=recursion.play,
+        kept=lambda x, u, _, p: np.clip(x, u - p[0], u + p[0]),
+        numbers=lambda _, p: (float(p[0]),),
         physics='play of +-w between command and torque',
         excite='small slow reversals of the command',
     ),
 )
+
+
+def _slewed(x: FloatArray, u: FloatArray, s: Signals, p: FloatArray) -> FloatArray:
+    return x + np.clip(u - x, -p[0] * s.dt, p[0] * s.dt)
+
+
 SLOW_MAPS = (
-    Map(
+    Kept(
         'shape:lag:command', ('command', 'motors', 'history'),
         (
             Spec('slew', '1/s', spread=1.5, centre=math.log(3.0), log=True,
                  starts=(0.5, 1.5, 4.0, 10.0)),
         ),
-        _slew, kind='shape', variant='slew limit', term='response',
+        lambda s, u, p: _slewed(s.hidden, u, s, p), kept=_slewed,
+        loop=recursion.slew, numbers=lambda s, p: (float(p[0]) * s.dt,),
+        kind='shape', variant='slew limit', term='response',
         physics='the command of a motor changes by at most so much a second',
         excite='large steps of the command',
     ),
-    Map(
+    Steps(
         'shape:gain:command', ('command', 'motors'),
         (
             Spec('step', '1', spread=1.5, centre=math.log(0.01), log=True),
             Spec('level', '1', spread=0.3, starts=(0.0,)),
             Spec('hysteresis', '1', spread=0.3, positive=True, starts=(0.0, 0.25)),
         ),
-        _in_steps, kind='shape', variant='steps',
-        stepped=True,
+        lambda *_: None, kept=lambda x, u, _, p: np.where(
+            np.abs(u - x) - 0.5 > p[2], np.floor(u + 0.5), x),
+        loop=recursion.in_steps, numbers=lambda _, p: (float(p[2]),),
+        kind='shape', variant='steps', stepped=True,
         physics='motors take their command in whole steps, with hysteresis',
         excite='slow small commands',
     ),
-    Map(
+    Following(
         'mode', ('command', 'history'),
         (
             Spec('time_constant', 's', spread=1.0, centre=math.log(0.02), log=True,
                  starts=(0.01, 0.03, 0.1)),
         ),
-        lambda data, u, p: lagged(data, u, max(float(p[0]), 1e-5)),
-        mode=lambda p: Dynamics(lag_s=float(p[0])), kind='mode', variant='second lag',
+        lambda s, u, p: over_cycle(s.hidden, u, _late(p), s.dt), states=1,
+        system=lambda p, _: behind_lag(np.array([_late(p)])), output=lambda _: (np.ones(1), 0.0),
+        kind='mode', variant='second lag',
         term='response', physics='a second first-order lag between command and torque',
         excite='a PRBS that reaches beyond 1 / lag',
     ),
-    Map(
+    Following(
         'mode', ('command', 'history'),
         (
             Spec('frequency', 'Hz', spread=0.8, centre=math.log(3.0), log=True,
@@ -175,12 +276,13 @@ SLOW_MAPS = (
             Spec('damping_ratio', '1', spread=0.4, centre=math.log(0.8), log=True, starts=(0.8,)),
             Spec('in_phase', '1', spread=0.3), Spec('quadrature', '1', spread=0.3),
         ),
-        _ringing, kind='mode', variant='second order', term='response', mode=_swinging,
+        _ringing, kind='mode', variant='second order', term='response', states=2, system=_mode,
+        output=lambda p: (p[2:], 1.0),
         physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command: motors under a "
         'speed controller',
         excite='a PRBS that reaches beyond the frequency',
     ),
-    Map(
+    Following(
         'resonance', ('command', 'history'),
         (
             Spec('frequency', 'Hz', spread=0.8, centre=math.log(5.0), log=True,
@@ -190,8 +292,8 @@ SLOW_MAPS = (
             # at its peak a mode adds half of what is commanded: share / (2 damping ratio)
             Spec('in_phase', '1', spread=0.06), Spec('quadrature', '1', spread=0.06),
         ),
-        lambda data, u, p: _ringing(data, u, _lightly(p)),
-        term='response', mode=lambda p: _swinging(_lightly(p)),
+        lambda s, u, p: _ringing(s, u, _lightly(p)), term='response', states=2,
+        system=lambda p, dt: _mode(_lightly(p), dt), output=lambda p: (p[2:], 1.0),
         physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command",
         excite='a chirp or PRBS through the mode',
     ),
@@ -228,6 +330,7 @@ class Propellers(Effect):
     """The thrust of propellers is a curve of their motor's speed, a lagged command."""
 
     term = 'command'
+    states = 1
 
     def bend(
         self, m: FloatArray, p: FloatArray, settings: Settings
@@ -238,14 +341,30 @@ class Propellers(Effect):
         """
         raise NotImplementedError
 
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return np.stack([required(s.motors)[i] for i in of_motors(s, self.motors)])
+
+    def advance(
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        u = self.begin(s, p, settings)
+        return u + (x - u) * math.exp(-s.dt / s.lag)
+
+    def trace(
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        begun: FloatArray | None = None,
+    ) -> FloatArray:
+        return np.stack([_behind(stretches, u, s.lag, s.dt) for u in self.begin(s, p, settings)])
+
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         # f(m) of the lagged m follows the same lag where the command is f(m) + f'(m) (u - m)
-        which = list(self.motors or range(data.motors.shape[1]))
-        u = data.motors.T[which]
-        m = np.stack([lagged(data, one, float(drive.lag[0, 0])) for one in u])
+        u = self.begin(s, p, settings)
+        m = over_cycle(required(s.hidden), u, s.lag, s.dt)
         thrust, slope = self.bend(m, p, settings)
-        more = data.share[which] @ (thrust + slope * (u - m))
-        return replace(drive, commands=np.vstack([drive.commands[:1] + more, drive.commands[1:]]))
+        share = required(s.share)[list(of_motors(s, self.motors))]
+        more = np.tensordot(share, thrust + slope * (u - m), 1)
+        commands = np.concatenate([drive.commands[:1] + more, drive.commands[1:]])
+        return replace(drive, commands=commands)
 
 
 class ThrustCurve(Propellers):
@@ -355,8 +474,13 @@ class Saturation(Map):
         return {'throttle': 0.5 * float(p[0] + (0.0 if self.variant == 'upper' else 1.0))}
 
 
+def of_motors(s: Signals, motors: Sequence[int]) -> Sequence[int]:
+    """These motors; none named: all."""
+    return motors or range(len(required(s.motors)))
+
+
 def differing(
-    data: AxisData, drive: Drive, motors: Sequence[int], slow_s: float | None = None,
+    s: Signals, drive: Drive, motors: Sequence[int], slow_s: float | None = None,
     factors: tuple[FloatArray, FloatArray] | None = None,
 ) -> Drive:
     """Some motors with a lag of their own: channels for these, and one that takes back the usual.
@@ -365,14 +489,16 @@ def differing(
     knots and values (k,), as in Drive.factors.
     """
     which = list(motors)
-    share, own = drive.row[0] * data.share[which], data.motors.T[which]
+    share = drive.row[0] * required(s.share)[which]
+    own = np.stack([required(s.motors)[i] for i in which])
     lag = np.repeat(drive.lag[:1], len(which) + 1, axis=0)
     if slow_s is not None:
         lag[:-1] = slow_s
     curves = [] if factors is None else [np.array([factors] * len(which))]
-    return Drive(
-        np.vstack([drive.commands, own, share @ own]), np.r_[drive.row, share, -1.0],
-        np.vstack([drive.lag, lag]), np.concatenate([drive.factors, *curves]),
+    return replace(
+        drive, commands=np.concatenate([drive.commands, own, np.tensordot(share, own, 1)[None]]),
+        row=np.r_[drive.row, share, -1.0], lag=np.concatenate([drive.lag, lag]),
+        factors=np.concatenate([drive.factors, *curves]),
     )
 
 
@@ -385,39 +511,52 @@ class Motors(Row):
         return (why_not(data, single=len(self.motors) == 1)
                 if 'motors' in self.signals else '') or {}
 
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
-        return self.law(data, drive, p)
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
+        return self.law(s, drive, p)
 
 
 def _slow_motor(motor: int) -> Effect:
     return Motors(
         'motor_lag', ('command', 'motors'), (replace(SLOW, starts=(0.07, 0.12, 0.25)),),
-        lambda data, drive, p: differing(data, drive, [motor], slow_s=float(p[0])),
+        lambda s, drive, p: differing(s, drive, [motor], slow_s=float(p[0])),
         motors=(motor,), variant=f'motor {motor + 1}',
         physics='one motor answers with a longer lag; the other axes then act here as well',
         excite='hover with all axes moving',
     )
 
 
-def _slow_share(sign: float) -> Callable[[AxisData, Drive, FloatArray], Drive]:
-    def shared(_: AxisData, drive: Drive, p: FloatArray) -> Drive:
+def _slow_share(sign: float) -> Callable[[Signals, Drive, FloatArray], Drive]:
+    def shared(_: Signals, drive: Drive, p: FloatArray) -> Drive:
         slow, share = np.maximum(p[0], drive.lag[:1]), sign * p[1]
-        return Drive(
-            np.vstack([drive.commands, drive.commands[:1]]),
-            np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
-            np.vstack([drive.lag, slow]), np.vstack([drive.factors, drive.factors[:1]]),
+        return replace(
+            drive, commands=np.concatenate([drive.commands, drive.commands[:1]]),
+            row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
+            lag=np.concatenate([drive.lag, slow]),
+            factors=np.concatenate([drive.factors, drive.factors[:1]]),
         )
 
     return shared
 
 
+def _reaction(_: Signals, drive: Drive, p: FloatArray) -> Drive:
+    """Torque T drive' beside the drive; as drive' = (u - drive) / lag, it is a share of u."""
+    lag = drive.lag[:1]
+    share = float(p[0]) / float(lag[0, 0])
+    return replace(
+        drive, commands=np.concatenate([drive.commands, drive.commands[:1]]),
+        row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
+        lag=np.concatenate([drive.lag, np.full_like(lag, AT_ONCE_S)]),
+        factors=np.concatenate([drive.factors, drive.factors[:1]]),
+    )
+
+
 def _asymmetric(variant: str, *motors: int, each: bool = True) -> Effect:
     """Of these motors, of each one (none named), or of the axis' command."""
 
-    def uneven(data: AxisData, drive: Drive, p: FloatArray) -> Drive:
+    def uneven(s: Signals, drive: Drive, p: FloatArray) -> Drive:
         factors = BOTH_WAYS, -float(p[0]) * np.sign(BOTH_WAYS)
         if each:
-            return differing(data, drive, motors or range(data.motors.shape[1]), factors=factors)
+            return differing(s, drive, of_motors(s, motors), factors=factors)
         whole = drive.factors.copy()
         whole[0] = factors
         return replace(drive, factors=whole)
@@ -451,9 +590,9 @@ class HasteCurve(Curve):
         # a motor that is late has further to go than by the usual lag
         return why or placed_around_zero(np.concatenate(away), self.count, reach=2.0)
 
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         knots, values = np.array(settings['knots']), p - float(np.dot(settings['mean'], p))
-        return differing(data, drive, range(data.motors.shape[1]), factors=(knots, values))
+        return differing(s, drive, of_motors(s, ()), factors=(knots, values))
 
 
 BOTH_WAYS = np.array([-3.0, -2.0, -1e-9, 1e-9, 2.0, 3.0])
@@ -473,6 +612,15 @@ ACTUATORS: tuple[Effect, ...] = (
     Motors(
         'mode', ('command',), (SLOW, SHARE), _slow_share(-1.0), kind='mode', variant='lead',
         physics="the torque overshoots and falls back by a share: rotors' own reaction in yaw",
+        excite='a PRBS that reaches beyond 1 / lag',
+    ),
+    Motors(
+        'mode', ('command',),
+        (Spec('lead_time', 's', spread=1.0, centre=math.log(0.1), log=True,
+              starts=(0.03, 0.1, 0.3)),),
+        _reaction, kind='mode', variant='lead of rotors',
+        physics='T times the change of the drive: rotors that speed up push the body the other '
+        'way, a true lead in yaw',
         excite='a PRBS that reaches beyond 1 / lag',
     ),
     *(_slow_motor(i) for i in range(MOST_MOTORS)), _asymmetric('motors'),

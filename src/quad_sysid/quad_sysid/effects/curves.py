@@ -33,11 +33,7 @@ SMOOTH = {'smooth': (6, 0.6), 'rough': (11, 0.2)}
 """Number of knots, and correlation length as a share of the signal's range. The knots of the first
 are among those of the second."""
 DRIFT = {'drift': (2, 1.0)}
-"""For curves over time also a straight line, which continues after the training."""
-HELD = ('time', 'battery')
-"""Signals that change one way: outside the training's range the curve stays constant."""
-KEPT = ('damping', 'delay')
-"""Terms that have no sense below zero, where a slope may lead: the curve stays constant too."""
+"""For curves over time also a straight line, which ends with the training."""
 ACTS_ON: dict[str, tuple[str, ...]] = {
     'torque': (), 'gain': ('command',), 'damping': ('rate',), 'friction': ('rate',),
     'lag': ('command',), 'delay': ('command',),
@@ -67,20 +63,12 @@ USUAL = {'gain': 1.0, 'lag': 1.0, 'delay': 0.01}
 half of the axis' own acceleration."""
 
 
-def over_knots(
-    x: FloatArray, y: FloatArray, settings: Settings, below: float, above: float
-) -> FloatArray:
-    """(n,) a curve over x (n,), linear between its values y at the knots, and further for a while.
+def over_knots(x: FloatArray, y: FloatArray, settings: Settings) -> FloatArray:
+    """(n,) a curve over x (n,), linear between its values y at the knots, constant beyond them.
 
-    below, above: how far, in ranges of the knots. Less its mean over the training, so that the
-    base's parameters keep their meaning.
+    Less its mean over the training, so that the base's parameters keep their meaning.
     """
-    y = y - float(np.dot(settings['mean'], y))
-    knots = np.array(settings['knots'])
-    slopes, span = np.diff(y) / np.diff(knots), knots[-1] - knots[0]
-    places = np.array([knots[0] - below * span, *knots, knots[-1] + above * span])
-    values = np.array([y[0] - slopes[0] * below * span, *y, y[-1] + slopes[-1] * above * span])
-    return np.interp(x, places, values)
+    return np.interp(x, settings['knots'], y - float(np.dot(settings['mean'], y)))
 
 
 def placed(used: FloatArray, knots: FloatArray, place: FloatArray) -> dict[str, Any]:
@@ -111,17 +99,6 @@ class Shape(Effect):
             self.others = (int(signal[-1]) - 1,)
         self.variant = ' '.join([*words, *(['friction'] if term == 'friction' else [])])
         self.signals = (signal, *ACTS_ON[term], *more)
-
-    def further(self, length: float) -> float:
-        """How far a curve goes straight on beyond its knots, as a share of their range."""
-        return 0.0 if self.signal in HELD or self.term in KEPT else length
-
-    def known(self, data: AxisData) -> FloatArray:
-        """(n,) the signal of a flight that has it, as it was measured."""
-        found = data.signal(self.signal)
-        if isinstance(found, str):
-            raise ValueError(found)  # noqa: TRY004 - why this flight cannot be used
-        return found
 
 
 class Smooth(Shape):
@@ -177,8 +154,7 @@ class Curve(Smooth):
         return settings
 
     def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
-        above = 1.0 if self.variant in DRIFT else self.further(self.length)
-        return over_knots(x, p[: self.count], settings, self.further(self.length), above)
+        return over_knots(x, p[: self.count], settings)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         if self.moves_command:
@@ -186,11 +162,11 @@ class Curve(Smooth):
         factor = per_unit(self.term, s, float(p[-1]))
         return factor * self._along(signal_of(s, self.signal), p, settings)
 
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         if not self.moves_command:
             return drive
-        factor = np.exp(self._along(self.known(data), p, settings))
-        return replace(drive, lag=drive.lag * factor[None, :])
+        signal = required(s.sent) if self.signal == 'command' else signal_of(s, self.signal)
+        return replace(drive, lag=drive.lag * np.exp(self._along(signal, p, settings)))
 
     @property
     def linear(self) -> list[int]:
@@ -248,9 +224,9 @@ class Wandering(Shape):
         return settings['unit'] * s.hidden[0] * per_unit(self.term, s)
 
     def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        return x * math.exp(-dt / float(p[1]))
+        return x * math.exp(-s.dt / float(p[1]))
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
         return {

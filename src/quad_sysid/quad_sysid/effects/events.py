@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.torques import Torque
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import UNITS, Effect, Settings, Signals, Spec, per_unit
+from quad_sysid.model.effect import (
+    UNITS,
+    Drive,
+    Effect,
+    Settings,
+    Signals,
+    Spec,
+    per_unit,
+)
 
 EDGE_S = 1.0
 """Least distance of an event from the ends of the training segments."""
@@ -118,14 +127,14 @@ class PeriodicDelay(Clocked):
     physics = 'delay + sum of S_k sin(2 pi k f t) + C_k cos(2 pi k f t)'
 
     def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
-        waves = np.exp(2j * math.pi * p[0] * np.outer(ORDERS, time))
-        return np.asarray(p[1::2] @ waves.imag + p[2::2] @ waves.real)
+        waves = np.exp(2j * math.pi * p[0] * np.multiply.outer(ORDERS, time))
+        return np.tensordot(p[1::2], waves.imag, 1) + np.tensordot(p[2::2], waves.real, 1)
 
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        grid = np.arange(command.size, dtype=np.float64)
-        return np.interp(grid - self.later(data.clock, p) / data.dt, grid, command)
+    def longest_s(self, p: FloatArray) -> float:
+        return float(np.sum(np.hypot(p[1::2], p[2::2])))
+
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
+        return drive.behind((s.delay + self.later(s.time - s.delay, p)) / s.dt)
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         turn = phase - math.atan2(p[2], p[1])
@@ -150,21 +159,21 @@ class Held(Clocked):
         turns = p[0] * time - p[1] / (2.0 * math.pi)
         return (turns - np.round(turns)) / p[0]
 
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        time, dt, turned = data.clock, data.dt, p[1] / (2.0 * math.pi)
-        grid = np.arange(command.size, dtype=np.float64)
-        count = np.floor(p[0] * (time + dt) - turned + 0.5)  # of what is held at a cycle's end
+    def longest_s(self, p: FloatArray) -> float:
+        return 1.5 / float(p[0])
 
-        def taken(count: FloatArray) -> FloatArray:
-            at = grid + ((count + turned) / p[0] - time) / dt - 0.5
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
+        begin, turned = s.time - 0.5 * s.dt - s.delay, p[1] / (2.0 * math.pi)
+        count = np.floor(p[0] * (begin + s.dt) - turned + 0.5)  # of what is held at its end
+        fraction = np.clip(((count + turned - 0.5) / p[0] - begin) / s.dt, 0.0, 1.0)
+
+        def age(count: FloatArray) -> FloatArray:
+            at = ((count + turned) / p[0] - begin - s.delay) / s.dt - 0.5
             here = np.floor(at)
-            fading = np.clip((at - here - 0.5) / FADING + 0.5, 0.0, 1.0)
-            return np.interp(here + fading, grid, command)
+            return -here - np.clip((at - here - 0.5) / FADING + 0.5, 0.0, 1.0)
 
-        before = np.clip(((count + turned - 0.5) / p[0] - time) / dt, 0.0, 1.0)
-        return before * taken(count - 1.0) + (1.0 - before) * taken(count)
+        ages = np.maximum([age(count - 1.0), age(count)], 0.0)
+        return replace(drive, ages=ages, fraction=fraction)
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         return np.array([p[0], phase])

@@ -69,12 +69,12 @@ def followed(
 
 
 def along(
-    data: AxisData, signal: FloatArray, kernel: Callable[..., None], *numbers: float
+    stretches: Sequence[Span], signal: FloatArray, kernel: Callable[..., None], *numbers: float
 ) -> FloatArray:
     """(n,) a compiled kernel with memory, run along each unbroken stretch of a signal (n,)."""
     signal = np.ascontiguousarray(signal)
     out = np.array(signal, dtype=float)
-    for start, stop in data.stretches:
+    for start, stop in stretches:
         kernel(signal, *numbers, start, stop, out)
     return out
 
@@ -92,23 +92,21 @@ class Linear(Torque):
         """What drives the states."""
         return s.rate
 
-    def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray:
-        """(states, n) of which each stretch's first column counts: where the states begin."""
-        return np.zeros((self.states, data.rate.size))
-
     def trace(
-        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        begun: FloatArray | None = None,
     ) -> FloatArray:
-        out = self.begun(data, p, settings)
-        step = step_of(*self.system(p), data.dt)
-        followed(data.stretches, self.driver(s, settings), *step, out)
+        out = np.zeros((self.states, s.time.size)) if begun is None else begun
+        for start, _ in stretches if begun is None else ():
+            out[:, start] = self.begin(s.at(start), p, settings)
+        followed(stretches, self.driver(s, settings), *step_of(*self.system(p), s.dt), out)
         return out
 
     def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        a, b = step_of(*self.system(p), dt)
-        return a @ x + b[:, None] * self.driver(s, settings)
+        a, b = step_of(*self.system(p), s.dt)
+        return np.tensordot(a, x, 1) + np.multiply.outer(b, self.driver(s, settings))
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         if self.sized_by_term:
@@ -134,16 +132,17 @@ class Hysteresis(Effect):
     excite = 'small and large motion with many reversals'
 
     def trace(
-        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        begun: FloatArray | None = None,
     ) -> FloatArray:
-        share = data.dt / max(float(p[0]), 1e-4)
-        return along(data, s.rate, recursion.built_up, share)[None, :]
+        share = s.dt / max(float(p[0]), 1e-4)
+        return along(stretches, s.rate, recursion.built_up, share)[None, :]
 
     def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        way = np.sign(s.rate)
-        return way + (x - way) * np.exp(-np.abs(s.rate) * dt / max(float(p[0]), 1e-4))
+        way = np.where(s.rate > 0.0, 1.0, -1.0)
+        return way + (x - way) * np.exp(-np.abs(s.rate) * s.dt / max(float(p[0]), 1e-4))
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[1] * required(s.hidden)[0]
@@ -182,7 +181,7 @@ class Load(Effect):
 
     name = 'mode'
     kind = 'mode'
-    states = 3
+    states = 2
     sized_by_term = True
 
     def __init__(self, moved: str) -> None:
@@ -202,24 +201,38 @@ class Load(Effect):
             return -p[2] * np.sin(required(s.angle)), nothing
         return (nothing, s.rate / reach) if self.moved == 'turning' else (s.drive / reach, nothing)
 
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        moved = self._inputs(s, p)[1]
+        return np.stack([np.zeros_like(moved), moved])
+
     def trace(
-        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        begun: FloatArray | None = None,
     ) -> FloatArray:
-        out, (pull, moved) = np.zeros((3, s.rate.size)), self._inputs(s, p)
-        out[1] = moved
+        pull, moved = self._inputs(s, p)
+        out = np.stack([np.zeros_like(moved), moved]) if begun is None else begun.copy()
         w = 2.0 * math.pi * float(p[0])
-        for start, stop in data.stretches:
-            recursion.loose(pull, moved, w, float(p[1]), data.dt, start, stop, out)
-        return out
+        for start, stop in stretches:
+            recursion.loose(pull, moved, w, float(p[1]), s.dt, start, stop, out)
+        return np.vstack([out, self._ahead(out, s, p)[2:]])  # what pushed too, along a flight
+
+    def _ahead(self, x: FloatArray, s: Signals, p: FloatArray) -> FloatArray:
+        """(3, …) the states a cycle later, and what pushed the mass meanwhile."""
+        w = 2.0 * math.pi * float(p[0])
+        pull, moved = self._inputs(s, p)
+        out = np.empty((3, pull.size))
+        recursion.all_loose_ahead(pull.ravel(), moved.ravel(), w, float(p[1]), s.dt,
+                                  np.ascontiguousarray(x.reshape(2, -1)), out)
+        return out.reshape(3, *pull.shape)
 
     def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        w = 2.0 * math.pi * float(p[0])
-        return recursion.all_loose_ahead(*self._inputs(s, p), w, float(p[1]), dt, x)
+        return self._ahead(x, s, p)[:2]
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        z, _, pushed = required(s.hidden)
+        hidden = required(s.hidden)
+        z, pushed = hidden[0], (hidden if len(hidden) == 3 else self._ahead(hidden, s, p))[2]
         turned = float(p[2]) if self.moved != 'leaning' else 1.0 / float(p[2])
         directly = s.drive if self.moved == 'driven' else 0.0
         return p[3] * z - p[4] * (directly + turned * pushed)  # turned: rad or s² per unit of z
@@ -279,15 +292,18 @@ class Yielding(Effect):
         return push, float(p[2]), float(p[3]), flow
 
     def trace(
-        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        begun: FloatArray | None = None,
     ) -> FloatArray:
         push, *law = self._flow(s, p)
-        return along(data, push, recursion.yielding, *law, data.dt)[None, :]
+        return along(stretches, push, recursion.yielding, *law, s.dt)[None, :]
 
     def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        return recursion.all_yielded(np.ascontiguousarray(x[0]), *self._flow(s, p), dt)[None, :]
+        push, *law = self._flow(s, p)
+        ahead = recursion.all_yielded(x.ravel(), push.ravel(), *law, s.dt)
+        return ahead.reshape(1, *push.shape)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[4] * required(s.hidden)[0]
@@ -345,6 +361,13 @@ class Memory(Shape, Linear):
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
         return self._push(signal_of(s, self.signal), settings)
 
+    def settled(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return self.driver(s, settings)[None] if self.leans else np.ones((1, *s.time.shape))
+
+    def factors(self, p: FloatArray, settings: Settings) -> FloatArray:
+        """Factors on what it changes, cold and warm."""
+        return 1.0 + np.array([-p[1], 0.0, p[1]])
+
     def _push(self, signal: FloatArray, settings: Settings) -> FloatArray:
         if self.signal == 'time':
             return np.ones_like(signal)
@@ -354,7 +377,9 @@ class Memory(Shape, Linear):
     def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray:
         # from the start of the flight on, of which a fit sees segments and a gap ends a stretch
         whole, here = data.source or (data, np.arange(data.rate.size))
-        signal = self.known(whole)
+        signal = whole.signal(self.signal)
+        if isinstance(signal, str):
+            raise ValueError(signal)  # noqa: TRY004 - why this flight cannot be used
         if self.signal == 'command':  # the lag matters little here, and is not known
             keep = math.exp(-data.dt / math.exp(BASE[1].centre))
             signal = lfilter([1.0 - keep], [1.0, -keep], signal)
@@ -397,9 +422,11 @@ class MemoryCurve(Smooth, Memory):
             'mean': tuple(float(np.interp(rest, knots, hat)) for hat in np.eye(self.count)),
         }
 
+    def factors(self, p: FloatArray, settings: Settings) -> FloatArray:
+        return 1.0 + over_knots(np.array(settings['knots']), p[1:], settings)
+
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        further = self.further(self.length)
-        curve = over_knots(required(s.hidden)[0], p[1:], settings, further, further)
+        curve = over_knots(required(s.hidden)[0], p[1:], settings)
         return curve * per_unit(self.term, s)
 
 
@@ -434,23 +461,27 @@ class Shown(Shape):
         if not high - low > SLOW_MOVES * high:
             return 'the bag holds no motor commands that move'
         middle, half = 0.5 * float(low + high), 0.5 * float(high - low)
-        return {'middle': middle, 'half': half, 'dt': data.dt}
+        return {'middle': middle, 'half': half}
 
     def _pushes(self, s: Signals, settings: Settings) -> FloatArray:
         return (np.stack(required(s.motors)) - settings['middle']) / settings['half']
 
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return self._pushes(s, settings)
+
     def trace(
-        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        begun: FloatArray | None = None,
     ) -> FloatArray:
         out = self._pushes(s, settings)
         for one in out:
-            followed(data.stretches, one.copy(), *step_of(*behind_lag(p), data.dt), one[None, :])
+            followed(stretches, one.copy(), *step_of(*behind_lag(p), s.dt), one[None, :])
         return out
 
     def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        keep = math.exp(-dt / p[0])
+        keep = math.exp(-s.dt / p[0])
         return keep * x + (1.0 - keep) * self._pushes(s, settings)
 
     @property
@@ -460,8 +491,8 @@ class Shown(Shape):
     def columns(
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
-        x, dt = required(s.hidden), settings['dt']
-        ahead = self.advance(x, s, p, settings, dt)
+        x, dt = required(s.hidden), s.dt
+        ahead = self.advance(x, s, p, settings)
         begin, end = (legvander(np.clip(z, -EDGE, EDGE), DEGREE) for z in (x, ahead))
         change = (end - begin) / dt
         return np.stack([change[i, ..., k] for i, k in SHOWN_BY], axis=-1)

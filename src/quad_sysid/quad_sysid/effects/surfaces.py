@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import legvander
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import SLOW_MOVES, Shape, signal_of
-from quad_sysid.effects.hidden import DEGREE, EDGE, FADES, Linear, behind_lag, followed, step_of
+from quad_sysid.effects.hidden import DEGREE, EDGE, FADES, Linear, behind_lag
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Settings, Signals, Spec, required
 
@@ -64,13 +64,8 @@ class Surface(Shape, Linear):
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
         return _in_half_ranges(signal_of(s, self.second), settings['second'])
 
-    def trace(
-        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        moving = self.driver(s, settings)
-        out = moving[None, :].copy()
-        followed(data.stretches, moving, *step_of(*self.system(p), data.dt), out)
-        return out
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return self.driver(s, settings)[None] if self.states else np.zeros((0, *s.time.shape))
 
     def _polynomials(self, s: Signals, settings: Settings) -> tuple[FloatArray, FloatArray]:
         """(n, DEGREE + 1) of either signal."""

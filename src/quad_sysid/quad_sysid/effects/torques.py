@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import (
     TRANSITION,
@@ -134,10 +134,8 @@ class CrossAxisInput(Effect):
         found = data.signal(f'other command {which + 1}')
         return found if isinstance(found, str) else {'other': data.other_axes[which]}
 
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        return command + p[0] * data.control[:, AXES.index(str(settings['other'])) + 1]
+    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return required(s.sent) + p[0] * s.other_commands[self.others[0]]
 
 
 class Coupled(Torque):

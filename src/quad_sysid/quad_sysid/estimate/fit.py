@@ -17,7 +17,6 @@ from scipy.special import gammaln
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span, high, moved, part_of, typical_acceleration
 from quad_sysid.model.effect import Part, required
-from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import Flight, Prediction, passes_of
 from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.qr import upper
@@ -28,8 +27,11 @@ DEGREES = (3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e4)
 """Degrees of freedom of the innovations that are tried; the last is a normal distribution."""
 BLOCK_S = 1.0
 """Standard errors take innovations that are further apart for independent."""
+DAMPING = 5.0
+"""Prior of the base's damping, 1/s. Lag and damping are two poles that could change places: on a
+body that flies or turns on a rig the motors are the quicker one."""
 WIDE = 30.0
-"""Prior of the base's gain, damping and bias, relative to the typical acceleration. It is so wide
+"""Prior of the base's gain and bias, relative to the typical acceleration. It is so wide
 that it does not draw an estimate; as all structures have it, comparisons hardly depend on it."""
 SMALL_NATS = 0.02
 MOST_STEPS = 40
@@ -143,8 +145,7 @@ class Problem:
         base = [
             wide / high(self.data.command[rows]),
             BASE[1].spread if self.data.rotor_lag is None else self.data.rotor_lag.spread,
-            BASE[2].spread,
-            wide / high(self.data.rate[rows]), wide,
+            BASE[2].spread, DAMPING, wide,
         ]
         own = [size for part in structure.parts for size in self.sizes_of(part)]
         return np.array([*base, *own, *(s.spread for s in structure.noise)], dtype=float)
@@ -209,8 +210,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
 ) -> Fit:
     """The most probable parameters from the best of `starts` (coordinates of the fit).
 
-    By Gauss-Newton; parameters in `still` are held, the first of them, the gain, at zero. Raises
-    FloatingPointError where the fit diverges.
+    By Gauss-Newton; parameters in `still` are held where they start. Raises FloatingPointError
+    where the fit diverges.
     """
     flight = problem.flight
     begun = flight.rate if rate is None else rate
@@ -240,8 +241,6 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     theta = starts[0].astype(float)
     if len(starts) > 1:
         theta = max(starts, key=lambda start: evaluated(start, begun, 3)[1]).astype(float)
-    if still:
-        theta[0] = 0.0
     found, value, tail = evaluated(theta, begun, 3, by=steps)
     if found is None or not math.isfinite(value):
         raise FloatingPointError('the start runs away')
@@ -260,7 +259,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         blocks = (rows, column), (root, away), (np.diag(bent), np.zeros(bent.size))
         factor = upper(np.vstack([np.column_stack(pair) for pair in blocks]))[: theta.size]
         a, b = factor[:, :-1], factor[:, -1]
-        converged = not still and 0.5 * float(b @ b) < SMALL_NATS
+        moving = np.delete(b, list(still)) if still else b
+        converged = 0.5 * float(moving @ moving) < SMALL_NATS
         if converged:
             break
         scale = np.sqrt(np.sum(a**2, axis=0))
@@ -320,13 +320,13 @@ def shift_by_form(problem: Problem, fitted: Fit) -> FloatArray:
     The cut-off of the gyro's filter is known, but not how it is computed. One Gauss-Newton step
     from the fit to the stepped filter (noise.sensor_of); zeros where no filter is known.
     """
-    flight, data = problem.flight, problem.data
+    flight = problem.flight
     if not flight.sensor.noisy:
         return np.zeros(fitted.theta.size)
-    kept, exact = flight.rate, flight.sensor
-    flight.sensor = sensor_of(data.gyro_filter_hz, None, data.dt, stepped=True)
+    kept, exact = flight.rate, flight.sensors
+    flight.sensors = flight.seen_through(stepped=True)
     stepped = flight.predict(fitted.structure, fitted.theta)
-    flight.rate, flight.sensor = kept, exact
+    flight.rate, flight.sensors = kept, exact
     e = fitted.prediction.innovation[problem.rows]
     j = required(fitted.prediction.jacobian)[problem.rows]
     change = (stepped.innovation[problem.rows] - e) * fitted.tail.weights(e) / fitted.tail.scale**2

@@ -7,20 +7,21 @@ parameters.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part, Settings, required
-from quad_sysid.model.plant import central
+from quad_sysid.model.noise import sensor_of
+from quad_sysid.model.plant import Plant, central
 from quad_sysid.model.structure import BASE, NOISE, Structure, coordinates
 
 SHORTEST = 0.25
@@ -28,6 +29,9 @@ SHORTEST = 0.25
 VAGUE = 1.0
 """Standard error above which a logarithm counts as undetermined."""
 
+
+NO_BOUND = 1e3
+"""A limit above this, in any unit, is none."""
 
 UNKNOWN = NoiseEstimate({}, scale=1.0, degrees=1.0, gyro_rms=0.0, measured_rms=0.0)
 """What stands for the noise of a model that has none."""
@@ -65,16 +69,19 @@ class Readings:
     error."""
 
 
-def readings(problem: Problem, fitted: Fit) -> Readings:
-    """All parameters with their standard errors and joint covariance."""
-    raw = covariance(problem, fitted)
+def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Readings:
+    """All parameters with their standard errors and joint covariance.
+
+    raw (p, p): covariance of the coordinates of the fit; by default that of the likelihood.
+    """
+    raw = covariance(problem, fitted) if raw is None else raw
     structure, theta, dt = fitted.structure, fitted.theta, problem.data.dt
     groups = _told(structure, theta)
     names = tuple(name for group in groups for name, _, _ in group)
     deviations = np.sqrt(np.diag(raw))
     jacobian = np.stack([
         central(partial(_values, structure), theta, j, step)
-        for j, step in enumerate(1e-3 * np.minimum(deviations, 1.0))
+        for j, step in enumerate(1e-3 * np.clip(deviations, 1e-6, 1.0))
     ], axis=1)
     joint = jacobian @ raw @ jacobian.T
     form = jacobian @ shift_by_form(problem, fitted)
@@ -83,7 +90,8 @@ def readings(problem: Problem, fitted: Fit) -> Readings:
         structure.names, structure.specs, theta, fitted.values, deviations, strict=True
     ):  # what is at its bound or not determined: from nothing to where it may reach, 95 %
         if spec.log and (deviation > VAGUE or (spec.unit == 's' and value < SHORTEST * dt)):
-            vague[name] = 0.0, float(np.exp(at + 1.645 * deviation))
+            most = float(np.exp(min(at + 1.645 * deviation, 40.0)))
+            vague[name] = (0.0, most) if most < NO_BOUND else None
         elif spec.positive and value <= 0.0:
             vague[name] = None
     for i, name in enumerate(names):
@@ -132,16 +140,13 @@ def noise_of(fitted: Fit) -> NoiseEstimate:
 
 
 def effects_of(
-    fitted: Fit, told: Readings, p_value: float, reductions: Sequence[float],
-    probabilities: Sequence[float], rivals: Sequence[tuple[tuple[str, float], ...]],
+    fitted: Fit, told: Readings, judged: Sequence[Mapping[str, Any]] = ()
 ) -> tuple[EffectEstimate, ...]:
-    """The effects of a fit for the stored model."""
+    """The effects of a fit for the stored model; judged: of each, by fields of EffectEstimate."""
     return tuple(
-        _estimate(part, parameters, p_value=p_value, error_reduction_pct=reduction,
-                  probability=probability, rivals=others)
-        for part, parameters, reduction, probability, others in zip(
-            fitted.structure.parts, told.effects, reductions, probabilities, rivals, strict=True
-        )
+        _estimate(part, parameters, **(judged[i] if judged else {}))
+        for i, (part, parameters) in enumerate(
+            zip(fitted.structure.parts, told.effects, strict=True))
     )
 
 
@@ -173,6 +178,16 @@ def completed(model: AxisModel) -> Stored:
     parts = [part_of(model, effect) for effect in model.effects]
     fitted = [fitted_of(part, one) for part, one in zip(parts, model.effects, strict=True)]
     return _stored(model.base, parts, fitted, model.noise)
+
+
+def plant_of(model: AxisModel) -> Plant:
+    """The completed model as a plant that can be flown, cycle by cycle."""
+    stored = completed(model)
+    return Plant(
+        stored.structure, stored.structure.natural(stored.theta), model.dt,
+        sensor_of(model.gyro_filter_hz, None, model.dt),
+        model.craft.inverse[AXES.index(model.axis) + 1],
+    )
 
 
 def plain(model: AxisModel) -> Stored:

@@ -1,4 +1,4 @@
-"""An ArduPilot dataflash log (.bin, or its text .log) → ForeignLog, by pymavlink's DFReader.
+"""An ArduPilot dataflash log (.bin, or its text .log, read by dataflash.py) → ForeignLog.
 
 The input is the motors' pulses (RCOU) where they were logged about as fast as the rates, else the
 controller's outputs (RATE.ROut, …). Source of names and units: ArduPilot's list of onboard log
@@ -7,19 +7,24 @@ messages.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, ardupilot_channels, of_ardupilot
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import read_by_library
+from quad_sysid.files import readable
+from quad_sysid.imports.dataflash import Log, is_binary, read_binary, read_text
+from quad_sysid.imports.experiments import PAUSE_S
 from quad_sysid.imports.log import (
     ASKED_FOR,
     DEGREE,
     RPM,
+    Experiment,
     ForeignLog,
     Reading,
     Stream,
@@ -27,14 +32,22 @@ from quad_sysid.imports.log import (
     gains_of,
 )
 from quad_sysid.imports.mixers import MIRROR, angles_from_ned, mirrored
-from quad_sysid.imports.table import Table
+from quad_sysid.imports.plausible import FASTEST_RAD_S
+from quad_sysid.imports.table import Table, head_of, text_lines
 
 FIRST_INSTANCE = ('IMU', 'BAT')
 INSTANCE = ('I', 'Instance', 'Inst')
 QUAD = 4
 """Number of motors where the parameters do not say it."""
+OLD_CHANNEL = re.compile(r'^Ch(an)?(?=\d)')
+"""How RCOU's C1, C2, … began before 2015."""
 ARMED, DISARMED = 10, 11
 """Id of EV."""
+OF_RATES = ('RATE.RDes', 'RATE.R', 'RATE.PDes', 'RATE.P', 'RATE.YDes', 'RATE.Y')
+LONGEST_PULSE = 3000.0
+"""µs. No speed controller is sent a longer one."""
+CENTI = 0.01
+"""deg/s of RATE's unit in logs with TimeMS."""
 AS_FAST = 0.9
 """Share of the gyro's rate from which on RATE, which the controller saw, is preferred."""
 FASTER = ("set bit 0 (fast attitude) of LOG_BITMASK: RATE is then logged at the loop's rate, not "
@@ -71,7 +84,16 @@ WANTED = (
 OUTPUTS = Wanted('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
                  'as they are, pitch and yaw turned; U is in the unit of these outputs',
                  lambda values: values * [1.0, *MIRROR])
-MESSAGES = ('RATE', 'ATT', 'IMU', 'BAT', 'RCOU', 'ESC', 'EV')
+MESSAGES = ('RATE', 'ATT', 'IMU', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD', 'SIDS')
+INJECTED: Mapping[int, tuple[str, str, float]] = {
+    **{first + i: (axis, 'attitude', DEGREE) for first in (1, 4) for i, axis in enumerate(AXES)},
+    **{7 + i: (axis, 'rate', DEGREE) for i, axis in enumerate(AXES)},
+    **{10 + i: (axis, 'control', 1.0) for i, axis in enumerate(AXES)},
+}
+"""By SID_AXIS: the axis, the place and the factor to its unit. Others (thrust, position) move no
+single axis."""
+OF_CHIRP = {'Mag': 'magnitude', 'FSt': 'start_hz', 'FSp': 'stop_hz', 'TR': 'length_s'}
+"""What SIDS says of the chirp, and how a segment calls it."""
 
 
 def read(path: Path) -> ForeignLog:
@@ -89,7 +111,29 @@ def read(path: Path) -> ForeignLog:
         )
     crafts, gains, warnings = _input(reading)
     return reading.log('an ArduPilot log', WANTED, crafts=crafts, armed=_armed(table),
-                       gains=gains, faster=FASTER, warnings=tuple(warnings))
+                       gains=gains, faster=FASTER, warnings=tuple(warnings),
+                       experiments=tuple(_experiments(table)))
+
+
+def _experiments(table: Table) -> Iterator[Experiment]:
+    """What SYSTEM ID mode injected (SIDD), each time as its settings (SIDS) say."""
+    added, axes = table.stream('SIDD.Targ'), table.columns.get('SIDS.Ax', np.zeros(0))
+    if added is None or not axes.size:
+        return
+    settings = table.times['SIDS.Ax']
+    parts = np.flatnonzero(np.diff(added.time_s) > PAUSE_S) + 1
+    parts = np.union1d(parts, np.searchsorted(added.time_s, settings))
+    for rows in np.split(np.arange(added.time_s.size), parts[(parts > 0)]):
+        if rows.size < 2:
+            continue
+        at = max(int(np.searchsorted(settings, added.time_s[rows[0]], side='right')) - 1, 0)
+        if int(axes[at]) not in INJECTED:
+            continue
+        axis, injection, factor = INJECTED[int(axes[at])]
+        values = factor * MIRROR[AXES.index(axis)] * added.values[rows]
+        said = {name: float(table.columns[f'SIDS.{own}'][at]) for own, name in OF_CHIRP.items()
+                if f'SIDS.{own}' in table.columns}
+        yield Experiment(axis, 'chirp', injection, Stream(added.time_s[rows], values), said)
 
 
 def _armed(table: Table) -> Stream | None:
@@ -103,32 +147,51 @@ def _armed(table: Table) -> Stream | None:
 
 
 def _load(path: Path) -> Table:
-    rows: dict[str, list[dict[str, float]]] = {}
-    parameters: dict[str, float] = {}
-    with read_by_library(path, 'is not a whole dataflash log',
-                         'download it anew from the aircraft'):
-        from pymavlink.DFReader import DFReader_binary, DFReader_text
-
-        with path.open('rb') as stream:
-            binary = stream.read(3) == b'\xa3\x95\x80'
-        log: Any = (DFReader_binary if binary else DFReader_text)(str(path))
-        while (message := log.recv_match(type=[*MESSAGES, 'PARM'])) is not None:
-            kind = message.get_type()
-            if kind == 'PARM':
-                parameters[str(message.Name)] = float(message.Value)
-            elif kind not in FIRST_INSTANCE or not _instance(message):
-                rows.setdefault(kind, []).append(message.to_dict())
-        columns = {
-            f'{kind}.{name}': np.array([row.get(name, np.nan) for row in some], dtype=float)
-            for kind, some in rows.items() for name, value in some[0].items()
-            if isinstance(value, int | float)
-        }
-    times = {name: columns[f'{name.partition(".")[0]}.TimeUS'] * 1e-6 for name in columns}
-    return Table(str(path), columns, times, header=parameters)
+    with readable(path):
+        binary = is_binary(head_of(path))
+        if binary:
+            log = read_binary(np.memmap(path, dtype=np.uint8, mode='r'), MESSAGES)
+        else:
+            with text_lines(path) as lines:
+                log = read_text(lines, MESSAGES)
+    columns, times = {}, {}
+    for name, values in log.columns.items():
+        kind, _, label = name.partition('.')
+        first = next((log.columns[f'{kind}.{i}'] == 0.0 for i in INSTANCE
+                      if kind in FIRST_INSTANCE and f'{kind}.{i}' in log.columns),
+                     np.ones(len(values), dtype=bool))
+        ours = f'{kind}.{OLD_CHANNEL.sub("C", label)}' if kind == 'RCOU' else name
+        columns[ours], times[ours] = values[first], log.times[name][first]
+    table = Table(str(path), columns, times, header=log.parameters)
+    if log.in_ms and 'RATE.R' in columns:
+        for name in OF_RATES:
+            columns[name] = columns.get(name, np.zeros(0)) * CENTI
+    return replace(table, told=(*_possible(table), *_damage(log, binary=binary)))
 
 
-def _instance(message: Any) -> int:
-    return int(next((getattr(message, n) for n in INSTANCE if hasattr(message, n)), 0))
+def _damage(log: Log, *, binary: bool) -> Iterator[str]:
+    if log.skipped:
+        what = 'bytes' if binary else 'characters'
+        yield (f'damaged: {log.skipped} {what} in {log.bursts} places belong to no whole message '
+               'and are left out')
+
+
+def _possible(table: Table) -> Iterator[str]:
+    """Leave out, in place, rates that no gyro can measure; say how many."""
+    for one, largest in ((SEEN, FASTEST_RAD_S / DEGREE), (GYRO, FASTEST_RAD_S)):
+        if one.columns[0] not in table.columns:
+            continue
+        wrong = np.any([~(np.abs(table.columns[c]) <= largest) for c in one.columns], axis=0)
+        if wrong.any():
+            kind = one.columns[0].partition('.')[0]
+            for name in table.columns:
+                if name.startswith(f'{kind}.'):
+                    table.columns[name][wrong] = np.nan
+            yield (f'{int(wrong.sum())} of {wrong.size} {kind} messages left out: no gyro '
+                   'measures such rates')
+    for name, values in table.columns.items():
+        if name.startswith('RCOU.C'):
+            values[values > LONGEST_PULSE] = np.nan
 
 
 def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[str]]:

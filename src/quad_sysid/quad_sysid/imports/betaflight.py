@@ -10,19 +10,32 @@ from __future__ import annotations
 
 import csv
 import logging
-from collections.abc import Sequence
+import re
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import BETAFLIGHT, Craft, of_betaflight
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.log import DEGREE, RPM, ForeignLog, Mapped, Reading, Wanted
+from quad_sysid.imports.log import (
+    DEGREE,
+    RPM,
+    Experiment,
+    ForeignLog,
+    Mapped,
+    Reading,
+    Stream,
+    Wanted,
+)
 from quad_sysid.imports.mixers import MIRROR, ned_angles
+from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
 from quad_sysid.imports.units import header_unit, unit_of
 
@@ -39,7 +52,7 @@ UNIT_AS_INTEGER = 8127.0
 """INDIflight's 1.0 of a command or a quaternion, (127 << 6) - 1."""
 WANTED = frozenset({
     'time', 'gyroADC', 'motor', 'setpoint', 'axisRate', 'accSmooth', 'vbatLatest', 'vbat',
-    'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp', 'eRPM', 'erpm',
+    'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp', 'debug', 'eRPM', 'erpm',
 })
 FILTERS = (
     'gyro_lpf1_static_hz', 'gyro_lpf2_static_hz', 'gyro_lowpass_hz', 'gyro_lowpass2_hz',
@@ -48,6 +61,13 @@ FILTERS = (
     'tpa_rate',
 )
 """Header fields of gains and filters that the bag's notes keep."""
+ENCODED = re.compile(rb'^H Product:Blackbox', re.MULTILINE)
+"""How an encoded log begins."""
+INTRA = 'I'
+"""Type of a frame that holds whole values, not differences."""
+PHASE = 5000.0
+"""Betaflight's debug[0] per radian of the chirp's phase, in debug mode CHIRP."""
+CHIRP_GAP_S = 1.0
 FASTER = 'set blackbox_sample_rate (before 4.3 blackbox_p_ratio) to log 500 Hz or more'
 NO_GAINS = (
     "attitude set-point and gains of our form: Betaflight's loop has feed-forward and gains that "
@@ -61,7 +81,8 @@ def read(path: Path, log: int = 1) -> ForeignLog:
 
     Raises BadInputError naming file, line and column.
     """
-    table, units = _decoded(path, log) if head_of(path).startswith(b'H ') else _read(path)
+    encoded = ENCODED.search(head_of(path)) is not None
+    table, units = _decoded(path, log) if encoded else _read(path)
     for name in ('time', *_several('gyroADC', 3)):
         if name not in table.columns:
             raise BadInputError(table.source, f'lacks the column {name}', remedy=(
@@ -69,6 +90,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
                 'log the gyro (blackbox_disable_gyro = OFF)'))
     clock_unit = unit_of('time', 's' if units.get('time') == 's' else 'us', 'time')
     table = table.on_clock('time', clock_unit)
+    table = _possible(table, _rate_unit(table, units.get('gyroADC[0]', '')))
     indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
         'u[0]' in table.columns
     wanted = _wanted(table, units, indi=indi)
@@ -78,7 +100,54 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     kept = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
     reading.mapped += [Mapped('header', '-', 'note', kept)] if kept else []
     return reading.log('a blackbox log', wanted, crafts=crafts, faster=FASTER,
-                       no_gains=NO_GAINS)
+                       no_gains=NO_GAINS, experiments=tuple(_chirps(reading)))
+
+
+def _chirps(reading: Reading) -> Iterator[Experiment]:
+    """The chirps of Betaflight's mode CHIRP, which its debug mode of that name logs.
+
+    The log holds the chirp's phase, and not its axis: the one whose rate follows it.
+    """
+    table = reading.table
+    phase, rates = table.stream('debug[0]'), reading.streams.get('rates')
+    fields = {name.lower(): str(value) for name, value in table.header.items()}
+    if phase is None or rates is None or not (
+            any(name.startswith('chirp_amplitude') for name in fields) and _is_phase(phase)):
+        return
+    on = np.flatnonzero(phase.values[:, 0] > 0.0)
+    for rows in np.split(on, np.flatnonzero(np.diff(phase.time_s[on]) > CHIRP_GAP_S) + 1):
+        if rows.size < FEWEST:
+            continue
+        times, angle = phase.time_s[rows], phase.values[rows, 0] / PHASE
+        wave = np.column_stack([np.sin(angle), np.cos(angle)])
+        followed = []
+        for i in range(len(AXES)):
+            rate = np.interp(times, rates.time_s, rates.values[:, i])
+            left = rate - rate.mean() - wave @ np.linalg.lstsq(wave, rate - rate.mean(),
+                                                               rcond=None)[0]
+            followed.append(1.0 - float(left @ left) / max(float(np.sum(
+                (rate - rate.mean()) ** 2)), 1e-12))
+        axis = AXES[int(np.argmax(followed))]
+        size = DEGREE * float(fields.get(f'chirp_amplitude_{axis}', 'nan'))
+        if np.isfinite(size):
+            yield Experiment(axis, 'chirp', 'rate', Stream(times, size * wave[:, :1]))
+
+
+def _is_phase(phase: Stream) -> bool:
+    values = phase.values[:, 0]
+    return bool(values.min() >= 0.0 and values.max() <= 2.0 * np.pi * PHASE + 1.0
+                and values.max() > np.pi * PHASE)
+
+
+def _possible(table: Table, scale: float) -> Table:
+    """The table without rates that no gyro measures, as damaged frames hold them; it says so."""
+    names = _several('gyroADC', 3)
+    wrong = np.any([np.abs(table.columns[name]) * scale > FASTEST_RAD_S for name in names], axis=0)
+    if not wrong.any():
+        return table
+    line = f'{int(wrong.sum())} of {wrong.size} frames left out: no gyro measures such rates'
+    return replace(table, told=(*table.told, line), columns={
+        **table.columns, **{n: np.where(wrong, np.nan, table.columns[n]) for n in names}})
 
 
 def _several(name: str, count: int) -> tuple[str, ...]:
@@ -140,28 +209,42 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:
         parser: Any = Parser.load(str(path), log, allow_invalid_header=True)
         names = list(parser.field_names)
         places = [i for i, name in enumerate(names) if name.partition('[')[0] in WANTED]
-        rows = _frames(parser, places, len(names))
+        rows, faults = _frames(parser, places, len(names))
     if len(rows) < FEWEST:
-        raise BadInputError(str(path), f'log {log} of {count} holds too few frames', len(rows),
-                            f'choose another of {count} with --log')
-    array = np.array(rows, dtype=float)
+        what = 'holds no frames' if not len(rows) else 'holds too few frames'
+        raise BadInputError(
+            str(path), f'log {log} of {count} {what}', None if not len(rows) else len(rows),
+            f'choose another of {count} with --log' if count > 1 else
+            'was it armed, and the medium not full?')
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
-    columns = {names[i]: array[:, k] for k, i in enumerate(places)}
-    return Table(f'{path}, log {log} of {count}', columns, header=header), {}
+    columns = {names[i]: rows[:, k].copy() for k, i in enumerate(places)}
+    told = (f'damaged in {faults} places: what cannot be read there is left out',)[: bool(faults)]
+    return Table(f'{path}, log {log} of {count}', columns, header=header, told=told), {}
 
 
-def _frames(parser: Any, places: Sequence[int], width: int) -> list[list[float]]:
-    """Rows of the wanted fields up to a damaged frame."""
-    rows: list[list[float]] = []
-    try:
-        for frame in parser.frames():
-            data = frame.data
-            if len(data) >= width - 1:
-                rows.append([_number(data[i]) if i < len(data) else np.nan for i in places])
-    except (StopIteration, RuntimeError, IndexError, TypeError, ValueError):
-        if not rows:
-            raise
-    return rows
+def _frames(parser: Any, places: Sequence[int], width: int) -> tuple[FloatArray, int]:
+    """(n, k) the wanted fields, and the number of damaged places.
+
+    Behind one, frames count from the next that does not build on those before.
+    """
+    values, faults, waiting, place = array('d'), 0, False, -1
+    while parser.reader.tell() > place:  # behind a fault it reads on where it stands
+        place = parser.reader.tell()
+        try:
+            for frame in parser.frames():
+                waiting &= frame.type.value != INTRA
+                data = frame.data
+                if len(data) >= width - 1 and not waiting:
+                    values.extend(
+                        _number(data[i]) if i < len(data) else np.nan for i in places)
+            break
+        except StopIteration:
+            break
+        except (RuntimeError, IndexError, TypeError, ValueError) as error:
+            if isinstance(error.__cause__, StopIteration):  # the end of the file
+                break
+            faults, waiting = faults + 1, True
+    return np.frombuffer(values, dtype=np.float64).reshape(-1, max(len(places), 1)), faults
 
 
 def _number(value: object) -> float:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from quad_sysid.arguments import Commands, command, positive
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.units import OPTIONS, flag
+from quad_sysid.imports.units import OPTIONS, columns_of, flag
 from quad_sysid.report.tables import Table, wrapped
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ def add(commands: Commands) -> None:
         writes='folder',
     )
     parser.add_argument('file', metavar='FILE', type=Path,
-                        help='.ulg, .bin, .bbl, .bfl, blackbox CSV, CSV, ROS 1 .bag, '
-                        "a Crazyflie's SD card log; tables also gzipped")
+                        help='.ulg, .bin, .log, .bbl, .bfl, CSV, .mat, bags of ROS 1 and 2, '
+                        "a Crazyflie's SD card log; also packed (.gz, .xz, .bz2)")
     parser.add_argument('--out', metavar='BAG', type=Path,
                         help='without it, the contents are listed and nothing is written')
     parser.add_argument('--grid', metavar='HZ', type=float,
@@ -46,6 +46,9 @@ def add(commands: Commands) -> None:
                         'ardupilot_hexa_x, betaflight_octox8, a URDF, or a YAML file with '
                         'matrix: (default what the log says, else x; auto: what the motion '
                         'shows)')
+    parser.add_argument('--messages', metavar='FOLDER', type=Path,
+                        help='checkout with the .msg files of a bag that holds no definitions, '
+                        'such as px4_msgs')
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
     table = parser.add_argument_group(
         'for a table', 'COLS are columns separated by commas, one for each axis of --axis'
@@ -54,6 +57,11 @@ def add(commands: Commands) -> None:
                        help='one, several by commas, or all (default where there are three COLS)')
     for name, option in OPTIONS.items():
         table.add_argument(flag(name), metavar=option.metavar, help=option.help)
+    table.add_argument('--sample-rate', metavar='HZ', type=float,
+                       help='rate of the rows, where no column holds their time')
+    table.add_argument('--frame', choices=('auto', 'flu', 'frd'), default='auto',
+                       help="frd: y points right and z down; auto (default): flu, or what "
+                       '--acceleration tells')
     table.add_argument('--unit', metavar='COL=UNIT', action='append', default=[],
                        help='such as gx=deg/s, u=V, t=ms, or a factor: u=0.05; repeat. A unit in '
                        'brackets in the header is read')
@@ -62,10 +70,14 @@ def add(commands: Commands) -> None:
 def _run(options: argparse.Namespace) -> int:
     from quad_sysid.imports.formats import format_of
 
-    columns = [flag(name) for name in ('axis', *OPTIONS, 'unit') if getattr(options, name)]
+    columns = [flag(name) for name in ('axis', *OPTIONS, 'unit', 'sample_rate')
+               if getattr(options, name)]
+    columns += ['--frame'] if options.frame != 'auto' else []
     known = format_of(options.file)
     if options.grid is not None:
         positive('--grid', options.grid)
+    if options.sample_rate is not None:
+        positive('--sample-rate', options.sample_rate)
     if known is None or (known.also_table and columns):
         return _table(options, columns)
     if columns:
@@ -81,7 +93,7 @@ def _log(options: argparse.Namespace, known: Format) -> int:
     from quad_sysid.imports.guess import quicker
     from quad_sysid.imports.mixers import mixer_of
 
-    log = read_log(options.file, known, options.log)
+    log = read_log(options.file, known, options.log, options.messages)
     if options.out is None:
         print('\n'.join([f'{options.file}: {log.kind}', '', *mapped(log), '', 'to import it:',
                          shlex.join(['quad-sysid', 'import', str(options.file), '--out',
@@ -98,15 +110,15 @@ def _log(options: argparse.Namespace, known: Format) -> int:
 
 def _table(options: argparse.Namespace, columns: list[str]) -> int:
     from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
-    from quad_sysid.imports.guess import guess, lines
+    from quad_sysid.imports.guess import lines
     from quad_sysid.imports.table import is_ours, open_table
 
     if not columns:
         if is_ours(options.file):
             raise BadInputError(f'{options.file}', 'is a bag of this project already',
                                 remedy=f'use quad-sysid inspect {options.file}')
-        content = open_table(options.file)
-        print('\n'.join(lines(guess(content), content, options.file)))
+        content = open_table(options.file, messages=options.messages)
+        print('\n'.join(lines(content, options.file)))
         if options.out is None:
             return 0
         raise BadInputError(f'{options.file}', 'is a table, whose columns need names',
@@ -118,12 +130,13 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
             '--mixer', 'applies to --motors only; --control columns need no mixer',
             options.mixer, 'leave it out or give --motors',
         )
-    names = {name: tuple(given.split(',')) for name, option in OPTIONS.items()
-             if (given := getattr(options, name)) and (option.per_axis or name == 'motors')}
+    names = {name: columns_of(given) for name, option in OPTIONS.items()
+             if (given := getattr(options, name)) and (option.per_axis or option.several)}
     return _write(read_columns(ColumnOptions(
         file=options.file, axes=_axes(options, names.get('rate') or names.get('angle', ())),
         time=options.time, thrust=options.thrust, mixer=options.mixer or 'x',
-        battery=options.battery, units=parse_units(options.unit), **names,
+        battery=options.battery, units=parse_units(options.unit), frame=options.frame,
+        sample_rate_hz=options.sample_rate, messages=options.messages, **names,
     )), options)
 
 

@@ -6,6 +6,7 @@ done. Array maths only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,17 +80,17 @@ class Cycles:
     told: tuple[str, ...]
 
 
-def unroll(time_s: FloatArray, values: FloatArray, where: str) -> Unrolled:
+def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unrolled:
     """Rows (n,) in an order of increasing time; experiments after a jump follow each other.
 
-    `values` (n, w) distinguish duplicate rows from rows within one tick of the clock. Raises
-    BadInputError, naming `where`, where the time never advances.
+    `values`, columns (n,) each, distinguish duplicate rows from rows within one tick of the clock.
+    Raises BadInputError, naming `where`, where the time never advances.
     """
     rows = np.flatnonzero(np.isfinite(time_s))
     told = _left_out(len(time_s) - len(rows), 'rows without a time')
     if len(rows) < 2:
         raise BadInputError(where, 'holds no times', remedy='name another column as the time')
-    again = np.concatenate(([False], _alike(time_s[rows], values[rows])))
+    again = np.concatenate(([False], _alike(time_s, values, rows)))
     told += _left_out(int(again.sum()), 'rows written twice')
     rows = rows[~again]
     steps = np.diff(time_s[rows])
@@ -137,11 +138,14 @@ def _left_out(count: int, what: str) -> list[str]:
     return [f'{count} {what} left out'] if count else []
 
 
-def _alike(time_s: FloatArray, values: FloatArray) -> np.ndarray:
-    """(n - 1,) whether a row repeats the time and values of the one before."""
-    a, b = values[1:], values[:-1]
-    equal = ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
-    return np.asarray((np.diff(time_s) == 0.0) & equal)
+def _alike(time_s: FloatArray, values: Sequence[FloatArray], rows: np.ndarray) -> np.ndarray:
+    """(m - 1,) whether one of m rows repeats the time and values of the one before."""
+    out = np.asarray(np.diff(time_s[rows]) == 0.0)
+    at = np.flatnonzero(out)
+    for column in values:
+        a, b = column[rows[at + 1]], column[rows[at]]
+        out[at] &= (a == b) | (np.isnan(a) & np.isnan(b))
+    return out
 
 
 def _spread(

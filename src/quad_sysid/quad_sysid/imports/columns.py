@@ -5,26 +5,36 @@ table.py reads, to_bag.py makes the grid and the bag.
 
 from __future__ import annotations
 
-import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import cycles, draw
-from quad_sysid.imports.guess import likely_units
+from quad_sysid.imports.likely import likely_units, one_sided, rounded_down
 from quad_sysid.imports.log import ForeignLog, Mapped, Stream
-from quad_sysid.imports.mixers import mixer_of
-from quad_sysid.imports.plausible import Column, check_rate, check_reference, check_times
+from quad_sysid.imports.mixers import MIRROR, mixer_of
+from quad_sysid.imports.plausible import (
+    TOGETHER,
+    Column,
+    check_rate,
+    check_reference,
+    check_times,
+    turn_factor,
+    z_points_down,
+)
 from quad_sysid.imports.table import Table, open_table
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND
 from quad_sysid.imports.units import (
+    BEYOND,
     OPTIONS,
     UNITS,
+    Option,
     Role,
     Unit,
     flag,
@@ -57,7 +67,26 @@ class ColumnOptions:
     reference: tuple[str, ...] = ()
     rate_reference: tuple[str, ...] = ()
     battery: str | None = None
+    acceleration: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    sample_rate_hz: float | None = None
+    """The rate of the rows where no column has their time."""
+    frame: str = 'auto'
+    """`flu`, `frd`, or what the acceleration tells."""
+    messages: Path | None = None
+    """A folder of .msg files, for a bag without definitions."""
+
+    def called(self, aliases: Mapping[str, str]) -> ColumnOptions:
+        """The same with the names that the table gives its columns."""
+        def one(name: str) -> str:
+            return aliases.get(name, name)
+
+        changed: dict[str, Any] = {}
+        for option in OPTIONS:
+            given = getattr(self, option)
+            changed[option] = one(given) if isinstance(given, str) else given and tuple(
+                map(one, given))
+        return replace(self, **changed, units={one(n): unit for n, unit in self.units.items()})
 
     def names(self, option: str) -> tuple[str, ...]:
         """The columns of an option."""
@@ -76,24 +105,36 @@ def parse_units(items: list[str]) -> dict[str, str]:
     return units
 
 
-def read_columns(options: ColumnOptions) -> ForeignLog:
-    """Read the named columns; raises BadInputError naming file, line and column."""
+def read_columns(options: ColumnOptions, opened: Table | None = None) -> ForeignLog:
+    """Read the named columns, of the file or of a table that was opened before.
+
+    Raises BadInputError naming file, line and column.
+    """
+    wanted = list(_roles(options))
+    table = opened or open_table(options.file, wanted, options.messages)
+    options = options.called(table.aliases)
     roles = _roles(options)
-    table = open_table(options.file, list(roles))
+    if opened is not None:
+        table = replace(table, columns={name: table.columns[name] for name in roles})
     options = replace(options, units=_shared(options))
     units = _units(options, table)
     odd: list[str] = []
+    table = _unsigned(options, table)
     _check_ranges(options, table, units)
     if options.time is not None:
         speeds = [np.nanstd(units[name](table.columns[name])) for name in options.rate]
         table = table.on_clock(options.time, units[options.time])
         odd += check_times(_column(options, units, options.time, next(iter(table.times.values()))),
                            max(map(float, speeds), default=None))
+    elif options.sample_rate_hz is not None and not table.times:
+        table = table.at_rate(options.sample_rate_hz)
     elif any(name not in table.times for name in roles):
         raise BadInputError(f'{options.file}', 'is a table, which needs --time',
-                            remedy='quad-sysid import FILE alone proposes one')
-    found = {option: _stream(table, units, options.names(option)) for option in OPTIONS
-             if option != 'time'}
+                            remedy='quad-sysid import FILE alone proposes one; without a column '
+                            'of times give --sample-rate')
+    found = {option: _stream(table, units, options.names(option), OPTIONS[option])
+             for option in OPTIONS if option != 'time'}
+    told = [*table.told, *_limited(options, units, table), *_in_our_frame(options, found)]
     _unwrap(options, found)
     odd += _compared(options, units, found)
     return ForeignLog(
@@ -101,17 +142,90 @@ def read_columns(options: ColumnOptions) -> ForeignLog:
         rates=_placed(options, found['rate']), angles=_placed(options, found['angle']),
         attitude_setpoint=_placed(options, found['reference']),
         rate_setpoint=_placed(options, found['rate_reference']),
-        control=_wrench(options, _stream(
-            table, units, options.control and (*options.control, *options.names('thrust')))),
-        motors=found['motors'],
+        control=_wrench(options, found['control'] and _stream(
+            table, units, (*options.control, *options.names('thrust')), OPTIONS['control']),
+            found['control']),
+        motors=found['motors'], acceleration=found['acceleration'],
         crafts=() if not options.motors or options.mixer == 'auto'
         else (mixer_of(options.mixer, options.motors),),
         battery=found['battery'], mapped=_mapped(options, units, found), checks=tuple(odd),
-        clock=table.told, reversing={
+        clock=tuple(told), reversing={
             axis: _column(options, units, name, table.columns[name]).advise(units[name].reversed)
             for axis, name in zip(options.axes, options.control, strict=bool(options.control))
         },
     )
+
+
+def _unsigned(options: ColumnOptions, table: Table) -> Table:
+    """The table with the magnitudes of motors whose sign is that of their spin; it says so."""
+    columns = {name: table.columns[name] for name in options.motors}
+    turned = [name for name, values in columns.items() if np.nanmin(values) < 0.0]
+    moving = all(np.nanstd(columns[name]) > 0.0 for name in turned)
+    if not turned or not moving or not all(map(one_sided, columns.values())):
+        return table
+    others = [name for name in columns if name not in turned]
+    sense = f', against {", ".join(others)}' if others else ''
+    line = (f'{", ".join(turned)} are negative, as motors that turn the other way{sense}: their '
+            'magnitude is taken')
+    return replace(table, told=(*table.told, line), columns={
+        **table.columns, **{name: -columns[name] for name in turned}})
+
+
+def _limited(
+    options: ColumnOptions, units: Mapping[str, Unit], table: Table
+) -> Iterator[str]:
+    """Say of pulses beyond their range that they are limited to it (_stream does)."""
+    for option in ('motors', 'control'):
+        low, high = OPTIONS[option].span or (-np.inf, np.inf)
+        names = [n for n in options.names(option) if units[n].name in BEYOND]
+        beyond = sum(int(np.sum((v < low - 1e-6) | (v > high + 1e-6))) for v in (
+            units[n](table.columns[n]) for n in names))
+        if beyond:
+            yield (f'{beyond} values of {", ".join(names)} are beyond the range of '
+                   f'{units[names[0]].name} and limited to it, as of disarmed motors')
+
+
+def _in_our_frame(options: ColumnOptions, found: dict[str, Stream | None]) -> Iterator[str]:
+    """Turn what was measured forward, right, down to forward, left, up; say why."""
+    force = found['acceleration']
+    down = None if force is None else z_points_down(force.values[:, 2])
+    if options.frame == 'auto' and down is None:
+        if options.motors and len(options.axes) > 1:
+            yield ('the places of the motors hold for axes forward, left, up; if y points right '
+                   'and z down, give --frame frd')
+        return
+    turned = options.frame == 'frd' or (options.frame == 'auto' and bool(down))
+    why = 'as --frame says' if options.frame != 'auto' or force is None else (
+        f'the accelerometer shows {np.nanmedian(force.values[:, 2]):+.1f} m/s² on z')
+    if turned:
+        for role in ('rate', 'angle', 'reference', 'rate_reference', 'control'):
+            found[role] = _times(found[role], [MIRROR[AXES.index(axis)] for axis in options.axes])
+        found['acceleration'] = _times(force, MIRROR)
+        yield f'forward, right, down ({why}): pitch and yaw turned to forward, left, up'
+    if down is not None and _opposed(options, found):
+        for role in ('angle', 'reference'):
+            found[role] = _times(found[role], [MIRROR[AXES.index(axis)] for axis in options.axes])
+        yield f'the angles turn against the rates, whose frame gravity tells ({why}): turned'
+
+
+def _times(stream: Stream | None, factors: Sequence[float] | FloatArray) -> Stream | None:
+    return stream and Stream(stream.time_s, stream.values * np.asarray(factors))
+
+
+def _opposed(options: ColumnOptions, found: Mapping[str, Stream | None]) -> bool:
+    """Whether pitch and yaw, where they move, turn against their rates, and roll does not."""
+    rate, angle = found['rate'], found['angle']
+    if rate is None or angle is None or rate.values.shape != angle.values.shape:
+        return False
+    laid = cycles(rate, str(options.file))
+    drawn = draw(angle, laid.times, 3.0 / (angle.rate_hz or np.inf))
+    signs = {}
+    for i, axis in enumerate(options.axes):
+        both = turn_factor(laid.values[:, i], drawn[:, i], laid.dt)
+        if both is not None and abs(both[0]) >= TOGETHER:
+            signs[axis] = both[1] > 0.0
+    others = [turns for axis, turns in signs.items() if axis != 'roll']
+    return bool(others) and not any(others) and signs.get('roll', True)
 
 
 def _shared(options: ColumnOptions) -> dict[str, str]:
@@ -142,14 +256,24 @@ def _units(options: ColumnOptions, table: Table) -> dict[str, Unit]:
     return units
 
 
-def _stream(table: Table, units: Mapping[str, Unit], names: tuple[str, ...]) -> Stream | None:
-    """(n, k) in SI where all of the columns have a number; None for no names."""
+def _stream(
+    table: Table, units: Mapping[str, Unit], names: tuple[str, ...], option: Option
+) -> Stream | None:
+    """(n, k) in SI where all of the columns have a number; None for no names.
+
+    Pulses beyond their range are limited to it.
+    """
     found = table.stream(*names)
     if names and found is None:
         raise BadInputError(table.source, 'has no two rows with a number in each of',
                             ', '.join(names), 'name other columns')
+    def converted(i: int, name: str) -> FloatArray:
+        values = units[name](found.values[:, i]) if found else np.zeros(0)
+        return np.clip(values, *option.span) if option.span and units[name].name in BEYOND \
+            else values
+
     return found and Stream(found.time_s, np.column_stack([
-        units[name](found.values[:, i]) for i, name in enumerate(names)]))
+        converted(i, name) for i, name in enumerate(names)]))
 
 
 def _unwrap(options: ColumnOptions, found: dict[str, Stream | None]) -> None:
@@ -181,14 +305,20 @@ def _placed(options: ColumnOptions, stream: Stream | None) -> Stream | None:
     return Stream(stream.time_s, out)
 
 
-def _wrench(options: ColumnOptions, given: Stream | None) -> Stream | None:
-    """U1..U4 (n, 4) of control columns, the thrust behind them: U1 in the middle without it."""
-    if given is None:
+def _wrench(
+    options: ColumnOptions, given: Stream | None, turned: Stream | None
+) -> Stream | None:
+    """U1..U4 (n, 4) of control columns, the thrust behind them: U1 in the middle without it.
+
+    `turned` are the control columns in our frame.
+    """
+    if given is None or turned is None:
         return None
     out = np.zeros((len(given.values), 4))
     out[:, 0] = given.values[:, -1] if options.thrust else MIDDLE_COMMAND
+    at = np.searchsorted(turned.time_s, given.time_s)
     for i, axis in enumerate(options.axes):
-        out[:, 1 + AXES.index(axis)] = given.values[:, i]
+        out[:, 1 + AXES.index(axis)] = turned.values[at, i]
     return Stream(given.time_s, out)
 
 
@@ -215,7 +345,7 @@ def _mapped(
     return tuple(out)
 
 
-def _roles(options: ColumnOptions) -> dict[str, Role]:
+def _roles(options: ColumnOptions) -> dict[str, Role]:  # noqa: C901 - one check each
     """Column → role, the time first; raises BadInputError on a contradiction."""
     strange = [axis for axis in options.axes if axis not in AXES]
     if strange or not options.axes or len(set(options.axes)) < len(options.axes):
@@ -229,6 +359,9 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:
     if options.motors and not 2 <= len(options.motors) <= 8:
         raise BadInputError('--motors', 'needs the columns of all motors, 4, 6 or 8',
                             ','.join(options.motors), 'separate them by commas')
+    if options.acceleration and len(options.acceleration) != len(AXES):
+        raise BadInputError('--acceleration', 'needs three columns: x, y, z',
+                            ','.join(options.acceleration), 'separate them by commas')
     if not options.rate and not options.angle:
         raise BadInputError('import', 'needs --rate or --angle', remedy='name what was measured')
     roles: dict[str, Role] = {}
@@ -260,15 +393,16 @@ def _check_ranges(
     for option, name in ((key, n) for key in OPTIONS for n in options.names(key)):
         low, high = OPTIONS[option].span or (-np.inf, np.inf)
         raw, unit = table.columns[name], units[name]
-        values = unit(raw)
-        outside = np.flatnonzero((values < low - 1e-6) | (values > high + 1e-6))
+        values, slack = unit(raw), BEYOND.get(unit.name, 0.0) + 1e-6
+        outside = np.flatnonzero((values < low - slack) | (values > high + slack))
         if len(outside):
             fits = _fitting(raw, low, high)
             names = options.names(option)
             likely = likely_units(table, option, names)[names.index(name)]
             if likely in UNITS[OPTIONS[option].role]:
                 shown = unit_of(OPTIONS[option].role, likely, name)(raw)
-                if np.nanmin(shown) >= low and np.nanmax(shown) <= high:
+                slack = BEYOND.get(likely, 0.0)
+                if np.nanmin(shown) >= low - slack and np.nanmax(shown) <= high + slack:
                     fits = likely
             raise table.complain(
                 int(outside[0]), name,
@@ -283,15 +417,9 @@ def _fitting(raw: FloatArray, low: float, high: float) -> str:
     bottom, top = float(np.nanmin(raw)), float(np.nanmax(raw))
     factor = min([high / top] * (top > 0.0) + [low / bottom] * (bottom < 0.0))
     if factor > 0.0:
-        return f'{_rounded_down(factor):g}'
-    factor = _rounded_down((high - low) / (top - bottom)) if top > bottom else 1.0
+        return f'{rounded_down(factor):g}'
+    factor = rounded_down((high - low) / (top - bottom)) if top > bottom else 1.0
     return f'{factor:g}:{low - factor * bottom:.6g}'
-
-
-def _rounded_down(value: float) -> float:
-    """To two digits, so that what just fits still does."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f'{math.floor(value / digit + 1e-6) * digit:.2g}')
 
 
 def _column(

@@ -1,19 +1,31 @@
-"""The format of a log, by its first bytes, and its reader.
+"""The format of a log, by its first bytes or its topics, and its reader.
 
 To add a format, add its reader beside this file and one entry to FORMATS.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports import ardupilot, betaflight, px4
+from quad_sysid.imports import ardupilot, betaflight, dataflash, mavros, px4
 from quad_sysid.imports.log import ForeignLog
-from quad_sysid.imports.table import head_of
+from quad_sysid.imports.rosbag import topics_of
+from quad_sysid.imports.table import head_of, is_bag, plain
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a format is recognised by."""
+
+    head: bytes
+    """The first bytes, unpacked; none of a folder."""
+    topics: dict[str, str]
+    """Types by topic, of a bag."""
 
 
 @dataclass(frozen=True)
@@ -22,39 +34,53 @@ class Format:
 
     name: str
     """With its article, such as `a PX4 log`."""
-    recognises: Callable[[bytes], bool]
-    """Whether a file that begins with these bytes, unpacked, has this format."""
+    recognises: Callable[[Source], bool]
     read: Callable[..., ForeignLog]
-    """Takes the path, and the number of the log where a file may hold several."""
-    several: bool = False
-    """Whether one file may hold several logs."""
+    """Takes the path, and what `options` names."""
+    options: tuple[str, ...] = ()
+    """Of `log`, the number of the log where a file may hold several, and `messages`, a folder of
+    .msg files."""
     also_table: bool = False
     """Whether a user who names columns may read it as a table too."""
 
 
-def _blackbox(head: bytes) -> bool:
-    return head.startswith(b'H Product:Blackbox') or (
-        b'loopIteration' in head and b'gyroADC[0]' in head
+def _blackbox(of: Source) -> bool:
+    # a board may have written other things before the log
+    return re.search(rb'^H Product:Blackbox', of.head, re.MULTILINE) is not None or (
+        b'loopIteration' in of.head and b'gyroADC[0]' in of.head
     )
 
 
+def _dataflash(of: Source) -> bool:
+    return dataflash.is_binary(of.head) or dataflash.is_text(of.head)
+
+
 FORMATS = (
-    Format('a PX4 log', lambda head: head.startswith(b'ULog\x01\x12\x35'), px4.read),
-    Format('an ArduPilot log', lambda head: head.startswith((b'\xa3\x95\x80', b'FMT, 128,')),
-           ardupilot.read),
-    Format('a blackbox log', _blackbox, betaflight.read, several=True, also_table=True),
+    Format('a PX4 log', lambda of: of.head.startswith(b'ULog\x01\x12\x35'), px4.read),
+    Format('an ArduPilot log', _dataflash, ardupilot.read),
+    Format('a blackbox log', _blackbox, betaflight.read, ('log',), also_table=True),
+    Format('a bag of px4_msgs', lambda of: px4.is_bag(of.topics), px4.read_bag, ('messages',),
+           also_table=True),
+    Format('a bag of mavros', lambda of: mavros.is_bag(of.topics), mavros.read, ('messages',),
+           also_table=True),
 )
 
 
 def format_of(path: Path) -> Format | None:
     """The format of a file, None for a table. Raises BadInputError where it cannot be read."""
     head = head_of(path)
-    return next((one for one in FORMATS if one.recognises(head)), None)
+    of = Source(head, topics_of(path) if is_bag(path, head) else {})
+    return next((one for one in FORMATS if one.recognises(of)), None)
 
 
-def read_log(path: Path, known: Format, log: int = 1) -> ForeignLog:
+def read_log(path: Path, known: Format, log: int = 1, messages: Path | None = None) -> ForeignLog:
     """Read a log; `log` counts those of a file that holds several. Raises BadInputError."""
-    if log != 1 and not known.several:
-        raise BadInputError(f'{path}: --log', f'{known.name} holds one log', log, 'leave it out')
-    more: dict[str, Any] = {'log': log} if known.several else {}
-    return known.read(path, **more)
+    given: dict[str, Any] = {'log': log, 'messages': messages}
+    for name, unset in (('log', 1), ('messages', None)):
+        if given[name] != unset and name not in known.options:
+            what = 'holds one log' if name == 'log' else 'needs no definitions'
+            raise BadInputError(f'{path}: --{name}', f'{known.name} {what}', given[name],
+                                'leave it out')
+    with plain(path) as unpacked:
+        read = known.read(unpacked, **{name: given[name] for name in known.options})
+    return replace(read, source=str(path)) if unpacked != path else read

@@ -10,51 +10,96 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
 from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.columns import ColumnOptions, read_columns
+from quad_sysid.imports.likely import likely_units, one_sided
 from quad_sysid.imports.plausible import time_unit
 from quad_sysid.imports.table import Table
-from quad_sysid.imports.units import OPTIONS, UNITS, Role, bare, flag, header_unit, unit_of
+from quad_sysid.imports.to_bag import record_of
+from quad_sysid.imports.units import OPTIONS, as_typed, bare, flag, header_unit, unit_of
 from quad_sysid.report.tables import Table as Text
 from quad_sysid.report.tables import wrapped
 from quad_sysid.report.words import number
 
+KNOWN_WORDS = (
+    'roll', 'pitch', 'yaw', 'phi', 'theta', 'psi', 'heading', 'gyro', 'gyr', 'rate', 'omega',
+    'ang', 'angular', 'angle', 'attitude', 'euler', 'vel', 'velocity', 'speed', 'acc', 'accel',
+    'acceleration', 'torque', 'tau', 'moment', 'thrust', 'throttle', 'collective', 'control',
+    'command', 'cmd', 'output', 'out', 'motor', 'pwm', 'esc', 'servo', 'rotor', 'bat', 'battery',
+    'volt', 'voltage', 'time', 'stamp', 'set', 'point', 'setpoint', 'desired', 'des', 'ref',
+    'reference', 'target', 'goal', 'sp', 'imu', 'meas', 'measured', 'est', 'actual', 'body',
+    'deg', 'rad', 'pose', 'state', 'input', 'pid', 'filt', 'raw', 'gps',
+)
+"""Words of which names without gaps are made, such as rollrate or cmdpitch."""
+_TOKENS = re.compile(r'[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_]|[^\w\s]|°')
+_MADE_OF = re.compile(f'(?:{"|".join(sorted(KNOWN_WORDS, key=len, reverse=True))})+[xyzpqrs]?')
+_PARTS = re.compile(f'{"|".join(sorted(KNOWN_WORDS, key=len, reverse=True))}|[xyzpqrs]$')
+
+
+@cache
+def spaced(name: str) -> str:
+    """A name as its words, small and with blanks between them: `gyroRate_x` is `gyro rate x`.
+
+    A word that is not made of known ones stays whole, so that a controller does not roll.
+    """
+    words: list[str] = []
+    for token in _TOKENS.findall(name):
+        small = token.lower()
+        words += _PARTS.findall(small) if _MADE_OF.fullmatch(small) else [small]
+    return ' '.join(words)
+
 
 def _named(*parts: str) -> re.Pattern[str]:
-    """Pattern for any of the parts; those of up to two letters only as whole words."""
+    """Pattern, for the words of a name, of any of the parts.
+
+    Those of more than three letters may begin or end a word; others are whole words.
+    """
     return re.compile('|'.join(
-        part if len(part) > 2 else f'(?<![a-z]){part}(?![a-z])' for part in parts
-    ), re.IGNORECASE)
+        part if not part.isalpha() else rf'\b{part}|{part}\b' if len(part) > 3 else rf'\b{part}\b'
+        for part in parts))
 
 
-TIME = _named('t', r'time', 'stamp', r'(?<![a-z])secs?(?![a-z])', 'ticks?')
-WANTED = _named('set.?p', 'sp', r'(?<![a-z])des', 'ref', 'target', 'goal', 'cmd', '(?<![A-Z])_d$')
-RATE = _named('gyro', 'rate', 'omega', 'ang(ular)?.?vel', 'p', 'q', 'r', '(?<![a-z])[gw][xyz]',
-              '(rad|deg|°)/s', 'dps')
-GYRO = _named('gyro', 'p', 'q', 'r', '(?<![a-z])g[xyz]')
+TIME = _named('t', 'time', 'stamp', 'sec', 'secs', 'seconds', 'tick', 'ticks', 'usec', 'micros',
+              'millis', 'msec', 'ms', 'us', 'clock', 'epoch')
+WANTED = _named(r'\bset ?p', 'sp', r'\bdes', 'ref', 'reference', 'target', 'goal', 'cmd',
+                'command', 'commanded', 'wanted')
+WANTED_RAW = re.compile(r'(?<![A-Za-z])(?:\w*)(?<![A-Z])_d$')
+RATE = _named('gyro', 'gyr', 'rate', 'rates', 'omega', r'\bang (ular )?vel', r'\bangular velocity',
+              'angvel', r'\bang(ular)? speed', 'p', 'q', 'r', r'\b[gw] ?[xyz]\b',
+              r'(rad|deg|°) / s', 'dps', 'pqr', r'\bbody vel')
+GYRO = _named('gyro', 'gyr', 'p', 'q', 'r', r'\bg ?[xyz]\b')
 ANGLE = _named('roll', 'pitch', 'yaw', 'phi', 'theta', 'psi', 'angle', 'attitude', 'euler')
-TORQUE = _named('torque', 'tau', 'moment', 'control', 'cmd', 'output', 'u', r'(?<![a-z])u[234]')
+POSE = _named('pose')
+"""Of a table without angles: a rig's pose is one."""
+TORQUE = _named('torque', 'tau', 'moment', 'control', 'cmd', 'output', 'u', r'\bu ?[234]\b',
+                'input')
+TURNING = _named('torque', 'tau', 'moment', 'control', 'controller', 'cmd', 'output', 'thrust')
+"""What no measured angle is called."""
+FORCE = _named('acc', 'accel', 'acceleration', r'\ba ?[xyz]\b')
+NO_FORCE = _named('ang', 'angular', 'gyro', 'bias', 'world', 'ned', 'enu', 'lin', 'linear')
 THRUST = _named('thrust', 'throttle', 'collective')
-BATTERY = _named('v?bat', 'volt')
+BATTERY = _named('bat', 'vbat', 'battery', 'volt', 'voltage')
 MOTOR = re.compile(
-    r'^(?P<stem>.*?(?:motor|mot|esc|pwm|rotor|out|(?:^|[^a-z])m|servo)[^0-9]*)'
+    r'^(?P<stem>.*?(?:motor|mot|esc|pwm|rotor|out|(?:^|[^a-z])[mu]|servo)[^0-9]*)'
     r'(?P<number>\d+)(?P<rest>\D*)$', re.IGNORECASE)
 AXIS_NAMES = (
-    _named('roll', 'phi', 'p', '(?<![a-z])[gw]?x(?![a-z])', r'\[0\]'),
-    _named('pitch', 'theta', 'q', '(?<![a-z])[gw]?y(?![a-z])', r'\[1\]'),
-    _named('yaw', 'psi', 'heading', 'r', '(?<![a-z])[gw]?z(?![a-z])', r'\[2\]'),
+    _named('roll', 'rol', 'phi', 'p', r'\b[gwau]? ?x\b', r'\[ 0 \]'),
+    _named('pitch', 'pit', 'theta', 'q', r'\b[gwau]? ?y\b', r'\[ 1 \]'),
+    _named('yaw', 'psi', 'heading', 'r', r'\b[gwau]? ?z\b', r'\[ 2 \]'),
 )
-SMOOTH_TURN = 20.0
-"""99 % quantile of a rate, rad/s, above which it is taken for deg/s."""
 RISING = 0.95
 """Least share of the steps of a time that rise; of one by its name, that do not fall."""
+TICKING = 0.5
+"""Share of the rows with which a clock has to tick to be likelier than others."""
 FAST_HZ, GRID_HZ = 500.0, 250.0
 """Sample rate from which a fit takes minutes, and a grid that suffices for most aircraft."""
-LARGEST_V = 1000.0
-"""A larger battery voltage is taken for mV."""
 
 Triple = tuple[str, str, str]
 
@@ -102,13 +147,26 @@ class Guess:
             return None
         words = ['quad-sysid', 'import', str(file), '--axis', ','.join(axes or self.axes)]
         for option, names in taken.items():
-            words += [flag(option), ','.join(names)]
+            words += as_typed(option, names)
         words += ['--mixer', 'auto'] if 'motors' in taken else []
         for column, unit in self.units.items():
             if any(column in names for names in taken.values()):
-                words += ['--unit', f'{column}={unit}']
+                words += ['--unit', f'{column}={unit}'] if not column.startswith('-') else [
+                    f'--unit={column}={unit}']
         out = '_'.join([file.name.partition('.')[0], *axes, 'bag'])
         return shlex.join([*words, '--out', out])
+
+    def options(self, file: Path) -> ColumnOptions | None:
+        """What the command of all axes asks for; None without one."""
+        if self.command(file) is None:
+            return None
+        taken = self._taken(self.axes)
+        named = {option: names if OPTIONS[option].per_axis or OPTIONS[option].several else names[0]
+                 for option, names in taken.items()}
+        units = {column: unit for column, unit in self.units.items()
+                 if any(column in names for names in taken.values())}
+        return ColumnOptions(file=file, axes=self.axes, mixer='auto', units=units,
+                             **cast('Any', named))
 
     def partial(self) -> dict[tuple[str, ...], list[str]]:
         """Options that only some of the axes have columns for, by these axes."""
@@ -121,8 +179,14 @@ class Guess:
         return found
 
 
-def guess(table: Table) -> Guess:
-    """Guess from names and values of all columns."""
+def guesses(table: Table) -> Iterator[Guess]:
+    """Guesses from names and values of all columns, for each column that may be the time."""
+    times: Sequence[str | None] = _times(table) or (None,)
+    yield from (guess(table, time) for time in times)
+
+
+def guess(table: Table, time: str | None = None) -> Guess:  # noqa: C901 - option by option
+    """Guess from names and values of all columns, with this one as the time."""
     found: dict[str, tuple[str, ...]] = {}
     free = [n for n in table.columns if np.nanstd(table.columns[n]) > 0.0]
 
@@ -131,21 +195,24 @@ def guess(table: Table) -> Guess:
         for name in filter(None, names):
             free.remove(name)
 
-    if time := _time(table):
+    if time:
         take('time', [time])
     if motors := _motors(table, free):
         take('motors', motors)
     for option, pattern in (('rate', RATE), ('angle', ANGLE), ('control', TORQUE),
-                            ('reference', ANGLE), ('rate_reference', RATE)):
-        if option == 'control' and motors:
+                            ('reference', ANGLE), ('rate_reference', RATE), ('angle', POSE)):
+        if option in found or (option == 'control' and motors):
             continue
         triples = _triples([n for n in free if _fits(option, n)], pattern)
         if best := _widest(triples, _importable(found)):
             take(option, best)
     for option, pattern in (('thrust', THRUST), ('battery', BATTERY)):
-        named = [n for n in free if pattern.search(n)]
+        named = [n for n in free if pattern.search(spaced(n))]
         if named and (option == 'battery' or 'control' in found):
             take(option, named[:1])
+    forces = _triples([n for n in free if not NO_FORCE.search(spaced(n))], FORCE)
+    if forces := [triple for triple in forces if all(triple) and _has_weight(table, triple)]:
+        take('acceleration', forces[0])
     ordered = {option: found[option] for option in OPTIONS if option in found}
     units = {
         name: unit for option, names in ordered.items()
@@ -153,6 +220,12 @@ def guess(table: Table) -> Guess:
         if unit and header_unit(name, OPTIONS[option].role) != unit
     }
     return Guess(ordered, _importable(found), units, bool(time or table.times))
+
+
+def _has_weight(table: Table, triple: Triple) -> bool:
+    """Whether z is most of the time the largest part: what a flying body's accelerometer shows."""
+    size = [float(np.nanmedian(np.abs(table.columns[name]))) for name in triple]
+    return size[2] > 2.0 * max(size[:2])
 
 
 def _importable(found: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
@@ -171,8 +244,11 @@ def _widest(triples: Sequence[Triple], axes: Sequence[str]) -> Triple | None:
 
 def _fits(option: str, name: str) -> bool:
     """Whether a column of this name may be what the option asks for."""
-    wanted = bool(WANTED.search(name))
-    if OPTIONS[option].role == 'angle' and RATE.search(name) and 'angle' not in name.lower():
+    words = spaced(name)
+    wanted = bool(WANTED.search(words) or WANTED_RAW.search(name))
+    if OPTIONS[option].role == 'angle' and RATE.search(words) and 'angle' not in words:
+        return False
+    if option in ('rate', 'angle') and TURNING.search(words):
         return False
     return option == 'control' or wanted == option.endswith('reference')
 
@@ -181,8 +257,9 @@ def _axes(triple: Sequence[str]) -> tuple[str, ...]:
     return tuple(axis for axis, name in zip(AXES, triple, strict=True) if name)
 
 
-def lines(guessed: Guess, table: Table, file: Path) -> Iterator[str]:
-    """The table of columns, and what to type."""
+def lines(table: Table, file: Path) -> Iterator[str]:
+    """The table of columns, and what to type: a command that was tried before it is printed."""
+    guessed, refused = _tried(table, file)
     (time,) = guessed.columns.get('time', (None,))
     factor = unit_of('time', guessed.units.get(str(time)), str(time)).factor
     rows, rates = [], []
@@ -196,17 +273,22 @@ def lines(guessed: Guess, table: Table, file: Path) -> Iterator[str]:
                      number(np.nanmin(values), 4), number(np.nanmax(values), 4),
                      guessed.role_of(name)])
     yield f'{file}: {len(rows)} columns with numbers'
+    for line in table.told:
+        yield from wrapped(line, '  ')
     yield ''
     yield from Text(['column', 'Hz', 'lowest', 'highest', 'guess'], rows, (1, 2, 3)).text()
     command = guessed.command(file)
     yield ''
     if not guessed.timed:
-        yield 'no column of time was recognised: add one, or name it with --time'
+        yield ('no column of time was recognised: add one, name it with --time, or give the rate '
+               'of the rows with --sample-rate')
     elif command is None:
         yield 'rates and commands were not recognised: name them, see quad-sysid import --help'
     else:
         yield 'check the guesses, then:'
         yield command
+        if refused:
+            yield from wrapped(f'as it stands the import refuses it: {refused}', '')
         yield from quicker(max((rate for rate in rates if rate), default=0.0))
         for axes, options in guessed.partial().items():
             named = ', '.join(map(flag, options))
@@ -218,6 +300,23 @@ def lines(guessed: Guess, table: Table, file: Path) -> Iterator[str]:
             yield str(guessed.command(file, axes))
 
 
+def _tried(table: Table, file: Path) -> tuple[Guess, str]:
+    """The first guess whose command the import accepts, or the first one and why it does not."""
+    first: tuple[Guess, str] | None = None
+    for guessed in guesses(table):
+        options = guessed.options(file)
+        refused = ''
+        if options is not None:
+            try:
+                record_of(read_columns(options, table))
+            except BadInputError as error:
+                refused = str(error)
+        if options is not None and not refused:
+            return guessed, ''
+        first = first or (guessed, refused)
+    return first or (guess(table), '')
+
+
 def quicker(rate_hz: float) -> list[str]:
     """A line on the grid that saves time, for samples that come fast."""
     told = (f'at {rate_hz:.4g} Hz a fit takes minutes for each axis: --grid {GRID_HZ:g} makes a '
@@ -225,26 +324,33 @@ def quicker(rate_hz: float) -> list[str]:
     return [told] if rate_hz > FAST_HZ else []
 
 
-def _time(table: Table) -> str | None:
-    """The column that increases with the rows, if they have no times of their own."""
+def _times(table: Table) -> list[str]:
+    """The columns that may be the time, the likeliest first; none where columns have their own.
+
+    The values increase with the rows. A clock that ticks with every row is likelier than a slow
+    one, such as that of a satellite receiver, and one that gives a usual rate than another.
+    """
     if table.times:
-        return None
+        return []
     ahead = {}
     for name, values in table.columns.items():
-        steps = np.diff(values[np.isfinite(values)])
-        named = bool(TIME.search(name))  # a slow clock repeats its ticks
+        known = values[np.isfinite(values)]
+        steps = np.diff(known)
+        named = bool(TIME.search(spaced(name)))  # a slow clock repeats its ticks
         rising = float(np.mean(steps >= 0.0 if named else steps > 0.0)) if steps.any() else 0.0
         if rising >= RISING:
-            ahead[name] = rising + named
-    return max(ahead, key=ahead.__getitem__, default=None)
+            ticks = float(np.mean(steps > 0.0))
+            ahead[name] = (named, ticks >= TICKING and known.size >= TICKING * values.size,
+                           time_unit(values) is not None, rising)
+    return sorted(ahead, key=ahead.__getitem__, reverse=True)
 
 
 def _motors(table: Table, names: Sequence[str]) -> tuple[str, ...]:
-    """The largest family of numbered columns that never go below zero."""
+    """The largest family of numbered columns that never cross zero."""
     families: dict[tuple[str, str], list[tuple[int, str]]] = {}
     for name in names:
         found = MOTOR.match(name)
-        if found and np.nanmin(table.columns[name]) >= 0.0:
+        if found and one_sided(table.columns[name]):
             families.setdefault((found['stem'], found['rest']), []).append(
                 (int(found['number']), name))
     whole = [sorted(f) for f in families.values() if len(f) in (4, 6, 8)]
@@ -258,10 +364,10 @@ def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[Triple]:
     """
     groups: dict[str, list[str]] = {}
     for name in names:
-        if not pattern.search(name):
+        if not pattern.search(spaced(name)):
             continue
-        whole = bare(name)
-        last = whole.rpartition('.')[2]
+        whole = spaced(bare(name))
+        last = whole.rpartition('. ')[2]
         part = last if any(p.search(last) for p in (pattern, *AXIS_NAMES)) else whole
         for i, axis in enumerate(AXIS_NAMES):
             found = list(axis.finditer(part))
@@ -269,64 +375,7 @@ def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[Triple]:
                 start, stop = (len(whole) - len(part) + at for at in found[-1].span())
                 stem = f'{whole[:start]}*{whole[stop:]}'
                 if groups.get(stem, ['', '', ''])[i]:  # the same once more in another unit
-                    stem += name[len(whole):]
+                    stem += name[len(bare(name)):]
                 groups.setdefault(stem, ['', '', ''])[i] = name
                 break
     return [(a, b, c) for a, b, c in groups.values()]
-
-
-def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
-    """The units of an option's columns, where name or size tells one that is not SI; else ''.
-
-    Columns of one sensor share what is known of any of them. SI is named where the name's own unit
-    is unknown. An empty name is no column.
-    """
-    role, names = OPTIONS[option].role, [name for name in names if name]
-    known = {None, *UNITS[role]}
-    return [unit or ('' if header_unit(name, role) in known else next(iter(UNITS[role])))
-            for name, unit in zip(names, _by_size(table, option, names), strict=True)]
-
-
-def _by_size(table: Table, option: str, names: Sequence[str]) -> list[str]:
-    columns = [table.columns[name] for name in names]
-    if option == 'time':
-        known = header_unit(names[0])
-        unit = known if known in UNITS['time'] else time_unit(columns[0])
-        return ['' if unit == 's' else unit or '']
-    if OPTIONS[option].role in ('rate', 'angle'):
-        return _turn_units(names, columns, OPTIONS[option].role)
-    high = max(float(np.nanmax(np.abs(values))) for values in columns)
-    if option == 'battery':
-        return ['mV' if float(np.nanmedian(columns[0])) > LARGEST_V else '']
-    if option == 'motors' and 1.0 < high <= 2200.0:
-        flying = np.median([np.nanmedian(values) for values in columns])
-        unit = 'percent' if high <= 100.0 else 'pulse_us' if flying >= 900.0 else 'dshot'
-    elif option == 'control' and high <= 2200.0 and min(map(np.nanmin, columns)) >= 900.0:
-        unit = 'pulse_us'
-    elif high > 2000.0:
-        unit = 'pwm16'
-    elif option == 'control' and not 0.02 < high <= 0.5:
-        unit = f'{10.0 ** np.floor(np.log10(0.5 / high)):g}'
-    else:
-        unit = f'{0.5 / high:.3g}' if option == 'thrust' and high > 1.0 else ''
-    return [unit] * len(names)
-
-
-def _turn_units(names: Sequence[str], columns: Sequence[np.ndarray], role: Role) -> list[str]:
-    """The unit of a sensor's columns where a name or the size of any says so; '' for SI."""
-    rate = role == 'rate'
-    si, degrees = ('rad/s', 'deg/s') if rate else ('rad', 'deg')
-
-    def named(name: str) -> str | None:
-        if header_unit(name, role) in UNITS[role]:
-            return header_unit(name, role)
-        found = re.search(r'_(rad|deg|dps)(s|ps)?([^a-z]|$)', name.lower())
-        return found and (si if found[1] == 'rad' else degrees)
-
-    own = [named(name) for name in names]
-    told = {unit for unit in own if unit}
-    largest = max(float(np.nanquantile(np.abs(values), 0.99)) for values in columns)
-    large = largest > (SMOOTH_TURN if rate else 2.0 * np.pi)
-    common = told.pop() if len(told) == 1 else degrees if large and not told else ''
-    units = [unit or common for unit in own]
-    return ['' if unit == si else unit for unit in units]

@@ -58,6 +58,21 @@ class Stream:
 
 
 @dataclass(frozen=True)
+class Experiment:
+    """What a firmware injected into one axis, once."""
+
+    axis: str
+    signal: str
+    """`chirp`, `square`, …, as in a Segment."""
+    injection: str
+    """`attitude`, `rate` or `control`."""
+    added: Stream
+    """(n, 1) rad, rad/s or normalised command, FLU."""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """The signal's own, as the log says."""
+
+
+@dataclass(frozen=True)
 class Mapped:
     """One line of the table: what a field of the log became."""
 
@@ -106,6 +121,7 @@ class ForeignLog:
     """(n, 1) V."""
     gains: Mapping[str, float] = field(default_factory=dict)
     """Gains by the names of /gains/active."""
+    experiments: tuple[Experiment, ...] = ()
     mapped: tuple[Mapped, ...] = ()
     missing: tuple[str, ...] = ()
     """Missing streams with the consequences."""

@@ -32,6 +32,12 @@ TOGETHER = 0.6
 NEAR = 0.4
 """Largest difference of a factor's logarithm that counts as near (a factor of 1.5)."""
 TOLERATED = 0.2
+LEAST_TICK = 0.5
+"""Least interval of times in ms, us or ns, as it stands: they are whole numbers, or nearly so."""
+SLOWEST_HZ = 1.0
+"""Rate down to which times without a plausible unit are taken for seconds."""
+WEIGHT = (4.0, 20.0)
+"""m/s². Median of a specific force that is that of a weight."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +101,10 @@ def time_unit(values: FloatArray) -> str | None:
     steps = np.diff(values[np.isfinite(values)])
     step = float(np.median(steps[steps > 0.0]))
     rates = {unit: 1.0 / (factor * step) for unit, (factor, _) in UNITS['time'].items()}
-    near = [unit for unit, rate in rates.items() if LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ]
-    return min(near, key=lambda unit: abs(math.log(rates[unit] / USUAL_RATE_HZ)), default=None)
+    near = [unit for unit, rate in rates.items() if LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ
+            and (unit == 's' or step >= LEAST_TICK)]
+    slow = 's' if SLOWEST_HZ <= rates['s'] < LOWEST_RATE_HZ else None
+    return min(near, key=lambda unit: abs(math.log(rates[unit] / USUAL_RATE_HZ)), default=slow)
 
 
 def check_size(rate: Column) -> None:
@@ -145,6 +153,16 @@ def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, 
         return None
     together = float(np.corrcoef(turned, changed)[0, 1])
     return together, math.copysign(float(np.std(changed) / np.std(turned)), together)
+
+
+def z_points_down(force: FloatArray) -> bool | None:
+    """Whether the specific force along z (n,) m/s² shows a z axis that points down.
+
+    None where it shows no weight: in free fall, of another unit, or without gravity.
+    """
+    known = force[np.isfinite(force)]
+    usual = float(np.median(known)) if known.size else 0.0
+    return usual < 0.0 if WEIGHT[0] <= abs(usual) <= WEIGHT[1] else None
 
 
 def contradicted(rates: FloatArray, angles: FloatArray, dt: float) -> list[str]:

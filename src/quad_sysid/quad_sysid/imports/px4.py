@@ -1,4 +1,4 @@
-"""A PX4 ULog → ForeignLog, by pyulog. Topics and parameters of PX4 1.9 to 1.16.
+"""A PX4 log → ForeignLog: a ULog, by pyulog, or a bag of px4_msgs. PX4 1.9 to 1.16.
 
 The input is the motors' commands where they were logged about as fast as the gyro, else the
 controller's torque and thrust. Source of names: PX4's uORB message definitions.
@@ -6,6 +6,8 @@ controller's torque and thrust. Source of names: PX4's uORB message definitions.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,11 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import LAYOUTS, Craft, of_px4
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
+from quad_sysid.imports.experiments import runs_of
 from quad_sysid.imports.log import (
     ASKED_FOR,
     RPM,
+    Experiment,
     ForeignLog,
     Reading,
     Stream,
@@ -25,6 +29,7 @@ from quad_sysid.imports.log import (
     gains_of,
 )
 from quad_sysid.imports.mixers import MIRROR, mirrored, ned_angles
+from quad_sysid.imports.rosbag import read_messages, topics_of
 from quad_sysid.imports.table import Table
 
 ARMED = 2
@@ -35,7 +40,14 @@ FIRST_MOTOR, MOST_ESCS = 101, 8
 """actuator_function of motor 1; entries of esc_status."""
 LINEAR = 0.98
 """R² of motors over torque set-point from which PX4's gains can be stated in our unit."""
-FASTER = 'set SDLOG_PROFILE to high rate (bit 2) or system identification (bit 3)'
+FASTER = ('set SDLOG_PROFILE to 25, that is bit 4 (high rate) and bit 3 (system identification) '
+          'beside bit 0, and restart')
+FASTER_BAG = ('bridge the topics at the full rate (dds_topics.yaml of the uXRCE-DDS client), or '
+              f'log on board: {FASTER}')
+AUTOTUNE = 'autotune_attitude_control_status'
+"""Topic of PX4's autotune: the rate that it asks for besides the pilot's, and its state."""
+IN_BAG = re.compile(r'^(?P<place>(?:/[^/.]+)*?)/fmu/(?P<way>in|out)/(?P<topic>\w+?)(?:_v\d+)?\.')
+"""A topic of px4_msgs: whose, whether the autopilot hears or says it, and its name on board."""
 
 
 def _of(topic: str, *fields: str) -> tuple[str, ...]:
@@ -66,24 +78,68 @@ WANTED = (
 TOPICS = (
     *dict.fromkeys(one.columns[0].partition('.')[0] for one in WANTED), 'actuator_motors',
     'vehicle_torque_setpoint', 'vehicle_thrust_setpoint', 'actuator_controls_0', 'actuator_armed',
-    'vehicle_status', 'esc_status',
+    'vehicle_status', 'esc_status', AUTOTUNE,
 )
 
 
 def read(path: Path) -> ForeignLog:
     """Read a .ulg file; raises BadInputError where it is damaged or lacks rates or commands."""
-    table = _load(path)
+    return _read(_load(path), 'a PX4 log', FASTER)
+
+
+def read_bag(path: Path, messages: Path | None = None) -> ForeignLog:
+    """Read a bag of px4_msgs, which are forward, right, down as PX4 itself."""
+    return _read(_of_bag(path, messages), 'a bag of px4_msgs', FASTER_BAG)
+
+
+def is_bag(topics: Mapping[str, str]) -> bool:
+    """Whether a bag with these topics and types holds px4_msgs."""
+    return any(kind.startswith('px4_msgs/') and IN_BAG.match(f'{topic}.')
+               for topic, kind in topics.items())
+
+
+def _read(table: Table, kind: str, faster: str) -> ForeignLog:
     reading = Reading(table)
     reading.take(*WANTED)
     if 'rates' not in reading.streams:
         raise BadInputError(
             table.source, 'holds no vehicle_angular_velocity and no sensor_combined',
-            table.messages or 'no topic of use',
-            'set SDLOG_PROFILE to high rate or system identification and log again',
+            table.messages or 'no topic of use', f'{faster}; then log again',
         )
     crafts, gains, warnings = _input(reading)
-    return reading.log('a PX4 log', WANTED, crafts=crafts, armed=_armed(table), gains=gains,
-                       faster=FASTER, warnings=(*_vehicle(table), *warnings))
+    return reading.log(kind, WANTED, crafts=crafts, armed=_armed(table), gains=gains,
+                       faster=faster, warnings=(*_vehicle(table), *warnings),
+                       experiments=_experiments(table))
+
+
+def _of_bag(path: Path, messages: Path | None) -> Table:
+    """The columns of a bag under the names that they have on board."""
+    known = topics_of(path)
+    asked = [topic for topic in known if (m := IN_BAG.match(f'{topic}.')) and m['topic'] in TOPICS]
+    columns, times = read_messages(path, [f'{topic}.' for topic in asked], messages)
+    places = [found['place'] for name in columns if (found := IN_BAG.match(name))]
+    chosen = max(dict.fromkeys(places), key=places.count, default='')
+    ours: dict[str, FloatArray] = {}
+    clock: dict[str, FloatArray] = {}
+    for way in ('in', 'out'):  # what the autopilot says itself counts
+        for name, values in columns.items():
+            found = IN_BAG.match(name)
+            if found and found['place'] == chosen and found['way'] == way:
+                own = f'{found["topic"]}.{name[found.end():]}'
+                ours[own], clock[own] = values, times[name]
+    others = sorted(set(places) - {chosen})
+    return Table(str(path), ours, clock, told=tuple(
+        [f'of several aircraft {chosen or "/"} is read; left out: {", ".join(others)}']
+        if others else []))
+
+
+def _experiments(table: Table) -> tuple[Experiment, ...]:
+    """The steps of the autotune, which it adds to the rate set-point of one axis."""
+    columns = _vector(AUTOTUNE, 'rate_sp')
+    added = table.stream(*columns)
+    if added is None:
+        return ()
+    return runs_of('square', 'rate', Stream(added.time_s, mirrored(added.values)))
 
 
 def _load(path: Path) -> Table:
@@ -142,12 +198,13 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         )
         told = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')
-        return crafts, _gains(table, scale) if scale else {}, [] if scale else [told]
+        return (crafts, _gains(table, scale) if scale else _gyro_filter(table),
+                [] if scale else [told])
     if torque is None:
         raise BadInputError(
             table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
             'actuator_controls_0', table.messages,
-            'set SDLOG_PROFILE to high rate or system identification and log again',
+            f'{FASTER}; then log again',
         )
     reading.put(Wanted(
         'control', old if old[0] in table.columns else new, '-1..1',
@@ -224,11 +281,14 @@ def _gains(table: Table, scale: tuple[float, ...]) -> dict[str, float]:
             ('rate.integrator_limit', f'MC_{name[0]}R_INT_LIM', unit),
             ('rate.d_filter_hz', 'IMU_DGYRO_CUTOFF', 1.0),
         )
-    out = gains_of(known, axes)
-    cut = known.get('IMU_GYRO_CUTOFF')
-    if cut and 'vehicle_angular_velocity.xyz[0]' in table.columns:
-        out['sensor.gyro_filter_hz'] = float(cut)
-    return out
+    return gains_of(known, axes) | _gyro_filter(table)
+
+
+def _gyro_filter(table: Table) -> dict[str, float]:
+    """What the rates have passed, whether or not the gains can be stated."""
+    cut = table.header.get('IMU_GYRO_CUTOFF')
+    filtered = cut and 'vehicle_angular_velocity.xyz[0]' in table.columns
+    return {'sensor.gyro_filter_hz': float(cut)} if filtered else {}
 
 
 def _vehicle(table: Table) -> tuple[str, ...]:

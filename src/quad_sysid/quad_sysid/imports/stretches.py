@@ -65,6 +65,23 @@ def with_stretches(record: Record, axes: tuple[str, ...] = AXES) -> Record:
     ), key=lambda s: (s.start_s, s.axis))))
 
 
+def blocks(length_s: float) -> list[tuple[str, float, float]]:
+    """Role, begin and end, s, of the parts of an experiment: blocks of 5 s in turn.
+
+    Of a short one the first 60 % train.
+    """
+    count = int(length_s / BLOCK_S)
+    if count < len(ROLES):
+        border = 0.6 * length_s
+        return [('train', 0.0, border), ('validation', border, length_s)]
+    out: list[tuple[str, float, float]] = []
+    for k in range(count):
+        role, end = ROLES[k % len(ROLES)], length_s if k == count - 1 else BLOCK_S * (k + 1)
+        begin = out.pop()[1] if out and out[-1][0] == role else BLOCK_S * k
+        out.append((role, begin, end))
+    return out
+
+
 def told(record: Record) -> str:
     """One line on the used and the left out time, s."""
     if not record.segments:

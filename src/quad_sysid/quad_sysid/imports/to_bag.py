@@ -16,7 +16,9 @@ from quad_sysid.bags.writer import BagOptions, write_bag
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
+from quad_sysid.foresight import drawn_hz
 from quad_sysid.imports.clock import EPOCH_S, LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
+from quad_sysid.imports.experiments import with_experiments
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.mixers import Mixer, chosen, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
@@ -29,12 +31,14 @@ from quad_sysid.motor_layout import (
     opposite,
     patterns_of,
 )
-from quad_sysid.record import GainChange, Record, finite_runs
+from quad_sysid.record import SHORT_GAP_S, GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
 """U1 beside the command of a single axis: the middle of the motors' range."""
 SLOW = 0.5
 """Share of the rates' sample rate below which slow commands cause a warning."""
+LOST = 0.005
+"""Share of lost samples from which on the logger is blamed."""
 LEAST_SAMPLES = 100
 SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
@@ -63,6 +67,27 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
     if out.exists():
         raise BadInputError(str(out), 'exists and is not overwritten',
                             remedy='choose another --out')
+    record, told, warnings = record_of(log, grid_hz)
+    notes = {
+        'import': f'{Path(log.source).name}, {log.kind}: ' + '; '.join(
+            f'{m.source} [{m.unit}] as {m.topic}' + (f' ({m.how})' if m.how else '')
+            for m in log.mapped
+        ),
+        'import clock': '; '.join(told),
+    }
+    if log.checks or warnings:
+        notes['import check'] = '; '.join([*log.checks, *warnings])
+    return Imported(write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(told),
+                    (*log.checks, *warnings))
+
+
+def record_of(
+    log: ForeignLog, grid_hz: float | None = None
+) -> tuple[Record, list[str], list[str]]:
+    """The record that a log gives, what was repaired and found, and warnings.
+
+    Raises BadInputError where the log holds too little.
+    """
     base = log.rates or log.angles
     if base is None or len(base.time_s) < LEAST_SAMPLES:
         raise BadInputError(log.source, 'has too few samples of the body rates',
@@ -81,6 +106,12 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
         warnings.append(f'{1.0 / laid.dt:.3g} Hz is too slow to show lag and delay: '
                         f'{log.faster}')
     commands = log.control or log.motors
+    drawn = drawn_hz(control[:, 1:], laid.dt)
+    if drawn:
+        warnings.append(
+            f'the commands are straight lines between samples at some {drawn:.3g} Hz: they were '
+            'interpolated and not logged at this rate, so no effect can be claimed from them: log '
+            'the commands at the full rate' + (f' ({log.faster})' if log.faster else ''))
     if commands is not None and commands.rate_hz < SLOW / laid.dt:
         warnings.append(
             f'the commands were logged at {commands.rate_hz:.3g} Hz and the rates at '
@@ -106,19 +137,26 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together',
                             remedy='log both during the same flight')
-    record = with_stretches(record, log.axes)
-    told += [line] if (line := stretches_told(record)) else []
-    notes = {
-        'import': f'{Path(log.source).name}, {log.kind}: ' + '; '.join(
-            f'{m.source} [{m.unit}] as {m.topic}' + (f' ({m.how})' if m.how else '')
-            for m in log.mapped
-        ),
-        'import clock': '; '.join(told),
-    }
-    if log.checks or warnings:
-        notes['import check'] = '; '.join([*log.checks, *warnings])
-    return Imported(write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(told),
-                    (*log.checks, *warnings))
+    record, experiment = with_experiments(record, log.experiments, float(laid.times[0]))
+    if not experiment:
+        record = with_stretches(record, log.axes)
+        experiment = stretches_told(record)
+    told += [experiment] if experiment else []
+    return record, told, [*warnings, *_gaps(record, log)]
+
+
+def _gaps(record: Record, log: ForeignLog) -> list[str]:
+    """A warning on a log that loses many samples, which is the logger's fault."""
+    lost = np.asarray(np.isnan(record.rates).all(axis=1))
+    gaps = [b - a for a, b in finite_runs(lost, (0, record.n))]
+    short = [n for n in gaps if n * record.dt <= SHORT_GAP_S]
+    if not short or sum(short) < LOST * record.n:
+        return []
+    share = 100.0 * sum(short) / record.n
+    return [f'the logger lost {share:.2g} % of the samples in {len(short)} short gaps of '
+            f'up to {1e3 * max(short) * record.dt:.0f} ms; the fit predicts through '
+            'them, but log fewer columns, or to a faster medium' + (
+                f' ({log.faster})' if log.faster else '')]
 
 
 def _motion(

@@ -5,17 +5,19 @@ One table per role; a plain number is a factor, `FACTOR:OFFSET` adds an offset. 
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 
-Role = Literal['time', 'control', 'motor', 'thrust', 'rate', 'angle', 'battery']
+Role = Literal['time', 'control', 'motor', 'thrust', 'rate', 'angle', 'battery', 'acceleration']
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class Option:
     help: str | None = None
     per_axis: bool = False
     """Whether it has a column for each axis."""
+    several: bool = False
+    """Whether it has several columns, of the axes or other ones."""
     span: tuple[float, float] | None = None
     """Range of a normalised command."""
 
@@ -54,12 +58,15 @@ OPTIONS = {
     'control': Option('control', 'COLS', 'commands of the axes, -0.5..0.5', per_axis=True,
                       span=(-0.5, 0.5)),
     'thrust': Option('thrust', help='U1 beside --control, 0..1 (default 0.5)', span=(0.0, 1.0)),
-    'motors': Option('motor', 'COL,COL,…', 'the motors, all of them, 0..1', span=(0.0, 1.0)),
+    'motors': Option('motor', 'COL,COL,…', 'the motors, all of them, 0..1', several=True,
+                     span=(0.0, 1.0)),
     'rate': Option('rate', 'COLS', 'measured rates, rad/s; else from --angle', per_axis=True),
     'angle': Option('angle', 'COLS', 'measured angles or positions, rad', per_axis=True),
     'reference': Option('angle', 'COLS', 'attitude set-points, rad', per_axis=True),
     'rate_reference': Option('rate', 'COLS', 'rate set-points, rad/s', per_axis=True),
     'battery': Option('battery', help='voltage of the pack, V'),
+    'acceleration': Option('acceleration', 'X,Y,Z', 'specific force, m/s², of the body: it tells '
+                           'whether z points up', several=True),
 }
 """By the option's name, the time first."""
 
@@ -71,6 +78,7 @@ def flag(option: str) -> str:
 
 
 DEGREE = math.pi / 180.0
+ONE_G = 9.80665
 VOLTS_OF_FULL_COMMAND = 20.0
 """An analogue command of -10 V..10 V spans the whole range of 1 of a motor command."""
 
@@ -90,6 +98,7 @@ UNITS: dict[Role, dict[str, tuple[float, float]]] = {
     },
     'angle': {'rad': (1.0, 0.0), 'deg': (DEGREE, 0.0), 'm': (1.0, 0.0), 'mm': (1e-3, 0.0)},
     'battery': {'V': (1.0, 0.0), 'mV': (1e-3, 0.0)},
+    'acceleration': {'m/s2': (1.0, 0.0), 'g': (ONE_G, 0.0), 'mg': (1e-3 * ONE_G, 0.0)},
 }
 """(factor, offset). The first unit of each role holds where none is named. `pulse_us` is a servo
 pulse of 1000..2000 µs (a control column is centred at 1500), `pwm16` a duty of 0..65535."""
@@ -99,9 +108,14 @@ ALIASES = {
     'sec': 's', 'seconds': 's', 'msec': 'ms', 'µs': 'us', 'usec': 'us', 'μs': 'us',
     '°/s': 'deg/s', 'dps': 'deg/s', 'deg/sec': 'deg/s', 'degree/s': 'deg/s', 'rad/sec': 'rad/s',
     '°': 'deg', 'degree': 'deg', 'degrees': 'deg', 'radians': 'rad', '%': 'percent', 'v': 'V',
-    'volt': 'V', 'volts': 'V', '-': '1',
+    'volt': 'V', 'volts': 'V', '-': '1', 'm/s²': 'm/s2', 'm/s^2': 'm/s2', 'm/s/s': 'm/s2',
+    'm s-2': 'm/s2', 'gs': 'g', 'rads': 'rad', 'rad/second': 'rad/s', 'degs': 'deg',
+    'microseconds': 'us', 'milliseconds': 'ms', 'nanoseconds': 'ns', 'nsec': 'ns', 'second': 's',
 }
 """How headers write the units above, in small letters."""
+BEYOND: Mapping[str, float] = {'pulse_us': 0.2, 'dshot': 0.03}
+"""By the unit of a command: how far beyond the range, normalised, it is limited to it. Motors get
+pulses of 900 µs while disarmed, and transmitters give some beyond 1000 to 2000."""
 OF_PULSES: Mapping[str, str] = {'us': 'pulse_us'}
 OF_ROLE: dict[Role, Mapping[str, str]] = {'motor': OF_PULSES, 'control': OF_PULSES}
 """Units that mean another one in columns of a role: a motor's microseconds are its pulse's."""
@@ -127,6 +141,21 @@ def written(text: str, role: Role | None = None) -> str:
 def bare(column: str) -> str:
     """A column's name without a known unit in brackets."""
     return IN_HEADER.sub('', column) if header_unit(column) in WRITTEN.values() else column
+
+
+def columns_of(text: str) -> tuple[str, ...]:
+    """The columns of an option, separated by commas; one with a comma stands in double quotes."""
+    return tuple(next(csv.reader([text], skipinitialspace=True), []))
+
+
+def as_typed(option: str, columns: Sequence[str]) -> list[str]:
+    """The words of a command line that give an option its columns."""
+    text = columns[0]
+    if OPTIONS[option].per_axis or OPTIONS[option].several:
+        out = io.StringIO()
+        csv.writer(out, lineterminator='').writerow(columns)
+        text = out.getvalue()
+    return [f'{flag(option)}={text}'] if text.startswith('-') else [flag(option), text]
 
 
 def unit_of(role: Role, text: str | None, column: str, likely: str = '') -> Unit:

@@ -1,26 +1,30 @@
-"""From the identified AxisModel to the LoopPlant: the effects' physics as tables.
+"""From the identified AxisModel to the LoopPlant: the effects' physics as tables and memories.
 
 An effect's `torque` over rate, angle or command gives curves, factors, damping and bias; its
 `command` a curve of the command; its `actuate`, for a small step, shares of the drive with their
-lags; its `dynamics` a second lag or a mode. `not_in_the_loop` names the effects that one axis'
-loop cannot hold: those of other axes, of a phase, or of a nonlinear past.
+lags. What remembers is a linear memory: as it is, or as it answers to motion of the amplitudes at
+which the loop is judged. `not_in_the_loop` names the effects that one axis' loop cannot hold.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
 
 import numpy as np
+from scipy.linalg import logm
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.effects.actuators import Following
+from quad_sysid.effects.hidden import Linear
+from quad_sysid.effects.hidden import Memory as Warming
 from quad_sysid.estimate.stored import fitted_of, part_of
-from quad_sysid.loop.plant import Curve, LightMode, LoopPlant, SlowMotors
+from quad_sysid.loop.plant import SHORTEST_LAG_S, Curve, LoopPlant, Memory, SlowMotors
 from quad_sysid.model import AxisModel, EffectEstimate
-from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Drive, Dynamics, Effect, Part, Signals
+from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Signals, required
 
 RATE_RANGE = 12.0
 """Half width of the rate tables, rad/s."""
@@ -34,8 +38,20 @@ RESOLVED = 1e-3
 LINEAR = 1e-9
 LATE_S = 1e9
 """A time after all events of the flight: the next flight begins there."""
-HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history'}
+HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
+        'direction'}
 """Signals that one axis' loop contains or holds constant."""
+OTHER_AXES, BY_ITSELF = 'it depends on the other axes', 'it changes by itself'
+WIDE, NEAR_REST = (4.0, 0.35, 0.3), (0.3, 0.05, 0.03)
+"""Amplitudes of rate (rad/s), angle (rad) and command at which a loop is linearised."""
+TONES = (0.41, 1.0, 2.17)
+"""Frequencies of the motion that a memory sees meanwhile, over rate / angle."""
+SWINGS = 4
+"""Number of swings of the slowest of them."""
+SLOW_HZ = 10.0
+"""What repeats itself slower than this is no vibration to a loop: its worst case counts."""
+FEW_STATES = 2
+"""Up to so many, a memory is linearised along a motion."""
 SMALL_STEP = 0.02
 """Step of the command for the motors' shares."""
 
@@ -55,33 +71,43 @@ class Placed:
         return self.part.effect
 
     @property
-    def dynamics(self) -> Dynamics | None:
-        """Linear dynamics of an effect with memory, else None."""
-        return self.effect.dynamics(self.p)
+    def why_outside(self) -> str:
+        """Why one axis' loop cannot hold it; '' where it does."""
+        effect = self.effect
+        if not set(effect.signals) <= HERE:
+            return OTHER_AXES
+        if effect.phased and effect.term == 'torque':
+            return 'it is a disturbance, whatever the loop does'
+        if effect.wanders and effect.term != 'gain':
+            return BY_ITSELF
+        return ''
 
     @property
-    def inside(self) -> bool:
-        """Whether one axis' loop can hold it."""
-        signals = set(self.effect.signals)
-        remembered = 'history' not in signals or self.dynamics is not None
-        return signals <= HERE and remembered and not self.effect.phased
+    def remembers(self) -> bool:
+        """Whether it has a memory that moves in a loop."""
+        return bool(self.effect.states) and 'history' in self.effect.signals
 
     @property
     def curve(self) -> bool:
         """Whether it is a curve over knots."""
         return 'knots' in self.part.settings
 
+    def signals(self, at: Mapping[str, float], n: int = 1, **moved: Any) -> Signals:
+        """Signals (n,) at the usual values `at`, all but `moved` at rest."""
+        usual = {'time': np.full(n, LATE_S), 'throttle': np.full(n, at['throttle']),
+                 'battery_v': np.full(n, at['battery']), 'sent': np.zeros(n)}
+        return Signals.at_rest(**(usual | moved))
+
     def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
-        """(n,) acceleration, rad/s², at the usual values `at`, all signals but `moved` at rest."""
-        rest = np.zeros(n)
-        signals: dict[str, Any] = {
-            'rate': rest, 'angle': rest, 'drive': rest, 'command': rest, 'change': rest,
-            'lagged': rest, 'time': np.full(n, LATE_S), 'throttle': np.full(n, at['throttle']),
-            'battery_v': np.full(n, at['battery']), 'other_rates': (rest, rest),
-            'other_commands': (rest, rest), 'other_angles': (rest, rest),
-        } | moved
-        own = self.effect.torque(Signals(**signals), self.p, self.part.settings)
-        return rest if own is None else np.broadcast_to(own, (n,))
+        """(n,) acceleration, rad/s², at the usual values `at`, all signals but `moved` at rest.
+
+        What it remembers is settled.
+        """
+        s, settings = self.signals(at, n, **moved), self.part.settings
+        if self.effect.states:
+            s = replace(s, hidden=self.effect.settled(s, self.p, settings))
+        own = self.effect.torque(s, self.p, settings)
+        return np.zeros(n) if own is None else np.broadcast_to(own, (n,))
 
     def factor(self, at: Mapping[str, float], **moved: FloatArray) -> FloatArray:
         """Factor on the drive in small motion."""
@@ -98,39 +124,57 @@ def placed(model: AxisModel, effect: EffectEstimate) -> Placed:
 
 
 def _inside(model: AxisModel) -> list[Placed]:
-    return [one for one in (placed(model, e) for e in model.effects) if one.inside]
+    return [one for one in (placed(model, e) for e in model.effects) if not one.why_outside]
 
 
 def _usual(model: AxisModel, effects: list[Placed]) -> dict[str, float]:
-    """Throttle and battery voltage (V) at which the loop is judged."""
+    """Throttle and battery voltage (V) at which the loop is judged: the flight's means.
+
+    Where the model does not know them, those at which its effects count as usual.
+    """
     at = {'throttle': 0.5, 'battery': 1.0}
     for one in reversed(effects):
         at |= one.effect.usual(one.p, one.part.settings)
-    return at | ({'battery': model.mean_battery_v} if model.mean_battery_v else {})
+    known = {'throttle': model.mean_throttle, 'battery': model.mean_battery_v}
+    return at | {name: value for name, value in known.items() if value is not None}
 
 
-def loop_plant(model: AxisModel) -> LoopPlant:
+def usual_signals(model: AxisModel) -> dict[str, float]:
+    """Throttle (`throttle`) and voltage (`battery`, V) at which a model counts as flown."""
+    return _usual(model, [placed(model, effect) for effect in model.effects])
+
+
+def loop_plant(model: AxisModel, level: tuple[float, float, float] = WIDE) -> LoopPlant:
     """The plant that the controller sees at the flight's mean battery voltage.
 
-    Raises BadInputError for effects that are not known and parameters that are not finite.
+    What remembers is linear, as it answers to motion of the amplitudes `level`. Raises
+    BadInputError for effects that are not known and parameters that are not finite.
     """
     effects = _inside(model)
     at = _usual(model, effects)
     gain, bias, damping = model.value('gain'), model.value('bias'), model.value('damping')
-    delay = model.value('delay')
+    pushing = [one for one in effects if not one.effect.moves_command]
+    beside = [memory for one in pushing if one.remembers
+              for memory in _beside(model, one, at, level)]
+    delay = model.value('delay') + sum(
+        one.effect.longest_s(one.p) for one in effects if one.effect.phased and one.p[0] < SLOW_HZ
+    )
     tables: dict[str, list[Function]] = {'rate': [], 'angle': [], 'command': []}
     factor = schedule_factor(model)
-    for one in effects:
+    for one in pushing:
+        effect = one.effect
+        if one.remembers or effect.wanders or effect.phased:  # the last two are in gain_range
+            continue
         rest = float(one.torque(at)[0])
         bias += rest
         delay -= float(one.torque(at, change=np.ones(1))[0]) - rest
-        if one.effect.term == 'damping':
+        if effect.term == 'damping':
             damping -= float(one.torque(at, rate=np.ones(1))[0]) - rest
-        elif 'rate' in one.effect.signals and one.effect.term != 'gain':
+        elif 'rate' in effect.signals and effect.term != 'gain':
             tables['rate'].append(_over('rate', one, at))
-        if 'angle' in one.effect.signals and one.effect.term == 'torque':
+        if 'angle' in effect.signals and effect.term == 'torque':
             tables['angle'].append(_over('angle', one, at))
-        if one.effect.term in ('torque', 'gain') and 'command' in one.effect.signals:
+        if effect.term in ('torque', 'gain') and 'command' in effect.signals:
             passed = _passed(one, at, gain or 1.0)
             slope = float(passed(np.ones(1))[0])
             u = np.linspace(-COMMAND_RANGE, COMMAND_RANGE, 41)
@@ -141,12 +185,100 @@ def loop_plant(model: AxisModel) -> LoopPlant:
     mapped = _mapped(model, effects, at)
     if mapped is not None:
         tables['command'].insert(0, mapped)
-    share, lag, slow, mode = _drive(model, effects, at)
+    share, lag, slow_motors = _drive(model, effects, at, level[2])
+    before = [_before(model, one, at, level[2]) for one in effects
+              if one.effect.moves_command and one.remembers]
     return LoopPlant(gain=gain * factor * share, lag_s=lag, delay_s=max(0.0, delay),
                      damping=damping, bias=bias, gyro_filter_hz=model.gyro_filter_hz, dt=model.dt,
                      rate_curve=_sum(tables['rate'], RATE_RANGE, STEPS['rate']),
                      angle_curve=_sum(tables['angle'], ANGLE_RANGE, STEPS['angle']),
-                     command_curve=_chain(tables['command']), slow=slow, mode=mode)
+                     command_curve=_chain(tables['command']), slow=slow_motors,
+                     before=tuple(before), beside=tuple(beside))
+
+
+def _beside(model: AxisModel, one: Placed, at: Mapping[str, float],
+            level: tuple[float, float, float]) -> list[Memory]:
+    """A torque with a memory as a linear one of rate, angle and drive, at these amplitudes.
+
+    What it remembers and gives along a motion of some tones, by least squares: for sines that is
+    its describing function, and what is linear stays as it is. A response of many states, which
+    is linear, is so by small steps.
+    """
+    effect, p, settings, dt = one.effect, one.p, one.part.settings, model.dt
+    m, gain = effect.states, model.value('gain') or 1.0
+    if isinstance(effect, Warming) and not effect.leans:  # what is warm stays so in a loop
+        return []
+
+    def seen(rate: FloatArray, angle: FloatArray, drive: FloatArray) -> Signals:
+        command = drive / gain
+        wrench = np.zeros((rate.size, 4))
+        wrench[:, 0], wrench[:, AXES.index(model.axis) + 1] = at['throttle'], command
+        return one.signals(at, rate.size, rate=rate, angle=angle, drive=drive, command=drive,
+                           lagged=command, sent=command, dt=dt, lag=model.value('lag'),
+                           motors=tuple(model.craft.commands(wrench).T), share=_share(model))
+
+    hover = np.full((_share(model).size, 1), at['throttle'])
+    start = one.signals(at, 1, dt=dt, motors=tuple(hover))
+    rest = effect.settled(start, p, settings)[:, 0]
+
+    def after(x: FloatArray, s: Signals) -> FloatArray:
+        """(n, m + 1) the states a cycle later, and the torque meanwhile."""
+        torque = required(effect.torque(replace(s, hidden=x), p, settings))
+        return np.column_stack([effect.advance(x, s, p, settings).T, torque])
+
+    steps = SMALL * np.eye(m + 3)
+    still = after(rest[:, None], seen(*np.zeros((3, 1))))
+    slopes = (after(rest[:, None] + steps[:, :m].T, seen(*steps[:, m:].T)) - still) / SMALL
+    if m <= FEW_STATES:
+        w = level[0] / level[1]
+        t = dt * np.arange(max(64, math.ceil(SWINGS * 2.0 * np.pi / (w * TONES[0] * dt))))
+        phases = np.outer(t, w * np.array(TONES))
+        size = 1.0 / math.sqrt(len(TONES))
+        angle = level[1] * size * np.sin(phases).sum(axis=1)
+        rate = level[0] * size * (np.cos(phases) * TONES).sum(axis=1)
+        drive = gain * level[2] * size * np.sin(1.13 * phases + 1.0).sum(axis=1)
+        s = seen(rate, angle, drive)
+        begun = np.repeat(rest[:, None], t.size, axis=1)
+        x = effect.trace(s, p, settings, ((0, t.size),), begun)[:m]
+        known = np.column_stack([(x - rest[:, None]).T, rate, angle, drive, np.ones(t.size)])
+        sizes = np.maximum(np.linalg.norm(known, axis=0), 1e-300)
+        moved = np.linalg.lstsq(known / sizes, after(x, s), rcond=None)[0][:-1] / sizes[:-1, None]
+        first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
+        slopes[:, first:] = moved[:, first:]
+    return [_continuous(slopes[:m, :m].T, slopes[m:, :m].T, slopes[:m, m], slopes[m:, m], dt)]
+
+
+def _continuous(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, dt: float) -> Memory:
+    """The memory whose step over `dt` s is a (m, m), b (m, inputs)."""
+    m, k = b.shape
+    block = np.eye(m + k)
+    block[:m, :m], block[:m, m:] = a, b
+    values = np.linalg.eigvals(a)
+    if m and np.all((np.abs(values.imag) > 0.0) | (values.real > 1e-6)):
+        slope = np.real(logm(block)) / dt
+        return Memory(slope[:m, :m], slope[:m, m:], c, d)
+    back = np.linalg.inv(a + (1.0 + 1e-9) * np.eye(m))  # where no such step exists: trapezoidal
+    return Memory(np.asarray(2.0 / dt * (a - np.eye(m)) @ back, dtype=np.float64),
+                  np.asarray(2.0 / dt * back @ b, dtype=np.float64), c, d)
+
+
+def _before(model: AxisModel, one: Placed, at: Mapping[str, float], size: float) -> Memory:
+    """A memory in the way of the command as a linear one, at this amplitude of the command."""
+    effect, p, settings, dt = one.effect, one.p, one.part.settings, model.dt
+    if isinstance(effect, Following):
+        a, b = effect.system(p, dt)
+        c, direct = effect.output(p)
+        return Memory(a, b[:, None], c, np.array([direct]))
+    phases = np.outer(np.arange(2000) * dt, 2.0 * np.pi * np.array((0.43, 1.0, 2.3)))
+    u = size / math.sqrt(3.0) * np.sin(phases).sum(axis=1)
+    s = commanded(model, at, u)
+    s = replace(s, hidden=effect.trace(s, p, settings, ((0, u.size),)))
+    out = effect.command(s, p, settings)
+    (keep, into), *_ = np.linalg.lstsq(np.column_stack([out[:-1], u[1:]]), out[1:], rcond=None)
+    keep = float(np.clip(keep, 1e-6, 1.0 - 1e-6))
+    pole = math.log(keep) / dt
+    return Memory(np.array([[pole]]), np.array([[-pole * into / (1.0 - keep)]]), np.ones(1),
+                  np.zeros(1))
 
 
 def _over(signal: str, one: Placed, at: Mapping[str, float]) -> Function:
@@ -164,70 +296,72 @@ def _passed(one: Placed, at: Mapping[str, float], gain: float) -> Function:
     return through
 
 
-def _flown(model: AxisModel, at: Mapping[str, float], command: FloatArray) -> AxisData:
-    """AxisData of n commands at the usual throttle, each a stretch by itself."""
-    n, index = command.size, AXES.index(model.axis)
-    control = np.zeros((n, 4))
-    control[:, 0], control[:, index + 1] = at['throttle'], command
-    motors = model.craft.commands(control)
-    nothing = np.zeros(n)
-    return AxisData(axis=model.axis, dt=model.dt, rate=nothing, angle=nothing, control=control,
-                    motors=motors, other_rates=np.zeros((n, 2)),
-                    battery_v=np.full(n, at['battery']), gyro_filter_hz=model.gyro_filter_hz,
-                    craft=model.craft, stretches=tuple((i, i + 1) for i in range(n)),
-                    train=((0, n),), validation=())
+def _share(model: AxisModel) -> FloatArray:
+    return np.asarray(model.craft.inverse[AXES.index(model.axis) + 1])
+
+
+def commanded(model: AxisModel, at: Mapping[str, float], command: FloatArray) -> Signals:
+    """What acts before the torque sees of commands (n,) at the usual throttle."""
+    n = command.size
+    wrench = np.zeros((n, 4))
+    wrench[:, 0], wrench[:, AXES.index(model.axis) + 1] = at['throttle'], command
+    return Signals.at_rest(
+        np.full(n, LATE_S), np.full(n, at['throttle']), battery_v=np.full(n, at['battery']),
+        motors=tuple(model.craft.commands(wrench).T), sent=command, share=_share(model),
+        lag=max(model.value('lag'), SHORTEST_LAG_S), delay=model.value('delay'), dt=model.dt,
+    )
+
+
+def _settled(one: Placed, s: Signals) -> Signals:
+    """The same with what an effect remembers of a command that has long been given."""
+    if not one.effect.states:
+        return s
+    return replace(s, hidden=one.effect.begin(s, one.p, one.part.settings))
 
 
 def _mapped(model: AxisModel, effects: list[Placed], at: Mapping[str, float]) -> Function | None:
     """Map of the command on its way to the motors; None where it does not change."""
     maps = [
         one for one in effects
-        if type(one.effect).command is not Effect.command and one.dynamics is None
+        if type(one.effect).command is not Effect.command and not one.remembers
     ]
     if not maps:
         return None
 
     def through(u: FloatArray) -> FloatArray:
-        data = _flown(model, at, u)
+        s = commanded(model, at, u)
         if any('motors' in one.effect.signals for one in maps):  # which stop at 0 and 1
-            u = data.motors @ data.share
+            s = replace(s, sent=np.tensordot(_share(model), np.stack(required(s.motors)), 1))
         for one in maps:
-            u = one.effect.command(data, u, one.p, one.part.settings)
-        return u
+            own = _settled(one, s)
+            s = replace(s, sent=one.effect.command(own, one.p, one.part.settings))
+        return required(s.sent)
 
     return through
 
 
-def _drive(model: AxisModel, effects: list[Placed],
-           at: Mapping[str, float]) -> tuple[float, float, SlowMotors | None, LightMode | None]:
-    """Factor on the gain in small motion, lag (s), motors with another lag, and a mode."""
-    data = _flown(model, at, np.array([-SMALL_STEP, SMALL_STEP]))
-    lag = np.full((1, 2), model.value('lag'))
-    drive = Drive(data.command[None, :], np.ones(1), lag)
+def _drive(model: AxisModel, effects: list[Placed], at: Mapping[str, float],
+           size: float = SMALL_STEP) -> tuple[float, float, tuple[SlowMotors, ...]]:
+    """Factor on the gain in small motion, lag (s), and motors with another lag.
+
+    size: of the command, over which a lag that follows how far a motor has to go counts with its
+    largest value.
+    """
+    s = commanded(model, at, np.array([-SMALL_STEP, SMALL_STEP]))
+    drive = Drive(required(s.sent)[None], np.ones(1), np.full((1, 2), model.value('lag')))
     for one in effects:
-        drive = one.effect.actuate(data, drive, one.p, one.part.settings)
+        drive = one.effect.actuate(drive, _settled(one, s), one.p, one.part.settings)
     weights = drive.row * (drive.commands[:, 1] - drive.commands[:, 0]) / (2.0 * SMALL_STEP)
-    lags, whole = np.mean(drive.lag, axis=1), float(np.sum(weights))
+    longer = [float(np.max(np.interp(np.linspace(-size, size, 41), *curve)))
+              for curve in drive.factors]
+    lags, whole = np.mean(drive.lag, axis=1) * np.exp(longer), float(np.sum(weights))
     usual = float(lags[int(np.argmax(np.abs(weights)))])
-    others = np.abs(lags - usual) > LINEAR
-    part = float(np.sum(weights[others]))
-    slow = None
-    if abs(part) > LINEAR:
-        slow = SlowMotors(part / whole, float(np.sum((weights * lags)[others])) / part)
-    mode = None
-    for found in (one.dynamics for one in effects):
-        if found is None:
-            continue
-        if found.frequency_rad_s > 0.0 and mode is None:
-            mode = LightMode(found.frequency_rad_s, max(found.damping_ratio, 1e-3), found.in_phase,
-                             found.quadrature)
-        elif found.lag_s > 0.0 and slow is None:
-            # partial fractions of two lags in series
-            second = found.lag_s if abs(found.lag_s / usual - 1.0) > 1e-3 else 1.001 * usual
-            slow = SlowMotors(second / (second - usual), second)
-        else:
-            usual += found.lag_s
-    return whole, usual, slow, mode
+    slow = []
+    for lag in np.unique(lags[np.abs(lags - usual) > LINEAR]):
+        part = float(np.sum(weights[lags == lag]))
+        if abs(part) > LINEAR:
+            slow.append(SlowMotors(part / whole, float(lag)))
+    return whole, usual, tuple(slow)
 
 
 def throttle_factor(model: AxisModel, share: float) -> float:
@@ -259,25 +393,71 @@ def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
 def gain_range(model: AxisModel) -> tuple[float, float, float]:
     """Least, usual and largest factor on the gain by its curves; 1, 1, 1 without any.
 
-    Curves over the command are left out: the loop simulates them.
+    Also by what it remembers, from cold on, and by what swings or wanders. Curves over the command
+    are left out: the loop simulates them.
     """
     low = usual = high = 1.0
     effects = _inside(model)
     at = _usual(model, effects)
     for one in effects:
-        signal = one.effect.signals[0]
-        if one.curve and one.effect.term == 'gain' and signal != 'command':
+        signal, effect = one.effect.signals[0], one.effect
+        if effect.term != 'gain' or effect.moves_command:
+            continue
+        now = float(one.factor(at)[0])
+        if effect.phased:
+            size = float(np.hypot(*one.p[1:3]))
+            factors = np.array([1.0 - size, 1.0 + size])
+        elif effect.wanders:
+            size = 2.0 * float(one.p[0]) * float(one.part.settings['unit'])
+            factors = np.array([1.0 - size, 1.0 + size])
+        elif isinstance(effect, Warming):
+            factors = effect.factors(one.p, one.part.settings)
+        elif one.curve and signal != 'command':
             field = {'battery': 'battery_v'}.get(signal, signal)
             knots = np.array(one.part.settings['knots'], dtype=float)
-            factors = np.maximum(one.factor(at, **{field: knots}), 0.1)
-            low, high = low * float(factors.min()), high * float(factors.max())
-            usual *= float(one.factor(at)[0])
+            factors = one.factor(at, **{field: knots})
+        else:
+            continue
+        factors = np.maximum(factors, 0.1)
+        low, high = low * float(factors.min()), high * float(factors.max())
+        usual *= now
     return low, usual, high
 
 
-def not_in_the_loop(model: AxisModel) -> tuple[str, ...]:
-    """Names of the effects that the loop plant leaves out."""
-    return tuple(e.name for e in model.effects if not placed(model, e).inside)
+def not_in_the_loop(model: AxisModel) -> dict[str, str]:
+    """The effects that the loop of one axis leaves out, and why."""
+    found = ((e.name, placed(model, e).why_outside) for e in model.effects)
+    return {name: why for name, why in found if why}
+
+
+def share_outside(model: AxisModel) -> dict[str, float]:
+    """Of those that depend on more than disturbances, the largest acceleration over the drive's.
+
+    Both over the signals' ranges in the training; none where the model does not know these.
+    """
+    out: dict[str, float] = {}
+    gain, command = model.value('gain'), np.abs(model.ranges.get('command', (0.0, 0.0))).max()
+    at = usual_signals(model)
+    for found in model.effects:
+        one = placed(model, found)
+        if one.why_outside not in (OTHER_AXES, BY_ITSELF) or not gain * command > 0.0:
+            continue
+        moved: dict[str, Any] = {}
+        for name, field in (('other rate', 'other_rates'), ('other angle', 'other_angles'),
+                            ('other command', 'other_commands')):
+            ends = [np.array(model.ranges.get(f'{name} {i}', (0.0, 0.0))) for i in (1, 2)]
+            moved[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
+        rate = np.repeat(np.abs(model.ranges.get('rate', (0.0, 0.0))).max(), 4)
+        s = one.signals(at, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
+        if one.effect.wanders:
+            s = replace(s, hidden=np.full((1, 4), 2.0 * float(one.p[0])))
+        elif one.effect.states:
+            continue
+        pushed = one.effect.torque(s, one.p, one.part.settings)
+        if pushed is None:
+            pushed = gain * one.effect.command(s, one.p, one.part.settings)
+        out[found.name] = float(np.abs(pushed).max() / (gain * command))
+    return out
 
 
 def _sum(functions: list[Function], half_width: float, steps: tuple[float, ...]) -> Curve | None:

@@ -4,8 +4,9 @@
     rate' = w - damping * rate + bias + f_rate(rate) + f_angle(angle)
     angle' = rate
 
-Motors that are slower than the others have their own lag for their share of the drive. A lightly
-damped mode adds `in_phase` z + `quadrature` z'/v to the drive, z'' + 2 d v z' + v² z = v² w.
+Motors that are slower than the others have their own lag for their share of the drive. Memories
+x' = A x + B inputs, any number of them, stand in the way of the command (lags, modes, play), or
+add a torque that follows rate, angle and drive (springs on dampers, loads, drag of moved air).
 
 u(t) is held over each control cycle and changes right after the measurement at its start. The
 measured rate and angle are both filtered by the gyro's 2nd-order Butterworth filter (the attitude
@@ -78,14 +79,33 @@ class SlowMotors:
     lag_s: float
 
 
-@dataclass(frozen=True)
-class LightMode:
-    """A lightly damped mode in the drive (module docstring); frequency in rad/s."""
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """x' = a x + b inputs, output c x + d inputs; m states.
 
-    frequency_rad_s: float
-    damping_ratio: float
-    in_phase: float
-    quadrature: float
+    In the way of the command the input is that; beside the drive the inputs are rate, angle and
+    drive, and the output is a torque, rad/s².
+    """
+
+    a: FloatArray
+    """(m, m)."""
+    b: FloatArray
+    """(m, inputs)."""
+    c: FloatArray
+    """(m,)."""
+    d: FloatArray
+    """(inputs,)."""
+
+    @property
+    def gain(self) -> float:
+        """What a constant command becomes."""
+        return float(self.d[0] - self.c @ np.linalg.solve(self.a, self.b[:, 0]))
+
+    @property
+    def delay_s(self) -> float:
+        """By how much it delays a slow command, s."""
+        back = np.linalg.solve(self.a, np.linalg.solve(self.a, self.b[:, 0]))
+        return float(self.c @ back) / (self.gain or 1.0)
 
 
 @dataclass(frozen=True)
@@ -109,8 +129,11 @@ class LoopPlant:
     """Extra angular acceleration, rad/s², of the angle, rad (pendulum)."""
     command_curve: Curve | None = None
     """Effective command over command (dead zone, thrust curve)."""
-    slow: SlowMotors | None = None
-    mode: LightMode | None = None
+    slow: tuple[SlowMotors, ...] = ()
+    before: tuple[Memory, ...] = ()
+    """In the way of the command, one after the other."""
+    beside: tuple[Memory, ...] = ()
+    """Torques with a memory."""
 
     def __post_init__(self) -> None:
         """Check that all numbers are finite and times not negative; raises BadInputError."""
@@ -124,6 +147,17 @@ class LoopPlant:
         filter_hz = self.gyro_filter_hz
         if filter_hz is not None and not (np.isfinite(filter_hz) and filter_hz > 0):
             raise BadInputError('LoopPlant', 'gyro_filter_hz must be positive or None', filter_hz)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has a memory, which is linear at some amplitude."""
+        return bool(self.before or self.beside)
+
+    @property
+    def bends(self) -> bool:
+        """Whether it answers to small motion otherwise than to wide."""
+        curves = (self.rate_curve, self.angle_curve, self.command_curve)
+        return self.remembers or any(curve is not None for curve in curves)
 
     @property
     def whole_delay(self) -> int:
@@ -159,48 +193,48 @@ def slopes_at(plant: LoopPlant, rate: float, angle: float, command: float) -> Sl
 def dynamics(plant: LoopPlant, slopes: Slopes) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Continuous state matrices of the delay-free plant.
 
-    States (drive, rate, angle[, filtered rate, filtered angle][, slow drive][, mode z, z']), the
-    filter a Butterworth; returns A (n, n), B (n, 2) for the inputs (f_command(u), torque in
-    rad/s²) and C (2, n) for (measured rate, angle).
+    States (drive, rate, angle[, filtered rate, filtered angle], slow drives, memories), the filter
+    a Butterworth; returns A (n, n), B (n, 2) for the inputs (f_command(u), torque in rad/s²) and
+    C (2, n) for (measured rate, angle).
     """
     filtered = plant.gyro_filter_hz is not None
     core = 5 if filtered else 3
-    n = core + (plant.slow is not None) + 2 * (plant.mode is not None)
-    a = np.zeros((n, n))
-    b = np.zeros((n, 2))
-    c = np.zeros((2, n))
-    lag = max(plant.lag_s, SHORTEST_LAG_S)
-    a[0, 0] = -1.0 / lag
-    b[0, 0] = plant.gain * slopes.command / lag
-    a[1, :3] = (1.0, slopes.rate - plant.damping, slopes.angle)
-    b[1, 1] = 1.0
-    a[2, 1] = 1.0
+    at = core + len(plant.slow)
+    n = at + sum(one.c.size for one in (*plant.before, *plant.beside))
+    a, b, c, unit = np.zeros((n, n)), np.zeros((n, 2)), np.zeros((2, n)), np.eye(n)
+    way, given = np.zeros(n), np.array([1.0, 0.0])  # the command so far, by states and inputs
+    for one in plant.before:
+        own = slice(at, at + one.c.size)
+        a[own, own] = one.a
+        a[own] += np.outer(one.b[:, 0], way)
+        b[own] += np.outer(one.b[:, 0], given)
+        way, given = one.d[0] * way, one.d[0] * given
+        way[own] += one.c
+        at += one.c.size
+    usual = SlowMotors(1.0 - sum(one.share for one in plant.slow), plant.lag_s)
+    drives = [0, *range(core, core + len(plant.slow))]
+    for i, motors in zip(drives, (usual, *plant.slow), strict=True):
+        lag = max(motors.lag_s, SHORTEST_LAG_S)
+        push = plant.gain * slopes.command * motors.share / lag
+        a[i], b[i] = push * way, push * given
+        a[i, i] -= 1.0 / lag
+    a[1, drives], a[1, 1], a[1, 2] = 1.0, slopes.rate - plant.damping, slopes.angle
+    b[1, 1], a[2, 1] = 1.0, 1.0
+    inputs = np.stack([unit[1], unit[2], unit[drives].sum(axis=0)])
+    for one in plant.beside:
+        own = slice(at, at + one.c.size)
+        a[own, own] = one.a
+        a[own] += one.b @ inputs
+        a[1] += one.d @ inputs
+        a[1, own] += one.c
+        at += one.c.size
     c[0, 3 if filtered else 1] = 1.0
     c[1, 4 if filtered else 2] = 1.0
     if plant.gyro_filter_hz is not None:
         cutoff = 2.0 * np.pi * plant.gyro_filter_hz
         a[3, 2], a[3, 3], a[3, 4] = cutoff**2, -np.sqrt(2.0) * cutoff, -(cutoff**2)
         a[4, 3] = 1.0
-    _add_states(plant, a, b, core)
     return a, b, c
-
-
-def _add_states(plant: LoopPlant, a: FloatArray, b: FloatArray, core: int) -> None:
-    """Write the states of slow motors and mode after the first `core` ones."""
-    drives = [0]
-    if plant.slow is not None:
-        lag = max(plant.slow.lag_s, SHORTEST_LAG_S)
-        a[core, core] = -1.0 / lag
-        b[core, 0] = plant.slow.share * b[0, 0] * max(plant.lag_s, SHORTEST_LAG_S) / lag
-        b[0, 0] *= 1.0 - plant.slow.share
-        a[1, core] = 1.0
-        drives.append(core)
-    if plant.mode is not None:
-        at, v = core + len(drives) - 1, plant.mode.frequency_rad_s
-        a[at, at + 1] = 1.0
-        a[at + 1, at], a[at + 1, at + 1] = -(v**2), -2.0 * plant.mode.damping_ratio * v
-        a[at + 1, drives] = v**2
-        a[1, at], a[1, at + 1] = plant.mode.in_phase, plant.mode.quadrature / v
 
 
 def exact_step(a: FloatArray, b: FloatArray, step_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -277,20 +311,23 @@ class Step:
 
 
 def exact_cycles(plants: Sequence[LoopPlant], slopes: Sequence[Slopes]) -> Step:
-    """Exact control cycle of plants with one dt and the same kinds of states."""
+    """Exact control cycle of plants with one dt and filter; missing states are added, at rest."""
     dt = plants[0].dt
-    kinds = {(p.dt, p.gyro_filter_hz is None, p.slow is None, p.mode is None) for p in plants}
-    if len(kinds) > 1:
-        raise BadInputError('exact_cycles', 'plants must share dt, filter, slow motors and mode')
+    if len({(p.dt, p.gyro_filter_hz is None) for p in plants}) > 1:
+        raise BadInputError('exact_cycles', 'plants must share dt and filter')
     parts = [dynamics(p, s) for p, s in zip(plants, slopes, strict=True)]
-    a = np.stack([part[0] for part in parts])
-    b = np.stack([part[1][:, :1] for part in parts])
+    n = max(len(part[0]) for part in parts)
+    a, b = np.zeros((len(parts), n, n)), np.zeros((len(parts), n, 1))
+    a[:, range(n), range(n)] = -1.0
+    for i, (own, into, _) in enumerate(parts):
+        a[i, : len(own), : len(own)], b[i, : len(own)] = own, into[:, :1]
     rest = np.array([p.rest_delay_s for p in plants])
     _, late = exact_step(a, b, rest)
     remain, now = exact_step(a, b, dt - rest)
     phi, _ = exact_step(a, b, np.full(len(plants), dt))
     return Step(phi=phi, now=now[..., 0], before=np.einsum('pij,pj->pi', remain, late[..., 0]),
-                c=np.stack([part[2] for part in parts]),
+                c=np.stack([np.pad(part[2], ((0, 0), (0, n - part[2].shape[1])))
+                            for part in parts]),
                 whole=np.array([p.whole_delay for p in plants], dtype=np.int64), dt=dt)
 
 

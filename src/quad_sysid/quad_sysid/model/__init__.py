@@ -6,7 +6,10 @@ from quad_sysid.model.identified import (
     EffectEstimate,
     GainProposal,
     NoiseEstimate,
+    Outside,
     Parameter,
+    RungModel,
 )
 
-__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate', 'Parameter']
+__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate', 'Outside',
+           'Parameter', 'RungModel']

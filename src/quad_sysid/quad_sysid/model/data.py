@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.record import Record, RotorLag, finite_runs
+from quad_sysid.record import SHORT_GAP_S, Record, RotorLag, finite_runs, joined_runs
 
 Span = tuple[int, int]
 
@@ -60,7 +60,7 @@ class AxisData:
     axis: str
     dt: float
     rate: FloatArray
-    """(n,) measured, rad/s."""
+    """(n,) measured, rad/s; a straight line through short gaps, NaN in longer ones."""
     angle: FloatArray | None
     """(n,) measured, rad."""
     control: FloatArray
@@ -71,13 +71,16 @@ class AxisData:
     """(n, 2) the other two axes' rates in the order of AXES, rad/s; NaN where not measured."""
     battery_v: FloatArray | None
     gyro_filter_hz: float | None
-    """Cut-off of the filter of the measured rate, Hz; None: not known."""
+    """Cut-off of the filter of the measured rate, Hz; None: not known. Where some flights do not
+    tell theirs, it is that of the others."""
     stretches: tuple[Span, ...]
     """Unbroken, except for gaps of at most BRIDGED_S."""
     train: tuple[Span, ...]
     validation: tuple[Span, ...]
     idle: tuple[Span, ...] = ()
     validation_names: tuple[str, ...] = ()
+    lost: NDArray[np.bool_] | None = None
+    """(n,) whether the rate was not measured; None: only where it is NaN."""
     reference: FloatArray | None = None
     """(n,) external reference of the loop (Record.external); NaN where a record lacks it."""
     time_s: FloatArray | None = None
@@ -86,6 +89,8 @@ class AxisData:
     """The rate is the angle's slope over this time to either side, s; None: it was measured."""
     other_angles: FloatArray | None = None
     """(n, 2) the other two axes' angles, rad; None: not measured."""
+    gyro_filters_hz: FloatArray | None = None
+    """(n,) the same of each sample, where flights differ in it."""
     flights: tuple[Span, ...] = ()
     """Samples of each flight; empty: all are of one."""
     source: tuple[AxisData, NDArray[np.int64]] | None = None
@@ -119,10 +124,21 @@ class AxisData:
         return tuple(name for name in AXES if name != self.axis)[:2]
 
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
-        """Windows in `spans`, by default of the contract's length, end to end, no partial ones."""
+        """Windows in `spans`, by default of the contract's length, end to end, no partial ones.
+
+        They keep off every gap as off a start, unless that leaves less than half of them: in a
+        log that loses samples throughout, short gaps are none.
+        """
         length = max(2, round(length_s / self.dt))
         settle = round(SETTLE_S / self.dt)
-        starts = [k for a, b in spans for k in range(a + settle, b - length + 1, length)]
+
+        def inside(runs: Sequence[Span]) -> list[int]:
+            return [k for a, b in runs for k in range(a + settle, b - length + 1, length)]
+
+        starts = inside(spans)
+        if self.lost is not None and self.lost.any():
+            apart = inside([run for span in spans for run in finite_runs(~self.lost, span)])
+            starts = apart if 2 * len(apart) >= len(starts) else starts
         return Windows(np.array(starts, dtype=np.int64), length)
 
     @property
@@ -205,7 +221,7 @@ def other_axis(data: AxisData, which: int) -> AxisData:
     return replace(
         data, axis=data.other_axes[which], rate=np.ascontiguousarray(data.other_rates[:, which]),
         angle=None, other_rates=np.full_like(data.other_rates, np.nan), other_angles=None,
-        derived_s=None, reference=None, source=None,
+        derived_s=None, reference=None, source=None, lost=None,
     )
 
 
@@ -269,15 +285,21 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         values = joined[name].reshape(good.size, -1)
         known = np.isfinite(values).all(axis=1).mean() > least
         joined[name] = filled(joined[name]) if known else None
-    if not np.isfinite(joined['reference']).any():
+    units = {at for record in records for at in record.injected_at(axis)}
+    if len(units) > 1 or not np.isfinite(joined['reference']).any():
         joined['reference'] = None
     for role in ('train', 'validation', 'idle'):
         joined[role] = tuple(span for span, _ in pieces(role))
     known_gains = records[0].gains_at(np.inf)
+    filters = [record.gains_at(np.inf).get('sensor.gyro_filter_hz') or None for record in records]
+    usual = next((hz for hz in filters if hz is not None), None)
+    own = [(hz or usual, b - a) for hz, (a, b) in zip(filters, flights, strict=True)]
     return AxisData(
         axis=axis, dt=dt, **joined,
         stretches=tuple(run for one in flights for run in bridged(finite_runs(good, one), dt)),
-        gyro_filter_hz=known_gains.get('sensor.gyro_filter_hz') or None,
+        gyro_filter_hz=usual,
+        gyro_filters_hz=None if len({hz for hz, _ in own}) < 2
+        else np.concatenate([np.full(count, hz) for hz, count in own]),
         derived_s=known_gains.get('sensor.rate_from_angle_s') or None,
         validation_names=tuple(name for _, name in pieces('validation')),
         flights=flights, craft=records[0].craft,
@@ -285,7 +307,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     )
 
 
-def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
+def _prepare(record: Record, axis: str) -> dict[str, Any]:
     """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
     index, n = AXES.index(axis), record.n
     rate, control = record.rates[:, index], record.control
@@ -302,27 +324,37 @@ def _prepare(record: Record, axis: str) -> dict[str, FloatArray]:
     angles = np.full((n, 3), np.nan) if record.angles is None else record.angles
     nothing, external = np.full(n, np.nan), record.external(axis)
     others = [i for i in range(3) if i != index]
-    return {
-        'rate': np.where(good, rate, np.nan),
+    out: dict[str, Any] = {
+        'rate': across_short_gaps(np.where(good, rate, np.nan), record.dt),
+        'lost': ~good,
         'angle': angles[:, index],
         'other_angles': angles[:, others],
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
-        'other_rates': record.rates[:, others],
+        'other_rates': across_short_gaps(record.rates[:, others], record.dt),
         'battery_v': nothing if record.battery_v is None else record.battery_v,
         'reference': nothing if external is None else external,
     }
+    return out
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
     """Runs joined over gaps of at most BRIDGED_S."""
-    joined: list[Span] = []
-    for start, stop in runs:
-        if joined and (start - joined[-1][1]) * dt <= BRIDGED_S:
-            joined[-1] = joined[-1][0], stop
-        else:
-            joined.append((start, stop))
-    return joined
+    return joined_runs(runs, dt, BRIDGED_S)
+
+
+def across_short_gaps(values: FloatArray, dt: float) -> FloatArray:
+    """(n,) or (n, k) with unknown samples interpolated in gaps of at most SHORT_GAP_S."""
+    if values.ndim > 1:
+        return np.column_stack([across_short_gaps(column, dt) for column in values.T])
+    known = np.asarray(np.isfinite(values))
+    if known.all() or not known.any():
+        return values
+    out = np.full_like(values, np.nan)
+    line = filled(values)
+    for start, stop in joined_runs(finite_runs(known, (0, known.size)), dt, SHORT_GAP_S):
+        out[start:stop] = line[start:stop]
+    return out
 
 
 def filled(values: FloatArray) -> FloatArray:

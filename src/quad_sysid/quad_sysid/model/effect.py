@@ -1,8 +1,10 @@
 """What an effect is: its physics, written once, and its parameters.
 
 The same `torque`, `command` or `actuate` serves the fit, the free run, the simulated loop, the
-linearisation and the report. Arrays are (n,) along a flight, (windows,) in a free run. The
-effects themselves are in quad_sysid.effects; nothing is fitted here.
+linearisation and the report. All see Signals, whose arrays are (n,) along a flight, (windows,) in
+a free run, (flights,) in simulated ones. What an effect remembers are its states, which `advance`
+carries from one cycle to the next. The effects themselves are in quad_sysid.effects; nothing is
+fitted here.
 """
 
 from __future__ import annotations
@@ -10,13 +12,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.data import MISSING, AxisData
+from quad_sysid.model.data import MISSING, AxisData, Span
 
 Settings = Mapping[str, Any]
 Present = TypeVar('Present')
@@ -85,6 +88,38 @@ class Signals:
     """Commands of the motors, normalised."""
     hidden: FloatArray | None = None
     """(states, …) hidden states of the effect, if any, at the start of the cycle."""
+    sent: FloatArray | None = None
+    """The axis' command of this cycle on its way to the motors, normalised; for what acts before
+    the torque, which sees it as the effects before it left it."""
+    share: FloatArray | None = None
+    """(motors,) what a unit of each motor's command adds to that of the axis."""
+    lag: float = 0.0
+    """Of the base's motors, s."""
+    delay: float = 0.0
+    """Of the base, s."""
+    dt: float = 0.0
+    """Length of a cycle, s."""
+
+    @classmethod
+    def at_rest(cls, time: FloatArray, throttle: FloatArray, **known: Any) -> Signals:
+        """The axis at rest, and the other two, but for what is `known`."""
+        rest = np.zeros_like(time)
+        still = dict.fromkeys(('rate', 'angle', 'drive', 'command', 'change', 'lagged'), rest)
+        others = dict.fromkeys(('other_rates', 'other_commands', 'other_angles'), (rest, rest))
+        own: dict[str, Any] = {**still, **others, 'battery_v': None, **known}
+        return cls(time=time, throttle=throttle, **own)
+
+    def at(self, k: int | NDArray[np.int64]) -> Signals:
+        """Those of one cycle, or of several."""
+        taken, known = dict(vars(self)), {}  # many are one array, of what is at rest
+        for name, value in vars(self).items():
+            if isinstance(value, tuple):
+                taken[name] = tuple(one[..., k] for one in value)
+            elif isinstance(value, np.ndarray) and name != 'share':
+                if id(value) not in known:
+                    known[id(value)] = value[..., k]
+                taken[name] = known[id(value)]
+        return Signals(**taken)
 
 
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
@@ -112,7 +147,10 @@ def per_unit(term: str, s: Signals, transition: float = math.exp(TRANSITION.cent
 
 @dataclass(frozen=True)
 class Drive:
-    """Commands between mixer and motors: each channel has a lag and a share of the axis."""
+    """Commands between mixer and motors: each channel has a lag and a share of the axis.
+
+    Arrays end in the shape of the signals, (n,) along a flight.
+    """
 
     commands: FloatArray
     """(c, n) normalised, held over a cycle."""
@@ -123,24 +161,22 @@ class Drive:
     factors: FloatArray = field(default_factory=lambda: np.zeros((1, 2, 6)))
     """(c, 2, 6) logarithm of a factor of the lag over how far a motor has to go: knots, values.
     Of channels for which none are given it is zero."""
+    ages: FloatArray | None = None
+    """(2, n) how many cycles ago the commands were sent that act in each cycle, before and after
+    they change, linear between two commands; None: by the base's delay."""
+    fraction: FloatArray | None = None
+    """(n,) of the cycle before they change."""
+
+    def behind(self, delay: FloatArray) -> Drive:
+        """The same behind a delay (n,) in cycles."""
+        delay = np.maximum(delay, 0.0)
+        whole = np.floor(delay + 1e-9)
+        return replace(self, ages=np.stack([whole + 1.0, whole]),
+                       fraction=np.maximum(delay - whole, 0.0))
 
     def __post_init__(self) -> None:
         more = np.zeros((self.row.size - len(self.factors), *self.factors.shape[1:]))
         object.__setattr__(self, 'factors', np.concatenate([self.factors, more]))
-
-
-@dataclass(frozen=True)
-class Dynamics:
-    """Linear dynamics before the motors: a lag, or a lightly damped mode added to the command.
-
-    z'' + 2 d w z' + w² z = w² u; the mode adds in_phase z + quadrature z'/w; w = 0: no mode.
-    """
-
-    lag_s: float = 0.0
-    frequency_rad_s: float = 0.0
-    damping_ratio: float = 0.0
-    in_phase: float = 0.0
-    quadrature: float = 0.0
 
 
 class Effect:
@@ -165,7 +201,8 @@ class Effect:
     """Distinguishes effects of one name, such as the other axis of a coupling."""
     parameters: tuple[Spec, ...] = ()
     states: int = 0
-    """Number of hidden states, which `trace` and `advance` drive by the signals."""
+    """Number of hidden states, which `advance` drives by the signals; of what acts on single
+    motors, of each."""
     integrates: bool = False
     """Whether its hidden states sum up the rate."""
     free: bool = False
@@ -190,13 +227,11 @@ class Effect:
         found = (data.signal(name) for name in MISSING if name in self.signals)
         return next((why for why in found if isinstance(why, str)), {})
 
-    def command(
-        self, data: AxisData, command: FloatArray, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        """(n,) command of the axis after the effect."""
-        return command
+    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        """Command of the axis after the effect; s.sent is that before it."""
+        return required(s.sent)
 
-    def actuate(self, data: AxisData, drive: Drive, p: FloatArray, settings: Settings) -> Drive:
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         """The motors' lags after the effect."""
         return drive
 
@@ -247,25 +282,49 @@ class Effect:
         """Parameters for another flight: for an event the values after it; phase in rad."""
         return p
 
-    def trace(
-        self, data: AxisData, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        """(states, n) hidden states at the start of each cycle, in each stretch from its start."""
-        raise NotImplementedError
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        """(states, …) hidden states at the start of a flight, of which `s` is the first cycle."""
+        return np.zeros((self.states, *s.time.shape))
+
+    def settled(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        """(states, …) hidden states in the middle of a flight, at which a loop is judged."""
+        return self.begin(s, p, settings)
 
     def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings, dt: float
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        """(states, w) hidden states a cycle of `dt` s later, for signals (w,) held over it."""
+        """(states, …) hidden states a cycle of s.dt later, for signals held over it."""
         raise NotImplementedError
+
+    def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray | None:
+        """(states, n) where each stretch begins, by its first sample; None: as `begin` says."""
+        return None
+
+    def trace(
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        begun: FloatArray | None = None,
+    ) -> FloatArray:
+        """(states, n) hidden states at the start of each cycle, in each stretch from its start.
+
+        What `advance` says, along arrays (n,); built-in effects do it by compiled loops.
+        """
+        out: FloatArray | None = None
+        for start, stop in stretches:
+            x = self.begin(s.at(start), p, settings) if begun is None else begun[:, start]
+            if out is None:
+                out = np.zeros((x.shape[0], s.time.size))
+            for k in range(start, stop):
+                out[:, k] = x
+                x = self.advance(x, s.at(k), p, settings)
+        return required(out)
+
+    def longest_s(self, p: FloatArray) -> float:
+        """By how much at most it makes the delay longer, s."""
+        return 0.0
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         """Signal (`throttle`, `battery`) → the value at which a loop is judged."""
         return {'throttle': settings['throttle']} if 'throttle' in settings else {}
-
-    def dynamics(self, p: FloatArray) -> Dynamics | None:
-        """Linear dynamics of a command effect with memory; None where it is not linear."""
-        return None
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
         """(p, p) precision of the prior of its parameters, in the coordinates of the fit.

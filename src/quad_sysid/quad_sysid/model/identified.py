@@ -28,7 +28,7 @@ class Parameter:
 
 
 UNLISTED = 'unlisted_physics'
-"""Among an effect's rivals: it describes a part of physics that no effect of the list is."""
+"""Among an effect's rivals: a cause that the search did not compare with it."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,8 @@ class EffectEstimate:
     probability: float = 1.0
     rivals: tuple[tuple[str, float], ...] = ()
     """Names of alternatives in its place, with their probabilities; one may be UNLISTED."""
+    explains_pct: float = 0.0
+    """Share of the squared error between base and reference that it takes away on its rung."""
 
     @property
     def listed_rivals(self) -> tuple[tuple[str, float], ...]:
@@ -87,6 +89,38 @@ class NoiseEstimate:
 
 
 @dataclass(frozen=True)
+class RungModel:
+    """One rung of the explanation: the base with some effects, projected."""
+
+    base: tuple[Parameter, ...]
+    effects: tuple[EffectEstimate, ...]
+    noise: NoiseEstimate
+    explains_pct: float
+    error: float
+    """RMS of the free run on the held-out segments, rad/s."""
+
+
+@dataclass(frozen=True)
+class Outside:
+    """A signal that leaves the range that it had in the training."""
+
+    signal: str
+    seconds: float
+    """How long."""
+    least: float
+    most: float
+    """In this flight."""
+    low: float
+    high: float
+    """In the training."""
+
+    def __str__(self) -> str:
+        return (f'{self.signal} is outside the range of the training for {self.seconds:.2g} s: '
+                f'{self.least:.3g} to {self.most:.3g}, trained from {self.low:.3g} to '
+                f'{self.high:.3g}')
+
+
+@dataclass(frozen=True)
 class AxisModel:
     """The completed continuous-time model of one axis.
 
@@ -110,13 +144,21 @@ class AxisModel:
     active_gains: Mapping[str, float] = field(default_factory=dict)
     """Gains and loop constants of all axes from /gains/active during the flight."""
     mean_battery_v: float | None = None
+    mean_throttle: float | None = None
+    """U1 in the training."""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Least and largest value in the training of each signal that the model depends on."""
     noise: NoiseEstimate | None = None
     """Noise of the completed model."""
     trusted_band_rad_s: tuple[float, float] | None = None
     """Where the data support the model, rad/s."""
     plain: tuple[Parameter, ...] = ()
-    """The base fitted without effects, for the error `before`; empty: the base above."""
+    """Rung 0, the base alone, for the error `before`; empty: the base above."""
     plain_noise: NoiseEstimate | None = None
+    rungs: tuple[RungModel, ...] = ()
+    """The explanation above rung 0; empty where nothing was missing."""
+    reference: AxisModel | None = None
+    """The model that predicts best, with which gains are designed; None: this one."""
     craft: Craft = X
     """Where the motors are and how they turn."""
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
@@ -129,6 +171,11 @@ class AxisModel:
             *(f'  {name} {p.value:.4g}' + ('' if p.std is None else f' ± {p.std:.2g}') +
               f' {p.unit}' for name, p in self._named),
         ])
+
+    @property
+    def predicting(self) -> AxisModel:
+        """The model that predicts best."""
+        return self.reference or self
 
     @property
     def noise_rms(self) -> float | None:
@@ -160,6 +207,8 @@ class GainProposal:
     figures: Mapping[str, float] = field(default_factory=dict)
     """Predicted figures: phase_margin_deg, rise_time_s, …; those of the old gains end in
     `_before`."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Effects that the margins do not hold, and why."""
     steps: tuple[Mapping[str, float], ...] = ()
     """Updates that lead to the target, each within the step limit; the last is the target."""
 

@@ -39,50 +39,98 @@ def between(x, knots, values):
     return values[-1]
 
 
-@kernel(TABLE, LINE, TABLE, BLOCK, WHOLE, NUMBER, NUMBER, WHOLE, WHOLE, TABLE, TABLE)
-def motors(commands, row, lag, factors, whole, fraction, dt, start, stop, halves, states):
-    """Drive of one axis: each command after its delay and lag, mixed by `row`.
+@inner
+def motor_ahead(w, new, before, tau, uneven, factors, fraction, dt, known, out):
+    """A motor's lagged command w a cycle later, whose command changes after a `fraction` of it.
 
-    commands (c, n) held over a cycle; row (c,); lag (c, n) s, times the exponential of a curve
-    over how far a motor has to go, factors (c, 2, k) its knots and values. The delay is `whole`
-    cycles and a `fraction` of one. halves (2, n), zeros before, receives the mean drive over both
-    halves of each cycle in [start, stop), states (2, n) the drive and the delayed command at its
-    middle. Solved exactly for a held command and a constant lag.
+    tau s, where `uneven` times the exponential of a curve over how far the motor has to go,
+    factors (2, k) its knots and values. out (4,) receives the areas over both halves of the cycle,
+    w and the command at its middle. known (3, 3) are lengths, lags and decays of the cycle before,
+    most often the same. Solved exactly for a held command and a constant lag.
     """
     cut0, cut1 = min(fraction, 0.5), max(fraction, 0.5)
-    lengths = (cut0 * dt, (cut1 - cut0) * dt, (1.0 - cut1) * dt)
     older = 1 if fraction < 0.5 else 2  # lengths with the older command
     first = 3 - older  # lengths in the first half
+    out[0] = out[1] = 0.0
+    for i in range(3):
+        h = cut0 * dt if i == 0 else (cut1 - cut0) * dt if i == 1 else (1.0 - cut1) * dt
+        u = before if i < older else new
+        if h > 0.0:
+            lag = tau
+            if uneven:
+                lag *= math.exp(between(u - w, factors[0], factors[1]))
+            if lag != known[1, i] or h != known[0, i]:
+                known[0, i], known[1, i], known[2, i] = h, lag, math.exp(-h / lag)
+            decay, away = known[2, i], w - u
+            out[0 if i < first else 1] += u * h + away * lag * (1.0 - decay)
+            w = u + away * decay
+        if i == first - 1:
+            out[2], out[3] = w, u
+    return w
+
+
+@inner
+def sent(commands, k, age, start):
+    """The command (n,) that was sent `age` cycles before the k-th, linear between two."""
+    whole = math.floor(age)
+    new = commands[max(k - int(whole), start)]
+    if age == whole:
+        return new
+    return new + (age - whole) * (commands[max(k - int(whole) - 1, start)] - new)
+
+
+@kernel(TABLE, LINE, TABLE, BLOCK, TABLE, LINE, NUMBER, WHOLE, WHOLE, TABLE, TABLE)
+def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves, states):
+    """Drive of one axis: each command after its delay and lag, mixed by `row`.
+
+    commands (c, n) held over a cycle; row (c,); lag (c, n) s, and factors (c, 2, k) as in
+    motor_ahead; ages (2, n) and fraction (n,) as in effect.Drive. halves (2, n), zeros before,
+    receives the mean drive over both halves of each cycle in [start, stop), states (2, n) the
+    drive and the delayed command at its middle.
+    """
+    out = np.zeros(4)
     for c in range(commands.shape[0]):
         weight, uneven = row[c], False
         if weight == 0.0:
             continue
         for i in range(factors.shape[2]):
             uneven = uneven or factors[c, 1, i] != 0.0
-        w = commands[c, start]
-        taus, decays = np.zeros(3), np.zeros(3)  # of each length, most often as a cycle before
+        w, known = commands[c, start], np.zeros((3, 3))
         for k in range(start, stop):
-            new = commands[c, max(k - whole, start)]
-            before = commands[c, max(k - whole - 1, start)]
-            for i in range(3):
-                h = lengths[i]
-                u = before if i < older else new
-                if h > 0.0:
-                    tau = lag[c, k]
-                    if uneven:
-                        tau *= math.exp(between(u - w, factors[c, 0], factors[c, 1]))
-                    if tau != taus[i]:
-                        taus[i], decays[i] = tau, math.exp(-h / tau)
-                    away = w - u
-                    area = u * h + away * tau * (1.0 - decays[i])
-                    w = u + away * decays[i]
-                    halves[0 if i < first else 1, k] += weight * area
-                if i == first - 1:
-                    states[0, k] += weight * w
-                    states[1, k] += weight * u
+            w = motor_ahead(
+                w, sent(commands[c], k, ages[1, k], start),
+                sent(commands[c], k, ages[0, k], start), lag[c, k], uneven, factors[c],
+                fraction[k], dt, known, out,
+            )
+            halves[0, k] += weight * out[0]
+            halves[1, k] += weight * out[1]
+            states[0, k] += weight * out[2]
+            states[1, k] += weight * out[3]
     for k in range(start, stop):
         halves[0, k] *= 2.0 / dt
         halves[1, k] *= 2.0 / dt
+
+
+@kernel(TABLE, TABLE, TABLE, LINE, TABLE, BLOCK, LINE, NUMBER, TABLE)
+def motors_ahead(w, new, before, row, lag, factors, fraction, dt, out):
+    """One cycle of m flights: w (c, m) in place; new, before, lag (c, m), fraction (m,).
+
+    out (4, m) receives the mean drive over both halves, the drive and the command at mid-cycle.
+    """
+    own, known = np.zeros(4), np.zeros((3, 3))
+    for i in range(w.shape[1]):
+        out[0, i] = out[1, i] = out[2, i] = out[3, i] = 0.0
+    for c in range(w.shape[0]):
+        uneven = False
+        for i in range(factors.shape[2]):
+            uneven = uneven or factors[c, 1, i] != 0.0
+        for i in range(w.shape[1]):
+            w[c, i] = motor_ahead(w[c, i], new[c, i], before[c, i], lag[c, i], uneven, factors[c],
+                                  fraction[i], dt, known, own)
+            out[0, i] += row[c] * own[0] * 2.0 / dt
+            out[1, i] += row[c] * own[1] * 2.0 / dt
+            out[2, i] += row[c] * own[2]
+            out[3, i] += row[c] * own[3]
 
 
 @kernel(LINE, NUMBER, TABLE, LINE, LINE, LINE, TABLE, FLAG, NUMBER, WHOLE, WHOLE, TABLE, TABLE,
@@ -406,40 +454,30 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
 
 @kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
 def play(command, width, start, stop, out):
-    """The command after a backlash of +-width."""
+    """What a backlash of +-width holds at the start of each cycle."""
     held = command[start]
     for k in range(start, stop):
-        held = min(max(held, command[k] - width), command[k] + width)
         out[k] = held
+        held = min(max(held, command[k] - width), command[k] + width)
 
 
-@kernel(LINE, NUMBER, NUMBER, WHOLE, WHOLE, LINE)
-def in_steps(x, hysteresis, slope, start, stop, out):
-    """Whole steps of x, each kept until x is 0.5 + hysteresis away from it.
-
-    Around that point the two steps share the cycle over a short slope, for a smooth likelihood.
-    """
+@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
+def in_steps(x, hysteresis, start, stop, out):
+    """The whole step of x at the start of each cycle, kept until x is 0.5 + hysteresis away."""
     kept = math.floor(x[start] + 0.5)
     for k in range(start, stop):
-        away = x[k] - kept
-        over = abs(away) - 0.5 - hysteresis
-        new = kept
-        if over > 0.0:
-            new = math.floor(x[k] + 0.5)
-        elif over > -0.5 * slope:
-            new = kept + math.copysign(1.0, away)
-        out[k] = new + max(0.5 - over / slope, 0.0) * (kept - new)
-        if over > 0.0:
-            kept = new
+        out[k] = kept
+        if abs(x[k] - kept) - 0.5 > hysteresis:
+            kept = math.floor(x[k] + 0.5)
 
 
 @kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
 def slew(command, step, start, stop, out):
-    """The command, which changes by at most `step` per cycle."""
+    """At the start of each cycle the command, which changes by at most `step` per cycle."""
     held = command[start]
     for k in range(start, stop):
-        held += min(max(command[k] - held, -step), step)
         out[k] = held
+        held += min(max(command[k] - held, -step), step)
 
 
 @kernel(LINE, TABLE, LINE, WHOLE, WHOLE, TABLE)
@@ -509,22 +547,20 @@ def loose_ahead(pull, moved, spring, damping, dt, z, q):
 
 @kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, WHOLE, WHOLE, TABLE)
 def loose(pull, moved, spring, damping, dt, start, stop, out):
-    """Such z and q at the start of each cycle and f over it, (3, n) into `out`, as they begin."""
+    """Such z and q at the start of each cycle, (2, n) into `out`, as they begin."""
     z, q = out[0, start], out[1, start]
     for k in range(start, stop):
         out[0, k], out[1, k] = z, q
-        z, q, out[2, k] = loose_ahead(pull[k], moved[k], spring, damping, dt, z, q)
+        z, q, _ = loose_ahead(pull[k], moved[k], spring, damping, dt, z, q)
 
 
-@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, TABLE)
-def all_loose_ahead(pull, moved, spring, damping, dt, states):
-    """The same (3, w) a cycle later, where the next one's f takes this one's pull and motion."""
-    out = np.empty_like(states)
+@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, TABLE, TABLE)
+def all_loose_ahead(pull, moved, spring, damping, dt, states, out):
+    """The same of many a cycle later, and f meanwhile, into `out` (3, w)."""
     for i in range(pull.size):
-        held = pull[i], moved[i], spring, damping, dt
-        z, q, _ = loose_ahead(*held, states[0, i], states[1, i])
-        out[0, i], out[1, i], out[2, i] = z, q, loose_ahead(*held, z, q)[2]
-    return out
+        out[0, i], out[1, i], out[2, i] = loose_ahead(
+            pull[i], moved[i], spring, damping, dt, states[0, i], states[1, i]
+        )
 
 
 @inner

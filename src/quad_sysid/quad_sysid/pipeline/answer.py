@@ -12,7 +12,8 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Verdict
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
-from quad_sysid.model import AxisModel, GainProposal
+from quad_sysid.explain import Ladder
+from quad_sysid.model import AxisModel, GainProposal, Outside
 from quad_sysid.model.data import AxisData
 from quad_sysid.record import IOData, Segment
 
@@ -93,6 +94,7 @@ class Findings:
     problem: Problem
     """Its training segments, cut out, on which `found` was fitted."""
     found: Found
+    ladder: Ladder
     verdict: Verdict
     before: HeldOut
     after: HeldOut
@@ -184,6 +186,8 @@ class AxisAnswer:
     rate_reference: FloatArray | None = None
     """(n,) rad/s, alike."""
     selection: Selection = field(default_factory=Selection)
+    outside: tuple[Outside, ...] = ()
+    """Where the held-out segments leave the range of the training."""
     residuals: Mapping[str, Residual] = field(default_factory=dict)
     """One-step errors on the held-out segments of `before`, `after`, `blackbox`."""
 

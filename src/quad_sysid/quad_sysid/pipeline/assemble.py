@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,15 +11,19 @@ from quad_sysid.blackbox import Model, coherence, frequency_response
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.estimate import stored
-from quad_sysid.model import AxisModel
-from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Effect
+from quad_sysid.estimate.fit import Fit, covariance
+from quad_sysid.explain.projection import Projected
+from quad_sysid.model import AxisModel, Outside, RungModel
+from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.effect import Effect, Part
 from quad_sysid.pipeline.answer import Findings
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.record import IOData, finite_runs
 
 COHERENT = 0.6
 CONFIDENT = 2.576
+BEYOND = 0.05
+"""Share of a range by which a signal must leave it."""
 HALF_POWER = 0.41
 """A gain that is off by this part is off by 3 dB."""
 
@@ -26,32 +31,93 @@ HALF_POWER = 0.41
 def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,
                candidates: Sequence[Effect] = EFFECTS) -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
-    data, verdict, chosen = findings.data, findings.verdict, findings.after.fit
-    told = stored.readings(findings.problem, chosen)
-    base = told if not findings.added else stored.readings(findings.problem, findings.before.fit)
+    data, verdict, problem = findings.data, findings.verdict, findings.problem
+    ladder, reference = findings.ladder, findings.found.best
+    best = stored.readings(problem, reference)
+    whole = covariance(problem, reference)
+
+    def read(fitted: Fit) -> stored.Readings:
+        if fitted is reference:
+            return best
+        if any(fitted is one.fit for one in findings.found.all):
+            return stored.readings(problem, fitted)
+        projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
+        return stored.readings(problem, fitted, ladder.projection.covariance(projected, whole))
+
+    chosen = verdict.chosen
+    told, plain = read(chosen), read(verdict.base)
+    judged = [
+        {'p_value': claim.p_value, 'probability': probability, 'rivals': rivals,
+         'error_reduction_pct': 100.0 * (1.0 - verdict.after / claim.without)
+         if claim.without > 0.0 else 0.0,
+         'explains_pct': ladder.explains(part.effect.label)}
+        for claim, probability, rivals, part in zip(
+            verdict.claims, verdict.probabilities, verdict.rivals, chosen.structure.parts,
+            strict=True)
+    ]
     volts = data.battery_v
-    reductions = [100.0 * (1.0 - verdict.after / without) if without > 0.0 else 0.0
-                  for without in verdict.without]
-    return AxisModel(
-        axis=data.axis,
-        dt=data.dt,
-        gyro_filter_hz=data.gyro_filter_hz,
-        base=told.base,
-        effects=stored.effects_of(chosen, told, min(1.0, 1.0 / verdict.e_value), reductions,
-                                  verdict.probabilities, verdict.rivals),
-        parameter_names=told.names,
-        covariance=told.covariance,
-        active_gains=dict(gains),
+    shared = AxisModel(
+        axis=data.axis, dt=data.dt, gyro_filter_hz=data.gyro_filter_hz, base=best.base,
+        effects=stored.effects_of(reference, best), parameter_names=best.names,
+        covariance=best.covariance, active_gains=dict(gains),
         mean_battery_v=None if volts is None else float(
             np.mean(np.concatenate([volts[a:b] for a, b in data.train]))
         ),
-        noise=stored.noise_of(chosen),
-        trusted_band_rad_s=band,
-        plain=base.base,
-        plain_noise=stored.noise_of(findings.before.fit),
+        mean_throttle=float(np.mean(data.training(data.control[:, 0]))),
+        ranges=ranges_of(data, (*reference.structure.parts, *chosen.structure.parts)),
+        noise=stored.noise_of(reference), trusted_band_rad_s=band,
         craft=data.craft,
         own_effects=tuple(effect for effect in candidates if effect not in EFFECTS),
     )
+    explained = zip(ladder.rungs[1:], verdict.rung_fits[1:], verdict.rungs[1:], strict=True)
+    # what the held-out segments do not confirm at all is no reference for gains either
+    distinct = chosen is not reference and bool(verdict.claims)
+    return replace(
+        shared, base=told.base, effects=stored.effects_of(chosen, told, judged),
+        parameter_names=told.names, covariance=told.covariance, noise=stored.noise_of(chosen),
+        plain=plain.base, plain_noise=stored.noise_of(verdict.base),
+        rungs=tuple(
+            RungModel(one.base, stored.effects_of(fit, one), stored.noise_of(fit),
+                      rung.explains_pct, error)
+            for rung, fit, error in explained for one in (read(fit),)
+        ) if verdict.claims else (),
+        reference=shared if distinct else None,
+    )
+
+
+def ranges_of(data: AxisData, parts: Sequence[Part]) -> dict[str, tuple[float, float]]:
+    """Least and largest value in the training of rate, command and what the effects depend on."""
+    out = {}
+    for name in ('rate', 'command', *(s for part in parts for s in signals_of(part.effect))):
+        signal = data.signal(name)
+        if not isinstance(signal, str):
+            used = data.training(signal)
+            out[name] = float(np.nanmin(used)), float(np.nanmax(used))
+    return out
+
+
+def signals_of(effect: Effect) -> list[str]:
+    """The signals of an effect in the words of AxisData.signal; what goes one way is left out."""
+    names = [s for s in effect.signals if s in ('angle', 'throttle', 'battery', 'rate', 'command')]
+    kinds = [s.rstrip(' 12') for s in effect.signals if s.startswith('other')]
+    names += [f'{kind} {which + 1}' for kind in kinds for which in effect.others]
+    return names + ['other rate 1', 'other rate 2'] * ('product of other rates' in effect.signals)
+
+
+def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple[Outside, ...]:
+    """Which signals leave their range of the training in these spans, the longest first."""
+    found = []
+    for name, (low, high) in model.ranges.items():
+        signal = data.signal(name)
+        if isinstance(signal, str):
+            continue
+        flown = np.concatenate([signal[a:b] for a, b in spans])
+        beyond = np.maximum(low - flown, flown - high)
+        out = int(np.count_nonzero(beyond > BEYOND * (high - low)))
+        if out:
+            least, most = float(np.nanmin(flown)), float(np.nanmax(flown))
+            found.append(Outside(name, out * data.dt, least, most, low, high))
+    return tuple(sorted(found, key=lambda one: -one.seconds))
 
 
 def lag_window(z: IOData) -> int:

@@ -17,11 +17,13 @@ from quad_sysid.craft import Craft
 from quad_sysid.discover.accept import Horizon, Unseen, horizons, rms
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate import stored
-from quad_sysid.estimate.stored import Stored, completed
-from quad_sysid.model import AxisModel
-from quad_sysid.model.data import AxisData, Span, Windows, axis_data
-from quad_sysid.model.plant import Flight, Prediction
+from quad_sysid.estimate.stored import Stored, completed, plant_of
+from quad_sysid.loop.from_model import usual_signals
+from quad_sysid.model import AxisModel, Outside
+from quad_sysid.model.data import AxisData, Span, axis_data
+from quad_sysid.model.effect import Signals
 from quad_sysid.pipeline import blackbox_part
+from quad_sysid.pipeline.assemble import outside_of
 from quad_sysid.pipeline.usable import check_limits, same_craft, same_rate
 from quad_sysid.record import Record, finite_runs
 
@@ -47,17 +49,24 @@ class Evaluation:
     one_step_after: float
     hold: float
     windows: int
+    reference: float | None = None
+    """Of the model that predicts best, where that is another one than the answer."""
+    rungs: tuple[tuple[tuple[str, ...], float, float], ...] = ()
+    """The explanation: names of the effects, percent explained, error on this flight."""
     blackbox: float | None = None
     """None where none was given, or where its predictions diverge."""
     horizons: tuple[Horizon, ...] = ()
     blackbox_horizons: dict[float, float] = field(default_factory=dict)
+    outside: tuple[Outside, ...] = ()
+    """Where the flight leaves the range of the training."""
 
     def __repr__(self) -> str:
         told = {'hold the last value': self.hold, 'base (before)': self.before,
-                'completed (after)': self.after, 'black box': self.blackbox}
+                'completed (after)': self.after, 'reference': self.reference,
+                'black box': self.blackbox}
         lines = [f'  {name} {value:.4g}' for name, value in told.items() if value is not None]
         head = f'{self.axis}: RMS error of the rate, rad/s, over {self.windows} free runs of 0.5 s'
-        return '\n'.join([head, *lines])
+        return '\n'.join([head, *lines, *(f'  {one}' for one in self.outside)])
 
 
 def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
@@ -75,7 +84,9 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
                             f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz',
                             'identify at this rate')
     data = axis_data([record], model.axis)
-    data = replace(data, gyro_filter_hz=model.gyro_filter_hz,
+    # a model without a filter holds it in its lag and delay; else the bag knows its own best
+    own = data.gyro_filter_hz if model.gyro_filter_hz else None
+    data = replace(data, gyro_filter_hz=own or model.gyro_filter_hz,
                    derived_s=None if data.angle is None else data.derived_s)
     spans = flown_spans(record, data, spans_s)
     if not data.windows(spans).count:
@@ -105,11 +116,23 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         one_step_after=unseen.one_step(after),
         hold=hold,
         windows=unseen.windows.count,
+        reference=_of(unseen, model.predicting) if model.reference else None,
+        rungs=tuple(
+            (tuple(effect.name for effect in rung.effects), rung.explains_pct,
+             _of(unseen, replace(model, base=rung.base, effects=rung.effects, noise=rung.noise)))
+            for rung in model.rungs
+        ),
         blackbox=None if blackbox is None else blackbox_part.window_error(about, blackbox, spans),
         horizons=horizons(unseen, before, after),
         blackbox_horizons={} if blackbox is None
         else blackbox_part.horizons(about, blackbox, spans),
+        outside=outside_of(model, data, spans),
     )
+
+
+def _of(unseen: Unseen, model: AxisModel) -> float:
+    """Error of a stored model on this flight."""
+    return rms(unseen.errors(of_this_flight(unseen, stored.completed(model))))
 
 
 def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) -> None:
@@ -178,46 +201,47 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     """(n,) rate as the gyro would measure it, rad/s, for commands `u` (n,), one per cycle.
 
     `x0` is the rate (rad/s) and the angle (rad) at the first command; motors and filter are at
-    rest there. `throttle` (U1) and `battery_v` (V) are needed by effects that depend on them; one
-    value or (n,). The other axes stand still. Raises BadInputError for signals that do not fit.
+    rest there. `throttle` (U1) and `battery_v` (V), one value or (n,), matter to effects that
+    depend on them; by default they are the means of the flight. The other axes stand still.
+    Raises BadInputError for signals that do not fit.
     """
     command = np.asarray(u, dtype=np.float64)
     if command.ndim != 1 or command.size < 2 or not np.isfinite(command).all():
         raise BadInputError('simulate', 'u must be (n,) finite commands, n at least 2',
                             f'shape {command.shape}')
-    n, rate, angle = command.size + 1, float(x0[0]), float(x0[1])  # one cycle before, at rest
-    stored = completed(model)
+    stored, usual = completed(model), usual_signals(model)
     for part in stored.structure.parts:
-        if 'battery' in part.effect.signals and battery_v is None:
+        if 'battery' in part.effect.signals and battery_v is None and not model.mean_battery_v:
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
                                 remedy='give battery_v in V, one value for each command')
-    control = np.zeros((n, 4))
-    control[:, 0] = _like(throttle, n, 'throttle', 0.0)
-    control[1:, 1 + AXES.index(model.axis)] = command
-    data = AxisData(axis=model.axis, dt=model.dt, rate=np.zeros(n), angle=np.full(n, angle),
-                    control=control, motors=control @ model.craft.mixer.T, craft=model.craft,
-                    other_rates=np.zeros((n, 2)),
-                    other_angles=np.zeros((n, 2)),
-                    battery_v=None if battery_v is None else _like(battery_v, n, 'battery_v'),
-                    gyro_filter_hz=model.gyro_filter_hz, stretches=((0, n),), train=((0, n),),
-                    validation=())
-    flight = Flight(data, ((0, n),))
-    flight.angle = np.full(n, angle - flight.late * rate)  # the model takes angles for late
-    found = flight.filter_of(stored.structure, stored.theta, 0.0)
-    states = np.zeros((n, stored.structure.states))
-    filtered = flight.sensor.step[1]
-    settled = rate * (filtered[0] + filtered[2:].sum()) / (1.0 - filtered[1])
-    states[1, :4] = rate, 0.0, rate, settled
-    start = Prediction(np.zeros(n), None, states, found, np.full(n, rate))
-    once = Windows(np.ones(1, dtype=np.int64), n - 1)
-    rates = flight.free_run(stored.structure, stored.theta, once, prediction=start)
-    return np.asarray(rates[0])
+    n = command.size
+    wrench = np.zeros((n, 4))
+    wrench[:, 0] = _like(throttle, n, 'throttle', usual['throttle'])
+    wrench[:, 1 + AXES.index(model.axis)] = command
+    around = Signals.at_rest(
+        model.dt * (np.arange(n, dtype=np.float64) + 0.5)[None], wrench[None, :, 0],
+        battery_v=_like(battery_v, n, 'battery_v', usual['battery'])[None],
+        motors=tuple((wrench @ model.craft.mixer.T).T[:, None]),
+        sent=command[None],
+    )
+    plant = plant_of(model)
+    at_rest = around.at(0)
+    still = np.zeros(4)
+    still[0] = wrench[0, 0]
+    at_rest = replace(at_rest, sent=np.zeros(1),
+                      motors=tuple((model.craft.mixer @ still)[:, None]))
+    x = plant.begin(at_rest, *(np.array([float(value)]) for value in x0))
+    out = np.empty(n)
+    for k in range(n):
+        out[k] = plant.measured(x)[0][0]
+        x = plant.step(x, around.at(k))
+    return out
 
 
-def _like(value: npt.ArrayLike | None, n: int, name: str, default: float = np.nan) -> FloatArray:
-    """One value, or (n - 1,) behind a cycle like its first, as (n,)."""
-    given = np.asarray(default if value is None else value, dtype=np.float64)
-    if given.shape not in ((), (n - 1,)) or not np.isfinite(given).all():
+def _like(value: npt.ArrayLike | None, n: int, name: str, usual: float) -> FloatArray:
+    """One value, or (n,), as (n,)."""
+    given = np.asarray(usual if value is None else value, dtype=np.float64)
+    if given.shape not in ((), (n,)) or not np.isfinite(given).all():
         raise BadInputError('simulate', f'{name} must be one finite value or as long as u',
                             given.shape)
-    return np.full(n, given) if given.ndim == 0 else np.concatenate((given[:1], given))
+    return np.full(n, given)

@@ -19,18 +19,20 @@ from quad_sysid.discover.search import Found
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.estimate import stored
 from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.explain import Ladder
 from quad_sysid.model.data import AxisData
 from quad_sysid.pipeline.answer import Findings, HeldOut, MissingTorque, Residual
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.record import IOData, finite_runs
 
 
-def findings(data: AxisData, problem: Problem, found: Found, verdict: Verdict) -> Findings:
+def findings(data: AxisData, problem: Problem, found: Found, ladder: Ladder,
+             verdict: Verdict) -> Findings:
     """Base and chosen model on the validation segments."""
     unseen = Unseen(data, data.validation)
-    before = _held_out(unseen, found.base)
-    after = before if verdict.chosen is found.base else _held_out(unseen, verdict.chosen)
-    return Findings(data, problem, found, verdict, before, after)
+    before = _held_out(unseen, verdict.base)
+    after = before if verdict.chosen is verdict.base else _held_out(unseen, verdict.chosen)
+    return Findings(data, problem, found, ladder, verdict, before, after)
 
 
 def _held_out(unseen: Unseen, fitted: Fit) -> HeldOut:

@@ -20,6 +20,8 @@ from quad_sysid.discover.search import Found, extended, scored, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.estimate.fit import Problem
+from quad_sysid.explain import explain
+from quad_sysid.foresight import drawn_hz
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Effect
@@ -33,6 +35,8 @@ from quad_sysid.record import Record
 
 Progress = Callable[[str], None]
 NOT_SEARCHED = 'effects were not searched for'
+DRAWN = (f'{NOT_SEARCHED}, since the commands were interpolated between samples at some '
+         '{:.3g} Hz and cannot carry them (log the commands at the full rate)')
 NOT_FITTED = 'it cannot be fitted beside the base'
 
 
@@ -79,6 +83,9 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     try:
         data = axis_data(records, axis)
         check_usable(data, records)
+        drawn = max(drawn_hz(record.control[:, 1:], record.dt) for record in records)
+        if drawn:
+            options = replace(options, effects=())
         told = found_effects(data, options, progress)
     except NotInformativeError as error:
         warnings = _warnings(records)
@@ -87,15 +94,19 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
             axis, rate, segments, 'cannot_tell', reason, proposal=GainProposal(None, reason),
             warnings=warnings,
         )
-    base = told.before.fit
+    base = told.found.base
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
-    verdict, reason = told.verdict.verdict, _reason(told, searched=bool(options.effects))
+    verdict, reason = told.verdict.verdict, _reason(
+        told, DRAWN.format(drawn) if drawn else '' if options.effects else NOT_SEARCHED)
+    if not options.effects and verdict != 'cannot_tell':
+        verdict = 'not_searched'
+    model = assemble.axis_model(
+        told, _gains_of(records), assemble.band_of(data), options.effects
+    )
     answer = AxisAnswer(
-        axis, rate, segments, verdict, reason, findings=told,
+        axis, rate, segments, verdict, reason, findings=told, model=model,
         train=blackbox_part.io_data(data, data.train),
-        model=assemble.axis_model(
-            told, _gains_of(records), assemble.band_of(data), options.effects
-        ),
+        outside=assemble.outside_of(model, data, data.validation),
         warnings=_warnings(records),
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
         rate_reference=_joined([r.rate_setpoint for r in records], data.index),
@@ -125,13 +136,19 @@ def found_effects(data: AxisData, options: Options,
         found = with_own(problem, search(problem, options.effects), options.effects)
         if not options.effects:
             found.reasons.update((effect.label, NOT_SEARCHED) for effect in EFFECTS)
+        progress(f'{data.axis}: the explanation')
+        parts = [part for part in candidates(problem, options.effects)[0]
+                 if part.effect.label not in found.reasons]
+        ladder = explain(problem, found, parts)
         progress(f'{data.axis}: held-out segments')
-        verdict = judge(data, problem, found)
-        return findings(data, problem, verdict.found, verdict)
+        verdict = judge(data, problem, found, ladder)
+        return findings(data, problem, found, ladder, verdict)
     except (FloatingPointError, np.linalg.LinAlgError) as error:
+        moved = [float(np.nanstd(data.training(x))) for x in (data.command, data.rate)]
         raise NotInformativeError(
-            f'{data.axis}: no model of this axis can be fitted to the training ({error}); '
-            'look at its command and rate'
+            f'{data.axis}: no model of this axis can be fitted to the training, in which its '
+            f'command moves by {moved[0]:.2g} and its rate by {moved[1]:.2g} rad/s (RMS); excite '
+            'it, and look at its command and rate'
         ) from error
 
 
@@ -154,9 +171,9 @@ def with_own(problem: Problem, found: Found, effects: Sequence[Effect]) -> Found
                    reasons=found.reasons | failed)
 
 
-def _reason(told: Findings, *, searched: bool) -> str:
-    """The verdict's reason in words, with what would help."""
-    verdict, best = told.verdict, told.found.best
+def _reason(told: Findings, not_searched: str) -> str:
+    """The verdict's reason in words, with what would help; why no effects were sought, if so."""
+    verdict, ladder = told.verdict, told.ladder
     reason = verdict.reason
     if verdict.verdict == 'cannot_tell':
         reason += ('; a model that sees only past rates predicts as well as one that also sees '
@@ -167,19 +184,19 @@ def _reason(told: Findings, *, searched: bool) -> str:
         names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
         reason = (
             f'with {names} the model predicts the held-out segments better than the base alone '
-            f'(by chance alone: p {_below(1.0 / max(verdict.e_value, 1.0))})'
+            f'(by chance alone: p {_below(max(claim.p_value for claim in verdict.claims))})'
         ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
-    elif not searched:
-        reason = f'{NOT_SEARCHED}: this is the base alone' + (reason and f'; {reason}')
+    elif not_searched:
+        reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')
     else:
         reason = reason or 'no effect predicts the held-out segments better than the base alone'
     kept = verdict.chosen.structure.labels
-    names = ' and '.join(part.effect.name for part in best.structure.parts
-                         if part.effect.label not in kept)
+    asked = ladder.rungs[ladder.answer].model.structure.parts
+    names = ' and '.join(part.effect.name for part in asked if part.effect.label not in kept)
     if names and verdict.verdict != 'cannot_tell':
         reason += (
-            f'; the search {"also " if kept else ""}suggests {names}, which the held-out segments '
-            'do not confirm'
+            f'; the training {"also " if kept else ""}suggests {names}, which is not confirmed by '
+            'the held-out segments or does not come again in resampled flights'
         )
     gain = verdict.chosen.value('gain')
     if verdict.verdict != 'cannot_tell' and gain < 0.0:
@@ -231,6 +248,6 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
     if options.designer is None:
         return GainProposal(None, options.no_designer_because)
     try:
-        return options.designer(answer.model)
+        return options.designer(answer.model.predicting)
     except QuadSysidError as error:
         return GainProposal(None, str(error))

@@ -52,6 +52,8 @@ class Flown:
     """Index of the flight's first sample in the joined data."""
     angle_lead_s: float = 0.0
     """Lead of the recorded angle over the integral of the recorded rate, s."""
+    start: float = 0.0
+    """Angle at which the flight begins, rad; where none was measured, the reference's."""
 
 
 def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
@@ -113,7 +115,9 @@ def _flown(record: Record, axis: str, values: Mapping[str, float], segments: Seq
                  injected=any(s.injection in ('rate', 'control') for s in segments),
                  added=excitations(record, axis),
                  held_out=all(s.role == 'validation' for s in segments), offset=offset,
-                 angle_lead_s=angle_lead_s(angle, record.rates[:, index], record.dt))
+                 angle_lead_s=angle_lead_s(angle, record.rates[:, index], record.dt),
+                 start=next((float(a) for a in (() if angle is None else angle)
+                             if np.isfinite(a)), float(reference[0])))
 
 
 def _held(reference: FloatArray) -> FloatArray | None:
@@ -135,7 +139,7 @@ def run(model: Model, flight: Flown) -> LoopRun:
         return replace(failed, because='nk = 0: the command would act before it is known')
     try:
         rate = simulate_polynomial_cascade(model.denominator, model.B, flight.gains,
-                                           flight.reference, model.dt,
+                                           flight.reference - flight.start, model.dt,
                                            angle_lead_s=flight.angle_lead_s).rate[flight.rows]
     except QuadSysidError as refusal:
         return replace(failed, because=str(refusal))
@@ -220,4 +224,5 @@ def _simulated(model: AxisModel, flight: Flown, dt: float) -> FloatArray:
     at_rate, at_control = flight.added or (None, None)
     return np.asarray(simulate_cascade(loop_plant(model), flight.gains, flight.reference, dt,
                                        rate_excitation=at_rate, control_excitation=at_control,
+                                       initial_angle=flight.start,
                                        angle_lead_s=flight.angle_lead_s).rate[flight.rows])

@@ -16,7 +16,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
-from quad_sysid.record import Record, RotorLag
+from quad_sysid.record import SHORT_GAP_S, Record, RotorLag
 from quad_sysid.rotors import rotors_of
 
 SAME_RATE = 5e-3
@@ -160,8 +160,14 @@ def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:
     flown = {s.axis for record in records for s in record.segments if s.role == role}
     if data.axis in flown:
         longest = max((b - a for a, b in vars(data)[role]), default=0) * data.dt
+        flown_s = max((s.end_s - s.start_s for record in records for s in record.segments
+                       if s.role == role and s.axis == data.axis), default=0.0)
+        remedy = 'fly longer'
+        if flown_s >= SETTLE_S + WINDOW_S:
+            remedy = (f'the log has gaps of more than {1e3 * SHORT_GAP_S:.0f} ms: log fewer '
+                      'values, or to a faster medium')
         return (f'the longest unbroken {name} segment lasts {longest:.2g} s, '
-                f'{SETTLE_S + WINDOW_S:g} s are needed; fly longer')
+                f'{SETTLE_S + WINDOW_S:g} s are needed; {remedy}')
     if flown:
         others = ', '.join(axis for axis in AXES if axis in flown)
         return f'no {name} segment is on this axis (on {others} only); excite it'

@@ -26,7 +26,8 @@ MOST_TRIED = 40
 MOST_PEAKS = 6
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
 RESIDUALS = ('before', 'after', 'blackbox')
-ERRORS = ('before', 'after', 'blackbox', 'noise_floor', 'one_step_before', 'one_step_after',
+ERRORS = ('before', 'after', 'reference', 'blackbox', 'noise_floor', 'one_step_before',
+          'one_step_after',
           'closed_loop_before', 'closed_loop_after')
 
 
@@ -68,6 +69,8 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'verdict': answer.verdict,
         'reason': answer.reason,
         'effects': [_effect(e, inertia) for e in model.effects] if model else [],
+        'explanation': _explanation(findings),
+        'reproducible': _reproducible(findings),
         'not_tested': [{'name': name, 'because': because}
                        for name, because in (findings.found.reasons.items() if findings else ())],
         'tried': _tried(findings, own) if findings else [],
@@ -77,6 +80,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'completed': {'parameters': parameters(model.base if model else ()),
                       'noise': _noise(model.noise if model else None)},
         'error': _error(answer),
+        'outside': [vars(one) for one in answer.outside],
         'trusted_band_rad_s': (model and model.trusted_band_rad_s) or None,
         'residual': {name: _residual(answer.residuals[name]) if name in answer.residuals else None
                      for name in RESIDUALS},
@@ -95,6 +99,7 @@ def _effect(effect: EffectEstimate, inertia: float | None) -> dict[str, Any]:
         'parameters': [_parameter(p, inertia) for p in effect.parameters],
         'p_value': effect.p_value,
         'error_reduction_pct': effect.error_reduction_pct,
+        'explains_pct': effect.explains_pct,
         'rivals': [{'name': name, 'probability': p} for name, p in effect.rivals],
         'probability': min(max(effect.probability, 0.0), 1.0),
         **({'variant': effect.variant} if effect.variant else {}),
@@ -102,6 +107,26 @@ def _effect(effect: EffectEstimate, inertia: float | None) -> dict[str, Any]:
                                         if p.name.startswith(('y', 'slope_'))]}}
            if isinstance(knots, tuple | list) else {}),
     }
+
+
+def _explanation(findings: Findings | None) -> list[dict[str, Any]]:
+    """The rungs above the base: effects, the share that they explain, the held-out error."""
+    if findings is None:
+        return []
+    rungs = zip(findings.ladder.rungs, findings.verdict.rungs, strict=True)
+    return [
+        {'effects': [part.effect.name for part in rung.model.structure.parts],
+         'explains_pct': rung.explains_pct, 'error': error,
+         'answer': rung is findings.ladder.rungs[findings.ladder.answer]}
+        for rung, error in list(rungs)[1:]
+    ]
+
+
+def _reproducible(findings: Findings | None) -> dict[str, Any]:
+    """How often each effect of the answer comes again in resampled flights."""
+    if findings is None:
+        return {}
+    return {'blocks': findings.ladder.blocks, **findings.ladder.reproducible}
 
 
 def _noise(noise: NoiseEstimate | None) -> list[dict[str, Any]]:
@@ -186,13 +211,14 @@ def _error(answer: AxisAnswer) -> dict[str, Any]:
     verdict = findings.verdict
     return {**tree, 'before': verdict.before, 'after': verdict.after,
             'blackbox': answer.blackbox_error, 'noise_floor': verdict.noise_floor,
-            'one_step_before': verdict.one_step_before, 'one_step_after': verdict.one_step_after,
+            'reference': verdict.reference, 'one_step_before': verdict.one_step_before,
+            'one_step_after': verdict.one_step_after,
             'closed_loop_before': loop and loop.rms_before,
             'closed_loop_after': loop and loop.rms_after,
             'before_interval_95': findings.before.interval,
             'after_interval_95': findings.after.interval, 'hold_last_value': verdict.hold,
             'predicted_by_noise': verdict.predicted,
-            'windows': int(findings.before.errors.shape[0]), 'e_value': verdict.e_value,
+            'windows': int(findings.before.errors.shape[0]),
             'horizons': horizons_tree(verdict.horizons, answer.blackbox_horizons)}
 
 
@@ -212,7 +238,7 @@ def _gains(proposal: GainProposal | None) -> dict[str, Any]:
         why = {} if proposal is None else {'gains_refused_because': proposal.refused_because}
         return {'gains': None, **why}
     return {'gains': proposal.gains, 'gain_figures': proposal.figures,
-            'gain_steps': proposal.steps}
+            'gain_steps': proposal.steps, 'gain_left_out': dict(proposal.left_out)}
 
 
 def _model(row: ModelRow) -> dict[str, Any]:

@@ -109,7 +109,8 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
     for axis, tree in report['axes'].items():
         drawn = (draw(answers[axis], name) for name in SHOWN)
         picture = next((one for one in drawn if one is not None), None)
-        parts += [_answer(axis, tree), tables.effects(tree).html(), tables.parameters(tree).html(),
+        parts += [_answer(axis, tree), tables.explanation(tree).html(),
+                  tables.effects(tree).html(), tables.parameters(tree).html(),
                   tables.errors(tree).html(), '' if picture is None else embedded(picture, axis)]
     parts.append(f'{_fold("All in words", f"<pre>{escape(text)}</pre>")}</div>')
     return ''.join(parts)
@@ -121,7 +122,26 @@ def _answer(axis: str, tree: Mapping[str, Any]) -> str:
     told = ''.join(f'<h3>{escape(question)}</h3><p>{escape(answer)}</p>'
                    for question, answer in words.story(axis, tree))
     return (f'<section class="answer {style}"><h2><span class="axis">{escape(axis)}</span>: '
-            f'{escape(line)}</h2>{_tiles(tree)}{told}</section>')
+            f'{escape(line)}</h2>{_ladder(tree)}{_tiles(tree)}{told}</section>')
+
+
+def _ladder(tree: Mapping[str, Any]) -> str:
+    """The causes in a sentence, and a bar for each rung of the explanation."""
+    sentence, rungs = words.causes(tree), tree.get('explanation', ())
+    if not sentence:
+        return ''
+    bars, shown = [], 0.0
+    for row, rung in zip(tables.explanation(tree).rows, rungs, strict=True):
+        share = max(0.0, min(100.0, rung['explains_pct']))
+        style = 'opacity:1' if not shown or rung.get('answer') else 'opacity:.45'
+        bars.append(
+            f'<div class="small">{escape(row[1])}: {share:.0f} %</div>'
+            f'<div style="height:.6em;border:1px solid #8886;margin:.1em 0 .5em">'
+            f'<div style="height:100%;width:{share:.1f}%;background:currentColor;{style}"></div>'
+            '</div>'
+        )
+        shown = share
+    return f'<p><b>{escape(sentence)}</b></p>{"".join(bars)}'
 
 
 def _tiles(tree: Mapping[str, Any]) -> str:
@@ -160,7 +180,8 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
         ('Data', _fold('Segments', tables.segments(tree).html()) + figures(DATA)),
         ('Prediction on held-out data', tables.errors(tree).html() + tables.horizons(tree).html()
          + figures(PREDICTION)),
-        ('What the base lacks', tables.effects(tree).html() + tables.own(tree).html()
+        ('What the base lacks', tables.explanation(tree).html() + tables.effects(tree).html()
+         + tables.own(tree).html()
          + tables.parameters(tree).html()
          + figures(EFFECTS) + _fold('Everything that was tried',
                               tables.tried(tree).html() + tables.untested(tree).html())),

@@ -8,7 +8,7 @@ curve is the effect's own physics.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -229,7 +229,7 @@ def _picture(along: Along, part: Part) -> tuple[Evaluate, FloatArray, str]:
     if isinstance(part.effect, Clocked):
         return partial(part.effect.later, x / (2.0 * np.pi * _frequency(along, part))), x, over
     if term == 'lag':
-        return _lag(along, part, x), x, over
+        return _lag(part, x), x, over
     unit = {signal: value * np.ones(GRID) for signal, value in UNIT.get(term, {}).items()}
     moved = unit | _moved(along, part, name, x)
 
@@ -260,21 +260,14 @@ def _moved(along: Along, part: Part, name: str, x: FloatArray) -> dict[str, Any]
     return {field: x}
 
 
-def _lag(along: Along, part: Part, x: FloatArray) -> Evaluate:
-    """The lag's factor over its signal, on a record in which that signal is `x`."""
-    data, n = along.problem.data, x.size
-    control = np.zeros((n, 4))
-    control[:, 0] = x
-    control[:, data.index + 1] = x
-    record = replace(data, dt=float(x[1] - x[0]), rate=np.zeros(n), angle=None, control=control,
-                     motors=data.craft.commands(control), other_rates=np.zeros((n, 2)),
-                     battery_v=x, gyro_filter_hz=None, stretches=((0, n),), train=((0, n),),
-                     validation=(), idle=(), validation_names=(), reference=None, time_s=None)
+def _lag(part: Part, x: FloatArray) -> Evaluate:
+    """The lag's factor over its signal, whichever that is."""
+    n = x.size
     drive = Drive(np.zeros((1, n)), np.ones(1), np.ones((1, n)))
 
     def evaluate(p: FloatArray) -> FloatArray:
-        out: FloatArray = part.effect.actuate(record, drive, p, part.settings).lag[0]
-        return out
+        s = Placed(part, p).signals(REST, n, sent=x, throttle=x, battery_v=x, time=x)
+        return np.asarray(part.effect.actuate(drive, s, p, part.settings).lag[0])
 
     return evaluate
 

@@ -1,6 +1,6 @@
 """model.json: identified models on disk and back, strictly checked: grey boxes and black boxes.
 
-Schema quad_sysid/model/2. Its fields are those of the dataclasses in quad_sysid.model, by the
+Schema quad_sysid/model/3. Its fields are those of the dataclasses in quad_sysid.model, by the
 types that they declare. NaN is not JSON: a covariance row held at a bound and a standard error
 that does not exist are stored as null. Nothing is fitted or judged here.
 """
@@ -25,15 +25,17 @@ from quad_sysid.files import read_json, write_whole
 from quad_sysid.model import AxisModel
 from quad_sysid.model.effect import Effect
 
-SCHEMA = 'quad_sysid/model/2'
+SCHEMA = 'quad_sysid/model/3'
+BEFORE = 'quad_sysid/model/2'
+"""Had no explanation; read as one that has none."""
 FILE = 'model.json'
 """Its name in the folder of a report."""
 BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
 NOT_STORED = {'axis', 'interval', 'own_effects'}
 """Fields that follow from the file's form, are for reports, or come from the caller."""
-OPTIONAL = {'craft'}
-"""Fields that older files lack."""
+OPTIONAL = {'craft', 'mean_throttle', 'ranges', 'rungs', 'reference', 'explains_pct'}
+"""Fields that older files lack; their defaults are what was meant."""
 BLACKBOX = ('structure', 'orders', 'approach', *POLYNOMIALS, 'nk', 'dt', 'noise_variance',
             'covariance')
 """Fields of a polynomial model that are stored."""
@@ -78,7 +80,7 @@ def load_models(path: str | os.PathLike[str],
     """
     path = located(path)
     root = _keys(read_json(path, REMEDY), str(path), {'schema', 'axes'}, more=True)
-    if root['schema'] != SCHEMA:
+    if root['schema'] not in (SCHEMA, BEFORE):
         raise BadInputError(f'{path}: schema', f'must be {SCHEMA}', root['schema'], REMEDY)
     axes = root['axes']
     if not isinstance(axes, dict) or not axes:
@@ -87,9 +89,12 @@ def load_models(path: str | os.PathLike[str],
     for axis in axes:
         if axis not in AXES:
             raise BadInputError(f'{path}: axes', f'must be one of {", ".join(AXES)}', axis)
+    models = {axis: _model(axis, tree, f'{path}: axes.{axis}') for axis, tree in axes.items()}
+    own = tuple(own_effects)
     return {
-        axis: replace(_model(axis, tree, f'{path}: axes.{axis}'), own_effects=tuple(own_effects))
-        for axis, tree in axes.items()
+        axis: replace(model, own_effects=own, reference=None if model.reference is None
+                      else replace(model.reference, own_effects=own))
+        for axis, model in models.items()
     }
 
 
@@ -126,8 +131,10 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
 
 def _model(axis: str, tree: object, where: str) -> AxisModel:
     known = {f.name for f in fields(AxisModel)} - NOT_STORED
-    read = _read_fields(AxisModel, _keys(tree, where, known), where)
-    model = AxisModel(axis=axis, **read)
+    given = dict(_keys(tree, where, known))
+    reference = given.pop('reference', None)
+    model = AxisModel(axis=axis, **_read_fields(AxisModel, given, where), reference=None
+                      if reference is None else _model(axis, reference, f'{where}.reference'))
     if sorted(p.name for p in model.base) != sorted(BASE_NAMES):
         raise BadInputError(f'{where}.base', f'must list {", ".join(BASE_NAMES)}',
                             ', '.join(p.name for p in model.base))

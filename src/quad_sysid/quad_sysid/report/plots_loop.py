@@ -6,7 +6,7 @@ import numpy as np
 
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains, frequency_grid, margins, open_loop
-from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.from_model import WIDE, loop_plant
 from quad_sysid.loop.plant import exact_cycles, slopes_at
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.pipeline.answer import AxisAnswer
@@ -25,8 +25,6 @@ from quad_sysid.report.plots_models import degrees
 SHOWN_S = 10.0
 STEP_RAD = float(np.radians(12.0))
 STEP_S = 2.0
-WIDE = (4.0, 0.35, 0.3)
-"""Amplitudes of rate (rad/s), angle (rad) and command for linearisation, as in the design."""
 
 
 def overlay(answer: AxisAnswer) -> Picture | None:

@@ -174,6 +174,20 @@ def effects(tree: Tree) -> Table:
                  rows, (3, 4, 5))
 
 
+def explanation(tree: Tree) -> Table:
+    """The ladder: what each rung adds, and how much of the base's miss it explains."""
+    above: list[str] = []
+    rows, answer = [], None
+    for i, rung in enumerate(tree.get('explanation', ())):
+        new = [name for name in rung['effects'] if name not in above]
+        rows.append([str(i + 1), ' and '.join(new or rung['effects']),
+                     f'{rung["explains_pct"]:.0f} %', number(rung['error'], 4)])
+        above, answer = rung['effects'], i if rung.get('answer') else answer
+    return Table(['rung', 'adds', 'explains', 'error, rad/s'], rows, (0, 2, 3), answer,
+                 'Share of what the base misses of the best predictor; the error is held-out. '
+                 'What stands below the marked rung is finer, and not claimed as a cause.')
+
+
 def tried(tree: Tree) -> Table:
     """Every structure that was fitted."""
     rows = [

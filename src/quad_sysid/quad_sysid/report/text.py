@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from quad_sysid.model.identified import Outside
 from quad_sysid.report import tables, words
 from quad_sysid.report.tables import wrapped
 
@@ -36,6 +37,8 @@ def lines(report: Mapping[str, Any]) -> list[str]:
 
 def _verdict(tree: Mapping[str, Any]) -> list[str]:
     out = [f'verdict  {tree["verdict"]}', *wrapped(tree.get('reason', ''))]
+    out += wrapped(words.causes(tree))
+    out += tables.explanation(tree).text()
     out += tables.effects(tree).text((0, 3, 4, 5))
     for effect in tree['effects']:
         near = ', '.join(f'{r["name"]} {r["probability"]:.2f}' for r in effect['rivals'][:3])
@@ -53,6 +56,8 @@ def _details(tree: Mapping[str, Any]) -> list[str]:
         out += wrapped(f'your effect {name}: {outcome}')
     for names, because in tables.untested(tree).rows:
         out += wrapped(f'not tested: {names}: {because}')
+    for one in tree.get('outside', ()):
+        out += wrapped(f'held out: {Outside(**one)}')
     band = tree.get('trusted_band_rad_s')
     return [*out, f'  trusted from {band[0]:.2g} to {band[1]:.3g} rad/s'] if band else out
 
@@ -65,6 +70,7 @@ def growth(tree: Mapping[str, Any]) -> list[str]:
 
 def _gains(axis: str, tree: Mapping[str, Any]) -> list[str]:
     if tree.get('gains'):
-        return tables.gains(tree, axis, {}).text()
+        left_out = words.left_out(tree.get('gain_left_out', {}))
+        return tables.gains(tree, axis, {}).text() + wrapped(left_out)
     because = tree.get('gains_refused_because')
     return wrapped(f'no gains: {because}', first='') if because else []

@@ -27,8 +27,8 @@ PLAIN = {
     'shape:lag:direction': 'motors that slow down unlike they speed up',
     'backlash': 'play between command and torque', 'transport_delay': 'a transport delay',
     'viscous_damping': 'viscous damping', 'bias_torque': 'a constant torque',
+    UNLISTED: 'a cause that was not compared',
     'mode': 'a hidden oscillation or slow state', 'event': 'an event in flight',
-    UNLISTED: 'physics that the list lacks',
 }
 """The contract's names of effects in everyday words."""
 
@@ -37,6 +37,7 @@ VERDICTS = {
     'no_missing_effect': ('good', 'The plain model suffices'),
     'unexplained_residual': ('open', 'Something is missing, but it has no name yet'),
     'cannot_tell': ('none', 'The data cannot tell'),
+    'not_searched': ('none', 'The plain model alone'),
 }
 """Verdict → its style and headline."""
 
@@ -143,8 +144,6 @@ def headline(tree: Tree) -> tuple[str, str]:
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
     if tree['verdict'] == 'effects_added' and tree['effects']:
         return style, 'Was missing: ' + joined([*dict.fromkeys(map(likeliest, tree['effects']))])
-    if tree['verdict'] == 'no_missing_effect' and 'were not searched' in tree.get('reason', ''):
-        return 'none', 'The plain model alone'
     return style, text
 
 
@@ -211,6 +210,25 @@ def horizon_words(error: Tree) -> str:
     beyond = '' if far == last else f'; further ahead, up to {last:g} s, it predicts less well'
     return (f' It halves the error of holding the last value up to {far:g} s ahead (off by '
             f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.')
+
+
+def causes(tree: Tree) -> str:
+    """What is missing and how much of the trouble it is, in a sentence; '' without effects."""
+    parts = []
+    for effect in tree.get('effects', ()):
+        size = effect['parameters'][0] if effect['parameters'] else None
+        of = f' of {size["value"]:.3g} {size["unit"]}'.rstrip(' 1') if size and (
+            effect['kind'] == 'named') else ''
+        parts.append(f'{named(effect)}{of} explains {effect["explains_pct"]:.0f} %')
+    if not parts:
+        return ''
+    again = tree.get('reproducible', {})
+    least = min((again.get(effect['name'], 1.0) for effect in tree['effects']), default=1.0)
+    finer = any(rung['effects'] != [e['name'] for e in tree['effects']]
+                for rung in tree.get('explanation', ())[-1:])
+    text = (f'{joined(parts)} of what the base misses; found again in {100.0 * least:.0f} % of '
+            'resampled flights')
+    return text[0].upper() + text[1:] + ('; the rest is finer.' if finer else '.')
 
 
 def _missing(tree: Tree) -> list[str]:
@@ -293,3 +311,9 @@ def _bare(axis: str, reason: str) -> str:
 
 def _interval(interval: Sequence[float] | None) -> str:
     return f' (95 %: {number(interval[0])} to {number(interval[1])})' if interval else ''
+
+
+def left_out(effects: Mapping[str, str]) -> str:
+    """Which effects the margins of a design do not hold; '' where they hold all."""
+    told = '; '.join(f'{name}, since {why}' for name, why in effects.items())
+    return told and f'not in the margins: {told}'

@@ -1,9 +1,7 @@
 """Simulated flights in closed loop: an aircraft with given effects, several excitations at once.
 
-The aircraft is an identified model or the paper's. The cascade is the compiled one of loop; the
-linear plant advances cycle by cycle, vectorised over the flights, with the effects' own torques,
-which may depend on signals that a LoopPlant does not have. Effects on the command are evaluated
-along the whole flight; the flight is repeated until its commands converge.
+The aircraft is an identified model or the paper's. The cascade is the compiled one of loop, the
+plant that of model, cycle by cycle, vectorised over the flights.
 """
 
 from __future__ import annotations
@@ -20,14 +18,13 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import Placed, placed
 from quad_sysid.loop.kernels import control_each
-from quad_sysid.loop.plant import LoopPlant, Slopes, dynamics, exact_cycles, exact_step
 from quad_sysid.loop.simulation import constants
 from quad_sysid.model import AxisModel, NoiseEstimate
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Signals
+from quad_sysid.model.effect import Signals, required
 from quad_sysid.model.noise import sensor_of
-from quad_sysid.model.plant import Flight, with_slopes, with_torques
-from quad_sysid.model.structure import BASE, NOISE, Structure
+from quad_sysid.model.plant import Plant
+from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.signals import schedule
 
 PAPER = {'roll': (434.5, 0.045, 0.008, 0.4, 0.3), 'pitch': (419.0, 0.045, 0.008, 0.4, -0.2),
@@ -107,9 +104,6 @@ VOLTS_PER_THROTTLE = 1.4
 PILOT_DEG = 8.0
 """Size of the other axes' motion where the pilot moves them."""
 PILOT_HZ = (0.2, 0.5, 0.9, 1.4)
-PASSES = 12
-SETTLED = 1e-4
-"""Change of the normalised command below which a flight has converged."""
 SEED = 1
 """All flights have the same noise, so that only the excitations differ."""
 
@@ -157,120 +151,66 @@ class Flown:
 def fly(aircraft: Aircraft, acting: Sequence[Placed],
         excitations: Sequence[Excitation]) -> list[Flown]:
     """Each excitation simulated from rest with the effects `acting` and the aircraft's noise."""
-    acting = tuple(acting)
     added = [e.added(aircraft.dt) for e in excitations]
     n = min(a.shape[1] for a in added)
     inputs = np.stack([a[:, :n] for a in added])
     around = [_surroundings(aircraft, e, n) for e in excitations]
-    extra, flown = np.zeros((n, len(around))), around
-    moving = tuple(one for one in acting if one.effect.moves_command)
-    command = np.zeros((n, len(around)))
-    for _ in range(PASSES if moving else 1):
-        rate, angle, new = _run(aircraft, acting, around, inputs, extra)
-        settled = np.max(np.abs(new - command)) < SETTLED
-        command = new
-        flown = []
-        for i, data in enumerate(around):
-            control = data.control.copy()
-            control[:, data.index + 1] = command[:, i]
-            flown.append(replace(data, rate=np.ascontiguousarray(rate[:, i]), control=control,
-                                 angle=np.ascontiguousarray(angle[:, i]),
-                                 motors=data.craft.commands(control)))
-        if settled or not np.isfinite(command).all():
-            break
-        extra = np.stack([_pushed(aircraft, moving, data) for data in flown], axis=1)
-    peaks = np.nan_to_num(np.max(np.abs(angle), axis=0), nan=np.inf)
-    return [Flown(data, float(peak)) for data, peak in zip(flown, peaks, strict=True)]
-
-
-def _pushed(aircraft: Aircraft, moving: tuple[Placed, ...], data: AxisData) -> FloatArray:
-    """(n,) what the effects on the command add to the drive, rad/s²."""
-    flight = Flight(data, data.stretches)
-    with_them = Structure(tuple(one.part for one in moving))
-    values = np.concatenate([aircraft.theta, *(one.p for one in moving), np.ones(len(NOISE))])
-    driven, _ = flight.driven(with_them, values)
-    plain, _ = flight.driven(Structure(), np.r_[aircraft.theta, np.ones(len(NOISE))])
-    out: FloatArray = aircraft.theta[0] * np.mean(driven - plain, axis=0)
-    return out
+    rates, angles, commands = _run(aircraft, acting, around, inputs)
+    peaks = np.nan_to_num(np.max(np.abs(angles), axis=0), nan=np.inf)
+    flown = []
+    for i, (data, peak) in enumerate(zip(around, peaks, strict=True)):
+        control = data.control.copy()
+        control[:, data.index + 1] = commands[:, i]
+        flown.append(Flown(replace(
+            data, rate=np.ascontiguousarray(rates[:, i]), control=control,
+            angle=np.ascontiguousarray(angles[:, i]), motors=data.craft.commands(control),
+        ), float(peak)))
+    return flown
 
 
 def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData],
-         inputs: FloatArray, extra: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, f) measured rate and angle, and command, of f flights with `extra` acceleration."""
+         inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, f) measured rate and angle, and command, of f flights."""
     count, _, n = inputs.shape
     dt = aircraft.dt
-    gain, lag, delay, damping, bias = (float(v) for v in aircraft.theta)
-    plant = LoopPlant(gain, lag, delay, damping, 0.0, aircraft.gyro_filter_hz, dt)
-    a, b, c = dynamics(plant, Slopes())
-    cycle = exact_cycles([plant], [Slopes()])
-    phi, now, before = cycle.phi[0].T, cycle.now[0], cycle.before[0]
-    push, whole = exact_step(a, b[:, 1:], np.array(dt))[1][:, 0], plant.whole_delay
-    rate_at, angle_at = int(np.argmax(c[0])), int(np.argmax(c[1]))
+    structure = Structure(tuple(one.part for one in acting))
+    values = np.concatenate([aircraft.theta, *(one.p for one in acting)])
+    index = AXES.index(aircraft.axis)
+    plant = Plant(structure, values, dt, sensor_of(aircraft.gyro_filter_hz, None, dt),
+                  aircraft.craft.inverse[index + 1])
+    known, wrench = _known(around), np.stack([d.control for d in around], axis=1)
     torque, gyro = _noise(aircraft, n)
-    known = _Known(aircraft, around) if acting else None
     gains, memory = constants(aircraft.gains, dt), np.zeros((count, 3))
-    x = np.zeros((count, phi.shape[0]))
     u, rates, angles = np.zeros((n, count)), np.zeros((n, count)), np.zeros((n, count))
     nothing = np.zeros(count)
-    hidden = [np.zeros((one.effect.states, count)) for one in acting]
+    x = plant.begin(replace(known.at(0), sent=nothing), nothing, nothing)
     for k in range(n):
-        rates[k], angles[k] = x[:, rate_at] + gyro[k], x[:, angle_at]
+        rate, angle = plant.measured(x)
+        rates[k], angles[k] = rate + gyro[k], required(angle)
         control_each(gains, memory, inputs[:, :, k], angles[k], rates[k], u[k])
-        delayed = u[k - whole] if k >= whole else nothing
-        older = u[k - whole - 1] if k > whole else nothing
-        free = x @ phi + delayed[:, None] * now + older[:, None] * before
-        total = bias + torque[k] + extra[k]
-        if known is not None:
-            s = known.at(k, 0.5 * (x + free), gain * delayed, u[k])
-            pushing = [(one.part, one.p, replace(s, hidden=h) if h.size else s)
-                       for one, h in zip(acting, hidden, strict=True)]
-            own, slope = with_torques(nothing, pushing), with_slopes(nothing, pushing)
-            # evaluated without its own push, which its slope then takes into account
-            total = (total + own) / (1.0 - 0.5 * push[1] * slope)
-        begin, x = x[:, 1], free + total[:, None] * push
-        if known is not None:
-            s = replace(s, rate=0.5 * (begin + x[:, 1]))
-            hidden = [
-                one.effect.advance(h, s, one.p, one.part.settings, dt) if h.size else h
-                for one, h in zip(acting, hidden, strict=True)
-            ]
+        wrench[k, :, index + 1] = u[k]
+        s = replace(known.at(k), sent=u[k], motors=tuple(aircraft.craft.commands(wrench[k]).T))
+        x = plant.step(x, s, torque[k])
     return rates, angles, u
 
 
-class _Known:
-    """Signals of several flights, cycle by cycle."""
-
-    def __init__(self, aircraft: Aircraft, around: Sequence[AxisData]) -> None:
-        self.gain, self.lag, self.dt = aircraft.theta[0], aircraft.theta[1], aircraft.dt
-        others = [i + 1 for i in range(3) if i != around[0].index]
-        self.channels = [0, around[0].index + 1, *others]
-        self.throttle = np.stack([d.control[:, 0] for d in around], axis=1)
-        self.volts = np.stack([np.asarray(d.battery_v) for d in around], axis=1)
-        self.commands = [np.stack([d.control[:, i] for d in around], axis=1) for i in others]
-        self.rates = [np.stack([d.other_rates[:, i] for d in around], axis=1) for i in range(2)]
-        self.leans = np.stack([np.asarray(d.other_angles) for d in around], axis=2).swapaxes(0, 1)
-        self.rest, self.craft = np.zeros(len(around)), aircraft.craft
-
-    def at(
-        self, k: int, middle: FloatArray, command: FloatArray, sent: FloatArray
-    ) -> Signals:
-        """Signals at mid-cycle k, where the plant's states (f, n) are `middle`.
-
-        command: gain times what acts after the delay; sent: what the controller gives.
-        """
-        drive = middle[:, 0]
-        wrench = np.empty((sent.size, 4))
-        wrench[:, self.channels] = np.stack(
-            [self.throttle[k], sent, *(one[k] for one in self.commands)], axis=1
+def _known(around: Sequence[AxisData]) -> Signals:
+    """What is known of several flights before they are flown, (f, n) each."""
+    first, nothing = around[0], np.zeros((len(around), around[0].rate.size))
+    others = [i + 1 for i in range(3) if i != first.index]
+    motors = np.stack([d.motors.T for d in around], axis=1)
+    pairs = [
+        (np.stack([one[:, i] for one in signal]), np.stack([one[:, j] for one in signal]))
+        for signal, (i, j) in (
+            ([d.control for d in around], others), ([d.other_rates for d in around], (0, 1)),
+            ([required(d.other_angles) for d in around], (0, 1)),
         )
-        return Signals(rate=middle[:, 1], angle=middle[:, 2], drive=drive, command=command,
-                       change=(command - drive) / max(self.lag, 0.25 * self.dt),
-                       lagged=drive / self.gain, throttle=self.throttle[k],
-                       battery_v=self.volts[k], other_rates=(self.rates[0][k], self.rates[1][k]),
-                       other_commands=(self.commands[0][k], self.commands[1][k]),
-                       other_angles=(self.leans[0][k], self.leans[1][k]),
-                       motors=tuple(self.craft.commands(wrench).T),
-                       time=self.rest + (k + 0.5) * self.dt)
+    ]
+    return Signals.at_rest(
+        nothing + first.clock + 0.5 * first.dt, np.stack([d.control[:, 0] for d in around]),
+        battery_v=np.stack([required(d.battery_v) for d in around]), other_commands=pairs[0],
+        other_rates=pairs[1], other_angles=pairs[2], motors=tuple(motors),
+    )
 
 
 def _noise(aircraft: Aircraft, n: int) -> tuple[FloatArray, FloatArray]:
@@ -326,5 +266,6 @@ def _stirred(axis: str, dt: float, n: int) -> tuple[FloatArray, FloatArray]:
             2.0 * np.pi * (1.0 + 0.17 * phase) * f * t + i + phase
         )
     own = Aircraft(axis, np.array(PAPER[axis]), CascadeGains.default(axis), dt=dt)
-    rate, _, command = _run(own, (), (), inputs, np.zeros((n, 1)))
+    still = _surroundings(own, Excitation(schedule.Part('train', n * dt)), n)
+    rate, _, command = _run(own, (), (still,), inputs)
     return rate[:, 0], command[:, 0]

@@ -117,7 +117,7 @@ class Judged:
         difference = np.mean(added.known - plain.known, axis=0)
         difference = difference + (added.slope - plain.slope) * base.rate
         columns = np.ascontiguousarray(difference[:, None])
-        out = flight.responses(columns, plain.slope, base.prediction.filter)
+        out = flight.responses(columns, plain.slope, base.prediction.filters)
         own = np.vstack([np.asarray(base.prediction.jacobian)[rows] / base.tail.scale,
                          np.linalg.cholesky(base.precision).T])
         q = np.linalg.qr(own)[0][: rows.size]

@@ -1,0 +1,277 @@
+"""The ladder from the base to the reference: which effects explain how much, the main cause first.
+
+Rung 0 is the base, fitted to what the reference does (projection.py); its miss is 100 %. Each
+further rung adds the effect that takes away most of what is left, a named law before a curve that
+takes hardly more. The lowest rung that explains EXPLAINS is the answer. Everything here uses the
+training segments only.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from quad_sysid.beside import side_by_side
+from quad_sysid.contract import FloatArray
+from quad_sysid.discover.constants import (
+    BLOCK_S,
+    ENOUGH,
+    EXPLAINS,
+    LEAST_OF_BEST,
+    LEAST_SHARE,
+    MOST_RUNGS,
+    MOST_STRUCTURES,
+    NAMED_FIRST,
+    NEGLIGIBLE,
+    PROJECTED,
+    RESAMPLES,
+)
+from quad_sysid.discover.screen import Along, linear_of
+from quad_sysid.discover.search import Found
+from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.estimate.stored import noise_of
+from quad_sysid.explain.projection import Projected, Projection
+from quad_sysid.model.effect import Effect, Part
+from quad_sysid.model.structure import coordinates, natural
+
+
+@dataclass(frozen=True, eq=False)
+class Rung:
+    """A projected model, and the share of the base's miss that it explains."""
+
+    model: Projected
+    explains_pct: float
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of its effects, the main cause first."""
+        return self.model.structure.labels
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """The rungs from the base upwards."""
+
+    projection: Projection
+    rungs: tuple[Rung, ...]
+    blocks: int = 0
+    reproducible: dict[str, float] = field(default_factory=dict)
+    """Label of each effect of the answer → share of the resampled flights in which it is in the
+    answer, whatever its variant."""
+    predicts_pct: float = 0.0
+    """Share of the motion's RMS that the base already predicts, as the reference sees it."""
+
+    def explains(self, label: str) -> float:
+        """Percent that an effect takes away on the rung that adds it."""
+        for below, rung in pairwise(self.rungs):
+            if rung.labels[-1] == label:
+                return rung.explains_pct - below.explains_pct
+        return 0.0
+
+    @property
+    def negligible(self) -> bool:
+        """Whether what the base misses is small beside the motion and beside the gyro's noise."""
+        projection, runs = self.projection, self.projection.goal.size
+        missed = np.sqrt(self.rungs[0].model.total / runs)
+        noise = noise_of(projection.reference).measured_rms
+        return bool(self.predicts_pct >= 100.0 * (1.0 - NEGLIGIBLE) and missed < noise)
+
+    @property
+    def answer(self) -> int:
+        """The lowest rung that explains EXPLAINS; 0 where the base misses next to nothing."""
+        if len(self.rungs) == 1 or self.negligible:
+            return 0
+        enough = (i for i, rung in enumerate(self.rungs) if rung.explains_pct >= EXPLAINS)
+        return next(enough, len(self.rungs) - 1)
+
+
+def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
+    """The ladder to the search's most probable structure, and how often its answer comes again.
+
+    parts: the candidates of the search.
+    """
+    ladder = _ladder(problem, found.best, found.base, parts)
+    if not ladder.answer:
+        return ladder
+    blocks, reproducible = _resampled(problem, found, ladder)
+    return Ladder(ladder.projection, ladder.rungs, blocks, reproducible, ladder.predicts_pct)
+
+
+def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) -> Ladder:
+    projection = Projection(problem, reference)
+    plain = projection.structure(())
+    starts = [projection.start((), (), own[:5]) for own in (reference.theta, base.theta)]
+    lowest = min((projection.project(plain, start) for start in starts), key=lambda m: m.total)
+    whole, rungs = lowest.total, [Rung(lowest, 0.0)]
+    predicts = 100.0 * (1.0 - np.sqrt(min(whole / max(projection.motion, 1e-30), 1.0)))
+    if reference.structure.parts and whole > 0.0:
+        while rungs[-1].explains_pct < EXPLAINS and len(rungs) <= MOST_RUNGS:
+            step = _next(projection, rungs[-1].model, parts, whole)
+            if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
+                break
+            rungs.append(Rung(step, 100.0 * (1.0 - step.total / whole)))
+        if rungs[-1].explains_pct < ENOUGH:
+            finest = projection.ordered(reference.structure)
+            rungs.append(Rung(finest, 100.0))
+    return Ladder(projection, tuple(rungs), predicts_pct=float(predicts))
+
+
+def _next(projection: Projection, model: Projected, parts: Sequence[Part],
+          whole: float) -> Projected | None:
+    """The model with one more effect that comes nearest to the reference.
+
+    A named law that explains EXPLAINS is taken before a curve is tried; of its variants the
+    plainest one that takes nearly as much.
+    """
+    hopeful = _hopeful(projection, model, parts)
+    tried: list[Projected] = []
+    for kinds in (('named',), ('shape', 'mode', 'event')):
+        tried += side_by_side([
+            partial(_extended, projection, model, part, values) for part, values in hopeful
+            if part.effect.kind in kinds
+        ])
+        best = min(tried, key=lambda one: one.total, default=None)
+        if best is not None and best.total <= (1.0 - 0.01 * EXPLAINS) * whole:
+            break
+    if best is None:
+        return None
+    needed = NAMED_FIRST * (model.total - best.total)
+    named = [one for one in tried if _added(one).kind == 'named'
+             and model.total - one.total >= needed > 0.0]
+    first = min(named, key=lambda one: one.total, default=best)
+    alike = [one for one in (named or [best]) if _added(one).name == _added(first).name]
+    plainest = min(alike, key=lambda one: (len(_added(one).parameters), one.total))
+    return projection.project(plainest.structure, plainest.theta)
+
+
+def _added(model: Projected) -> Effect:
+    """The effect of the last rung."""
+    return model.structure.parts[-1].effect
+
+
+def _extended(projection: Projection, model: Projected, part: Part,
+              values: FloatArray) -> Projected:
+    """The projection of a model with one more effect, from `values` (q,) in its coordinates."""
+    structure = model.structure.plus(part)
+    if set(structure.labels) == set(projection.reference.structure.labels):
+        return projection.ordered(structure)
+    start = np.insert(model.theta, -projection.noise.size, values)
+    return projection.project(structure, start, coarse=True)
+
+
+def _hopeful(projection: Projection, model: Projected,
+             parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
+    """The named laws and the effects of the reference that explain most of the missing torque.
+
+    The missing torque is the reference's acceleration less the model's along the reference's
+    trajectory; a law explains of it what its columns do beside the base's own.
+    """
+    reference, problem, flight = projection.reference, projection.problem, projection.flight
+    structure, theta, rate = model.structure, model.theta, reference.rate
+    have = set(structure.labels)
+    here = Along(problem, structure, theta, rate)
+    wanted = Along(problem, reference.structure, reference.theta, rate).acceleration
+    missing = (wanted - here.acceleration)[problem.rows]
+    steps = np.r_[projection.steps(structure, theta), np.full(projection.noise.size, 1e-4)]
+    columns, _, _ = flight.columns(structure, theta, rate, steps)
+    q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
+    left = missing - q @ (q.T @ missing)
+    own = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
+           for part, where in reference.structure.placed() if part.effect.label not in have]
+    own = sorted(own, key=lambda one: -one[0])[:PROJECTED]
+    have |= {part.effect.label for _, part, _ in own}
+    shares: list[tuple[float, Part, FloatArray]] = []
+    for part in parts:
+        effect = part.effect
+        if effect.kind == 'named' and effect.label not in have and not effect.wanders \
+                and not effect.phased and not effect.stepped:
+            shares += _share(here, part, q, left)
+    best: dict[str, tuple[float, Part, FloatArray]] = {}
+    for one in sorted(shares, key=lambda one: -one[0]):
+        best.setdefault(one[1].effect.label, one)
+    most = max((one[0] for one in (*own, *best.values())), default=0.0)
+    named = [one for one in best.values() if one[0] >= LEAST_OF_BEST * most][:PROJECTED]
+    return [(part, p) for _, part, p in (*own, *named)]
+
+
+def _share(here: Along, part: Part, q: FloatArray,
+           left: FloatArray) -> list[tuple[float, Part, FloatArray]]:
+    """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
+    effect, rows, linear = part.effect, here.problem.rows, linear_of(part)
+    out = []
+    for start in effect.starts(here.problem.data, part.settings):
+        p = coordinates(effect.parameters, start)
+        p[linear] = 0.0
+        c = np.stack([column[rows] for column in here.columns(part, linear, p)], axis=1)
+        c = c - q @ (q.T @ c)
+        if linear:
+            p[linear] = np.linalg.lstsq(c, left, rcond=1e-8)[0]
+            if any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
+                continue
+            after = left - c @ p[linear]
+        else:
+            after = left - c[:, 0]
+        out.append((1.0 - float(after @ after) / max(float(left @ left), 1e-30), part, p))
+    return out
+
+
+# ------------------------------------------------------------------ what comes again
+
+
+def _resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict[str, float]]:
+    """Number of blocks; name of each effect of the answer → how often it is in it again.
+
+    Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
+    Bayesian bootstrap, Rubin 1981). With the same weights each fitted structure has another
+    evidence, so that another reference may lead, and each rung explains another share of it.
+    """
+    block = problem.blocks(BLOCK_S)
+    kept = found.all[:MOST_STRUCTURES]
+    logs = np.array([
+        np.bincount(block, one.fit.tail.log_density(one.fit.prediction.innovation[problem.rows]))
+        for one in kept
+    ])
+    prior = np.array([one.score for one in kept]) - logs.sum(axis=1)
+    blocks = int(block.max()) + 1
+    weights = np.random.default_rng(0).exponential(size=(RESAMPLES, blocks))
+    weights *= blocks / weights.sum(axis=1, keepdims=True)
+    leading = np.argmax(prior + weights @ logs.T, axis=1)
+    at = np.searchsorted(problem.rows, ladder.projection.windows.starts)
+    of_window = block[np.clip(at, 0, block.size - 1)]
+    rungs = ladder.rungs[: ladder.answer + 1]
+    seen: Counter[str] = Counter()
+    for which, count in Counter(leading.tolist()).most_common():
+        reference = kept[which].fit
+        if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
+            continue
+        missed = np.array([rung.model.missed for rung in rungs] if reference is found.best
+                          else _missed(problem, reference, rungs))
+        for draw in np.flatnonzero(leading == which):
+            again = missed @ weights[draw, of_window]
+            enough = np.flatnonzero(again <= (1.0 - 0.01 * EXPLAINS) * again[0])
+            if enough.size:
+                parts = rungs[int(enough[0])].model.structure.parts
+                seen.update({part.effect.name for part in parts})
+    answer = rungs[-1].model.structure.parts
+    return blocks, {part.effect.name: seen[part.effect.name] / RESAMPLES for part in answer}
+
+
+def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[FloatArray]:
+    """(windows,) what each rung's structure misses of another reference."""
+    projection, out = Projection(problem, reference), []
+    for rung in rungs:
+        model = rung.model
+        structure = projection.structure(model.structure.parts)
+        own = model.theta[: len(structure.specs) - projection.noise.size]
+        out.append(projection.project(structure, np.r_[own, projection.noise], coarse=True).missed)
+    return out
+
+
+def values_of(model: Projected) -> FloatArray:
+    """(p,) its parameters in their units."""
+    return natural(model.structure.specs, model.theta)

@@ -1,0 +1,215 @@
+"""A smaller model fitted to what the reference does, instead of once more to the noisy data.
+
+Projection predictive selection (Goutis, Robert 1998; Piironen, Paasiniemi, Vehtari 2020): the
+reference runs freely over windows of the training, each from its own filtered state; a smaller
+model is fitted to these runs by least squares. They hold no noise and no feedback, so that an
+output error is unbiased there. What decides which model is kept is in ladder.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.model.data import Windows
+from quad_sysid.model.effect import Part
+from quad_sysid.model.plant import Prediction
+from quad_sysid.model.structure import Structure, coordinates
+
+MOST_STEPS = 20
+MOST_DAMPED = 1e4
+ENOUGH = 1e-3
+"""A step that lowers the sum of squares by a smaller share ends the projection."""
+ROUGHLY = 2e-2
+"""The same where candidates are compared."""
+LONGEST_STEP = 1.5
+"""Of a logarithm."""
+RANGE = (-14.0, 8.0)
+"""Of a logarithm: what is smaller than e^-14 of its unit acts as nothing."""
+HUGE = 1e6
+"""rad/s that stand for a run that diverges."""
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """A structure with the parameters that come nearest to the reference."""
+
+    structure: Structure
+    theta: FloatArray
+    """(p,) coordinates of the fit; the noise's are the reference's."""
+    missed: FloatArray
+    """(windows,) sum over the window of the squared difference to the reference, (rad/s)²."""
+    converged: bool
+
+    @property
+    def total(self) -> float:
+        """Sum of `missed`."""
+        return float(np.sum(self.missed))
+
+
+class Projection:
+    """What a reference does along the training segments, and how near smaller models come."""
+
+    goal: FloatArray
+    """(windows, length) rates of the reference's free runs less the measured ones, rad/s."""
+
+    def __init__(self, problem: Problem, reference: Fit) -> None:
+        self.problem, self.reference, self.flight = problem, reference, problem.flight
+        self.windows: Windows = problem.data.windows(problem.spans)
+        self.goal = self.run(reference.structure, reference.theta)
+        self.noise = reference.theta[-len(reference.structure.noise) :]
+
+    def structure(self, parts: Sequence[Part]) -> Structure:
+        """The reference's noise with other effects."""
+        return replace(self.reference.structure, parts=tuple(parts))
+
+    def run(self, structure: Structure, theta: FloatArray) -> FloatArray:
+        """(windows, length) runs from the reference's states, less the measured rate, rad/s."""
+        with np.errstate(all='ignore'):
+            errors = self.flight.free_run(structure, theta, self.windows,
+                                          prediction=self._from(structure))
+        return np.clip(np.nan_to_num(errors, nan=HUGE), -HUGE, HUGE)
+
+    def _from(self, structure: Structure) -> Prediction:
+        """The reference's states, without coefficients that the structure lacks."""
+        begun, own = self.reference.prediction, self.reference.structure
+        end = 4 + 2 * own.lines
+        wandering = [part.effect.label for part in own.parts if part.effect.wanders]
+        kept = [end + wandering.index(part.effect.label) for part in structure.parts
+                if part.effect.wanders]
+        return replace(begun, states=begun.states[:, [*range(end), *kept]])
+
+    def start(self, parts: Sequence[Part], values: Sequence[FloatArray],
+              base: FloatArray | None = None) -> FloatArray:
+        """(p,) start: the base's coordinates (the reference's by default), effects, noise."""
+        own = self.reference.theta[:5] if base is None else base
+        logs = [coordinates(part.effect.parameters, np.asarray(value, dtype=float))
+                for part, value in zip(parts, values, strict=True)]
+        return np.concatenate([own, *logs, self.noise])
+
+    def project(self, structure: Structure, start: FloatArray, *,
+                coarse: bool = False) -> Projected:
+        """The parameters with the least squares to the reference, by Levenberg and Marquardt.
+
+        The priors of the fit count beside errors of the size of the reference's innovations, so
+        that curves stay smooth. coarse: near enough to choose among candidates.
+        """
+        theta = start.astype(float)
+        own = theta.size - self.noise.size
+        specs = structure.specs[:own]
+        logs = np.array([spec.log for spec in specs])
+        positive = np.array([spec.positive and not spec.log for spec in specs])
+        sizes = self.problem.sizes(structure)
+        precision = self.problem.precision(structure, sizes)[:own, :own]
+        root = self.reference.tail.scale * np.linalg.cholesky(precision).T
+        centres = self.problem.centres(structure)[:own]
+        steps = self.steps(structure, theta)
+        enough = ROUGHLY if coarse else ENOUGH
+
+        def away(at: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """(windows, length) difference to the reference; (rows,) with the prior's rows."""
+            difference = self.run(structure, at) - self.goal
+            return difference, np.r_[difference.ravel(), root @ (at[:own] - centres)]
+
+        def derivatives(at: FloatArray, rows: FloatArray) -> FloatArray:
+            out = np.empty((rows.size, own))
+            for j in range(own):
+                moved = at.copy()
+                moved[j] += steps[j]
+                out[:, j] = (away(moved)[1] - rows) / steps[j]
+            return out
+
+        difference, rows = away(theta)
+        value, damping, converged, fresh = float(rows @ rows), 1e-3, False, True
+        columns = derivatives(theta, rows)
+        for _ in range(MOST_STEPS // 2 if coarse else MOST_STEPS):
+            scale = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-9)
+            damped = np.vstack([columns, math.sqrt(damping) * np.diag(scale)])
+            step = -np.linalg.lstsq(damped, np.r_[rows, np.zeros(own)], rcond=None)[0]
+            trial = theta.copy()
+            trial[:own] += np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
+            trial[:own] = np.where(positive, np.maximum(trial[:own], 0.0), trial[:own])
+            trial[:own] = np.where(logs, np.clip(trial[:own], *RANGE), trial[:own])
+            there, ahead = away(trial)
+            new, moved = float(ahead @ ahead), trial[:own] - theta[:own]
+            if new < value:  # Broyden's update: a run for each parameter costs most of the time
+                by_scale = scale**2 * moved
+                columns = columns + np.outer(
+                    ahead - rows - columns @ moved, by_scale / max(float(by_scale @ moved), 1e-30)
+                )
+                small = value - new < enough * value
+                theta, difference, rows, value, damping = trial, there, ahead, new, 0.2 * damping
+                if not small:
+                    fresh = False
+                    continue
+                converged = True
+                if fresh or coarse or value <= 0.0:
+                    break
+            elif fresh:
+                damping = 8.0 * max(damping, 1e-4)
+                if damping > MOST_DAMPED:
+                    converged = True  # no step leads further
+                    break
+                continue
+            columns, fresh, converged = derivatives(theta, rows), True, False
+        return Projected(structure, theta, np.sum(difference**2, axis=1), converged)
+
+    def covariance(self, model: Projected, of_reference: FloatArray) -> FloatArray:
+        """(p, p) of a model's coordinates, those of the noise zero.
+
+        What the reference's own covariance (p', p') brings through the projection, and what the
+        windows scatter where the model cannot follow the reference (the sandwich of White 1982).
+        """
+        reference = self.reference
+        jacobian, other = (self._derivatives(one.structure, one.theta)
+                           for one in (model, reference))
+        own, theirs = jacobian.shape[1], other.shape[1]
+        scale = np.maximum(np.sqrt(np.sum(jacobian**2, axis=0)), 1e-12)
+        inverse = np.linalg.pinv(jacobian / scale, rcond=1e-8) / scale[:, None]
+        through = inverse @ other
+        out = through @ of_reference[:theirs, :theirs] @ through.T
+        left = (self.run(model.structure, model.theta) - self.goal).ravel()
+        scores = (inverse * left).reshape(own, self.windows.count, -1).sum(axis=2)
+        whole = np.zeros((model.theta.size, model.theta.size))
+        whole[:own, :own] = out + scores @ scores.T
+        return whole
+
+    def _derivatives(self, structure: Structure, theta: FloatArray) -> FloatArray:
+        """(rows, own) derivatives of the runs by the coordinates of base and effects."""
+        own = theta.size - self.noise.size
+        here = self.run(structure, theta).ravel()
+        steps = self.steps(structure, theta)
+        columns = np.empty((here.size, own))
+        for j in range(own):
+            moved = theta.copy()
+            moved[j] += steps[j]
+            columns[:, j] = (self.run(structure, moved).ravel() - here) / steps[j]
+        return columns
+
+    def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:
+        """(own,) steps of numerical derivatives."""
+        sizes, own = self.problem.sizes(structure), theta.size - self.noise.size
+        logs = np.array([spec.log for spec in structure.specs])[:own]
+        steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
+        return np.maximum(steps[:own], 1e-3 * np.abs(np.where(logs, 0.0, theta[:own])))
+
+    @property
+    def motion(self) -> float:
+        """Sum of squares of the reference's rates about where each run starts, (rad/s)²."""
+        starts = self.windows.starts
+        rate = self.problem.data.rate[starts[:, None] + np.arange(self.windows.length)] + self.goal
+        return float(np.sum((rate - rate[:, :1]) ** 2))
+
+    def ordered(self, structure: Structure) -> Projected:
+        """The reference itself, which its own projection is, with its effects in another order."""
+        own = {part.effect.label: self.reference.theta[where]
+               for part, where in self.reference.structure.placed()}
+        theta = np.concatenate([
+            self.reference.theta[:5], *(own[label] for label in structure.labels), self.noise,
+        ])
+        return Projected(structure, theta, np.zeros(self.windows.count), converged=True)

@@ -1,0 +1,300 @@
+"""ArduPilot's dataflash logs → columns: binary (.bin), or the text that ground stations make.
+
+A binary log is read message by message wherever whole ones stand, so that a burst of garbage costs
+only what it overwrote. Source of the format: ArduPilot's FMT message, by which a log describes
+itself. The meaning of the messages is ardupilot.py's.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quad_sysid.contract import FloatArray
+
+MAGIC = b'\xa3\x95'
+FMT, FMT_LENGTH = 128, 89
+FORMATS: Mapping[str, tuple[str, float]] = {
+    'b': ('i1', 1.0), 'B': ('u1', 1.0), 'h': ('<i2', 1.0), 'H': ('<u2', 1.0), 'i': ('<i4', 1.0),
+    'I': ('<u4', 1.0), 'f': ('<f4', 1.0), 'd': ('<f8', 1.0), 'g': ('<f2', 1.0), 'q': ('<i8', 1.0),
+    'Q': ('<u8', 1.0), 'c': ('<i2', 0.01), 'C': ('<u2', 0.01), 'e': ('<i4', 0.01),
+    'E': ('<u4', 0.01), 'L': ('<i4', 1e-7), 'M': ('u1', 1.0), 'n': ('S4', 0.0), 'N': ('S16', 0.0),
+    'Z': ('S64', 0.0), 'a': ('V64', 0.0),
+}
+"""By the letter of a field's format: its type, and the factor of its numbers (0: no number)."""
+TIMES = {'TimeUS': 1e-6, 'TimeMS': 1e-3}
+"""Fields with the time, s of each unit; before 2015 it was in ms."""
+BLOCK = 1 << 24
+"""Bytes that are searched for messages at once."""
+LARGEST = 1e6
+"""Largest number in a message that is believed although no message begins right behind it."""
+NEAR_S = 10.0
+"""Largest difference of such a message's time from its neighbours'."""
+TEXT_FMT = re.compile(r'^\s*FMT, ?(\d+), ?(\d+), ?(\w+), ?(\w+), ?(.*?)\s*$')
+"""A line of a text log that describes a message."""
+
+Columns = dict[str, FloatArray]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A message as its FMT describes it."""
+
+    number: int
+    length: int
+    """With the header of three bytes."""
+    name: str
+    dtype: np.dtype[np.void]
+    factors: tuple[float, ...]
+
+
+@dataclass
+class Log:
+    """The wanted messages of a log: columns `KIND.field`, their times in s, parameters."""
+
+    columns: Columns = field(default_factory=dict)
+    times: Columns = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    skipped: int = 0
+    """Bytes in which no whole message stands."""
+    bursts: int = 0
+    """Places at which bytes were skipped."""
+    in_ms: bool = False
+    """Whether the times are those of a log before 2015."""
+
+
+def read_binary(data: NDArray[np.uint8], wanted: Collection[str]) -> Log:
+    """The messages of the kinds `wanted`, and the parameters, of a log's bytes."""
+    kinds = _kinds(data)
+    starts, numbers, skipped, bursts = _whole(data, kinds)
+    log = Log(skipped=skipped, bursts=bursts)
+    found = {}
+    for number, kind in kinds.items():
+        if kind.name in wanted or kind.name == 'PARM':
+            at = starts[numbers == number]
+            if len(at):
+                found[kind.name] = at, _unpacked(data, at, kind)
+    clock = _clock({name: rows for name, (_, rows) in found.items()})
+    log.in_ms = clock == 'TimeMS'
+    stamps = {name: TIMES[clock] * rows[clock].astype(float)
+              for name, (_, rows) in found.items() if clock in (rows.dtype.names or ())}
+    timed = [(found[name][0], times) for name, times in stamps.items()]
+    places = np.concatenate([at for at, _ in timed]) if timed else np.zeros(0)
+    order = np.argsort(places, kind='stable')
+    known = np.concatenate([times for _, times in timed])[order] if timed else np.zeros(0)
+    for name, (at, rows) in found.items():
+        if name == 'PARM':
+            log.parameters |= {_text(n): float(v) for n, v in zip(rows['Name'], rows['Value'],
+                                                                  strict=True)}
+            continue
+        times = stamps.get(name)
+        if times is None:  # before 2015 events had none: that of the message before
+            before = np.searchsorted(places[order], at) - 1
+            times = known[np.maximum(before, 0)] if known.size else np.zeros(len(at))
+        kind = next(k for k in kinds.values() if k.name == name)
+        for label, factor in zip(rows.dtype.names or (), kind.factors, strict=True):
+            if factor:
+                log.columns[f'{name}.{label}'] = factor * rows[label].astype(float)
+                log.times[f'{name}.{label}'] = times
+    return log
+
+
+def _clock(found: Mapping[str, NDArray[np.void]]) -> str:
+    fields = {name for rows in found.values() for name in rows.dtype.names or ()}
+    return next((clock for clock in TIMES if clock in fields), 'TimeUS')
+
+
+def _kinds(data: NDArray[np.uint8]) -> dict[int, Kind]:
+    """Every message that a whole FMT describes, by its number."""
+    out = {}
+    for at in _headers(data, 0, len(data), {FMT}):
+        if at + FMT_LENGTH > len(data):
+            continue
+        raw = data[at : at + FMT_LENGTH].tobytes()
+        number, length = raw[3], raw[4]
+        name, form, labels = (raw[a:b].rstrip(b'\0') for a, b in ((5, 9), (9, 25), (25, 89)))
+        try:
+            kind = _kind(number, length, name.decode('ascii'), form.decode('ascii'),
+                         labels.decode('ascii').split(','))
+        except (UnicodeDecodeError, KeyError, ValueError):
+            continue
+        if kind.length == 3 + kind.dtype.itemsize:
+            out[number] = kind
+    return out
+
+
+def _kind(number: int, length: int, name: str, form: str, labels: Sequence[str]) -> Kind:
+    labels = [label.strip() or f'field{i}' for i, label in enumerate(labels)]
+    labels += [f'field{i}' for i in range(len(labels), len(form))]
+    fields = [(label, FORMATS[letter][0])
+              for label, letter in zip(labels, form, strict=False)]
+    return Kind(number, length, name, np.dtype(fields), tuple(FORMATS[c][1] for c in form))
+
+
+def _headers(
+    data: NDArray[np.uint8], start: int, stop: int, numbers: Collection[int]
+) -> NDArray[np.int64]:
+    """Offsets in start..stop at which a message of these numbers may begin."""
+    known = np.zeros(256, dtype=bool)
+    known[list(numbers)] = True
+    out = []
+    for low in range(start, stop, BLOCK):
+        part = data[low : min(low + BLOCK, stop) + 2]
+        if part.size < 3:
+            continue
+        hit = (part[:-2] == MAGIC[0]) & (part[1:-1] == MAGIC[1]) & known[part[2:]]
+        out.append(np.flatnonzero(hit) + low)
+    return np.concatenate(out) if out else np.zeros(0, dtype=np.int64)
+
+
+def _whole(
+    data: NDArray[np.uint8], kinds: Mapping[int, Kind]
+) -> tuple[NDArray[np.int64], NDArray[np.uint8], int, int]:
+    """Offset and number of each whole message, bytes that belong to none, and in how many places.
+
+    A message is whole where another begins right behind it. The last one before a burst is kept
+    too, if it holds no other's beginning and nothing that cannot be.
+    """
+    lengths = np.zeros(256, dtype=np.int64)
+    for number, kind in kinds.items():
+        lengths[number] = kind.length
+    at = _headers(data, 0, len(data), kinds)
+    end = at + lengths[data[at + 2]]
+    inside = end <= len(data)
+    at, end = at[inside], end[inside]
+    followed = np.isin(end, at, assume_unique=False) | (end == len(data))
+    kept: list[NDArray[np.int64]] = []
+    runs = np.flatnonzero(np.diff(followed.astype(np.int8), prepend=0, append=0))
+    behind = 0
+    for a, b in runs.reshape(-1, 2):  # all of these are followed by a message
+        starts = at[a:b]
+        if (starts[1:] < end[a : b - 1]).any() or starts[0] < behind:
+            starts = _apart(starts, end[a:b], behind)
+        if len(starts):
+            kept.append(starts)
+            behind = int(starts[-1] + lengths[data[starts[-1] + 2]])
+    good = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
+    more = [i for i in np.flatnonzero(~followed) if _plausible(data, int(at[i]), at, good, kinds)]
+    good = np.sort(np.concatenate([good, at[more]]).astype(np.int64))
+    numbers = data[good + 2]
+    ends = good + lengths[numbers]
+    gaps = np.diff(np.r_[0, np.column_stack([good, ends]).ravel(), len(data)])[::2]
+    return good, numbers, int(gaps.sum()), int(np.count_nonzero(gaps))
+
+
+def _apart(
+    starts: NDArray[np.int64], ends: NDArray[np.int64], behind: int
+) -> NDArray[np.int64]:
+    """Those that do not begin inside an earlier one."""
+    out = []
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        if start >= behind:
+            out.append(start)
+            behind = end
+    return np.array(out, dtype=np.int64)
+
+
+def _plausible(
+    data: NDArray[np.uint8], start: int, at: NDArray[np.int64], good: NDArray[np.int64],
+    kinds: Mapping[int, Kind],
+) -> bool:
+    """Whether a message that no other follows can be believed."""
+    kind = kinds[int(data[start + 2])]
+    stop = start + kind.length
+    if np.searchsorted(at, stop) - np.searchsorted(at, start) > 1:
+        return False
+    place = int(np.searchsorted(good, start))
+    if place and good[place - 1] + kinds[int(data[good[place - 1] + 2])].length > start:
+        return False
+    row = _unpacked(data, np.array([start]), kind)[0]
+    numbers = [float(row[name]) for name, factor in
+               zip(kind.dtype.names or (), kind.factors, strict=True)
+               if factor and kind.dtype[name].kind == 'f']
+    clock = next((name for name in TIMES if name in (kind.dtype.names or ())), None)
+    same = good[max(0, place - 50) : place + 50]
+    same = same[data[same + 2] == kind.number]
+    if clock is None or not len(same) or not all(abs(x) < LARGEST for x in numbers):
+        return False
+    near = _unpacked(data, same, kind)[clock].astype(float)
+    return bool(np.min(np.abs(near - float(row[clock]))) * TIMES[clock] < NEAR_S)
+
+
+def _unpacked(
+    data: NDArray[np.uint8], starts: NDArray[np.int64], kind: Kind
+) -> NDArray[np.void]:
+    """(m,) the messages that begin at these offsets."""
+    size = kind.dtype.itemsize
+    out = np.empty((len(starts), size), dtype=np.uint8)
+    for low in range(0, len(starts), 1 << 16):
+        part = starts[low : low + (1 << 16)]
+        out[low : low + len(part)] = data[part[:, None] + 3 + np.arange(size)]
+    return out.reshape(-1).view(kind.dtype)
+
+
+def _text(raw: bytes) -> str:
+    return raw.rstrip(b'\0').decode('latin-1')
+
+
+def read_text(lines: Iterable[str], wanted: Collection[str]) -> Log:
+    """The same from a text log: lines of names and numbers, described by its FMT lines."""
+    log, labels = Log(), {}
+    rows: dict[str, list[list[float]]] = {}
+    clocks: dict[str, list[float]] = {}
+    now = 0.0
+    for line in lines:
+        described = TEXT_FMT.match(line)
+        if described:
+            labels[described[3]] = [label.strip() for label in described[5].split(',')]
+            continue
+        name, _, rest = line.partition(',')
+        name = name.strip()
+        if name not in labels or (name not in wanted and name != 'PARM'):
+            continue
+        cells = [cell.strip() for cell in rest.split(',')]
+        known = labels[name]
+        if len(cells) < len(known):
+            log.skipped += len(line)
+            log.bursts += 1
+            continue
+        if name == 'PARM':
+            row = dict(zip(known, cells, strict=False))
+            log.parameters[row.get('Name', '')] = _number(row.get('Value', ''))
+            continue
+        clock = next((c for c in TIMES if c in known), None)
+        numbers = [_number(cell) for cell in cells[: len(known)]]
+        if clock is not None:
+            now = TIMES[clock] * numbers[known.index(clock)]
+            log.in_ms |= clock == 'TimeMS'
+        rows.setdefault(name, []).append(numbers)
+        clocks.setdefault(name, []).append(now)
+    for name, some in rows.items():
+        array, times = np.array(some), np.array(clocks[name])
+        for i, label in enumerate(labels[name]):
+            if np.isfinite(array[:, i]).any():
+                log.columns[f'{name}.{label}'] = array[:, i].copy()
+                log.times[f'{name}.{label}'] = times
+    return log
+
+
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
+
+
+def is_text(head: bytes) -> bool:
+    """Whether the first bytes of a text describe messages of ArduPilot."""
+    text = head[:4096].decode('latin-1')
+    return any(TEXT_FMT.match(line) for line in text.splitlines())
+
+
+def is_binary(head: bytes) -> bool:
+    """Whether the first bytes hold a message that describes messages."""
+    return 0 <= head.find(MAGIC + bytes([FMT])) < 4096

@@ -1,0 +1,71 @@
+"""Experiments that a log holds: what was added to which axis, and when → segments, excitation.
+
+A reader (ardupilot.py, px4.py, betaflight.py) says what its firmware injected; here it is laid on
+the record. Flights without one are stretches.py's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from quad_sysid.contract import AXES
+from quad_sysid.imports.log import Experiment, Stream
+from quad_sysid.imports.stretches import blocks
+from quad_sysid.record import Record, Segment
+
+PAUSE_S = 1.0
+"""Time without an injection that ends an experiment."""
+SHORTEST_S = 5.0
+"""A shorter one trains nothing."""
+
+
+def runs_of(signal: str, injection: str, added: Stream) -> tuple[Experiment, ...]:
+    """The experiments in a stream (n, 3) of what was added to each axis, zero outside them."""
+    out = []
+    for i, axis in enumerate(AXES):
+        on = np.flatnonzero(added.values[:, i] != 0.0)
+        if not on.size:
+            continue
+        parts = np.split(on, np.flatnonzero(np.diff(added.time_s[on]) > PAUSE_S) + 1)
+        for part in parts:
+            rows = slice(part[0], part[-1] + 1)
+            out.append(Experiment(axis, signal, injection, Stream(
+                added.time_s[rows], added.values[rows, i : i + 1])))
+    return tuple(sorted(out, key=lambda one: one.added.time_s[0]))
+
+
+def with_experiments(
+    record: Record, experiments: Sequence[Experiment], start_s: float
+) -> tuple[Record, str]:
+    """The record with segments and excitation, and a line that says so; '' where none is long.
+
+    `start_s` is the record's first sample in the log's time. Each experiment is cut into blocks
+    for training and validation, so that both have some of all frequencies.
+    """
+    excitation = np.full((record.n, len(AXES)), np.nan)
+    segments: list[Segment] = []
+    told = []
+    for one in experiments:
+        begin, end = (float(t) - start_s for t in one.added.time_s[[0, -1]])
+        begin, end = max(begin, 0.0), min(end, record.n * record.dt)
+        if end - begin < SHORTEST_S:
+            continue
+        rows = slice(int(np.ceil(begin / record.dt)), int(end / record.dt))
+        times = start_s + record.dt * np.arange(rows.start, rows.stop)
+        excitation[rows] = 0.0
+        excitation[rows, AXES.index(one.axis)] = np.interp(
+            times, one.added.time_s, one.added.values[:, 0])
+        segments += [
+            Segment(role, one.signal, one.axis, one.injection, begin + a, begin + b,
+                    dict(one.parameters)) for role, a, b in blocks(end - begin)]
+        told.append(f'{one.axis} {end - begin:.0f} s')
+    if not segments:
+        return record, ''
+    segments.sort(key=lambda s: s.start_s)
+    first = experiments[0]
+    return replace(record, excitation=excitation, segments=tuple(segments)), (
+        f'the log holds experiments ({first.signal}, {first.injection}): {", ".join(told)}; their '
+        'segments train and validate')

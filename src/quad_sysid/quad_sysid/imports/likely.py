@@ -1,0 +1,102 @@
+"""The unit that a column is likely to have, by its name and the size of its values."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.imports.plausible import LOWEST_RATE_HZ, time_unit
+from quad_sysid.imports.table import Table
+from quad_sysid.imports.units import ONE_G, OPTIONS, UNITS, Role, header_unit
+
+SMOOTH_TURN = 20.0
+"""99 % quantile of a rate, rad/s, above which it is taken for deg/s."""
+LARGEST_V = 1000.0
+"""A larger battery voltage is taken for mV."""
+
+
+def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
+    """The units of an option's columns, where name or size tells one that is not SI; else ''.
+
+    Columns of one sensor share what is known of any of them. SI is named where the name's own unit
+    is unknown. An empty name is no column.
+    """
+    role, names = OPTIONS[option].role, [name for name in names if name]
+    known = {None, *UNITS[role]}
+    return [unit or ('' if header_unit(name, role) in known else next(iter(UNITS[role])))
+            for name, unit in zip(names, _by_size(table, option, names), strict=True)]
+
+
+def rounded_down(value: float) -> float:
+    """To two digits, so that what just fits still does."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f'{math.floor(value / digit + 1e-6) * digit:.2g}')
+
+
+def one_sided(values: FloatArray) -> bool:
+    """Whether values never cross zero, as those of a motor, signed by its spin or not."""
+    return bool(np.nanmin(values) >= 0.0 or np.nanmax(values) <= 0.0)
+
+
+def _by_size(  # noqa: C901, PLR0911 - option by option
+    table: Table, option: str, names: Sequence[str]
+) -> list[str]:
+    columns = [table.columns[name] for name in names]
+    if option == 'time':
+        known = header_unit(names[0])
+        unit = known if known in UNITS['time'] else time_unit(columns[0])
+        steps = np.diff(columns[0][np.isfinite(columns[0])])
+        usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+        if unit == 's' and usual * LOWEST_RATE_HZ > 1.0:
+            return ['s']  # so slow that it is asked for
+        return ['' if unit == 's' else unit or '']
+    if OPTIONS[option].role in ('rate', 'angle'):
+        return _turn_units(names, columns, OPTIONS[option].role)
+    high = max(float(np.nanmax(np.abs(values))) for values in columns)
+    if option == 'motors' and min(map(np.nanmin, columns)) < 0.0:
+        whole = f'{rounded_down(1.0 / high):g}' if high > 1.0 else ''
+        return [whole] * len(names)  # signed by their spin
+    if option == 'acceleration':
+        size = max(float(np.nanmedian(np.abs(values))) for values in columns)
+        said = header_unit(names[0], 'acceleration') in UNITS['acceleration']
+        near = next((unit for unit, (factor, _) in UNITS['acceleration'].items()
+                     if 0.5 < size * factor / ONE_G < 2.0), f'{ONE_G / size:.4g}')
+        return ['' if said or near == 'm/s2' else near] * len(names)
+    if option == 'battery':
+        return ['mV' if float(np.nanmedian(columns[0])) > LARGEST_V else '']
+    if option == 'motors' and 1.0 < high <= 2200.0:
+        flying = np.median([np.nanmedian(values) for values in columns])
+        unit = 'percent' if high <= 100.0 else 'pulse_us' if flying >= 900.0 else 'dshot'
+    elif option == 'control' and high <= 2200.0 and min(map(np.nanmin, columns)) >= 900.0:
+        unit = 'pulse_us'
+    elif high > 2000.0:
+        unit = 'pwm16'
+    elif option == 'control' and not 0.02 < high <= 0.5:
+        unit = f'{10.0 ** np.floor(np.log10(0.5 / high)):g}'
+    else:
+        unit = f'{0.5 / high:.3g}' if option == 'thrust' and high > 1.0 else ''
+    return [unit] * len(names)
+
+
+def _turn_units(names: Sequence[str], columns: Sequence[np.ndarray], role: Role) -> list[str]:
+    """The unit of a sensor's columns where a name or the size of any says so; '' for SI."""
+    rate = role == 'rate'
+    si, degrees = ('rad/s', 'deg/s') if rate else ('rad', 'deg')
+
+    def named(name: str) -> str | None:
+        if header_unit(name, role) in UNITS[role]:
+            return header_unit(name, role)
+        found = re.search(r'_(rad|deg|dps)(s|ps)?([^a-z]|$)', name.lower())
+        return found and (si if found[1] == 'rad' else degrees)
+
+    own = [named(name) for name in names]
+    told = {unit for unit in own if unit}
+    largest = max(float(np.nanquantile(np.abs(values), 0.99)) for values in columns)
+    large = largest > (SMOOTH_TURN if rate else 2.0 * np.pi)
+    common = told.pop() if len(told) == 1 else degrees if large and not told else ''
+    units = [unit or common for unit in own]
+    return ['' if unit == si else unit for unit in units]

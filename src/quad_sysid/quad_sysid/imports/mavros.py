@@ -1,0 +1,118 @@
+"""A bag of mavros → ForeignLog. mavros turns the autopilot's frames to ours (REP-103) itself.
+
+The outputs to the motors are in the autopilot's own order: the motion shows what they do.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from quad_sysid.bags.orientation import euler_from_quaternion
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.log import ASKED_FOR, ForeignLog, Reading, Stream, Wanted
+from quad_sysid.imports.mixers import MIRROR
+from quad_sysid.imports.rosbag import read_messages, topics_of
+from quad_sysid.imports.table import Table
+
+TOPIC = re.compile(r'^(?P<place>(?:/[^/.]+)*?)/mavros/(?P<topic>[^.]+)\.')
+"""A topic of mavros: whose, and its name."""
+PULSES = (1000.0, 2000.0)
+LEAST_PULSE = 800.0
+"""µs. A channel that never gives more is not a motor's."""
+MOTORS = (4, 6, 8)
+FASTER = ('ask the autopilot for faster messages (service /mavros/set_message_interval), or '
+          'import its own log')
+NO_GAINS = ("the controller's gains: no closed loop, no gain design (the autopilot's own log has "
+            'them)')
+
+
+def _angles(values: FloatArray) -> FloatArray:
+    out = euler_from_quaternion(values)
+    out[:, 2] = np.unwrap(out[:, 2])
+    return np.asarray(out)
+
+
+def _of(topic: str, *fields: str) -> tuple[str, ...]:
+    return tuple(f'{topic}.{field}' for field in fields)
+
+
+WANTED = (
+    *(Wanted('rates', _of(topic, *(f'angular_velocity.{x}' for x in 'xyz')), 'rad/s',
+             'as it is, the frame is ours') for topic in ('imu/data_raw', 'imu/data')),
+    Wanted('angles', _of('imu/data', *(f'orientation.{x}' for x in 'xyzw')), '1', 'as it is',
+           _angles),
+    Wanted('acceleration', _of('imu/data', *(f'linear_acceleration.{x}' for x in 'xyz')), 'm/s²',
+           'as it is'),
+    *(Wanted('attitude_setpoint', _of(topic, *(f'{field}.{x}' for x in 'xyzw')), '1', 'as it is',
+             _angles) for topic, field in (
+        ('setpoint_raw/target_attitude', 'orientation'), ('setpoint_raw/attitude', 'orientation'),
+        ('setpoint_attitude/attitude', 'pose.orientation'))),
+    *(Wanted('rate_setpoint', _of(topic, *(f'{field}.{x}' for x in 'xyz')), 'rad/s', 'as it is')
+      for topic, field in (('setpoint_raw/target_attitude', 'body_rate'),
+                           ('setpoint_raw/attitude', 'body_rate'))),
+    Wanted('battery', _of('battery', 'voltage'), 'V', 'as it is'),
+)
+CONTROLS = _of('target_actuator_control', *(f'controls[{i}]' for i in (3, 0, 1, 2)))
+
+
+def is_bag(topics: Mapping[str, str]) -> bool:
+    """Whether a bag with these topics holds what mavros says of an autopilot."""
+    names = [found['topic'] for topic in topics if (found := TOPIC.match(f'{topic}.'))]
+    return any(name in ('imu/data', 'imu/data_raw') for name in names)
+
+
+def read(path: Path, messages: Path | None = None) -> ForeignLog:
+    """Read a bag of mavros; raises BadInputError where it lacks rates or commands."""
+    table = _load(path, messages)
+    reading = Reading(table)
+    reading.take(*WANTED)
+    if 'rates' not in reading.streams:
+        raise BadInputError(table.source, 'holds no mavros/imu/data', table.messages, FASTER)
+    warnings: list[str] = []
+    channels = _channels(table)
+    motors = table.stream(*channels) if channels else None
+    asked = table.stream(*CONTROLS)
+    if reading.motors_fast(motors, asked):
+        low, high = PULSES
+        reading.take(Wanted('motors', channels, 'µs', f'(pulse - {low:g}) / {high - low:g}; U by '
+                            'what the motion shows',
+                            lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
+    elif asked is not None:
+        reading.put(Wanted('control', CONTROLS, '-1..1', 'as it is, pitch and yaw turned'),
+                    Stream(asked.time_s, asked.values * [1.0, *MIRROR]))
+        warnings.append(ASKED_FOR)
+    else:
+        raise BadInputError(table.source, 'holds no mavros/rc/out and no target_actuator_control',
+                            table.messages, f'record /mavros/rc/out; {FASTER}')
+    return reading.log('a bag of mavros', WANTED, no_gains=NO_GAINS, faster=FASTER,
+                       warnings=tuple(warnings))
+
+
+def _channels(table: Table) -> tuple[str, ...]:
+    """The first channels of rc/out that move as motors do."""
+    used = [name for i in range(max(MOTORS)) if (name := f'rc/out.channels[{i}]') in table.columns
+            and np.nanmax(table.columns[name]) > LEAST_PULSE]
+    count = max((n for n in MOTORS if n <= len(used)), default=0)
+    return tuple(used[:count])
+
+
+def _load(path: Path, messages: Path | None) -> Table:
+    wanted = {one.columns[0].partition('.')[0] for one in WANTED} | {
+        'rc/out', 'target_actuator_control'}
+    asked = [topic for topic in topics_of(path)
+             if (found := TOPIC.match(f'{topic}.')) and found['topic'] in wanted]
+    columns, times = read_messages(path, [f'{topic}.' for topic in asked], messages)
+    places = [found['place'] for name in columns if (found := TOPIC.match(name))]
+    chosen = max(dict.fromkeys(places), key=places.count, default='')
+    ours, clock = {}, {}
+    for name, values in columns.items():
+        found = TOPIC.match(name)
+        if found and found['place'] == chosen:
+            own = f'{found["topic"]}.{name[found.end():]}'
+            ours[own], clock[own] = values, times[name]
+    return Table(str(path), ours, clock)

@@ -1,0 +1,229 @@
+"""Messages of a ROS 1 or ROS 2 bag → columns with their times; definitions from a folder of .msg.
+
+What a topic means is said by table.py's options, px4.py or mavros.py. Bags of the contract are
+read by quad_sysid.bags.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from array import array
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.files import read_by_library
+
+MOST_NUMBERS = 64
+"""Longest array in a message that becomes columns; a longer one is an image or a cloud."""
+MICRO = 1e-6
+"""s of a time stamp of PX4."""
+PACKAGE_NAME = re.compile(r'<name>\s*([\w-]+)\s*</name>')
+
+Columns = dict[str, FloatArray]
+Getter = Callable[[Any], Any]
+
+
+def topics_of(path: Path) -> dict[str, str]:
+    """Types of a bag by topic; empty where the path is no bag that can be read."""
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    try:
+        with (Reader1 if path.suffix == '.bag' else Reader2)(path) as reader:
+            return {one.topic: one.msgtype for one in reader.connections}
+    except Exception:  # noqa: BLE001 - a library raises whatever a damaged bag makes it meet
+        return {}
+
+
+@contextmanager
+def _opened(path: Path, messages: Path | None) -> Iterator[Any]:
+    """The bag's reader, with the definitions that it holds, ROS's own and those of a folder."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'):
+        kinds = {kind.partition('/')[0] for kind in topics_of(path).values()}
+        if messages is not None:
+            _register(store, messages, kinds)
+        reader = AnyReader([path], default_typestore=store)
+        reader.open()
+    try:
+        if messages is not None:
+            more = {name: known for name, known in store.fielddefs.items()
+                    if name not in reader.typestore.fielddefs}
+            reader.typestore.register(more)
+        yield reader
+    finally:
+        reader.close()
+
+
+def _register(store: Any, folder: Path, needed: Collection[str]) -> None:
+    """Add the definitions of a checkout's .msg files to a store."""
+    from rosbags.typesys import get_types_from_msg
+
+    files = sorted(folder.rglob('*.msg'))
+    if not files:
+        raise BadInputError('--messages', 'holds no .msg files', str(folder),
+                            'name a checkout of the package that defines the messages')
+    there = {name.partition('/')[0] for name in store.fielddefs}
+    missing = [package for package in needed if package not in there]
+    for file in files:
+        package = _package(file, folder)
+        if package not in needed and len(missing) == 1:
+            package = missing[0]  # a folder of another name, such as PX4's own msg
+        name = f'{package}/msg/{file.stem}'
+        if name in store.fielddefs:
+            continue
+        try:
+            types = get_types_from_msg(file.read_text(encoding='utf-8', errors='replace'), name)
+            store.register({key: value for key, value in types.items()
+                            if key not in store.fielddefs})
+        except Exception:  # noqa: BLE001, S112 - one that cannot be read may not be needed
+            continue
+
+
+def _package(file: Path, folder: Path) -> str:
+    for place in file.parents:
+        described = place / 'package.xml'
+        if described.is_file():
+            found = PACKAGE_NAME.search(described.read_text(encoding='utf-8', errors='replace'))
+            if found:
+                return found[1]
+        if place == folder:
+            break
+    return file.parent.parent.name if file.parent.name == 'msg' else file.parent.name
+
+
+@dataclass
+class _Topic:
+    """Columns of one topic as they grow."""
+
+    names: list[str]
+    getters: list[tuple[Getter, int]]
+    """What gives some of the columns, and how many."""
+    stamps: array[float] = field(default_factory=lambda: array('d'))
+    values: array[float] = field(default_factory=lambda: array('d'))
+
+    def add(self, stamp: float, message: Any) -> None:
+        """Append one message; what it lacks is NaN."""
+        self.stamps.append(stamp)
+        for getter, count in self.getters:
+            try:
+                found = getter(message)
+                row = [float(found)] if count == 0 else [float(x) for x in found][:count]
+            except (AttributeError, IndexError, TypeError, ValueError):
+                row = []
+            self.values.extend(row + [math.nan] * (max(count, 1) - len(row)))
+
+    def columns(self) -> dict[str, FloatArray]:
+        """The columns by name."""
+        table = np.frombuffer(self.values, dtype=np.float64).reshape(len(self.stamps), -1)
+        return {name: table[:, i].copy() for i, name in enumerate(self.names)}
+
+
+def read_messages(
+    path: Path, wanted: Collection[str] | None = None, messages: Path | None = None
+) -> tuple[Columns, Columns]:
+    """Every number of every message as `/topic.field.x`, and its times, s.
+
+    Of topics whose name begins a column in `wanted` (None: all). Raises BadInputError where the
+    bag is damaged or holds no definitions of the messages that are wanted.
+    """
+    found: dict[str, _Topic] = {}
+    unknown: dict[str, str] = {}
+    with _opened(path, messages) as reader:
+        asked = [
+            c for c in reader.connections
+            if wanted is None or any(name.startswith(f'{c.topic}.') for name in wanted)
+        ]
+        known = []
+        for one in asked:
+            if one.msgtype in reader.typestore.fielddefs:
+                known.append(one)
+            else:
+                unknown[one.topic] = one.msgtype
+        if unknown and (wanted is not None or not known):
+            raise _undefined(path, unknown, messages)
+        with read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'):
+            for connection, received, raw in reader.messages(connections=known):
+                message = reader.deserialize(raw, connection.msgtype)
+                topic = found.get(connection.topic)
+                if topic is None:
+                    topic = found[connection.topic] = _topic(message, connection.topic)
+                topic.add(_stamp(message) or 1e-9 * received, message)
+    columns: Columns = {}
+    times: Columns = {}
+    for topic in found.values():
+        own = topic.columns()
+        columns |= own
+        times |= dict.fromkeys(own, np.array(topic.stamps))
+    return columns, times
+
+
+def _undefined(path: Path, unknown: dict[str, str], messages: Path | None) -> BadInputError:
+    packages = sorted({kind.partition('/')[0] for kind in unknown.values()})
+    name = ', '.join(packages)
+    what = 'holds no definitions of its messages' if messages is None else \
+        f'has messages that {messages} does not define'
+    return BadInputError(str(path), what, ', '.join(sorted(set(unknown.values()))[:3]),
+                         f'give a checkout of {name} that fits: --messages FOLDER')
+
+
+def _stamp(message: Any) -> float:
+    """The message's own time, s: its header's, or the one that PX4 gives; 0 without one."""
+    header = getattr(message, 'header', None)
+    if header is not None and hasattr(header, 'stamp'):
+        stamp = header.stamp
+        return float(stamp.sec + 1e-9 * stamp.nanosec)
+    for name in ('timestamp_sample', 'timestamp'):
+        ticks = getattr(message, name, 0)
+        if isinstance(ticks, int | np.integer) and ticks > 0:
+            return MICRO * float(ticks)
+    return 0.0
+
+
+def _topic(message: Any, name: str) -> _Topic:
+    names: list[str] = []
+    getters: list[tuple[Getter, int]] = []
+    for own, getter, count in _leaves(message, (), name):
+        getters.append((getter, count))
+        names += [own] if count == 0 else [f'{own}[{i}]' for i in range(count)]
+    return _Topic(names, getters)
+
+
+def _leaves(
+    message: Any, path: tuple[str | int, ...], name: str
+) -> Iterator[tuple[str, Getter, int]]:
+    """The numbers of a message: name, what gives them, and how many (0: one alone)."""
+    if isinstance(message, bool | int | float | np.number):
+        yield name, _getter(path), 0
+    elif isinstance(message, np.ndarray | list | tuple):
+        if not 0 < len(message) <= MOST_NUMBERS:
+            return
+        if all(isinstance(x, bool | int | float | np.number) for x in message):
+            yield name, _getter(path), len(message)
+        else:
+            for i, value in enumerate(message):
+                yield from _leaves(value, (*path, i), f'{name}[{i}]')
+    elif hasattr(message, '__dataclass_fields__'):
+        for key in message.__dataclass_fields__:
+            if key not in ('header', '__msgtype__'):
+                yield from _leaves(getattr(message, key), (*path, key), f'{name}.{key}')
+
+
+def _getter(path: Sequence[str | int]) -> Getter:
+    def get(message: Any) -> Any:
+        for key in path:
+            message = message[key] if isinstance(key, int) else getattr(message, key)
+        return message
+
+    return get

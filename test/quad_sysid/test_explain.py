@@ -1,0 +1,74 @@
+"""The ladder to the reference, what comes again, and what the held-out data confirm."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from quad_sysid.discover.accept import p_value
+from quad_sysid.discover.search import Found, Scored
+from quad_sysid.explain.ladder import explain, values_of
+
+
+def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
+    told = rubbed_answer.findings
+    first = told.ladder.rungs[1]
+    assert first.labels == ('coulomb_friction',)
+    assert first.explains_pct > 95.0
+    assert told.ladder.answer == 1
+    assert told.ladder.reproducible['coulomb_friction'] > 0.9
+    (effect,) = rubbed_answer.model.effects
+    assert effect.explains_pct == first.explains_pct
+    assert effect.p_value < 0.05
+    assert told.verdict.after < 0.7 * told.verdict.before
+    assert told.verdict.rungs[1] == pytest.approx(told.verdict.after)
+
+
+def test_where_nothing_is_missing_the_base_is_the_answer(plain_answer):
+    told = plain_answer.findings
+    assert len(told.ladder.rungs) == 1
+    assert plain_answer.verdict == 'not_searched'
+    assert plain_answer.model.effects == plain_answer.model.rungs == ()
+
+
+def test_a_projection_ends_at_the_reference_from_far_away(rubbed_answer):
+    """The reference's own structure from twice the friction and other poles: its parameters."""
+    told = rubbed_answer.findings
+    projection = told.ladder.projection
+    reference = projection.reference
+    start = reference.theta.copy()
+    start[0] *= 1.3
+    start[1] += 0.3
+    start[5] *= 2.0
+    model = projection.project(reference.structure, start)
+    assert model.total < 1e-4 * told.ladder.rungs[0].model.total
+    found, truth = values_of(model), reference.values
+    assert found[:2] == pytest.approx(truth[:2], rel=0.01)
+    assert found[5] == pytest.approx(truth[5], rel=0.05)
+
+
+def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
+    """The reference is a smooth curve over the rate; the named law stands before it."""
+    told = rubbed_answer.findings
+    problem, found = told.problem, told.found
+    curve = next(one for one in found.all if one.fit.structure.labels
+                 and one.fit.structure.labels[0].startswith('shape:rate')
+                 and len(one.fit.structure.labels) == 1)
+    parts = [one for scored in found.all for one in scored.fit.structure.parts]
+    only = Found(found.base, (Scored(curve.fit, 9.0), Scored(found.base, 0.0)), {})
+    ladder = explain(problem, only, list({p.effect.label: p for p in parts}.values()))
+    assert ladder.rungs[1].labels == ('coulomb_friction',)
+    assert ladder.rungs[1].explains_pct > 90.0
+    assert ladder.answer == 1
+
+
+@pytest.mark.parametrize('memory', [0.0, 0.5, 0.8])
+def test_a_claim_is_confirmed_by_chance_in_one_case_of_twenty(memory):
+    """Also where a block's balance says much about the next one's; what is there is confirmed."""
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((2000, 60)) * np.sqrt(1.0 - memory**2)
+    shares = np.tanh(lfilter([1.0], [1.0, -memory], noise, axis=1)[:, 20:])
+    level = np.mean([p_value(one) <= 0.05 for one in shares])
+    assert level < 0.1
+    assert np.mean([p_value(one + 1.5) <= 0.05 for one in shares]) > 0.9

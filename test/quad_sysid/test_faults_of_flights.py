@@ -1,0 +1,120 @@
+"""What is easily lost between flights: throttle, turns of yaw, gyro filters, ranges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flown_axis import DT, GAINS, SHORT, UNSEEN, Axis, fly
+
+from quad_sysid import comparison
+from quad_sysid.discover.accept import Unseen, stays_bounded
+from quad_sysid.estimate.stored import completed, estimate_of
+from quad_sysid.model.data import axis_data
+from quad_sysid.pipeline.evaluate import evaluate, simulate
+from quad_sysid.pipeline.identify import Options, identify
+from quad_sysid.pipeline.step_b import closed_loop
+from quad_sysid.record import GainChange, Record, Segment
+
+QUIET = {'gyro_noise': 0.002, 'torque_noise': 0.01}
+
+
+def test_a_simulation_flies_at_the_throttle_and_the_voltage_of_the_flight(true_model):
+    bent = estimate_of('thrust_curve', [0.5], settings={'throttle': 0.5})
+    sagging = estimate_of('battery_sag', [2.0], settings={'reference_v': 12.0})
+    model = replace(true_model, effects=(bent, sagging), mean_throttle=0.6, mean_battery_v=11.0)
+    u = np.repeat([0.02, -0.02], 50)
+    given = simulate(model, u, throttle=0.6, battery_v=11.0)
+    np.testing.assert_array_equal(simulate(model, u), given)
+    # the slope of the thrust over the command: 0.5 + m, beside 1 at the usual throttle
+    plain = simulate(replace(model, effects=(), base=tuple(
+        replace(p, value=0.0) if p.name == 'bias' else p for p in model.base)), u)
+    moved = given - simulate(model, 0.0 * u)
+    np.testing.assert_allclose(moved, (11.0 / 12.0) ** 2 * 1.1 * plain, atol=2e-3)
+
+
+def test_yaw_that_turns_through_half_a_turn_keeps_its_reference():
+    n = 500
+    yaw = 3.0 + np.linspace(0.0, 0.6, n)
+    wanted = (yaw + 0.1 + np.pi) % (2.0 * np.pi) - np.pi
+    record = Record('bag', DT, np.zeros((n, 3)), np.zeros((n, 4)),
+                    angles=np.stack([0 * yaw, 0 * yaw, yaw], axis=1),
+                    attitude_setpoint=np.stack([0 * yaw, 0 * yaw, wanted], axis=1))
+    np.testing.assert_allclose(record.external('yaw'), yaw + 0.1)
+    blind = replace(record, angles=None, attitude_setpoint=np.stack([yaw, yaw, wanted], axis=1))
+    assert np.abs(np.diff(blind.external('yaw'))).max() < 0.01
+
+
+def test_the_simulated_loop_begins_at_the_angle_of_the_flight(plain_flight, plain_answer):
+    """A yaw of 3 rad is no step of 3 rad."""
+    turned = replace(plain_flight, angles=plain_flight.angles + 3.0,
+                     attitude_setpoint=plain_flight.attitude_setpoint + 3.0)
+    data = axis_data([turned], 'roll')
+    found = closed_loop(plain_answer, [turned], data)
+    assert found.rms_after < 0.05
+
+
+def test_the_same_base_with_other_friction_has_not_changed(true_model):
+    """What the base alone takes up of an effect is no change of the base."""
+    def flown(torque: float, gain_alone: float):
+        friction = estimate_of('coulomb_friction', [torque, 0.004], std=0.01)
+        sure = tuple(replace(p, std=1e-3 * abs(p.value)) for p in true_model.base)
+        alone = tuple(replace(p, value=gain_alone) if p.name == 'gain' else p for p in sure)
+        model = replace(true_model, base=sure, plain=alone, effects=(friction,))
+        return comparison.Flight('x', {'roll': comparison.of_model(model)}, {})
+
+    ((_, changes),) = comparison.compare(flown(0.8, 400.0), [flown(1.2, 350.0)])
+    assert [c.name for c in changes if c.changed] == ['coulomb_friction.torque']
+
+
+def filtered(hz: float, seed: int, plan=SHORT) -> Record:
+    flight = fly(Axis(**QUIET, gyro_filter_hz=hz), seed, plan)
+    return replace(flight, gains=(GainChange(0.0, {**GAINS, 'sensor.gyro_filter_hz': hz}),))
+
+
+def test_each_flight_has_its_own_gyro_filter():
+    """Lag and delay of two flights together as of one; and on a third, by its own filter."""
+    two = [filtered(40.0, 1), filtered(12.0, 2)]
+    answer = identify(two, Options(axes=('roll',), effects=()))['roll']
+    assert answer.model.value('delay') == pytest.approx(0.008, abs=0.001)
+    assert answer.model.value('lag') == pytest.approx(0.042, abs=0.002)
+    third = filtered(20.0, 3, UNSEEN)
+    own = evaluate(answer.model, third)
+    lost = evaluate(answer.model, replace(third, gains=(GainChange(0.0, GAINS),)))
+    assert own.after < 0.5 * lost.after
+
+
+def test_a_reference_is_of_one_unit(plain_flight):
+    """Where training and validation are excited elsewhere, the training's unit counts."""
+    train, validation = plain_flight.segments
+    pushed = replace(validation, injection='control')
+    mixed = replace(plain_flight, segments=(train, pushed),
+                    excitation=np.full_like(plain_flight.rates, 0.01))
+    reference = mixed.external('roll')
+    inside, outside = slice(*mixed.span(train)), slice(*mixed.span(validation))
+    np.testing.assert_array_equal(reference[inside], mixed.attitude_setpoint[inside, 0])
+    assert np.isnan(reference[outside]).all()
+    both = replace(mixed, segments=(train, Segment(**{**vars(pushed), 'role': 'train'})))
+    assert both.external('roll') is None
+    assert axis_data([plain_flight, replace(mixed, segments=(
+        replace(train, injection='control'), pushed))], 'roll').reference is None
+
+
+def test_what_runs_away_is_no_explanation_and_a_flight_says_where_it_leaves_the_training(
+    true_model, plain_flight
+):
+    data = axis_data([plain_flight], 'roll')
+    unseen = Unseen(data, data.validation)
+    unstable = estimate_of('shape:damping:throttle', [-30.0] * 6, 'smooth', settings={
+        'knots': tuple(np.linspace(0.4, 0.6, 6)), 'mean': (0.0,) * 6})
+    spring = estimate_of('pendulum_stiffness', [-6.0])
+    for effects, bounded in (((), True), ((spring,), True), ((unstable,), False)):
+        model = completed(replace(true_model, effects=effects))
+        assert stays_bounded(unseen, model) is bounded
+    told = evaluate(replace(true_model, ranges={'rate': (-0.2, 0.2), 'command': (-1.0, 1.0)}),
+                    plain_flight).outside
+    (rate,) = told
+    assert (rate.signal, rate.low, rate.high) == ('rate', -0.2, 0.2)
+    assert 1.0 < rate.seconds < 28.0
+    assert rate.most == plain_flight.rates[250:, 0].max()

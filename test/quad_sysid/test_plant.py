@@ -1,0 +1,286 @@
+"""An effect is one thing wherever it acts: cycle by cycle, along a whole flight, in a free run.
+
+Each effect of the table flies in a plant of its own with seeded inputs; the flight that comes out
+is what filter and free run get, without any noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import control as control_system
+import numpy as np
+import pytest
+
+from quad_sysid.contract import motors_from_wrench
+from quad_sysid.effects import EFFECTS
+from quad_sysid.effects.hidden import Linear, Load, Memory
+from quad_sysid.estimate.stored import estimate_of, plant_of
+from quad_sysid.exports import to_control
+from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
+from quad_sysid.loop.from_model import (
+    Placed,
+    commanded,
+    loop_plant,
+    not_in_the_loop,
+    share_outside,
+    usual_signals,
+)
+from quad_sysid.loop.kernels import control
+from quad_sysid.loop.plant import exact_cycles, slopes_at, state_space
+from quad_sysid.loop.simulation import constants
+from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.model.data import AxisData, Windows
+from quad_sysid.model.effect import Part
+from quad_sysid.model.plant import Flight, Plant, Prediction
+from quad_sysid.model.structure import Structure
+from quad_tuning.bounds import check_inside
+from quad_tuning.errors import DesignRefusedError
+
+DT, N = 0.004, 250
+BASE = np.array([120.0, 0.04, 0.0093, 0.8, 0.2])
+QUIET = np.array([1.0, 1.0, 0.3, 0.1])
+
+
+def flight_of_commands(seed: int = 3, gyro: float | None = 40.0) -> AxisData:
+    """Everything moves; the command changes every few cycles. The rate is still to come."""
+    rng, t = np.random.default_rng(seed), DT * np.arange(N)
+    held = np.repeat(rng.uniform(-0.08, 0.08, N // 10), 10)
+    control = np.stack([0.5 + 0.05 * np.sin(2.0 * t), held + 0.02 * np.sin(9.0 * t),
+                        0.05 * np.sin(4.0 * t), 0.04 * np.cos(3.0 * t)], axis=1)
+    control[:4, 1:] = 0.0
+    others = np.stack([0.4 * np.sin(3.0 * t), 0.3 * np.cos(5.0 * t)], axis=1)
+    return AxisData(
+        axis='roll', dt=DT, rate=np.zeros(N), angle=0.2 * np.sin(8.0 * t), control=control,
+        motors=motors_from_wrench(control), other_rates=others, other_angles=0.5 * others,
+        battery_v=12.0 - 0.3 * t, gyro_filter_hz=gyro, stretches=((0, N),), train=((0, N),),
+        validation=(),
+    )
+
+
+def parameters(effect) -> np.ndarray:
+    """Small, different from each other, and where the effect does something."""
+    p = effect.centre()
+    for j, spec in enumerate(effect.parameters):
+        if spec.spread is None or not spec.log:
+            size = {'rad/s²': 0.4, '1/s': 0.3, 's': 0.002}.get(spec.unit, 0.1)
+            p[j] = p[j] + size * (1.0 + 0.3 * j) * (-1.0) ** j if p[j] == 0.0 else p[j]
+        if spec.positive or spec.name == 'share' or effect.term == 'friction':
+            p[j] = abs(p[j])
+        if effect.term == 'friction' and effect.states and j:
+            p[j] = -p[j]  # it is cold at the start
+    names = {spec.name: j for j, spec in enumerate(effect.parameters)}
+    for name, value in {'transition': 0.3, 'stribeck_rate': 0.5, 'waves': 8.0, 'time': 0.8,
+                        'duration': 0.3, 'upper': 0.55, 'lower': 0.47, 'slew': 1.0,
+                        'slow_time_constant': 0.1}.items():
+        if name in names:
+            p[names[name]] = value
+    return p
+
+
+def flown(plant: Plant, data: AxisData) -> tuple[AxisData, np.ndarray, np.ndarray | None]:
+    """The flight that the plant makes of the commands, its true angle, and what it begins with."""
+    known = Flight(data, data.stretches).commanded(np.r_[BASE])
+    x = plant.begin(known.at(np.arange(1)), np.zeros(1), np.zeros(1))
+    (begin,) = x.turning.hidden or (None,)
+    rates, angles = np.zeros(N), np.zeros(N)
+    for k in range(N):
+        rates[k], angles[k] = plant.measured(x)[0][0], x.turning.angle[0]
+        x = plant.step(x, known.at(np.array([k])))
+    return replace(data, rate=rates), angles, begin
+
+
+def followed(flight: Flight, structure: Structure, theta: np.ndarray, sweeps: int) -> Prediction:
+    """The filter's pass with its correction switched off."""
+    exact = flight.filters_of
+
+    def deaf(*given):
+        return tuple(replace(one, gain=0.0 * one.gain) for one in exact(*given))
+
+    flight.filters_of = deaf
+    flight.rate = np.zeros(N)
+    return flight.predict(structure, theta, sweeps=sweeps)
+
+
+SHAPED = [e for e in EFFECTS if not e.wanders and max(e.motors, default=0) < 4]
+FIRST = [*{(type(e), e.kind == 'shape' or e.name, e.term, e.states, e.moves_command): e
+           for e in reversed(SHAPED)}.values()][::-1]
+"""One of each kind; all of them fly in make test-long."""
+
+
+def of_the_table(effects: list) -> list:
+    """All effects, of which make test flies the first of each kind."""
+    return [pytest.param(e, id=e.label, marks=() if e in FIRST else pytest.mark.long)
+            for e in effects]
+
+
+@pytest.mark.parametrize('effect', of_the_table(SHAPED))
+def test_cycle_by_cycle_along_arrays_and_in_a_free_run_an_effect_does_the_same(effect):
+    """To 1e-9 rad/s, from rest over a second, behind the gyro's filter."""
+    data = flight_of_commands()
+    rehearsed = replace(data, rate=0.5 * np.sin(4.0 * DT * np.arange(N)))
+    settings = effect.prepare(rehearsed)
+    assert not isinstance(settings, str), settings
+    p = parameters(effect)
+    structure = Structure((Part(effect, settings),))
+    values = np.r_[BASE, p, QUIET]
+    plant = Plant(structure, values, DT, Flight(data, data.stretches).sensor,
+                  Flight(data, data.stretches).share, rounds=6)
+    record, angles, begin = flown(plant, data)
+    plain, *_ = flown(replace(plant, structure=Structure(), p=np.r_[BASE, QUIET]), data)
+    assert np.abs(record.rate - plain.rate).max() > 1e-5
+    logs = np.array([spec.log for spec in structure.specs])
+    theta = np.where(logs, np.log(np.where(logs, values, 1.0)), values)
+    flight = Flight(record, record.stretches)
+    flight.gyro, flight.late = None, 0.0 * flight.late
+
+    def integrated(part, s, own):  # from rest, and by the rate that the filter has, not the gyro's
+        if not effect.states:
+            return s
+        begun = np.repeat(begin, N, axis=1) if isinstance(effect, Linear | Load) else None
+        return replace(s, hidden=part.effect.trace(s, own, settings, record.stretches, begun))
+
+    flight.hidden = integrated
+    flight.angle = angles
+    ran = followed(flight, structure, theta, sweeps=25)
+    np.testing.assert_allclose(ran.states[:, 2], record.rate, atol=1e-9)
+    every = Windows(np.array([0]), N)
+    errors = flight.free_run(structure, theta, every, prediction=ran, rounds=6)
+    assert np.abs(errors).max() < 1e-9
+
+
+# ---- the loop that margins are judged of
+
+
+GAINS = CascadeGains.default('roll')
+
+
+def model_of(*found: EffectEstimate, gain: float = 450.0) -> AxisModel:
+    values = {'gain': gain, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}
+    base = tuple(Parameter(name, value, 0.01, '') for name, value in values.items())
+    return AxisModel('roll', DT, 42.0, base, found, mean_battery_v=12.0, mean_throttle=0.5)
+
+
+def estimated(effect, p: np.ndarray, settings=None) -> EffectEstimate:
+    return estimate_of(effect.name, p, effect.variant, settings=settings, std=0.01)
+
+
+def smooth(effect) -> bool:
+    """Whether it has a slope in small motion, which is also what a loop is judged by."""
+    steep = {'dead_zone', 'backlash', 'shape:lag:direction', 'saturation'}
+    warms = isinstance(effect, Memory) and not effect.leans
+    part = Placed(Part(effect), effect.centre())
+    steep_lag = effect.term == 'lag' and effect.signals[0] == 'command'
+    kinked = effect.variant.startswith('rough')  # a knot at rest
+    return not (kinked or steep_lag or effect.name in steep or effect.phased or effect.stepped
+                or warms or effect.variant == 'hysteresis' or part.why_outside)
+
+
+@pytest.mark.parametrize('effect', of_the_table([e for e in SHAPED if smooth(e)]))
+def test_in_small_motion_the_loop_is_the_plant(effect):
+    """The rate after steps that are next to nothing: to 1 % of its largest."""
+    data = flight_of_commands()
+    settings = effect.prepare(replace(data, rate=0.5 * np.sin(4.0 * DT * np.arange(N))))
+    model = model_of(estimated(effect, parameters(effect), settings))
+    level = (2e-7, 2e-8, 1e-8)
+    loop = loop_plant(model, level)
+    linear = state_space(loop, slopes_at(loop, *level))
+    u = 1e-8 * np.repeat([0.0, 1.0, -1.0, 1.0, 0.0], 30)
+    rates = np.zeros((2, u.size))
+    for i, given in enumerate((0.0 * u, u)):
+        s = commanded(model, usual_signals(model), given)
+        plant = replace(plant_of(model), rounds=3)
+        x, push = plant.begin(s.at(np.arange(1)), np.zeros(1), np.zeros(1)), 0.0
+        if effect.states and not effect.moves_command:
+            settled = effect.settled(replace(s.at(np.arange(1)), angle=np.zeros(1)), plant.p[5:],
+                                     settings)
+            x = x._replace(turning=x.turning._replace(hidden=(settled,)))
+        for _ in range(4):  # what holds it at rest
+            push = push - plant.step(x, s.at(np.arange(1)), push).turning.rate / DT
+        for k in range(u.size):
+            rates[i, k] = plant.measured(x)[0][0]
+            x = plant.step(x, s.at(np.array([k])), push)
+    expected, x = np.zeros(u.size), np.zeros(len(linear.a))
+    for k in range(u.size):
+        expected[k] = linear.c[0] @ x
+        x = linear.a @ x + linear.b[:, 0] * u[k]
+    np.testing.assert_allclose(rates[1] - rates[0], expected, atol=0.01 * np.abs(expected).max())
+
+
+MODE = {'frequency': 6.0, 'damping_ratio': 0.06, 'in_phase': 0.1, 'quadrature': 0.05}
+SECOND = {'frequency': 3.0, 'damping_ratio': 0.5, 'in_phase': 0.3, 'quadrature': -0.2}
+FALLS = ('pendulum_stiffness', 'from the rate', [30.0, -12.0])
+
+
+@pytest.mark.parametrize(('found', 'tolerance'), [
+    ((), 0.03),
+    ((('mode', 'second order', list(SECOND.values())), ('resonance', '', list(MODE.values()))),
+     0.03),
+    ((('mode', 'second lag', [0.02]),), 0.03),
+    ((FALLS,), 0.03),
+    ((('mode', 'slow state', [0.3, 20.0]),), 0.03),
+    ((('mode', 'loose, turning', [4.0, 4.0, 0.3, 0.0, 0.5]),), 0.15),
+], ids=['base', 'two modes', 'second lag', 'falls', 'slow state', 'loose load'])
+def test_the_edge_of_stability_by_margins_is_that_of_the_simulated_flight(found, tolerance):
+    """The gain at which eigenvalues leave the unit circle is that at which a flight swings."""
+    effects = tuple(estimate_of(name, p, variant) for name, variant, p in found)
+    level = (0.1, 0.01, 0.01)
+
+    def unstable(gain: float) -> bool:
+        plant = loop_plant(model_of(*effects, gain=gain), level)
+        cycle = exact_cycles([plant], [slopes_at(plant, *level)])
+        return bool(closed_loop_radius(GAINS, cycle)[0] >= 1.0)
+
+    low, high = 200.0, 4000.0
+    while high / low > 1.005:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if unstable(middle) else (middle, high)
+    grows = [swings(model_of(*effects, gain=edge)) for edge in
+             ((1.0 - tolerance) * low, (1.0 + tolerance) * low)]
+    assert grows == [False, True]
+
+
+def swings(model: AxisModel) -> bool:
+    """Whether a small step of the angle ends in a swing that grows."""
+    plant, n = plant_of(model), 1200
+    s = commanded(model, usual_signals(model), np.zeros(1))
+    numbers = constants(GAINS, DT)
+    x = plant.begin(s, np.zeros(1), np.zeros(1))
+    memory, u = np.zeros(3), np.zeros(n)
+    for k in range(n):
+        rate, angle = plant.measured(x)
+        wanted = 0.01 if k < 20 else 0.0
+        _, u[k] = control(numbers, memory, wanted, float(angle[0]), float(rate[0]), 0.0)
+        x = plant.step(x, replace(s, sent=u[k : k + 1]))
+    late, early = np.ptp(u[-300:]), np.ptp(u[100:400])
+    return bool(late > early or late > 0.1)
+
+
+def test_what_a_loop_cannot_hold_is_named_and_refused_where_it_is_large():
+    coupled = estimate_of('gyroscopic_coupling', [2.0], 'other axis 1',
+                          settings={'other': 'pitch'})
+    passing = estimate_of('periodic_disturbance', [1.0, 2.0, 0.0])
+    ranges = {'command': (-0.1, 0.1), 'other rate 1': (-1.0, 8.0)}
+    model = replace(model_of(coupled, passing), ranges=ranges)
+    assert not_in_the_loop(model) == {
+        'gyroscopic_coupling': 'it depends on the other axes',
+        'periodic_disturbance': 'it is a disturbance, whatever the loop does'}
+    assert share_outside(model) == pytest.approx({'gyroscopic_coupling': 16.0 / 45.0})
+    with pytest.raises(DesignRefusedError, match='36 % of the drive'):
+        check_inside(model)
+    check_inside(replace(model, ranges={}))
+
+
+def test_python_control_flies_a_found_model():
+    """Its linearisation is the loop's plant, and a step of the command answers alike."""
+    model = model_of(estimate_of('quadratic_drag', [2.0]), estimate_of('mode', [0.3, 20.0],
+                                                                       'slow state'))
+    whole, small = to_control(model), to_control(model, linear=True)
+    near = control_system.linearize(whole, np.zeros(whole.nstates), [0.0])
+    t = DT * np.arange(100)
+    u = np.where(t < 0.1, 0.0, 1e-4)
+    answers = [control_system.input_output_response(one, t, u).outputs[0]
+               for one in (whole, near, small)]
+    for other in answers[1:]:
+        np.testing.assert_allclose(answers[0], other, atol=0.01 * np.abs(answers[0]).max())
