@@ -19,6 +19,8 @@ from quad_tuning.history import changed
 
 CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 60.0, 600.0
 """Patience of the stages, s."""
+IDENTIFICATION = 'identification: identification'
+"""Its entry in the diagnostics."""
 SETTLED_S = 1.0
 """How long the stream must have flowed before a flight begins, in s of samples at 250 Hz."""
 
@@ -132,12 +134,15 @@ def start_identification(campaign: Campaign, *, auto_update: bool, axes: Sequenc
     settings = {'out': str(campaign.folder / 'report'), 'auto_update': auto_update,
                 'axes': list(axes), 'folder': str(campaign.folder)}
     campaign.crew.start_node('quad_sysid', 'identification', settings)
+    # gains are sent only for a recording that it has seen begin
+    campaign.wait('identify', f'diagnostics of {IDENTIFICATION}',
+                  lambda: IDENTIFICATION in campaign.observer.diagnostics, CONNECT_S)
 
 
 def await_report(campaign: Campaign) -> Path:
     """Wait for the answer about the bag that was just completed; path of its report.json."""
     said = campaign.observer.diagnostics
-    node = 'identification: identification'
+    node = IDENTIFICATION
 
     def state() -> str:
         return said[node][2].get('state', '') if node in said else ''
