@@ -229,7 +229,7 @@ def parameters(event: ParameterEvent) -> dict[str, object]:
 
 def age_s(stamp: Time, now_ns: int) -> float:
     """How long ago a message was stamped; negative: that is still to come."""
-    return 1e-9 * (now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec)
+    return 1e-9 * float(now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec)
 
 
 def values_of(given: Sequence[Parameter]) -> dict[str, object]:
