@@ -21,7 +21,7 @@ STATES = (
     'get_transition_graph',
 )  # fmt: skip
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
-<!-- Generated from quad_bridge/topics.py by tools/policies.py: what each node may open, and no more.
+<!-- Generated from quad_bridge/topics.py by tools/policies.py: what each node may open.
      docs/secure.md says how to switch it on. -->
 <policy version="0.2.0">
   <enclaves>
