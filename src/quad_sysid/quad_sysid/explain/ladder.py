@@ -105,6 +105,10 @@ def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
 def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) -> Ladder:
     projection = Projection(problem, reference)
     plain = projection.structure(())
+    if not projection.windows.count:  # too short for a free run
+        alone = Projected(plain, projection.start((), (), base.theta[:5]), np.zeros(0),
+                          converged=True)
+        return Ladder(projection, (Rung(alone, 0.0),))
     starts = [projection.start((), (), own[:5]) for own in (reference.theta, base.theta)]
     lowest = min((projection.project(plain, start) for start in starts), key=lambda m: m.total)
     whole, rungs = lowest.total, [Rung(lowest, 0.0)]

@@ -70,8 +70,9 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         own_effects=tuple(effect for effect in candidates if effect not in EFFECTS),
     )
     explained = zip(ladder.rungs[1:], verdict.rung_fits[1:], verdict.rungs[1:], strict=True)
-    # what the held-out segments do not confirm at all is no reference for gains either
-    distinct = chosen is not reference and bool(verdict.claims)
+    # what predicts the held-out segments worse than the base is no reference for gains
+    distinct = (chosen is not reference and bool(verdict.claims)
+                and verdict.reference <= verdict.before)
     return replace(
         shared, base=told.base, effects=stored.effects_of(chosen, told, judged),
         parameter_names=told.names, covariance=told.covariance, noise=stored.noise_of(chosen),
