@@ -171,7 +171,7 @@ def by_hand(topics: list[str], decoded: list[object]) -> Arrays:
         stamps, rows = out.setdefault(topic, ([], []))
         stamp = message.header.stamp  # type: ignore[attr-defined]
         stamps.append(stamp.sec * 10**9 + stamp.nanosec)
-        rows.append(cdr._values(TOPIC_TYPES[topic], message).tolist())  # noqa: SLF001
+        rows.append(cdr._values(TOPIC_TYPES[topic], message, cdr.Joints()).tolist())  # noqa: SLF001
     return {topic: (np.array(s), np.array(r, float)) for topic, (s, r) in out.items()}
 
 

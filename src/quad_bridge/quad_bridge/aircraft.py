@@ -98,6 +98,8 @@ class Aircraft(ABC):
 class Quad(Aircraft):
     """An aircraft with this project's firmware; of another, what MAVLink's standard gives."""
 
+    gains: GainProtocol
+
     def __init__(self, standard: Callable[[], str] = lambda: '') -> None:
         """`standard` gives the name of an autopilot that sends standard messages only, or ''."""
         self.gains = GainProtocol()

@@ -287,8 +287,9 @@ def _gains(table: Table, scale: tuple[float, ...]) -> dict[str, float]:
 def _gyro_filter(table: Table) -> dict[str, float]:
     """What the rates have passed, whether or not the gains can be stated."""
     cut = table.header.get('IMU_GYRO_CUTOFF')
-    filtered = cut and 'vehicle_angular_velocity.xyz[0]' in table.columns
-    return {'sensor.gyro_filter_hz': float(cut)} if filtered else {}
+    if not cut or 'vehicle_angular_velocity.xyz[0]' not in table.columns:
+        return {}
+    return {'sensor.gyro_filter_hz': float(cut)}
 
 
 def _vehicle(table: Table) -> tuple[str, ...]:
