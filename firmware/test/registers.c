@@ -385,12 +385,14 @@ static void command_gains(void)
 
 static void agree_on_gains(void)
 {
-    const quad_gains *gains = &flight.firmware.endpoint.gains;
+    quad_gains *gains = &flight.firmware.endpoint.gains;
     mavlink_message_t m;
     uint8_t bytes[300];
     mavlink_msg_quad_gains_pack(1, 191, &m, quad_gains_checksum(gains->copy), 5000, 1, 1,
                                 gains->transaction, QUAD_GAINS_ACTION_COMMIT);
     arrive(bytes, mavlink_msg_to_send_buffer(bytes, &m));
+    fly_on(0.02);
+    gains->flown_us = gains->watch_us / 2u; /* as if it had flown for so long */
     mavlink_msg_quad_gains_pack(1, 191, &m, 0, 0, 1, 1, gains->transaction, QUAD_GAINS_ACTION_CONFIRM);
     arrive(bytes, mavlink_msg_to_send_buffer(bytes, &m));
 }

@@ -119,7 +119,7 @@ session.run = run
 """
     process = begin('identification', compute)
     told = probe.listen('/diagnostics')
-    probe.publish('/logger/bag', event({'path': '/some/bag', 'state': 'complete'}))
+    probe.publish('/logger/bag', event({'path': str(Path('bag').resolve()), 'state': 'complete'}))
     name = 'identification: identification'
     probe.until(lambda: 'identifying' in getattr(entries(told).get(name), 'message', ''))
     process.send(INT)

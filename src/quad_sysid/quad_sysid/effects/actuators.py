@@ -1,4 +1,4 @@
-"""Effects between command and torque: maps of the command, motors, voltage."""
+"""Effects between command and torque: what the maps of maps.py are, motors, voltage."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from quad_sysid.effects.curves import Curve, placed_around_zero
 from quad_sysid.effects.hidden import (
     RING,
     System,
-    along,
     behind_lag,
     followed,
     ring,
     step_of,
 )
+from quad_sysid.effects.maps import Following, Kept, Map, Steps, why_not
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span
@@ -35,130 +35,12 @@ from quad_sysid.model.structure import BASE
 
 MOVES = 0.02
 """Share of its mean by which a signal must move for its effect to show."""
-SLOPING = 0.05
-"""Share of a step over which one level gives way to the next."""
 AT_ONCE_S = 1e-5
 """A lag that counts as none."""
 MOST_MOTORS = 12
 """Motors that may each have an effect of their own."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
-
-
-def why_not(data: AxisData, *, single: bool = False) -> str:
-    """Why an effect of the motors, or of a single one, cannot be told here; '' if it can."""
-    if not data.motors.shape[1] or np.ptp(data.training(data.motors), axis=0).max() < 1e-6:
-        return 'the bag holds no motor commands'
-    if single and all(isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)):
-        return 'the other axes hardly move, so no single motor can be told apart'
-    return ''
-
-
-class Map(Row):
-    """A map of the command; of every motor's command where it depends on the motors.
-
-    Its law takes the signals, the commands (1, …) or those of the motors (k, …), and the
-    parameters.
-    """
-
-    term = 'command'
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        why = why_not(data) if 'motors' in self.signals else ''
-        return why or super().prepare(data)
-
-    def commands(self, s: Signals) -> FloatArray:
-        """What it maps: (1, …) the axis' command, or (k, …) those of the motors."""
-        return np.stack(required(s.motors) if 'motors' in self.signals else [required(s.sent)])
-
-    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        given = self.commands(s)
-        mapped: FloatArray = self.law(s, given, p)
-        if 'motors' not in self.signals:
-            return mapped[0]
-        return required(s.sent) + np.tensordot(required(s.share), mapped - given, 1)
-
-
-class Kept(Map):
-    """A map that keeps something of each command it maps, by a compiled loop along a flight."""
-
-    states = 1
-    kept: Callable[[FloatArray, FloatArray, Signals, FloatArray], FloatArray]
-    """What is kept after a cycle: of what was (k, …), the commands, signals and parameters."""
-    loop: Callable[..., None]
-    """The same along a flight, into what is kept at the start of each cycle."""
-    numbers: Callable[[Signals, FloatArray], tuple[float, ...]]
-    """Of the loop."""
-
-    def mapped(self, s: Signals, p: FloatArray) -> FloatArray:
-        """The commands (k, …) as the loop takes them."""
-        return self.commands(s)
-
-    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.mapped(s, p)
-
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        return self.kept(x, self.mapped(s, p), s, p)
-
-    def trace(
-        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-        begun: FloatArray | None = None,
-    ) -> FloatArray:
-        numbers = self.numbers(s, p)
-        return np.stack([along(stretches, u, self.loop, *numbers) for u in self.mapped(s, p)])
-
-
-class Steps(Kept):
-    """Motors that take whole steps; one level lies p[1] steps of p[0] above half of the range.
-
-    A level is kept until the command is p[2] steps further away from it than half of one. Around
-    that point two steps share the cycle over a short slope, for a smooth likelihood.
-    """
-
-    def mapped(self, s: Signals, p: FloatArray) -> FloatArray:
-        return (self.commands(s) - 0.5) / p[0] - p[1]
-
-    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return np.floor(self.mapped(s, p) + 0.5)
-
-    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        x, kept = self.mapped(s, p), required(s.hidden)
-        away = x - kept
-        over = np.abs(away) - 0.5 - p[2]
-        new = np.where(over > 0.0, np.floor(x + 0.5),
-                       kept + np.where(over > -0.5 * SLOPING, np.sign(away), 0.0))
-        taken = new + np.maximum(0.5 - over / SLOPING, 0.0) * (kept - new)
-        mapped = 0.5 + p[0] * (p[1] + taken) - self.commands(s)
-        return required(s.sent) + np.tensordot(required(s.share), mapped, 1)
-
-
-class Following(Map):
-    """A map with a linear memory x' = A x + B u of the command."""
-
-    system: Callable[[FloatArray, float], System]
-    """A and B from the parameters and the length of a cycle, s."""
-    output: Callable[[FloatArray], tuple[FloatArray, float]]
-    """What of its states and of the command goes on."""
-
-    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        sent = required(s.sent)
-        return np.stack([sent, *[np.zeros_like(sent)] * (self.states - 1)])
-
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        a, b = step_of(*self.system(p, s.dt), s.dt)
-        return np.tensordot(a, x, 1) + np.multiply.outer(b, required(s.sent))
-
-    def trace(
-        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-        begun: FloatArray | None = None,
-    ) -> FloatArray:
-        x = self.begin(s, p, settings)
-        followed(stretches, required(s.sent), *step_of(*self.system(p, s.dt), s.dt), x)
-        return x
 
 
 def over_cycle(x: FloatArray, u: FloatArray, tau: float, dt: float) -> FloatArray:

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.linalg import logm
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.effects.actuators import Following
 from quad_sysid.effects.hidden import Linear
 from quad_sysid.effects.hidden import Memory as Warming
+from quad_sysid.effects.maps import Following
 from quad_sysid.estimate.stored import fitted_of, part_of
 from quad_sysid.loop.plant import SHORTEST_LAG_S, Curve, LoopPlant, Memory, SlowMotors
 from quad_sysid.model import AxisModel, EffectEstimate
