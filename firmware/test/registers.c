@@ -383,6 +383,8 @@ static void command_gains(void)
     arrive(bytes, mavlink_msg_to_send_buffer(bytes, &m));
 }
 
+static void fly_on(double seconds);
+
 static void agree_on_gains(void)
 {
     quad_gains *gains = &flight.firmware.endpoint.gains;
