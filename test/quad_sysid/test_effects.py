@@ -31,7 +31,7 @@ from quad_sysid.estimate.fit import Problem
 from quad_sysid.model import EffectEstimate, Parameter
 from quad_sysid.model.data import axis_data
 from quad_sysid.model.effect import Effect, Part, Signals
-from quad_sysid.model.plant import Flight
+from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import Structure
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline.evaluate import evaluate, simulate

@@ -27,7 +27,7 @@ from quad_sysid.explain import explain
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, axis_data, part_of
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import Flight
+from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import Structure
 from quad_sysid.record import GainChange
 

@@ -33,7 +33,8 @@ from quad_sysid.loop.simulation import constants
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import Flight, Plant, Prediction
+from quad_sysid.model.flight import Flight, Prediction
+from quad_sysid.model.plant import Plant
 from quad_sysid.model.structure import Structure
 from quad_tuning.bounds import check_inside
 from quad_tuning.errors import DesignRefusedError

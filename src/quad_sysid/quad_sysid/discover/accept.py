@@ -25,9 +25,9 @@ from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.explain.ladder import Ladder
 from quad_sysid.explain.projection import Projected
 from quad_sysid.model.data import AxisData, Windows
+from quad_sysid.model.flight import Prediction
 from quad_sysid.model.identified import UNLISTED
 from quad_sysid.model.noise import growth
-from quad_sysid.model.plant import Prediction
 
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 SHORT_S = HORIZONS_S[2]

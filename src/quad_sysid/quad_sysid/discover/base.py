@@ -16,7 +16,7 @@ from quad_sysid.discover.constants import EXPECTED
 from quad_sysid.discover.screen import vibration_line
 from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
 from quad_sysid.model.data import other_axis
-from quad_sysid.model.plant import Flight
+from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import Structure
 
 LEADING = 2

@@ -22,7 +22,7 @@ from quad_sysid.discover.constants import PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
-from quad_sysid.model.plant import per_coefficient
+from quad_sysid.model.flight import per_coefficient
 from quad_sysid.model.structure import Structure, coordinates, natural
 
 FAINT = 1e-30

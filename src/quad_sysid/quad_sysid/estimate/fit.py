@@ -17,7 +17,7 @@ from scipy.special import gammaln
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, Span, high, moved, part_of, typical_acceleration
 from quad_sysid.model.effect import Part, required
-from quad_sysid.model.plant import Flight, Prediction, passes_of
+from quad_sysid.model.flight import Flight, Prediction, passes_of
 from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.qr import upper
 

@@ -20,8 +20,9 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part, Settings, required
+from quad_sysid.model.flight import central
 from quad_sysid.model.noise import sensor_of
-from quad_sysid.model.plant import Plant, central
+from quad_sysid.model.plant import Plant
 from quad_sysid.model.structure import BASE, NOISE, Structure, coordinates
 
 SHORTEST = 0.25

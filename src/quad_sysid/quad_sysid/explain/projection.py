@@ -18,7 +18,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model.data import Windows
 from quad_sysid.model.effect import Part
-from quad_sysid.model.plant import Prediction
+from quad_sysid.model.flight import Prediction
 from quad_sysid.model.structure import Structure, coordinates
 
 MOST_STEPS = 20

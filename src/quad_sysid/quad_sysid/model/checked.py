@@ -11,7 +11,7 @@ from quad_sysid.contract import motors_from_wrench
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.model.effect import Effect, Signals, Spec
-from quad_sysid.model.plant import Flight
+from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import Structure
 
 SIGNALS = (

@@ -3,7 +3,7 @@
 Only arithmetic on arrays. The predictor's states are the rate, the torque disturbance and the two
 states of the sensor. Physics enters as accelerations over the two halves of each cycle, already
 evaluated along a trajectory, with their slope over the rate. So the recursion is linear, and one
-loop serves every structure and all its derivatives (model/plant.py).
+loop serves every structure and all its derivatives (model/flight.py).
 Numbers are handled one by one: whole arrays in an expression take numba seconds to compile.
 """
 

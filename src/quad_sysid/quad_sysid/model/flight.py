@@ -1,0 +1,528 @@
+"""The plant along a measured flight, behind its Kalman filter.
+
+Physics is evaluated on whole arrays along the rate that the filter last estimated. The compiled
+recursion takes it as known accelerations and their slope over the rate; a few passes converge.
+This is Newton's method on the nonlinear filter: each step, and its derivatives, is linear.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.model import recursion
+from quad_sysid.model.angle import led_by_gyro
+from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
+from quad_sysid.model.effect import Part, Signals, required
+from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
+from quad_sysid.model.plant import (
+    Acting,
+    Plant,
+    Turning,
+    lag_and_delay,
+    sent_on,
+    with_slopes,
+    with_torques,
+)
+from quad_sysid.model.structure import Structure, natural
+
+LEAD_S = 1.0
+"""The filter starts this long before each span, where the flight is unbroken."""
+SLOPE_S = 0.02
+"""An acceleration is the slope of the rate over this time to either side."""
+FOLLOWED_S = 0.05
+"""Time after which an integral of the rate follows the measurement."""
+FINER = 0.1
+"""Share of a step by which a torque's parameter is moved, so that its curvature does not enter: an
+event's edge, a frequency over a long flight."""
+FILTER_STEP, PURSUIT_STEP = 1e-4, 1e-3
+"""Steps of the noise's and of a wandering coefficient's parameters for derivatives of gains."""
+
+
+class Pushed(NamedTuple):
+    """Accelerations along a trajectory, as recursion.predict takes them."""
+
+    known: FloatArray
+    slope: FloatArray
+
+
+def central(
+    function: Callable[[FloatArray], FloatArray], x: FloatArray, j: int, step: float
+) -> FloatArray:
+    """Derivative of an array by one coordinate of x (p,), by central differences."""
+    away = step * np.eye(x.size)[j]
+    return (function(x + away) - function(x - away)) / (2.0 * step)
+
+
+def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
+    """(n,) acceleration per unit of a wandering effect's coefficient, rad/s²."""
+    one = replace(s, hidden=np.ones((1, s.rate.size)))
+    return required(part.effect.torque(one, p, part.settings))
+
+
+def unmeasured(data: AxisData) -> NDArray[np.bool_]:
+    """(n,) whether the rate was lost, or stood at the gyro's limit."""
+    lost = ~np.isfinite(data.rate) | at_limit(data.rate)
+    return lost if data.lost is None else lost | data.lost
+
+
+def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
+    """What the filter runs over: each span with LEAD_S before it, where that is unbroken."""
+    lead = round(LEAD_S / data.dt)
+    seen = ~unmeasured(data)
+    merged: list[list[int]] = []
+    for start, stop in sorted(spans):
+        home = next(s for s in data.stretches if s[0] <= start < s[1])
+        begin = max(home[0], start - lead)
+        begin += int(np.argmax(seen[begin : home[1]]))
+        if merged and begin <= merged[-1][1] and merged[-1][0] >= home[0]:
+            merged[-1][1] = max(merged[-1][1], stop)
+        else:
+            merged.append([begin, stop])
+    return tuple((a, b) for a, b in merged)
+
+
+class Flight:
+    """One axis of a flight as the filter follows it.
+
+    Only `spans` count; the filter starts LEAD_S before each. The trajectory on which physics is
+    evaluated is kept between calls.
+    """
+
+    rate: FloatArray
+    """(n,) rate at the middle of each cycle by the last estimate of the filter, rad/s."""
+    gyro: FloatArray
+    """(n,) the rate as it was measured, or derived from the angle, without gaps, rad/s."""
+    measured: FloatArray
+    """(n,) the measurement that is predicted, rad/s: the rate, or angle / dt where only the angle
+    was measured; NaN where it was lost or at its limit."""
+    disturbances: FloatArray
+    """(n, 2) acceleration of the other two axes that their bases do not explain, rad/s²; zero
+    until discover.base.shares sets it."""
+    variance: float
+    """Variance of the innovations, (rad/s)²; 0: not known yet."""
+
+    def __init__(self, data: AxisData, spans: Sequence[Span]) -> None:
+        self.data, self.passes = data, passes_of(data, spans)
+        self.sensors = self.seen_through()
+        late, own = np.array([one.late_s for one in self.sensors]), data.gyro_filters_hz
+        self.late = np.full(data.rate.size, late[0] if late.size else 0.0)
+        for one in () if own is None else np.unique(own):
+            self.late[own == one] = sensor_of(float(one), data.derived_s, data.dt).late_s
+        output = required(data.angle) / data.dt if self.sensor.derived else data.rate
+        self.measured = np.where(unmeasured(data), np.nan, output)
+        self.gyro = filled(data.rate)
+        self.angle = None
+        if data.angle is not None:
+            derived = self.sensor.derived
+            self.angle = np.nan_to_num(data.angle) if derived else led_by_gyro(data, self.gyro)
+        self.others: list[FloatArray] | None = None
+        if np.isfinite(data.other_rates).mean() > 0.5:
+            self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
+        columns = [AXES.index(name) + 1 for name in data.other_axes]
+        self.share = data.share
+        self._known: dict[str, Any] = {
+            'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
+            'time': data.clock + 0.5 * data.dt, 'other_rates': self.others,
+            'other_commands': [*np.ascontiguousarray(data.control[:, columns].T)],
+            'motors': [*np.ascontiguousarray(data.motors.T)],
+            'other_angles': None if data.other_angles is None
+            else [*np.ascontiguousarray(data.other_angles.T)],
+        }
+        self.disturbances, self.variance = np.zeros((data.rate.size, 2)), 0.0
+        self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+        # smoothed over five cycles and advanced by the filter's delay
+        self.rate = self._ahead(np.convolve(self.gyro, np.full(5, 0.2), mode='same'))
+
+    def seen_through(self, *, stepped: bool = False) -> tuple[Sensor, ...]:
+        """The sensor of each pass, as its flight was flown."""
+        data, own = self.data, self.data.gyro_filters_hz
+        return tuple(
+            sensor_of(data.gyro_filter_hz if own is None else float(own[start]), data.derived_s,
+                      data.dt, stepped=stepped) for start, _ in self.passes
+        )
+
+    @property
+    def sensor(self) -> Sensor:
+        """That of the first pass, for what all have in common."""
+        return self.sensors[0]
+
+    def _ahead(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
+        """(n,) a measured rate at mid-cycle, or some cycles later, without the filter's delay."""
+        known, grid = np.isfinite(measured), np.arange(measured.size, dtype=np.float64)
+        later = grid + (0.5 + self.late / self.data.dt) + cycles
+        return np.interp(later, grid[known], measured[known])
+
+    # -------------------------------------------------------------------------- physics
+
+    def driven(self, structure: Structure, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Drive at unit gain: (2, n) means over half cycles; (2, n) drive and command mid-cycle.
+
+        p: parameters in their units.
+        """
+        acting = [one for one in structure.placed() if one[0].effect.moves_command]
+        # what remembers the drive needs it from the start, all others from a pass to its end
+        remembered = any({'command', 'history'} <= {*part.effect.signals}
+                         for part in structure.parts)
+        key = p[1:3].tobytes() + bytes([remembered]) + b''.join(
+            part.effect.label.encode() + p[where].tobytes() + repr(part.settings).encode()
+            for part, where in acting
+        )
+        found = self._drives.get(key)
+        if found is not None:
+            return found
+        data = self.data
+        sending = [(part, p[where]) for part, where in acting]
+
+        def along(i: int, s: Signals) -> FloatArray | None:
+            part, own = sending[i]
+            return self.hidden(part, s, own).hidden if part.effect.states else None
+
+        drive = sent_on(sending, self.commanded(p), along)
+        halves, states = np.zeros((2, 2, data.rate.size))
+        channels = [np.ascontiguousarray(x) for x in (drive.commands, drive.row, drive.lag)]
+        when = [np.ascontiguousarray(required(x)) for x in (drive.ages, drive.fraction)]
+        for start, stop in data.stretches if remembered else self.passes:
+            recursion.motors(*channels, drive.factors, *when, data.dt, start, stop, halves, states)
+        if len(self._drives) > 40:
+            self._drives.clear()
+        self._drives[key] = halves, states
+        return halves, states
+
+    def commanded(self, p: FloatArray) -> Signals:
+        """What acts before the torque sees: the commands, and what else was measured."""
+        lag, delay = lag_and_delay(p)
+        known: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in self._known.items()
+        }
+        return Signals.at_rest(**known, angle=None, sent=self.data.command, share=self.share,
+                               lag=lag, delay=delay, dt=self.data.dt)
+
+    def signals(
+        self, p: FloatArray, halves: FloatArray, states: FloatArray, rate: FloatArray
+    ) -> Signals:
+        """Signals for a rate (n,) at mid-cycle, all along the flight."""
+        data, gain = self.data, p[0]
+        lagged, command = 0.5 * (halves[0] + halves[1]), gain * states[1]
+        return replace(
+            self.commanded(p), rate=rate, drive=gain * lagged, command=command, lagged=lagged,
+            angle=None if self.angle is None else self.angle + (0.5 * data.dt + self.late) * rate,
+            change=(command - gain * states[0]) / max(float(p[1]), 0.25 * data.dt),
+        )
+
+    def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
+        """The signals with the effect's hidden states, (states, n), if any, along the flight.
+
+        What integrates the rate takes the measured one at all that is slower than FOLLOWED_S:
+        errors of an estimated rate would add up in it, and from one pass to the next.
+        """
+        effect, data = part.effect, self.data
+        if not effect.states:
+            return s
+        rate = s.rate
+        if effect.integrates and not self.sensor.derived:
+            dt, grid = data.dt, np.arange(rate.size)
+            keep = math.exp(-dt / FOLLOWED_S)
+            away = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
+            rate = rate + lfilter([1.0 - keep], [1.0, -keep], away)
+        seen = replace(s, rate=rate)
+        begun = effect.begun(data, p, part.settings)
+        return replace(s, hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
+
+    def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
+        """Accelerations along the trajectory `rate` (n,), and their slope over it."""
+        drive, acting = self._acting(structure, p, rate, structure.placed())
+        torque = with_torques(p[4] - p[3] * rate, acting)
+        for which, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
+            torque = torque + share * self.disturbances[:, which]
+        slope = with_slopes(np.full(rate.size, -p[3]), acting)
+        return Pushed(drive + (torque - slope * rate), slope)
+
+    def _acting(
+        self, structure: Structure, p: FloatArray, rate: FloatArray,
+        placed: Sequence[tuple[Part, slice]],
+    ) -> tuple[FloatArray, list[Acting]]:
+        """Acceleration by the drive (2, n), and those effects with what they see."""
+        driven = self.driven(structure, p)
+        if not placed:
+            return p[0] * driven[0], []
+        s = self.signals(p, *driven, rate)
+        return p[0] * driven[0], [
+            (part, p[where], self.hidden(part, s, p[where])) for part, where in placed
+            if not part.effect.moves_command
+        ]
+
+    def columns(
+        self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+        """(n, p) derivatives of the acceleration; (n, b) of half its difference over the cycle.
+
+        In the coordinates of the fit along a fixed trajectory, by differences of `steps` (p,)
+        where a torque is not linear. The third, (b,), says for which of the p the second is.
+        """
+        placed, p = structure.placed(), structure.natural(theta)
+        moving = slice(3), *(where for part, where in placed if part.effect.moves_command)
+        bent = np.r_[moving]
+        out, bends = np.zeros((rate.size, theta.size)), np.empty((rate.size, bent.size))
+        out[:, 3], out[:, 4] = -rate, 1.0
+        for place, which in enumerate(structure.shared, theta.size - len(structure.noise)):
+            out[:, place] = self.disturbances[:, which]
+        pushing = [(part, where) for part, where in placed if not part.effect.moves_command]
+        if pushing:
+            s = self.signals(p, *self.driven(structure, p), rate)
+        for part, where in pushing:
+            out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
+        follow_drive = [one for one in placed if 'command' in one[0].effect.signals]
+
+        def driven(theta: FloatArray) -> FloatArray:
+            """(2, n) acceleration of all that follows the command."""
+            p = structure.natural(theta)
+            return with_torques(*self._acting(structure, p, rate, follow_drive))
+
+        here = driven(theta)
+        for i, j in enumerate(bent):
+            begin, end = (driven(theta + np.diag(steps)[j]) - here) / steps[j]
+            out[:, j], bends[:, i] = 0.5 * (begin + end), 0.5 * (begin - end)
+        return out, bends, bent
+
+    def _by_parameters(
+        self, part: Part, s: Signals, theta: FloatArray, steps: FloatArray
+    ) -> FloatArray:
+        """(n, q) derivatives of an effect's torque by its coordinates of the fit."""
+        effect, settings, linear = part.effect, part.settings, part.effect.linear
+        p = natural(effect.parameters, theta)
+        own = self.hidden(part, s, p)  # which those in which the torque is linear do not move
+        out, here = np.empty((s.rate.size, theta.size)), required(effect.torque(own, p, settings))
+        for j in set(range(theta.size)) - set(linear):
+            ahead = FINER * np.diag(steps)[j]
+            moved = natural(effect.parameters, theta + ahead)
+            there = required(effect.torque(self.hidden(part, s, moved), moved, settings))
+            out[:, j] = (there - here) / ahead[j]
+        if linear:
+            p[linear] = 0.0
+            out[:, linear] = effect.columns(own, p, linear, settings)
+        return out
+
+    def unexplained(self, p: FloatArray) -> FloatArray:
+        """(n,) acceleration that the base does not explain, rad/s², from the slope of the rate.
+
+        p: parameters in their units, the base's first.
+        """
+        dt = self.data.dt
+        reach = max(1.0, SLOPE_S / dt)
+        back, here, ahead = (self._ahead(self.data.rate, way * reach) for way in (-1.0, 0.0, 1.0))
+        halves = self.driven(Structure(), p)[0]
+        explained = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
+        return (ahead - back) / (2.0 * reach * dt) - explained
+
+    # ------------------------------------------------------------------------ the filter
+
+    def filters_of(
+        self, structure: Structure, theta: FloatArray, damping: float
+    ) -> tuple[Filter, ...]:
+        """The steady Kalman filter of each pass at these parameters."""
+        noise = structure.natural(theta)[-structure.filtered :]
+        known = {
+            sensor: kalman(noise, damping, sensor, self.data.dt, averaged=structure.averaged)
+            for sensor in dict.fromkeys(self.sensors)
+        }
+        return tuple(known[sensor] for sensor in self.sensors)
+
+    def predict(
+        self, structure: Structure, theta: FloatArray, *, sweeps: int = 2,
+        steps: FloatArray | None = None,
+    ) -> Prediction:
+        """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
+        n, p, rate = self.data.rate.size, structure.natural(theta), self.rate
+        for sweep in range(sweeps):
+            push = self.pushed(structure, p, rate)
+            damping = -float(np.mean(push.slope))
+            found = self.filters_of(structure, theta, damping)
+            by = _Inputs.none(found[0], self.wander(structure, p, rate))
+            derived, filters = steps if sweep == sweeps - 1 else None, [by.filters] * len(found)
+            if by.place.size:
+                self._follow(structure, theta, push.slope, found, by, derived is not None)
+            if derived is not None:
+                columns, bends, bent = self.columns(structure, theta, rate, derived)
+                by = by._replace(columns=columns, bends=bends, bent=bent)
+                filters = self._by_filter(structure, theta, damping)
+            ran = self._run(push, found, by, filters)
+            if not self.variance:
+                self.variance = float(np.nanmedian(np.abs(ran.innovation)) / 0.6745) ** 2
+            if not np.isfinite(ran.rate).all() or np.abs(ran.rate).max() > 1e6:
+                return Prediction(np.full(n, np.inf), None, ran.states, found, rate)
+            rate = ran.rate
+        self.rate = rate
+        return ran if steps is not None else replace(ran, jacobian=None)
+
+    def _run(
+        self, push: Pushed, found: tuple[Filter, ...], by: _Inputs, filters: Sequence[FloatArray]
+    ) -> Prediction:
+        """The compiled filter along all passes; of each its own filter, and its derivatives."""
+        n, rate = self.data.rate.size, self.rate.copy()
+        states = np.zeros((n, found[0].gain.size + by.place.size))
+        innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
+        for (start, stop), sensor, own, more in zip(
+            self.passes, self.sensors, found, filters, strict=True
+        ):
+            recursion.predict(
+                self.measured, float(self.data.rate[start]), *push, own.gain, own.move,
+                sensor.step, sensor.behind, self.data.dt, start, stop,
+                *by._replace(filters=more), rate, states, innovation, jacobian,
+            )
+        return Prediction(innovation, jacobian, states, found, rate)
+
+    def _by_filter(
+        self, structure: Structure, theta: FloatArray, damping: float
+    ) -> list[FloatArray]:
+        """(p, 6 + 4 v) derivatives of Filter.gain and Filter.move, of each pass."""
+        def steady(at: FloatArray) -> FloatArray:
+            found = self.filters_of(structure, at[:-1], at[-1])
+            return np.stack([np.concatenate([one.gain, one.move]) for one in found])
+
+        at = np.r_[theta, damping]
+        out = np.zeros((len(self.passes), theta.size, 6 + 4 * structure.lines))
+        for j in range(theta.size - structure.filtered, at.size):
+            out[:, j if j < theta.size else 3] = central(steady, at, j, FILTER_STEP)
+        return [*out]
+
+    def _follow(
+        self, structure: Structure, theta: FloatArray, slope: FloatArray,
+        found: tuple[Filter, ...], by: _Inputs, derived: bool,
+    ) -> None:
+        """Put in how the filter follows wandering effects, with derivatives where `derived`."""
+        psi = self.responses(by.wander, slope, found)
+        wandering = [where for part, where in structure.placed() if part.effect.wanders]
+        for i, where in enumerate(wandering):
+            # the gain's dependence on all other parameters is neglected: white innovations make
+            # its mean effect on the likelihood zero
+            pursuit, by.place[i] = partial(self.pursuit, psi[:, i]), where.start
+            by.pursuit[:, i] = pursuit(theta[where])
+            for j in range(2) if derived else ():
+                by.by_pursuit[:, i, :, j] = central(pursuit, theta[where], j, PURSUIT_STEP)
+
+    def pursuit(self, psi: FloatArray, logs: FloatArray) -> FloatArray:
+        """(n, 2) what an innovation adds to a coefficient, and what is left of it after a cycle.
+
+        psi (n,): derivative of the innovations by it; logs (2,): of its spread and correlation.
+        """
+        spread, correlation = np.exp(logs)
+        psi = np.ascontiguousarray(psi)
+        out = np.zeros((psi.size, 2))
+        out[:, 1] = math.exp(-self.data.dt / correlation)
+        for start, stop in self.passes if self.variance else ():
+            recursion.pursuit(psi, self.variance, spread, start, stop, out)
+        return out
+
+    def wander(self, structure: Structure, p: FloatArray, rate: FloatArray) -> FloatArray:
+        """(n, w) acceleration per unit of each wandering coefficient, rad/s²."""
+        acting = [(part, p[at]) for part, at in structure.placed() if part.effect.wanders]
+        if not acting:
+            return np.zeros((rate.size, 0))
+        s = self.signals(p, *self.driven(structure, p), rate)
+        return np.stack([per_coefficient(part, s, own) for part, own in acting], axis=1)
+
+    def responses(
+        self, columns: FloatArray, slope: FloatArray, found: tuple[Filter, ...]
+    ) -> FloatArray:
+        """(n, m) response of the innovations to accelerations (n, m); a filter for each pass."""
+        by = _Inputs.none(found[0], np.zeros((slope.size, 0)), columns)
+        push = Pushed(np.zeros((2, slope.size)), slope)
+        return required(self._run(push, found, by, [by.filters] * len(found)).jacobian)
+
+    # ---------------------------------------------------------------------- the free run
+
+    def free_run(
+        self, structure: Structure, theta: FloatArray, windows: Windows, *,
+        prediction: Prediction | None = None, rounds: int = 1,
+    ) -> FloatArray:
+        """(windows, length) error of the rate, rad/s, run freely from each predicted start.
+
+        rounds: as in Plant.
+        """
+        dt, p = self.data.dt, structure.natural(theta)
+        prediction = prediction or self.predict(structure, theta)
+        found = prediction.filter
+        halves, states = self.driven(structure, p)
+        plant = Plant(structure, p, dt, self.sensor, self.share, rounds)
+        x = prediction.states[windows.starts]
+        r, d, g, q = x[:, :4].T
+        end = 4 + 2 * structure.lines
+        v = x[:, 4:end:2] + 1j * x[:, 5:end:2]
+        followed = iter(x[:, end:].T)
+        turn = found.move[2::2] + 1j * found.move[3::2]
+        fade, hold = found.move[:2]
+        late = self.late[windows.starts]
+        own = np.searchsorted([a for a, _ in self.passes], windows.starts, side='right') - 1
+        step = np.stack([one.step for one in self.sensors], axis=2)[:, :, np.maximum(own, 0)]
+        out = np.full((windows.count, windows.length), np.nan)
+        along = self.signals(p, halves, states, prediction.rate)
+        angle = None if self.angle is None else self.angle[windows.starts] + late * r
+        turning = Turning(r, angle, np.stack([g, q]), tuple(
+            next(followed)[None, :] if part.effect.wanders else
+            required(self.hidden(part, along, values).hidden)[: part.effect.states, windows.starts]
+            if part.effect.states else None for part, values in plant.pushing
+        ))
+        around = self.commanded(p)
+        for i in range(windows.length):
+            k = windows.starts + i
+            out[:, i] = (turning.seen[0] if self.sensor.noisy else turning.rate) \
+                - self.data.rate[k]
+            if not self.sensor.derived:
+                out[:, i] += v.real.sum(axis=1)
+            turning = plant.turn(turning, around.at(k), halves[:, k], states[:, k], hold * d, step)
+            d, v = d * fade, v * turn
+        return out
+
+
+class _Inputs(NamedTuple):
+    """What enters the filter besides known accelerations, as recursion.predict takes it."""
+
+    columns: FloatArray
+    bends: FloatArray
+    bent: NDArray[np.int64]
+    filters: FloatArray
+    wander: FloatArray
+    pursuit: FloatArray
+    by_pursuit: FloatArray
+    place: NDArray[np.int64]
+
+    @staticmethod
+    def none(found: Filter, wander: FloatArray, columns: FloatArray | None = None) -> _Inputs:
+        """Of (n, m) columns the physics alone, and no pursuit of what wanders, (n, w)."""
+        n, w = wander.shape
+        columns = np.zeros((n, 0)) if columns is None else columns
+        return _Inputs(
+            columns, np.zeros((n, 0)), np.zeros(0, np.int64),
+            np.zeros((columns.shape[1], found.gain.size + found.move.size)),
+            wander, np.zeros((n, w, 2)), np.zeros((n, w, 2, 2)), np.zeros(w, np.int64),
+        )
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The filter's result along a flight."""
+
+    innovation: FloatArray
+    """(n,) rad/s; NaN outside the passes."""
+    jacobian: FloatArray | None
+    """(n, p) derivatives by the coordinates of the fit."""
+    states: FloatArray
+    """(n, Structure.states) predicted states of the filter, before each measurement."""
+    filters: tuple[Filter, ...]
+    """Of each pass."""
+    rate: FloatArray
+
+    @property
+    def filter(self) -> Filter:
+        """That of the first pass; all of one gyro filter are alike."""
+        return self.filters[0]
