@@ -74,12 +74,6 @@ class Found:
         """Log of the posterior of all structures with these names together."""
         return float(np.logaddexp.reduce([s.score for s in self.all if s.names == names]))
 
-    def weight(self, fitted: Fit) -> float:
-        """Log of the posterior of all structures with the same names, or, if none, of this one."""
-        own = scored(fitted, self.prices)
-        alike = self.of_names(own.names)
-        return alike if alike > -math.inf else own.score
-
     def probabilities(self) -> FloatArray:
         """Posterior of each fitted structure, given the segments that scored it."""
         scores = np.array([s.score for s in self.all])

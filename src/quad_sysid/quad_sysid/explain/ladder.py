@@ -104,6 +104,8 @@ def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
 
 def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) -> Ladder:
     projection = Projection(problem, reference)
+    if not reference.structure.parts:  # nothing to explain
+        return Ladder(projection, (Rung(projection.ordered(reference.structure), 0.0),))
     plain = projection.structure(())
     if not projection.windows.count:  # too short for a free run
         alone = Projected(plain, projection.start((), (), base.theta[:5]), np.zeros(0),
@@ -113,7 +115,7 @@ def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) 
     lowest = min((projection.project(plain, start) for start in starts), key=lambda m: m.total)
     whole, rungs = lowest.total, [Rung(lowest, 0.0)]
     predicts = 100.0 * (1.0 - np.sqrt(min(whole / max(projection.motion, 1e-30), 1.0)))
-    if reference.structure.parts and whole > 0.0:
+    if whole > 0.0:
         while rungs[-1].explains_pct < EXPLAINS and len(rungs) <= MOST_RUNGS:
             step = _next(projection, rungs[-1].model, parts, whole)
             if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:

@@ -33,8 +33,8 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, problem = findings.data, findings.verdict, findings.problem
     ladder, reference = findings.ladder, findings.found.best
-    best = stored.readings(problem, reference)
     whole = covariance(problem, reference)
+    best = stored.readings(problem, reference, whole)
 
     def read(fitted: Fit) -> stored.Readings:
         if fitted is reference:
