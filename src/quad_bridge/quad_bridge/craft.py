@@ -85,7 +85,8 @@ class Craft:
         """
         if desaturation == 'yaw_first':
             control = self._with_less_yaw(control)
-        return np.asarray(np.clip(control @ self.mixer.T, 0.0, 1.0), dtype=np.float64)
+        limited: FloatArray = np.clip(control @ self.mixer.T, 0.0, 1.0)
+        return limited
 
     def _with_less_yaw(self, control: FloatArray) -> FloatArray:
         """The control with U4 within what U1..U3 leave to every motor; 0 where they leave none."""
