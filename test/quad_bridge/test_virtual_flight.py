@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import runpy
 from dataclasses import replace
@@ -11,9 +12,10 @@ import numpy as np
 import pytest
 from virtual_aircraft import Endpoint, without_noise
 
+from quad_bridge.craft import X
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
-from quad_bridge.virtual.native import NativeFirmware
+from quad_bridge.virtual.native import NativeFirmware, library
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Channels, Event, Receiver
 from quad_bridge.virtual.simulation import Excited, fly
@@ -30,11 +32,50 @@ def square(seconds: float, period_s: float = 4.0, size: float = SIZE) -> np.ndar
     return size * np.sign(np.sin(2 * np.pi * time / period_s))
 
 
-def test_motor_commands_are_the_mixed_and_clipped_wrench():
+def test_motor_commands_are_the_wrench_through_the_mixer_of_the_craft():
     flight = fly(Profile(), [Excited(0.0, square(4.0, size=0.25), 'roll', 'control')], 4.0, 1)
-    mixer = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, -1, -1, 1], [1, 1, -1, -1]])
-    assert flight.motors == pytest.approx(np.clip(flight.wrench @ mixer.T, 0, 1), abs=1e-6)
+    assert flight.motors == pytest.approx(X.commands(flight.wrench, 'yaw_first', 0.05), abs=1e-6)
     assert (flight.limits > 0).any()
+
+
+def mixed(control: np.ndarray, idle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Motors and what is given of U1..U4 (k, 4) by the firmware's quad_mix."""
+    mix, out = library().quad_mix, np.zeros((len(control), 8), np.float32)
+    turned = np.ascontiguousarray(control * [1.0, 1.0, -1.0, -1.0], np.float32)
+    for row, result in zip(turned, out, strict=True):
+        at = result.ctypes.data
+        mix(ctypes.c_void_p(row.ctypes.data), ctypes.c_float(idle), ctypes.c_void_p(at),
+            ctypes.c_void_p(at + 16))
+    return out[:, :4].astype(float), out[:, 4:] * [1.0, 1.0, -1.0, -1.0]
+
+
+def test_the_firmware_gives_up_yaw_then_throttle_and_roll_and_pitch_last():
+    rng = np.random.default_rng(5)
+    control = rng.uniform([0.0, -0.7, -0.7, -0.7], [1.0, 0.7, 0.7, 0.7], (100_000, 4))
+    control[0] = 0.9, 0.1, 0.0, 0.3
+    idle = 0.05
+    motors, given = mixed(control, idle)
+    assert motors.min() >= idle - 1e-6
+    assert motors.max() <= 1.0 + 1e-6
+    assert X.control(motors) == pytest.approx(given, abs=1e-6)
+    assert motors == pytest.approx(X.commands(control, 'yaw_first', idle), abs=2e-6)
+    span = 2.0 * (np.abs(control[:, 1]) + np.abs(control[:, 2]))
+    fits = span <= 1.0 - idle
+    assert 0.2 < fits.mean() < 0.8
+    assert given[fits, 1:3] == pytest.approx(control[fits, 1:3], abs=1e-6)
+    with_throttle = fits & (control[:, 0] + 0.5 * span <= 1.0) \
+        & (control[:, 0] - 0.5 * span >= idle)
+    assert given[with_throttle, 0] == pytest.approx(control[with_throttle, 0], abs=1e-6)
+    larger = ~fits  # one factor for both
+    assert given[larger, 1] * control[larger, 2] == pytest.approx(
+        given[larger, 2] * control[larger, 1], abs=1e-6)
+    assert (given[:, 3] * control[:, 3] >= 0.0).all()  # yaw is never turned the other way
+    assert (np.abs(given[:, 3]) <= np.abs(control[:, 3]) + 1e-6).all()
+
+
+def sticks(rows: list[tuple[float, float]]) -> Receiver:
+    """A receiver whose throttle is the second number from the first, s, on."""
+    return Receiver(events=tuple(Event(t, Channels(throttle=v)) for t, v in rows))
 
 
 @pytest.mark.parametrize(('profile', 'axis'), [('plain', 'roll'), ('paper', 'pitch')])

@@ -12,6 +12,7 @@
 
 #define PPM true         /* false: a wire for each of six channels */
 #define RETRY 25u        /* cycles between two attempts at a chip that does not answer */
+#define SILENT 5u        /* cycles without the gyro before it is set up anew */
 #define SLOW 5u          /* cycles between two readings of the compass */
 #define REST_SAMPLES 1000u
 #define REST_RAD_S 0.1f  /* between the largest and the smallest rate of a gyro at rest */
@@ -70,13 +71,13 @@ static void measure(uint64_t now_us)
     if (cycle % RETRY == 0 && !flight.firmware.endpoint.armed) {
         start_chips();
     }
+    if (flight.silent >= SILENT) { /* it may have lost its settings; in flight it has QUAD_BLIND_S for that */
+        flight.gyro_is = mpu6050_start(&board_bus);
+        flight.silent = 0;
+    }
     s->samples = 0;
     const bool spoke = flight.gyro_is && mpu6050_read(&board_bus, s) && s->samples > 0;
     flight.silent = spoke ? 0 : flight.silent + 1;
-    if (flight.silent > RETRY) {
-        flight.gyro_is = false; /* it may have lost its settings: set up anew */
-        flight.silent = 0;
-    }
     if (cycle % SLOW == 0) {
         flight.gauss[0] = flight.gauss[1] = flight.gauss[2] = NAN;
         if (flight.compass_is) {

@@ -27,6 +27,7 @@ from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
+from quad_bridge.gains.table import with_mixing
 from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, State, Told
 from quad_bridge.link.autopilot import BATTERY, COMPASS, INERTIAL, MOTORS, PRESSURE, ROTORS
 from quad_bridge.link.machine import Link
@@ -297,7 +298,8 @@ class SerialBridge(ManagedNode):
             self.get_logger().info(item.text)
         if item.active is not None:
             name, now_ns = self.get_fully_qualified_name(), self.get_clock().now().nanoseconds
-            self._active.publish(conversion.event_message(item.active, name, now_ns))
+            self._active.publish(conversion.event_message(
+                with_mixing(item.active), name, now_ns))
 
     def _say_once(self, words: str) -> None:
         if self._limiter.allow(words, clock().now_s()):
