@@ -26,6 +26,7 @@ def said(*command):
         ('store', 'cuts', 5000),
         ('chips', 'checks, 0 failed', 400),
         ('control', 'checks, 0 failed', 20_000),
+        ('serial_radio', 'checks, 0 failed', 20_000),
         pytest.param('registers', 'cuts between accesses', 500, marks=PC),
     ],
 )
