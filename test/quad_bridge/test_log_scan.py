@@ -24,7 +24,6 @@ from quad_bridge.log.stored.records import (
     RECORD,
     STATISTICS,
     end_of,
-    summary_of,
 )
 from quad_bridge.log.stored.scan import McapScan
 from quad_bridge.log.writer import BagWriter, Limits
@@ -164,17 +163,6 @@ def test_damage_of_a_record_costs_its_chunk_at_most(sound, name):
         assert lost is None or damaged.unread
 
 
-def test_statistics_of_a_damaged_summary_do_not_count(tmp_path, sound):
-    data, ledger = sound['none', True]
-    assert summary_of(data)[2] == len(ledger)
-    noisy = bytes(DAMAGE['statistics'][2](data))
-    assert summary_of(noisy) is None
-    damaged, _ = read(noisy)
-    (tmp_path / 'damaged.mcap').write_bytes(noisy)
-    assert (damaged.ended, damaged.complete) == (True, False)
-    assert 'its summary is damaged' in '\n'.join(recover(tmp_path / 'damaged.mcap').notes)
-
-
 @pytest.mark.parametrize('closed', [True, False])
 def test_a_damaged_chunk_is_told_and_never_complete(tmp_path, sound, closed):
     data, ledger = sound['none', closed]
@@ -190,20 +178,6 @@ def test_a_damaged_chunk_is_told_and_never_complete(tmp_path, sound, closed):
     assert ('its statistics count 400 messages' in said) is closed
     got = read((result.path / 'bag_recovered_0.mcap').read_bytes())[1]
     assert got == ledger[: 4 * EVERY] + ledger[5 * EVERY :]
-
-
-def test_a_damaged_chunk_does_not_hide_the_next_one_nor_the_names(sound):
-    data, ledger = sound['none', False]
-    begin, _ = chunk(data, 4)
-    # bytes are missing from a chunk: by its lengths it ends within the next one
-    _, got = read(data[: begin + 500] + data[begin + 1100 :])
-    assert got == ledger[: 4 * EVERY] + ledger[5 * EVERY :]
-    for key in KINDS:
-        data, ledger = sound[key]
-        begin, end = chunk(data, 0)
-        damaged, got = read(data[: begin + 9] + bytes(end - begin - 9) + data[end:])
-        assert got == ledger[EVERY:]
-        assert damaged.unnamed == 0
 
 
 HARMS = ('flip', 'cut', 'tail', 'zero', 'page', 'swap', 'remove', 'insert')
@@ -360,21 +334,6 @@ def test_a_damaged_sqlite3_file_is_answered_with_the_command_that_recovers_it(
     assert before == {p.name: p.read_bytes() for p in tmp_path.rglob('*') if p.is_file()}
 
 
-@pytest.mark.parametrize('count', [8, pytest.param(300, marks=pytest.mark.long)])
-def test_noise_in_a_database_ends_in_messages_or_one_line(tmp_path, database, count):
-    file, ledger = database
-    data, rng = file.read_bytes(), random.Random('none 2')
-    for k in range(count):
-        bag = tmp_path / f'x{k}.db3'
-        bag.write_bytes(harmed(data, rng)[0])
-        try:
-            result = recover(bag)
-        except BadInputError as error:
-            assert '\n' not in str(error)  # noqa: PT017
-            continue
-        assert result.messages + result.undecodable <= len(ledger)
-
-
 def test_what_the_files_cannot_tell_metadata_does(tmp_path):
     ledger = made(tmp_path / 'bag', closed=True, split_s=0.4)
     (tmp_path / 'bag' / 'bag_3.mcap').unlink()
@@ -406,20 +365,6 @@ def test_a_bag_without_metadata_is_recovered_with_all_its_types(tmp_path, storag
         assert reader.deserialize(raw, connection.msgtype).a == own.a
     wanted = [('/a', kinds[k % 3 == 0], 1000 + k) for k in range(30)]
     assert [(c.topic, c.msgtype, time_ns) for c, time_ns, _ in got] == wanted
-
-
-def test_a_topic_whose_type_is_damaged_and_rows_that_are_none_do_not_cost_the_others(tmp_path):
-    with theirs(tmp_path / 'bag', 'SQLITE3') as writer:
-        for name in ('/a', '/b'):
-            topic = writer.add_connection(name, VECTOR, typestore=STORE)
-            for k in range(10):
-                writer.write(topic, 1000 + k, b'\0\1\0\0' + bytes([k]))
-    with contextlib.closing(sqlite3.connect(tmp_path / 'bag' / 'bag.db3')) as base, base:
-        base.execute("UPDATE topics SET type='geometry_msgs/msg/Vec' WHERE id=1")
-        base.execute('UPDATE messages SET data=5 WHERE id=20')
-    result = recover(tmp_path / 'bag')
-    assert (result.counts, result.undecodable) == ({'/b': 9}, 11)
-    assert '/a: left out' in '\n'.join(result.notes)
 
 
 @each_storage

@@ -4,13 +4,11 @@ import runpy
 from pathlib import Path
 
 import pytest
-import yaml
 from node_process import node_command, program
 
 from quad_bridge.topics import NODES
 
 MADE = runpy.run_path(str(Path(__file__).parents[2] / 'tools/policies.py'))
-CONFIG = Path(__file__).resolve().parents[2] / 'src' / 'quad_bridge' / 'config'
 ONE_OF = 'must be one of auto, manual, off: found'
 
 PARAMETERS = [
@@ -83,36 +81,6 @@ def test_help_lists_the_parameters(start, run, name, words):
     assert (process.wait(), process.said) == (0, '')
     assert process.printed.startswith('usage: ros2 run quad_')
     assert words in process.printed
-
-
-def test_the_parameter_file_in_which_it_is_wrong_is_named(start, run, tmp_path):
-    del start
-    text = '/**:\n  ros__parameters:\n    band: {low: 3}\n    every_s: 90\n'
-    (tmp_path / 'mine.yaml').write_text(text)
-    for more, where in (([], 'mine.yaml: '), (['-p', 'band.low:=4'], '')):
-        arguments = ['--params-file', 'mine.yaml', *more]
-        process = run(*node_command('monitor'), *arguments, cwd=tmp_path)
-        assert process.wait() == 2
-        assert process.said.startswith(f'monitor: {where}parameter band.low: is unknown')
-
-
-def test_a_parameter_file_of_another_node_is_told(start, run, tmp_path):
-    del start
-    text = 'monitor:\n  ros__parameters:\n    every_s: 90\n'
-    (tmp_path / 'mine.yaml').write_text(text)
-    arguments = ['--params-file', tmp_path / 'mine.yaml']
-    here, elsewhere = (
-        run(*node_command('monitor', namespace=name), *arguments) for name in ('', '/left')
-    )
-    elsewhere.says('root them at "/left/monitor:"')
-    assert (elsewhere.end(), here.end()) == (0, 0)
-    assert 'root them' not in here.said
-
-
-@pytest.mark.parametrize('name', ['serial_bridge', 'bag_logger'])
-def test_a_configuration_file_is_rooted_at_its_node(name):
-    given = yaml.safe_load((CONFIG / f'{name}.yaml').read_text(encoding='utf-8'))
-    assert {node: set(given[node]) for node in given} == {name: {'ros__parameters'}}
 
 
 def test_each_node_opens_what_the_table_of_topics_says_and_so_its_policy(start, probe, tmp_path):

@@ -8,7 +8,7 @@ from flight_controller import STILL, ZERO
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.sensors.correction import Correction, as_sent, from_values
-from quad_bridge.sensors.live import LiveSensors, Wanted
+from quad_bridge.sensors.live import LiveSensors
 from quad_bridge.status import OK, WARN
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Flag
@@ -103,32 +103,3 @@ def test_what_moves_or_stands_too_short_is_refused_and_the_earlier_estimate_stay
     assert one.said[-1].endswith('the earlier one stays')
     assert one.sensors.current == before
     assert (one.status.level, len(one.said)) == (WARN, 3)
-
-
-def test_a_recording_wants_an_estimate_only_where_it_stands():
-    one = Aircraft()
-    one.run(7.0)
-    one.sensors.want('recording')
-    one.run(0.1)
-    assert 'at rest, recording' in one.said[0]
-    one.run(7.0, armed=True)
-    one.sensors.want('recording')
-    one.run(0.1, armed=True)
-    assert len(one.said) == 2  # the second is of the arming
-    one.ask(Wanted('asked for', one.sensors.standing()))
-    assert 'it is armed' in one.said[-1]
-
-
-def test_a_restart_of_the_stm32_forgets_its_bias():
-    one = Aircraft().stand()
-    assert one.sensors.current.gyro_bias != ZERO
-    one.sensors.restarted()
-    one.run(0.1, armed=True)
-    assert one.sensors.current.gyro_bias == ZERO
-    assert 'not estimated since' in one.status.message
-
-
-def test_where_it_may_not_correct_it_only_estimates():
-    one = Aircraft(correct=False).stand()
-    assert np.array_equal(one.published, one.sent)
-    assert 'at rest, arming' in one.said[0]

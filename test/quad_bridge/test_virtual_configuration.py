@@ -11,7 +11,6 @@ from quad_bridge.virtual.effects import Effects
 from quad_bridge.virtual.errors import ConfigurationError
 from quad_bridge.virtual.process import main
 from quad_bridge.virtual.profile import FOLDER, Profile, load_profile, profile_names
-from quad_bridge.virtual.receiver import Event, channels_at
 
 
 def written(folder, **texts):
@@ -97,15 +96,3 @@ def test_a_profile_extends_another_by_name_or_beside_it(tmp_path):
         load_profile(circle)
     with pytest.raises(ConfigurationError, match=r'nothing.*plain'):  # the known ones are listed
         load_profile('nothing')
-
-
-def test_stick_events_hold_until_the_next(tmp_path):
-    events = [(1.0, 'roll', 0.4), (0.5, 'throttle', 0.2), (2.0, 'roll', 0)]
-    lines = (f'{{time_s: {t}, channel: {name}, value: {v}}}' for t, name, v in events)
-    script = load_profile(
-        written(tmp_path, mine=f'receiver: {{events: [{", ".join(lines)}]}}')
-    ).receiver
-    assert script.events[0] == Event(1.0, 'roll', 0.4)
-    assert [channels_at(script, t).roll for t in (0.9, 1.0, 1.9, 2.0)] == [0.0, 0.4, 0.4, 0.0]
-    assert channels_at(script, 0.0).throttle is None
-    assert channels_at(script, 3.0).throttle == 0.2

@@ -163,11 +163,3 @@ def reference(z: IOData, r: np.ndarray) -> IOData:
 )
 def test_bad_input_names_who_was_called_and_with_what(record, refusal, call, named):
     assert named in refusal(call, record)
-
-
-def test_segments_touch_in_any_order_and_a_reference_may_be_lost_outside_them(record):
-    r = record.y.copy()
-    r[:100] = np.nan
-    spans = [(np.int64(300), 600), (100, 300)]
-    z = IOData(list(record.u), record.y, np.float64(0.01), r=r, segments=spans)
-    assert (z.segments, z.n) == (((300, 600), (100, 300)), 500)

@@ -80,27 +80,6 @@ def test_a_place_that_cannot_be_written_is_said_before_the_work(
     assert (status, 'nothere: cannot be read' in error) == (2, True), error
 
 
-def test_a_reason_that_several_axes_share_is_told_once(plain_flight, run, tmp_path):
-    still = replace(plain_flight, **first(250)(plain_flight))
-    path = write_bag(still, tmp_path / 'flight')
-    axes = ('--axis', 'roll,pitch,yaw')
-    for words in (('identify', path, *axes, '--out', tmp_path / 'out', '--quiet'),
-                  ('inspect', path, '--quiet')):
-        status, error = run(*words)
-        assert (status, error.count('fly longer')) == (3, 1), error
-        assert 'roll, pitch, yaw: ' in error
-
-
-def test_a_bag_cut_off_before_its_first_message_is_told_alike(plain_bag, run, tmp_path):
-    cut = tmp_path / 'cut.mcap'
-    cut.write_bytes(next(plain_bag.glob('*.mcap')).read_bytes()[:20])
-    for words in (('identify', cut), ('inspect', cut)):
-        status, error = run(*words)
-        assert status == 2, error
-        assert f'{cut}: is cut off before its first whole message' in error
-        assert error.count(cut.name) == 1
-
-
 @pytest.mark.parametrize('name', ['report.html', 'report.json', 'guide.md'])
 def test_a_folder_of_other_things_is_no_place_for_a_report(plain_bag, run, tmp_path, name):
     """Nothing is mixed into it, and no file of the user's replaced."""
@@ -199,26 +178,6 @@ def test_where_a_model_is_wanted_the_folder_of_its_report_will_do(
     assert (status, error.endswith('where a bag is wanted; give a bag\n')) == (2, True)
     status, error = run('evaluate', plain_bag, plain_bag)
     assert (status, 'is a folder without a model.json; give the' in error) == (2, True), error
-
-
-@pytest.mark.parametrize(
-    ('content', 'words'),
-    [
-        (None, 'cannot be read'),
-        ('{"a": 1}', 'lacks axes, schema'),
-        ('{"schema": "quad_sysid/report/1", "axes": {}}', 'schema: must be quad_sysid/model/3'),
-        ('{"schema": "quad_sysid/model/2", "axes": {"roll": {', 'is not JSON'),
-        ('{"schema": "quad_sysid/model/2", "axes": {}}', 'found {}; give the model.json of'),
-        ('[' * 100_000, 'is not JSON'),
-        ('{"schema": ' + '9' * 5000 + '}', 'is not JSON'),
-    ],
-)
-def test_a_foreign_file_is_no_model(plain_bag, run, tmp_path, content, words):
-    file = tmp_path / 'some.json'
-    if content is not None:
-        file.write_text(content)
-    status, error = run('evaluate', file, plain_bag)
-    assert (status, words in error, str(file) in error) == (2, True, True), error
 
 
 @pytest.mark.parametrize(

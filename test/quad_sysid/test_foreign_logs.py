@@ -6,7 +6,6 @@ that nothing of the import's tables is used to make them.
 
 from __future__ import annotations
 
-import shlex
 import struct
 from pathlib import Path
 
@@ -196,45 +195,6 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         assert gains[name] == pytest.approx(value, rel=1e-4)
 
 
-def test_px4_torque_alone_is_the_input_in_its_own_unit(flight, px4):
-    def without_motors(topics):
-        del topics['actuator_motors']
-        topics['actuator_controls_0'] = {
-            'timestamp': topics['vehicle_attitude']['timestamp'],
-            'control': np.column_stack([flight.control[:, 1:] * FRD, flight.control[:, 0]]),
-        }
-
-    record, told = px4({'MC_PITCHRATE_P': 0.1}, without_motors)
-    check_motion(record, flight)
-    assert record.gains_at(0.0)['pitch.rate.kp'] == pytest.approx(0.1)
-    assert 'the controller demanded' in told
-
-
-def test_a_ulog_that_is_cut_off_is_told_in_one_line(flight, tmp_path, capfd):
-    pytest.importorskip('pyulog')
-    path = ulog(tmp_path / 'log.ulg', px4_topics(flight), {})
-    path.write_bytes(path.read_bytes()[:40])
-    assert main(['import', str(path)]) == 2
-    said = capfd.readouterr()
-    assert said.out == ''
-    assert said.err.count('\n') == 1
-    assert 'log.ulg: is cut off or damaged before its first data: found 40 bytes' in said.err
-
-
-def test_what_is_to_be_typed_next_can_be_typed(flight, tmp_path, monkeypatch, capsys):
-    """Names of files have blanks, which a shell would take apart."""
-    pytest.importorskip('pyulog')
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'my logs').mkdir()
-    ulog(tmp_path / 'my logs' / 'log 1.ulg', px4_topics(flight), {})
-    words = ['import', 'my logs/log 1.ulg']
-    for start in ('quad-sysid import', 'next: quad-sysid inspect'):
-        assert main(words) == 0
-        line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith(start))
-        words = shlex.split(line.removeprefix('next: '))[1:]
-    assert main(words) in {0, 3}
-
-
 def test_wrong_stamps_do_not_stretch_the_grid(flight, px4):
     """One damaged byte puts a sample 2000 years off."""
     def damage(topics):
@@ -249,14 +209,6 @@ def test_wrong_stamps_do_not_stretch_the_grid(flight, px4):
     np.testing.assert_allclose(record.rates[~lost], flight.rates[~lost], atol=1e-5)
     # the commands beside the wrong stamps are held
     np.testing.assert_allclose(record.control[~lost], flight.control[~lost], atol=1e-5)
-
-
-def test_times_that_are_damaged_throughout_are_refused(flight, tmp_path, refusal):
-    topics = px4_topics(flight)
-    for topic in topics.values():
-        topic['timestamp'] = topic['timestamp'] + (np.arange(N) // 500) * 10**12
-    file = ulog(tmp_path / 'log.ulg', topics, {})
-    assert 'has times that are damaged' in refusal(imported, file, tmp_path / 'bag')
 
 
 def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
@@ -431,13 +383,6 @@ def test_betaflight(flight, tmp_path, reversed_yaw):
     assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
     assert record.angles is None
     assert 'feed-forward' in told
-
-
-@pytest.mark.parametrize('column', ['time (us)', 'gyroADC[1]', 'gyroADC[2]', 'motor[0]'])
-def test_a_blackbox_log_without_a_column_is_refused_by_its_name(flight, tmp_path, refusal, column):
-    file = blackbox(tmp_path / 'LOG.csv', flight)
-    file.write_text(file.read_text().replace(column, 'debug[0]', 1))
-    assert column.partition(' ')[0] in refusal(imported, file, tmp_path / 'bag')
 
 
 def varied(value: int) -> bytes:

@@ -28,7 +28,6 @@ from quad_tuning.bounds import (
     check_finite,
     check_polarity,
     reachable,
-    steps_to,
 )
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
@@ -165,17 +164,6 @@ def test_another_global_optimiser_finds_nothing_better(model, values):
     assert other.fun > 0.99 * best
 
 
-def test_the_margins_hold_for_the_rival_too(model):
-    """A resonance that may as well be slow motors: the design is held against both."""
-    mode = estimate_of('resonance', (6.0, 0.05, 0.0, 0.03), std=0.01, probability=0.6,
-                       rivals=(('motor_lag', 0.4),))
-    m = model(effects=[mode])
-    figures = design(m).figures
-    assert loops_of(m).cycle.phi.shape[-1] == 7
-    assert figures['worst_phase_margin_deg'] >= 45.0
-    assert figures['unstable_draws'] == 0
-
-
 def test_an_effect_of_unlisted_physics_acts_in_every_plant_that_a_design_must_hold_for(model):
     mode = estimate_of('resonance', (6.0, 0.05, 0.0, 0.03), std=0.01, probability=0.2,
                        rivals=((UNLISTED, 0.5), ('motor_lag', 0.3)))
@@ -186,16 +174,6 @@ def test_an_effect_of_unlisted_physics_acts_in_every_plant_that_a_design_must_ho
 
 
 # ---- the way there, and what is promised to the watch
-
-
-def test_a_large_change_goes_in_steps_within_the_limit():
-    wanted = dataclasses.replace(ACTIVE, angle_kp=14.0, rate_kd=0.0)
-    path = steps_to(wanted, ACTIVE)
-    assert (path[-1], len(path) >= 3) == (wanted, True)
-    assert reachable('angle_kp', 3.0) == pytest.approx((1.5, 6.0), rel=2e-4)
-    held(path, ACTIVE)
-    with pytest.raises(DesignRefusedError, match='outside the hard bounds'):
-        steps_to(dataclasses.replace(ACTIVE, angle_kp=20.0), ACTIVE)
 
 
 def test_a_way_through_instability_is_refused(model):

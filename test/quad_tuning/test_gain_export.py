@@ -7,7 +7,6 @@ import json
 import pytest
 
 from quad_tuning.cli import main
-from quad_tuning.history import read_design
 
 GAINS = {
     'roll.angle.kp': 9.5, 'roll.rate.kp': 0.08, 'roll.rate.ki': 0.13, 'roll.rate.kd': 0.0028,
@@ -92,45 +91,3 @@ def test_wrong_files_and_options_are_one_line(file, content, arguments, words, c
     error = capsys.readouterr().err
     assert words in error
     assert len(error.splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ('content', 'words'),
-    [
-        ('{"schema": "x/1", "axes": {}}', 'schema: must be'),
-        (roll(kp='much'), "axes.roll.gains.roll.rate.kp: must be a finite number: found 'much'"),
-        (design({'roll': {'gains': {'roll.rate.kp': 0.1}, 'figures': {'rate_rms_ratio': 'low'}}}),
-         "axes.roll.figures.rate_rms_ratio: must be a finite number: found 'low'"),
-    ],
-)
-def test_such_files_are_not_sent_either(content, words, capsys, tmp_path):
-    path = tmp_path / 'other.json'
-    path.write_text(content)
-    assert main(['send', str(path)]) == 2
-    assert capsys.readouterr().err.startswith(f'quad-tune: {path}: {words}')
-
-
-def test_bounds_of_what_is_sent_are_those_of_the_bridge(tmp_path):
-    path = tmp_path / 'other.json'
-    path.write_text(roll(kp=0.9))
-    assert read_design(path) == ({'roll.rate.kp': 0.9}, {})
-
-
-def test_what_is_not_exported_is_told(file, tmp_path, capsys):
-    tree = json.loads(file.read_text())
-    tree['axes']['roll']['gains'] |= {'roll.sag.exponent': 1.5, 'roll.lqr.share': 0.0}
-    file.write_text(json.dumps(tree))
-    assert main(['export', str(file), '--to', 'px4', *ONES]) == 0
-    told = capsys.readouterr().out
-    assert '# Left out, it has no counterpart here: roll.sag.exponent 1.5\n# Veh' in told
-    out = str(tmp_path / 'gains.params')
-    assert main(['export', str(file), '--to', 'px4', *ONES, '--out', out]) == 0
-    told = capsys.readouterr().out
-    assert told.endswith('left out: roll.sag.exponent 1.5\n')
-
-
-@pytest.mark.parametrize('name', ['design', 'export', 'send', 'history', 'rollback'])
-def test_every_command_has_an_example_in_its_help(name, capsys):
-    with pytest.raises(SystemExit):
-        main([name, '--help'])
-    assert f'quad-tune {name}' in ' '.join(capsys.readouterr().out.split())

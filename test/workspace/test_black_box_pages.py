@@ -44,14 +44,3 @@ def test_the_example_for_scripts(flight: qs.Record, of_the_command: dict[str, fl
     fits = dict(zip(('BJ', 'ARX'), answers['qs.compare'], strict=True))
     for structure, fit in fits.items():
         assert fit > of_the_command[structure] - ALIKE_PCT, structure
-
-
-def test_a_model_of_orders_of_ones_own(
-    flight: qs.Record, of_the_command: dict[str, float]
-) -> None:
-    call, data = re.findall(r'`((?:z = )?qs\.[^`]+)`', (DOCS / 'identify.md').read_text())
-    names: dict[str, Any] = {'qs': qs, 'flight': flight}
-    exec(data, names)  # noqa: S102
-    unseen = qs.detrend(flight.axis('roll', 'validation'), flight.axis('roll', 'train'))
-    (fit,) = qs.compare(unseen, eval(call, names))  # noqa: S307
-    assert fit > of_the_command['ARMAX'] - ALIKE_PCT
