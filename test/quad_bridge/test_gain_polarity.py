@@ -58,6 +58,13 @@ def test_a_wrong_sign_refuses_every_update_until_it_is_mended(bench):
     made.fly_until('in force')
 
 
+def test_a_fixed_axis_is_silent_and_its_gains_are_refused(bench):
+    made = bench(polarity='auto')
+    made.ask(pitch_rate_kp=0.1)
+    assert 'pitch did not respond to the pulses' in made.fly_until('refused')
+    assert made.gain('pitch.rate.kp') == pytest.approx(0.0744845, rel=1e-5)
+
+
 def test_pulses_stop_when_an_excitation_starts_and_an_unarmed_aircraft_gets_none(bench):
     made = bench(polarity='auto')
     made.ask(**ROLL)

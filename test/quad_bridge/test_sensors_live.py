@@ -7,7 +7,7 @@ import pytest
 from flight_controller import STILL, ZERO
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.sensors.correction import Correction, as_sent, from_values
+from quad_bridge.sensors.correction import as_sent, from_values
 from quad_bridge.sensors.live import LiveSensors
 from quad_bridge.status import OK, WARN
 from quad_bridge.wire.axes import flip_body
@@ -78,17 +78,6 @@ def test_before_it_arms_the_bias_is_estimated_and_subtracted_and_can_be_had_back
     back = as_sent(np.array(one.stamps), np.array(one.published), one.told)
     assert np.abs(back - np.array(one.sent)).max() < 1e-15
     assert np.abs(np.array(one.published) - np.array(one.sent)).max() > 0.01
-
-
-def test_nothing_told_means_nothing_subtracted():
-    assert from_values({'unrelated': '1'}) is None
-    assert from_values({**Correction().told(), 'removed since (ns)': 'soon'}) is None
-    found = as_sent(np.arange(3), np.ones((3, 3)), [Correction(gyro_bias=BIAS)])
-    assert np.array_equal(found, np.ones((3, 3)))
-    # another bridge in the same bag subtracts nothing, and says since when
-    told = [Correction(BIAS, 5), Correction(ZERO, 7)]
-    found = as_sent(np.arange(9), np.zeros((9, 3)), told)[:, 0]
-    assert found.tolist() == [*5 * [0.0], *2 * [0.012], *2 * [0.0]]
 
 
 def test_what_moves_or_stands_too_short_is_refused_and_the_earlier_estimate_stays():

@@ -10,12 +10,10 @@ from unittest import mock
 import numpy as np
 import pytest
 import yaml
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from quad_sysid.bags import (
     BagOptions,
     cdr,
-    parse_span,
     read_bag,
     split_segments,
     write_bag,
@@ -232,16 +230,6 @@ def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, there):
     assert ('/battery' in got.missing) is ('/battery' in ' '.join(got.warnings)) is not there
 
 
-def test_a_voltage_is_drawn_between_its_measurements_but_not_over_a_gap(tmp_path):
-    """10 Hz, nothing from 0.9 s to 3.2 s."""
-    at = np.array([*range(0, 250, 25), *range(800, N, 25)])
-    battery = Stamped(regular()[at], 12.0 - 1e-3 * at[:, None])
-    got = read_bag(write_imu(tmp_path / 'bag', regular(), **{'/battery': battery})).battery_v
-    known = np.r_[0:226, 801:N]
-    np.testing.assert_allclose(got[known], np.maximum(12.0 - 1e-3 * known, 12.0 - 1e-3 * at[-1]))
-    assert np.isnan(got[226:800]).all()
-
-
 # ---- damaged and foreign bags -----------------------------------------------------------------
 
 
@@ -264,9 +252,7 @@ def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
 NONE = {
     'absent': (None, 'no such bag'), 'empty.mcap': (b'', 'is empty'),
     'folder': ('', 'metadata.yaml names lost.mcap'),
-    'log.txt': (b't,u\n0,1\n', 'quad-sysid import'),
     'table.csv': (b't,u\n0,1\n', 'quad-sysid import'),
-    'notes.mcap': (b'hello, this is not a bag', 'neither mcap nor sqlite3'),
     'broken.db3': (b'SQLite format 3\x00' + bytes(500), 'is a damaged sqlite3 file'),
 }
 
@@ -360,37 +346,7 @@ def test_what_trains_and_what_validates(bare, asked, spans):
     assert bare or [s.signal for s in told] == ['prbs', 'square']
 
 
-def test_a_span_beyond_the_end_is_cut_and_told():
-    cut = split_segments(make_record(), train=(1.0, 2.0), validate=(3.0, 30.0))
-    assert '--validate 3:30 is cut at the end of the record, 4.00 s' in cut.warnings
-    assert parse_span(':', '--train') == (0.0, float('inf'))
-    assert parse_span('5:45', '--train') == (5.0, 45.0)
-
-
 # ---- what is damaged is told, and read as far as it is whole ----------------------------------
-
-
-@pytest.mark.parametrize(('plugin', 'foreign_last'),
-                         zip(StoragePlugin, (True, False), strict=True))
-def test_of_a_topic_with_two_types_the_contracts_one_is_read(tmp_path, plugin, foreign_last):
-    bag = write_bag(make_record(200), tmp_path / 'bag')
-    store, foreign = cdr.typestore(), ('/imu/data', 'std_msgs/msg/String')
-    text = bytes(store.serialize_cdr(store.types[foreign[1]](data='hello'), foreign[1]))
-    with Reader(bag) as reader, Writer(
-        tmp_path / 'two', version=9, storage_plugin=plugin
-    ) as writer:
-        pairs = [*((c.topic, c.msgtype) for c in reader.connections), foreign]
-        out = {
-            pair: writer.add_connection(*pair, typestore=store)
-            for pair in (pairs if foreign_last else pairs[::-1])
-        }
-        for connection, time, raw in reader.messages():
-            writer.write(out[connection.topic, connection.msgtype], time, raw)
-            if connection.topic == '/battery':
-                writer.write(out[foreign], time, text)
-    got = read_bag(tmp_path / 'two')
-    np.testing.assert_array_equal(got.rates, make_record(200).rates)
-    assert '/imu/data: 8 messages of type std_msgs/msg/String left out' in ' '.join(got.warnings)
 
 
 def test_metadata_that_is_missing_or_lists_too_much_or_too_little_is_told(tmp_path):

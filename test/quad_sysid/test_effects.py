@@ -724,6 +724,8 @@ class Planted:
     """(value, relative tolerance, absolute tolerance) of its first parameters."""
     alone: bool | None = True
     """Whether it is all that is found; None: among all effects only."""
+    of_a_name: bool = False
+    """Whether all that is found has its name."""
     sure: bool = True
     """Not where another description is as good."""
     rivals: Collection[str] = RIVALS
@@ -747,8 +749,12 @@ PLANTED = [
             ((0.4, 0.3, 0.0),)),
     # a side that pulls less, by the command, though that needs no gain
     Planted(command(lambda u: min(u, 0.5 * u)), 'shape:command', 2.0, alone=False),
-    # no law of the list is its own: the cubic law stands for it
-    Planted(slipping(30.0, 1.5), 'mode', 2.0, alone=False),
+    # no law of the list is its own: the cubic law stands for it, and nothing else is found
+    Planted(slipping(30.0, 1.5), 'mode', 2.0, alone=False, of_a_name=True),
+    # gusts of the axis' own beside what another axis' command does to it
+    Planted(lambda: {**coloured(6, 3.0, 0.05)(), 'other_commands': other_commands,
+                     'command': lambda t, u, _v: u + 0.15 * other_commands(t)[0]},
+            'cross_axis_input', 1.5, ((0.15, 0.0, 0.02),)),
     Planted(in_its_wake(4.0, 0.3), 'shape:rate/with past rate', 2.0, ((0.3, 0.5, 0.0),),
             sure=False, alone=None),
     Planted(echo(0.4, 0.3), 'mode/response to drive', 2.0, alone=False, rivals=('motor_lag',)),
@@ -797,6 +803,7 @@ def test_what_acts_is_named_measured_and_foreseen_in_another_flight(one, every):
     check_values_of(effect, one.truths)
     if one.truths and one.sure:
         check_sure_of(effect)
+    assert not one.of_a_name or {e.name for e in effects} == {one.label}
     if one.alone or (one.alone is None and every):
         assert effects == (effect,)
         assert answer.model.value('gain') == pytest.approx(GAIN, rel=0.05)

@@ -195,22 +195,6 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         assert gains[name] == pytest.approx(value, rel=1e-4)
 
 
-def test_wrong_stamps_do_not_stretch_the_grid(flight, px4):
-    """One damaged byte puts a sample 2000 years off."""
-    def damage(topics):
-        for topic in topics.values():
-            topic['timestamp'] = topic['timestamp'].copy()
-            topic['timestamp'][[200, 700]] = [2**56, 2**40]
-
-    record, told = px4({}, damage)
-    assert '2 samples with a time far off left out' in told
-    lost = np.isnan(record.rates[:, 0])
-    assert np.flatnonzero(lost).tolist() == [200, 700]
-    np.testing.assert_allclose(record.rates[~lost], flight.rates[~lost], atol=1e-5)
-    # the commands beside the wrong stamps are held
-    np.testing.assert_allclose(record.control[~lost], flight.control[~lost], atol=1e-5)
-
-
 def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
     """Messages {name: (labels, rows)}; the first label is TimeUS."""
     out = []
@@ -293,20 +277,6 @@ def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
     np.testing.assert_allclose(record.control[N // 2 :], flight.control[N // 2 :], atol=1e-5)
 
 
-def test_ardupilot_outputs_carry_the_gains(flight, tmp_path):
-    messages = ardupilot_messages(flight)
-    del messages['RCOU']
-    record, told = imported(dataflash(tmp_path / 'log.bin', messages, {
-        'ATC_RAT_RLL_P': 0.135, 'ATC_ANG_RLL_P': 4.5, 'ATC_RATE_R_MAX': 90.0, 'FRAME_CLASS': 2,
-    }), tmp_path / 'bag')
-    check_motion(record, flight)
-    gains = record.gains_at(0.0)
-    assert gains['roll.rate.kp'] == pytest.approx(0.135)
-    assert gains['roll.angle.rate_limit'] == pytest.approx(np.pi / 2)
-    assert (record.desaturation, record.motors) == ('none', None)
-    assert 'the controller demanded' in told
-
-
 @pytest.mark.parametrize('firmware', ['ArduPilot', 'PX4'])
 def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware):
     """SYSTEM ID mode at the mixer's pitch input; the autotune's steps of the roll rate."""
@@ -336,22 +306,6 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
                                                 pytest.approx(5.8, abs=0.01))
     np.testing.assert_allclose(record.excitation[100:1400, axis], added[100:1400], atol=1e-6)
     assert 'the log holds experiments' in told
-
-
-def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
-    messages = ardupilot_messages(flight)
-    lines = ['ArduCopter V4.5.1 (0ef2c1a7)']
-    for number, (name, (labels, _)) in enumerate(messages.items(), 130):
-        form = 'Q' + 'f' * (len(labels) - 1)
-        lines.append(f'FMT, {number}, 40, {name}, {form}, {",".join(labels)}')
-    rows = [(row[0], name, row) for name, (_, some) in messages.items() for row in some]
-    lines += [', '.join([name, f'{row[0]:.0f}', *(f'{np.float32(x):.9g}' for x in row[1:])])
-              for _, name, row in sorted(rows, key=lambda one: one[0])]
-    (tmp_path / 'log.log').write_text('\n'.join(lines) + '\n')
-    text, _ = imported(tmp_path / 'log.log', tmp_path / 'text_bag')
-    binary, _ = imported(dataflash(tmp_path / 'log.bin', messages, {}), tmp_path / 'binary_bag')
-    np.testing.assert_allclose(text.rates, binary.rates, atol=1e-7)
-    np.testing.assert_allclose(text.control, binary.control, atol=1e-7)
 
 
 def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from quad_sysid.bags import read_bag
-from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER_INVERSE, control_from_motors, motors_from_wrench
 from quad_sysid.craft import LAYOUTS, Craft
@@ -100,19 +99,6 @@ def test_other_forms_of_the_table(options, tmp_path, kind):
                                atol=1e-9)
 
 
-def test_a_last_line_without_its_end_is_left_out_and_told(options, tmp_path):
-    """A cut number is another number: 1.5e-05 becomes 1.5e-0."""
-    whole = options.file.read_text()
-    last = len(whole.splitlines())
-    for name, text in (('a', whole[:-1]), ('b', whole + '\0' * 100)):
-        cut = replace(options, file=tmp_path / f'{name}.csv')
-        cut.file.write_text(text)
-        imported(cut, tmp_path / name)
-        told = f'line {last + (name == "b")}, the last, has no end'
-        assert told in read_columns(cut).clock[0]
-        assert len(read_bag(tmp_path / name).rates) == last - 1 - (name == 'a')
-
-
 def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsys):
     fast = columns()['rate'] * 30.0 / np.pi
     file = write(tmp_path / 'a.csv', columns() | {
@@ -178,7 +164,6 @@ def proposals(out: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize('heads', [
-    ('gx', 'gy', 'gz'), ('p', 'q', 'r'), ('gx (deg/s)', 'gy', 'gz'), ('gx', 'gy [deg/s]', 'gz'),
     ('Gyro X (deg/s)', 'Gyro Y', 'Gyro Z'), ('gyro_x_dps', 'gyro_y_dps', 'gyro_z_dps'),
 ])
 def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
@@ -199,18 +184,6 @@ def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
     np.testing.assert_allclose(record.rates[:, 1], want['gy'], atol=1e-6)
     np.testing.assert_allclose(record.rates[:, 2], want['gz'], atol=1e-6)
     np.testing.assert_allclose(record.angles[:, 1], want['pitch'], atol=1e-6)
-
-
-def test_a_unit_given_for_one_column_of_a_sensor_holds_for_its_others(tmp_path):
-    table = rig(**renamed('t', *MOTORS), **renamed('gx', 'gy', 'gz', factor=10.0))
-    three = ColumnOptions(write(tmp_path / 'own.csv', table), ('roll', 'pitch', 'yaw'), 't',
-                          motors=MOTORS, rate=('gx', 'gy', 'gz'))
-    for units, factors in (({'gx': 'deg/s'}, (DEG, DEG, DEG)),
-                           ({'gx': 'deg/s', 'gz': 'rad/s'}, (DEG, 1.0, 1.0)),
-                           ({'gy': '-0.5'}, (1.0, -0.5, 1.0))):  # a sign is an axis' own
-        found = read_columns(replace(three, units=units)).rates.values
-        for i, name in enumerate(('gx', 'gy', 'gz')):
-            np.testing.assert_allclose(found[:, i], factors[i] * table[name], atol=1e-9)
 
 
 @pytest.mark.parametrize(('unit', 'turned'), [
@@ -364,20 +337,13 @@ STILL = {**FOUR, 'rate': ('bat',), 'angle': (), 'battery': None}
 @pytest.mark.parametrize(
     ('change', 'words'),
     [
-        ({'time': 'time'}, 'no column time'),
         ({'time': None}, 'needs --time'),
-        ({'control': ()}, '--control and --motors'),
-        ({**FOUR, 'motors': ('m1',)}, '4, 6 or 8'),
         ({**FOUR, 'motors': ('m1', 'm2')}, '--mixer x: is one of 4 motors'),
         ({'rate': (), 'angle': ()}, '--rate or --angle'),
         ({'rate': ('rate', 'm1')}, 'a column for each of pitch'),
-        ({'axes': ('nose',)}, '--axis'),
         ({'rate': ('u',)}, 'named twice'),
         ({'units': {'rate': 'furlong'}}, "'furlong'"),
-        ({'units': {'speed': 'm/s'}}, 'speed'),
         ({'units': {'u': '9'}}, 'column u'),
-        ({'units': {'angle': '20'}}, 'column angle'),
-        ({**FOUR, 'mixer': 'round'}, '--mixer round'),
         ({**STILL, 'mixer': 'auto'}, 'does not show what the motors do'),
         ({**FOUR, 'units': {'m1': '4'}}, 'column m1'),
         ({'file': Path('absent.csv')}, 'absent.csv: cannot be read'),
@@ -394,22 +360,16 @@ BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
     ('text', 'words'),
     [
         ('', 'is empty'),
-        ('t,u,rate\n', 'no rows'),
-        ('t,u\n0,1\n', 'line 1: no column rate'),
         ('t,u,rate,rate\n0,0,1,2\n', 'line 1: several columns rate'),
         ('t,u,rate\n0,0,1\n0.1,much,1\n', "line 3, column u: needs a number or nothing: found 'm"),
         ('t;u;rate\n0;0;1.234,5\n', "needs a number or nothing: found '1.234.5'"),
         ('0,0,1\n0.1,0,1\n', "line 1: holds numbers, not the columns' names"),
-        ('t,u,rate\n0,0,1', 'has a header but no rows'),
-        ('t,u,rate\n0,0,nan\n', 'line 2, column rate: holds no number'),
         ('t,u,rate\n0,0,1\n0,0,2\n', 'column t: does not increase'),
-        ('t,u,rate\n2,0,1\n1,0,2\n', 'column t: does not increase'),
         ('t,u,rate\n0,0,1\n0.2,0,1\n', 'too few'),
         (b'\xbc\x07\x00\x01\x00', 'unknown version'),
         (b'\xbc\x01\x00\x01\x00\x00', 'is not a whole log of a Crazyflie SD card'),
         (b'#ROSBAG V2.0\n and noise', 'is not a whole bag'),
         ('{"t": [0, 1]}\n', 'is JSON, not a table; give a CSV file'),
-        (MAGIC, 'is not a whole bag'),
         pytest.param(np.random.default_rng(0).bytes(1000), 'nor a log of PX4, ArduPilot',
                      id='noise'),
         pytest.param(BROKEN, '', id='broken gzip'),
@@ -446,14 +406,12 @@ ALONE = {'angle': (), 'reference': ()}
         ({}, ['rate=deg/s'], {}, '--unit rate=rad/s'),
         ({'angle': 1 / DEG}, ['angle=rad'], {}, '--unit angle=deg'),
         ({}, ['angle=deg', 'rate=rad/s', 'ref=deg'], {}, '--unit angle=rad'),
-        ({'ref': 1 / DEG}, [], {}, '--unit ref=deg'),
         ({}, ['ref=deg'], {}, '--unit ref=rad'),
         ({'angle': 0.05 / DEG, 'rate': 0.05, 'ref': 0.05}, [], {}, '--unit angle=deg'),
         ({'rate': -1.0}, [], {}, '--unit rate=-1, or --unit angle=-1'),
         ({'angle': -1.0, 'ref': -1.0}, [], {}, '--unit rate=-1, or --unit angle=-1'),
         ({'rate': -1 / DEG}, ['rate=deg/s'], {}, '--unit rate=-0.0174533, or'),
         ({'t': 1e3}, [], {}, '--unit t=ms (250 Hz), or --unit t=s'),
-        ({'t': 1e6}, [], {}, '--unit t=us (250 Hz)'),
         ({'t': 1e-3}, [], {}, '--unit t=FACTOR'),
         ({'rate': 100.0 / DEG}, [], ALONE, '--unit rate=deg/s'),
     ],
@@ -519,14 +477,6 @@ def test_the_unit_of_a_command_that_is_advised_is_accepted(
         assert advice in (None, unit)
         units[name] = unit
     assert read_columns(replace(options, units=units)).rates is not None
-
-
-def test_a_bag_of_the_contract_needs_no_import(options, tmp_path, capsys):
-    imported(options, tmp_path / 'bag')
-    assert main(['import', str(tmp_path / 'bag')]) == 2
-    said = capsys.readouterr()
-    assert said.out == ''
-    assert 'is a bag of this project already; use quad-sysid inspect' in said.err
 
 
 def test_mixers(tmp_path):

@@ -69,17 +69,12 @@ def test_ardupilot_through_a_file(file, tmp_path, capsys):
     [
         (roll(ki=-1.0), [], 'json: axes.roll.gains.roll.rate.ki: must lie in 0 .. 1 1/rad: found'),
         (roll(kp=float('nan')), [], 'rate.kp: must be a finite number: found nan; design again'),
-        (roll(kp=10**400), [], 'rate.kp: must be a finite number'),
-        (roll(kp='much'), [], "rate.kp: must be a finite number: found 'much'"),
         (roll(kpp=1.0), [], 'rate.kpp: is no gain that a design changes'),
         (None, [], 'cannot be read'), ('{', [], 'is not JSON'),
-        pytest.param('[' * 100_000, [], 'is not JSON', id='deep'),
         ('{"schema": "x/1"}', [], 'design/1 or quad_sysid/report/1: found x/1; give the file of'),
-        ('[]', [], 'schema'), (design(None), [], 'axes: is missing'),
         (design({'roll': {'gains': None}, 'pitch': 1}), [], 'holds none'),
         (roll(kp=0.1), ONES, 'lack angle.kp'),
         ('', ['--scale', 'roll=1'], '--scale yaw: is missing'),
-        ('', ['--scale', 'roll=0'], '--scale'), ('', ['--scale', 'nose=1'], '--scale'),
         ('', [*ONES, '--scale', 'pitch=0.3'], '--scale: names an axis without gains'),
     ],
 )
