@@ -18,11 +18,8 @@ from quad_bridge.log.recover import recover
 from quad_bridge.log.stored import scan
 from quad_bridge.log.stored.records import (
     CHUNK,
-    DATA_END,
     MAGIC,
-    MESSAGE_INDEX,
     RECORD,
-    STATISTICS,
     end_of,
 )
 from quad_bridge.log.stored.scan import McapScan
@@ -115,54 +112,6 @@ def chunk(data, k):
     return positions(data, CHUNK)[k]
 
 
-def end_within(data):
-    ((begin, end),) = positions(data, DATA_END)
-    cut, _ = chunk(data, 5)
-    return data[:cut] + data[begin:end] + data[cut:]
-
-
-def short_index(data):
-    _, end = positions(data, MESSAGE_INDEX)[9]
-    return data[: end - 20] + data[end:]
-
-
-DAMAGE = {
-    **{f'length, bit {bit}': (2, ('none', True, False),
-       lambda d, bit=bit: flipped(d, chunk(d, 2)[0] + 1 + bit // 8, 1 << bit % 8))
-       for bit in (3, 11, 13, 16, 40)},
-    **{f'opcode {code:#x}': (3, ('zstd', False),
-       lambda d, code=code: flipped(d, chunk(d, 3)[0], CHUNK ^ code))
-       for code in (0x02, 0x05, 0x07, 0x0F, 0x86)},
-    **{f'index {k}, byte {at}': (None, ('none', False),
-       lambda d, k=k, at=at: flipped(d, positions(d, MESSAGE_INDEX)[k][0] + at, 0x21))
-       for k in (0, 9) for at in (0, 3, 9, 20)},
-    # which does not make it one that is cut off, of which the first messages are read
-    'the end of the last chunk': (9, ('none', False),
-       lambda d: d[: chunk(d, 9)[1] - 999] + bytes(len(d) - chunk(d, 9)[1] + 998) + b'!'),
-    'an index with bytes missing': (None, ('none', False), short_index),
-    # the length of that chunk, read a byte too late, looks like a footer
-    'an index with a byte missing before chunk 6': (None, ('lz4', False),
-       lambda d: d[: chunk(d, 6)[0] - 100] + d[chunk(d, 6)[0] - 99 :]),
-    'an end within the data': (None, ('none', True), end_within),
-    'statistics': (None, ('none', True),
-       lambda d: flipped(d, positions(d, STATISTICS)[0][0] + RECORD.size + 1, 0x40)),
-}  # fmt: skip
-"""Which chunk is lost by it, which files have it, and how it is made."""
-
-
-@pytest.mark.parametrize('name', DAMAGE)
-def test_damage_of_a_record_costs_its_chunk_at_most(sound, name):
-    lost, (compression, *kinds), damage = DAMAGE[name]
-    for closed in kinds:
-        data, ledger = sound[compression, closed]
-        damaged, got = read(damage(data))
-        kept = ledger if lost is None else ledger[: lost * EVERY] + ledger[(lost + 1) * EVERY :]
-        assert got == kept
-        assert damaged.lost == (len(ledger) - len(got) if closed and lost is not None else 0)
-        assert damaged.ended or 'an end' not in name
-        assert lost is None or damaged.unread
-
-
 @pytest.mark.parametrize('closed', [True, False])
 def test_a_damaged_chunk_is_told_and_never_complete(tmp_path, sound, closed):
     data, ledger = sound['none', closed]
@@ -231,7 +180,7 @@ def only_damaged_chunks_are_lost(bag, rng):
         assert damaged.lost == missing.total()
 
 
-COUNTS = [12, pytest.param(2300, marks=pytest.mark.long)]
+COUNTS = [25, pytest.param(2300, marks=pytest.mark.long)]
 """Damaged bags of each kind: a sample, and some 9,200 in all."""
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from quad_sysid.blackbox import frequency_response, polynomial_model, simulate
+from quad_sysid.blackbox import frequency_response
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import LoopPlant
 from quad_sysid.loop.simulation import simulate_cascade
@@ -144,25 +144,6 @@ def test_the_text_fits_a_terminal_and_every_elimination_has_its_reason(answers):
     for model in roll['models']:
         gone = not (model['passed_first_step'] and model['passed_second_step'])
         assert gone == bool(model.get('eliminated_because')), model
-
-
-def test_open_loop_is_found_in_the_data_and_stands_by_the_first_step():
-    record, rng = flight(), np.random.default_rng(1)
-    u = np.resize(prbs(9, 24, 0.02, 1), record.n)
-    plant = polynomial_model([0, 0, 0.02, 0.02], A=[1, -1.85, 0.855], dt=DT)
-    control, rates = record.control.copy(), record.rates.copy()
-    control[:, 3] = u
-    rates[:, 2] = 2.0 * simulate(plant, u) + 0.01 * rng.standard_normal(record.n)
-    yaw = dataclasses.replace(
-        record, control=control, rates=rates, gains=(), attitude_setpoint=None,
-        segments=tuple(Segment(r, s, 'yaw', 'control', a, b) for r, s, a, b in SPANS),
-    )
-    found = identify([yaw], Options(axes=('yaw',), effects=()))['yaw']
-    assert found.selection.feedback is False
-    assert [a.possible for a in found.selection.approaches] == [True, False, False]
-    row = found.rows[found.selected]
-    assert row.passed_second_step == row.step_a.passed_first_step
-    assert any('without feedback' in line for line in found.selection.advice)
 
 
 TRUE = {'gain': 450.0, 'lag': 0.04, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}

@@ -8,12 +8,10 @@ from __future__ import annotations
 import os
 import socket
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from probe import PATIENCE_S
+from node_process import until
 
 pytest.importorskip('ament_index_python', reason='the demo runs in a ROS 2 workspace')
 
@@ -37,13 +35,6 @@ def python(source: str) -> list[str]:
     return [sys.executable, '-c', source]
 
 
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 def test_leaving_stops_all_and_one_that_ignores_sigint_is_killed_with_its_children(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -59,7 +50,7 @@ def test_leaving_stops_all_and_one_that_ignores_sigint_is_killed_with_its_childr
     with Crew(tmp_path, 1) as crew:
         crew.start('talker', python(SLEEP))
         crew.start('stubborn', python(source))
-        wait_for(grandchild.exists)
+        until(grandchild.exists)
         crew.check('now')
     assert crew.children['talker'].process.returncode is not None
     assert (tmp_path / 'logs/talker.log').exists()
@@ -72,7 +63,7 @@ def test_leaving_stops_all_and_one_that_ignores_sigint_is_killed_with_its_childr
         except OSError:  # nobody of that number is left
             return True
 
-    wait_for(ended)
+    until(ended)
 
 
 def test_a_death_is_told_with_its_last_words(tmp_path: Path) -> None:
