@@ -95,16 +95,6 @@ def texts(frames):
     return [t.text for t in of(f.StatusText, frames)]
 
 
-def test_a_second_of_frames(board):
-    frames = board().run(250)
-    cycles = of(f.Cycle, frames)
-    assert [(c.cycle, c.time_us) for c in cycles] == [(k, CYCLE_US * k) for k in range(250)]
-    kinds = (f.Heartbeat, f.GainsState, f.Battery, f.RcChannels, f.SlowSensors, f.ParamValue)
-    assert [len(of(kind, frames)) for kind in kinds] == [1, 1, 10, 50, 50, 0]
-    assert of(f.Battery, frames)[0].voltage_v == pytest.approx(12.0)
-    assert of(f.SlowSensors, frames)[0].pressure_hpa == pytest.approx(1013.25, abs=0.2)
-
-
 def test_all_parameters_are_listed_and_read_by_name_and_by_index(board):
     made = board()
     frames = made.tell(f.ParamRequestList(1, 1)) + made.run(40)  # spread over the cycles
@@ -202,13 +192,6 @@ def test_an_unsafe_state_ends_the_excitation_until_it_is_idle(board, unsafe):
     assert excite(made, 10) & f.Flag.EXCITATION
 
 
-def test_sticks_move_the_reference_and_a_failsafe_centres_them(board):
-    made = board()
-    for failsafe, angle in ((False, 15.0), (True, 0.0)):
-        cycle = of(f.Cycle, made.run(5, sticks=(0.5, 0.0, 0.0), failsafe=failsafe))[-1]
-        assert cycle.attitude_setpoint[0] == pytest.approx(math.radians(angle))
-
-
 def arm(made, value, command=400):
     (ack,) = made.tell(f.Command(command, (value,), 0, 1, 1))
     return ack.result
@@ -228,17 +211,6 @@ def test_arming(board):
     assert arm(made, 0.0) == 0
     (cycle,) = of(f.Cycle, made.run())
     assert not cycle.flags & f.Flag.ARMED
-
-
-def test_the_kill_switch_disarms(board):
-    """Its release does not start the motors again."""
-    made = board()
-    made.run(10)
-    assert all(made.motors)
-    made.run(1, kill=True)
-    cycles = of(f.Cycle, made.run(50))
-    assert not any(made.motors)
-    assert not any(c.flags & f.Flag.ARMED for c in cycles)
 
 
 def test_on_the_ground_nothing_winds_up_and_in_flight_the_yaw_reference_waits(board):
@@ -299,14 +271,6 @@ def test_nothing_hidden_no_heap_no_input_or_output(firmware):
     maths = {'atan2f', 'expf', 'floorf', 'fmaxf', 'fminf', 'powf', 'sincosf', 'sqrtf'}
     memory = {'memcpy', 'memset', 'memcmp', 'memmove', 'strncmp', 'strlen'}
     assert needed <= {*memory, *maths, '_GLOBAL_OFFSET_TABLE_'}
-
-
-def test_a_full_outbox_drops_whole_frames_and_counts_them(board):
-    made = board()
-    frames = made.feed(made.encoder.encode(f.ParamRequestRead('YAW_ANG_KP')) * 100)
-    assert 0 < len(frames) < 100
-    assert made.counts['dropped'] == 100 - len(frames)
-    assert made.decoder.counts.bad_crc == made.decoder.counts.garbage_bytes == 0
 
 
 def test_only_the_bridge_is_a_sign_of_life_and_only_who_is_meant_is_commanded(board):

@@ -190,18 +190,6 @@ def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
     assert sentence in page({'axes': {'roll': tree}, 'bags': ['flight']}, {})
 
 
-def test_a_picture_that_fails_is_named_and_the_rest_stand(answers, monkeypatch):
-    def broken(_):
-        raise ValueError('no such window')
-
-    monkeypatch.setattr(plots, 'PICTURES', (('signals', broken), *plots.PICTURES[1:3]))
-    drawn = plots.gallery(answers['roll'])
-    assert drawn.failed == (('signals', 'no such window'),)
-    assert list(drawn.pictures) == ['coherence', 'free_run']
-    text = page(document.document(answers, ['bag']), answers, {'roll': drawn})
-    assert 'picture signals could not be drawn: no such window' in text
-
-
 @pytest.fixture(scope='module')
 def tree(written) -> dict:
     return json.loads((written / 'report.json').read_text())['axes']['roll']
