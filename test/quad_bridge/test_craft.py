@@ -10,7 +10,6 @@ from quad_bridge.craft import (
     Craft,
     Motor,
     X,
-    ardupilot_channels,
     from_urdf,
     of_ardupilot,
     of_betaflight,

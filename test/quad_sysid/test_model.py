@@ -16,7 +16,7 @@ from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
 from quad_sysid.discover.accept import Unseen, _posterior, judge, p_value
-from quad_sysid.discover.base import best_base, fitted_from
+from quad_sysid.discover.base import best_base
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
 from quad_sysid.effects import EFFECTS
