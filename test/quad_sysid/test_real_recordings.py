@@ -19,7 +19,9 @@ from scipy.signal import butter, lfilter
 import quad_sysid
 from quad_sysid import cli
 from quad_sysid.bags import read_bag, split_segments
+from quad_sysid.contract import AXES
 from quad_sysid.discover.base import best_base
+from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate import stored
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.model.data import axis_data
@@ -32,12 +34,16 @@ from quad_sysid.report.model_file import load_models
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / '../shared/data'
+MIXER = 'crazyflie'
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
 )
 EMPS_OPTIONS = (
     '--axis', 'roll', '--time', 't', '--control', 'vir', '--angle', 'qm', '--reference', 'qg',
     '--unit', 'vir=V', '--unit', 'qm=m', '--unit', 'qg=m',
+)
+NANOBENCH = (
+    'B2_circle_fast_rep1', 'B3_figure8_fast_rep1', 'B7_oval_fast_rep1', 'B10_lissajous_fast_rep1',
 )
 
 
@@ -165,6 +171,26 @@ def test_independent_errors_agree_within_5_percent(independent, capsys):
 # nanobench: flights without a test signal
 
 
+@pytest.fixture(scope='module', params=NANOBENCH)
+def nanobench(request, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, Path]:
+    """The bag, identify's exit status and the folder of its report."""
+    file = measured(f'nanobench/{request.param}.csv.gz')
+    folder = tmp_path_factory.mktemp('nanobench')
+    motors = [f'motor_motor_m{i}' for i in range(1, 5)]
+    units = [word for name in motors for word in ('--unit', f'{name}=pwm16')]
+    imported = cli.main([
+        'import', str(file), '--axis', 'roll', '--time', 't', '--motors', ','.join(motors),
+        '--mixer', str(MIXER), '--rate', 'imu_gyro_x', '--angle', 'roll',
+        '--battery', 'pwr_pm_vbat', *units, '--out', str(folder / 'bag'),
+    ])  # fmt: skip
+    assert imported == 0
+    out = folder / 'out'
+    status = cli.main(
+        ['identify', str(folder / 'bag'), '--axis', 'roll', '--out', str(out), '--quiet']
+    )
+    return folder / 'bag', status, out
+
+
 @pytest.mark.long
 def test_nanobench_gets_an_honest_verdict(nanobench):
     """No test signal was flown: nothing is claimed, and the one line says what would help."""
@@ -258,3 +284,28 @@ def test_pendulum_added_to_the_independent_flight_is_found():
     assert answer.findings.verdict.after < 0.0107  # 0.0097 without the pendulum
     found = answer.model.value('pendulum_stiffness.stiffness')
     assert found == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(('log', 'yaw_of_the_rear_left'), [
+    ('bf_sitl_quad', 1), ('bf_sitl_quad_props_out', -1)])
+def test_betaflights_propellers_in_or_out_give_the_same_names(tmp_path, log, yaw_of_the_rear_left):
+    """Truth in the README: gain 879, 639; lag 30 ms; damping 2.50, 1.82; yaw leads."""
+    bag = tmp_path / 'bag'
+    file = measured(f'autopilots/{log}.BFL')
+    assert cli.main(['import', str(file), '--grid', '250', '--out', str(bag)]) == 0
+    record = split_segments(read_bag(bag))
+    assert record.craft.places == ('rear right', 'front right', 'rear left', 'front left')
+    assert record.craft.motors[2].spin == yaw_of_the_rear_left
+    few = tuple(effect for effect in EFFECTS if effect.label in {
+        'thrust_curve', 'inertia_coupling', 'mode/lead of rotors', 'saturation/upper'})
+    answers = pipeline.identify([record], pipeline.Options(effects=few))
+    assert [sorted(e.name for e in answers[axis].model.effects) for axis in AXES] == [
+        ['inertia_coupling', 'thrust_curve'], ['inertia_coupling', 'thrust_curve'],
+        ['inertia_coupling', 'mode']]
+    for axis, gain, damping in (('roll', 879.0, 2.5), ('pitch', 639.0, 1.82)):
+        model = answers[axis].model
+        assert model.value('gain') == pytest.approx(gain, rel=0.02)
+        assert model.value('lag') == pytest.approx(0.03, rel=0.05)
+        assert model.value('damping') == pytest.approx(damping, rel=0.05)
+    assert answers['yaw'].model.value('lag') == pytest.approx(0.03, rel=0.05)
