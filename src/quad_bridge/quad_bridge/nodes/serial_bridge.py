@@ -42,7 +42,7 @@ from quad_bridge.nodes.description import Description
 from quad_bridge.nodes.fence import LogLimiter
 from quad_bridge.nodes.host_time import NEVER_NS, Epoch, HostTime, read_epoch
 from quad_bridge.nodes.managed_node import ManagedNode
-from quad_bridge.nodes.qos import EVENT, STATE, STREAM
+from quad_bridge.nodes.qos import EVENT, HEARD, STATE, STREAM
 from quad_bridge.nodes.ros_node import run
 from quad_bridge.nodes.services import GainServices, OperatorServices, SensorServices
 from quad_bridge.sensors.live import LiveSensors
@@ -55,7 +55,7 @@ YAW_STICK = 3
 
 
 class SerialBridge(ManagedNode):
-    """See the module. Configured it has its topics, active the port."""
+    """See the module. Configured it has publishers and services, active the port and ears."""
 
     def __init__(self) -> None:
         super().__init__('serial_bridge')
@@ -104,7 +104,7 @@ class SerialBridge(ManagedNode):
                           around(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
 
     def configure(self) -> None:
-        """Create the topics."""
+        """Create what is published, and the services."""
         publisher = partial(self.publisher, qos=STREAM)
         imu, motors = publisher(Imu, '/imu/data'), publisher(JointState, '/motors/command')
         self._per_cycle = (
@@ -125,35 +125,34 @@ class SerialBridge(ManagedNode):
             MOTORS: (motors, partial(self._of_motors, conversion.outputs_message)),
             ROTORS: (rotors, partial(self._of_motors, conversion.rotors_message)),
         }
-        self._description.configure()
         self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
-        self._operator.configure()
-        self._sensor_services.configure()
-        self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
+        for part in (
+            self._description, self._gain_services, self._operator, self._sensor_services
+        ):
+            part.configure()
+
+    def activate(self) -> None:
+        """Listen, and open the port; it need not be there yet."""
+        for part in self._description, self._operator, self._sensor_services:
+            part.activate()
+        self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, HEARD)
         self.subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
         self.subscribe(
             Vector3Stamped, '/excitation/setpoint', self._on_setpoint, qos_profile_sensor_data
         )
-
-    def activate(self) -> None:
-        """Open the port; it need not be there yet."""
         if self._settings.craft is not None:
             self._on_craft(self._settings.craft)
             self._description.publish(self._settings.craft)
         self._port = self._new_port()
-        self._timers_of_work = (
-            self.create_timer(TICK_S, self._on_tick),
-            self.create_timer(1.0, self._on_report),
-        )
+        self.timer(TICK_S, self._on_tick)
+        self.timer(1.0, self._on_report)
         self._port.start()
 
     def deactivate(self) -> None:
         """End a running excitation, stop the port's thread, finish the history."""
         if self._relay.injection:
             self._forward(self._relay.segment({'segment': 'idle'}))
-        for timer in self._timers_of_work:
-            self.destroy_timer(timer)
         self._operator.end()
         with self._lock:
             self._gains.disturb('the node was deactivated')
@@ -344,8 +343,6 @@ class SerialBridge(ManagedNode):
         self, parameters: Mapping[str, object], told: Told | None = None, *, age_s: float = 0.0
     ) -> None:
         """Hand on an update; raises RefusedError."""
-        if not self.active:
-            self._say_once('gains refused: the node is not active')
         self.refuse_unless_active()
         with self._lock:
             self._refuse_autopilot()
