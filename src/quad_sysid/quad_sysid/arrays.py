@@ -223,31 +223,36 @@ def _check_moving(name: str, values: FloatArray) -> None:
 
 def _with_data(data: Any, given: dict[str, Any]) -> dict[str, Any]:
     """The arguments with what the data bring: columns by name, or a response's own."""
-    own: dict[str, Any] = {}
-    if isinstance(data, IOData):
-        own = {'u': data.u, 'y': _inside(data, data.y), 'dt': data.dt, 'reference': data.r}
-    elif all(hasattr(data, name) for name in ('time', 'inputs', 'outputs')):
-        own = {'u': data.inputs, 'y': data.outputs, 't': data.time}
-    elif isinstance(data, tuple) and len(data) == 2:
-        own = {'u': data[0], 'y': data[1]}
-    elif data is not None and not hasattr(data, '__getitem__'):
-        raise BadInputError(WHERE, 'are of a kind that cannot be read', type(data).__name__,
-                            'identify(u=…, y=…, dt=…), a frame with names, or a path')
-    elif data is not None:
-        given = {name: _column(data, name, one) for name, one in given.items()}
+    own = _own_of(data)
+    if own is None and data is not None:
+        given, own = {name: _column(data, name, one) for name, one in given.items()}, {}
         index = getattr(data, 'index', None)
         if given['t'] is None and given['dt'] is None and _is_time(index):
             own = {'t': index}
-    else:
-        for name, one in given.items():
-            if isinstance(one, str) and name != 'dt':
-                raise BadInputError(WHERE, f'{name} names a column of no frame', repr(one),
-                                    f'identify(frame, {name}={one!r}, …)')
+    for name, one in given.items():
+        if isinstance(one, str) and name != 'dt':
+            raise BadInputError(WHERE, f'{name} names a column of no frame', repr(one),
+                                f'identify(frame, {name}={one!r}, …)')
+    own = own or {}
     if 't' in own and given['dt'] is not None:
         del own['t']
     if 'dt' in own and given['t'] is not None:
         del own['dt']
     return given | {name: one for name, one in own.items() if given.get(name) is None}
+
+
+def _own_of(data: Any) -> dict[str, Any] | None:
+    """The arguments that IOData, a response or a pair bring; None for a frame and nothing."""
+    if isinstance(data, IOData):
+        return {'u': data.u, 'y': _inside(data, data.y), 'dt': data.dt, 'reference': data.r}
+    if all(hasattr(data, name) for name in ('time', 'inputs', 'outputs')):
+        return {'u': data.inputs, 'y': data.outputs, 't': data.time}
+    if isinstance(data, tuple) and len(data) == 2:
+        return {'u': data[0], 'y': data[1]}
+    if data is not None and not hasattr(data, '__getitem__'):
+        raise BadInputError(WHERE, 'are of a kind that cannot be read', type(data).__name__,
+                            'identify(u=…, y=…, dt=…), a frame with names, or a path')
+    return None
 
 
 def _inside(z: IOData, values: FloatArray) -> FloatArray:
@@ -331,7 +336,8 @@ def _of_objects(name: str, array: Any) -> Any:
         raise BadInputError(WHERE, f'{name} must hold real numbers', 'objects') from error
 
 
-def _times(time: Any, dt: Any, n: int, units: Mapping[str, Any]) -> tuple[FloatArray, float | None]:
+def _times(time: Any, dt: Any, n: int,
+           units: Mapping[str, Any]) -> tuple[FloatArray, float | None]:
     """(n,) s, and dt where the samples are given by it."""
     per_s = _factor('t', units.get('t', 's'), {k: f for k, (f, _) in UNITS['time'].items()})
     if dt is not None and time is not None:
@@ -524,33 +530,36 @@ def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: A
 def _mask(name: str, part: Any, time_s: FloatArray, *, last: bool) -> np.ndarray:
     """(n,) which samples a part holds; a fraction is the first samples, or the last."""
     n = time_s.size
-    out = np.zeros(n, dtype=bool)
     if isinstance(part, bool | np.bool_):
-        return out | bool(part)
+        return np.full(n, bool(part))
     if isinstance(part, float | int | np.number):
         if not 0.0 < part < 1.0:
             raise BadInputError(WHERE, f'{name} as a fraction must be between 0 and 1', part)
         count = round(float(part) * n)
-        out[n - count if last else 0 : n if last else count] = True
-        return out
-    pieces = [part] if isinstance(part, slice) else list(part) if isinstance(
-        part, list | tuple) and part and all(isinstance(p, slice) for p in part) else None
-    if pieces is not None:
-        for piece in pieces:
-            if piece.step not in (None, 1):
-                raise BadInputError(WHERE, f'{name} must take every sample of its slice', piece)
-            out[piece] = True
+        return np.arange(n) >= n - count if last else np.arange(n) < count
+    if isinstance(part, slice):
+        out = _sliced(name, [part], n)
+    elif isinstance(part, list | tuple) and part and all(isinstance(p, slice) for p in part):
+        out = _sliced(name, part, n)
     elif isinstance(part, tuple) and len(part) == 2:
         out = (time_s >= float(part[0])) & (time_s < float(part[1]))
     else:
-        mask = np.asarray(part)
-        if mask.dtype.kind != 'b':
+        out = np.array(part)
+        if out.dtype.kind != 'b':
             raise BadInputError(WHERE, f'{name} must be a fraction, a slice, a mask or (from, to)',
-                                mask.dtype)
-        if mask.shape != (n,):
+                                out.dtype)
+        if out.shape != (n,):
             raise BadInputError(WHERE, f'{name} must be a mask as long as u',
-                                f'{mask.shape} and {n}')
-        out = mask.copy()
+                                f'{out.shape} and {n}')
     if not out.any():
         raise BadInputError(WHERE, f'{name} holds no sample', part)
+    return out
+
+
+def _sliced(name: str, pieces: Sequence[slice], n: int) -> np.ndarray:
+    out = np.zeros(n, dtype=bool)
+    for piece in pieces:
+        if piece.step not in (None, 1):
+            raise BadInputError(WHERE, f'{name} must take every sample of its slice', piece)
+        out[piece] = True
     return out

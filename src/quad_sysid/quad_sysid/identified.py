@@ -188,7 +188,7 @@ class Identified(AxisModel):
         return export({self.axis: self}, path, to)
 
     def to_json(self) -> str:
-        """The model as text, without loss, as in model.json; effects of one's own by their name."""
+        """The model as text, without loss, as in model.json; own effects by their names."""
         from quad_sysid.report.model_file import tree_of_models
 
         return json.dumps(tree_of_models({self.axis: self}), allow_nan=False)

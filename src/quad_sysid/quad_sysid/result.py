@@ -104,8 +104,7 @@ class Result:
 
     @property
     def model(self) -> Identified:
-        """The base with the effects that were added. Raises NoSuchAttributeError without
-        one."""
+        """The base with the effects that were added; NoSuchAttributeError without one."""
         model = self.answer.model
         if model is None:
             raise NoSuchAttributeError('result', 'has no model', self.verdict, self.reason)
@@ -231,7 +230,7 @@ class Result:
                 yield axis, answer.proposal.gains, answer.proposal.figures
 
 
-def identify(  # noqa: PLR0913 - what a user may say of an experiment
+def identify(
     flights: Flights | None = None, axes: str | Sequence[str] = (), *,
     u: Samples | None = None, y: Samples | None = None, dt: float | Sequence[float] | None = None,
     t: Samples | None = None, angle: Samples | None = None, reference: Samples | None = None,
@@ -255,7 +254,7 @@ def identify(  # noqa: PLR0913 - what a user may say of an experiment
     nothing more, as where `stop()` is true; the report says what was not tried. Raises
     BadInputError, one line, for wrong input.
     """
-    from quad_sysid.arrays import are_arrays, records_of, with_parts
+    from quad_sysid.arrays import are_arrays, records_of
     from quad_sysid.effects import EFFECTS
     from quad_sysid.model.checked import checked
     from quad_sysid.pipeline.identify import Options
@@ -273,30 +272,14 @@ def identify(  # noqa: PLR0913 - what a user may say of an experiment
     arrays = {'u': u, 'y': y, 'dt': dt, 't': t, 'angle': angle, 'reference': reference,
               'signals': signals, 'units': units}
     if are_arrays(flights) or any(one is not None for one in arrays.values()):
-        if isinstance(flights, Record | str | Path):
-            raise BadInputError('identify', 'takes flights or arrays, not both', str(flights))
-        if len(wanted) > 1:
-            raise BadInputError('identify', 'arrays are of one axis', ', '.join(wanted))
-        records = records_of(flights, **arrays, train=train, validate=validate,
-                             axis=wanted[0] if wanted else AXES[0])
-        records = [split_segments(one, axes=wanted or AXES[:1]) for one in records]
+        if isinstance(flights, Record | str | Path) or len(wanted) > 1:
+            raise BadInputError('identify', 'takes flights or arrays, not both, and arrays of one '
+                                'axis', ', '.join(wanted) or str(flights))
         wanted = wanted or AXES[:1]
+        records = [split_segments(one, axes=wanted) for one in records_of(
+            flights, **arrays, train=train, validate=validate, axis=wanted[0])]
     else:
-        given: list[Any] = [flights] if isinstance(flights, Record | str | Path) \
-            else list(flights or ())  # type: ignore[call-overload]
-        if not given:
-            raise BadInputError('identify', 'has no flight', repr(flights),
-                                'name a bag, or hand in arrays: u=…, y=…, dt=…')
-        records = []
-        for flight in given:
-            if not isinstance(flight, Record):
-                show(f'reading {flight}')
-            one = flight if isinstance(flight, Record) else read_bag(flight)
-            if _is_span(train) and _is_span(validate):
-                records.append(split_segments(one, train, validate,  # type: ignore[arg-type]
-                                              wanted or None))
-            else:
-                records.append(with_parts(one, one.time_s, wanted or AXES, train, validate))
+        records = _flown(flights, wanted, train, validate, show)
     missing = ''
     if designer is None:
         designer, missing = installed_designer()
@@ -310,6 +293,27 @@ def identify(  # noqa: PLR0913 - what a user may say of an experiment
         answers = {axis: _with_units(answer, records[0].units)
                    for axis, answer in answers.items()}
     return Result(answers, tuple(record.source for record in records), inertia)
+
+
+def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,
+           show: Callable[[str], None]) -> list[Record]:
+    """The records of flights, with the segments that were asked for."""
+    from quad_sysid.arrays import with_parts
+
+    given: list[Any] = [flights] if isinstance(flights, Record | str | Path) \
+        else list(flights or ())
+    if not given:
+        raise BadInputError('identify', 'has no flight', repr(flights),
+                            'name a bag, or hand in arrays: u=…, y=…, dt=…')
+    records = []
+    for flight in given:
+        if not isinstance(flight, Record):
+            show(f'reading {flight}')
+        one = flight if isinstance(flight, Record) else read_bag(flight)
+        spans = _is_span(train) and _is_span(validate)
+        records.append(split_segments(one, train, validate, axes or None) if spans
+                       else with_parts(one, one.time_s, axes or AXES, train, validate))
+    return records
 
 
 def _is_span(part: object) -> bool:

@@ -51,7 +51,7 @@ class Units:
             powers += way * sum(POWERS[a or b] for a, b in RAD.findall(part))
             if part.endswith(('unit command', 'normalised command')):
                 factor /= self.per_command**way
-        name = unit.replace('rad', self.motion) if powers else unit
+        name = unit.replace('rad', self.motion)
         for word in ('unit command', 'normalised command'):
             if self.command != Units.command:
                 name = name.replace(word, self.command)

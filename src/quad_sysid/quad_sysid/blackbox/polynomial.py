@@ -165,14 +165,6 @@ class Model:
         steps = np.full(round(seconds / self.dt), size)
         return simulate_polynomial_cascade(self.denominator, self.B, gains, steps, self.dt)
 
-    def to_control(self) -> Any:
-        """The plant B/(A F) as a transfer function of python-control."""
-        import control
-
-        size = max(self.B.size, self.denominator.size)
-        b, a = (np.pad(p, (0, size - p.size)) for p in (self.B, self.denominator))
-        return control.tf(b, a, self.dt, inputs=['u'], outputs=['y'])
-
     def __repr__(self) -> str:
         lines = [f'{self.name}: A y = (B/F) u + (C/D) e, {1.0 / self.dt:.6g} Hz, {self.approach}']
         for letter in 'ABCDF':

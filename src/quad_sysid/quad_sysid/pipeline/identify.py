@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
-from quad_sysid.discover.screen import candidates, screen
+from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
 from quad_sysid.discover.search import Found, extended, scored, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
@@ -98,7 +98,9 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         )
     base = told.found.base
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
-    searched = any(one.label not in told.found.reasons for one in options.effects)
+    count = max(told.problem.data.motors.shape[1], FEWEST_MOTORS)
+    searched = any(one.label not in told.found.reasons and max(one.motors, default=0) < count
+                   for one in options.effects)
     verdict, reason = told.verdict.verdict, _reason(
         told, DRAWN.format(drawn) if drawn else '' if searched else NOT_SEARCHED)
     if not searched and verdict != 'cannot_tell':

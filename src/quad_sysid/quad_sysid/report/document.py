@@ -41,7 +41,8 @@ def document(answers: Mapping[str, AxisAnswer], bags: Sequence[str],
     return tree
 
 
-def answers_of(report: Mapping[str, Any], models: Mapping[str, AxisModel]) -> dict[str, AxisAnswer]:
+def answers_of(report: Mapping[str, Any],
+               models: Mapping[str, AxisModel]) -> dict[str, AxisAnswer]:
     """Back from the tree: by axis, what is known without the flight, with its model.
 
     Raises BadInputError for what is no report.
