@@ -9,7 +9,7 @@ import os
 import pytest
 from flown_axis import Axis, Plan, fly
 
-from quad_sysid import fleet
+from quad_sysid import fleets as fleet
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 

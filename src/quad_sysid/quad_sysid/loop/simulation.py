@@ -18,6 +18,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.loop import kernels
 from quad_sysid.loop.cascade import CascadeGains, derivative_weight
 from quad_sysid.loop.plant import Curve, LoopPlant, Slopes, dynamics, exact_step
+from quad_sysid.model import AxisModel
 
 MOST_STEPS = 64
 STEP_TIMES_SLOPE = 0.2
@@ -95,12 +96,12 @@ def _steps_a_cycle(plant: LoopPlant) -> int:
 
 
 def simulate_cascade(
-    plant: LoopPlant, gains: CascadeGains, reference_angle: npt.ArrayLike, dt: float,
+    plant: LoopPlant | AxisModel, gains: CascadeGains, reference_angle: npt.ArrayLike, dt: float,
     noise: npt.ArrayLike | None = None, disturbance: npt.ArrayLike | None = None, *,
     rate_excitation: npt.ArrayLike | None = None, control_excitation: npt.ArrayLike | None = None,
     initial_angle: float = 0.0, initial_rate: float = 0.0, angle_lead_s: float = 0.0,
 ) -> LoopResponse:
-    """Simulate the cascade around `plant` for an angle reference (n,), rad.
+    """Simulate the cascade around a plant, or a model's, for an angle reference (n,), rad.
 
     noise (n,) rad/s is on the measured rate; disturbance (n,) or a number, rad/s², acts on the
     axis and is held over the cycle. rate_excitation and control_excitation (n,) are added after
@@ -109,6 +110,10 @@ def simulate_cascade(
     rate's integral (`angle_lead_s`). Raises BadInputError for wrong shapes, values that are not
     finite, and a dt that is not the plant's.
     """
+    if isinstance(plant, AxisModel):
+        from quad_sysid.loop.from_model import loop_plant
+
+        plant = loop_plant(plant)
     reference = _checked_reference(reference_angle, dt, plant.dt)
     n = reference.size
     signals = np.stack((reference, _signal(noise, n, 'noise'),
