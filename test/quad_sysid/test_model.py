@@ -421,7 +421,7 @@ def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
         structure = base.structure.plus(one.part)
         at = base.theta.size - len(base.structure.noise)
         start = one.starts[0].copy()
-        if one.part.effect.variant == 'loose, turning':
+        if one.part.effect.label == 'mode:loose_load/turning':
             start[2:] = np.log(3.0), 1.0, 0.1
         theta = np.r_[base.theta[:at], start, base.theta[at:]]
         own = np.zeros(theta.size)

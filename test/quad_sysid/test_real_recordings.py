@@ -298,11 +298,11 @@ def test_betaflights_propellers_in_or_out_give_the_same_names(tmp_path, log, yaw
     assert record.craft.places == ('rear right', 'front right', 'rear left', 'front left')
     assert record.craft.motors[2].spin == yaw_of_the_rear_left
     few = tuple(effect for effect in EFFECTS if effect.label in {
-        'thrust_curve', 'inertia_coupling', 'mode/lead of rotors', 'saturation/upper'})
+        'thrust_curve', 'inertia_coupling', 'mode:rotor_lead', 'saturation/upper'})
     answers = pipeline.identify([record], pipeline.Options(effects=few))
     assert [sorted(e.name for e in answers[axis].model.effects) for axis in AXES] == [
         ['inertia_coupling', 'thrust_curve'], ['inertia_coupling', 'thrust_curve'],
-        ['inertia_coupling', 'mode']]
+        ['inertia_coupling', 'mode:rotor_lead']]
     for axis, gain, damping in (('roll', 879.0, 2.5), ('pitch', 639.0, 1.82)):
         model = answers[axis].model
         assert model.value('gain') == pytest.approx(gain, rel=0.02)

@@ -152,10 +152,10 @@ def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, capsys):
     [
         (['--separate', 'stickiness', 'nothing'], 'unknown effect'),
         (['--separate', 'coulomb_friction'], 'needs two effects or none'),
-        (['--separate', 'mode', 'mode'], 'two different effects'),
+        (['--separate', 'backlash', 'backlash'], 'two different effects'),
         (['--separate'], 'without effects needs --model'),
-        (['--separate', 'mode', 'nothing', '--seconds', '1'], 'must be from 10'),
-        (['--separate', 'mode', 'nothing', '--model', 'absent.json'], 'cannot be read'),
+        (['--separate', 'mode:swinging', 'nothing', '--seconds', '1'], 'must be from 10'),
+        (['--separate', 'mode:swinging', 'nothing', '--model', 'absent.json'], 'cannot be read'),
     ],
 )
 def test_what_cannot_be_designed_is_said_in_one_line(arguments, words_in, capsys):
@@ -177,7 +177,8 @@ def test_the_report_advises_the_flight_where_a_rival_is_near(refusal):
     doubted = replace(friction, probability=0.2, rivals=((UNLISTED, 0.8),))
     assert list(rivalry(replace(lonely, effects=(doubted,)))) == []
     backwards = replace(lonely, base=(Parameter('gain', -400.0, 1.0, ''), *lonely.base[1:]))
-    assert 'gain is not positive' in refusal(qs.separate, backwards, ('mode', 'nothing'), 20.0)
+    asked = ('mode:swinging', 'nothing')
+    assert 'gain is not positive' in refusal(qs.separate, backwards, asked, 20.0)
 
 
 @pytest.mark.long
