@@ -89,7 +89,8 @@ class Craft:
         """
         if desaturation == 'yaw_first':
             control = self._fitted(control, idle)
-        return np.asarray(np.clip(control @ self.mixer.T, idle, 1.0), dtype=np.float64)
+        limited: FloatArray = np.clip(control @ self.mixer.T, idle, 1.0)
+        return limited
 
     def _fitted(self, control: FloatArray, idle: float) -> FloatArray:
         """The control that the motors can give, roll and pitch first."""
