@@ -380,7 +380,7 @@ def test_gains_stay_on_trial_on_the_ground_and_are_good_after_ten_seconds_of_fli
     assert not told
     assert not any('confirmed' in text for text in bench.goes_on(40.0))
     assert told == [(True, '')]  # read back, and no more
-    assert 'on trial on the ground' in bench.gains.status(standard=False).message
+    assert 'on trial on the ground' in bench.gains.status().message
     bench.flags, bench.throttle = f.Flag.ARMED, 0.0  # the motors turn, but do not control
     assert not any('confirmed' in text for text in bench.goes_on())
     assert bench.stm32.of([KP], 'good') == pytest.approx((0.1,))
