@@ -73,11 +73,6 @@ def test_the_firmware_gives_up_yaw_then_throttle_and_roll_and_pitch_last():
     assert (np.abs(given[:, 3]) <= np.abs(control[:, 3]) + 1e-6).all()
 
 
-def sticks(rows: list[tuple[float, float]]) -> Receiver:
-    """A receiver whose throttle is the second number from the first, s, on."""
-    return Receiver(events=tuple(Event(t, Channels(throttle=v)) for t, v in rows))
-
-
 @pytest.mark.parametrize(('profile', 'axis'), [('plain', 'roll'), ('paper', 'pitch')])
 def test_the_papers_gains_track_a_square_wave_of_12_degrees(profile, axis):
     config = fly(profile, [], 0.1, 1).profile

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from quad_sysid.model.data import AxisData
     from quad_sysid.model.effect import Effect
 
-SMALL = (1e-3, 1e-3, 1e-3)
-"""Amplitudes of rate, angle and command at which a response is linear."""
 POINTS = 200
 NUDGE = 0.01
 """Step of a parameter for derivatives, standard errors."""
