@@ -215,27 +215,35 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
                                 remedy='give battery_v in V, one value for each command')
     n = command.size
-    wrench = np.zeros((n, 4))
-    wrench[:, 0] = _like(throttle, n, 'throttle', usual['throttle'])
-    wrench[:, 1 + AXES.index(model.axis)] = command
+    rate, _ = flown(model, command[None], x0, _like(throttle, n, 'throttle', usual['throttle']),
+                    _like(battery_v, n, 'battery_v', usual['battery']))
+    return rate[0]
+
+
+def flown(model: AxisModel, commands: FloatArray, x0: tuple[float, float], throttle: FloatArray,
+          battery_v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(w, n) measured rates and angles for commands (w, n), at throttle and voltage (n,)."""
+    count, n = commands.shape
+    wrench = np.zeros((count, n, 4))
+    wrench[..., 0] = throttle
+    wrench[..., 1 + AXES.index(model.axis)] = commands
+    time = np.broadcast_to(model.dt * (np.arange(n, dtype=np.float64) + 0.5), (count, n))
     around = Signals.at_rest(
-        model.dt * (np.arange(n, dtype=np.float64) + 0.5)[None], wrench[None, :, 0],
-        battery_v=_like(battery_v, n, 'battery_v', usual['battery'])[None],
-        motors=tuple((wrench @ model.craft.mixer.T).T[:, None]),
-        sent=command[None],
+        time, wrench[..., 0], battery_v=np.broadcast_to(battery_v, (count, n)),
+        motors=tuple(np.moveaxis(wrench @ model.craft.mixer.T, -1, 0)), sent=commands,
     )
     plant = plant_of(model)
-    at_rest = around.at(0)
-    still = np.zeros(4)
-    still[0] = wrench[0, 0]
-    at_rest = replace(at_rest, sent=np.zeros(1),
-                      motors=tuple((model.craft.mixer @ still)[:, None]))
-    x = plant.begin(at_rest, *(np.array([float(value)]) for value in x0))
-    out = np.empty(n)
+    still = np.zeros((count, 4))
+    still[:, 0] = wrench[:, 0, 0]
+    at_rest = replace(around.at(0), sent=np.zeros(count),
+                      motors=tuple((still @ model.craft.mixer.T).T))
+    x = plant.begin(at_rest, *(np.full(count, float(value)) for value in x0))
+    rates, angles = np.empty((count, n)), np.empty((count, n))
     for k in range(n):
-        out[k] = plant.measured(x)[0][0]
+        rate, angle = plant.measured(x)
+        rates[:, k], angles[:, k] = rate, 0.0 if angle is None else angle
         x = plant.step(x, around.at(k))
-    return out
+    return rates, angles
 
 
 def _like(value: npt.ArrayLike | None, n: int, name: str, usual: float) -> FloatArray:
