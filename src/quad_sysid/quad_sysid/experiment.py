@@ -106,25 +106,25 @@ def design_experiment(
     progress(f'{len(names)} candidates')
     commands, rates, angles = _within(own, amplitude * per_u * np.array(shapes), rate * per_y,
                                       angle * per_angle)
-    known = _values(own)
+    present = _values(own)
     found = []
     for i, name in enumerate(names):
         progress(name)
         information = _information(own, commands[i], rates[i], angles[i])
-        found.append((_worth(information, known, criterion), i, information))
+        found.append((_worth(information, present, criterion), i, information))
     if not any(math.isfinite(worth) for worth, _, _ in found):
         raise NotInformativeError('design_experiment: no candidate tells anything within these '
                                   'limits; widen them or take longer')
     ordered = sorted(found, key=lambda one: -one[0])
     _, best, information = ordered[0]
-    covariance = np.linalg.pinv(_with_present(information, known))
-    expected = dict(zip(known, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
+    covariance = np.linalg.pinv(np.array(_with_present(information, present), dtype=np.float64))
+    expected = dict(zip(present, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
     sign = 1.0 if criterion == 'D' else -1.0
     zero = 0.0 if units is None else units.zero_command
     return Experiment(
         name=names[best], amplitude=float(np.abs(commands[best]).max()) / per_u, dt=own.dt,
         u=(commands[best] - zero) / (1.0 if units is None else units.per_command),
-        std_now={name: std for name, (_, std) in known.items()},
+        std_now={name: std for name, (_, std) in present.items()},
         std_expected={name: float(value) for name, value in expected.items()},
         largest_rate=float(np.abs(rates[best]).max()) / per_y,
         largest_angle=float(np.abs(angles[best]).max()) / per_angle,

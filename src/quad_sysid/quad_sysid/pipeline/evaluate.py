@@ -217,7 +217,8 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
     n = command.size
     rate, _ = flown(model, command[None], x0, _like(throttle, n, 'throttle', usual['throttle']),
                     _like(battery_v, n, 'battery_v', usual['battery']))
-    return rate[0]
+    out: FloatArray = rate[0]
+    return out
 
 
 def flown(model: AxisModel, commands: FloatArray, x0: tuple[float, float], throttle: FloatArray,
