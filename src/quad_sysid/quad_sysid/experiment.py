@@ -149,7 +149,9 @@ def _within(model: Identified, commands: FloatArray, rate: float,
     held = [np.full(n, usual[name]) for name in ('throttle', 'battery')]
 
     def inside(shares: FloatArray) -> tuple[FloatArray, FloatArray, Any]:
-        rates, angles = flown(model, shares[:, None] * commands, (0.0, 0.0), *held)
+        runs = [flown(model, share * command, (0.0, 0.0), *held)
+                for share, command in zip(shares, commands, strict=True)]
+        rates, angles = np.array([r.rate for r in runs]), np.array([r.angle for r in runs])
         kept = (np.abs(rates).max(axis=1) <= rate) & (np.abs(angles).max(axis=1) <= angle)
         return rates, angles, kept
 

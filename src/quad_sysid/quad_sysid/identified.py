@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from quad_sysid.model.data import AxisData
     from quad_sysid.model.effect import Effect
 
-SMALL = (1e-3, 1e-3, 1e-3)
-"""Amplitudes of rate, angle and command at which a response is linear."""
 POINTS = 200
 NUDGE = 0.01
 """Step of a parameter for derivatives, standard errors."""
@@ -128,7 +126,7 @@ class Identified(AxisModel):
         """
         from quad_sysid.blackbox import FrequencyResponse
         from quad_sysid.loop.from_model import loop_plant
-        from quad_sysid.loop.plant import exact_cycles, slopes_at
+        from quad_sysid.loop.linear import NEAR_REST, loops_of
 
         nyquist = np.pi / self.dt
         grid = np.geomspace(0.1, 0.999 * nyquist, POINTS) if w is None else \
@@ -138,8 +136,7 @@ class Identified(AxisModel):
         scale = 1.0 if self.units is None else self.units.per_command / self.units.per_rate
 
         def response(model: AxisModel) -> Any:
-            plant = loop_plant(model)
-            return scale * exact_cycles([plant], [slopes_at(plant, *SMALL)]).response(grid)[0][0]
+            return scale * loops_of([(loop_plant(model), NEAR_REST)]).response(grid)[0, 0]
 
         here, covariance = response(self), None
         names = [p.name for p in self.base]

@@ -49,6 +49,11 @@ class Scored:
         return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
 
 
+def law(effect: Effect) -> tuple[str, type[Effect]]:
+    """What shares one prior: what one equation says in one place, of whichever motor or axis."""
+    return effect.name, type(effect)
+
+
 def explanation(effect: Effect) -> str:
     """What an effect says: hidden states of one name are unlike, its curves are not."""
     return effect.label if effect.states else effect.name
@@ -83,9 +88,7 @@ class Found:
 def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
     """A fit with its score, log evidence plus log prior."""
     labels = fitted.structure.labels
-    price = sum(prices.get(label, 0.0) for label in labels)
-    # effects come in any order: the list of a set counts once
-    return Scored(fitted, fitted.evidence + price - math.lgamma(len(labels) + 1))
+    return Scored(fitted, fitted.evidence + sum(prices.get(label, 0.0) for label in labels))
 
 
 def noises(parent: Fit) -> list[FloatArray]:
@@ -136,9 +139,9 @@ class _Search:
     def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit,
                  halt: Callable[[], str], listen: Callable[[str], None]) -> None:
         self.problem, self.parts, self.halt, self.listen = problem, parts, halt, listen
-        names = Counter(part.effect.name for part in parts)
+        laws = Counter(law(part.effect) for part in parts)
         self.prices = {
-            part.effect.label: math.log(EXPECTED / len(names) / names[part.effect.name])
+            part.effect.label: math.log(EXPECTED / len(laws) / laws[law(part.effect)])
             for part in parts
         }
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}

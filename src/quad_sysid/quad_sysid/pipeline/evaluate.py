@@ -12,13 +12,16 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from quad_sysid.blackbox import Model
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.discover.accept import Horizon, Unseen, horizons, rms
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate import stored
 from quad_sysid.estimate.stored import Stored, completed, plant_of
+from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import usual_signals
+from quad_sysid.loop.plant import Flying
+from quad_sysid.loop.simulation import LoopResponse, simulate_cascade
 from quad_sysid.model import AxisModel, Outside
 from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.model.effect import Signals
@@ -30,6 +33,7 @@ from quad_sysid.record import Record, finite_runs
 MOTION = 1.5
 """Error of holding the last rate over the measurement noise, below which nothing moved."""
 
+NO_GAINS = CascadeGains(0.0, 0.0, 0.0, 0.0)
 PHASES = 12
 """Starts of the search for the phase of a periodic effect."""
 NEEDS = {'other angle': "the other axes' angles in /imu/data",
@@ -215,36 +219,19 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
                                 remedy='give battery_v in V, one value for each command')
     n = command.size
-    rate, _ = flown(model, command[None], x0, _like(throttle, n, 'throttle', usual['throttle']),
-                    _like(battery_v, n, 'battery_v', usual['battery']))
-    out: FloatArray = rate[0]
-    return out
+    return flown(model, command, x0, _like(throttle, n, 'throttle', usual['throttle']),
+                 _like(battery_v, n, 'battery_v', usual['battery'])).rate
 
 
-def flown(model: AxisModel, commands: FloatArray, x0: tuple[float, float], throttle: FloatArray,
-          battery_v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(w, n) measured rates and angles for commands (w, n), at throttle and voltage (n,)."""
-    count, n = commands.shape
-    wrench = np.zeros((count, n, 4))
-    wrench[..., 0] = throttle
-    wrench[..., 1 + AXES.index(model.axis)] = commands
-    time = np.broadcast_to(model.dt * (np.arange(n, dtype=np.float64) + 0.5), (count, n))
-    around = Signals.at_rest(
-        time, wrench[..., 0], battery_v=np.broadcast_to(battery_v, (count, n)),
-        motors=tuple(np.moveaxis(wrench @ model.craft.mixer.T, -1, 0)), sent=commands,
-    )
-    plant = plant_of(model)
-    still = np.zeros((count, 4))
-    still[:, 0] = wrench[:, 0, 0]
-    at_rest = replace(around.at(0), sent=np.zeros(count),
-                      motors=tuple((still @ model.craft.mixer.T).T))
-    x = plant.begin(at_rest, *(np.full(count, float(value)) for value in x0))
-    rates, angles = np.empty((count, n)), np.empty((count, n))
-    for k in range(n):
-        rate, angle = plant.measured(x)
-        rates[:, k], angles[:, k] = rate, 0.0 if angle is None else angle
-        x = plant.step(x, around.at(k))
-    return rates, angles
+def flown(model: AxisModel, command: FloatArray, x0: tuple[float, float], throttle: FloatArray,
+          battery_v: FloatArray) -> LoopResponse:
+    """Rate and angle for commands at a throttle and a voltage, (n,) each; x0 as in simulate."""
+    n = command.size
+    flying = Flying(plant_of(model), Signals.at_rest(
+        model.dt * (np.arange(n, dtype=np.float64) + 0.5), throttle, battery_v=battery_v,
+    ), settled=False)
+    return simulate_cascade(flying, NO_GAINS, np.zeros(n), model.dt, control_excitation=command,
+                            initial_rate=x0[0], initial_angle=x0[1])
 
 
 def _like(value: npt.ArrayLike | None, n: int, name: str, usual: float) -> FloatArray:
