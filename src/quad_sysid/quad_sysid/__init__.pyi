@@ -32,6 +32,8 @@ from quad_sysid.effects import EFFECTS as EFFECTS
 from quad_sysid.errors import BadInputError as BadInputError
 from quad_sysid.errors import NotInformativeError as NotInformativeError
 from quad_sysid.errors import QuadSysidError as QuadSysidError
+from quad_sysid.logview.read import Look as Look
+from quad_sysid.logview.read import look as look
 from quad_sysid.model import GainProposal as GainProposal
 from quad_sysid.model.effect import Effect as Effect
 from quad_sysid.model.effect import Signals as Signals

@@ -46,6 +46,9 @@ PULSE_US = (1000.0, 2000.0)
 MOST_VOLTS = 100.0
 """A larger battery value is in hundredths of a volt."""
 ONE_G = 9.80665
+PIDSUM = 1000.0
+"""Sum of P, I and D that is the whole range of the motors: PID_MIXER_SCALING of Betaflight's
+flight/mixer.h; INAV adds it to pulses whose range is as many µs."""
 FEWEST = 200
 """Least number of frames of a flight."""
 UNIT_AS_INTEGER = 8127.0
@@ -53,6 +56,7 @@ UNIT_AS_INTEGER = 8127.0
 WANTED = frozenset({
     'time', 'gyroADC', 'motor', 'setpoint', 'axisRate', 'accSmooth', 'vbatLatest', 'vbat',
     'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp', 'debug', 'eRPM', 'erpm',
+    'gyroUnfilt', 'axisD',
 })
 FILTERS = (
     'gyro_lpf1_static_hz', 'gyro_lpf2_static_hz', 'gyro_lowpass_hz', 'gyro_lowpass2_hz',
@@ -178,6 +182,10 @@ def _wanted(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Wanted,
                lambda v: ned_angles(v / UNIT_AS_INTEGER)),
         _angles(('roll', 'pitch', 'heading'), *(('deg', DEGREE) if degrees else ('rad', 1.0))),
         _angles(_several('attitude', 3), '0.1 deg', 0.1 * DEGREE),
+        Wanted('rates_before', _several('gyroUnfilt', 3), said or 'deg/s',
+               f'times {scale:.6g}, before the filters', lambda v: v * scale * frame),
+        *(Wanted('d_term', _several('axisD', count), 'raw', 'times 0.001, the D part',
+                 lambda v: v / PIDSUM) for count in (3, 2)),
         *(Wanted('battery', (name,), units.get(name) or 'raw', 'to V', volts)
           for name in ('vbatLatest', 'vbat')),
     ]
