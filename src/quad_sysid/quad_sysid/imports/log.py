@@ -188,7 +188,8 @@ class Reading:
                  for one in reversed(wanted)}
         lacking = [f'{first[role]}: {text}' for role, text in LACKING.items()
                    if role in first and role not in self.streams]
-        lacking += [] if more.get('gains') else [more.pop('no_gains', NO_GAINS)]
+        no_gains = more.pop('no_gains', NO_GAINS)
+        lacking += [] if more.get('gains') else [no_gains]
         return ForeignLog(self.table.source, kind, clock=self.table.told,
                           **{'rates': None, **self.streams, **more},
                           mapped=tuple(self.mapped), missing=tuple(lacking))

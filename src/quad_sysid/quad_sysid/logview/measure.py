@@ -213,15 +213,14 @@ def _gyro_delay(rate: FloatArray, before: FloatArray | None, good: npt.NDArray[n
     if before is not None:
         return response.measured_delay('gyro filters', before, rate, good, dt, at)
     cutoff = gains.get('sensor.gyro_filter_hz', 0.0)
-    first = gains.get('sensor.gyro_filter_1_hz', 0.0)
     centre = gains.get('sensor.notch_1_hz', 0.0)
-    if not max(cutoff, first, centre) > 0.0:
+    lowpass = gains.get('sensor.gyro_lowpass_delay_s', 0.0)
+    if not max(cutoff, centre, lowpass) > 0.0:
         return None
     f = np.array([at])
     total = response.butterworth(cutoff, f) * response.notch(
         centre, gains.get('sensor.notch_1_bandwidth_hz', 0.0), f)
-    total = total * response.first_order(first, f, dt)
-    total = total * response.first_order(gains.get('sensor.gyro_filter_2_hz', 0.0), f, dt)
+    total = total * np.exp(-2j * np.pi * f * lowpass)
     return response.of_filter('gyro filters', total, at, 'settings')
 
 
@@ -241,9 +240,7 @@ def _d_delay(gains: Mapping[str, float], axis: str, dt: float,
              at: float) -> list[response.Delay]:
     """The D part's own filters, which delay D alone."""
     f, out = np.array([at]), []
-    total = np.ones(1, complex)
-    for name in ('d_filter_hz', 'd_filter_2_hz'):
-        total = total * response.first_order(gains.get(f'{axis}.rate.{name}', 0.0), f, dt)
+    total = response.first_order(gains.get(f'{axis}.rate.d_filter_hz', 0.0), f, dt)
     if gains.get(f'{axis}.rate.kd', 0.0) > 0.0 and abs(float(np.angle(total[0]))) > 0.0:
         out.append(response.of_filter('D filters (of D alone)', total, at, 'settings'))
     return out

@@ -235,7 +235,8 @@ def loop(look: Measured) -> Picture | None:
         drawn[1].semilogx(f, np.degrees(np.unwrap(np.angle(one.tracking))), color=colour)
         drawn[2].semilogx(f, one.coherence, color=colour)
         if known and one.loop is not None:
-            drawn[3].loglog(f, np.abs(1.0 / (1.0 + one.loop)), color=colour)
+            seen = np.isfinite(one.loop)
+            drawn[3].loglog(f[seen], np.abs(1.0 / (1.0 + one.loop[seen])), color=colour)
     for axes, label in zip(drawn, ('tracking, 1', 'phase, °', 'coherence²', 'sensitivity, 1'),
                            strict=False):
         axes.set_ylabel(label)

@@ -150,7 +150,7 @@ def loop_response(found: Spectra, dt: float, gains: Mapping[str, float],
     inside = np.isfinite(loop)
     of = margins(loop[inside][None], 2.0 * np.pi * f[inside])
     crossover = float(of.crossover_rad_s[0]) / (2.0 * np.pi)
-    sensitivity = np.where(inside, np.abs(1.0 / (1.0 + loop)), -np.inf)
+    sensitivity = np.where(inside, np.abs(1.0 / (1.0 + np.where(inside, loop, 0.0))), -np.inf)
     worst = int(np.argmax(sensitivity))
 
     if not crossover > 0.0:
@@ -189,9 +189,8 @@ def derivative(gains: Mapping[str, float], axis: str, frequency_hz: FloatArray,
     """(f,) the D part over minus the rate, behind its filters."""
     out = gains.get(f'{axis}.rate.kd', 0.0) * (
         1.0 - np.exp(-2j * np.pi * frequency_hz * dt)) / dt
-    for name in ('d_filter_hz', 'd_filter_2_hz'):
-        out = out * first_order(gains.get(f'{axis}.rate.{name}', 0.0), frequency_hz, dt)
-    return np.asarray(out)
+    return np.asarray(out * first_order(gains.get(f'{axis}.rate.d_filter_hz', 0.0),
+                                        frequency_hz, dt))
 
 
 def first_order(cutoff_hz: float, frequency_hz: FloatArray, dt: float) -> ComplexArray:
