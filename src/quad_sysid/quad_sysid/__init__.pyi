@@ -1,4 +1,5 @@
 # What `import quad_sysid` offers, for type checkers and, at run time, for __init__.py.
+from quad_sysid.arrays import from_arrays as from_arrays
 from quad_sysid.bags import read_bag as read_bag
 from quad_sysid.blackbox import FrequencyResponse as FrequencyResponse
 from quad_sysid.blackbox import LinearController as LinearController
@@ -12,7 +13,6 @@ from quad_sysid.blackbox import bj as bj
 from quad_sysid.blackbox import cascade_controller as cascade_controller
 from quad_sysid.blackbox import clriv as clriv
 from quad_sysid.blackbox import coherence as coherence
-from quad_sysid.blackbox import compare as compare
 from quad_sysid.blackbox import delay_estimate as delay_estimate
 from quad_sysid.blackbox import detrend as detrend
 from quad_sysid.blackbox import excitation_order as excitation_order
@@ -23,17 +23,27 @@ from quad_sysid.blackbox import iv4 as iv4
 from quad_sysid.blackbox import joint as joint
 from quad_sysid.blackbox import oe as oe
 from quad_sysid.blackbox import polynomial_model as polynomial_model
-from quad_sysid.blackbox import predict as predict
 from quad_sysid.blackbox import residual_test as residual_test
 from quad_sysid.blackbox import search_arx as search_arx
-from quad_sysid.blackbox import simulate as simulate
 from quad_sysid.blackbox import spa as spa
+from quad_sysid.calls import bode as bode
+from quad_sysid.calls import compare as compare
+from quad_sysid.calls import design as design
+from quad_sysid.calls import export as export
+from quad_sysid.calls import fleet as fleet
+from quad_sysid.calls import import_log as import_log
+from quad_sysid.calls import inspect as inspect
+from quad_sysid.calls import predict as predict
+from quad_sysid.calls import simulate as simulate
 from quad_sysid.effects import EFFECTS as EFFECTS
 from quad_sysid.errors import BadInputError as BadInputError
 from quad_sysid.errors import NotInformativeError as NotInformativeError
 from quad_sysid.errors import QuadSysidError as QuadSysidError
+from quad_sysid.identified import Identified as Identified
 from quad_sysid.logview.read import Look as Look
 from quad_sysid.logview.read import look as look
+from quad_sysid.loop.cascade import CascadeGains as CascadeGains
+from quad_sysid.loop.simulation import simulate_cascade as simulate_cascade
 from quad_sysid.model import GainProposal as GainProposal
 from quad_sysid.model.effect import Effect as Effect
 from quad_sysid.model.effect import Signals as Signals
@@ -42,7 +52,6 @@ from quad_sysid.pipeline.direct import greybox as greybox
 from quad_sysid.record import IOData as IOData
 from quad_sysid.record import Record as Record
 from quad_sysid.record import Segment as Segment
-from quad_sysid.result import Identified as Identified
 from quad_sysid.result import Result as Result
 from quad_sysid.result import evaluate as evaluate
 from quad_sysid.result import identify as identify
@@ -50,3 +59,4 @@ from quad_sysid.result import read_model as read_model
 from quad_sysid.result import separate as separate
 from quad_sysid.signals import design_excitation as design_excitation
 from quad_sysid.signals import prbs as prbs
+from quad_sysid.units import Units as Units

@@ -43,7 +43,7 @@ NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', description.PARAM
 
 
 class BagLogger(ManagedNode):
-    """See the module. Configured it has its topics and services, active it records when asked.
+    """See the module. Configured it has publishers and services, active it records when asked.
 
     Topics are looked for in the node's namespace; in the bag they have the contract's names.
     """
@@ -77,12 +77,11 @@ class BagLogger(ManagedNode):
             self, 'autostart', False, 'record from the start of the node'
         )
         self._now_ns: Callable[[], int] = self._ros_now_ns if self.simulated else time.time_ns
-        self._timer: Any = None
-        self.create_service(Trigger, '~/start', self._on_start)
-        self.create_service(Trigger, '~/stop', self._on_stop)
 
     def configure(self) -> None:
-        """Create what is published."""
+        """Create what is published, and the services."""
+        self.service(Trigger, '~/start', self._on_start)
+        self.service(Trigger, '~/stop', self._on_stop)
         self._bag = self.publisher(ParameterEvent, '/logger/bag', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
 
@@ -90,11 +89,10 @@ class BagLogger(ManagedNode):
         """Report, and record where `autostart` says so."""
         self._waits = self._autostart
         self._start_by_itself()
-        self._timer = self.create_timer(1.0, self._on_report)
+        self.timer(1.0, self._on_report)
 
     def deactivate(self) -> None:
         """End a running recording and see that `/logger/bag` is delivered."""
-        self.destroy_timer(self._timer)
         if self._recording is not None:
             self._stop(self._recording)
             self._bag.wait_for_all_acked(Duration(seconds=0.5))

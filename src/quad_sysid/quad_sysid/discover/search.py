@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 
@@ -49,6 +49,11 @@ class Scored:
         return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
 
 
+def law(effect: Effect) -> tuple[str, type[Effect]]:
+    """What shares one prior: what one equation says in one place, of whichever motor or axis."""
+    return effect.name, type(effect)
+
+
 def explanation(effect: Effect) -> str:
     """What an effect says: hidden states of one name are unlike, its curves are not."""
     return effect.label if effect.states else effect.name
@@ -83,9 +88,7 @@ class Found:
 def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
     """A fit with its score, log evidence plus log prior."""
     labels = fitted.structure.labels
-    price = sum(prices.get(label, 0.0) for label in labels)
-    # effects come in any order: the list of a set counts once
-    return Scored(fitted, fitted.evidence + price - math.lgamma(len(labels) + 1))
+    return Scored(fitted, fitted.evidence + sum(prices.get(label, 0.0) for label in labels))
 
 
 def noises(parent: Fit) -> list[FloatArray]:
@@ -133,11 +136,12 @@ def anew(problem: Problem, parts: Sequence[Part]) -> list[Fit]:
 class _Search:
     """The structures fitted so far, by the labels of their effects."""
 
-    def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit) -> None:
-        self.problem, self.parts = problem, parts
-        names = Counter(part.effect.name for part in parts)
+    def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit,
+                 halt: Callable[[], str], listen: Callable[[str], None]) -> None:
+        self.problem, self.parts, self.halt, self.listen = problem, parts, halt, listen
+        laws = Counter(law(part.effect) for part in parts)
         self.prices = {
-            part.effect.label: math.log(EXPECTED / len(names) / names[part.effect.name])
+            part.effect.label: math.log(EXPECTED / len(laws) / laws[law(part.effect)])
             for part in parts
         }
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
@@ -161,8 +165,15 @@ class _Search:
             if not ahead:
                 break
         hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
-        fits = side_by_side([partial(extended, self.problem, fit, one) for _, fit, one in hopeful])
-        return [self.keep(fit) for fit in fits if fit is not None]
+        fits = side_by_side([partial(self.tried, fit, one) for _, fit, one in hopeful])
+        kept = [self.keep(fit) for fit in fits if fit is not None]
+        best = ' and '.join(self.best().names) or 'the base'
+        self.listen(f'{len(self.known)} structures, best so far {best}')
+        return kept
+
+    def tried(self, parent: Fit, one: Score) -> Fit | None:
+        """A structure with one more effect, as long as the search may go on."""
+        return None if self.halt() else extended(self.problem, parent, one)
 
     def scores(self, parent: Fit) -> list[Score]:
         """Linear scores of the candidates beside a structure, best first."""
@@ -205,7 +216,8 @@ def leading(fits: Iterable[Scored]) -> list[Scored]:
     return list(unlike.values())[:BEAM]
 
 
-def search(problem: Problem, effects: Sequence[Effect]) -> Found:
+def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] = lambda: '',
+           listen: Callable[[str], None] = lambda _: None) -> Found:
     """The structures that the training segments support.
 
     A beam search adds one effect at a time until no score beside the best structure promises more,
@@ -215,26 +227,34 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     A coupling counts only if no gust disturbs both axes: a gust at an angle moves both, each
     feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
     for such a gust beside the coupling, the search is repeated without that axis (a test of
-    exogeneity: Hausman 1978).
+    exogeneity: Hausman 1978). Once `halt` gives a reason nothing more is fitted, and what was not
+    is listed with it; `listen` gets a line of text after each round.
     """
     parts, reasons = candidates(problem, effects)
     base = best_base(problem)
     problem.measure(base)
     while True:
-        found = _structures(problem, parts, base)
+        found = _structures(problem, parts, base, halt, listen)
         best = found.best().fit
         used = {which for part in best.structure.parts for which in part.effect.others}
         shared = {which for which in used if shares(problem, best, base, which)}
-        if not shared:
+        if not shared or halt():
             break
         reasons |= {p.effect.label: SHARED for p in parts if shared & set(p.effect.others)}
         parts = [p for p in parts if p.effect.label not in reasons]
+    if why := halt():
+        fitted = {label for labels in found.known for label in labels}
+        reasons |= {p.effect.label: f'{why}: it was not tried'
+                    for p in parts if p.effect.label not in fitted}
     ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
     return Found(base, ordered, reasons, found.prices)
 
 
-def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
-    found = _Search(problem, parts, base)
+def _structures(problem: Problem, parts: Sequence[Part], base: Fit, halt: Callable[[], str],
+                listen: Callable[[str], None]) -> _Search:
+    found = _Search(problem, parts, base, halt, listen)
+    if halt():
+        return found
     for fitted in anew(problem, parts):
         if fitted.evidence > base.evidence + ANEW:
             found.keep(fitted)
@@ -245,9 +265,9 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
         if beam:
             beam[0] = found.keep(both_orders(problem, beam[0].fit))
             found.screens.pop(frozenset(beam[0].fit.structure.labels), None)
-        if not beam or beam[0].score <= top:
+        if not beam or beam[0].score <= top or halt():
             break
     for _ in range(MOST_EFFECTS):
-        if not found.exchange():
+        if halt() or not found.exchange():
             break
     return found
