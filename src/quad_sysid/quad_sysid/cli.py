@@ -34,6 +34,7 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.files import check_new, write_whole
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
+from quad_sysid.logview import cli as look
 
 DONE = 0
 
@@ -56,6 +57,7 @@ def _parser() -> Parser:
     )
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
     inspection.add(commands)
+    look.add(commands)
     _identify_parser(commands)
     _evaluate_parser(commands)
     imports.add(commands)
