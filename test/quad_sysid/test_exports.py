@@ -68,21 +68,6 @@ def test_python_control_has_the_same_system(model, stored, tmp_path):
     assert 'coulomb_friction.torque = 0.16 rad/s²' in out.read_text()
 
 
-def test_matlab(model, stored, tmp_path, capsys):
-    from scipy.io import loadmat
-
-    assert main(['export', str(stored), '--to', 'mat', '--axis', 'roll']) == 0
-    assert 'model_export.mat' in capsys.readouterr().out
-    content = loadmat(tmp_path / 'model_export.mat', squeeze_me=True, simplify_cells=True)
-    roll, found = content['roll'], matrices(model)
-    np.testing.assert_allclose(roll['A'], found['A'])
-    np.testing.assert_allclose(np.reshape(roll['Bd'], (-1, 1)), found['Bd'])
-    assert roll['delay_s'] == BASE['delay']
-    assert roll['base']['gain'] == BASE['gain']
-    assert roll['effects']['coulomb_friction']['torque'] == 0.16
-    assert 'not in the matrices' in content['NOTE'.lower()]
-
-
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [

@@ -174,7 +174,7 @@ def smooth(effect) -> bool:
     steep_lag = effect.term == 'lag' and effect.signals[0] == 'command'
     kinked = effect.variant.startswith('rough')  # a knot at rest
     return not (kinked or steep_lag or effect.name in steep or effect.phased or effect.stepped
-                or warms or effect.variant == 'hysteresis' or part.why_outside)
+                or warms or effect.name == 'mode:hysteresis' or part.why_outside)
 
 
 @pytest.mark.parametrize('effect', of_the_table([e for e in SHAPED if smooth(e)]))
@@ -203,12 +203,12 @@ FALLS = ('pendulum_stiffness', 'from the rate', [30.0, -12.0])
 
 @pytest.mark.parametrize(('found', 'tolerance'), [
     ((), 0.03),
-    ((('mode', 'second order', list(SECOND.values())), ('resonance', '', list(MODE.values()))),
+    ((('mode:second_order', '', list(SECOND.values())), ('resonance', '', list(MODE.values()))),
      0.03),
-    ((('mode', 'second lag', [0.02]),), 0.03),
+    ((('mode:second_lag', '', [0.02]),), 0.03),
     ((FALLS,), 0.03),
-    ((('mode', 'slow state', [0.3, 20.0]),), 0.03),
-    ((('mode', 'loose, turning', [4.0, 4.0, 0.3, 0.0, 0.5]),), 0.15),
+    ((('mode:slow_state', '', [0.3, 20.0]),), 0.03),
+    ((('mode:loose_load', 'turning', [4.0, 4.0, 0.3, 0.0, 0.5]),), 0.15),
 ], ids=['base', 'two modes', 'second lag', 'falls', 'slow state', 'loose load'])
 def test_the_edge_of_stability_by_margins_is_that_of_the_simulated_flight(found, tolerance):
     """The gain at which eigenvalues leave the unit circle is that at which a flight swings."""
@@ -253,8 +253,8 @@ def test_what_a_loop_cannot_hold_is_named_and_refused_where_it_is_large():
 
 def test_python_control_flies_a_found_model():
     """Its linearisation is the loop's plant, and a step of the command answers alike."""
-    model = model_of(estimate_of('quadratic_drag', [2.0]), estimate_of('mode', [0.3, 20.0],
-                                                                       'slow state'))
+    model = model_of(estimate_of('quadratic_drag', [2.0]),
+                     estimate_of('mode:slow_state', [0.3, 20.0]))
     whole, small = to_control(model), to_control(model, linear=True)
     near = control_system.linearize(whole, np.zeros(whole.nstates), [0.0])
     t = DT * np.arange(100)

@@ -17,6 +17,7 @@ import numpy as np
 
 from quad_sysid.arguments import Commands, command, effects_option, own_effects
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, write_whole
 
 if TYPE_CHECKING:
@@ -137,6 +138,21 @@ WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = 
 """Format → its writer and the file's suffix."""
 
 
+def export(models: Mapping[str, AxisModel], path: str | Path, to: str = '') -> Path:
+    """Write models, by axis, in a format of WRITERS, by default that of the suffix.
+
+    Raises BadInputError for an unknown format, and where the file exists.
+    """
+    place = Path(path)
+    name = to or next((key for key, (_, suffix) in WRITERS.items() if suffix == place.suffix), '')
+    if name not in WRITERS:
+        raise BadInputError('export', 'must be to one of ' + ', '.join(WRITERS), to or str(path),
+                            'name it, or a suffix of .py or .mat')
+    check_new(place)
+    write_whole(place, WRITERS[name][0](models))
+    return place
+
+
 def add(commands: Commands) -> None:
     """Register the command."""
     parser = command(commands, 'export', _run,
@@ -161,10 +177,9 @@ def _run(options: argparse.Namespace) -> int:
     models = load_models(model, own_effects(options.effects))
     if options.axis is not None:
         models = pick(models, options.axis, model)
-    write, suffix = WRITERS[options.to]
-    out = options.out or model.with_name(f'{model.stem}_export{suffix}')
-    check_new(out)
-    write_whole(out, write(models))
+    suffix = WRITERS[options.to][1]
+    out = export(models, options.out or model.with_name(f'{model.stem}_export{suffix}'),
+                 options.to)
     if not options.quiet:
         print(f'{out}: {", ".join(models)}')
     return 0

@@ -141,9 +141,8 @@ class Linear(Torque):
 class Hysteresis(Effect):
     """Dahl's friction, which builds up over an angle after each reversal."""
 
-    name = 'mode'
+    name = 'mode:hysteresis'
     kind = 'mode'
-    variant = 'hysteresis'
     sized_by_term = True
     signals = ('rate', 'history')
     states = 1
@@ -203,13 +202,14 @@ class Load(Effect):
     spring, a gyro on its pads or an arm, gets its acceleration through it.
     """
 
-    name = 'mode'
     kind = 'mode'
     states = 2
     sized_by_term = True
 
     def __init__(self, moved: str) -> None:
-        self.moved, self.variant = moved, f'loose, {moved}'
+        self.moved = moved
+        self.name, self.variant = ('mode:soft_mount', '') if moved == 'driven' \
+            else ('mode:loose_load', moved)
         self.signals, moves, self.parameters = LOADS[moved]
         pushes = 'in place of a share of the drive' if moved == 'driven' else 'on its mount'
         self.physics = (
@@ -266,14 +266,13 @@ class Yielding(Effect):
     a spring on a damper that gives way, with lean a valve, with slope < 0 two places of rest.
     """
 
-    name = 'mode'
+    name = 'mode:yielding'
     kind = 'mode'
     states = 1
     sized_by_term = True
 
     def __init__(self, moved: str) -> None:
-        self.moved = moved
-        self.variant = f'yielding, {moved}'
+        self.moved = self.variant = moved
         drive, unit, usual, push = {
             'turning': ('rate', 'rad', 0.1, 'rate / reach'),
             'leaning': ('angle', 'rad', 0.1, 'angle / (reach time_constant)'),
@@ -548,14 +547,14 @@ def _laguerre(p: FloatArray) -> System:
 
 HIDDEN: tuple[Effect, ...] = (
     Linear(
-        'mode', ('rate', 'history'),
+        'mode:slow_state', ('rate', 'history'),
         (
             Spec('time_constant', 's', spread=1.2, centre=math.log(0.5), log=True,
                  starts=(0.05, 0.2, 0.8, 3.0)),
             Spec('stiffness', 'rad/s² per rad'),
         ),
         lambda s, p: -p[1] * required(s.hidden)[0], system=_relaxing, states=1, per_rate=0.5,
-        variant='slow state', integrates=True, excite='a PRBS and slow steps of the angle',
+        integrates=True, excite='a PRBS and slow steps of the angle',
         physics="-k x, x' = rate - x / tau: a spring on a damper, a load that relaxes",
     ),
     # in free flight an accelerometer does not see the tilt, so the measured orientation is wrong;
@@ -572,7 +571,7 @@ HIDDEN: tuple[Effect, ...] = (
         physics="-k sin(x), x' = rate - x / memory: centre of mass off the axis",
     ),
     Linear(
-        'mode', ('rate', 'history'),
+        'mode:swinging', ('rate', 'history'),
         (
             Spec('frequency', 'Hz', spread=1.0, centre=math.log(3.0), log=True,
                  starts=tuple(np.geomspace(0.5, 16.0, 14))),
@@ -581,7 +580,7 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('in_phase', '1/s'), Spec('quadrature', '1/s'),
         ),
         lambda s, p: p[2] * required(s.hidden)[0] + p[3] * required(s.hidden)[1],
-        system=lambda p: ring(float(p[0]), min(float(p[1]), 1.0)), states=2, variant='swinging',
+        system=lambda p: ring(float(p[0]), min(float(p[1]), 1.0)), states=2,
         excite='a chirp or PRBS through the mode',
         physics=f"{RING} rate; torque in_phase z + quadrature z'/w",
     ),
@@ -589,14 +588,14 @@ HIDDEN: tuple[Effect, ...] = (
     *(Load(moved) for moved in LOADS),
     *(Yielding(moved) for moved in ('turning', 'leaning', 'driven')),
     Response(
-        'mode', ('command', 'history'),
+        'mode:response', ('command', 'history'),
         (
             Spec('time_constant', 's', spread=0.5, centre=math.log(0.2), log=True,
                  starts=(0.1, 0.3)),
             *(Spec(f'c{i}', UNITS['gain']) for i in range(LAGUERRE)),
         ),
         lambda s, p: np.tensordot(p[1:], required(s.hidden), 1), system=_laguerre, states=LAGUERRE,
-        term='gain', sized_by_term=True, variant='response to drive',
+        term='gain', sized_by_term=True,
         physics='sum of c_i x_i, Laguerre states of the drive: any linear response to it',
         excite='a PRBS long enough for the slowest response',
     ),

@@ -20,6 +20,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.loop import kernels
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import Flying
+from quad_sysid.model import AxisModel
 from quad_sysid.model.effect import Signals, required
 from quad_sysid.model.plant import Plant, State, Turning
 from quad_sysid.model.traced import Listing, Traced, Untraceable
@@ -200,12 +201,12 @@ def _checked_reference(reference: npt.ArrayLike, dt: float, plant_dt: float) -> 
 
 
 def simulate_cascade(
-    flying: Flying, gains: CascadeGains, reference_angle: npt.ArrayLike, dt: float,
+    flying: Flying | AxisModel, gains: CascadeGains, reference_angle: npt.ArrayLike, dt: float,
     noise: npt.ArrayLike | None = None, disturbance: npt.ArrayLike | None = None, *,
     rate_excitation: npt.ArrayLike | None = None, control_excitation: npt.ArrayLike | None = None,
     initial_angle: float = 0.0, initial_rate: float = 0.0, angle_lead_s: float = 0.0,
 ) -> LoopResponse:
-    """Simulate the cascade around a plant for an angle reference (n,), rad.
+    """Simulate the cascade around a plant, or a model's, for an angle reference (n,), rad.
 
     noise (n,) rad/s is on the measured rate; disturbance (n,) or a number, rad/s², acts on the
     axis and is held over the cycle. rate_excitation and control_excitation (n,) are added after
@@ -214,6 +215,10 @@ def simulate_cascade(
     rate's integral (`angle_lead_s`). Raises BadInputError for wrong shapes, values that are not
     finite, and a dt that is not the plant's.
     """
+    if isinstance(flying, AxisModel):
+        from quad_sysid.loop.from_model import loop_plant
+
+        flying = loop_plant(flying)
     reference = _checked_reference(reference_angle, dt, flying.dt)
     n, plant = reference.size, flying.plant
     signals = np.stack((reference, _signal(noise, n, 'noise'),
