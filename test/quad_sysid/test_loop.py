@@ -18,6 +18,7 @@ from quad_sysid.loop import kernels
 from quad_sysid.loop.cascade import (
     FIRMWARE_UNIT,
     CascadeGains,
+    Linear,
     bandwidth,
     closed_loop_radius,
     frequency_grid,
@@ -138,19 +139,33 @@ def test_stability_by_eigenvalues_agrees_with_the_gain_margin(delay_s):
         assert closed_loop_radius(GAINS, both)[0] == pytest.approx(alone, rel=1e-6)
 
 
-def test_noise_and_reference_response_match_the_time_simulation():
+FILTERED = CascadeGains.from_mapping({
+    'roll.rate.kff': 0.01, 'roll.rate.target_filter_hz': 8.0, 'roll.rate.error_filter_hz': 25.0,
+    'roll.rate.output_filter_hz': 40.0, 'sensor.notch_1_hz': 20.0,
+    'sensor.notch_1_bandwidth_hz': 10.0,
+}, 'roll')
+
+
+@pytest.mark.parametrize('gains', [GAINS, FILTERED, replace(FILTERED, d_on_error=True)],
+                         ids=['ours', 'filters of others', 'D on the error'])
+def test_noise_and_reference_response_match_the_time_simulation(gains):
     """A sine of 12 rad/s once settled: amplitude to 1 %."""
     omega, t, tail = np.array([12.0]), np.arange(5000) * DT, slice(3000, None)
     cycles = loops_of([(PLANT, STILL)])
     wave, plant = 0.05 * np.sin(12.0 * t), cycles.response(omega)
     for found, response_of in (
-        (simulate_cascade(PLANT, GAINS, wave, DT).angle, reference_response),
-        (simulate_cascade(PLANT, GAINS, 0 * t, DT, noise=wave).control, noise_response),
+        (simulate_cascade(PLANT, gains, wave, DT).angle, reference_response),
+        (simulate_cascade(PLANT, gains, 0 * t, DT, noise=wave).control, noise_response),
     ):
         settled = found[tail] - np.mean(found[tail])
         amplitude = np.abs(2 * np.mean(settled * np.exp(-12j * t[tail])))
-        want = 0.05 * np.abs(response_of(GAINS, plant, omega, DT)[0, 0])
+        want = 0.05 * np.abs(response_of(gains, plant, omega, DT)[0, 0])
         assert amplitude == pytest.approx(want, rel=0.01)
+    # a state for each filter that there is, and the response of these states
+    ours = Linear(gains.dynamics(DT)).response(np.geomspace(0.5, 700.0, 40), DT)
+    np.testing.assert_allclose(ours, gains.response(np.geomspace(0.5, 700.0, 40), DT), rtol=1e-9)
+    if gains != GAINS:
+        return
     grid = frequency_grid(DT)
     whole = reference_response(GAINS, cycles.response(grid), grid, DT)
     assert 2.0 < bandwidth(whole, grid)[0] < 6.0

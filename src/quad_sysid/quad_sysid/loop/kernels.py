@@ -1,4 +1,4 @@
-"""Compiled inner loops of the closed loop: one control cycle, and the plant's own list of operations.
+"""Compiled inner loops of the closed loop: a control cycle, and a plant's list of operations.
 
 Only arithmetic on arrays; simulation.py says what the numbers mean, model/traced.py the list.
 """
@@ -210,7 +210,7 @@ def operate(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, b
 @inner
 def before(line: FloatArray, newest: int, channel: int, age: float) -> float:
     """The command that was sent so many cycles ago, linear between two; `line` (d, c) turns."""
-    whole = int(math.floor(age))
+    whole = math.floor(age)
     new = line[(newest + whole) % line.shape[0], channel]
     share = age - whole
     if share > 0.0:
