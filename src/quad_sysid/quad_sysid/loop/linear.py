@@ -207,6 +207,8 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
 def _commands(flying: Flying, size: float) -> list[Part]:
     """The likeness of all that acts before the torque."""
     plant, dt = flying.plant, flying.dt
+    if not plant.sending:
+        return []
     several = any(part.effect.states for part, _ in plant.sending)
     w = 2.0 * np.pi
     n = _length(dt, w, several)
