@@ -722,9 +722,13 @@ class Planted:
     """(value, relative tolerance, absolute tolerance) of its first parameters."""
     alone: bool | None = True
     """Whether it is all that is found; None: among all effects only."""
+    of_a_name: bool = False
+    """Whether all that is found has its name."""
     sure: bool = True
     """Not where another description is as good."""
     rivals: Collection[str] = RIVALS
+    quick: bool = True
+    """Whether it is flown outside of `make test-long`."""
 
     def __str__(self) -> str:
         return self.label
@@ -744,11 +748,15 @@ PLANTED = [
     Planted(beyond_a_wind(-20.0, 0.06, 0.4), 'shape:angle/memory curve', 3.0,
             ((0.4, 0.3, 0.0),)),
     # a side that pulls less, by the command, though that needs no gain
-    Planted(command(lambda u: min(u, 0.5 * u)), 'shape:command', 2.0, alone=False),
-    # no law of the list is its own: the cubic law stands for it
-    Planted(slipping(30.0, 1.5), 'mode:yielding', 2.0, alone=False),
+    Planted(command(lambda u: min(u, 0.5 * u)), 'shape:command', 2.0, alone=False, quick=False),
+    # no law of the list is its own: the cubic law stands for it, and nothing else is found
+    Planted(slipping(30.0, 1.5), 'mode:yielding', 2.0, alone=False, of_a_name=True),
+    # gusts of the axis' own beside what another axis' command does to it
+    Planted(lambda: {**coloured(6, 3.0, 0.05)(), 'other_commands': other_commands,
+                     'command': lambda t, u, _v: u + 0.15 * other_commands(t)[0]},
+            'cross_axis_input', 1.5, ((0.15, 0.0, 0.02),)),
     Planted(in_its_wake(4.0, 0.3), 'shape:rate/with past rate', 2.0, ((0.3, 0.5, 0.0),),
-            sure=False, alone=None),
+            sure=False, alone=None, quick=False),
     Planted(echo(0.4, 0.3), 'mode:response', 2.0, alone=False, rivals=('motor_lag',)),
 ]
 def among(label: str, rivals: Collection[str] = RIVALS) -> tuple[Effect, ...]:
@@ -783,7 +791,8 @@ def check_sure_of(effect) -> None:
 
 @pytest.mark.parametrize('every', [False, pytest.param(True, marks=pytest.mark.long)],
                          ids=['among rivals', 'among all'])
-@pytest.mark.parametrize('one', PLANTED, ids=str)
+@pytest.mark.parametrize('one', [
+    pytest.param(one, marks=[] if one.quick else pytest.mark.long) for one in PLANTED], ids=str)
 def test_what_acts_is_named_measured_and_foreseen_in_another_flight(one, every):
     """One of each kind; bench/effects.py plants all that are named, and pairs."""
     effects = EFFECTS if every else among(one.label, one.rivals)
@@ -795,6 +804,7 @@ def test_what_acts_is_named_measured_and_foreseen_in_another_flight(one, every):
     check_values_of(effect, one.truths)
     if one.truths and one.sure:
         check_sure_of(effect)
+    assert not one.of_a_name or {e.name for e in effects} == {one.label}
     if one.alone or (one.alone is None and every):
         assert effects == (effect,)
         assert answer.model.value('gain') == pytest.approx(GAIN, rel=0.05)
@@ -829,14 +839,15 @@ def test_a_spring_that_swings_an_aircraft_whose_motors_stand_is_no_answer():
     """It foresees the rates well, and the commands nothing: their gain would be a guess."""
     swings = {'torque': lambda _t, _rate, angle: -20.0 * math.sin(angle), 'torque_noise': 0.2,
               'command': lambda *_: 0.0}
-    answer = answer_to(lambda: swings, 1, effects=among('pendulum_stiffness'))
+    answer = answer_to(lambda: swings, 1, effects=among('pendulum_stiffness', ('dead_zone',)))
     assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
     assert 'commands do not predict' in answer.reason
 
 
 @pytest.mark.parametrize(
     ('variant', 'angles'),
-    [('', lambda angles, rng: angles + 0.02 * rng.standard_normal(angles.shape)),
+    [pytest.param('', lambda angles, rng: angles + 0.02 * rng.standard_normal(angles.shape),
+                  marks=pytest.mark.long),
      ('from the rate', lambda _angles, _rng: None)],
     ids=['noisy', 'not measured'],
 )
@@ -908,7 +919,8 @@ def test_validation_does_not_touch_what_is_chosen(rubbed_flight):
         name: np.concatenate((getattr(rubbed_flight, name)[:cut], getattr(other, name)[cut:]))
         for name in columns
     })
-    ours, another = (answer_of(flight, effects=among('coulomb_friction')).model
+    few = among('coulomb_friction', ('quadratic_drag', 'dead_zone'))
+    ours, another = (answer_of(flight, effects=few).model
                      for flight in (rubbed_flight, mixed))
     assert [e.name for e in ours.effects] == ['coulomb_friction']
     assert ours.base == another.base

@@ -13,7 +13,6 @@ from flown_axis import fly as flown
 
 import quad_sysid as qs
 from quad_sysid.cli import main
-from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import estimate_of
@@ -108,21 +107,6 @@ def test_springs_are_told_apart_by_larger_angles_than_the_plain_prbs(springs):
     assert max(map(len, text.splitlines())) <= 80
     assert 'Fly ' in text
     assert 'cubic_stiffness' in text
-
-
-def test_sag_shows_where_the_throttle_moves():
-    found = separate(paper_aircraft('roll'), ('battery_sag', 'nothing'), SECONDS)
-    assert found.best.excitation.throttle_steps
-    assert found.best.second is None
-    assert found.best.worst.score > 2.0 * found.plain.worst.score
-    assert 'the pilot steps the throttle' in words.why(found)
-
-
-def test_the_pilot_moves_the_other_axes_where_an_effect_follows_one_of_them():
-    for effect in EFFECTS:
-        if effect.signals[0].startswith('other'):
-            flights = design.with_pilot(design.plain_prbs('roll', 30.0), {*effect.signals})
-            assert any(flight.others_move for flight in flights), effect
 
 
 def test_every_row_is_a_schedule_that_the_node_can_fly(springs):

@@ -16,7 +16,7 @@ from pathlib import Path
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # a process of one thread may fork: beside.py
 
-from quad_sysid import comparison, exports, fleet
+from quad_sysid import comparison, exports, fleets
 from quad_sysid.arguments import (
     NOT_ANSWERED,
     Commands,
@@ -34,6 +34,7 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.files import check_new, write_whole
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
+from quad_sysid.logview import cli as look
 
 DONE = 0
 
@@ -56,13 +57,14 @@ def _parser() -> Parser:
     )
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
     inspection.add(commands)
+    look.add(commands)
     _identify_parser(commands)
     _evaluate_parser(commands)
     imports.add(commands)
     _design_parser(commands)
     exports.add(commands)
     comparison.add(commands)
-    fleet.add(commands)
+    fleets.add(commands)
     command(commands, 'compile', _compile,
             'Compile all that numba compiles, so that no first use has to wait (images, CI).',
             'quad-sysid compile')

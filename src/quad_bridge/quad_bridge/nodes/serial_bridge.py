@@ -8,6 +8,7 @@ lock that also guards link and gains; the relay is the executor's alone.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -16,19 +17,30 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
-from quad_bridge.aircraft import Ability, Quad
+from quad_bridge.aircraft import Ability, Aircraft
 from quad_bridge.arming import OperatorEnable
+from quad_bridge.autopilots.aircraft import Connected
 from quad_bridge.craft import Craft
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
+from quad_bridge.gains.table import with_mixing
 from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, State, Told
-from quad_bridge.link.autopilot import BATTERY, COMPASS, INERTIAL, MOTORS, PRESSURE, ROTORS
+from quad_bridge.link.autopilot import (
+    BATTERY,
+    COMPASS,
+    INERTIAL,
+    MOTORS,
+    PRESSURE,
+    ROTORS,
+    Inertial,
+)
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort
 from quad_bridge.link.report import LinkReport
@@ -41,11 +53,12 @@ from quad_bridge.nodes.description import Description
 from quad_bridge.nodes.fence import LogLimiter
 from quad_bridge.nodes.host_time import NEVER_NS, Epoch, HostTime, read_epoch
 from quad_bridge.nodes.managed_node import ManagedNode
-from quad_bridge.nodes.qos import EVENT, STATE, STREAM
+from quad_bridge.nodes.qos import EVENT, HEARD, STATE, STREAM
 from quad_bridge.nodes.ros_node import run
 from quad_bridge.nodes.services import GainServices, OperatorServices, SensorServices
 from quad_bridge.sensors.live import LiveSensors
 from quad_bridge.status import OK
+from quad_bridge.topics import STREAMS
 from quad_bridge.wire import frames as f
 
 TICK_S = 0.1  # an executor's turn costs half a millisecond; what is urgent the port's thread does
@@ -54,17 +67,22 @@ YAW_STICK = 3
 
 
 class SerialBridge(ManagedNode):
-    """See the module. Configured it has its topics, active the port."""
+    """See the module. Configured it has publishers and services, active the port and ears."""
 
     def __init__(self) -> None:
         super().__init__('serial_bridge')
         settings: BridgeSettings = declare(self)
         self._settings = settings
         self._lock = threading.Lock()
-        self._link = Link(settings.signing, START_NS if clock().simulated else None)
+        self._link = Link(settings.signing, START_NS if clock().simulated else None,
+                          settings.line_baud)  # fmt: skip
         self._report = LinkReport(self._link, clock().now_s())
         self._enable = OperatorEnable(required=settings.require_enable)
-        self._aircraft = Quad(self._standard)
+        self._aircraft = Connected(
+            self._standard, clock().now_s, allow_gains=settings.allow_gains,
+            allow_excitation=settings.allow_excitation,
+        )  # fmt: skip
+        self._aircraft.on_change = self._on_aircraft
         self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable, self._aircraft)
         self._worker = Worker()
         self._history = History(settings.gains.folder, self._worker)
@@ -78,7 +96,10 @@ class SerialBridge(ManagedNode):
             lambda: self._link.name,
         )
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
-        self._messages = conversion.CycleMessages()
+        self._messages = conversion.Messages()
+        self.inside: list[Any] = []
+        if settings.logger is not None:
+            self.inside.append(self._logger_inside(settings.logger))
         self._arrived: dict[type, Callable[[Any, int], None]] = {
             f.Cycle: self._on_cycle,
             f.ParamValue: self._on_gains_frame,
@@ -86,6 +107,8 @@ class SerialBridge(ManagedNode):
             f.RcChannels: self._on_sticks,
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
             f.StatusText: lambda frame, _: self._say_once(f'{self._link.name}: {frame.text}'),
+            **dict.fromkeys((f.Heartbeat, f.AttitudeTarget, f.LocalPosition, f.LandedState,
+                             f.Version, f.LogEntry, f.LogData), lambda frame, _: None),
         }
         self._reported_s = 0.0
         self._simulated = self.simulated
@@ -102,57 +125,75 @@ class SerialBridge(ManagedNode):
         return SerialPort(settings.port, settings.baud, around(self._on_bytes),
                           around(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
 
+    def _logger_inside(self, given: Mapping[str, Any]) -> Any:
+        """A logger for this process, in the same namespace, with these parameters."""
+        own = {name: self.get_parameter(name).value for name in ('managed', 'use_sim_time')}
+        parameters = [Parameter(name, value=value) for name, value in {**own, **given}.items()]
+        made = importlib.import_module('quad_bridge.nodes.bag_logger').BagLogger
+        return made(STREAMS, namespace=self.get_namespace(), use_global_arguments=False,
+                    parameter_overrides=parameters)  # fmt: skip
+
     def configure(self) -> None:
-        """Create the topics."""
-        publisher = partial(self.publisher, qos=STREAM)
-        imu, motors = publisher(Imu, '/imu/data'), publisher(JointState, '/motors/command')
+        """Create what is published, and the services."""
+        stream = self._stream
+        imu, motors = stream(Imu, '/imu/data'), stream(JointState, '/motors/command')
         self._per_cycle = (
-            imu.publish,
-            motors.publish,
-            publisher(WrenchStamped, '/control/wrench').publish,
-            publisher(Vector3Stamped, '/setpoint/attitude').publish,
-            publisher(Vector3Stamped, '/setpoint/rates').publish,
+            imu,
+            motors,
+            stream(WrenchStamped, '/control/wrench'),
+            stream(Vector3Stamped, '/setpoint/attitude'),
+            stream(Vector3Stamped, '/setpoint/rates'),
         )
-        self._applied = publisher(Vector3Stamped, '/excitation/applied')
-        self._rc = publisher(Joy, '/rc/in')
-        rotors = publisher(JointState, ROTORS)
+        self._applied = stream(Vector3Stamped, '/excitation/applied')
+        self._rc = stream(Joy, '/rc/in')
+        made = self._messages
         self._others: dict[str, tuple[Any, Callable[[Any, int], Any]]] = {
-            BATTERY: (publisher(BatteryState, BATTERY), conversion.battery_message),
-            COMPASS: (publisher(MagneticField, COMPASS), conversion.mag_message),
-            PRESSURE: (publisher(FluidPressure, PRESSURE), conversion.baro_message),
-            INERTIAL: (imu, conversion.inertial_message),
-            MOTORS: (motors, partial(self._of_motors, conversion.outputs_message)),
-            ROTORS: (rotors, partial(self._of_motors, conversion.rotors_message)),
+            BATTERY: (stream(BatteryState, BATTERY), made.battery),
+            COMPASS: (stream(MagneticField, COMPASS), made.mag),
+            PRESSURE: (stream(FluidPressure, PRESSURE), made.baro),
+            INERTIAL: (imu, made.inertial),
+            MOTORS: (motors, partial(self._of_motors, made.outputs)),
+            ROTORS: (stream(JointState, ROTORS), partial(self._of_motors, made.rotors)),
         }
-        self._description.configure()
         self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
-        self._operator.configure()
-        self._sensor_services.configure()
-        self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
+        for part in (
+            self._description, self._gain_services, self._operator, self._sensor_services
+        ):
+            part.configure()
+
+    def _stream(self, kind: Any, topic: str) -> Callable[[bytes], None]:
+        """What publishes on a topic, and hands it to the logger in this process."""
+        publish: Callable[[bytes], None] = self.publisher(kind, topic, STREAM).publish
+
+        def both(data: bytes) -> None:
+            publish(data)
+            for logger in self.inside:
+                logger.take(topic, data)
+
+        return both if self.inside else publish
+
+    def activate(self) -> None:
+        """Listen, and open the port; it need not be there yet."""
+        for part in self._description, self._operator, self._sensor_services:
+            part.activate()
+        self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, HEARD)
         self.subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
         self.subscribe(
             Vector3Stamped, '/excitation/setpoint', self._on_setpoint, qos_profile_sensor_data
         )
-
-    def activate(self) -> None:
-        """Open the port; it need not be there yet."""
         if self._settings.craft is not None:
             self._on_craft(self._settings.craft)
             self._description.publish(self._settings.craft)
         self._port = self._new_port()
-        self._timers_of_work = (
-            self.create_timer(TICK_S, self._on_tick),
-            self.create_timer(1.0, self._on_report),
-        )
+        self.timer(TICK_S, self._on_tick)
+        self.timer(1.0, self._on_report)
         self._port.start()
 
     def deactivate(self) -> None:
         """End a running excitation, stop the port's thread, finish the history."""
         if self._relay.injection:
             self._forward(self._relay.segment({'segment': 'idle'}))
-        for timer in self._timers_of_work:
-            self.destroy_timer(timer)
         self._operator.end()
         with self._lock:
             self._gains.disturb('the node was deactivated')
@@ -181,6 +222,7 @@ class SerialBridge(ManagedNode):
                 if isinstance(event, Stamped):
                     self._publish(event)
                 elif isinstance(event, Arrived):
+                    self._aircraft.take(event.frame, 1e-9 * now_ns)
                     self._arrived[type(event.frame)](event.frame, now_ns)
                 elif isinstance(event, Described):
                     self._on_described(event)
@@ -189,9 +231,9 @@ class SerialBridge(ManagedNode):
                     self._sensors.restarted()
             self._poll_gains(now_ns)
             self._flush()
-            last = self._link.last_cycle
-        if last is not None:
-            clock().handled(WIRE, START_NS + 1000 * last.time_us)
+            heard_us = self._link.heard_us
+        if heard_us is not None:
+            clock().handled(WIRE, START_NS + 1000 * heard_us)
 
     def _on_cycle(self, frame: f.Cycle, now_ns: int) -> None:
         self._sensors.cycle(frame)
@@ -201,16 +243,25 @@ class SerialBridge(ManagedNode):
                 self._gains.disturb(fault)
         pulse = self._gains.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
-            self._link.send(self._aircraft.excite(*pulse, PULSE_VALID_MS))
+            self._send(self._aircraft.excite(*pulse, PULSE_VALID_MS))
 
     def _on_gains_frame(self, frame: f.ParamValue | f.GainsState, now_ns: int) -> None:
-        self._gains.take(frame, 1e-9 * now_ns)
+        if self._aircraft.has_gains:
+            self._gains.take(frame, 1e-9 * now_ns)
+
+    def _on_aircraft(self, aircraft: Aircraft) -> None:
+        """Another aircraft is on the line, by its heartbeat."""
+        self._gains.use(aircraft.gains)
+        autopilot = self._aircraft.autopilot
+        self._link.autopilot.also_hz = autopilot.kind.wants_hz if autopilot is not None else {}
 
     def _on_sticks(self, frame: f.RcChannels, now_ns: int) -> None:
         self._gains.sticks(conversion.rc_axis(frame, YAW_STICK), 1e-9 * now_ns)
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
+        if not isinstance(frame, f.Cycle):
+            self._aircraft.take(frame, clock().now_s())
         if stamp_ns <= 0:  # simulated time has not come yet
             return
         if isinstance(frame, f.Cycle):
@@ -218,12 +269,30 @@ class SerialBridge(ManagedNode):
         elif isinstance(frame, f.RcChannels):
             last = self._link.last_cycle
             lost = last is not None and bool(last.flags & f.Flag.RC_FAILSAFE)
-            self._rc.publish(conversion.rc_message(frame, stamp_ns, failsafe=lost))
+            self._rc(self._messages.sticks(frame, stamp_ns, failsafe=lost))
         else:
-            publisher, convert = self._others[event.topic]
+            publish, convert = self._others[event.topic]
             message = convert(frame, stamp_ns)
             if message is not None:
-                publisher.publish(message)
+                publish(message)
+        if isinstance(frame, Inertial):
+            self._publish_autopilot(frame, stamp_ns)
+
+    def _publish_autopilot(self, frame: Inertial, stamp_ns: int) -> None:
+        """What an autopilot's attitude stands for, beside /imu/data; watch and gate see it too."""
+        autopilot, now_s = self._aircraft.autopilot, clock().now_s()
+        cycle = autopilot.cycle(frame, now_s) if autopilot is not None else None
+        if self._told_time is not None:
+            self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
+        if autopilot is None or cycle is None:
+            return
+        self._gains.cycle(cycle, now_s)
+        if autopilot.flight.reference is not None:
+            *_, attitude, rates = self._messages.packed(cycle, stamp_ns)
+            self._per_cycle[3](attitude)
+            self._per_cycle[4](rates)
+        if cycle.injection:
+            self._applied.publish(self._messages.applied(cycle, stamp_ns))
 
     def _publish_cycle(self, frame: f.Cycle, stamp_ns: int) -> None:
         bias = self._sensors.stamped(stamp_ns).gyro_bias
@@ -232,7 +301,7 @@ class SerialBridge(ManagedNode):
         ):
             publish(message)
         if frame.flags & f.Flag.EXCITATION:
-            self._applied.publish(self._messages.applied(frame, stamp_ns))
+            self._applied(self._messages.applied(frame, stamp_ns))
         if self._told_time is not None:
             self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
 
@@ -241,6 +310,8 @@ class SerialBridge(ManagedNode):
             told.peer.autopilot, self._link.name, told.parameters, self._description.craft
         )
         self._say_once(self._motors.words)
+        if self._aircraft.autopilot is not None:
+            self._aircraft.autopilot.craft = self._motors.craft
         if self._motors.craft is not None:
             self._description.publish(self._motors.craft)
 
@@ -253,10 +324,14 @@ class SerialBridge(ManagedNode):
     # In both threads, the lock being held.
 
     def _poll_gains(self, now_ns: int) -> None:
-        if not self._link.standard_only(now_ns):  # whose parameters are its own, and a thousand
-            request = self._gains.poll(1e-9 * now_ns)
-            if request is not None:
-                self._link.send(request)
+        if self._aircraft.has_gains:  # parameters of others are their own, and a thousand
+            self._send(self._gains.poll(1e-9 * now_ns))
+        for frame in self._aircraft.poll(1e-9 * now_ns):
+            self._link.send(frame)
+
+    def _send(self, frame: f.Frame | None) -> None:
+        if frame is not None:
+            self._link.send(frame)
 
     def _flush(self) -> None:
         """Write what the link has to send: the only place that does."""
@@ -297,7 +372,8 @@ class SerialBridge(ManagedNode):
             self.get_logger().info(item.text)
         if item.active is not None:
             name, now_ns = self.get_fully_qualified_name(), self.get_clock().now().nanoseconds
-            self._active.publish(conversion.event_message(item.active, name, now_ns))
+            self._active.publish(conversion.event_message(
+                with_mixing(item.active), name, now_ns))
 
     def _say_once(self, words: str) -> None:
         if self._limiter.allow(words, clock().now_s()):
@@ -328,7 +404,7 @@ class SerialBridge(ManagedNode):
 
     def _forward(self, frame: Any) -> None:
         with self._lock:
-            self._link.send(frame)
+            self._send(frame)
             self._flush()
 
     def _on_gains(self, event: ParameterEvent) -> None:
@@ -342,19 +418,18 @@ class SerialBridge(ManagedNode):
         self, parameters: Mapping[str, object], told: Told | None = None, *, age_s: float = 0.0
     ) -> None:
         """Hand on an update; raises RefusedError."""
-        if not self.active:
-            self._say_once('gains refused: the node is not active')
         self.refuse_unless_active()
         with self._lock:
-            self._refuse_autopilot()
+            if not parameters.get('rollback'):
+                self._refuse(Ability.GAINS)
             words = self._gains.ask(parameters, clock().now_s(), told, age_s=age_s)
             self._poll_gains(clock().now_ns())
             self._flush()
         self.get_logger().info(words)
 
-    def _refuse_autopilot(self) -> None:
-        """Raise RefusedError where the aircraft has no sets of gains and no test pulses."""
-        words = self._aircraft.cannot(Ability.GAINS)
+    def _refuse(self, ability: Ability) -> None:
+        """Raise RefusedError where the aircraft takes no such now."""
+        words = self._aircraft.cannot(ability)
         if words:
             self._say_once(words)
             raise RefusedError(words)
@@ -378,7 +453,7 @@ class SerialBridge(ManagedNode):
         """Have the polarity or the motors checked; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
-            self._refuse_autopilot()
+            self._refuse(Ability.PULSES)
             self._gains.check(clock().now_s(), told, motors=motors)
 
     def _on_report(self) -> None:
@@ -391,8 +466,8 @@ class SerialBridge(ManagedNode):
                 self._port.status, now_s, behind_ns=self._time.behind_ns, unset=unset
             )
             entries += [
-                self._gains.status(standard=link.last_cycle is None and link.autopilot.asked > 0),
-                self._relay.status(link.last_cycle, now_s),
+                self._gains.status(self._aircraft.cannot(Ability.GAINS) if link.peer else ''),
+                self._relay.status(self._aircraft.last_cycle or link.last_cycle, now_s),
             ]
         log, port = self.get_logger(), self._settings.port
         for entry in self._changes.new(entries[:2], now_s):

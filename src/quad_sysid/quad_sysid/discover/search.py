@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -151,8 +151,9 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
 class _Search:
     """The structures fitted so far, by the labels of their effects."""
 
-    def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit) -> None:
-        self.problem, self.parts = problem, parts
+    def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit,
+                 halt: Callable[[], str], listen: Callable[[str], None]) -> None:
+        self.problem, self.parts, self.halt, self.listen = problem, parts, halt, listen
         laws = Counter(law(part.effect) for part in parts)
         self.prices = {
             part.effect.label: math.log(EXPECTED / len(laws) / laws[law(part.effect)])
@@ -181,12 +182,16 @@ class _Search:
             if not ahead:
                 break
         hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
+        if self.halt():
+            return []
         self.tried |= {frozenset((*fit.structure.labels, one.part.effect.label))
                        for _, fit, one in hopeful}
         fits = contest(self.problem, [one_try for _, fit, one in hopeful
                                       for one_try in extensions(fit, one)],
                        self.best().fit.evidence - FAR_BEHIND)
         kept = {frozenset(fit.structure.labels): self.keep(fit) for fit in fits}
+        best = ' and '.join(self.best().names) or 'the base'
+        self.listen(f'{len(self.known)} structures, best so far {best}')
         return [*kept.values()]
 
     def scores(self, parent: Fit, *, whole: bool = True) -> list[Score]:
@@ -260,7 +265,8 @@ def leading(fits: Iterable[Scored]) -> list[Scored]:
     return list(unlike.values())[:BEAM]
 
 
-def search(problem: Problem, effects: Sequence[Effect]) -> Found:
+def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] = lambda: '',
+           listen: Callable[[str], None] = lambda _: None) -> Found:
     """The structures that the training segments support.
 
     A beam search adds one effect at a time until no score beside the best structure promises more,
@@ -272,21 +278,26 @@ def search(problem: Problem, effects: Sequence[Effect]) -> Found:
     A coupling counts only if no gust disturbs both axes: a gust at an angle moves both, each
     feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
     for such a gust beside the coupling, the search is repeated without that axis (a test of
-    exogeneity: Hausman 1978).
+    exogeneity: Hausman 1978). Once `halt` gives a reason nothing more is fitted, and what was not
+    is listed with it; `listen` gets a line of text after each round.
     """
     whole, problem = problem, problem.shortened(SEARCHED, BLOCKS)
     parts, reasons = candidates(problem, effects)
     base = best_base(problem)
     problem.measure(base)
     while True:
-        found = _structures(problem, parts, base)
+        found = _structures(problem, parts, base, halt, listen)
         best = found.best().fit
         used = {which for part in best.structure.parts for which in part.effect.others}
         shared = {which for which in used if shares(problem, best, base, which)}
-        if not shared:
+        if not shared or halt():
             break
         reasons |= {p.effect.label: SHARED for p in parts if shared & set(p.effect.others)}
         parts = [p for p in parts if p.effect.label not in reasons]
+    if why := halt():
+        fitted = {label for labels in found.known for label in labels}
+        reasons |= {p.effect.label: f'{why}: it was not tried'
+                    for p in parts if p.effect.label not in fitted}
     ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
     leading_ones = Found(base, ordered, reasons, found.prices)
     return leading_ones if problem is whole else _on_all(whole, leading_ones)
@@ -304,8 +315,11 @@ def _on_all(problem: Problem, found: Found) -> Found:
     return replace(found, base=base, all=tuple(sorted(known, key=lambda one: -one.score)))
 
 
-def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
-    found = _Search(problem, parts, base)
+def _structures(problem: Problem, parts: Sequence[Part], base: Fit, halt: Callable[[], str],
+                listen: Callable[[str], None]) -> _Search:
+    found = _Search(problem, parts, base, halt, listen)
+    if halt():
+        return found
     for fitted in anew(problem, parts, base):
         if fitted.evidence > base.evidence + ANEW:
             found.keep(fitted)
@@ -316,9 +330,10 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
         if beam:
             beam[0] = found.keep(both_orders(problem, beam[0].fit))
             found.screens.pop(frozenset(beam[0].fit.structure.labels), None)
-        if not beam or beam[0].score <= top or found.hardly(before, beam[0].fit):
+        if (not beam or beam[0].score <= top or found.hardly(before, beam[0].fit)
+                or halt()):
             break
     for _ in range(MOST_EFFECTS):
-        if not found.exchange():
+        if halt() or not found.exchange():
             break
     return found

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import Curve, placed_around_zero
@@ -310,13 +309,16 @@ class MotorCurve(Propellers, Curve):
         self, m: FloatArray, p: FloatArray, settings: Settings
     ) -> tuple[FloatArray, FloatArray]:
         knots, slopes = settings['knots'], p - float(np.dot(settings['mean'], p))
-        area = make_interp_spline(knots, slopes, k=1).antiderivative()
+        width = np.diff(knots)
+        bends = 0.5 * np.diff(slopes) / width
 
         def thrust(m: FloatArray) -> FloatArray:
             inside = np.clip(m, knots[0], knots[-1])
-            return area(inside) + np.interp(m, knots, slopes) * (m - inside)
+            into = np.stack([np.clip(inside - a, 0.0, b) for a, b in zip(knots, width, strict=False)])
+            areas = np.tensordot(slopes[:-1], into, 1) + np.tensordot(bends, into**2, 1)
+            return areas + np.interp(m, knots, slopes) * (m - inside)
 
-        return thrust(m) - thrust(settings['throttle']), np.interp(m, knots, slopes)
+        return thrust(m) - thrust(np.array(settings['throttle'])), np.interp(m, knots, slopes)
 
 
 class Saturation(Map):

@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -20,6 +19,7 @@ from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import UNITS, Effect, Settings, Signals, Spec, per_unit, required
 from quad_sysid.model.structure import BASE
+from quad_sysid.model.traced import Traced, noted
 
 System = tuple[FloatArray, FloatArray]
 """A (m, m) and B (m,) of x' = A x + B input."""
@@ -35,6 +35,15 @@ SHOWN_MOTORS = 4
 SHOWN_BY = tuple(itertools.product(range(SHOWN_MOTORS), range(1, DEGREE + 1)))
 """Motor and degree of each term that a gyro may show."""
 RING = "z'' + 2 d w z' + w² z = w²"
+
+
+def polynomials(x: FloatArray) -> FloatArray:
+    """(…, DEGREE + 1) Legendre polynomials of x (…), constant beyond EDGE."""
+    x = np.clip(x, -EDGE, EDGE)
+    rows = [np.ones_like(x), x]
+    for k in range(1, DEGREE):
+        rows.append(((2 * k + 1) * x * rows[k] - k * rows[k - 1]) / (k + 1))
+    return np.stack(rows, axis=-1)
 
 
 def ring(frequency_hz: float, damping_ratio: float) -> System:
@@ -77,6 +86,21 @@ def along(
     for start, stop in stretches:
         kernel(signal, *numbers, start, stop, out)
     return out
+
+
+def each_ahead(
+    name: str, arrays: Sequence[FloatArray], numbers: Sequence[float], results: int
+) -> FloatArray:
+    """(results, …) a compiled law of one cycle on arrays (…) of one shape, or noted (traced.py)."""
+    if any(isinstance(x, Traced) for x in arrays):
+        return np.stack(noted(name, arrays, numbers, results))
+    rows = np.broadcast_arrays(*arrays)
+    out = np.empty((results, rows[0].size))
+    AHEAD[name](*(np.ascontiguousarray(x.ravel()) for x in rows), *numbers, out)
+    return out.reshape(results, *rows[0].shape)
+
+
+AHEAD = {'loose': recursion.all_loose_ahead, 'yielded': recursion.all_yielded}
 
 
 class Linear(Torque):
@@ -220,10 +244,7 @@ class Load(Effect):
         """(3, …) the states a cycle later, and what pushed the mass meanwhile."""
         w = 2.0 * math.pi * float(p[0])
         pull, moved = self._inputs(s, p)
-        out = np.empty((3, pull.size))
-        recursion.all_loose_ahead(pull.ravel(), moved.ravel(), w, float(p[1]), s.dt,
-                                  np.ascontiguousarray(x.reshape(2, -1)), out)
-        return out.reshape(3, *pull.shape)
+        return each_ahead('loose', (pull, moved, x[0], x[1]), (w, float(p[1]), s.dt), 3)
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
@@ -301,8 +322,7 @@ class Yielding(Effect):
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
         push, *law = self._flow(s, p)
-        ahead = recursion.all_yielded(x.ravel(), push.ravel(), *law, s.dt)
-        return ahead.reshape(1, *push.shape)
+        return each_ahead('yielded', (x[0], push), (*law, s.dt), 1)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[4] * required(s.hidden)[0]
@@ -492,8 +512,7 @@ class Shown(Shape):
     ) -> FloatArray:
         x, dt = required(s.hidden), s.dt
         ahead = self.advance(x, s, p, settings)
-        begin, end = (legvander(np.clip(z, -EDGE, EDGE), DEGREE) for z in (x, ahead))
-        change = (end - begin) / dt
+        change = (polynomials(ahead) - polynomials(x)) / dt
         return np.stack([change[i, ..., k] for i, k in SHOWN_BY], axis=-1)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:

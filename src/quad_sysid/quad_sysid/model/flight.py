@@ -454,7 +454,7 @@ class Flight:
         prediction = prediction or self.predict(structure, theta)
         found = prediction.filter
         halves, states = self.driven(structure, p)
-        plant = Plant(structure, p, dt, self.sensor, self.share, rounds)
+        plant = Plant(structure, p, dt, self.sensor, self.data.craft, self.data.index, rounds)
         x = prediction.states[windows.starts]
         r, d, g, q = x[:, :4].T
         end = 4 + 2 * structure.lines
