@@ -8,7 +8,6 @@ import sys
 from dataclasses import fields, is_dataclass, replace
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from flight_controller import STILL
 from rosbags.typesys import Stores, get_typestore
@@ -17,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.motor_outputs import MotorOutputs
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.axes import flip_attitude, quaternion
 
 pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
 from quad_bridge.nodes import conversion
@@ -137,14 +135,6 @@ def test_facing_north_is_a_yaw_of_ninety_degrees_from_east():
     assert forward == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)  # ENU: north is y
 
 
-@pytest.mark.parametrize('rpy', [(0.3, -0.2, 0.0), (-0.1, 0.4, 2.5), (1.0, 0.5, -3.0)])
-def test_the_attitude_agrees_with_the_rotation_of_frames(rpy):
-    ned = rotation(quaternion(rpy))  # FRD to NED
-    earth = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])  # NED to ENU
-    body = np.diag([1, -1, -1])  # FLU to FRD
-    assert rotation(quaternion(flip_attitude(rpy))) == pytest.approx(earth @ ned @ body, abs=1e-12)
-
-
 @pytest.mark.parametrize(
     ('pulses', 'failsafe', 'axes', 'button'),
     [
@@ -184,7 +174,3 @@ def test_what_others_send_in_si_and_nan_minus_one_or_none_where_not_measured():
     assert conversion.Messages().mag(f.SlowSensors(0), 0) is None
     assert conversion.Messages().baro(f.SlowSensors(0), 0) is None
 
-
-def test_parameter_events_come_back_as_a_mapping():
-    values = {'roll.rate.kp': 0.25, 'source': 'designer'}
-    assert conversion.parameters(conversion.event_message(values, '/n', 5)) == values

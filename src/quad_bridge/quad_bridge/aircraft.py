@@ -1,8 +1,8 @@
 """One aircraft as the bridge asks it: excitation, set-points, gains, arming, what it cannot do.
 
 `Aircraft` is what bridge, relay and services know; the frames that an autopilot wants for it are
-its own class's. `Quad` speaks to the firmware of this project. Another autopilot is one more
-class here, and its messages in `wire/`. Nothing here sends: each request gives the frame to send.
+its own class's. `Quad` speaks to the firmware of this project, `autopilots/` to PX4 and ArduPilot.
+Nothing here sends: each request gives the frame to send.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from enum import Enum
-from typing import Protocol
+from typing import Any, Protocol
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.gains.protocol import GainEvent, GainProtocol, Request
+from quad_bridge.gains.protocol import GainEvent, GainProtocol, Keep, Request
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_body
 
 ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED = 'accepted'
-_RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
+RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 STILL = (0.0, 0.0, 0.0)
 
 
@@ -41,6 +41,31 @@ class Gains(Protocol):
     events: list[GainEvent]
     active: Mapping[str, float]
     """Contract names, SI; empty until they are read back."""
+    pulses: bool
+    """Whether it takes test pulses, which it must then before its gains are changed."""
+    cycles_hz: float
+    """Cycles per second for the watch where `active` does not say it; 0: it does."""
+    keep: Keep
+    """Writes to the aircraft's files what must outlive this process."""
+
+    @property
+    def names(self) -> Mapping[str, str]:
+        """Contract names to those that `write` takes, where these are others."""
+
+    @property
+    def aircraft(self) -> str:
+        """A name for the aircraft's files; empty while it is not known."""
+
+    @property
+    def reading(self) -> bool:
+        """Whether the gains have not been read as a whole yet."""
+
+    @property
+    def in_common(self) -> frozenset[str]:
+        """Gains that are one for all axes."""
+
+    def recall(self, record: object) -> None:
+        """Take what `keep` has written last, once the aircraft's files are open."""
 
     @property
     def busy(self) -> str:
@@ -75,12 +100,17 @@ class Aircraft(ABC):
         """Why it has not this ability; empty where it has."""
 
     @abstractmethod
-    def excite(self, value: f.Vector3, injection: f.Injection, valid_ms: int) -> f.Frame:
-        """Give the frame that adds `value` (FLU, the injection's unit) for so long."""
+    def excite(
+        self, value: f.Vector3, injection: f.Injection, valid_ms: int
+    ) -> f.Frame | None:
+        """Give the frame that adds `value` (FLU, the injection's unit) for so long, if one does."""
 
     @abstractmethod
-    def abort(self) -> f.Frame:
-        """Give the frame that ends an excitation at once."""
+    def abort(self) -> f.Frame | None:
+        """Give the frame that ends an excitation at once, if one does."""
+
+    def segment(self, parameters: Mapping[str, Any] | None) -> None:
+        """A segment of the schedule begins, as it was announced; None: it has ended."""
 
     @abstractmethod
     def fly_to(self, attitude: f.Vector3, thrust: float) -> f.Frame:
@@ -139,5 +169,5 @@ class Quad(Aircraft):
         """Say what an answer to `arm` says."""
         if frame.command != ARM_DISARM:
             return None
-        known = frame.result < len(_RESULTS)
-        return _RESULTS[frame.result] if known else f'result {frame.result}'
+        known = frame.result < len(RESULTS)
+        return RESULTS[frame.result] if known else f'result {frame.result}'

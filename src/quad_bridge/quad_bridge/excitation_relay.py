@@ -75,9 +75,9 @@ class ExcitationRelay:
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
         before, self._lost = self._injection, False
         self._injection = wanted if running and wanted is not None else Injection.NONE
-        if Injection.NONE in {before, self._injection}:
-            return self._aircraft.abort()
-        return None
+        end = self._aircraft.abort() if Injection.NONE in {before, self._injection} else None
+        self._aircraft.segment(parameters if self._injection is not Injection.NONE else None)
+        return end
 
     def tick(self, now_s: float) -> Frame | None:
         """The frame that ends a running excitation where the operator has let go."""

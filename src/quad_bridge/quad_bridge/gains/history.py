@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from quad_bridge.gains.gate import GainRequest
 
-Jobs = queue.SimpleQueue[Callable[[], None] | None]
+Jobs = queue.SimpleQueue[Callable[[], object] | None]
 SCHEMA = 'quad_bridge/gains/1'
 HISTORY, POLARITY = 'gains.jsonl', 'polarity.json'
-FLIGHT = 'flight'
+FLIGHT, TRIAL = 'flight', 'trial'
 CLOSE_S = 2.0  # how long the last lines are waited for when the node ends
 
 
@@ -42,7 +42,7 @@ class Worker:
         self._jobs = Jobs()
         self._thread: threading.Thread | None = None
 
-    def __call__(self, job: Callable[[], None]) -> None:
+    def __call__(self, job: Callable[[], object]) -> None:
         """Run `job` soon; it must not raise."""
         if self._thread is None:
             self._jobs = Jobs()  # the thread before may still hang in the disk, with its own
@@ -72,7 +72,7 @@ class History:
     of writing, a `Worker` or something that does it at once.
     """
 
-    def __init__(self, folder: Path, run: Callable[[Callable[[], None]], None]) -> None:
+    def __init__(self, folder: Path, run: Callable[[Callable[[], object]], None]) -> None:
         self.fault = ''  # what keeps the files from being written
         self._folder, self._run = folder, run
         self._aircraft = ''
@@ -82,13 +82,13 @@ class History:
     def open(self, aircraft: str) -> dict[str, Any] | None:
         """Take this aircraft's files; what they say where it is another one than before.
 
-        Reads two small files: the polarity record, and under `flight` how it last flew well.
-        Nothing of what was not kept, or is damaged.
+        Reads small files: the polarity record, under `flight` how it last flew well, and under
+        `trial` the gains to return to. Nothing of what was not kept, or is damaged.
         """
         if aircraft in {'', self._aircraft}:
             return None
         self._aircraft, self._last = aircraft, {}
-        return self.kept(POLARITY) | self.kept(f'{FLIGHT}.json')
+        return self.kept(POLARITY) | self.kept(f'{FLIGHT}.json') | self.kept(f'{TRIAL}.json')
 
     def kept(self, name: str) -> dict[str, Any]:
         """What is in one of the aircraft's files that are replaced whole; {} where nothing."""
@@ -145,6 +145,15 @@ class History:
         """Replace the figures of the aircraft's last good flight."""
         self._keep(f'{FLIGHT}.json', {FLIGHT: figures})
 
+    def keep_trial(self, record: Mapping[str, object], done: Callable[[bool], None]) -> None:
+        """Replace what a trial of gains has to return to; `done` is told whether it is there."""
+        if not self._aircraft:
+            done(False)
+            return
+        path = self._folder / self._aircraft / f'{TRIAL}.json'
+        text = json.dumps({**record, 'time': now_text()}, indent=1, allow_nan=False) + '\n'
+        self._run(lambda: done(self._replace(path, text)))
+
     def _keep(self, name: str, record: Mapping[str, Any]) -> None:
         if self._aircraft:
             path = self._folder / self._aircraft / name
@@ -168,17 +177,23 @@ class History:
             self.fault = f'{path}: {what}; no gains are taken that nobody could trace'
             self._last = {}  # not stored: when they are read again, they are written again
 
-    def _replace(self, path: Path, text: str) -> None:
+    def _replace(self, path: Path, text: str) -> bool:
+        """Replace a file, on the disk when this returns; whether that was done."""
         fresh = path.with_suffix(f'.{os.getpid()}')
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            fresh.write_text(text, encoding='utf-8')
+            with fresh.open('w', encoding='utf-8') as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
             fresh.replace(path)
         except OSError as error:
             self.fault = f'{path}: cannot be written ({error.strerror})'
             self._last = {}
             with contextlib.suppress(OSError):
                 fresh.unlink()
+            return False
+        return True
 
 
 def now_text() -> str:

@@ -11,15 +11,17 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.gains.table import CONTRACT_NAMES
+from quad_bridge.gains.table import CONTRACT_NAMES, WIRE_NAMES
 from quad_bridge.wire import frames as f
 
 Request = f.GainsCommand | f.ParamSet | f.ParamRequestList | f.ParamRequestRead
+Keep = Callable[[Mapping[str, object], Callable[[bool], None]], None]
+"""Writes a record to the disk, {} for none, and calls back from any thread: whether it is there."""
 TRIES, STUBBORN_TRIES = 4, 41
 """Tries of one request; of CONFIRM and REVERT, which last until the STM32 decides itself."""
 REPEAT_S, READ_S, QUIET_S = 0.25, 0.5, 0.1
@@ -74,12 +76,18 @@ class GainEvent:
 class GainProtocol:
     """One conversation with one STM32; `restart` begins another. Times in s on a steady clock."""
 
+    names = WIRE_NAMES
+    pulses = True
+    cycles_hz = 0.0
+    in_common: frozenset[str] = frozenset()
+
     def __init__(self) -> None:
         self.state = State.READING
         self.events: list[GainEvent] = []
         self.active: Mapping[str, float] = {}
         """The active gains, contract names, SI; empty until they are read back."""
         self.told: f.GainsState | None = None  # the STM32's last word on its sets
+        self.keep: Keep = lambda _, done: done(True)  # nothing: the STM32 reverts by itself
         self._forget()
         self._number = 0
         self._checksum = 0  # of what is in force, or is to be
@@ -97,6 +105,19 @@ class GainProtocol:
     def busy(self) -> str:
         """The current activity; empty where a set may be written."""
         return '' if self.state in AT_REST else self.state.value
+
+    @property
+    def aircraft(self) -> str:
+        """The STM32's unique number; empty while it is not known."""
+        return f'{self.told.aircraft:016x}' if self.told is not None else ''
+
+    @property
+    def reading(self) -> bool:
+        """Whether the gains have not been read as a whole yet."""
+        return self.state is State.READING
+
+    def recall(self, record: object) -> None:
+        """Nothing is kept of a trial: the STM32 says itself whether one goes on."""
 
     # What is asked for.
 

@@ -20,11 +20,10 @@ import numpy as np
 from quad_bridge.errors import QuadBridgeError, RefusedError
 from quad_bridge.fresh import refuse_stale
 from quad_bridge.gains import gate
-from quad_bridge.gains.history import FLIGHT, History
+from quad_bridge.gains.history import FLIGHT, TRIAL, History
 from quad_bridge.gains.polarity import PolarityCheck, Push
 from quad_bridge.gains.protocol import GainEvent, GainProtocol, Request, What
-from quad_bridge.gains.protocol import State as Protocol
-from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, WIRE_NAMES, Bound
+from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, Bound
 from quad_bridge.gains.watch import GainWatch
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.wire import frames as f
@@ -115,11 +114,12 @@ class GainUpdates:
         """Why the last update was refused, failed or reverted; empty after a good one."""
         self.refusals = self.commits = self.rollbacks = 0
         self.state = State.IDLE
-        self.protocol = protocol or GainProtocol()
+        self._settings, self._history = settings, history
+        self._trial: Any = None  # what the files know of a trial, once they are open
+        self.use(protocol or GainProtocol())
         self.rate_hz = gate.USUAL_HZ
         self.watch = GainWatch(gate.USUAL_HZ)
         self.polarity = PolarityCheck(settings.polarity, gate.USUAL_HZ)
-        self._settings, self._history = settings, history
         self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
         self._update: _Update | None = None
         self._pending: tuple[gate.GainRequest, Told | None] | None = None
@@ -136,16 +136,23 @@ class GainUpdates:
         self._flown = False  # the gains in force have flown well, and the history says so
         self._rate_kp = np.ones(3)
 
+    def use(self, protocol: Any) -> None:
+        """From now on the aircraft's sets of gains are these (aircraft.py, `Gains`)."""
+        self.protocol = protocol
+        protocol.keep = self._history.keep_trial
+        if self._settings.aircraft and self._trial is not None:  # whose files are open already
+            protocol.recall(self._trial)
+
     @property
     def active(self) -> Mapping[str, float]:
         """Active gains and loop constants, contract names, SI; empty until they are read back."""
-        return self.protocol.active
+        active: Mapping[str, float] = self.protocol.active
+        return active
 
     @property
     def aircraft(self) -> str:
         """Name of the folder of the aircraft's files; '' while it is not known."""
-        told = self.protocol.told
-        return self._settings.aircraft or (f'{told.aircraft:016x}' if told is not None else '')
+        return self._settings.aircraft or str(self.protocol.aircraft)
 
     @property
     def words(self) -> str:
@@ -158,8 +165,8 @@ class GainUpdates:
         on_ground = ' (on trial on the ground)' if self._flying_s is None else ''
         return f'{text}, {max(self._left_s, 0.0):.0f} s of flight left{on_ground}'
 
-    def status(self, *, standard: bool) -> Status:
-        """For /diagnostics; `standard`: the aircraft has no QUAD_GAINS."""
+    def status(self, cannot: str = '') -> Status:
+        """For /diagnostics; `cannot`: why this aircraft takes no gains now."""
         values: dict[str, object] = {n: f'{v:.9g}' for n, v in self.active.items()}
         values['writes acknowledged'] = self.commits
         values['refused'] = self.refusals
@@ -167,13 +174,13 @@ class GainUpdates:
         values['polarity'] = self.polarity.words()
         values['aircraft'] = self.aircraft
         values |= {f'watch {n} (rad/s)': f'{v:.3f}' for n, v in self.watch.figures().items()}
-        if standard:
-            return Status('gains', WARN, 'refused: the aircraft has no QUAD_GAINS', values)
         if self.refused:
             return Status('gains', ERROR, self.refused, values)
+        if cannot and self.state is State.IDLE:
+            return Status('gains', WARN, f'refused: {cannot}', values)
         if self._history.fault:
             return Status('gains', WARN, self._history.fault, values)
-        if self.state is State.IDLE and self.protocol.state is Protocol.READING:
+        if self.state is State.IDLE and self.protocol.reading:
             words = 'the aircraft has not reported its parameters yet'
             return Status('gains', WARN, words, values)
         return Status('gains', OK, self.words, values)
@@ -216,7 +223,7 @@ class GainUpdates:
                 return 'stopped the check, and dropped what waited for it'
         path = self._admit(asked, now_s)
         self.polarity.refuse_faults()
-        axes = self.polarity.unchecked(asked.gains)
+        axes = self.polarity.unchecked(asked.gains) if self.protocol.pulses else []
         words = ', '.join(axes)
         if axes and self._settings.polarity == 'manual':
             raise RefusedError(
@@ -293,11 +300,14 @@ class GainUpdates:
         self._update, self.refused = update, ''
         # what flies from the commit on, seen some time before its answer, is not "before"
         touched = {name.partition('.')[0] for name in asked.gains}
-        self.watch.begin(asked.predicted, touched if touched <= set(AXES) else AXES)
+        if not touched <= set(AXES) or self.protocol.in_common & set(asked.gains):
+            touched = set(AXES)
+        self.watch.begin(asked.predicted, touched)
 
     def _write_step(self, update: _Update) -> None:
         step = update.steps[update.written]
-        self.protocol.write({WIRE_NAMES[n]: v for n, v in step.items()}, STM32_WATCH_MS)
+        names = self.protocol.names
+        self.protocol.write({names.get(n, n): v for n, v in step.items()}, STM32_WATCH_MS)
         self.state = State.WRITING
 
     # What comes from the STM32.
@@ -306,6 +316,9 @@ class GainUpdates:
         """Set the stored polarity record of the connected aircraft."""
         self.polarity.load(record)
         self.watch.know(record.get(FLIGHT))
+        self._trial = record.get(TRIAL, {})
+        self.protocol.recall(self._trial)
+        self._take_events()
         self._history.found(self.active)
 
     def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
@@ -315,7 +328,7 @@ class GainUpdates:
 
     def poll(self, now_s: float) -> Request | None:
         """Frames to send now."""
-        wanted = self.protocol.poll(now_s)
+        wanted: Request | None = self.protocol.poll(now_s)
         self._take_events()
         return wanted
 
@@ -480,7 +493,7 @@ class GainUpdates:
     def _know(self, event: GainEvent) -> None:
         active = event.active or {}
         self._rate_kp = np.maximum([active.get(f'{a}.rate.kp', 1.0) for a in AXES], 1e-3)
-        rate_hz = active.get('loop.rate_hz', gate.USUAL_HZ)
+        rate_hz = self.protocol.cycles_hz or active.get('loop.rate_hz', gate.USUAL_HZ)
         if rate_hz != self.rate_hz:
             self.rate_hz = self.polarity.rate_hz = rate_hz
             known = self.watch.known

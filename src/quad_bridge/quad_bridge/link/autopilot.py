@@ -9,8 +9,10 @@ MAV_CMD_SET_MESSAGE_INTERVAL. Stamps are stamping.py's.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from quad_bridge.wire.dialect import mavlink_map
 from quad_bridge.wire.frames import (
     Attitude,
     Battery,
@@ -30,6 +32,9 @@ PAUSE_NS = (2_000_000_000, 60_000_000_000)
 ENOUGH = 0.8  # share of the wanted rate that need not be raised
 ALIVE_NS = 1_000_000_000  # a message that has not come for so long does not come
 LONGEST_NS = 10_000_000_000  # or for three of its own intervals, up to this
+FRAME_BYTES = 12  # of a message around its content
+LINE_SHARE = 0.8  # of what a serial line carries that telemetry may fill
+LEAST_HZ = 10.0  # below which no stream is asked for to spare the line
 MOVED_RAD = 0.01  # angles that change by more while all rates are exactly zero
 INERTIAL, MOTORS, ROTORS = '/imu/data', '/motors/command', '/motors/state'
 STICKS, COMPASS, PRESSURE, BATTERY = '/rc/in', '/imu/mag', '/baro', '/battery'
@@ -38,7 +43,8 @@ IDS = {
     'SCALED_IMU': 26, 'SCALED_PRESSURE': 29, 'ATTITUDE': 30, 'RC_CHANNELS_RAW': 35,
     'SERVO_OUTPUT_RAW': 36, 'RC_CHANNELS': 65, 'HIGHRES_IMU': 105, 'BATTERY_STATUS': 147,
     'SYS_STATUS': 1, 'RPM': 226, 'ESC_STATUS': 291, 'ESC_TELEMETRY_1_TO_4': 11030,
-    'ESC_TELEMETRY_5_TO_8': 11031, 'ESC_TELEMETRY_9_TO_12': 11032,
+    'ESC_TELEMETRY_5_TO_8': 11031, 'ESC_TELEMETRY_9_TO_12': 11032, 'ATTITUDE_TARGET': 83,
+    'LOCAL_POSITION_NED': 32, 'EXTENDED_SYS_STATE': 245,
 }  # fmt: skip
 TELEMETRY = ('ESC_TELEMETRY_1_TO_4', 'ESC_TELEMETRY_5_TO_8', 'ESC_TELEMETRY_9_TO_12')
 """Messages for four ESCs each: they are one source together, under the name of the first."""
@@ -63,6 +69,20 @@ AUTOPILOTS = {3: 'ArduPilot', 12: 'PX4'}  # MAV_AUTOPILOT
 GENERIC = 0  # MAV_AUTOPILOT
 BETAFLIGHT = {'ATTITUDE', 'RC_CHANNELS_RAW', 'VFR_HUD'}
 """Messages of Betaflight, which calls itself generic; its ATTITUDE has no rates at all."""
+
+
+def fitted(wanted: Mapping[str, float], budget: float) -> dict[str, float]:
+    """Rates that a line of `budget` bytes per second carries: the fast ones give way first."""
+    rates = dict(wanted)
+    while load(rates) > budget and max(rates.values(), default=0.0) > LEAST_HZ:
+        top = max(rates.values())
+        rates = {n: max(0.9 * hz, LEAST_HZ) if hz > 0.95 * top else hz for n, hz in rates.items()}
+    return rates
+
+
+def load(rates: Mapping[str, float]) -> float:
+    """Bytes per second of messages at these rates."""
+    return sum(hz * (FRAME_BYTES + mavlink_map[IDS[n]].unpacker.size) for n, hz in rates.items())
 
 
 def name_of(peer: Heartbeat) -> str:
@@ -96,7 +116,10 @@ class _Stream:
 class Autopilot:
     """What arrives, what of it feeds the topics, and what is to be asked for."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: float = math.inf) -> None:
+        """`budget`: bytes per second that the line carries for it."""
+        self.budget = budget
+        self.also_hz: Mapping[str, float] = {}  # messages wanted beside those of the topics
         self._streams: dict[str, _Stream] = {}
         self._sources: dict[tuple[str, str], tuple[int, int]] = {}
         """Topic and message to when its content last came, and how long it counts as alive."""
@@ -114,7 +137,7 @@ class Autopilot:
 
     def clear(self) -> None:
         """Forget the autopilot."""
-        self.__init__()  # type: ignore[misc]
+        self.__init__(self.budget)  # type: ignore[misc]
 
     @property
     def betaflight(self) -> bool:
@@ -285,7 +308,8 @@ class Autopilot:
                 tried = stream is not None and (stream.asked or stream.rate_hz > 0.0)
                 if name == source or (source is None and not tried):
                     break
-        return wanted
+        wanted |= {name: hz for name, hz in self.also_hz.items() if name not in wanted}
+        return fitted(wanted, self.budget)
 
     def _measured(self, name: str, rates: Vector3 | None) -> Vector3 | None:
         """Rates, or None where they are exactly zero although the angles have moved."""

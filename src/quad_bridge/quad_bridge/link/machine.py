@@ -6,6 +6,7 @@ are ns of one steady host clock. Not thread-safe: the node holds a lock around i
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +15,7 @@ from typing import Any
 from quad_bridge.link.autopilot import (
     BATTERY,
     GENERIC,
+    LINE_SHARE,
     MOTORS,
     ROTORS,
     STICKS,
@@ -30,8 +32,14 @@ BRIDGE_SYSTEM, BRIDGE_COMPONENT = 1, 191
 ONBOARD_CONTROLLER = 18  # MAV_TYPE
 ADDRESSED = (
     f.Command, f.Excitation, f.GainsCommand, f.ParamRequestList, f.ParamRequestRead, f.ParamSet,
+    f.SetAttitudeTarget, f.LogRequestList, f.LogRequestData, f.LogRequestEnd,
 )  # fmt: skip
-_HANDED_ON = (f.GainsState, f.CommandAck, f.StatusText)
+_HANDED_ON = (f.GainsState, f.CommandAck, f.StatusText, f.Version, f.LogEntry, f.LogData)
+_STREAMED = {
+    f.AttitudeTarget: 'ATTITUDE_TARGET', f.LocalPosition: 'LOCAL_POSITION_NED',
+    f.LandedState: 'EXTENDED_SYS_STATE',
+}  # fmt: skip
+"""Frames that an autopilot streams, handed on as they come, and their messages."""
 HEARTBEAT_NS = 1_000_000_000
 SYNC_NS, SOON_NS = 200_000_000, 40_000_000
 """Between TIMESYNC questions once the clock has converged, and before."""
@@ -50,14 +58,21 @@ QUESTIONS = 64  # of TIMESYNC whose answers still count
 class Link:
     """State of the conversation with the aircraft."""
 
-    def __init__(self, signing: Signing | None = None, one_clock_ns: int | None = None) -> None:
-        """`one_clock_ns`: host minus device time where both are one clock, as in lockstep."""
+    def __init__(
+        self, signing: Signing | None = None, one_clock_ns: int | None = None,
+        baud: int | None = None,
+    ) -> None:  # fmt: skip
+        """`one_clock_ns`: host minus device time where both are one clock, as in lockstep.
+
+        `baud` of a serial line, where the port is one.
+        """
         self._one_clock_ns = one_clock_ns
         self.decoder = Decoder(signing, own=(BRIDGE_SYSTEM, BRIDGE_COMPONENT))
         self.stamping = Stamping(self._restarted_unseen)
         self.clock = self.stamping.clock
         self.peer: f.Heartbeat | None = None
-        self.autopilot = Autopilot()  # where the aircraft sends standard messages only
+        self.autopilot = Autopilot(math.inf if baud is None else LINE_SHARE * baud / 10.0)
+        """Where the aircraft sends standard messages only."""
         self.parameters: Parameters | None = None  # of such an autopilot
         self._described = False
         self.last_cycle: f.Cycle | None = None
@@ -78,6 +93,7 @@ class Link:
         """Times of our own: another party's answers may come along the same line."""
         self._takes: dict[type, Callable[[Any, int], None]] = {
             **dict.fromkeys(_HANDED_ON, self._arrived),
+            **dict.fromkeys(_STREAMED, self._streamed),
             f.Cycle: self._cycle,
             f.RcChannels: self._sticks,
             f.SlowSensors: self._slow_sensors,
@@ -90,6 +106,13 @@ class Link:
             f.Heartbeat: self._heartbeat,
             f.Standard: lambda frame, _: self.autopilot.note(frame.name),
         }
+
+    @property
+    def heard_us(self) -> int | None:
+        """The aircraft's time when it was last heard of in a cycle, or in what stands for one."""
+        if self.last_cycle is not None:
+            return self.last_cycle.time_us
+        return self._inertial_us or None
 
     @property
     def armed(self) -> bool:
@@ -232,6 +255,10 @@ class Link:
     def _arrived(self, frame: Any, _now_ns: int) -> None:
         self.stamping.out.append(Arrived(frame))
 
+    def _streamed(self, frame: Any, now_ns: int) -> None:
+        self.autopilot.note(_STREAMED[type(frame)])
+        self._arrived(frame, now_ns)
+
     def _sticks(self, frame: f.RcChannels, now_ns: int) -> None:
         sticks = self.autopilot.sticks(frame, now_ns)
         if sticks is not None:
@@ -262,9 +289,8 @@ class Link:
             self.stamping.other(ROTORS, speeds, speeds.time_us, 1, now_ns)
 
     def _parameter(self, frame: f.ParamValue, now_ns: int) -> None:
-        if not self.standard_only(now_ns):
-            self._arrived(frame, now_ns)
-        elif self.parameters is not None:
+        self._arrived(frame, now_ns)
+        if self.standard_only(now_ns) and self.parameters is not None:
             self.parameters.take(frame)
 
     def _heartbeat(self, frame: f.Heartbeat, now_ns: int) -> None:
@@ -273,6 +299,7 @@ class Link:
                 self._peer_since_ns = now_ns
             self.peer, self._peer_ns = frame, now_ns
             self.autopilot.generic = frame.autopilot == GENERIC
+            self._arrived(frame, now_ns)
 
     def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
         """Events of another autopilot's messages; none once a control cycle was received."""

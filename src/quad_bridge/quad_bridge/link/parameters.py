@@ -34,6 +34,17 @@ def number(value: ParamValue, *, bytewise: bool) -> float:
     return float(struct.unpack_from(f'<{layout}', struct.pack('<f', value.value))[0])
 
 
+def encoded(value: float, kind: int, *, bytewise: bool) -> float:
+    """The number that PARAM_SET carries for a value of this kind; `number` turns it back."""
+    layout = _INTEGERS.get(kind)
+    if layout is None:
+        return value
+    if not bytewise:
+        return float(round(value))
+    whole = struct.pack(f'<{layout}', round(value)).ljust(4, b'\0')
+    return float(struct.unpack('<f', whole)[0])
+
+
 class Parameters:
     """Asks for the parameters of one autopilot; `settled` once all have come or been given up."""
 

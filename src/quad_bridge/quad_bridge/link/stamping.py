@@ -33,7 +33,11 @@ class Stamped(NamedTuple):
 class Arrived(NamedTuple):
     """A frame as it arrives; cycles and channels are stamped later, or never."""
 
-    frame: f.Cycle | f.CommandAck | f.ParamValue | f.GainsState | f.RcChannels | f.StatusText
+    frame: (
+        f.Cycle | f.CommandAck | f.ParamValue | f.GainsState | f.RcChannels | f.StatusText
+        | f.Heartbeat | f.AttitudeTarget | f.LocalPosition | f.LandedState | f.Version
+        | f.LogEntry | f.LogData
+    )  # fmt: skip
 
 
 class Restarted(NamedTuple):

@@ -38,11 +38,19 @@ class BridgeSettings:
     gains: GainSettings
     logger: Mapping[str, Any] | None
     """Parameters of a logger in the bridge's process; None: there is none."""
+    allow_gains: bool
+    allow_excitation: bool
+
+    @property
+    def line_baud(self) -> int | None:
+        """The rate of a serial line; None where the port is none."""
+        return None if '://' in self.port else self.baud
 
 
 OWN = (
     'port', 'baud', 'excitation_valid_ms', 'key_file', 'unsigned', 'require_enable', 'sources',
     'polarity', 'aircraft', 'state_folder', 'managed', 'correct_sensors', 'robot_description',
+    'gains', 'excitation',
     'log',
 )  # fmt: skip
 INSIDE, LOGGER = 'inside', 'bag_logger.'
@@ -85,6 +93,8 @@ def declare(node: Any) -> BridgeSettings:
         ),
         craft=declared_craft(node),
         gains=_gains(node, bounds),
+        allow_gains=_allowed(node, 'gains', 'gains'),
+        allow_excitation=_allowed(node, 'excitation', 'excitation'),
         logger={name.removeprefix(LOGGER): given[name] for name in loggers} if inside else None,
     )  # fmt: skip
 
@@ -136,6 +146,18 @@ def _gains(node: Any, bounds: Mapping[str, str]) -> GainSettings:
         folder=Path(folder).expanduser() if folder else default_folder(),
         aircraft=aircraft,
     )
+
+
+def _allowed(node: Any, name: str, what: str) -> bool:
+    """A switch that is off unless it says `allow`."""
+    text = (f'{what} on PX4 and ArduPilot: off, or allow, which an operator sets who has read '
+            'docs/px4.md or docs/ardupilot.md')
+    descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
+    value = node.declare_parameter(name, 'off', descriptor).value
+    value = 'off' if value is False else value  # as YAML takes a plain `off`
+    if value not in {'off', 'allow'}:
+        raise BadInputError(f'parameter {name}', 'must be off or allow', repr(value))
+    return bool(value == 'allow')
 
 
 def _polarity(node: Any) -> str:

@@ -22,15 +22,25 @@ from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
-from quad_bridge.aircraft import Ability, Quad
+from quad_bridge.aircraft import Ability, Aircraft
 from quad_bridge.arming import OperatorEnable
+from quad_bridge.autopilots.aircraft import Connected
 from quad_bridge.craft import Craft
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
+from quad_bridge.gains.table import with_mixing
 from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, State, Told
-from quad_bridge.link.autopilot import BATTERY, COMPASS, INERTIAL, MOTORS, PRESSURE, ROTORS
+from quad_bridge.link.autopilot import (
+    BATTERY,
+    COMPASS,
+    INERTIAL,
+    MOTORS,
+    PRESSURE,
+    ROTORS,
+    Inertial,
+)
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import SerialPort
 from quad_bridge.link.report import LinkReport
@@ -64,10 +74,15 @@ class SerialBridge(ManagedNode):
         settings: BridgeSettings = declare(self)
         self._settings = settings
         self._lock = threading.Lock()
-        self._link = Link(settings.signing, START_NS if clock().simulated else None)
+        self._link = Link(settings.signing, START_NS if clock().simulated else None,
+                          settings.line_baud)  # fmt: skip
         self._report = LinkReport(self._link, clock().now_s())
         self._enable = OperatorEnable(required=settings.require_enable)
-        self._aircraft = Quad(self._standard)
+        self._aircraft = Connected(
+            self._standard, clock().now_s, allow_gains=settings.allow_gains,
+            allow_excitation=settings.allow_excitation,
+        )  # fmt: skip
+        self._aircraft.on_change = self._on_aircraft
         self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable, self._aircraft)
         self._worker = Worker()
         self._history = History(settings.gains.folder, self._worker)
@@ -92,6 +107,8 @@ class SerialBridge(ManagedNode):
             f.RcChannels: self._on_sticks,
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
             f.StatusText: lambda frame, _: self._say_once(f'{self._link.name}: {frame.text}'),
+            **dict.fromkeys((f.Heartbeat, f.AttitudeTarget, f.LocalPosition, f.LandedState,
+                             f.Version, f.LogEntry, f.LogData), lambda frame, _: None),
         }
         self._reported_s = 0.0
         self._simulated = self.simulated
@@ -205,6 +222,7 @@ class SerialBridge(ManagedNode):
                 if isinstance(event, Stamped):
                     self._publish(event)
                 elif isinstance(event, Arrived):
+                    self._aircraft.take(event.frame, 1e-9 * now_ns)
                     self._arrived[type(event.frame)](event.frame, now_ns)
                 elif isinstance(event, Described):
                     self._on_described(event)
@@ -213,9 +231,9 @@ class SerialBridge(ManagedNode):
                     self._sensors.restarted()
             self._poll_gains(now_ns)
             self._flush()
-            last = self._link.last_cycle
-        if last is not None:
-            clock().handled(WIRE, START_NS + 1000 * last.time_us)
+            heard_us = self._link.heard_us
+        if heard_us is not None:
+            clock().handled(WIRE, START_NS + 1000 * heard_us)
 
     def _on_cycle(self, frame: f.Cycle, now_ns: int) -> None:
         self._sensors.cycle(frame)
@@ -225,16 +243,25 @@ class SerialBridge(ManagedNode):
                 self._gains.disturb(fault)
         pulse = self._gains.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
-            self._link.send(self._aircraft.excite(*pulse, PULSE_VALID_MS))
+            self._send(self._aircraft.excite(*pulse, PULSE_VALID_MS))
 
     def _on_gains_frame(self, frame: f.ParamValue | f.GainsState, now_ns: int) -> None:
-        self._gains.take(frame, 1e-9 * now_ns)
+        if self._aircraft.has_gains:
+            self._gains.take(frame, 1e-9 * now_ns)
+
+    def _on_aircraft(self, aircraft: Aircraft) -> None:
+        """Another aircraft is on the line, by its heartbeat."""
+        self._gains.use(aircraft.gains)
+        autopilot = self._aircraft.autopilot
+        self._link.autopilot.also_hz = autopilot.kind.wants_hz if autopilot is not None else {}
 
     def _on_sticks(self, frame: f.RcChannels, now_ns: int) -> None:
         self._gains.sticks(conversion.rc_axis(frame, YAW_STICK), 1e-9 * now_ns)
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
+        if not isinstance(frame, f.Cycle):
+            self._aircraft.take(frame, clock().now_s())
         if stamp_ns <= 0:  # simulated time has not come yet
             return
         if isinstance(frame, f.Cycle):
@@ -248,6 +275,24 @@ class SerialBridge(ManagedNode):
             message = convert(frame, stamp_ns)
             if message is not None:
                 publish(message)
+        if isinstance(frame, Inertial):
+            self._publish_autopilot(frame, stamp_ns)
+
+    def _publish_autopilot(self, frame: Inertial, stamp_ns: int) -> None:
+        """What an autopilot's attitude stands for, beside /imu/data; watch and gate see it too."""
+        autopilot, now_s = self._aircraft.autopilot, clock().now_s()
+        cycle = autopilot.cycle(frame, now_s) if autopilot is not None else None
+        if self._told_time is not None:
+            self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
+        if autopilot is None or cycle is None:
+            return
+        self._gains.cycle(cycle, now_s)
+        if autopilot.flight.reference is not None:
+            *_, attitude, rates = self._messages.packed(cycle, stamp_ns)
+            self._per_cycle[3](attitude)
+            self._per_cycle[4](rates)
+        if cycle.injection:
+            self._applied(self._messages.applied(cycle, stamp_ns))
 
     def _publish_cycle(self, frame: f.Cycle, stamp_ns: int) -> None:
         bias = self._sensors.stamped(stamp_ns).gyro_bias
@@ -265,6 +310,8 @@ class SerialBridge(ManagedNode):
             told.peer.autopilot, self._link.name, told.parameters, self._description.craft
         )
         self._say_once(self._motors.words)
+        if self._aircraft.autopilot is not None:
+            self._aircraft.autopilot.craft = self._motors.craft
         if self._motors.craft is not None:
             self._description.publish(self._motors.craft)
 
@@ -277,10 +324,14 @@ class SerialBridge(ManagedNode):
     # In both threads, the lock being held.
 
     def _poll_gains(self, now_ns: int) -> None:
-        if not self._link.standard_only(now_ns):  # whose parameters are its own, and a thousand
-            request = self._gains.poll(1e-9 * now_ns)
-            if request is not None:
-                self._link.send(request)
+        if self._aircraft.has_gains:  # parameters of others are their own, and a thousand
+            self._send(self._gains.poll(1e-9 * now_ns))
+        for frame in self._aircraft.poll(1e-9 * now_ns):
+            self._link.send(frame)
+
+    def _send(self, frame: f.Frame | None) -> None:
+        if frame is not None:
+            self._link.send(frame)
 
     def _flush(self) -> None:
         """Write what the link has to send: the only place that does."""
@@ -321,7 +372,8 @@ class SerialBridge(ManagedNode):
             self.get_logger().info(item.text)
         if item.active is not None:
             name, now_ns = self.get_fully_qualified_name(), self.get_clock().now().nanoseconds
-            self._active.publish(conversion.event_message(item.active, name, now_ns))
+            self._active.publish(conversion.event_message(
+                with_mixing(item.active), name, now_ns))
 
     def _say_once(self, words: str) -> None:
         if self._limiter.allow(words, clock().now_s()):
@@ -352,7 +404,7 @@ class SerialBridge(ManagedNode):
 
     def _forward(self, frame: Any) -> None:
         with self._lock:
-            self._link.send(frame)
+            self._send(frame)
             self._flush()
 
     def _on_gains(self, event: ParameterEvent) -> None:
@@ -368,15 +420,16 @@ class SerialBridge(ManagedNode):
         """Hand on an update; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
-            self._refuse_autopilot()
+            if not parameters.get('rollback'):
+                self._refuse(Ability.GAINS)
             words = self._gains.ask(parameters, clock().now_s(), told, age_s=age_s)
             self._poll_gains(clock().now_ns())
             self._flush()
         self.get_logger().info(words)
 
-    def _refuse_autopilot(self) -> None:
-        """Raise RefusedError where the aircraft has no sets of gains and no test pulses."""
-        words = self._aircraft.cannot(Ability.GAINS)
+    def _refuse(self, ability: Ability) -> None:
+        """Raise RefusedError where the aircraft takes no such now."""
+        words = self._aircraft.cannot(ability)
         if words:
             self._say_once(words)
             raise RefusedError(words)
@@ -400,7 +453,7 @@ class SerialBridge(ManagedNode):
         """Have the polarity or the motors checked; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
-            self._refuse_autopilot()
+            self._refuse(Ability.PULSES)
             self._gains.check(clock().now_s(), told, motors=motors)
 
     def _on_report(self) -> None:
@@ -413,8 +466,8 @@ class SerialBridge(ManagedNode):
                 self._port.status, now_s, behind_ns=self._time.behind_ns, unset=unset
             )
             entries += [
-                self._gains.status(standard=link.last_cycle is None and link.autopilot.asked > 0),
-                self._relay.status(link.last_cycle, now_s),
+                self._gains.status(self._aircraft.cannot(Ability.GAINS) if link.peer else ''),
+                self._relay.status(self._aircraft.last_cycle or link.last_cycle, now_s),
             ]
         log, port = self.get_logger(), self._settings.port
         for entry in self._changes.new(entries[:2], now_s):

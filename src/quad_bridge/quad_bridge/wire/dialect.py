@@ -456,6 +456,7 @@ MAVLINK_MSG_ID_SCALED_IMU = 26
 MAVLINK_MSG_ID_SCALED_PRESSURE = 29
 MAVLINK_MSG_ID_ATTITUDE = 30
 MAVLINK_MSG_ID_ATTITUDE_QUATERNION = 31
+MAVLINK_MSG_ID_LOCAL_POSITION_NED = 32
 MAVLINK_MSG_ID_RC_CHANNELS_RAW = 35
 MAVLINK_MSG_ID_SERVO_OUTPUT_RAW = 36
 MAVLINK_MSG_ID_RC_CHANNELS = 65
@@ -465,9 +466,16 @@ MAVLINK_MSG_ID_SET_ATTITUDE_TARGET = 82
 MAVLINK_MSG_ID_ATTITUDE_TARGET = 83
 MAVLINK_MSG_ID_HIGHRES_IMU = 105
 MAVLINK_MSG_ID_TIMESYNC = 111
+MAVLINK_MSG_ID_LOG_REQUEST_LIST = 117
+MAVLINK_MSG_ID_LOG_ENTRY = 118
+MAVLINK_MSG_ID_LOG_REQUEST_DATA = 119
+MAVLINK_MSG_ID_LOG_DATA = 120
+MAVLINK_MSG_ID_LOG_REQUEST_END = 122
 MAVLINK_MSG_ID_ACTUATOR_CONTROL_TARGET = 140
 MAVLINK_MSG_ID_BATTERY_STATUS = 147
+MAVLINK_MSG_ID_AUTOPILOT_VERSION = 148
 MAVLINK_MSG_ID_RPM = 226
+MAVLINK_MSG_ID_EXTENDED_SYS_STATE = 245
 MAVLINK_MSG_ID_STATUSTEXT = 253
 MAVLINK_MSG_ID_ESC_STATUS = 291
 MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4 = 11030
@@ -962,6 +970,50 @@ class MAVLink_attitude_quaternion_message(MAVLink_message):
 setattr(MAVLink_attitude_quaternion_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_local_position_ned_message(MAVLink_message):
+    """
+    The filtered local position, NED
+    """
+
+    id = MAVLINK_MSG_ID_LOCAL_POSITION_NED
+    msgname = "LOCAL_POSITION_NED"
+    fieldnames = ["time_boot_ms", "x", "y", "z", "vx", "vy", "vz"]
+    ordered_fieldnames = ["time_boot_ms", "x", "y", "z", "vx", "vy", "vz"]
+    fieldtypes = ["uint32_t", "float", "float", "float", "float", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "x": "m", "y": "m", "z": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s"}
+    native_format = bytearray(b"<Iffffff")
+    orders = [0, 1, 2, 3, 4, 5, 6]
+    lengths = [1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 185
+    unpacker = struct.Struct("<Iffffff")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, x: float, y: float, z: float, vx: float, vy: float, vz: float):
+        MAVLink_message.__init__(self, MAVLink_local_position_ned_message.id, MAVLink_local_position_ned_message.msgname)
+        self._fieldnames = MAVLink_local_position_ned_message.fieldnames
+        self._instance_field = MAVLink_local_position_ned_message.instance_field
+        self._instance_offset = MAVLink_local_position_ned_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.x = x
+        self.y = y
+        self.z = z
+        self.vx = vx
+        self.vy = vy
+        self.vz = vz
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.x, self.y, self.z, self.vx, self.vy, self.vz), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_local_position_ned_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_rc_channels_raw_message(MAVLink_message):
     """
     The RAW values of the RC channels received
@@ -1399,6 +1451,211 @@ class MAVLink_timesync_message(MAVLink_message):
 setattr(MAVLink_timesync_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_log_request_list_message(MAVLink_message):
+    """
+    Request a list of available logs
+    """
+
+    id = MAVLINK_MSG_ID_LOG_REQUEST_LIST
+    msgname = "LOG_REQUEST_LIST"
+    fieldnames = ["target_system", "target_component", "start", "end"]
+    ordered_fieldnames = ["start", "end", "target_system", "target_component"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<HHBB")
+    orders = [2, 3, 0, 1]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0]
+    crc_extra = 128
+    unpacker = struct.Struct("<HHBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, start: int, end: int):
+        MAVLink_message.__init__(self, MAVLink_log_request_list_message.id, MAVLink_log_request_list_message.msgname)
+        self._fieldnames = MAVLink_log_request_list_message.fieldnames
+        self._instance_field = MAVLink_log_request_list_message.instance_field
+        self._instance_offset = MAVLink_log_request_list_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.start = start
+        self.end = end
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.start, self.end, self.target_system, self.target_component), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_log_request_list_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_log_entry_message(MAVLink_message):
+    """
+    Reply to LOG_REQUEST_LIST message
+    """
+
+    id = MAVLINK_MSG_ID_LOG_ENTRY
+    msgname = "LOG_ENTRY"
+    fieldnames = ["id", "num_logs", "last_log_num", "time_utc", "size"]
+    ordered_fieldnames = ["time_utc", "size", "id", "num_logs", "last_log_num"]
+    fieldtypes = ["uint16_t", "uint16_t", "uint16_t", "uint32_t", "uint32_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_utc": "s", "size": "bytes"}
+    native_format = bytearray(b"<IIHHH")
+    orders = [2, 3, 4, 0, 1]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0]
+    crc_extra = 56
+    unpacker = struct.Struct("<IIHHH")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, id: int, num_logs: int, last_log_num: int, time_utc: int, size: int):
+        MAVLink_message.__init__(self, MAVLink_log_entry_message.id, MAVLink_log_entry_message.msgname)
+        self._fieldnames = MAVLink_log_entry_message.fieldnames
+        self._instance_field = MAVLink_log_entry_message.instance_field
+        self._instance_offset = MAVLink_log_entry_message.instance_offset
+        self.id = id
+        self.num_logs = num_logs
+        self.last_log_num = last_log_num
+        self.time_utc = time_utc
+        self.size = size
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_utc, self.size, self.id, self.num_logs, self.last_log_num), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_log_entry_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_log_request_data_message(MAVLink_message):
+    """
+    Request a chunk of a log
+    """
+
+    id = MAVLINK_MSG_ID_LOG_REQUEST_DATA
+    msgname = "LOG_REQUEST_DATA"
+    fieldnames = ["target_system", "target_component", "id", "ofs", "count"]
+    ordered_fieldnames = ["ofs", "count", "id", "target_system", "target_component"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint32_t", "uint32_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"count": "bytes"}
+    native_format = bytearray(b"<IIHBB")
+    orders = [3, 4, 2, 0, 1]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0]
+    crc_extra = 116
+    unpacker = struct.Struct("<IIHBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, id: int, ofs: int, count: int):
+        MAVLink_message.__init__(self, MAVLink_log_request_data_message.id, MAVLink_log_request_data_message.msgname)
+        self._fieldnames = MAVLink_log_request_data_message.fieldnames
+        self._instance_field = MAVLink_log_request_data_message.instance_field
+        self._instance_offset = MAVLink_log_request_data_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.id = id
+        self.ofs = ofs
+        self.count = count
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.ofs, self.count, self.id, self.target_system, self.target_component), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_log_request_data_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_log_data_message(MAVLink_message):
+    """
+    Reply to LOG_REQUEST_DATA message
+    """
+
+    id = MAVLINK_MSG_ID_LOG_DATA
+    msgname = "LOG_DATA"
+    fieldnames = ["id", "ofs", "count", "data"]
+    ordered_fieldnames = ["ofs", "id", "count", "data"]
+    fieldtypes = ["uint16_t", "uint32_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"count": "bytes"}
+    native_format = bytearray(b"<IHBB")
+    orders = [1, 0, 2, 3]
+    lengths = [1, 1, 1, 90]
+    array_lengths = [0, 0, 0, 90]
+    crc_extra = 134
+    unpacker = struct.Struct("<IHB90B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, id: int, ofs: int, count: int, data: Sequence[int]):
+        MAVLink_message.__init__(self, MAVLink_log_data_message.id, MAVLink_log_data_message.msgname)
+        self._fieldnames = MAVLink_log_data_message.fieldnames
+        self._instance_field = MAVLink_log_data_message.instance_field
+        self._instance_offset = MAVLink_log_data_message.instance_offset
+        self.id = id
+        self.ofs = ofs
+        self.count = count
+        self.data = data
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.ofs, self.id, self.count, self.data[0], self.data[1], self.data[2], self.data[3], self.data[4], self.data[5], self.data[6], self.data[7], self.data[8], self.data[9], self.data[10], self.data[11], self.data[12], self.data[13], self.data[14], self.data[15], self.data[16], self.data[17], self.data[18], self.data[19], self.data[20], self.data[21], self.data[22], self.data[23], self.data[24], self.data[25], self.data[26], self.data[27], self.data[28], self.data[29], self.data[30], self.data[31], self.data[32], self.data[33], self.data[34], self.data[35], self.data[36], self.data[37], self.data[38], self.data[39], self.data[40], self.data[41], self.data[42], self.data[43], self.data[44], self.data[45], self.data[46], self.data[47], self.data[48], self.data[49], self.data[50], self.data[51], self.data[52], self.data[53], self.data[54], self.data[55], self.data[56], self.data[57], self.data[58], self.data[59], self.data[60], self.data[61], self.data[62], self.data[63], self.data[64], self.data[65], self.data[66], self.data[67], self.data[68], self.data[69], self.data[70], self.data[71], self.data[72], self.data[73], self.data[74], self.data[75], self.data[76], self.data[77], self.data[78], self.data[79], self.data[80], self.data[81], self.data[82], self.data[83], self.data[84], self.data[85], self.data[86], self.data[87], self.data[88], self.data[89]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_log_data_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_log_request_end_message(MAVLink_message):
+    """
+    Stop log transfer and resume normal logging
+    """
+
+    id = MAVLINK_MSG_ID_LOG_REQUEST_END
+    msgname = "LOG_REQUEST_END"
+    fieldnames = ["target_system", "target_component"]
+    ordered_fieldnames = ["target_system", "target_component"]
+    fieldtypes = ["uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BB")
+    orders = [0, 1]
+    lengths = [1, 1]
+    array_lengths = [0, 0]
+    crc_extra = 203
+    unpacker = struct.Struct("<BB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int):
+        MAVLink_message.__init__(self, MAVLink_log_request_end_message.id, MAVLink_log_request_end_message.msgname)
+        self._fieldnames = MAVLink_log_request_end_message.fieldnames
+        self._instance_field = MAVLink_log_request_end_message.instance_field
+        self._instance_offset = MAVLink_log_request_end_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_log_request_end_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_actuator_control_target_message(MAVLink_message):
     """
     Set the vehicle attitude and body angular rates
@@ -1490,6 +1747,55 @@ class MAVLink_battery_status_message(MAVLink_message):
 setattr(MAVLink_battery_status_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_autopilot_version_message(MAVLink_message):
+    """
+    Version and capability of autopilot software
+    """
+
+    id = MAVLINK_MSG_ID_AUTOPILOT_VERSION
+    msgname = "AUTOPILOT_VERSION"
+    fieldnames = ["capabilities", "flight_sw_version", "middleware_sw_version", "os_sw_version", "board_version", "flight_custom_version", "middleware_custom_version", "os_custom_version", "vendor_id", "product_id", "uid", "uid2"]
+    ordered_fieldnames = ["capabilities", "uid", "flight_sw_version", "middleware_sw_version", "os_sw_version", "board_version", "vendor_id", "product_id", "flight_custom_version", "middleware_custom_version", "os_custom_version", "uid2"]
+    fieldtypes = ["uint64_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint16_t", "uint64_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<QQIIIIHHBBBB")
+    orders = [0, 2, 3, 4, 5, 8, 9, 10, 6, 7, 1, 11]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 8, 8, 8, 18]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 8, 8, 8, 18]
+    crc_extra = 178
+    unpacker = struct.Struct("<QQIIIIHH8B8B8B18B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, capabilities: int, flight_sw_version: int, middleware_sw_version: int, os_sw_version: int, board_version: int, flight_custom_version: Sequence[int], middleware_custom_version: Sequence[int], os_custom_version: Sequence[int], vendor_id: int, product_id: int, uid: int, uid2: Sequence[int] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)):
+        MAVLink_message.__init__(self, MAVLink_autopilot_version_message.id, MAVLink_autopilot_version_message.msgname)
+        self._fieldnames = MAVLink_autopilot_version_message.fieldnames
+        self._instance_field = MAVLink_autopilot_version_message.instance_field
+        self._instance_offset = MAVLink_autopilot_version_message.instance_offset
+        self.capabilities = capabilities
+        self.flight_sw_version = flight_sw_version
+        self.middleware_sw_version = middleware_sw_version
+        self.os_sw_version = os_sw_version
+        self.board_version = board_version
+        self.flight_custom_version = flight_custom_version
+        self.middleware_custom_version = middleware_custom_version
+        self.os_custom_version = os_custom_version
+        self.vendor_id = vendor_id
+        self.product_id = product_id
+        self.uid = uid
+        self.uid2 = uid2
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.capabilities, self.uid, self.flight_sw_version, self.middleware_sw_version, self.os_sw_version, self.board_version, self.vendor_id, self.product_id, self.flight_custom_version[0], self.flight_custom_version[1], self.flight_custom_version[2], self.flight_custom_version[3], self.flight_custom_version[4], self.flight_custom_version[5], self.flight_custom_version[6], self.flight_custom_version[7], self.middleware_custom_version[0], self.middleware_custom_version[1], self.middleware_custom_version[2], self.middleware_custom_version[3], self.middleware_custom_version[4], self.middleware_custom_version[5], self.middleware_custom_version[6], self.middleware_custom_version[7], self.os_custom_version[0], self.os_custom_version[1], self.os_custom_version[2], self.os_custom_version[3], self.os_custom_version[4], self.os_custom_version[5], self.os_custom_version[6], self.os_custom_version[7], self.uid2[0], self.uid2[1], self.uid2[2], self.uid2[3], self.uid2[4], self.uid2[5], self.uid2[6], self.uid2[7], self.uid2[8], self.uid2[9], self.uid2[10], self.uid2[11], self.uid2[12], self.uid2[13], self.uid2[14], self.uid2[15], self.uid2[16], self.uid2[17]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_autopilot_version_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_rpm_message(MAVLink_message):
     """
     Speeds of two rotors (dialect ardupilotmega)
@@ -1527,6 +1833,45 @@ class MAVLink_rpm_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_rpm_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_extended_sys_state_message(MAVLink_message):
+    """
+    Provides state for additional features
+    """
+
+    id = MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+    msgname = "EXTENDED_SYS_STATE"
+    fieldnames = ["vtol_state", "landed_state"]
+    ordered_fieldnames = ["vtol_state", "landed_state"]
+    fieldtypes = ["uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BB")
+    orders = [0, 1]
+    lengths = [1, 1]
+    array_lengths = [0, 0]
+    crc_extra = 130
+    unpacker = struct.Struct("<BB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, vtol_state: int, landed_state: int):
+        MAVLink_message.__init__(self, MAVLink_extended_sys_state_message.id, MAVLink_extended_sys_state_message.msgname)
+        self._fieldnames = MAVLink_extended_sys_state_message.fieldnames
+        self._instance_field = MAVLink_extended_sys_state_message.instance_field
+        self._instance_offset = MAVLink_extended_sys_state_message.instance_offset
+        self.vtol_state = vtol_state
+        self.landed_state = landed_state
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.vtol_state, self.landed_state), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_extended_sys_state_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_statustext_message(MAVLink_message):
@@ -1937,6 +2282,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_SCALED_PRESSURE: MAVLink_scaled_pressure_message,
     MAVLINK_MSG_ID_ATTITUDE: MAVLink_attitude_message,
     MAVLINK_MSG_ID_ATTITUDE_QUATERNION: MAVLink_attitude_quaternion_message,
+    MAVLINK_MSG_ID_LOCAL_POSITION_NED: MAVLink_local_position_ned_message,
     MAVLINK_MSG_ID_RC_CHANNELS_RAW: MAVLink_rc_channels_raw_message,
     MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: MAVLink_servo_output_raw_message,
     MAVLINK_MSG_ID_RC_CHANNELS: MAVLink_rc_channels_message,
@@ -1946,9 +2292,16 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_ATTITUDE_TARGET: MAVLink_attitude_target_message,
     MAVLINK_MSG_ID_HIGHRES_IMU: MAVLink_highres_imu_message,
     MAVLINK_MSG_ID_TIMESYNC: MAVLink_timesync_message,
+    MAVLINK_MSG_ID_LOG_REQUEST_LIST: MAVLink_log_request_list_message,
+    MAVLINK_MSG_ID_LOG_ENTRY: MAVLink_log_entry_message,
+    MAVLINK_MSG_ID_LOG_REQUEST_DATA: MAVLink_log_request_data_message,
+    MAVLINK_MSG_ID_LOG_DATA: MAVLink_log_data_message,
+    MAVLINK_MSG_ID_LOG_REQUEST_END: MAVLink_log_request_end_message,
     MAVLINK_MSG_ID_ACTUATOR_CONTROL_TARGET: MAVLink_actuator_control_target_message,
     MAVLINK_MSG_ID_BATTERY_STATUS: MAVLink_battery_status_message,
+    MAVLINK_MSG_ID_AUTOPILOT_VERSION: MAVLink_autopilot_version_message,
     MAVLINK_MSG_ID_RPM: MAVLink_rpm_message,
+    MAVLINK_MSG_ID_EXTENDED_SYS_STATE: MAVLink_extended_sys_state_message,
     MAVLINK_MSG_ID_STATUSTEXT: MAVLink_statustext_message,
     MAVLINK_MSG_ID_ESC_STATUS: MAVLink_esc_status_message,
     MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4: MAVLink_esc_telemetry_1_to_4_message,
@@ -2676,6 +3029,36 @@ class MAVLink(object):
         """
         self.send(self.attitude_quaternion_encode(time_boot_ms, q1, q2, q3, q4, rollspeed, pitchspeed, yawspeed, repr_offset_q), force_mavlink1=force_mavlink1)
 
+    def local_position_ned_encode(self, time_boot_ms: int, x: float, y: float, z: float, vx: float, vy: float, vz: float) -> MAVLink_local_position_ned_message:
+        """
+        The filtered local position, NED
+
+        time_boot_ms              : Timestamp (time since system boot) [ms] (type:uint32_t)
+        x                         : X Position [m] (type:float)
+        y                         : Y Position [m] (type:float)
+        z                         : Z Position [m] (type:float)
+        vx                        : X Speed [m/s] (type:float)
+        vy                        : Y Speed [m/s] (type:float)
+        vz                        : Z Speed [m/s] (type:float)
+
+        """
+        return MAVLink_local_position_ned_message(time_boot_ms, x, y, z, vx, vy, vz)
+
+    def local_position_ned_send(self, time_boot_ms: int, x: float, y: float, z: float, vx: float, vy: float, vz: float, force_mavlink1: bool = False) -> None:
+        """
+        The filtered local position, NED
+
+        time_boot_ms              : Timestamp (time since system boot) [ms] (type:uint32_t)
+        x                         : X Position [m] (type:float)
+        y                         : Y Position [m] (type:float)
+        z                         : Z Position [m] (type:float)
+        vx                        : X Speed [m/s] (type:float)
+        vy                        : Y Speed [m/s] (type:float)
+        vz                        : Z Speed [m/s] (type:float)
+
+        """
+        self.send(self.local_position_ned_encode(time_boot_ms, x, y, z, vx, vy, vz), force_mavlink1=force_mavlink1)
+
     def rc_channels_raw_encode(self, time_boot_ms: int, port: int, chan1_raw: int, chan2_raw: int, chan3_raw: int, chan4_raw: int, chan5_raw: int, chan6_raw: int, chan7_raw: int, chan8_raw: int, rssi: int) -> MAVLink_rc_channels_raw_message:
         """
         The RAW values of the RC channels received
@@ -3028,6 +3411,126 @@ class MAVLink(object):
         """
         self.send(self.timesync_encode(tc1, ts1), force_mavlink1=force_mavlink1)
 
+    def log_request_list_encode(self, target_system: int, target_component: int, start: int, end: int) -> MAVLink_log_request_list_message:
+        """
+        Request a list of available logs
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        start                     : First log id (0 for first available) (type:uint16_t)
+        end                       : Last log id (0xffff for last available) (type:uint16_t)
+
+        """
+        return MAVLink_log_request_list_message(target_system, target_component, start, end)
+
+    def log_request_list_send(self, target_system: int, target_component: int, start: int, end: int, force_mavlink1: bool = False) -> None:
+        """
+        Request a list of available logs
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        start                     : First log id (0 for first available) (type:uint16_t)
+        end                       : Last log id (0xffff for last available) (type:uint16_t)
+
+        """
+        self.send(self.log_request_list_encode(target_system, target_component, start, end), force_mavlink1=force_mavlink1)
+
+    def log_entry_encode(self, id: int, num_logs: int, last_log_num: int, time_utc: int, size: int) -> MAVLink_log_entry_message:
+        """
+        Reply to LOG_REQUEST_LIST message
+
+        id                        : Log id (type:uint16_t)
+        num_logs                  : Total number of logs (type:uint16_t)
+        last_log_num              : High log number (type:uint16_t)
+        time_utc                  : UTC timestamp of log since 1970, or 0 if not available [s] (type:uint32_t)
+        size                      : Size of the log (may be approximate) [bytes] (type:uint32_t)
+
+        """
+        return MAVLink_log_entry_message(id, num_logs, last_log_num, time_utc, size)
+
+    def log_entry_send(self, id: int, num_logs: int, last_log_num: int, time_utc: int, size: int, force_mavlink1: bool = False) -> None:
+        """
+        Reply to LOG_REQUEST_LIST message
+
+        id                        : Log id (type:uint16_t)
+        num_logs                  : Total number of logs (type:uint16_t)
+        last_log_num              : High log number (type:uint16_t)
+        time_utc                  : UTC timestamp of log since 1970, or 0 if not available [s] (type:uint32_t)
+        size                      : Size of the log (may be approximate) [bytes] (type:uint32_t)
+
+        """
+        self.send(self.log_entry_encode(id, num_logs, last_log_num, time_utc, size), force_mavlink1=force_mavlink1)
+
+    def log_request_data_encode(self, target_system: int, target_component: int, id: int, ofs: int, count: int) -> MAVLink_log_request_data_message:
+        """
+        Request a chunk of a log
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        id                        : Log id (from LOG_ENTRY reply) (type:uint16_t)
+        ofs                       : Offset into the log (type:uint32_t)
+        count                     : Number of bytes [bytes] (type:uint32_t)
+
+        """
+        return MAVLink_log_request_data_message(target_system, target_component, id, ofs, count)
+
+    def log_request_data_send(self, target_system: int, target_component: int, id: int, ofs: int, count: int, force_mavlink1: bool = False) -> None:
+        """
+        Request a chunk of a log
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        id                        : Log id (from LOG_ENTRY reply) (type:uint16_t)
+        ofs                       : Offset into the log (type:uint32_t)
+        count                     : Number of bytes [bytes] (type:uint32_t)
+
+        """
+        self.send(self.log_request_data_encode(target_system, target_component, id, ofs, count), force_mavlink1=force_mavlink1)
+
+    def log_data_encode(self, id: int, ofs: int, count: int, data: Sequence[int]) -> MAVLink_log_data_message:
+        """
+        Reply to LOG_REQUEST_DATA message
+
+        id                        : Log id (from LOG_ENTRY reply) (type:uint16_t)
+        ofs                       : Offset into the log (type:uint32_t)
+        count                     : Number of bytes (zero for end of log) [bytes] (type:uint8_t)
+        data                      : log data (type:uint8_t)
+
+        """
+        return MAVLink_log_data_message(id, ofs, count, data)
+
+    def log_data_send(self, id: int, ofs: int, count: int, data: Sequence[int], force_mavlink1: bool = False) -> None:
+        """
+        Reply to LOG_REQUEST_DATA message
+
+        id                        : Log id (from LOG_ENTRY reply) (type:uint16_t)
+        ofs                       : Offset into the log (type:uint32_t)
+        count                     : Number of bytes (zero for end of log) [bytes] (type:uint8_t)
+        data                      : log data (type:uint8_t)
+
+        """
+        self.send(self.log_data_encode(id, ofs, count, data), force_mavlink1=force_mavlink1)
+
+    def log_request_end_encode(self, target_system: int, target_component: int) -> MAVLink_log_request_end_message:
+        """
+        Stop log transfer and resume normal logging
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+
+        """
+        return MAVLink_log_request_end_message(target_system, target_component)
+
+    def log_request_end_send(self, target_system: int, target_component: int, force_mavlink1: bool = False) -> None:
+        """
+        Stop log transfer and resume normal logging
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+
+        """
+        self.send(self.log_request_end_encode(target_system, target_component), force_mavlink1=force_mavlink1)
+
     def actuator_control_target_encode(self, time_usec: int, group_mlx: int, controls: Sequence[float]) -> MAVLink_actuator_control_target_message:
         """
         Set the vehicle attitude and body angular rates
@@ -3094,6 +3597,46 @@ class MAVLink(object):
         """
         self.send(self.battery_status_encode(id, battery_function, type, temperature, voltages, current_battery, current_consumed, energy_consumed, battery_remaining, time_remaining, charge_state, voltages_ext, mode, fault_bitmask), force_mavlink1=force_mavlink1)
 
+    def autopilot_version_encode(self, capabilities: int, flight_sw_version: int, middleware_sw_version: int, os_sw_version: int, board_version: int, flight_custom_version: Sequence[int], middleware_custom_version: Sequence[int], os_custom_version: Sequence[int], vendor_id: int, product_id: int, uid: int, uid2: Sequence[int] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)) -> MAVLink_autopilot_version_message:
+        """
+        Version and capability of autopilot software
+
+        capabilities              : Bitmap of capabilities (type:uint64_t)
+        flight_sw_version         : Firmware version number (type:uint32_t)
+        middleware_sw_version        : Middleware version number (type:uint32_t)
+        os_sw_version             : Operating system version number (type:uint32_t)
+        board_version             : HW / board version (last 8 bits should be silicon ID, if any) (type:uint32_t)
+        flight_custom_version        : Custom version field, commonly the first 8 bytes of the git hash (type:uint8_t)
+        middleware_custom_version        : Custom version field (type:uint8_t)
+        os_custom_version         : Custom version field (type:uint8_t)
+        vendor_id                 : ID of the board vendor (type:uint16_t)
+        product_id                : ID of the product (type:uint16_t)
+        uid                       : UID if provided by hardware (see uid2) (type:uint64_t)
+        uid2                      : UID if provided by hardware (supersedes the uid field) (type:uint8_t)
+
+        """
+        return MAVLink_autopilot_version_message(capabilities, flight_sw_version, middleware_sw_version, os_sw_version, board_version, flight_custom_version, middleware_custom_version, os_custom_version, vendor_id, product_id, uid, uid2)
+
+    def autopilot_version_send(self, capabilities: int, flight_sw_version: int, middleware_sw_version: int, os_sw_version: int, board_version: int, flight_custom_version: Sequence[int], middleware_custom_version: Sequence[int], os_custom_version: Sequence[int], vendor_id: int, product_id: int, uid: int, uid2: Sequence[int] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), force_mavlink1: bool = False) -> None:
+        """
+        Version and capability of autopilot software
+
+        capabilities              : Bitmap of capabilities (type:uint64_t)
+        flight_sw_version         : Firmware version number (type:uint32_t)
+        middleware_sw_version        : Middleware version number (type:uint32_t)
+        os_sw_version             : Operating system version number (type:uint32_t)
+        board_version             : HW / board version (last 8 bits should be silicon ID, if any) (type:uint32_t)
+        flight_custom_version        : Custom version field, commonly the first 8 bytes of the git hash (type:uint8_t)
+        middleware_custom_version        : Custom version field (type:uint8_t)
+        os_custom_version         : Custom version field (type:uint8_t)
+        vendor_id                 : ID of the board vendor (type:uint16_t)
+        product_id                : ID of the product (type:uint16_t)
+        uid                       : UID if provided by hardware (see uid2) (type:uint64_t)
+        uid2                      : UID if provided by hardware (supersedes the uid field) (type:uint8_t)
+
+        """
+        self.send(self.autopilot_version_encode(capabilities, flight_sw_version, middleware_sw_version, os_sw_version, board_version, flight_custom_version, middleware_custom_version, os_custom_version, vendor_id, product_id, uid, uid2), force_mavlink1=force_mavlink1)
+
     def rpm_encode(self, rpm1: float, rpm2: float) -> MAVLink_rpm_message:
         """
         Speeds of two rotors (dialect ardupilotmega)
@@ -3113,6 +3656,26 @@ class MAVLink(object):
 
         """
         self.send(self.rpm_encode(rpm1, rpm2), force_mavlink1=force_mavlink1)
+
+    def extended_sys_state_encode(self, vtol_state: int, landed_state: int) -> MAVLink_extended_sys_state_message:
+        """
+        Provides state for additional features
+
+        vtol_state                : The VTOL state if applicable (type:uint8_t)
+        landed_state              : The landed state: 0 unknown, 1 on ground, 2 in air, 3 taking off, 4 landing (type:uint8_t)
+
+        """
+        return MAVLink_extended_sys_state_message(vtol_state, landed_state)
+
+    def extended_sys_state_send(self, vtol_state: int, landed_state: int, force_mavlink1: bool = False) -> None:
+        """
+        Provides state for additional features
+
+        vtol_state                : The VTOL state if applicable (type:uint8_t)
+        landed_state              : The landed state: 0 unknown, 1 on ground, 2 in air, 3 taking off, 4 landing (type:uint8_t)
+
+        """
+        self.send(self.extended_sys_state_encode(vtol_state, landed_state), force_mavlink1=force_mavlink1)
 
     def statustext_encode(self, severity: int, text: bytes, id: int = 0, chunk_seq: int = 0) -> MAVLink_statustext_message:
         """
@@ -3394,7 +3957,6 @@ OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
     25: ('GPS_STATUS', 23),
     27: ('RAW_IMU', 144),
     28: ('RAW_PRESSURE', 67),
-    32: ('LOCAL_POSITION_NED', 185),
     33: ('GLOBAL_POSITION_INT', 104),
     34: ('RC_CHANNELS_SCALED', 237),
     37: ('MISSION_REQUEST_PARTIAL_LIST', 212),
@@ -3450,12 +4012,7 @@ OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
     114: ('HIL_OPTICAL_FLOW', 237),
     115: ('HIL_STATE_QUATERNION', 4),
     116: ('SCALED_IMU2', 76),
-    117: ('LOG_REQUEST_LIST', 128),
-    118: ('LOG_ENTRY', 56),
-    119: ('LOG_REQUEST_DATA', 116),
-    120: ('LOG_DATA', 134),
     121: ('LOG_ERASE', 237),
-    122: ('LOG_REQUEST_END', 203),
     123: ('GPS_INJECT_DATA', 250),
     124: ('GPS2_RAW', 87),
     125: ('POWER_STATUS', 203),
@@ -3478,7 +4035,6 @@ OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
     143: ('SCALED_PRESSURE3', 131),
     144: ('FOLLOW_TARGET', 127),
     146: ('CONTROL_SYSTEM_STATE', 103),
-    148: ('AUTOPILOT_VERSION', 178),
     149: ('LANDING_TARGET', 200),
     150: ('SENSOR_OFFSETS', 134),
     151: ('SET_MAG_OFFSETS', 219),
@@ -3540,7 +4096,6 @@ OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
     242: ('HOME_POSITION', 104),
     243: ('SET_HOME_POSITION', 85),
     244: ('MESSAGE_INTERVAL', 95),
-    245: ('EXTENDED_SYS_STATE', 130),
     246: ('ADSB_VEHICLE', 184),
     247: ('COLLISION', 81),
     248: ('V2_EXTENSION', 8),

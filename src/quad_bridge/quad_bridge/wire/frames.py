@@ -285,6 +285,106 @@ class RotorSpeeds:
 
 
 @dataclass(frozen=True)
+class AttitudeTarget:
+    """ATTITUDE_TARGET: what another autopilot's loops follow; FRD relative to NED."""
+
+    time_ms: int
+    mask: int  # of what is to be ignored
+    q: Vector4  # w x y z
+    rates: Vector3  # rad/s
+    thrust: float  # 0..1
+
+
+@dataclass(frozen=True)
+class SetAttitudeTarget:
+    """SET_ATTITUDE_TARGET: attitude or rates, and thrust; FRD relative to NED."""
+
+    time_ms: int
+    mask: int
+    q: Vector4  # w x y z
+    rates: Vector3  # rad/s
+    thrust: float
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
+class LocalPosition:
+    """LOCAL_POSITION_NED, m and m/s."""
+
+    time_ms: int
+    place: Vector3
+    speed: Vector3
+
+
+@dataclass(frozen=True)
+class LandedState:
+    """EXTENDED_SYS_STATE: 1 on the ground, 2 in the air, 3 taking off, 4 landing, 0 unknown."""
+
+    landed: int
+
+
+@dataclass(frozen=True)
+class Version:
+    """AUTOPILOT_VERSION: the firmware's version and the board's unique number."""
+
+    firmware: int  # major, minor, patch, kind: a byte each
+    board: int
+    uid: int
+    uid2: tuple[int, ...] = ()
+    capabilities: int = 0
+
+
+@dataclass(frozen=True)
+class LogRequestList:
+    """Asks for the list of an autopilot's own logs."""
+
+    start: int = 0
+    end: int = 0xFFFF
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
+class LogEntry:
+    """One of these logs; `size` in bytes may be about right only."""
+
+    number: int
+    count: int  # of all logs
+    last: int
+    time_utc_s: int  # 0 where it is not known
+    size: int
+
+
+@dataclass(frozen=True)
+class LogRequestData:
+    """Asks for a part of a log."""
+
+    number: int
+    offset: int
+    count: int
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
+class LogData:
+    """90 bytes of a log at most; fewer end it."""
+
+    number: int
+    offset: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class LogRequestEnd:
+    """Ends the transfer of logs."""
+
+    target_system: int = 0
+    target_component: int = 0
+
+
+@dataclass(frozen=True)
 class Standard:
     """A standard message that the suite knows by name but does not use."""
 
@@ -294,5 +394,7 @@ class Standard:
 Frame = (
     Cycle | Excitation | Heartbeat | TimeSync | ParamRequestList | ParamRequestRead | ParamSet
     | ParamValue | GainsCommand | GainsState | RcChannels | Battery | SlowSensors | Command
-    | CommandAck | StatusText | Attitude | Outputs | RotorSpeeds | Standard
+    | CommandAck | StatusText | Attitude | Outputs | RotorSpeeds | AttitudeTarget
+    | SetAttitudeTarget | LocalPosition | LandedState | Version | LogRequestList | LogEntry
+    | LogRequestData | LogData | LogRequestEnd | Standard
 )  # fmt: skip

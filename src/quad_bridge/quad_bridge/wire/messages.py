@@ -27,6 +27,7 @@ _UPDATED = {
 """Field of SlowSensors to its bits in HIGHRES_IMU's `fields_updated`, and its columns."""
 _PRESSURE = 0x200
 _TARGET = 'target_system target_component'
+_BODY_RATES = ('body_roll_rate', 'body_pitch_rate', 'body_yaw_rate')
 
 _ROWS: tuple[tuple[type, Any, str], ...] = (
     (f.Cycle, d.MAVLink_quad_cycle_message,
@@ -45,6 +46,10 @@ _ROWS: tuple[tuple[type, Any, str], ...] = (
      'aircraft checksum transaction action result phase'),
     (f.CommandAck, d.MAVLink_command_ack_message, 'command result'),
     (f.StatusText, d.MAVLink_statustext_message, 'severity text'),
+    (f.LogRequestList, d.MAVLink_log_request_list_message, f'start end {_TARGET}'),
+    (f.LogEntry, d.MAVLink_log_entry_message, 'id num_logs last_log_num time_utc size'),
+    (f.LogRequestData, d.MAVLink_log_request_data_message, f'id ofs count {_TARGET}'),
+    (f.LogRequestEnd, d.MAVLink_log_request_end_message, _TARGET),
 )  # fmt: skip
 """Frame class, message, and the message's fields in the order of the frame's."""
 COPIED = {kind: (message, tuple(names.split())) for kind, message, names in _ROWS}
@@ -185,6 +190,24 @@ FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
     d.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4: _esc_telemetry(0),
     d.MAVLINK_MSG_ID_ESC_TELEMETRY_5_TO_8: _esc_telemetry(4),
     d.MAVLINK_MSG_ID_ESC_TELEMETRY_9_TO_12: _esc_telemetry(8),
+    d.MAVLINK_MSG_ID_ATTITUDE_TARGET: lambda m: f.AttitudeTarget(
+        m['time_boot_ms'], m['type_mask'], m['q'], _columns(m, _BODY_RATES), m['thrust']
+    ),
+    d.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: lambda m: f.SetAttitudeTarget(
+        m['time_boot_ms'], m['type_mask'], m['q'], _columns(m, _BODY_RATES), m['thrust'],
+        m['target_system'], m['target_component'],
+    ),
+    d.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda m: f.LandedState(m['landed_state']),
+    d.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda m: f.LocalPosition(
+        m['time_boot_ms'], _columns(m, ('x', 'y', 'z')), _columns(m, ('vx', 'vy', 'vz'))
+    ),
+    d.MAVLINK_MSG_ID_AUTOPILOT_VERSION: lambda m: f.Version(
+        m['flight_sw_version'], m['board_version'], m['uid'], tuple(m['uid2']),
+        m['capabilities'],
+    ),
+    d.MAVLINK_MSG_ID_LOG_DATA: lambda m: f.LogData(
+        m['id'], m['ofs'], bytes(m['data'][: m['count']])
+    ),
     d.MAVLINK_MSG_ID_RPM: lambda m: f.RotorSpeeds(
         0, tuple(v if v >= 0.0 else math.nan for v in (m['rpm1'], m['rpm2'])), name='RPM'
     ),
@@ -233,12 +256,20 @@ def _to_command(frame: f.Command) -> Any:
     )
 
 
+def _to_attitude_target(frame: f.SetAttitudeTarget) -> Any:
+    return d.MAVLink_set_attitude_target_message(
+        frame.time_ms, frame.target_system, frame.target_component, frame.mask, frame.q,
+        *frame.rates, frame.thrust,
+    )  # fmt: skip
+
+
 _TO_MESSAGE: dict[type, Callable[[Any], Any]] = {
     f.Heartbeat: _to_heartbeat,
     f.RcChannels: _to_rc_channels,
     f.Battery: _to_battery,
     f.SlowSensors: _to_slow_sensors,
     f.Command: _to_command,
+    f.SetAttitudeTarget: _to_attitude_target,
 }
 
 

@@ -84,5 +84,7 @@ _CHECKS: dict[type, Callable[[Any], bool]] = {
     ),
     f.GainsCommand: lambda x: x.action <= max(f.GainsAction),
     f.ParamValue: lambda x: math.isfinite(x.value) or x.kind != f.REAL32,
+    f.AttitudeTarget: lambda x: _bounded((*x.q, *x.rates, x.thrust)),
+    f.LocalPosition: lambda x: math.isfinite(sum(x.place + x.speed)),
     f.Excitation: lambda x: _bounded(x.value) and x.injection <= max(f.Injection),
 }

@@ -1,0 +1,1 @@
+"""Aircraft with PX4 or ArduPilot: their gains, what excites them, their logs. No ROS, no port."""

@@ -1,0 +1,299 @@
+"""An aircraft with PX4 or ArduPilot as the bridge asks it. No I/O; what differs is in kinds.py.
+
+Whoever answers on the line is known by its heartbeat: `Connected` is the one aircraft that the
+bridge holds, and hands everything on to what is there now.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from quad_bridge.aircraft import ARM_DISARM, RESULTS, STILL, Ability, Aircraft, Quad
+from quad_bridge.autopilots.flight import FlightState
+from quad_bridge.autopilots.gains import ParameterGains
+from quad_bridge.autopilots.kinds import BY_NUMBER, Kind
+from quad_bridge.autopilots.system_id import NAMES as SID_NAMES
+from quad_bridge.autopilots.system_id import SystemId, wanted
+from quad_bridge.autopilots.takeover import Takeover
+from quad_bridge.craft import AXES, Craft
+from quad_bridge.errors import RefusedError
+from quad_bridge.link.autopilot import Inertial
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.axes import flip_body
+from quad_bridge.wire.frames import Injection, Vector3
+
+REQUEST_MESSAGE, VERSION = 512, 148
+INJECTIONS = {'attitude': Injection.ATTITUDE, 'rate': Injection.RATE, 'control': Injection.CONTROL}
+AGAIN_S, ASKED = 1.0, 3
+"""Between two questions for the version, and how many there are before it does without."""
+RATE_CHANGE = 1.2  # by which the rate of the attitudes must change to count as another
+OFF = 'off: read docs/{}, then start the bridge with {}:=allow'
+
+
+class AutopilotAircraft(Aircraft):
+    """One autopilot on the line. Times in s on a steady clock."""
+
+    gains: ParameterGains
+
+    def __init__(
+        self, kind: Kind, system: int, *, allow_gains: bool, allow_excitation: bool,
+        now_s: Callable[[], float],
+    ) -> None:  # fmt: skip
+        self.kind, self.flight = kind, FlightState()
+        self.gains = ParameterGains(kind.table, bytewise=kind.bytewise)
+        self.gains.units = self._units
+        self.gains.want(*kind.reads, *(SID_NAMES if kind.system_id else ()))
+        self.takeover = Takeover(kind.means, self.flight)
+        self.system_id = SystemId(self.flight, kind.means.set_mode) if kind.system_id else None
+        self.craft: Craft | None = None
+        self.version: f.Version | None = None
+        self._allow = {Ability.GAINS: allow_gains, Ability.EXCITE: allow_excitation}
+        self._system, self._now_s = system, now_s
+        self._axis, self._injection = 0, Injection.NONE
+        self._refusal = ''  # why the running segment is not flown
+        self._asked, self._ask_s = 0, -math.inf
+        self.last_cycle: f.Cycle | None = None
+
+    @property
+    def number(self) -> tuple[int, int]:
+        """Major and minor number of the firmware; 0, 0 while it is not known."""
+        word = self.version.firmware if self.version is not None else 0
+        return word >> 24 & 0xFF, word >> 16 & 0xFF
+
+    def cannot(self, ability: Ability) -> str:
+        """Why it does not take such now; empty where it does."""
+        name = self.kind.name
+        if ability is Ability.PULSES:
+            return f'{name} takes no test pulses: that it flies shows its signs'
+        if ability is Ability.SET_POINTS:
+            return 'it is flown by its pilot: it takes no set-points from the bridge'
+        if not self._allow[ability]:
+            key = 'gains' if ability is Ability.GAINS else 'excitation'
+            return f'{name}: {key} are ' + OFF.format(f'{name.lower()}.md', key)
+        if ability is Ability.EXCITE:
+            words = self._refusal or self.takeover.refusal
+            words = words or (self.system_id.refusal if self.system_id is not None else '')
+            return f'{name}: {words}' if words else ''
+        words = self.gains.refused or self._pilot_fault()
+        return f'{name}: {words}' if words else ''
+
+    def _pilot_fault(self) -> str:
+        """Why nothing may begin now: a fresh line, a pilot's mode, hover."""
+        now_s, flight = self._now_s(), self.flight
+        fault = flight.line_fault(now_s) or flight.sticks_fault(now_s)
+        if fault:
+            return fault
+        if flight.mode not in self.kind.pilot_modes:
+            known = ', '.join(self.kind.pilot_modes.values())
+            return f'it flies in {self.kind.mode_name(flight.mode)}: the pilot must fly ({known})'
+        return flight.hover_fault(now_s)
+
+    def segment(self, parameters: Mapping[str, Any] | None) -> None:
+        """A segment begins; None: it has ended."""
+        now_s, given = self._now_s(), parameters or {}
+        axis = str(given.get('axis', ''))
+        injection = INJECTIONS.get(str(given.get('injection', '')), Injection.NONE)
+        chirp = self.system_id is not None and given.get('signal') == 'chirp'
+        goes_on = self.takeover.flying and injection is self._injection and not chirp
+        if not goes_on:
+            self.takeover.end('the segment has ended', now_s)
+            if self.system_id is not None:
+                self.system_id.end('the segment has ended', now_s)
+            self._injection = Injection.NONE
+        if parameters is None:
+            return  # why the last one was not flown stays to be read
+        self._refusal = self.takeover.refusal = ''
+        if self.system_id is not None:
+            self.system_id.refusal = ''
+        fault = self.cannot(Ability.EXCITE) or ('' if goes_on else self._pilot_fault())
+        if axis not in AXES:
+            fault = fault or f'axis {axis[:20]!r}: known are {", ".join(AXES)}'
+        if not fault and self.system_id is not None and chirp:
+            fault = self.system_id.fault(self.number)
+            try:
+                sid = wanted(AXES.index(axis), injection, parameters)
+            except ValueError as error:
+                fault = fault or str(error)
+        elif not fault:
+            fault = self.takeover.fault(injection, now_s)
+        if fault:
+            self._refusal = fault.removeprefix(f'{self.kind.name}: ')
+            return
+        self._axis, self._injection = AXES.index(axis), injection
+        if self.system_id is not None and chirp:
+            self.system_id.begin(sid, now_s)
+        else:
+            self.takeover.begin(self._axis, injection, now_s)
+
+    def excite(self, value: Vector3, injection: Injection, valid_ms: int) -> None:
+        """Take what the schedule wants now; SYSTEM ID plays its own signal."""
+        del valid_ms
+        if injection is self._injection:
+            self.takeover.excite(flip_body(value)[self._axis], self._now_s())
+
+    def abort(self) -> None:
+        """End the excitation at once."""
+        self.takeover.end('it was ended', self._now_s())
+        if self.system_id is not None:
+            self.system_id.end('it was ended', self._now_s())
+
+    def fly_to(self, attitude: Vector3, thrust: float) -> f.Frame:
+        """Refuse: its pilot flies it."""
+        del attitude, thrust
+        raise RefusedError(self.cannot(Ability.SET_POINTS))
+
+    def arm(self, on: bool) -> f.Frame:
+        """Give the frame that arms or disarms."""
+        return f.Command(ARM_DISARM, (1.0 if on else 0.0,))
+
+    def armed_answer(self, frame: f.CommandAck) -> str | None:
+        """Say what an answer to `arm` says."""
+        if frame.command != ARM_DISARM:
+            return None
+        known = frame.result < len(RESULTS)
+        return RESULTS[frame.result] if known else f'result {frame.result}'
+
+    # The line.
+
+    def take(self, frame: Any, now_s: float) -> None:
+        """Take a frame, arrived or stamped."""
+        self.flight.take(frame, now_s)
+        if isinstance(frame, f.AttitudeTarget):
+            self.takeover.target(frame)
+        elif isinstance(frame, f.ParamValue) and self.system_id is not None:
+            self.system_id.take(frame)
+        elif isinstance(frame, f.Version) and self.version is None:
+            self.version = frame
+            uid = bytes(frame.uid2).hex() if any(frame.uid2) else f'{frame.uid:016x}'
+            alike = not int(uid, 16)
+            self._identify(uid if not alike else '')
+        elif isinstance(frame, f.Heartbeat):
+            self._ask_s = min(self._ask_s, now_s)
+
+    def _identify(self, uid: str) -> None:
+        name = f'{self.kind.name.lower()}_{uid or self._system}'
+        self.gains.identify(name)
+
+    def poll(self, now_s: float) -> list[f.Frame]:
+        """Say what to send now, beside parameters."""
+        out = self.takeover.poll(now_s)
+        if self.system_id is not None:
+            out += self.system_id.poll(now_s)
+        if not self.gains.aircraft and now_s - self._ask_s > AGAIN_S:
+            self._ask_s, self._asked = now_s, self._asked + 1
+            if self._asked > ASKED:
+                self._identify('')
+            else:
+                out.append(f.Command(REQUEST_MESSAGE, (float(VERSION),)))
+        return out
+
+    def cycle(self, frame: Inertial, now_s: float) -> f.Cycle | None:
+        """What one of its attitudes, and all that came before, say as a control cycle."""
+        self.flight.inertial(frame, now_s)
+        flying = self.takeover.flying or (self.system_id is not None and self.system_id.flying)
+        flags = f.Flag.EXCITATION if flying else f.Flag.NONE
+        if self._refusal or self.takeover.refusal or (
+            self.system_id is not None and self.system_id.refusal
+        ):
+            flags |= f.Flag.EXCITATION_REFUSED
+        rate_hz, known_hz = self.flight.rate_hz, self.gains.cycles_hz
+        if rate_hz and not 1.0 / RATE_CHANGE < (known_hz or rate_hz * 2.0) / rate_hz < RATE_CHANGE:
+            self.gains.cycles_hz = rate_hz
+        injection = self._injection if self.takeover.flying else Injection.NONE
+        added = self.takeover.applied if self.takeover.flying else STILL
+        cycle = self.flight.cycle(frame, now_s, added, injection, flags)
+        self.last_cycle = cycle or self.last_cycle
+        return cycle
+
+    def _units(self, known: Mapping[str, float]) -> tuple[float, float, float] | None:
+        return None if self.craft is None else self.kind.units(self.craft, known)
+
+
+class Connected(Aircraft):
+    """The aircraft on the line, whichever it is: ours until a heartbeat says otherwise."""
+
+    def __init__(
+        self, standard: Callable[[], str], now_s: Callable[[], float],
+        *, allow_gains: bool, allow_excitation: bool,
+    ) -> None:  # fmt: skip
+        self._quad = Quad(standard)
+        self.now: Aircraft = self._quad
+        self.on_change: Callable[[Aircraft], None] = lambda _: None
+        self._allow = {'allow_gains': allow_gains, 'allow_excitation': allow_excitation}
+        self._now_s = now_s
+
+    @property
+    def gains(self) -> Any:  # type: ignore[override]
+        """Its sets of gains."""
+        return self.now.gains
+
+    @property
+    def autopilot(self) -> AutopilotAircraft | None:
+        """It, where it is no aircraft of ours."""
+        return self.now if isinstance(self.now, AutopilotAircraft) else None
+
+    @property
+    def last_cycle(self) -> f.Cycle | None:
+        """What stood for its last control cycle, where it sends none of ours."""
+        return self.autopilot.last_cycle if self.autopilot is not None else None
+
+    @property
+    def has_gains(self) -> bool:
+        """Whether its parameters are gains that the bridge keeps."""
+        return self.autopilot is not None or not self._quad.cannot(Ability.GAINS)
+
+    def take(self, frame: Any, now_s: float) -> None:
+        """Take a frame; a heartbeat says who it is."""
+        if isinstance(frame, f.Heartbeat):
+            self._meet(frame)
+        if self.autopilot is not None:
+            self.autopilot.take(frame, now_s)
+
+    def forget(self) -> None:
+        """It may be another one from now on; a trial that has not ended is on the disk."""
+        if self.autopilot is not None:
+            self.autopilot.abort()
+
+    def _meet(self, beat: f.Heartbeat) -> None:
+        kind = BY_NUMBER.get(beat.autopilot)
+        known = self.autopilot
+        if (known.kind if known is not None else None) is kind:
+            return
+        self.now = self._quad if kind is None else AutopilotAircraft(
+            kind, beat.system, now_s=self._now_s, **self._allow
+        )
+        self.on_change(self.now)
+
+    def cannot(self, ability: Ability) -> str:
+        """Why it has not this ability now; empty where it has."""
+        return self.now.cannot(ability)
+
+    def segment(self, parameters: Mapping[str, Any] | None) -> None:
+        """A segment begins; None: it has ended."""
+        self.now.segment(parameters)
+
+    def excite(self, value: Vector3, injection: Injection, valid_ms: int) -> f.Frame | None:
+        """Give the frame that adds `value`, where one is sent for each."""
+        return self.now.excite(value, injection, valid_ms)
+
+    def abort(self) -> f.Frame | None:
+        """Give the frame that ends an excitation at once, where one does."""
+        return self.now.abort()
+
+    def fly_to(self, attitude: Vector3, thrust: float) -> f.Frame:
+        """Give the frame that makes `attitude` the set-point."""
+        return self.now.fly_to(attitude, thrust)
+
+    def arm(self, on: bool) -> f.Frame:
+        """Give the frame that arms or disarms."""
+        return self.now.arm(on)
+
+    def armed_answer(self, frame: f.CommandAck) -> str | None:
+        """Say what an answer to `arm` says."""
+        return self.now.armed_answer(frame)
+
+    def poll(self, now_s: float) -> list[f.Frame]:
+        """Say what to send now, beside parameters."""
+        return self.autopilot.poll(now_s) if self.autopilot is not None else []

@@ -1,0 +1,339 @@
+"""Sets of gains on an autopilot that knows single parameters only. No I/O.
+
+PARAM_SET, read back, one after the other; what `GainProtocol` leaves to the STM32 is done here. An
+autopilot stores each parameter and never takes it back by itself, so the last good set is on the
+disk (`keep`) before the first write, is written back whole where a trial ends badly, and where the
+bridge begins and finds that a trial had not ended. A parameter that somebody else writes during a
+trial ends it; a second one is left alone, and gains are refused from then on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from enum import Enum
+
+from quad_bridge.autopilots.table import Table, UnfitError, Units
+from quad_bridge.errors import RefusedError
+from quad_bridge.gains.protocol import GainEvent, Keep, What, float32
+from quad_bridge.link.parameters import encoded, number
+from quad_bridge.wire import frames as f
+
+Request = f.ParamSet | f.ParamRequestRead
+TRIES = 4
+REPEAT_S, LOOK_S = 0.25, 0.25  # between two tries; between two looks at what is on trial
+AT_ONCE = 8  # names that are asked for at the same time
+STUBBORN_S = 1.0  # between two tries to write a good value back, once the first have failed
+
+
+class State(Enum):
+    """Where the set stands."""
+
+    READING = 'reading'
+    READY = 'read back'
+    SAVING = 'keeping the last good set'
+    WRITING = 'writing'
+    ON_TRIAL = 'on trial'
+    CONFIRMING = 'confirming'
+    REVERTING = 'taking back'
+
+
+AT_REST = (State.READY, State.ON_TRIAL)
+
+
+class ParameterGains:
+    """One conversation with one autopilot. Times in s on a steady clock."""
+
+    names: Mapping[str, str] = {}  # contract names are its own
+    pulses = False  # it takes no test pulses: that it flies shows its signs
+
+    def __init__(self, table: Table, *, bytewise: bool) -> None:
+        """`bytewise`: an integer's bytes lie in a value's float (PX4)."""
+        self.events: list[GainEvent] = []
+        self.active: Mapping[str, float] = {}
+        self.state = State.READING
+        self.aircraft = ''  # a name of the aircraft for its files; see `identify`
+        self.units: Callable[[Mapping[str, float]], Units | None] = lambda _: None
+        """U per torque of roll, pitch, yaw by what is read; None while that is not known."""
+        self.cycles_hz = 0.0
+        self.refused = ''  # why no set is taken any more
+        self.keep: Keep = lambda _, done: done(False)
+        self._table, self._bytewise = table, bytewise
+        self._extra: tuple[str, ...] = ()
+        self.values: dict[str, float] = {}
+        self._kinds: dict[str, int] = {}
+        self._asked: dict[str, tuple[int, float]] = {}
+        self._good: dict[str, float] = {}  # of the trial that goes on, or has not ended
+        self._good_of = ''
+        self._recalled = False  # whether the disk has said what it knows
+        self._kept: bool | None = None
+        self._queue: dict[str, float] = {}  # still to be written, with the value
+        self._whole: dict[str, float] = {}  # the set that is written: parameter to value
+        self._tries, self._due_s = 0, -math.inf
+        self._shown: float | None = None
+        self._outcome, self._reason = What.REVERTED, ''
+        self._foreign = 0
+        self._looked = 0
+
+    @property
+    def busy(self) -> str:
+        """The current activity; empty where a set may be written."""
+        if self.state in AT_REST and not self._recalled:
+            return "the aircraft's files are being read"
+        return '' if self.state in AT_REST else self.state.value
+
+    @property
+    def reading(self) -> bool:
+        """Whether it has not been read as a whole yet."""
+        return self.state is State.READING
+
+    @property
+    def in_common(self) -> frozenset[str]:
+        """Contract names whose parameter is one for all axes."""
+        return self._table.in_common
+
+    def identify(self, aircraft: str) -> None:
+        """Say which aircraft it is; what the disk knows of another one is not known of this."""
+        if self.aircraft not in {'', aircraft}:
+            self._recalled = False
+            self._good = self._good if self._good_of == aircraft else {}
+        self.aircraft = aircraft
+
+    def want(self, *names: str) -> None:
+        """Read these parameters too."""
+        self._extra = tuple(dict.fromkeys((*self._extra, *names)))
+
+    def write(self, writes: Mapping[str, float], watch_ms: int) -> None:
+        """Begin to write a set by contract names. Raises RefusedError before anything is sent."""
+        del watch_ms  # it knows no watch of its own
+        if self.refused:
+            raise RefusedError(self.refused)
+        units = self.units(self.values)
+        if self.busy or units is None:
+            raise RefusedError(f'the parameters are busy: {self.busy or "its craft is not known"}')
+        try:
+            wanted = self._table.parameters(writes, self.values, units)
+        except UnfitError as error:
+            raise RefusedError(str(error)) from error
+        for name, value in wanted.items():
+            if name not in self.values:
+                raise RefusedError(f'{name}: not reported by the autopilot, so no value to '
+                                   'return to')
+            if not math.isfinite(value):
+                raise RefusedError(f'{name}: must be finite: found {value}')
+        wanted = {name: float32(value) for name, value in wanted.items()}
+        if self.state is State.READY:
+            self._good = {n: self.values[n] for n in self._table.written if n in self.values}
+            self._good_of = self.aircraft
+        self._whole = self._queue = wanted
+        self._go(State.SAVING)
+        self._keep({'trial': {'good': self._good, 'tried': wanted}})
+
+    def confirm(self) -> None:
+        """Keep the set on trial."""
+        if self.state is State.ON_TRIAL:
+            self._go(State.CONFIRMING)
+            self._keep({})
+
+    def revert(self, reason: str) -> None:
+        """Take back the set that is being written or on trial."""
+        if self.state in {State.ON_TRIAL, State.CONFIRMING}:
+            self._take_back(What.REVERTED, reason)
+        elif self.state in {State.SAVING, State.WRITING}:
+            self._take_back(What.FAILED, reason)
+
+    def restart(self) -> None:
+        """Read everything again; a trial that goes on is taken back after that."""
+        if self.state not in {State.READING, State.READY}:
+            self.events.append(GainEvent(What.LOST, reason='the link broke'))
+        self.active, self.values, self._kinds, self._asked = {}, {}, {}, {}
+        self._go(State.READING)
+
+    def recall(self, record: object) -> None:
+        """Take what the disk knows of a trial of this aircraft that has not ended; {} for none."""
+        self._recalled = True
+        good = record.get('good') if isinstance(record, dict) else None
+        if not isinstance(good, dict) or self._good:
+            return
+        self._good = {
+            str(name): float(value) for name, value in good.items()
+            if name in self._table.written and isinstance(value, int | float)
+            and math.isfinite(value)
+        }  # fmt: skip
+        self._good_of = self.aircraft
+        if self.state is State.READY:
+            self._return_to_good()
+
+    # The wire.
+
+    def poll(self, now_s: float) -> Request | None:
+        """Say what to send now."""
+        if self.state is State.READING:
+            return self._next_to_read(now_s)
+        if self.state in {State.SAVING, State.CONFIRMING}:
+            self._saved()
+            return None
+        if self.state is State.ON_TRIAL:
+            return self._look(now_s)
+        if self.state not in {State.WRITING, State.REVERTING} or now_s < self._due_s:
+            return None
+        if self._tries >= TRIES and self.state is State.WRITING:
+            self._unanswered()
+        if not self._queue:
+            return None
+        self._tries += 1
+        stubborn = self.state is State.REVERTING and self._tries > TRIES
+        self._due_s = now_s + (STUBBORN_S if stubborn else REPEAT_S)
+        name, value = next(iter(self._queue.items()))
+        kind = self._kinds.get(name, f.REAL32)
+        return f.ParamSet(name, encoded(value, kind, bytewise=self._bytewise), kind=kind)
+
+    def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
+        """Take a parameter's value, whoever has asked for it."""
+        del now_s
+        if not isinstance(frame, f.ParamValue) or frame.name not in self._watched():
+            return
+        name, value = frame.name, number(frame, bytewise=self._bytewise)
+        if not math.isfinite(value):
+            return
+        before = self.values.get(name)
+        self.values[name], self._kinds[name] = value, frame.kind
+        if self.state is State.READING:
+            self._read()
+        elif name in self._queue and self.state in {State.WRITING, State.REVERTING}:
+            self._answered(name, value)
+        elif value != before:
+            self._changed(name, value)
+
+    # Reading.
+
+    def _watched(self) -> tuple[str, ...]:
+        return (*self._table.names, *self._extra)
+
+    def _open(self, name: str) -> bool:
+        return name not in self.values and self._asked.get(name, (0, 0.0))[0] <= TRIES
+
+    def _next_to_read(self, now_s: float) -> Request | None:
+        waiting = [name for name in self._watched() if self._open(name)][:AT_ONCE]
+        for name in waiting:
+            tries, due_s = self._asked.get(name, (0, -math.inf))
+            if now_s >= due_s:
+                self._asked[name] = tries + 1, now_s + REPEAT_S
+                if tries < TRIES:
+                    return f.ParamRequestRead(name)
+        if not waiting:
+            self._read()
+        return None
+
+    def _read(self) -> None:
+        if any(self._open(name) for name in self._watched()) or not self.values:
+            return
+        units = self.units(self.values)
+        if units is None:
+            return  # the craft is described by other parameters, which come as well
+        self.active = self._table.gains(self.values, units)
+        self._go(State.READY)
+        self.events.append(GainEvent(What.READ, self.active))
+        if self._good and self._good_of in {'', self.aircraft}:
+            self._return_to_good()
+
+    def _return_to_good(self) -> None:
+        self._take_back(What.REVERTED, 'found a trial of an earlier bridge that had not ended')
+
+    # Writing.
+
+    def _keep(self, record: Mapping[str, object]) -> None:
+        self._kept = None
+        self.keep(record, self._on_kept)
+
+    def _on_kept(self, done: bool) -> None:
+        self._kept = done  # from the thread that writes; read by `poll`
+
+    def _saved(self) -> None:
+        if self._kept is None:
+            return
+        if self.state is State.CONFIRMING:
+            if self._kept:
+                self._good = {}
+                self._go(State.READY)
+                self.events.append(GainEvent(What.CONFIRMED, self.active))
+            else:
+                self._take_back(What.REVERTED, 'the disk does not take the confirmation')
+        elif self._kept:
+            self._go(State.WRITING)
+        else:
+            self._good = {}
+            self._go(State.READY)
+            self.events.append(GainEvent(What.FAILED, reason='the last good set cannot be kept on '
+                                         'the disk, so nothing was written'))
+
+    def _answered(self, name: str, value: float) -> None:
+        """Take the value of a parameter that is still to be written."""
+        if value != self._queue[name]:
+            if next(iter(self._queue)) == name and self._tries:
+                self._shown, self._due_s = value, -math.inf  # try again at once
+            return
+        self._queue = {n: v for n, v in self._queue.items() if n != name}
+        self._tries, self._shown, self._due_s = 0, None, -math.inf
+        if self._queue:
+            return
+        if self.state is State.WRITING:
+            self._prove(State.ON_TRIAL, What.COMMITTED)
+        else:
+            self._back_again()
+
+    def _prove(self, state: State, what: What) -> None:
+        units = self.units(self.values)
+        if units is not None:
+            self.active = self._table.gains(self.values, units)
+        self._go(state)
+        self.events.append(GainEvent(what, self.active))
+
+    def _unanswered(self) -> None:
+        name, value = next(iter(self._queue.items()))
+        words = f'{name}: no answer to {TRIES} tries'
+        if self._shown is not None:
+            words = f'{name}: the autopilot kept {self._shown:g} instead of {value:g}'
+        self._take_back(What.FAILED, words)
+
+    def _look(self, now_s: float) -> Request | None:
+        """Read what is on trial, one after the other: another program may have written it."""
+        if now_s < self._due_s or not self._whole:
+            return None
+        self._due_s, self._looked = now_s + LOOK_S, self._looked + 1
+        return f.ParamRequestRead([*self._whole][self._looked % len(self._whole)])
+
+    def _changed(self, name: str, value: float) -> None:
+        """Somebody else has written it."""
+        if name not in self._table.written:
+            return
+        if self.state in {State.ON_TRIAL, State.WRITING, State.SAVING, State.CONFIRMING}:
+            self._foreign += 1
+            self._take_back(What.REVERTED,
+                            f'{name} was set to {value:g} by another program during the trial')
+        elif self._foreign:  # a second one, after or while the good set is written back
+            self.refused = (f'{name} was set to {value:g} by another program again: it is left '
+                            'alone, and gains are refused until the bridge starts anew')
+            if self.state is State.READY:
+                self._prove(State.READY, What.READ)
+        elif self.state is State.READY:
+            self._prove(State.READY, What.READ)
+
+    # The way back.
+
+    def _take_back(self, outcome: What, reason: str) -> None:
+        self._outcome, self._reason = outcome, reason
+        first = [name for name in self._whole if name in self._good]
+        self._queue = {n: self._good[n] for n in dict.fromkeys([*first, *self._good])}
+        self._go(State.REVERTING)
+        if not self._queue:
+            self._back_again()
+
+    def _back_again(self) -> None:
+        self._good, self._whole = {}, {}
+        self.keep({}, lambda _: None)  # where that fails, the good set is written once more
+        self.events.append(GainEvent(self._outcome, reason=self._reason))
+        self._prove(State.READY, What.READ)
+
+    def _go(self, state: State) -> None:
+        self.state, self._tries, self._shown, self._due_s = state, 0, None, -math.inf

@@ -1,0 +1,58 @@
+"""What must stay as it was while an autopilot is excited: sticks, place, height, lean, line. Pure.
+
+Neither PX4's OFFBOARD nor ArduPilot's SYSTEM ID watches the pilot's sticks by default.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from quad_bridge.autopilots.flight import FlightState
+from quad_bridge.wire.frames import Vector3
+
+MOST_TILT_RAD = math.radians(35.0)
+MOST_HEIGHT_M, MOST_PLACE_M = 2.0, 5.0
+MOST_SAG = 0.08  # share of the voltage at the beginning by which the battery may sink
+
+
+@dataclass(frozen=True)
+class Guard:
+    """How the flight was when a segment began; `fault` says why it must end now."""
+
+    mode: int
+    sticks: tuple[float, ...]
+    yaw: float
+    height_m: float | None
+    place: Vector3 | None
+    volts: float
+
+    @classmethod
+    def of(cls, flight: FlightState) -> Guard:
+        """The flight as it is now."""
+        yaw = 0.0 if flight.angles is None else flight.angles[2]
+        return cls(flight.mode or 0, flight.sticks, yaw, flight.height_m, flight.place,
+                   flight.volts)  # fmt: skip
+
+    def fault(self, flight: FlightState, now_s: float) -> str:
+        """Why what began so must end now; empty where it may go on."""
+        fault = flight.line_fault(now_s) or flight.sticks_fault(now_s)
+        if fault:
+            return fault
+        if not flight.armed:
+            return 'it was disarmed'
+        if flight.moved(self.sticks):
+            return "the pilot's sticks were moved"
+        if flight.angles is not None and max(map(abs, flight.angles[:2])) > MOST_TILT_RAD:
+            return f'beyond {math.degrees(MOST_TILT_RAD):.0f} deg of roll or pitch'
+        if self.height_m is not None and flight.height_m is not None:
+            off_m = flight.height_m - self.height_m
+            if abs(off_m) > MOST_HEIGHT_M:
+                return f'{off_m:+.1f} m of height from where it began'
+        if self.place is not None and flight.place is not None:
+            gone_m = math.hypot(flight.place[0] - self.place[0], flight.place[1] - self.place[1])
+            if gone_m > MOST_PLACE_M:
+                return f'{gone_m:.1f} m from where it began'
+        if flight.volts < (1.0 - MOST_SAG) * self.volts:
+            return f'the battery has sunk to {flight.volts:.1f} V'
+        return ''

@@ -1,0 +1,151 @@
+"""What differs between PX4 and ArduPilot, a row each: another autopilot is one more row. Pure.
+
+Modes, how one is asked for, which gains there are, how integers are encoded, how thrust is meant,
+what must come over the line, and what a ready aircraft has set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from quad_bridge.autopilots.table import (
+    ARDUPILOT,
+    OF_MOTORS,
+    PX4,
+    Table,
+    Units,
+    ardupilot_units,
+    px4_units,
+)
+from quad_bridge.autopilots.takeover import Means
+from quad_bridge.craft import Craft
+from quad_bridge.wire import frames as f
+from quad_bridge.wire.frames import Injection
+
+DO_SET_MODE = 176
+CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+Values = Mapping[str, float]
+Advice = tuple[str, bool, str]
+"""What was found, whether it is as it should be, and what to change."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One autopilot."""
+
+    number: int
+    """MAV_AUTOPILOT of its heartbeat."""
+    name: str
+    table: Table
+    bytewise: bool
+    """Whether an integer's bytes lie in the float of PARAM_SET and PARAM_VALUE."""
+    pilot_modes: Mapping[int, str]
+    """Modes in which the pilot flies, by custom_mode."""
+    means: Means
+    units: Callable[[Craft, Values], Units]
+    wants_hz: Mapping[str, float]
+    """Messages beside those of the topics."""
+    reads: tuple[str, ...]
+    """Parameters beside the gains."""
+    advice: Callable[[Values, tuple[int, int]], list[Advice]]
+    log_suffix: str
+    fetches_armed: bool
+    """Whether it sends logs while it is armed; they are asked for after landing all the same."""
+    modes: Mapping[int, str] = field(default_factory=dict)
+    system_id: bool = False
+
+    def mode_name(self, mode: int | None) -> str:
+        """A mode in words."""
+        if mode is None:
+            return 'unknown'
+        return {**self.modes, **self.pilot_modes, self.means.mode: self.means.name}.get(
+            mode, f'mode {mode}'
+        )
+
+
+def _px4_mode(mode: int) -> f.Command:
+    main, sub = mode >> 16 & 0xFF, mode >> 24 & 0xFF
+    return f.Command(DO_SET_MODE, (CUSTOM_MODE, float(main), float(sub)))
+
+
+def _ardupilot_mode(mode: int) -> f.Command:
+    return f.Command(DO_SET_MODE, (CUSTOM_MODE, float(mode)))
+
+
+def _px4_units(craft: Craft, known: Values) -> Units:
+    del known
+    x, y = ([getattr(m, axis) for m in craft.motors] for axis in 'xy')
+    return px4_units(np.asarray(craft.mixer), x, y)
+
+
+def _ardupilot_units(craft: Craft, known: Values) -> Units:
+    return ardupilot_units(np.asarray(craft.mixer), known)
+
+
+def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
+    profile = int(known.get('SDLOG_PROFILE', 0))
+    override = int(known.get('COM_RC_OVERRIDE', 1))
+    found = [
+        (f'log SDLOG_PROFILE {profile}', profile & 24 == 24,
+         'set SDLOG_PROFILE to 25 (bits 3 system identification, 4 high rate) and restart'),
+        (f'airmode MC_AIRMODE {known.get("MC_AIRMODE", 0):g}', not known.get('MC_AIRMODE', 0.0),
+         'set MC_AIRMODE to 0 while tuning'),
+        (f'external set-points MAV_FWDEXTSP {known.get("MAV_FWDEXTSP", 1):g}',
+         known.get('MAV_FWDEXTSP', 1.0) != 0.0, 'set MAV_FWDEXTSP to 1'),
+        (f'sticks leave OFFBOARD: COM_RC_OVERRIDE {override}', bool(override & 2),
+         'set COM_RC_OVERRIDE to 3: else the bridge alone gives the mode back'),
+        (f'loss of OFFBOARD COM_OF_LOSS_T {known.get("COM_OF_LOSS_T", 1):g} s',
+         known.get('COM_OF_LOSS_T', 1.0) <= 1.0, 'set COM_OF_LOSS_T to 1 or less'),
+    ]  # fmt: skip
+    if version >= (1, 15):
+        found.append(('parameters in the processor\'s flash are stored once disarmed (1.15 and '
+                      'later)', True, ''))
+    return found
+
+
+def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
+    bits = int(known.get('LOG_BITMASK', 0))
+    has_sid = 'SID_AXIS' in known
+    found = [
+        (f'log LOG_BITMASK {bits}', bits & 3 == 3,
+         f'set LOG_BITMASK to {bits | 3} (bits 0, 1 fast and medium attitude)'),
+        (f'motors in the log (bit 17) {"yes" if bits & 1 << 17 else "no"}', True, ''),
+        ('SYSTEM ID ' + ('is there' if has_sid else 'is not answered'), has_sid,
+         'set SID_AXIS to 1 and read again; boards of 1 MB flash lack it from 4.5 on: signals '
+         'other than chirp need GUIDED_NOGPS, which these boards lack too'),
+        ('DO_SET_MODE ' + ('is blocked for SYSTEM ID' if int(known.get('FLTMODE_GCSBLOCK', 0))
+                           & 1 << 20 else 'may enter SYSTEM ID'),
+         not int(known.get('FLTMODE_GCSBLOCK', 0)) & 1 << 20, 'clear bit 20 of FLTMODE_GCSBLOCK'),
+    ]  # fmt: skip
+    del version
+    return found
+
+
+KINDS = (
+    Kind(
+        12, 'PX4', PX4, bytewise=True,
+        pilot_modes={7 << 16: 'Stabilized', 2 << 16: 'Altitude', 3 << 16: 'Position'},
+        means=Means(6 << 16, 'OFFBOARD', _px4_mode),
+        units=_px4_units,
+        wants_hz={'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0},
+        reads=('SDLOG_PROFILE', 'MC_AIRMODE', 'MAV_FWDEXTSP', 'COM_RC_OVERRIDE', 'COM_OF_LOSS_T',
+               'IMU_GYRO_RATEMAX', 'IMU_INTEG_RATE'),
+        advice=_px4_advice, log_suffix='.ulg', fetches_armed=True,
+        modes={1 << 16: 'Manual', 5 << 16: 'Acro'},
+    ),
+    Kind(
+        3, 'ArduPilot', ARDUPILOT, bytewise=False,
+        pilot_modes={0: 'Stabilize', 1: 'Acro', 2: 'AltHold', 5: 'Loiter', 16: 'PosHold'},
+        means=Means(20, 'GUIDED_NOGPS', _ardupilot_mode, climb=True),
+        units=_ardupilot_units,
+        wants_hz={'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0},
+        reads=(*OF_MOTORS, 'LOG_BITMASK', 'FLTMODE_GCSBLOCK', 'SCHED_LOOP_RATE', 'SID_AXIS'),
+        advice=_ardupilot_advice, log_suffix='.bin', fetches_armed=False,
+        modes={25: 'SYSTEM ID', 9: 'Land', 6: 'RTL'}, system_id=True,
+    ),
+)  # fmt: skip
+BY_NUMBER: Mapping[int, Kind] = {kind.number: kind for kind in KINDS}
+SYSTEM_ID_INJECTIONS = frozenset({Injection.ATTITUDE, Injection.RATE, Injection.CONTROL})
