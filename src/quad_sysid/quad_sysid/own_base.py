@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -343,7 +344,7 @@ def identify_base(base: Base, flights: Any = None, *, effects: Sequence[Effect] 
 def _data(flights: Any, arrays: Mapping[str, Any]) -> tuple[AxisData, Units, Sequence[Record]]:
     given = {name: one for name, one in arrays.items() if one is not None}
     axis = given.pop('axis', 'roll')
-    if isinstance(flights, str | Record):
+    if isinstance(flights, str | Path | Record):
         record = flights if isinstance(flights, Record) else read_bag(flights)
         records = [record]
         axis = next((s.axis for s in record.segments if s.role == 'train'), axis)
