@@ -239,8 +239,11 @@ _LAWS: dict[int, _Law] = {}
 
 
 def _law_of(number: int, stored: bytes) -> _Law:
-    if number in _LAWS or not stored:
+    if number in _LAWS:
         return _LAWS[number]
+    if not stored:
+        raise BadInputError('base', 'its law cannot be read in another process', 'a lambda',
+                            'write it as a function of a module')
     return _Law(*pickle.loads(stored))  # noqa: S301 - what __reduce__ wrote
 
 
@@ -283,7 +286,7 @@ class BaseResult:
     """A base of one's own, fitted, completed and judged."""
 
     model: Identified
-    """Runs as any other: simulate, predict, compare, residuals, to_control."""
+    """Runs as any other: simulate, predict, compare, residuals, bode, step, to_control."""
     verdict: str
     """`effects_added`, `no_missing_effect` or `not_searched`."""
     parameters: Mapping[str, Parameter]
