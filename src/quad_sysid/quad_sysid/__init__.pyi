@@ -42,6 +42,8 @@ from quad_sysid.errors import QuadSysidError as QuadSysidError
 from quad_sysid.experiment import Experiment as Experiment
 from quad_sysid.experiment import design_experiment as design_experiment
 from quad_sysid.identified import Identified as Identified
+from quad_sysid.logview.read import Look as Look
+from quad_sysid.logview.read import look as look
 from quad_sysid.loop.cascade import CascadeGains as CascadeGains
 from quad_sysid.loop.simulation import simulate_cascade as simulate_cascade
 from quad_sysid.model import GainProposal as GainProposal
