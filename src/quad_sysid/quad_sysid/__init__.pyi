@@ -39,6 +39,8 @@ from quad_sysid.effects import EFFECTS as EFFECTS
 from quad_sysid.errors import BadInputError as BadInputError
 from quad_sysid.errors import NotInformativeError as NotInformativeError
 from quad_sysid.errors import QuadSysidError as QuadSysidError
+from quad_sysid.experiment import Experiment as Experiment
+from quad_sysid.experiment import design_experiment as design_experiment
 from quad_sysid.identified import Identified as Identified
 from quad_sysid.logview.read import Look as Look
 from quad_sysid.logview.read import look as look
@@ -48,6 +50,11 @@ from quad_sysid.model import GainProposal as GainProposal
 from quad_sysid.model.effect import Effect as Effect
 from quad_sysid.model.effect import Signals as Signals
 from quad_sysid.model.effect import Spec as Spec
+from quad_sysid.own_base import Base as Base
+from quad_sysid.own_base import BaseResult as BaseResult
+from quad_sysid.own_base import Quantity as Quantity
+from quad_sysid.own_base import identify_base as identify_base
+from quad_sysid.own_base import undetermined as undetermined
 from quad_sysid.pipeline.direct import greybox as greybox
 from quad_sysid.record import IOData as IOData
 from quad_sysid.record import Record as Record

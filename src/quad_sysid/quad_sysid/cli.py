@@ -198,7 +198,8 @@ def _evaluate(options: argparse.Namespace) -> int:
                            'one_step_after': e.one_step_after, 'blackbox': e.blackbox,
                            'hold_last_value': e.hold, 'windows': e.windows,
                            'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)},
-                 'explanation': [{'effects': names, 'explains_pct': percent, 'error': error}
+                 'explanation': [{'effects': names, 'explains_pct': percent, 'error': error,
+                                  'answer': {*names} == {x.name for x in models[e.axis].effects}}
                                  for names, percent, error in e.rungs],
                  'outside': [vars(one) for one in e.outside]}
         for e in found
@@ -208,10 +209,10 @@ def _evaluate(options: argparse.Namespace) -> int:
         print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes, **unanswered}))
         return DONE
     for e in () if options.quiet else found:
-        tree = {'error': axes[e.axis]['error'], 'effects': models[e.axis].effects}
+        tree = {**axes[e.axis], 'effects': models[e.axis].effects}
         beyond = (line for one in e.outside for line in tables.wrapped(str(one)))
-        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)), *text.growth(tree),
-                         *beyond]))
+        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)),
+                         *tables.explanation(tree).text(), *text.growth(tree), *beyond]))
     return DONE
 
 

@@ -122,8 +122,6 @@ identified airframes (bench/tuning.py) 95 were off by less than 0.9 % in lag, 0.
 and, where another charge of the battery changed it, 3 % in gain (0.1 % in the median)."""
 DELAY_FLOOR_CYCLES = 0.05
 
-AMPLITUDES = (WIDE, NEAR_REST)
-"""Amplitudes of rate (rad/s), angle (rad) and command for linearisation."""
 
 VOLTAGE_RANGE = (0.9, 1.08)
 """Battery voltage of the next flight relative to this one's mean."""

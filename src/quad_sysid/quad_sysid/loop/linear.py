@@ -188,6 +188,21 @@ def linear(flying: Flying, level: Level) -> Flying:
     return replace(flying, plant=replace(plant, structure=Structure(tuple(parts)), p=p))
 
 
+def linear_part(flying: Flying) -> Flying:
+    """The same with those effects alone that answer alike in small and in wide motion."""
+    plant, kept, p = flying.plant, [], [flying.plant.p[:5]]
+    for part, at in plant.structure.placed():
+        alone = replace(flying, plant=replace(
+            plant, structure=Structure((part,)), p=np.r_[plant.p[:5], plant.p[at]]))
+        still, wide = (loops_of([(alone, level)]) for level in (STILL, WIDE))
+        if np.allclose(still.a, wide.a, rtol=1e-3, atol=1e-6) and np.allclose(
+                still.b, wide.b, rtol=1e-3, atol=1e-6):
+            kept.append(part)
+            p.append(plant.p[at])
+    return replace(flying, plant=replace(plant, structure=Structure(tuple(kept)),
+                                         p=np.concatenate(p)))
+
+
 def _tones(n: int, dt: float, frequency: float, several: bool) -> tuple[FloatArray, FloatArray]:
     """Phases (n, tones) of a motion about a frequency, rad/s, and the tones' ratios to it."""
     tones = np.array(TONES if several else (1.0,))

@@ -81,14 +81,14 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
 
 def model_excerpt(model: AxisModel, parameters: Mapping[str, Parameter]) -> str:
     """What a notebook shows of a model: its ladder, and its parameters as they are handed in."""
-    rungs = [{'effects': [e.name for e in rung.effects], 'explains_pct': rung.explains_pct,
-              'error': rung.error, 'answer': rung.effects == model.effects}
-             for rung in model.rungs]
+    rungs = [(' and '.join(e.name for e in rung.effects),
+              {'explains_pct': rung.explains_pct, 'answer': len(rung.effects) ==
+               len(model.effects)}) for rung in model.rungs]
     rows = [[name, words.number(p.value, 4), words.number(p.std), p.unit]
             for name, p in parameters.items()]
     table = tables.Table(['parameter', 'value', 'std. error', 'unit'], rows, (1, 2))
     return (f'<style>{CELL}</style><div class="quad"><p>{escape(repr(model).splitlines()[0])}</p>'
-            f'{bars([("; and ".join(r["effects"]), r) for r in rungs])}{table.html()}</div>')
+            f'{bars(rungs)}{table.html()}</div>')
 
 
 def _answer(axis: str, tree: Mapping[str, Any]) -> str:
