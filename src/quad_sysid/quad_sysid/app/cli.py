@@ -46,6 +46,7 @@ def _run(options: argparse.Namespace) -> int:
     line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         line.bind(('127.0.0.1', options.port))
+        line.listen()  # from here on a browser waits for the server
     except OSError as error:
         raise BadInputError('--port', 'is taken', options.port, 'choose another') from error
     address = f'http://127.0.0.1:{line.getsockname()[1]}/?token={app.token}'
