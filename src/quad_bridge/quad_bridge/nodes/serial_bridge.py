@@ -292,7 +292,7 @@ class SerialBridge(ManagedNode):
             self._per_cycle[3](attitude)
             self._per_cycle[4](rates)
         if cycle.injection:
-            self._applied.publish(self._messages.applied(cycle, stamp_ns))
+            self._applied(self._messages.applied(cycle, stamp_ns))
 
     def _publish_cycle(self, frame: f.Cycle, stamp_ns: int) -> None:
         bias = self._sensors.stamped(stamp_ns).gyro_bias
