@@ -16,7 +16,6 @@ from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.imports.cli import table
 from quad_sysid.imports.formats import format_of, read_log
-from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.to_bag import import_log
 
 SAMPLE = Path(__file__).resolve().parents[2] / '../shared/data/px4/sample_log_small.ulg'
@@ -396,20 +395,6 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     assert 'holds commands that never change' in capsys.readouterr().err
     path.write_bytes(encoded(columns, told).replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
     assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
-
-
-@pytest.mark.parametrize('factor', [-1.0, 57.3])
-def test_angles_that_contradict_their_rates_are_left_out(flight, tmp_path, factor):
-    """Whatever format they come from: a sign or a unit is another than the reader knows."""
-    t = 1.0 + 1e-6 * DT_US * np.arange(N)
-    angles = np.cumsum(flight.rates, axis=0) * 1e-6 * DT_US * [1.0, factor, 1.0]
-    done = import_log(ForeignLog(
-        'log', 'a log', rates=Stream(t, flight.rates), control=Stream(t, flight.control),
-        angles=Stream(t, angles),
-    ), tmp_path / 'bag')
-    words = f'the pitch angle changes by {factor:g} times what the rate gives: the angles are left'
-    assert done.warnings == (f'{words} out',)
-    assert done.record.angles is None
 
 
 @pytest.mark.parametrize('down', [True, False])
