@@ -28,6 +28,7 @@ FILES = {
     'hex': (HEX, ''),
     'a line of Windows': (HEX + b'\r\n', ''),
     'the most white space': (HEX + b' ' * (4096 - 64), ''),
+    'more of it': (HEX + b' ' * (4096 - 63), NO_KEY),
     'empty': (b'', NO_KEY),
     'a digit missing': (HEX[:63] + b'\n', NO_KEY),
     'two keys': (HEX + HEX, NO_KEY),
