@@ -12,12 +12,14 @@ NODES = [
     'identification = quad_sysid.start_node:identification',
     'identify = quad_sysid.start:ros2',
     'inspect = quad_sysid.start:ros2',
+    'look = quad_sysid.start:ros2',
     'evaluate = quad_sysid.start:ros2',
     'import = quad_sysid.start:ros2',
     'design-excitation = quad_sysid.start:ros2',
     'export = quad_sysid.start:ros2',
     'compare = quad_sysid.start:ros2',
     'fleet = quad_sysid.start:ros2',
+    'app = quad_sysid.start:ros2',
 ]
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
 IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
@@ -26,7 +28,7 @@ setup(
     name=PACKAGE,
     version='0.2.0',
     packages=find_packages(),
-    package_data={PACKAGE: ['py.typed', '*.pyi', '**/*.yaml', '**/*.json']},
+    package_data={PACKAGE: ['py.typed', '*.pyi', '**/*.yaml', '**/*.json', '**/*.js', '**/*.css', '**/*.html']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
@@ -42,6 +44,7 @@ setup(
         'logs': ['pyulog'],
         'blackbox': ['orangebox<0.5'],  # GPL-3; 0.5 cannot be installed by pip
         'export': ['control'],
+        'app': ['starlette', 'uvicorn'],
         'shell': ['argcomplete'],
         'test': ['pytest', 'hypothesis', 'jsonschema'],
     },

@@ -19,8 +19,7 @@ from flight_controller import Datagrams, Line, Port
 from quad_bridge.craft import LAYOUTS, from_urdf
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.link.report import clock_status
-from quad_bridge.motor_outputs import MotorOutputs, motor_outputs
-from quad_bridge.wire import frames as f
+from quad_bridge.motor_outputs import motor_outputs
 
 HOST0_NS = 5_000_000_000
 OURS = ['/control/wrench', '/setpoint/attitude', '/setpoint/rates', '/excitation/applied']
@@ -272,34 +271,6 @@ def test_a_program_beside_is_not_taken_for_the_aircraft(sender, beat):
 
 
 # The node.
-
-
-def test_messages_in_ros_units_and_axes():
-    pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
-    from quad_bridge.nodes import conversion
-
-    imu = conversion.inertial_message(
-        Inertial(0, (0.5, -0.25, 0.125), (0.0, 0.0, -9.81), None), 7_000_000_001
-    )
-    assert imu.header.stamp.nanosec == 1
-    rate = imu.angular_velocity
-    assert (rate.x, rate.y, rate.z) == (0.5, 0.25, -0.125)
-    assert imu.linear_acceleration.z == 9.81
-    assert imu.orientation_covariance[0] == -1.0
-    imu = conversion.inertial_message(Inertial(0, None, None, (0.0, 0.0, 0.0)), 1)
-    assert imu.linear_acceleration_covariance[0] == -1.0
-    assert imu.angular_velocity_covariance[0] == -1.0
-    # front right 0.1, rear left 0.2, front left 0.3, rear right 0.4 in the autopilots' order
-    motors = conversion.outputs_message(
-        f.Outputs(0, 0, (1100, 1200, 1300, 1400)), MotorOutputs(), 1
-    )
-    assert list(motors.effort) == pytest.approx([0.2, 0.4, 0.1, 0.3])
-    speeds = f.RotorSpeeds(0, (600.0, math.nan, 1200.0, 1800.0))
-    motors = MotorOutputs(LAYOUTS['px4_quad_x'], (0, 1, 2, 3))
-    rotors = conversion.rotors_message(speeds, motors, 1)
-    assert list(rotors.name) == ['motor_1', 'motor_2', 'motor_3', 'motor_4']
-    turns = [20 * math.pi, math.nan, 40 * math.pi, 60 * math.pi]
-    assert list(rotors.velocity) == pytest.approx(turns, nan_ok=True)
 
 
 PUBLISHED = ('/imu/data', '/motors/command', '/motors/state', '/rc/in', '/imu/mag', '/baro',

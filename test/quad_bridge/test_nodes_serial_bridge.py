@@ -132,23 +132,30 @@ def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(
     assert max(lines.values()) <= 2  # a cable that is pulled is not a flood of words
 
 
-def test_two_aircraft_on_one_machine_keep_apart(tmp_path, probe, bridge, logger):
-    recorder = logger(namespace='/left')
-    heard = {}
+def test_two_aircraft_keep_apart_and_one_logs_inside_its_bridge(tmp_path, probe, bridge):
+    own = {'folder': tmp_path / 'bags', 'autostart': True}
+    inside = {'log': 'inside', **{f'bag_logger.{name}': x for name, x in own.items()}}
+    heard, nodes = {}, []
     with (
         Port(FlightController(gyro=(0.0, 0.25, 0.5)), Pty(tmp_path / 'left')),
         Port(FlightController(gyro=(0.0, 0.75, 0.5)), Pty(tmp_path / 'right')),
     ):
         for name in ('left', 'right'):
-            bridge(port=tmp_path / name, namespace=f'/{name}')
+            more = inside if name == 'left' else {}
+            nodes.append(bridge(port=tmp_path / name, namespace=f'/{name}', **more))
             heard[name] = probe.listen(f'/{name}/imu/data')
         told = probe.listen('/left/diagnostics')
         probe.until(lambda: min(len(h) for h in heard.values()) > 300)
         probe.until(lambda: RECORDING in entries(told))  # the bridge may be the first to speak
         probe.until(lambda: int(entries(told)[RECORDING].values['messages written']) > 1000)
-    assert recorder.end() == 0
+    assert [node.end() for node in nodes] == [0, 0]
     # in the bag topics have the contract's names, so that every analysis reads it
-    heard['bag'] = recorded(bag_in(tmp_path), '/imu/data')['/imu/data']
+    found = recorded(bag_in(tmp_path))
+    heard['bag'] = found['/imu/data']
+    assert {*PER_CYCLE, '/gains/active', '/diagnostics', '/logger/bag'} <= {*found}
+    times = {topic: [stamp_ns(m) for m in found[topic]] for topic in ('/imu/data', *PER_CYCLE)}
+    assert all(same == times['/imu/data'] for same in times.values())  # not one is missing
+    assert {stamp_ns(m) for m in list(heard['left'])[10:]} <= {*times['/imu/data']}
     rates = {name: {m.angular_velocity.y for m in list(imu)} for name, imu in heard.items()}
     assert rates == {'left': {-0.25}, 'right': {-0.75}, 'bag': {-0.25}}
 

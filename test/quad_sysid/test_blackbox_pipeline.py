@@ -9,7 +9,7 @@ import pytest
 
 from quad_sysid.blackbox import frequency_response
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.plant import LoopPlant
+from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.model.data import axis_data
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.xdist_group('black-box pipeline')
 SECONDS = 38.0
 SPANS = (('train', 'prbs', 0.0, 22.0), ('validation', 'prbs', 23.0, 30.0),
          ('validation', 'square', 31.0, SECONDS))
-PLANT = LoopPlant(450.0, 0.04, 0.008, 0.4, 0.0, None, DT)
+PLANT = plant_like('roll', np.array([450.0, 0.04, 0.008, 0.4, 0.0]), DT, None)
 SLOW = CascadeGains.default('roll')
 FAST = dataclasses.replace(SLOW, angle_kp=4.5, rate_kp=1.6 * SLOW.rate_kp)
 

@@ -16,7 +16,7 @@ from flown_axis import SHORT, UNSEEN, Axis, fly
 import quad_sysid as qs
 from quad_sysid.cli import main
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.plant import slopes_at
+from quad_sysid.loop.linear import STILL, linear
 from quad_sysid.model.checked import checked
 from quad_sysid.report import html, plots
 from quad_tuning.cli import main as tune
@@ -118,7 +118,8 @@ def test_one_that_loses_is_reported_with_its_evidence(plain_flight):
 
 def test_it_is_linearised_designed_for_and_separated(result):
     """In small motion a spring of 12 T; gains and the flight that tells it from a spring."""
-    slope = slopes_at(loop_plant(result.model), 1e-3, 1e-3, 1e-3).angle
+    (part, _), *_ = linear(loop_plant(result.model), STILL).plant.pushing
+    slope = part.effect.rows[0, 1]
     assert slope == pytest.approx(-12.0 * TRUTH, rel=0.05)
     assert result.gains['roll.rate.kp'] > 0.0
     found = qs.separate(result.model, ('cogging', 'pendulum_stiffness'), 10.0)

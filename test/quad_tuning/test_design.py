@@ -10,13 +10,16 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
+from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.figures import square_figures, square_wave
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.plant import Curve
+from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import Parameter
+from quad_sysid.model.effect import Part
+from quad_sysid.model.structure import Structure
 from quad_tuning import ensemble as ensembles
 from quad_tuning import pid
 from quad_tuning.assess import GUST_RAD_S, Requirements, meets, promise
@@ -108,10 +111,10 @@ def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
     stays below 0.02 rad/s, a hundredth of what the step takes.
     """
     m = model(effects=[estimate_of('coulomb_friction', (2.5,), std=0.1)])
-    stribeck = Curve.sampled(
-        lambda r: -(2.0 + 2.0 * np.exp(-((r / 0.1) ** 2))) * np.tanh(r / 0.005), 8.0, 0.001
-    )
-    plant = dataclasses.replace(loop_plant(m), rate_curve=stribeck)
+    stribeck = next(e for e in EFFECTS if e.label == 'coulomb_friction/stribeck')
+    base = loop_plant(m).plant.p[:5]
+    plant = plant_like('roll', np.r_[base, 2.0, 0.005, 2.0, 0.1], 0.004, 42.0,
+                       structure=Structure((Part(stribeck),)))
     reference = square_wave(np.radians(12), 3.0, 3, 0.004)
     before, after = (
         simulate_cascade(plant, g, reference, 0.004) for g in (ACTIVE, steps_of(m, design(m))[-1])

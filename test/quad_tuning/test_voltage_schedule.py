@@ -72,4 +72,5 @@ def test_a_flight_with_the_schedule_is_analysed_with_it(model, changed):
     m = sagging(model, changed, **{EXPONENT: 1.2, REFERENCE: 12.0})
     assert schedule_factor(m) == pytest.approx((12.0 / 11.4) ** 1.2)
     bare = sagging(model, changed)
-    assert loop_plant(m).gain == pytest.approx(loop_plant(bare).gain * (12.0 / 11.4) ** 1.2)
+    ours, plain = (loop_plant(one).plant.p[0] for one in (m, bare))
+    assert ours == pytest.approx(plain * (12.0 / 11.4) ** 1.2)

@@ -83,3 +83,5 @@ NODES = {
     'quad_tune': Opens((), (), (), (SET_GAINS,)),
 }  # fmt: skip
 """By the name of the node."""
+STREAMS = frozenset(NODES['serial_bridge'].publishes) - LATCHED - {'/diagnostics'}
+"""Topics of what comes from the aircraft, serialised without rclpy."""

@@ -17,6 +17,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from quad_sysid.bags.split import split_segments
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.log import ForeignLog, Stream
@@ -287,7 +288,8 @@ def _own_time(given: Mapping[str, Any]) -> Any:
         one = given.get(name)
         if _is_time(getattr(one, 'index', None)):
             return getattr(one, 'index')  # noqa: B009
-        dims, coords = getattr(one, 'dims', ()), getattr(one, 'coords', None)
+        dims: Any = getattr(one, 'dims', ())
+        coords: Any = getattr(one, 'coords', None)
         if coords is not None and len(dims) == 1 and dims[0] in coords:
             return coords[dims[0]]
     raise BadInputError(WHERE, 'lack dt or t, the sample interval or the times',
@@ -296,10 +298,10 @@ def _own_time(given: Mapping[str, Any]) -> Any:
 
 def _numbers(name: str, value: Any) -> FloatArray:
     """(n,) real numbers, NaN where masked or missing."""
-    array: Any
+    array: Any = value
     if isinstance(value, np.ma.MaskedArray):
-        array = value.astype(np.float64).filled(np.nan) if value.dtype.kind in 'fiub' \
-            else value.filled()
+        array = array.astype(np.float64) if array.dtype.kind in 'fiub' else array
+        array = array.filled(np.nan if array.dtype.kind == 'f' else None)
     else:
         try:
             array = np.asarray(value)
@@ -497,9 +499,10 @@ def _record(one: _Columns, units: Units, texts: Mapping[str, Any], axis: str, so
     if one.dt is not None and abs(record.dt - one.dt) <= 1e-3 * one.dt:
         record = record.at_interval(one.dt)
     record = replace(record, units=units, warnings=(*record.warnings, *warnings))
-    measured = rate if rate is not None else angle
+    measured = np.asarray(angle if rate is None else rate)
     begun = float(one.time_s[int(np.isfinite(measured).argmax())])
-    return with_parts(record, one.time_s - begun, (axis,), train, validate)
+    return split_segments(with_parts(record, one.time_s - begun, (axis,), train, validate),
+                          axes=(axis,))
 
 
 def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: Any,
@@ -507,13 +510,10 @@ def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: A
     """The record with the segments of samples at time_s (n,) that were asked for, if any."""
     if train is None and validate is None:
         return record
-    masks = {role: None if part is None else _mask(name, part, time_s, last=name == 'validate')
-             for role, name, part in (('train', 'train', train),
-                                      ('validation', 'validate', validate))}
-    if masks['train'] is None:
-        masks['train'] = ~masks['validation']  # type: ignore[operator]
-    if masks['validation'] is None:
-        masks['validation'] = ~masks['train']
+    trained = None if train is None else _mask('train', train, time_s, last=False)
+    held = ~np.asarray(trained) if validate is None else _mask('validate', validate, time_s,
+                                                               last=True)
+    masks = {'train': ~held if trained is None else trained, 'validation': held}
     both = masks['train'] & masks['validation']
     if both.any():
         raise BadInputError(WHERE, 'train and validate overlap', f'{both.sum()} samples',

@@ -28,17 +28,17 @@ OUTPUTS = ('rate', 'angle')
 
 
 def matrices(model: AxisModel) -> dict[str, Any]:
-    """A model in small motion, in MATLAB's names: base, gyro filter, effects.
+    """A model's linear part in MATLAB's names: base, gyro filter, slow motors and modes.
 
     A, B, C are continuous behind `delay_s`; Ad, Bd, Cd are one control cycle of `dt_s`, with the
-    delay as states. From the normalised command to measured rate and angle.
+    delay as states. From the normalised command to measured rate and angle, no curves.
     """
     from scipy.linalg import logm  # slow to import
 
     from quad_sysid.loop.from_model import loop_plant
-    from quad_sysid.loop.linear import STILL, loops_of
+    from quad_sysid.loop.linear import STILL, linear_part, loops_of
 
-    flying = loop_plant(model)
+    flying = linear_part(loop_plant(model))
     lag_s, delay_s, dt = flying.plant.p[1], flying.plant.p[2], flying.dt
     p = flying.plant.p.copy()
     p[1], p[2] = max(lag_s, 0.25 * dt), 0.0
@@ -54,8 +54,8 @@ def matrices(model: AxisModel) -> dict[str, Any]:
 
 NOTE = (
     'Linear part: d(rate)/dt = gain * (command behind delay and lag) - damping * rate + bias, the '
-    'measured rate behind the gyro filter where that is known; effects by their slopes at rest. '
-    'The bias is not in the matrices.'
+    'measured rate behind the gyro filter where that is known. The bias and all effects that are '
+    'not linear are not in the matrices.'
 )
 
 
@@ -92,7 +92,7 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
             f'{found["dt_s"]:g} s,'), f'# the delay of {found["delay_s"]:.6g} s as states',
             f'# command = {model.craft.inverse[1 + AXES.index(axis)].tolist()} @ motors',
             *(f'# {p.name} = {p.value:.6g} {p.unit}' for p in model.base),
-            *(f'# {e.name}.{p.name} = {p.value:.6g} {p.unit}'
+            *(f'# not in the matrices: {e.name}.{p.name} = {p.value:.6g} {p.unit}'
               for e in model.effects for p in e.parameters),
             f'axes[{axis!r}] = control.ss(',
             *(f'    np.array({found[name].tolist()}),' for name in ('Ad', 'Bd', 'Cd')),
@@ -111,12 +111,13 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
     """
     import control
 
-    from quad_sysid.loop.from_model import whole_plant
+    from quad_sysid.loop.from_model import loop_plant, whole_plant
+    from quad_sysid.loop.linear import STILL, loops_of
 
     told: dict[str, Any] = {'inputs': ['command'], 'outputs': list(OUTPUTS), 'name': model.axis}
     if linear:
-        cycle = matrices(model)
-        return control.ss(*(cycle[name] for name in ('Ad', 'Bd', 'Cd')), 0.0, model.dt, **told)
+        one = loops_of([(loop_plant(model), STILL)])
+        return control.ss(one.a[0], one.b[0][:, None], one.c[0], 0.0, model.dt, **told)
     flying = whole_plant(model)
     plant, rest = flying.plant, flying.begin()
 

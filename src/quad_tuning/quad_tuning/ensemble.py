@@ -2,8 +2,8 @@
 
 Each rival replaces its effect in a share of the draws equal to its probability. A rival of the
 same signal gets the strength that matches the effect over the flown range; for any other rival the
-effect is left out. Each draw flies at a throttle and a voltage of its own, and is linearised at one
-or two amplitudes, so that a loop is judged both in wide motion and near rest.
+effect is left out. Each draw flies at a throttle and a voltage of its own, and is linear at one or
+two amplitudes, so that a loop is judged both in wide motion and near rest.
 """
 
 from __future__ import annotations
@@ -122,8 +122,6 @@ identified airframes (bench/tuning.py) 95 were off by less than 0.9 % in lag, 0.
 and, where another charge of the battery changed it, 3 % in gain (0.1 % in the median)."""
 DELAY_FLOOR_CYCLES = 0.05
 
-AMPLITUDES = (WIDE, NEAR_REST)
-"""Amplitudes of rate (rad/s), angle (rad) and command for linearisation."""
 
 VOLTAGE_RANGE = (0.9, 1.08)
 """Battery voltage of the next flight relative to this one's mean."""

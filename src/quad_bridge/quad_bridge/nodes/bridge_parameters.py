@@ -36,6 +36,8 @@ class BridgeSettings:
     correct_sensors: bool
     craft: Craft | None
     gains: GainSettings
+    logger: Mapping[str, Any] | None
+    """Parameters of a logger in the bridge's process; None: there is none."""
     allow_gains: bool
     allow_excitation: bool
 
@@ -49,13 +51,23 @@ OWN = (
     'port', 'baud', 'excitation_valid_ms', 'key_file', 'unsigned', 'require_enable', 'sources',
     'polarity', 'aircraft', 'state_folder', 'managed', 'correct_sensors', 'robot_description',
     'gains', 'excitation',
+    'log',
 )  # fmt: skip
+INSIDE, LOGGER = 'inside', 'bag_logger.'
 
 
 def declare(node: Any) -> BridgeSettings:
     """Declare and read the parameters. Raises BadInputError naming the one that is wrong."""
     bounds = {f'bounds.{name}': name for name in SETTABLE}
-    ros_node.refuse_unknown(node, [*OWN, *bounds])
+    given = ros_node.overrides(node)
+    inside = given.get('log') == INSIDE
+    loggers = [name for name in given if inside and name.startswith(LOGGER)]
+    ros_node.refuse_unknown(node, [*OWN, *bounds, *loggers])
+    log = ros_node.declared(
+        node, 'log', '', f'{INSIDE}: a logger in this process; its parameters are {LOGGER}NAME'
+    )
+    if log not in {'', INSIDE}:
+        raise BadInputError('parameter log', f"must be '' or {INSIDE}", log)
     port = ros_node.declared(
         node, 'port', '/dev/ttyACM0',
         'device, pattern (/dev/ttyACM*), udp://HOST:PORT, udpin://, udpout:// or URL of pyserial',
@@ -83,6 +95,7 @@ def declare(node: Any) -> BridgeSettings:
         gains=_gains(node, bounds),
         allow_gains=_allowed(node, 'gains', 'gains'),
         allow_excitation=_allowed(node, 'excitation', 'excitation'),
+        logger={name.removeprefix(LOGGER): given[name] for name in loggers} if inside else None,
     )  # fmt: skip
 
 

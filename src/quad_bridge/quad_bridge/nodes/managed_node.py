@@ -47,8 +47,8 @@ class Seldom(ReentrantCallbackGroup):  # type: ignore[misc]
 class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     """`begin` makes it active at once, unless the parameter `managed` is true."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
         self.keep_time()
         self.active = False
         self.refused_large = 0  # messages that were too large to be looked at

@@ -173,6 +173,7 @@ def tell_unused(node: Any) -> None:
 def run(factory: Callable[[], Any], name: str) -> NoReturn:
     """Spin one node until SIGINT, SIGTERM or its own `exit_status`; then end the process.
 
+    Nodes of its list `inside`, if it has one, spin with it; they begin before it and end after.
     The node's `close` runs while ROS still works; then executor, node and context end in this
     order, whatever failed before. A callback that fails is logged and left out. Exit status 2,
     with one line on stderr, where arguments or parameters are wrong or the node cannot begin.
@@ -187,17 +188,20 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
             refuse_arguments(name)
             begin_ros()
             node = factory()
-            ending.callback(node.destroy_node)
+            nodes = [*getattr(node, 'inside', ()), node]
+            for one in nodes:
+                ending.callback(one.destroy_node)
             fence = getattr(node, 'fence', None) or Fence(node.get_logger().error)
             executor = SingleThreadedExecutor()
             ending.callback(executor.shutdown, timeout_sec=0)
-            for service in node.services:
-                service.callback = answering(service.callback, fence)
-            executor.add_node(node)
-            ending.callback(fence.around(node.close))
+            for one in nodes:
+                for service in one.services:
+                    service.callback = answering(service.callback, fence)
+                executor.add_node(one)
+                ending.callback(fence.around(one.close))
             tell_unused(node)
-            if hasattr(node, 'begin'):
-                node.begin()
+            for one in nodes:
+                getattr(one, 'begin', bool)()
             while status is None:
                 _spin_once(executor, fence)
                 status = 0 if stopping.is_set() else getattr(node, 'exit_status', None)

@@ -8,6 +8,7 @@ lock that also guards link and gains; the relay is the executor's alone.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -16,6 +17,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
@@ -56,6 +58,7 @@ from quad_bridge.nodes.ros_node import run
 from quad_bridge.nodes.services import GainServices, OperatorServices, SensorServices
 from quad_bridge.sensors.live import LiveSensors
 from quad_bridge.status import OK
+from quad_bridge.topics import STREAMS
 from quad_bridge.wire import frames as f
 
 TICK_S = 0.1  # an executor's turn costs half a millisecond; what is urgent the port's thread does
@@ -93,7 +96,10 @@ class SerialBridge(ManagedNode):
             lambda: self._link.name,
         )
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
-        self._messages = conversion.CycleMessages()
+        self._messages = conversion.Messages()
+        self.inside: list[Any] = []
+        if settings.logger is not None:
+            self.inside.append(self._logger_inside(settings.logger))
         self._arrived: dict[type, Callable[[Any, int], None]] = {
             f.Cycle: self._on_cycle,
             f.ParamValue: self._on_gains_frame,
@@ -119,27 +125,35 @@ class SerialBridge(ManagedNode):
         return SerialPort(settings.port, settings.baud, around(self._on_bytes),
                           around(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
 
+    def _logger_inside(self, given: Mapping[str, Any]) -> Any:
+        """A logger for this process, in the same namespace, with these parameters."""
+        own = {name: self.get_parameter(name).value for name in ('managed', 'use_sim_time')}
+        parameters = [Parameter(name, value=value) for name, value in {**own, **given}.items()]
+        made = importlib.import_module('quad_bridge.nodes.bag_logger').BagLogger
+        return made(STREAMS, namespace=self.get_namespace(), use_global_arguments=False,
+                    parameter_overrides=parameters)  # fmt: skip
+
     def configure(self) -> None:
         """Create what is published, and the services."""
-        publisher = partial(self.publisher, qos=STREAM)
-        imu, motors = publisher(Imu, '/imu/data'), publisher(JointState, '/motors/command')
+        stream = self._stream
+        imu, motors = stream(Imu, '/imu/data'), stream(JointState, '/motors/command')
         self._per_cycle = (
-            imu.publish,
-            motors.publish,
-            publisher(WrenchStamped, '/control/wrench').publish,
-            publisher(Vector3Stamped, '/setpoint/attitude').publish,
-            publisher(Vector3Stamped, '/setpoint/rates').publish,
+            imu,
+            motors,
+            stream(WrenchStamped, '/control/wrench'),
+            stream(Vector3Stamped, '/setpoint/attitude'),
+            stream(Vector3Stamped, '/setpoint/rates'),
         )
-        self._applied = publisher(Vector3Stamped, '/excitation/applied')
-        self._rc = publisher(Joy, '/rc/in')
-        rotors = publisher(JointState, ROTORS)
+        self._applied = stream(Vector3Stamped, '/excitation/applied')
+        self._rc = stream(Joy, '/rc/in')
+        made = self._messages
         self._others: dict[str, tuple[Any, Callable[[Any, int], Any]]] = {
-            BATTERY: (publisher(BatteryState, BATTERY), conversion.battery_message),
-            COMPASS: (publisher(MagneticField, COMPASS), conversion.mag_message),
-            PRESSURE: (publisher(FluidPressure, PRESSURE), conversion.baro_message),
-            INERTIAL: (imu, conversion.inertial_message),
-            MOTORS: (motors, partial(self._of_motors, conversion.outputs_message)),
-            ROTORS: (rotors, partial(self._of_motors, conversion.rotors_message)),
+            BATTERY: (stream(BatteryState, BATTERY), made.battery),
+            COMPASS: (stream(MagneticField, COMPASS), made.mag),
+            PRESSURE: (stream(FluidPressure, PRESSURE), made.baro),
+            INERTIAL: (imu, made.inertial),
+            MOTORS: (motors, partial(self._of_motors, made.outputs)),
+            ROTORS: (stream(JointState, ROTORS), partial(self._of_motors, made.rotors)),
         }
         self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
@@ -147,6 +161,17 @@ class SerialBridge(ManagedNode):
             self._description, self._gain_services, self._operator, self._sensor_services
         ):
             part.configure()
+
+    def _stream(self, kind: Any, topic: str) -> Callable[[bytes], None]:
+        """What publishes on a topic, and hands it to the logger in this process."""
+        publish: Callable[[bytes], None] = self.publisher(kind, topic, STREAM).publish
+
+        def both(data: bytes) -> None:
+            publish(data)
+            for logger in self.inside:
+                logger.take(topic, data)
+
+        return both if self.inside else publish
 
     def activate(self) -> None:
         """Listen, and open the port; it need not be there yet."""
@@ -244,12 +269,12 @@ class SerialBridge(ManagedNode):
         elif isinstance(frame, f.RcChannels):
             last = self._link.last_cycle
             lost = last is not None and bool(last.flags & f.Flag.RC_FAILSAFE)
-            self._rc.publish(conversion.rc_message(frame, stamp_ns, failsafe=lost))
+            self._rc(self._messages.sticks(frame, stamp_ns, failsafe=lost))
         else:
-            publisher, convert = self._others[event.topic]
+            publish, convert = self._others[event.topic]
             message = convert(frame, stamp_ns)
             if message is not None:
-                publisher.publish(message)
+                publish(message)
         if isinstance(frame, Inertial):
             self._publish_autopilot(frame, stamp_ns)
 
@@ -267,7 +292,7 @@ class SerialBridge(ManagedNode):
             self._per_cycle[3](attitude)
             self._per_cycle[4](rates)
         if cycle.injection:
-            self._applied.publish(self._messages.applied(cycle, stamp_ns))
+            self._applied(self._messages.applied(cycle, stamp_ns))
 
     def _publish_cycle(self, frame: f.Cycle, stamp_ns: int) -> None:
         bias = self._sensors.stamped(stamp_ns).gyro_bias
@@ -276,7 +301,7 @@ class SerialBridge(ManagedNode):
         ):
             publish(message)
         if frame.flags & f.Flag.EXCITATION:
-            self._applied.publish(self._messages.applied(frame, stamp_ns))
+            self._applied(self._messages.applied(frame, stamp_ns))
         if self._told_time is not None:
             self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
 

@@ -183,6 +183,7 @@ class Plant:
 
     def step(self, x: State, s: Signals, push: FloatArray | float = 0.0) -> State:
         """The state a cycle later; push (w,): more acceleration over the cycle, rad/s²."""
+        s = self.told(s)
         drive, hidden = self.send(x.hidden, s)
         line = np.concatenate([drive.commands[None], x.line[:-1]])
         before, new = (_sent_before(line, age) for age in required(drive.ages))
@@ -195,14 +196,17 @@ class Plant:
     def send(
         self, hidden: tuple[FloatArray | None, ...], s: Signals
     ) -> tuple[Drive, tuple[FloatArray | None, ...]]:
-        """What becomes of the command s.sent, and what its effects remember a cycle later."""
+        """What becomes of the command s.sent, and what its effects remember a cycle later.
+
+        s: as of `told`.
+        """
         seen: list[Signals] = []
 
         def remembered(i: int, own: Signals) -> FloatArray | None:
             seen.append(own)
             return hidden[i]
 
-        drive = sent_on(self.sending, self.told(s), remembered)
+        drive = sent_on(self.sending, s, remembered)
         return drive, tuple(
             None if known is None else part.effect.advance(known, own, p, part.settings)
             for known, own, (part, p) in zip(hidden, seen, self.sending, strict=True)
