@@ -307,6 +307,22 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
     assert 'the log holds experiments' in told
 
 
+def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
+    messages = ardupilot_messages(flight)
+    lines = ['ArduCopter V4.5.1 (0ef2c1a7)']
+    for number, (name, (labels, _)) in enumerate(messages.items(), 130):
+        form = 'Q' + 'f' * (len(labels) - 1)
+        lines.append(f'FMT, {number}, 40, {name}, {form}, {",".join(labels)}')
+    rows = [(row[0], name, row) for name, (_, some) in messages.items() for row in some]
+    lines += [', '.join([name, f'{row[0]:.0f}', *(f'{np.float32(x):.9g}' for x in row[1:])])
+              for _, name, row in sorted(rows, key=lambda one: one[0])]
+    (tmp_path / 'log.log').write_text('\n'.join(lines) + '\n')
+    text, _ = imported(tmp_path / 'log.log', tmp_path / 'text_bag')
+    binary, _ = imported(dataflash(tmp_path / 'log.bin', messages, {}), tmp_path / 'binary_bag')
+    np.testing.assert_allclose(text.rates, binary.rates, atol=1e-7)
+    np.testing.assert_allclose(text.control, binary.control, atol=1e-7)
+
+
 def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:
     places = ('rear right', 'front right', 'rear left', 'front left')
     names = ['loopIteration', 'time (us)', *(f'setpoint[{i}]' for i in range(3)),
