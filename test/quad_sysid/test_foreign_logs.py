@@ -16,7 +16,6 @@ from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.imports.cli import table
 from quad_sysid.imports.formats import format_of, read_log
-from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.to_bag import import_log
 
 SAMPLE = Path(__file__).resolve().parents[2] / '../shared/data/px4/sample_log_small.ulg'
@@ -308,6 +307,22 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
     assert 'the log holds experiments' in told
 
 
+def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
+    messages = ardupilot_messages(flight)
+    lines = ['ArduCopter V4.5.1 (0ef2c1a7)']
+    for number, (name, (labels, _)) in enumerate(messages.items(), 130):
+        form = 'Q' + 'f' * (len(labels) - 1)
+        lines.append(f'FMT, {number}, 40, {name}, {form}, {",".join(labels)}')
+    rows = [(row[0], name, row) for name, (_, some) in messages.items() for row in some]
+    lines += [', '.join([name, f'{row[0]:.0f}', *(f'{np.float32(x):.9g}' for x in row[1:])])
+              for _, name, row in sorted(rows, key=lambda one: one[0])]
+    (tmp_path / 'log.log').write_text('\n'.join(lines) + '\n')
+    text, _ = imported(tmp_path / 'log.log', tmp_path / 'text_bag')
+    binary, _ = imported(dataflash(tmp_path / 'log.bin', messages, {}), tmp_path / 'binary_bag')
+    np.testing.assert_allclose(text.rates, binary.rates, atol=1e-7)
+    np.testing.assert_allclose(text.control, binary.control, atol=1e-7)
+
+
 def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:
     places = ('rear right', 'front right', 'rear left', 'front left')
     names = ['loopIteration', 'time (us)', *(f'setpoint[{i}]' for i in range(3)),
@@ -396,20 +411,6 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     assert 'holds commands that never change' in capsys.readouterr().err
     path.write_bytes(encoded(columns, told).replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
     assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
-
-
-@pytest.mark.parametrize('factor', [-1.0, 57.3])
-def test_angles_that_contradict_their_rates_are_left_out(flight, tmp_path, factor):
-    """Whatever format they come from: a sign or a unit is another than the reader knows."""
-    t = 1.0 + 1e-6 * DT_US * np.arange(N)
-    angles = np.cumsum(flight.rates, axis=0) * 1e-6 * DT_US * [1.0, factor, 1.0]
-    done = import_log(ForeignLog(
-        'log', 'a log', rates=Stream(t, flight.rates), control=Stream(t, flight.control),
-        angles=Stream(t, angles),
-    ), tmp_path / 'bag')
-    words = f'the pitch angle changes by {factor:g} times what the rate gives: the angles are left'
-    assert done.warnings == (f'{words} out',)
-    assert done.record.angles is None
 
 
 @pytest.mark.parametrize('down', [True, False])
