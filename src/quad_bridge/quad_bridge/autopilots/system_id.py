@@ -1,7 +1,7 @@
 """ArduPilot's own SYSTEM ID mode for a chirp: set up, entered, followed, put back. Pure, no I/O.
 
-Its parameters are written one after the other and read back; where one is not taken the mode is not
-entered. SID_MAGNITUDE is always the schedule's: its default of 15 is meant for degrees and is the
+Its parameters are written one after the other and read back; where one is not taken the mode is
+not entered. SID_MAGNITUDE is always the schedule's: its default of 15 is meant for degrees and is the
 whole command at the mixer. The mode ignores the sticks, so they are watched here.
 """
 
@@ -49,8 +49,8 @@ def wanted(axis: int, injection: Injection, segment: Mapping[str, Any]) -> dict[
     """SID parameters of a segment with a chirp. Raises ValueError, one line, where it has none."""
     if injection not in FIRST_AXIS:
         raise ValueError('SYSTEM ID injects at attitude, rate or control')
-    found = {k: float(segment.get(k, math.nan)) for k in ('amplitude', 'start_hz', 'stop_hz',
-                                                          'sweep_s')}  # fmt: skip
+    names = ('amplitude', 'start_hz', 'stop_hz', 'sweep_s')
+    found = {name: float(segment.get(name, math.nan)) for name in names}
     bad = [name for name, value in found.items() if not value > 0.0 or not math.isfinite(value)]
     if bad:
         raise ValueError(f'a chirp for SYSTEM ID needs {", ".join(bad)}')
@@ -96,9 +96,8 @@ class SystemId:
         if self.phase is not Phase.IDLE:
             return f'SYSTEM ID is busy: {self.phase.value}'
         if not all(name in self.known for name in NAMES):
-            return ('this board has no SYSTEM ID (SID_AXIS is not answered): boards of 1 MB lack it '
-                    'from 4.5 on; set SID_AXIS to 1 and read the parameters again, or fly the '
-                    'signal in GUIDED_NOGPS (any signal but chirp)')
+            return ('this board has no SYSTEM ID (SID_AXIS is not answered): boards of 1 MB lack '
+                    'it from 4.5 on; other signals than chirp are flown in GUIDED_NOGPS')
         if version >= (4, 6) and self._flight.mode not in MODES_BEFORE:
             return f'SYSTEM ID is entered from {" or ".join(MODES_BEFORE.values())} only'
         return ''
@@ -141,7 +140,7 @@ class SystemId:
     def _aims(self) -> Mapping[str, float]:
         return self._wanted if self.phase is Phase.WRITING else self._before
 
-    def poll(self, now_s: float) -> list[f.Frame]:
+    def poll(self, now_s: float) -> list[f.Frame]:  # noqa: C901
         """Say what to send now."""
         out: list[f.Frame] = []
         if self.phase in {Phase.WRITING, Phase.ENTERING, Phase.FLYING}:

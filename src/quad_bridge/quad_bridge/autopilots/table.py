@@ -1,9 +1,8 @@
 """Gains of PX4 and ArduPilot by the contract's names: a table for each autopilot. Pure.
 
-The bridge reads and writes parameters by these tables, `quad-tune export` writes files by them, and
-the importers take the gains of a log from them; the two packages have this file by a link
-(`autopilot_table.py`), so it imports nothing of ours. Ours are commands U2..U4 per rad/s; theirs
-are a normalised torque per rad/s. `units` is U per torque, of roll, pitch and yaw.
+The bridge reads and writes parameters by these tables, `quad-tune export` writes files by them; it
+has this file by a link (`autopilot_table.py`), so nothing of ours is imported here. Ours are
+commands U2..U4 per rad/s; theirs are a normalised torque per rad/s. `units` is U per torque, of roll, pitch and yaw.
 """
 
 from __future__ import annotations
@@ -89,7 +88,7 @@ class Table:
                 * (multiplier if row.multiplied else 1.0))  # fmt: skip
 
     def gains(self, known: Mapping[str, float], units: Units) -> dict[str, float]:
-        """Contract names, SI, of the parameters that are known; limits and filters of 0 are none."""
+        """Contract names, SI, of known parameters; limits and filters of 0 are none."""
         found = {}
         for ours, axis, row, theirs in self.of_axes():
             if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):

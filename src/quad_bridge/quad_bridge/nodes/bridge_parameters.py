@@ -38,6 +38,7 @@ class BridgeSettings:
     gains: GainSettings
     allow_gains: bool
     allow_excitation: bool
+    fetch_log: bool
 
     @property
     def line_baud(self) -> int | None:
@@ -48,7 +49,7 @@ class BridgeSettings:
 OWN = (
     'port', 'baud', 'excitation_valid_ms', 'key_file', 'unsigned', 'require_enable', 'sources',
     'polarity', 'aircraft', 'state_folder', 'managed', 'correct_sensors', 'robot_description',
-    'gains', 'excitation',
+    'gains', 'excitation', 'fetch_log',
 )  # fmt: skip
 
 
@@ -83,6 +84,10 @@ def declare(node: Any) -> BridgeSettings:
         gains=_gains(node, bounds),
         allow_gains=_allowed(node, 'gains', 'gains'),
         allow_excitation=_allowed(node, 'excitation', 'excitation'),
+        fetch_log=ros_node.declared(
+            node, 'fetch_log', True,
+            "fetch the log of PX4 or ArduPilot over the line after each landing",
+        ),
     )  # fmt: skip
 
 
