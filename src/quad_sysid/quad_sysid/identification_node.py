@@ -41,6 +41,7 @@ MOST_BAGS = 100
 """That wait, or are remembered: more than that is a flood."""
 
 
+LOG_COMES = "the autopilot's own log comes after the landing; ~/identify does not wait for it"
 EARLIER = 'the bag was complete before this node began'
 
 
@@ -146,18 +147,19 @@ class IdentificationNode(Node):  # type: ignore[misc]
             return answered(response, False, f'{where} below {self._folder}: see parameter bag')
         self._seen[str(found)] = 'it was asked for by ~/identify'
         self._queue.append(str(found))
-        self._start_next()
+        self._start_next(asked=True)
         return answered(response, True, f'identifying {found}')
 
     def _newest(self) -> Path | None:
         bags = [path.parent for path in self._folder.glob('**/metadata.yaml')]
         return max(bags, key=lambda path: path.stat().st_mtime, default=None)
 
-    def _start_next(self) -> None:
+    def _start_next(self, *, asked: bool = False) -> None:
         if self._worker is not None or not self._queue:
             return
-        if self._log.get('state') == 'fetching':
-            self._say(OK, state='waiting', reason="the autopilot's log is being fetched")
+        if self._log.get('state') in {'expected', 'fetching'} and not asked:
+            if self._values.get('reason') != LOG_COMES:
+                self._say(OK, state='waiting', reason=LOG_COMES)
             return
         self._bag = self._queue.popleft()
         self._say(OK, state='identifying', bag=self._bag)

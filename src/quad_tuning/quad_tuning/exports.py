@@ -21,6 +21,7 @@ from quad_sysid.arguments import Commands, command
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, read_json, write_whole
+from quad_tuning.autopilot_table import ARDUPILOT, D_FILTER, PX4, Table
 from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
 
 DESIGN = 'quad_tuning/design/1'
@@ -28,24 +29,17 @@ SCHEMAS = (DESIGN, 'quad_sysid/report/1')
 """Of the files that hold gains."""
 REMEDY, AGAIN = 'give the file of quad-tune design --out, or a report.json', 'design again'
 NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
-D_FILTER = 'rate.d_filter_hz'
 
 
 @dataclass(frozen=True)
 class Firmware:
-    """Names of a firmware's parameters, with the axis' own name in the place of {}."""
+    """How a firmware's file of parameters looks; its names are the table's."""
 
-    axes: tuple[str, str, str]
-    angle: str
-    rate: str
-    """Without the letter P, I or D."""
-    d_filter: str
+    table: Table
     notes: tuple[str, ...]
     """What has no counterpart."""
     head: str = ''
     row: str = '{name},{value:.9g}'
-    fixed: str = ''
-    """A parameter that is set to 1, so that it multiplies nothing."""
 
 
 PX4_NOTES = (
@@ -60,11 +54,9 @@ ARDUPILOT_NOTES = (
      'part of our loop.'),
 )
 FIRMWARES = {
-    'px4': Firmware(('ROLL', 'PITCH', 'YAW'), 'MC_{}_P', 'MC_{}RATE_', 'IMU_DGYRO_CUTOFF',
-                    PX4_NOTES, '# Vehicle-Id\tComponent-Id\tName\tValue\tType (9: float)\n',
-                    '1\t1\t{name}\t{value:.9g}\t9', 'MC_{}RATE_K'),
-    'ardupilot': Firmware(('RLL', 'PIT', 'YAW'), 'ATC_ANG_{}_P', 'ATC_RAT_{}_',
-                          'ATC_RAT_{}_FLTD', ARDUPILOT_NOTES),
+    'px4': Firmware(PX4, PX4_NOTES, '# Vehicle-Id\tComponent-Id\tName\tValue\tType (9: float)\n',
+                    '1\t1\t{name}\t{value:.9g}\t9'),
+    'ardupilot': Firmware(ARDUPILOT, ARDUPILOT_NOTES),
 }
 
 
@@ -210,16 +202,16 @@ def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
             f'--scale {axis}', 'is missing', None,
             'our command per unit of their torque: 1 where the model was identified on their '
             'torque set-points (quad-sysid import says so), else the factor of their mixer')
-    theirs = firmware.axes[AXES.index(axis)]
-    yield (firmware.angle.format(theirs), own['angle.kp'],
+    theirs = firmware.table.axes[AXES.index(axis)]
+    rows = {row.ours: row for row in firmware.table.rows}
+    yield (rows['angle.kp'].name(theirs), own['angle.kp'],
            f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s')
-    if firmware.fixed:
-        yield firmware.fixed.format(theirs), 1.0, 'P, I, D stand by themselves'
-    for letter, ours in zip('PID', NEEDED[1:], strict=True):
+    if firmware.table.multiplier:
+        yield firmware.table.multiplier.format(theirs), 1.0, 'P, I, D stand by themselves'
+    for ours in NEEDED[1:]:
         if own[ours] < 0.0:
             raise BadInputError(f'{axis}.{ours}', 'must not be negative', own[ours])
-        yield (firmware.rate.format(theirs) + letter, own[ours] / unit,
+        yield (rows[ours].name(theirs), own[ours] / unit,
                f'{axis}.{ours} {own[ours]:.6g} / {unit:.6g}')
     if D_FILTER in own:
-        yield (firmware.d_filter.format(theirs), own[D_FILTER],
-               f'{axis}.rate.d_filter_hz, in Hz')
+        yield rows[D_FILTER].name(theirs), own[D_FILTER], f'{axis}.rate.d_filter_hz, in Hz'

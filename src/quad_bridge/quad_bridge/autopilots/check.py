@@ -1,4 +1,4 @@
-"""`serial_bridge --check`: one screen that says whether a PX4 or ArduPilot is ready, or what to do.
+"""`serial_bridge --check`: one screen: is this PX4 or ArduPilot ready, and what to change.
 
 Listens for some seconds, asks for rates and parameters as the bridge does, writes nothing, needs
 no ROS. `report` is what it prints; the rest waits for the line.

@@ -57,6 +57,7 @@ class LogFetch:
         self._waiting: dict[int, bytes] = {}  # offset to bytes beyond a hole
         self._from = self._until = 0  # what was asked for
         self._due_s, self._tries = -math.inf, 0
+        self._end = -1  # where the log ends, by a part that is shorter than the others
 
     @property
     def busy(self) -> bool:
@@ -129,7 +130,8 @@ class LogFetch:
 
     def _data(self, frame: f.LogData, now_s: float) -> None:
         self._tries, self._due_s = 0, now_s + DATA_S
-        ends = len(frame.data) < CHUNK and frame.offset + len(frame.data) != self._until
+        if len(frame.data) < CHUNK and frame.offset + len(frame.data) != self._until:
+            self._end = frame.offset + len(frame.data)
         if frame.offset > self.got:
             if len(self._waiting) < WINDOW // CHUNK:
                 self._waiting[frame.offset] = frame.data
@@ -137,7 +139,7 @@ class LogFetch:
             self._add(frame.data)
             while self.got in self._waiting:
                 self._add(self._waiting.pop(self.got))
-        if ends and frame.offset + len(frame.data) == self.got and self.entry is not None:
+        if self.got == self._end and self.entry is not None:
             self.entry = replace(self.entry, size=self.got)  # the list had said about how many
         if self.got >= self._until or frame.offset + len(frame.data) >= self._until:
             self._due_s = now_s  # the window has passed: the next, or the hole

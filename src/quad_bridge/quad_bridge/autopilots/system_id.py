@@ -1,8 +1,8 @@
 """ArduPilot's own SYSTEM ID mode for a chirp: set up, entered, followed, put back. Pure, no I/O.
 
 Its parameters are written one after the other and read back; where one is not taken the mode is
-not entered. SID_MAGNITUDE is always the schedule's: its default of 15 is meant for degrees and is the
-whole command at the mixer. The mode ignores the sticks, so they are watched here.
+not entered. SID_MAGNITUDE is always the schedule's: its default of 15 is meant for degrees and is
+the whole command at the mixer. The mode ignores the sticks, so they are watched here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from quad_bridge.wire.frames import Injection
 
 MODE = 25
 MODES_BEFORE = {0: 'Stabilize', 1: 'Acro'}
-"""Since 4.6 the axes of attitude, rate and mixer begin from a mode with manual throttle only."""
+"""Since 4.6 the axes of attitude, rate and mixer begin in a mode with manual throttle only."""
 FIRST_AXIS = {Injection.ATTITUDE: 1, Injection.RATE: 7, Injection.CONTROL: 10}
 DEGREES = {Injection.ATTITUDE: True, Injection.RATE: True, Injection.CONTROL: False}
 MOST = {Injection.ATTITUDE: 20.0, Injection.RATE: 200.0, Injection.CONTROL: 0.25}
@@ -61,8 +61,8 @@ def wanted(axis: int, injection: Injection, segment: Mapping[str, Any]) -> dict[
     beside_s = SET_UP_S + DELAY_S + 2.0 / found['start_hz'] + 2.0 * ramp_s
     record_s = found['sweep_s'] - beside_s  # so that it has ended when the segment ends
     if record_s < LEAST_S:
-        raise ValueError(f'the segment is too short for SYSTEM ID: {beside_s:.1f} s go before and '
-                         f'after the sweep, and {LEAST_S:g} s must be left of {found["sweep_s"]:g}')
+        raise ValueError(f'the segment is too short for SYSTEM ID: {beside_s:.1f} s go beside the '
+                         f'sweep, and {LEAST_S:g} s must be left of {found["sweep_s"]:g}')
     return {
         'SID_AXIS': FIRST_AXIS[injection] + axis, 'SID_MAGNITUDE': size,
         'SID_F_START_HZ': found['start_hz'], 'SID_F_STOP_HZ': found['stop_hz'],
@@ -96,8 +96,8 @@ class SystemId:
         if self.phase is not Phase.IDLE:
             return f'SYSTEM ID is busy: {self.phase.value}'
         if not all(name in self.known for name in NAMES):
-            return ('this board has no SYSTEM ID (SID_AXIS is not answered): boards of 1 MB lack '
-                    'it from 4.5 on; other signals than chirp are flown in GUIDED_NOGPS')
+            return ('SID_AXIS is not answered: boards of 1 MB have no SYSTEM ID from 4.5 on; '
+                    'other signals than chirp are flown in GUIDED_NOGPS')
         if version >= (4, 6) and self._flight.mode not in MODES_BEFORE:
             return f'SYSTEM ID is entered from {" or ".join(MODES_BEFORE.values())} only'
         return ''

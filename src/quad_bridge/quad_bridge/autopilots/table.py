@@ -1,8 +1,9 @@
 """Gains of PX4 and ArduPilot by the contract's names: a table for each autopilot. Pure.
 
-The bridge reads and writes parameters by these tables, `quad-tune export` writes files by them; it
-has this file by a link (`autopilot_table.py`), so nothing of ours is imported here. Ours are
-commands U2..U4 per rad/s; theirs are a normalised torque per rad/s. `units` is U per torque, of roll, pitch and yaw.
+The bridge reads and writes parameters by these tables, and `quad-tune export` writes files by
+them; it has this file by a link (`autopilot_table.py`), so nothing of ours is imported here. Ours
+are commands U2..U4 per rad/s, theirs a normalised torque per rad/s; `units` is U per torque, of
+roll, pitch and yaw.
 """
 
 from __future__ import annotations

@@ -68,6 +68,8 @@ class AutopilotLogs:
         if flight.armed:
             self._flew = self._flew or flight.landed == 2
             self._fetch.stop('the aircraft is armed again')
+            if self._by_itself and self._said != 'expected':
+                self._publish('expected', '')
         elif self._flew and self._by_itself:
             self._flew = False
             self._begin()

@@ -1,8 +1,8 @@
 """An autopilot's own log beside the bag of the same flight → one bag that has the best of both.
 
 From the log come the rates and commands at the controller's rate, and what SYSTEM ID injected;
-from the bag the gains in force, the schedule's segments, and ROS time. `offset_s` turns the log's time
-into ROS time, as the bridge says it on /aircraft/log.
+from the bag the gains in force, the schedule's segments, and ROS time. `offset_s` turns the log's
+time into ROS time, as the bridge says it on /aircraft/log.
 """
 
 from __future__ import annotations
