@@ -1,4 +1,4 @@
-"""The loop on PX4 and ArduPilot, through real processes: excite, log, fetch, identify, send, watch.
+"""The loop on PX4 and ArduPilot through processes: excite, log, fetch, identify, send, watch.
 
 The stand-ins of flying_autopilot.py fly in lockstep behind a pseudo-terminal; nodes, services and
 topics are the real ones. Faults and refusals are test_autopilots.py's.
@@ -36,7 +36,7 @@ schedule:
   segments:
     - {segment: idle, duration_s: 1.0}
     - {segment: train, signal: chirp, axis: roll, injection: control, amplitude: 0.06,
-       duration_s: 26.0, start_hz: 0.8, stop_hz: 8.0}
+       duration_s: 26.0, f0_hz: 0.8, f1_hz: 8.0}
     - {segment: idle, duration_s: 2.5}
 """,
 }

@@ -287,8 +287,8 @@ def test_rates_are_excited_too_and_stale_fields_do_no_harm(flying, name):
 def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
     line = flying('ardupilot')
     before = dict(line.controller.parameters)
-    line.segment(signal='chirp', injection='control', axis='pitch', amplitude=0.06, start_hz=0.8,
-                 stop_hz=8.0, sweep_s=20.0, ramp_s=0.5)
+    line.segment(signal='chirp', injection='control', axis='pitch', amplitude=0.06, f0_hz=0.8,
+                 f1_hz=8.0, sweep_s=20.0, ramp_s=0.5)
     line.fly(10.0)
     assert line.controller.mode == SYSTEM_ID
     assert line.controller.parameters['SID_AXIS'] == 11
@@ -318,7 +318,7 @@ def in_mode(px4, ardupilot):
 REFUSED = {
     'a mode of its own': (in_mode(4 << 16, 6), 'the pilot must fly'),
     'no hover': (lambda line: line.controller.sticks.__setitem__(0, 0.9), 'does not hover'),
-    'no sticks': (without('RC_CHANNELS'), 'sticks'),
+    'no sticks': (without('RC_CHANNELS', 'RC_CHANNELS_RAW'), 'sticks'),
     'just taken off': (lambda line: line.controller.take_off(), 'it'),
     'a stale line': (without('ATTITUDE', 'HIGHRES_IMU', 'SCALED_IMU'), 'the line is stale'),
     'on the ground': (lambda line: line.controller.land(), 'not armed'),
@@ -365,7 +365,7 @@ ABORTS = {
     'battery': (lambda line: setattr(line.controller, 'volts', 11.0), 'battery has sunk'),
     'another mode': (in_mode(STABILIZED, LOITER), 'was left by'),
     'schedule silent': (None, 'schedule has been silent'),
-    'receiver': (without('RC_CHANNELS'), 'not received'),
+    'receiver': (without('RC_CHANNELS', 'RC_CHANNELS_RAW'), 'not received'),
 }
 
 
@@ -401,12 +401,12 @@ def test_a_segment_in_flight_ends_and_the_mode_is_given_back(flying, name):
 
 def test_a_wrong_chirp_is_refused_in_one_line(flying):
     line = flying('ardupilot')
-    chirp = {'signal': 'chirp', 'amplitude': 0.05, 'start_hz': 1.0, 'stop_hz': 8.0,
+    chirp = {'signal': 'chirp', 'amplitude': 0.05, 'f0_hz': 1.0, 'f1_hz': 8.0,
              'sweep_s': 20.0, 'injection': 'control'}
     for given, words in (
         ({'amplitude': 0.9}, 'SID_MAGNITUDE must be at most 0.25'),
         ({'sweep_s': 6.0}, 'too short for SYSTEM ID'),
-        ({'start_hz': math.nan}, 'needs start_hz'),
+        ({'f0_hz': math.nan}, 'needs f0_hz'),
         ({'axis': 'nose'}, "axis 'nose'"),
     ):
         line.segment(**{**chirp, **given})

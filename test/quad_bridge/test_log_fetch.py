@@ -1,5 +1,7 @@
 """An autopilot's log over a line that loses: whole, in order, resumed, and never fetched twice."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -28,15 +30,15 @@ class Card:
                     yield f.LogData(7, at, self.log[at:end])
 
 
-def fetched(card, folder, until=lambda fetch: False, fetch=None):
+def fetched(card, folder, until=None):
     """Fetch until it is done or `until` says so; the file's path, and the fetch."""
     store = LogStore(lambda job: job())
     store.open(folder, '.bin')
-    fetch = fetch or LogFetch()
+    fetch = LogFetch()
     fetch.there = store.there
     fetch.begin(0.0, wait_s=0.0)
     now_s = 0.0
-    while fetch.busy and not until(fetch):
+    while fetch.busy and not (until and until(fetch)):
         now_s += 0.02
         for asked in fetch.poll(now_s):
             for answer in card.answers(asked):
@@ -52,8 +54,7 @@ def fetched(card, folder, until=lambda fetch: False, fetch=None):
 def test_whole_through_losses(tmp_path, says):
     store, fetch = fetched(Card(loses=0.2, says=says), tmp_path)
     assert fetch.phase is Phase.DONE
-    with open(store.whole, 'rb') as file:
-        assert file.read() == LOG
+    assert Path(store.whole).read_bytes() == LOG
 
 
 def test_resumed_after_a_lost_line_and_not_fetched_again(tmp_path):
@@ -62,8 +63,7 @@ def test_resumed_after_a_lost_line_and_not_fetched_again(tmp_path):
     card = Card()
     store, _ = fetched(card, tmp_path)
     assert card.sent < 1 + (len(LOG) - 60_000) / CHUNK
-    with open(store.whole, 'rb') as file:
-        assert file.read() == LOG
+    assert Path(store.whole).read_bytes() == LOG
     card = Card()
     store, again = fetched(card, tmp_path)
     assert (again.phase, card.sent) == (Phase.DONE, 0)

@@ -49,7 +49,8 @@ class Opens:
 
 AIRCRAFT_LOG = '/aircraft/log'
 """An autopilot's own log as the bridge fetches it (ParameterEvent, latched): `path`, `state`
-(expected while it flies, fetching, complete, failed), `offset_s` from its time to ROS time. It is not recorded."""
+(`expected` while it flies, `fetching`, `complete`, `failed`), `offset_s` from its time to ROS time.
+It is not recorded."""
 SET_GAINS = '/serial_bridge/set_gains'
 NODES = {
     'serial_bridge': Opens(

@@ -49,7 +49,7 @@ def wanted(axis: int, injection: Injection, segment: Mapping[str, Any]) -> dict[
     """SID parameters of a segment with a chirp. Raises ValueError, one line, where it has none."""
     if injection not in FIRST_AXIS:
         raise ValueError('SYSTEM ID injects at attitude, rate or control')
-    names = ('amplitude', 'start_hz', 'stop_hz', 'sweep_s')
+    names = ('amplitude', 'f0_hz', 'f1_hz', 'sweep_s')
     found = {name: float(segment.get(name, math.nan)) for name in names}
     bad = [name for name, value in found.items() if not value > 0.0 or not math.isfinite(value)]
     if bad:
@@ -58,14 +58,14 @@ def wanted(axis: int, injection: Injection, segment: Mapping[str, Any]) -> dict[
     if size > MOST[injection] * 1.001:
         raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: found {size:.4g}')
     ramp_s = max(float(segment.get('ramp_s', 0.5)), 0.1)
-    beside_s = SET_UP_S + DELAY_S + 2.0 / found['start_hz'] + 2.0 * ramp_s
+    beside_s = SET_UP_S + DELAY_S + 2.0 / found['f0_hz'] + 2.0 * ramp_s
     record_s = found['sweep_s'] - beside_s  # so that it has ended when the segment ends
     if record_s < LEAST_S:
         raise ValueError(f'the segment is too short for SYSTEM ID: {beside_s:.1f} s go beside the '
                          f'sweep, and {LEAST_S:g} s must be left of {found["sweep_s"]:g}')
     return {
         'SID_AXIS': FIRST_AXIS[injection] + axis, 'SID_MAGNITUDE': size,
-        'SID_F_START_HZ': found['start_hz'], 'SID_F_STOP_HZ': found['stop_hz'],
+        'SID_F_START_HZ': found['f0_hz'], 'SID_F_STOP_HZ': found['f1_hz'],
         'SID_T_FADE_IN': ramp_s, 'SID_T_REC': record_s, 'SID_T_FADE_OUT': ramp_s,
     }  # fmt: skip
 
