@@ -53,12 +53,12 @@ def test_the_loop_closes(name, tmp_path, ros_domain, probe):
         crew.start('autopilot', [sys.executable, STAND_IN, name, '--link', port, '--lockstep',
                                  crew.socket, '--hz', '125'])  # fmt: skip
         probe.until(lambda: crew.check('start') or port.exists(), 'the stand-in')
-        crew.start_node('quad_bridge', 'serial_bridge', {
-            'port': str(port), 'state_folder': str(tmp_path / 'state'), 'gains': 'allow',
-            'excitation': 'allow'})  # fmt: skip
+        bridge = {'port': str(port), 'state_folder': str(tmp_path / 'state'), 'gains': 'allow',
+                  'excitation': 'allow'}  # fmt: skip
+        crew.start_node('quad_bridge', 'serial_bridge', bridge)
         crew.start_node('quad_bridge', 'bag_logger', {'folder': str(tmp_path), 'prefix': 'flight'})
-        crew.start_node('quad_sysid', 'excitation', {
-            'schedule': str(tmp_path / 'schedule.yaml'), 'abort_aux': 0})
+        schedule = {'schedule': str(tmp_path / 'schedule.yaml'), 'abort_aux': 0}
+        crew.start_node('quad_sysid', 'excitation', schedule)
         crew.start_node('quad_sysid', 'identification', {
             'folder': str(tmp_path), 'axes': ['roll']})
 
@@ -70,6 +70,12 @@ def test_the_loop_closes(name, tmp_path, ros_domain, probe):
 
             probe.until(there, f'{node}: {words}')
 
+        def killed(node):
+            """What it has begun ends without it."""
+            crew.children[node].process.kill()
+            crew.children[node].process.wait()
+            crew.children[node].ended = True
+
         def fly(up):
             answer = probe.call('/serial_bridge/arm', SET_BOOL, data=up)
             if not up:
@@ -80,6 +86,14 @@ def test_the_loop_closes(name, tmp_path, ros_domain, probe):
         fly(True)
         assert probe.call('/bag_logger/start').success
         until('serial_bridge: gains', 'read back')
+        if name == 'px4':  # in OFFBOARD nobody excites any more: the pilot's mode is given back
+            assert probe.call('/excitation/start').success
+            until('serial_bridge: excitation', 'running')
+            killed('excitation')
+            until('serial_bridge: excitation', 'schedule has been silent')
+            crew.start_node('quad_sysid', 'excitation', schedule)
+            until('excitation: schedule', 'ready', 'state')
+            until('serial_bridge: gains', 'read back')
         answer = probe.call('/excitation/start')
         assert answer.success, answer.message
         until('excitation: schedule', 'done', 'state')
@@ -98,8 +112,16 @@ def test_the_loop_closes(name, tmp_path, ros_domain, probe):
 
         fly(True)
         until('serial_bridge: gains', 'read back')
+        (history,) = (tmp_path / 'state').glob('*/gains.jsonl')
+        if name == 'ardupilot':  # killed during the trial: the next bridge takes it back
+            probe.set_gains(gains)
+            until('serial_bridge: gains', 'watching')
+            killed('serial_bridge')
+            crew.start_node('quad_bridge', 'serial_bridge', bridge)
+            until('serial_bridge: gains', 'found a trial of an earlier bridge')
+            trial = json.loads(history.with_name('trial.json').read_text())
+            assert 'trial' not in trial
         answer = probe.answer(probe.set_gains(gains)).result
         assert answer.successful or 'on trial' in answer.reason, answer.reason
-        (history,) = (tmp_path / 'state').glob('*/gains.jsonl')
         probe.until(lambda: crew.check('watch') or '"confirmed"' in history.read_text(), 'watch')
         fly(False)
