@@ -17,7 +17,7 @@ ARGS ?=
 # cache of bytecode, also where the shell has it switched off
 PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup
 
-.PHONY: build-test build-lint build-docs help demo flight qemu pictures test test-qemu test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood bench-outside wheel docs lock shell clean
+.PHONY: build-test build-lint build-docs help demo flight qemu pictures test test-qemu test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood bench-outside bench-twice bench-results wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -81,6 +81,12 @@ bench-likelihood: build  ## the fit against the Cramer-Rao bound, the evidence a
 
 bench-outside: build  ## effects that others wrote from textbooks, two levels of noise (two hours; ARGS='--only rigs')
 	@$(RUN) export OPENBLAS_NUM_THREADS=1; python bench/outside.py --noise 0.3 $(ARGS); exec python bench/outside.py $(ARGS)
+
+bench-twice: build  ## each aircraft flown twice: does the answer come again? (an hour; ARGS='--plants 12')
+	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/effects_twice.py $(ARGS)
+
+bench-results: build  ## the tables of docs/results.md from bench/results
+	@$(RUN) exec python bench/results.py
 
 bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/tuning.py $(ARGS)

@@ -12,7 +12,7 @@ import numpy as np
 
 from quad_sysid.bags.writer import write_bag
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.plant import LoopPlant
+from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.signals.waveforms import prbs
@@ -34,8 +34,7 @@ def flight(seed: int = 0) -> Record:
         square,
     )
     gains = CascadeGains.default('roll')
-    plant = LoopPlant(gain=450.0, lag_s=0.04, delay_s=0.008, damping=0.4, bias=0.0,
-                      gyro_filter_hz=42.0, dt=DT)
+    plant = plant_like('roll', np.array([450.0, 0.04, 0.008, 0.4, 0.0]), DT, 42.0)
     run = simulate_cascade(
         plant, gains, reference, DT, noise=0.01 * rng.standard_normal(n),
         disturbance=0.5 * rng.standard_normal(n),

@@ -5,6 +5,7 @@ noise, a battery anywhere between full and flat, sticks and throttle that move, 
 other axes, coloured and quantised gyro noise, stamps that jitter: each flight draws its own.
 
     python bench/effects_hard.py --flights 300 --out bench/out
+    python bench/effects_hard.py --flights 200 --kind gusts
 """
 
 from __future__ import annotations
@@ -61,10 +62,32 @@ class Hardship:
     """Whether the same gust turns all axes, as one at an angle does."""
 
 
-def drawn(
+CALM = Hardship(0.0, 1.0, False, 0.0, 0.0, 1.0, 0.0, 0.0, False, False)
+KINDS = {
+    'mixed': None, 'white': (), 'gusts': ('gust', 'gust_hz', 'lulls'),
+    'bursts': ('bursts_per_min',), 'shared': ('gust', 'gust_hz', 'one_gust'),
+    'jitter': ('jitter_s',), 'quantised': ('step',), 'coloured gyro': ('colour', 'colour_hz'),
+}
+"""Kind of disturbance → the hardships that it keeps; all of them where mixed."""
+
+
+def drawn(first_seed: int, number: int, kind: str = 'mixed'
+          ) -> tuple[scenarios.Scenario, Hardship]:
+    """Flight and hardships of a number; of one kind the first number that has it."""
+    kept = KINDS[kind]
+    for draw in range(100):
+        scenario, hard = _drawn(first_seed, number + 1000 * draw, one_gust=kind == 'shared')
+        if kept is None:
+            return scenario, hard
+        alone = replace(CALM, **{name: getattr(hard, name) for name in kept})
+        if all(getattr(alone, name) for name in kept[:1]):
+            return replace(scenario, torque_bandwidth_hz=0.0), alone
+    raise ValueError(kind)
+
+
+def _drawn(
     first_seed: int, number: int, *, one_gust: bool = False
 ) -> tuple[scenarios.Scenario, Hardship]:
-    """Flight and hardships of a number."""
     rng = np.random.default_rng([first_seed, number])
 
     def log_uniform(low: float, high: float) -> float:
@@ -147,15 +170,16 @@ def flown(scenario: scenarios.Scenario, hard: Hardship) -> Record:
     return replace(record, rates=rates)
 
 
-def answered(first_seed: int, number: int, one_gust: bool) -> dict[str, object]:
+def answered(first_seed: int, number: int, kind: str) -> dict[str, object]:
     """The answer to one flight."""
-    scenario, hard = drawn(first_seed, number, one_gust=one_gust)
+    scenario, hard = drawn(first_seed, number, kind)
     with threadpool_limits(limits=1):
         found = searched(flown(scenario, hard), scenario.axis, EFFECTS)
         model = axis_model(found, {}, None)
     verdict = found.verdict
     return {
-        'number': number, 'verdict': verdict.verdict, 'named': [e.name for e in model.effects],
+        'kind': kind, 'number': number, 'verdict': verdict.verdict,
+        'named': [e.name for e in model.effects],
         'probabilities': [e.probability for e in model.effects], 'reason': verdict.reason,
         'before': verdict.before, 'after': verdict.after, 'predicted': verdict.predicted,
         'gain': verdict.chosen.value('gain'), **vars(hard),
@@ -163,11 +187,11 @@ def answered(first_seed: int, number: int, one_gust: bool) -> dict[str, object]:
 
 
 def answers(
-    first_seed: int, count: int, jobs: int, one_gust: bool
+    first_seed: int, count: int, jobs: int, kind: str
 ) -> Iterator[dict[str, object]]:
     """Of all flights, as they come."""
     with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
-        waiting = [pool.submit(answered, first_seed, k, one_gust) for k in range(count)]
+        waiting = [pool.submit(answered, first_seed, k, kind) for k in range(count)]
         for done, future in enumerate(as_completed(waiting), 1):
             print(f'\r{done}/{count} flights', end='', file=sys.stderr, flush=True)
             yield future.result()
@@ -179,14 +203,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--flights', type=int, default=300)
     parser.add_argument('--first-seed', type=int, default=40_000)
-    parser.add_argument('--one-gust', action='store_true', help='the same gust turns all axes')
+    parser.add_argument('--kind', choices=KINDS, default='mixed', help='one disturbance alone')
     parser.add_argument('--jobs', type=int, default=os.cpu_count() or 1)
     parser.add_argument('--out', type=Path, default=Path('bench/out'), help='folder for rows')
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     verdicts: Counter[str] = Counter()
-    with (options.out / 'hard.jsonl').open('w') as file:
-        for row in answers(options.first_seed, options.flights, options.jobs, options.one_gust):
+    with (options.out / f'hard_{options.kind}.jsonl').open('w') as file:
+        for row in answers(options.first_seed, options.flights, options.jobs, options.kind):
             verdicts[str(row['verdict'])] += 1
             file.write(json.dumps(row) + '\n')
             file.flush()

@@ -44,7 +44,7 @@ from quad_sysid.loop.cascade import (
 )
 from quad_sysid.loop.figures import square_figures
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.plant import exact_cycles, slopes_at
+from quad_sysid.loop.linear import WIDE, loops_of
 from quad_sysid.model import AxisModel
 from quad_sysid.report.model_file import load_models, save_models
 from quad_tuning import ensemble
@@ -180,7 +180,7 @@ def tuned(airframe: Airframe, models: Path | None, *, peers: bool) -> list[Outco
 def margins_kept(true: AxisModel, controller: Controller) -> tuple[bool, float]:
     """Whether the true plant keeps the required margins, and its phase margin, degrees."""
     plant = loop_plant(true)
-    cycle = exact_cycles([plant], [slopes_at(plant, *ensemble.AMPLITUDES[0])])
+    cycle = loops_of([(plant, WIDE)])
     omega = frequency_grid(plant.dt, points=1000)
     m = margins(open_loop(controller, cycle.response(omega), omega, plant.dt), omega)
     stable = closed_loop_radius(controller, cycle)[0] < 1.0

@@ -16,7 +16,7 @@ from scipy.signal import butter, sosfilt
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.loop.cascade import CascadeGains, frequency_grid, open_loop
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.plant import ComplexArray, exact_cycles, slopes_at
+from quad_sysid.loop.linear import WIDE, ComplexArray, loops_of
 from quad_sysid.model import AxisModel
 from quad_sysid.record import Record
 
@@ -80,7 +80,7 @@ def ziegler_nichols(model: AxisModel, active: CascadeGains) -> CascadeGains | No
     """0.6 Ku, Tu/2, Tu/8 on the rate loop, then 0.5 Ku of the angle loop around it."""
     plant = loop_plant(model)
     omega = frequency_grid(model.dt, points=2000, lowest_rad_s=0.5)
-    response = exact_cycles([plant], [slopes_at(plant, 4.0, 0.35, 0.3)]).response(omega)
+    response = loops_of([(plant, WIDE)]).response(omega)
     ultimate = _ultimate(response[0, 0], omega)
     if ultimate is None:
         return None

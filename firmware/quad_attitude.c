@@ -6,7 +6,6 @@
 
 #include "quad_parameters.h"
 
-#define PI_F 3.14159265f
 #define TURN_F 6.28318531f
 /* What no chip of the kind reports: such a sample is noise on its line. */
 #define LARGEST_GYRO 70.0f   /* rad/s */
@@ -21,36 +20,6 @@ float quad_wrapped(float angle)
 void quad_attitude_init(quad_attitude *attitude)
 {
     memset(attitude, 0, sizeof *attitude);
-}
-
-/* Butterworth, bilinear and not prewarped: its delay at low frequency is the continuous filter's. */
-static void tune(quad_low_pass *filter, float hz, float sample_s)
-{
-    const float k = PI_F * hz * sample_s, root = 1.41421356f * k;
-    const float norm = 1.0f / (1.0f + root + k * k);
-    filter->hz = hz;
-    filter->b = k * k * norm;
-    filter->c = (1.0f - root + k * k) * norm;
-}
-
-static void settle(quad_low_pass *filter, const float value[3])
-{
-    for (size_t i = 0; i < 3; i++) {
-        filter->last[i] = filter->before[i] = filter->out[i] = value[i];
-        filter->change[i] = 0.0f;
-    }
-}
-
-static void pass(quad_low_pass *filter, const float value[3])
-{
-    for (size_t i = 0; i < 3; i++) {
-        const float input = (value[i] - filter->out[i]) + 2.0f * (filter->last[i] - filter->out[i]) +
-                            (filter->before[i] - filter->out[i]);
-        filter->change[i] = filter->b * input + filter->c * filter->change[i];
-        filter->out[i] += filter->change[i];
-        filter->before[i] = filter->last[i];
-        filter->last[i] = value[i];
-    }
 }
 
 void quad_to_body(const int8_t axes[3], const float chip[3], float body[3])
@@ -121,14 +90,18 @@ static void take(quad_attitude *a, const quad_mounting *m, const float chip_gyro
     for (size_t i = 0; i < 3; i++) {
         gyro[i] -= m->gyro_bias[i];
     }
-    if (a->settled) {
-        pass(&a->gyro, gyro);
-        pass(&a->accel, accel);
-    } else {
-        settle(&a->gyro, gyro);
-        settle(&a->accel, accel);
+    if (!a->settled) {
+        quad_notch_settle(&a->notches[0], gyro);
+        quad_notch_settle(&a->notches[1], gyro);
+        quad_low_pass_settle(&a->gyro, gyro);
+        quad_low_pass_settle(&a->accel, accel);
         a->settled = true;
+        return;
     }
+    quad_notch_pass(&a->notches[0], gyro);
+    quad_notch_pass(&a->notches[1], gyro);
+    quad_low_pass_pass(&a->gyro, gyro);
+    quad_low_pass_pass(&a->accel, accel);
 }
 
 void quad_attitude_cycle(quad_attitude *a, const quad_mounting *m, const quad_sensors *s,
@@ -136,12 +109,12 @@ void quad_attitude_cycle(quad_attitude *a, const quad_mounting *m, const quad_se
                          float angle[3])
 {
     float mag[3];
-    if (a->gyro.hz != gains[QUAD_SENSOR_GYRO_FILTER_HZ]) {
-        tune(&a->gyro, gains[QUAD_SENSOR_GYRO_FILTER_HZ], m->sample_s);
-    }
-    if (a->accel.hz != gains[QUAD_SENSOR_ACCEL_FILTER_HZ]) {
-        tune(&a->accel, gains[QUAD_SENSOR_ACCEL_FILTER_HZ], m->sample_s);
-    }
+    quad_low_pass_tune(&a->gyro, gains[QUAD_SENSOR_GYRO_FILTER_HZ], m->sample_s);
+    quad_low_pass_tune(&a->accel, gains[QUAD_SENSOR_ACCEL_FILTER_HZ], m->sample_s);
+    quad_notch_tune(&a->notches[0], gains[QUAD_SENSOR_NOTCH_1_HZ],
+                    gains[QUAD_SENSOR_NOTCH_1_BANDWIDTH_HZ], m->sample_s);
+    quad_notch_tune(&a->notches[1], gains[QUAD_SENSOR_NOTCH_2_HZ],
+                    gains[QUAD_SENSOR_NOTCH_2_BANDWIDTH_HZ], m->sample_s);
     a->silent++;
     for (size_t i = 0; i < s->samples && i < QUAD_MOST_SAMPLES; i++) {
         take(a, m, s->gyro[i], s->accel[i]);

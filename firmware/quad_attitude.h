@@ -7,6 +7,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "quad_filter.h"
+
 #define QUAD_BLIND_S 0.1f /* without a sample of the gyro: the motors stop, the attitude begins anew */
 #define QUAD_MOST_SAMPLES 20 /* of gyro and accelerometer in one control cycle */
 
@@ -35,15 +37,9 @@ typedef struct {
     float declination;      /* rad, magnetic north east of true north */
 } quad_mounting;
 
-/* Second-order low-pass in terms of its change, so that a constant passes exactly in floats:
- * change = b (x + 2 x' + x'' - 4 out) + c change', out = out' + change. */
-typedef struct {
-    float hz, b, c;
-    float last[3], before[3], change[3], out[3];
-} quad_low_pass;
-
 typedef struct {
     quad_low_pass gyro, accel;
+    quad_notch notches[2]; /* of the gyro */
     float angle[3]; /* roll, pitch, yaw */
     bool settled, started; /* a first sample has come; the attitude has begun */
     uint32_t silent;       /* cycles since a good sample */
@@ -51,7 +47,7 @@ typedef struct {
 
 void quad_attitude_init(quad_attitude *attitude);
 
-/* Take a cycle's samples; `gains` as in quad_parameters.h, for the cut-offs. Writes rates, specific
+/* Take a cycle's samples; `gains` as in quad_parameters.h, for the filters. Writes rates, specific
  * force and attitude, (3) each. The first sample of all, and after QUAD_BLIND_S without one, is taken as one at
  * rest. */
 void quad_attitude_cycle(quad_attitude *attitude, const quad_mounting *mounting,

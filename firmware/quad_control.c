@@ -36,13 +36,21 @@ static float added(const quad_cycle *r, uint8_t injection, size_t axis)
     return r->injection == injection ? r->excitation[axis] : 0.0f;
 }
 
+/* Whether an integral of this error would ask for more of what the motors did not give. */
+static bool held_back(const quad_control *c, size_t axis, float error)
+{
+    return c->not_given[axis] * error > 0.0f;
+}
+
 static float second_loop(quad_control *c, const quad_cycle *r, size_t axis, float period_s)
 {
     const float *set = r->gains;
-    const float rate = r->gyro[axis], error = r->rate_setpoint[axis] - rate;
-    c->integral[axis] = clip(c->integral[axis] +
-                                 quad_of_axis(set, axis, QUAD_RATE_KI) * error * period_s,
-                             quad_of_axis(set, axis, QUAD_RATE_INTEGRATOR_LIMIT));
+    const float rate = c->d_rate[axis], error = r->rate_setpoint[axis] - r->gyro[axis];
+    if (!held_back(c, axis, error)) {
+        c->integral[axis] = clip(c->integral[axis] +
+                                     quad_of_axis(set, axis, QUAD_RATE_KI) * error * period_s,
+                                 quad_of_axis(set, axis, QUAD_RATE_INTEGRATOR_LIMIT));
+    }
     const float filter_hz = quad_of_axis(set, axis, QUAD_RATE_D_FILTER_HZ);
     const float share = period_s / (period_s + 1.0f / (TURN_F * filter_hz));
     const float slope = (rate - c->last_rate[axis]) / period_s;
@@ -156,10 +164,23 @@ static void begin(quad_control *c, const quad_cycle *r)
     c->yaw_reference = r->attitude[2];
     for (size_t i = 0; i < 3; i++) {
         c->integral[i] = 0.0f;
-        c->last_rate[i] = r->gyro[i];
+        c->last_rate[i] = c->d_rate[i];
+        c->not_given[i] = 0.0f;
         memset(&c->feedback[i], 0, sizeof c->feedback[i]);
         c->feedback[i].rate = r->gyro[i];
     }
+}
+
+/* The rates as the derivative sees them. */
+static void see_rates(quad_control *c, const quad_cycle *r, float period_s)
+{
+    memcpy(c->d_rate, r->gyro, sizeof c->d_rate);
+    quad_notch_tune(&c->d_notch, r->gains[QUAD_RATE_D_NOTCH_HZ],
+                    r->gains[QUAD_RATE_D_NOTCH_BANDWIDTH_HZ], period_s);
+    if (!c->started) {
+        quad_notch_settle(&c->d_notch, c->d_rate);
+    }
+    quad_notch_pass(&c->d_notch, c->d_rate);
 }
 
 static void fly_axis(quad_control *c, quad_cycle *r, size_t i, float period_s)
@@ -177,7 +198,7 @@ static void fly_axis(quad_control *c, quad_cycle *r, size_t i, float period_s)
     } else {
         c->feedback[i].integral = c->integral[i]; /* it begins where the cascade is */
     }
-    const bool held = fabsf(u) >= quad_of_axis(set, i, QUAD_RATE_OUTPUT_LIMIT);
+    const bool held = fabsf(u) >= quad_of_axis(set, i, QUAD_RATE_OUTPUT_LIMIT) || held_back(c, i, error);
     const float on_top = added(r, QUAD_INJECTION_CONTROL, i);
     if (followed) {
         feedback_moved(&c->feedback[i], set, i, period_s, error, u + on_top, held);
@@ -185,18 +206,55 @@ static void fly_axis(quad_control *c, quad_cycle *r, size_t i, float period_s)
     r->control[i + 1] = u * lift(set, i, c->volts) + on_top;
 }
 
-bool quad_mix(const float control[4], float motors[4])
+/* What the state feedback's model of an axis has under way is what the motors gave. */
+static void not_given(quad_control *c, const quad_cycle *r, const float given[4])
 {
-    bool cut = false;
-    for (size_t motor = 0; motor < 4; motor++) {
-        float sum = 0.0f;
-        for (size_t u = 0; u < 4; u++) {
-            sum += mixer[motor][u] * control[u];
-        }
-        motors[motor] = sum > 0.0f ? fminf(1.0f, sum) : 0.0f; /* 0 for what is no number */
-        cut = cut || motors[motor] != sum;
+    for (size_t i = 0; i < 3; i++) {
+        c->not_given[i] = r->control[i + 1] - given[i + 1];
+        c->feedback[i].commands[0] -= c->not_given[i] / lift(r->gains, i, c->volts);
     }
-    return cut;
+}
+
+bool quad_mix(const float control[4], float idle, float motors[4], float given[4])
+{
+    float turning[4], least = INFINITY, most = -INFINITY, down = -INFINITY, up = INFINITY;
+    for (size_t i = 0; i < 4; i++) {
+        turning[i] = mixer[i][1] * control[1] + mixer[i][2] * control[2];
+        least = fminf(least, turning[i]);
+        most = fmaxf(most, turning[i]);
+        motors[i] = given[i] = 0.0f;
+    }
+    if (!isfinite(control[0] + control[3] + most - least)) {
+        return true;
+    }
+    const float has = 1.0f - idle, needs = most - least;
+    const float share = needs > has ? has / needs : 1.0f;
+    const float throttle = fmaxf(idle - share * least, fminf(1.0f - share * most, control[0]));
+    for (size_t i = 0; i < 4; i++) {
+        const float here = throttle + share * turning[i];
+        const float below = fminf(0.0f, idle - here), above = fmaxf(0.0f, 1.0f - here);
+        down = fmaxf(down, mixer[i][3] > 0.0f ? below : -above);
+        up = fminf(up, mixer[i][3] > 0.0f ? above : -below);
+    }
+    const float yaw = fmaxf(down, fminf(up, control[3]));
+    for (size_t i = 0; i < 4; i++) {
+        const float sum = throttle + share * turning[i] + mixer[i][3] * yaw;
+        motors[i] = fmaxf(idle, fminf(1.0f, sum));
+    }
+    given[0] = throttle;
+    given[1] = share * control[1];
+    given[2] = share * control[2];
+    given[3] = yaw;
+    return share < 1.0f || throttle != control[0] || yaw != control[3];
+}
+
+/* Whether torque is commanded: see quad_control.h. */
+static bool flies(quad_control *c, const quad_cycle *r, const quad_sticks *sticks)
+{
+    const bool armed = (r->flags & QUAD_FLAG_ARMED) != 0;
+    c->airborne = armed && (c->airborne || sticks->throttle >= QUAD_AIRBORNE_THROTTLE);
+    const bool stays = c->airborne && r->gains[QUAD_MIXER_AIRMODE] >= 0.5f;
+    return armed && (stays || sticks->throttle >= QUAD_LOW_THROTTLE);
 }
 
 void quad_control_cycle(quad_control *c, const quad_ranges *ranges, const quad_sticks *sticks,
@@ -207,8 +265,9 @@ void quad_control_cycle(quad_control *c, const quad_ranges *ranges, const quad_s
         const float share = c->volts > 0.0f ? period_s / VOLTAGE_LAG_S : 1.0f;
         c->volts += share * (volts - c->volts);
     }
-    const bool flies = armed && sticks->throttle >= QUAD_LOW_THROTTLE;
-    if (!c->started || !flies) {
+    const bool in_flight = flies(c, r, sticks);
+    see_rates(c, r, period_s);
+    if (!c->started || !in_flight) {
         begin(c, r);
     }
     c->yaw_reference =
@@ -223,14 +282,18 @@ void quad_control_cycle(quad_control *c, const quad_ranges *ranges, const quad_s
         r->attitude_setpoint[i] = references[i] + added(r, QUAD_INJECTION_ATTITUDE, i);
         fly_axis(c, r, i, period_s);
     }
-    if (!flies) {
+    if (!in_flight) {
         memset(r->control, 0, sizeof r->control);
     }
     r->control[0] = armed ? sticks->throttle : 0.0f;
+    float given[4];
     if (!armed) {
         memset(r->motors, 0, sizeof r->motors);
-    } else if (quad_mix(r->control, r->motors)) {
+    } else if (quad_mix(r->control, in_flight ? r->gains[QUAD_MIXER_IDLE] : 0.0f, r->motors, given)) {
         r->flags |= QUAD_FLAG_SATURATED;
+    }
+    if (in_flight) {
+        not_given(c, r, given);
     }
     if (fmaxf(fabsf(r->attitude[0]), fabsf(r->attitude[1])) > ranges->angle_limit) {
         r->flags |= QUAD_FLAG_ANGLE_LIMIT;

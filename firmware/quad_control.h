@@ -16,14 +16,20 @@
  * Digital Control of Dynamic Systems, 3rd ed., 8.2 and 8.6). Only one integral runs.
  *
  * Below QUAD_LOW_THROTTLE no torque is commanded and all begins anew with the next cycle: standing on the ground,
- * nothing answers, and what is added up there would act at take-off.
+ * nothing answers, and what is added up there would act at take-off. With AIRMODE that ends once the throttle has
+ * been at QUAD_AIRBORNE_THROTTLE, until it is disarmed.
+ *
+ * Where the motors cannot give all four commands, yaw is given up first, then throttle, roll and pitch last
+ * (quad_mix); an integrator does not run further towards what was not given.
  *
  * Where SAG_EXP is not 0, u is multiplied by that power of (reference voltage / voltage). */
 #ifndef QUAD_CONTROL_H
 #define QUAD_CONTROL_H
 
 #include "quad_endpoint.h"
+#include "quad_filter.h"
 
+#define QUAD_AIRBORNE_THROTTLE 0.25f
 #define QUAD_LONGEST_DELAY 15 /* cycles, of the state feedback's model */
 
 typedef struct {
@@ -33,9 +39,12 @@ typedef struct {
 
 typedef struct {
     float integral[3], slope[3], last_rate[3]; /* of C2 */
+    float not_given[3]; /* of U2..U4, command less what the motors gave in the last cycle */
+    quad_notch d_notch; /* of the rates that kd sees */
+    float d_rate[3];
     float yaw_reference;
     float volts; /* low-passed; 0 before the first measurement */
-    bool started;
+    bool started, airborne;
     quad_feedback feedback[3];
 } quad_control;
 
@@ -59,7 +68,9 @@ void quad_control_cycle(quad_control *control, const quad_ranges *ranges,
                         const quad_sticks *sticks, float volts, float period_s,
                         quad_cycle *record);
 
-/* Motors (4) 0..1 of U1..U4 (4): eq. (7) with limits; true where one was cut. */
-bool quad_mix(const float control[4], float motors[4]);
+/* Motors (4), idle..1, of U1..U4 (4): eq. (7) with limits. Where not all fits, yaw is what the motors have left,
+ * then the throttle moves, and only where roll and pitch alone need more than the motors have are both made smaller by one
+ * factor. Writes what is given of U1..U4 (4); true where that is not all. Of no number all motors are 0. */
+bool quad_mix(const float control[4], float idle, float motors[4], float given[4]);
 
 #endif

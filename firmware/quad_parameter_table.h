@@ -28,13 +28,22 @@ enum {
     QUAD_OF_AXIS
 };
 
-/* In a set: the first group of each axis, what is shared, the rest of each axis. */
+/* In a set: first group of each axis, shared, rest of each axis, mixer and notches. */
 enum {
     QUAD_SENSOR_GYRO_FILTER_HZ = 3 * QUAD_PER_AXIS, /* cut-off of the gyro (2nd order), Hz */
     QUAD_SENSOR_ACCEL_FILTER_HZ, /* cut-off of the accelerometer, Hz */
     QUAD_LOOP_RATE_HZ, /* control cycles per second, Hz, read only */
     QUAD_OPTIONAL,
-    QUAD_PARAMETERS = QUAD_OPTIONAL + 3 * (QUAD_OF_AXIS - QUAD_PER_AXIS)
+    QUAD_BEFORE_MIXER = QUAD_OPTIONAL + 3 * (QUAD_OF_AXIS - QUAD_PER_AXIS) - 1,
+    QUAD_MIXER_IDLE, /* smallest command of a motor in flight */
+    QUAD_MIXER_AIRMODE, /* stabilised at zero throttle in the air from 0.5 on */
+    QUAD_SENSOR_NOTCH_1_HZ, /* first notch on the gyro, off at 0, Hz */
+    QUAD_SENSOR_NOTCH_1_BANDWIDTH_HZ, /* its width at -3 dB, Hz */
+    QUAD_SENSOR_NOTCH_2_HZ, /* second notch on the gyro, off at 0, Hz */
+    QUAD_SENSOR_NOTCH_2_BANDWIDTH_HZ, /* its width at -3 dB, Hz */
+    QUAD_RATE_D_NOTCH_HZ, /* notch before rate.kd of all axes, off at 0, Hz */
+    QUAD_RATE_D_NOTCH_BANDWIDTH_HZ, /* its width at -3 dB, Hz */
+    QUAD_PARAMETERS
 };
 
 /* Name, lowest, highest, start; nothing fits where lowest > highest. */
@@ -101,6 +110,14 @@ enum {
     {"YAW_LQR_DAMP", -20.0f, 50.0f, 0.0f}, \
     {"YAW_LQR_OBS", 0.0f, 1.0f, 0.0f}, \
     {"YAW_SAG_EXP", 0.0f, 3.0f, 0.0f}, \
-    {"YAW_SAG_VREF", 0.0f, 100.0f, 0.0f}
+    {"YAW_SAG_VREF", 0.0f, 100.0f, 0.0f}, \
+    {"MIX_IDLE", 0.0f, 0.3f, 0.05f}, \
+    {"MIX_AIRMODE", 0.0f, 1.0f, 0.0f}, \
+    {"NOTCH_1_HZ", 0.0f, 400.0f, 0.0f}, \
+    {"NOTCH_1_BW", 1.0f, 200.0f, 20.0f}, \
+    {"NOTCH_2_HZ", 0.0f, 400.0f, 0.0f}, \
+    {"NOTCH_2_BW", 1.0f, 200.0f, 20.0f}, \
+    {"D_NOTCH_HZ", 0.0f, 110.0f, 0.0f}, \
+    {"D_NOTCH_BW", 1.0f, 100.0f, 20.0f}
 
 #endif

@@ -4,27 +4,11 @@
 TIMESYNC, parameters, the gains' transactions and arming as the script wants. Its sets of gains are
 the firmware's own code (`Store`). Whatever has `cycle() -> bytes` and
 `receive(data, now_ns) -> bytes` can take its place: the virtual STM32's `Endpoint`, another
-autopilot. It is used in three ways:
+autopilot.
 
-In memory, with a clock of its own, deterministic (`Line`):
-
-    line = Line()                              # a Link and a FlightController, connected
-    line.fly(2.0)                              # 500 cycles of 4 ms each
-    line.controller.restart()
-    line.up.fault = Fault(f.ParamSet, DROPPED, every=3)
-    line.fly(1.0); line.out                    # what the link has stamped
-
-On a pseudo-terminal or a socket, in a thread, for a bridge in a process of its own (`Port`):
-
-    with Port(FlightController(), Pty(tmp_path / 'tty')) as port:     # 250 cycles a second
-        ...                                    # start the bridge with port:=tmp_path/'tty'
-        port.controller.flags = 0              # script it while it runs
-        port.controller.heard                  # every frame that the bridge has sent
-    with Port(FlightController(), Socket()) as port: port.end.url     # socket://127.0.0.1:…
-
-Between two real ends, as a line with faults (`Relay`):
-
-    relay = Relay(Device(stm32), Pty(tmp_path / 'port'));  relay.start();  relay.up.cut = True
+`Line` joins it to a Link in memory, with a clock of its own; `Port` has it behind a
+pseudo-terminal or a socket, in a thread, for a bridge in a process of its own; `Relay` is a line
+with faults between two real ends.
 
 A `Port` says nothing before it has heard the bridge, and afterwards waits for a bridge without
 CPU instead of losing cycles: every number from the first to the last arrives, or the bridge has

@@ -13,6 +13,7 @@ import numpy as np
 from quad_bridge.gains.table import (
     AXES,
     DEFAULT_BOUNDS,
+    OF_AIRCRAFT,
     OPTIONAL,
     PER_AXIS,
     ROWS,
@@ -42,12 +43,15 @@ def header() -> str:
         '    QUAD_OF_AXIS',
         '};',
         '',
-        '/* In a set: the first group of each axis, what is shared, the rest of each axis. */',
+        '/* In a set: first group of each axis, shared, rest of each axis, mixer and notches. */',
         'enum {',
         f'    {_enumerator(first)} = 3 * QUAD_PER_AXIS, /* {_told(first)} */',
         *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in others),
         '    QUAD_OPTIONAL,',
-        '    QUAD_PARAMETERS = QUAD_OPTIONAL + 3 * (QUAD_OF_AXIS - QUAD_PER_AXIS)',
+        '    QUAD_BEFORE_MIXER = QUAD_OPTIONAL + 3 * (QUAD_OF_AXIS - QUAD_PER_AXIS) - 1,',
+        f'    {_enumerator(OF_AIRCRAFT[0])}, /* {_told(OF_AIRCRAFT[0])} */',
+        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in OF_AIRCRAFT[1:]),
+        '    QUAD_PARAMETERS',
         '};',
         '',
         '/* Name, lowest, highest, start; nothing fits where lowest > highest. */',
@@ -55,6 +59,7 @@ def header() -> str:
         *(f'    {_entry(row, axis)}, \\' for axis in range(3) for row in PER_AXIS),
         *(f'    {_entry(row)}, \\' for row in SHARED),
         *(f'    {_entry(row, axis)}, \\' for axis in range(3) for row in OPTIONAL),
+        *(f'    {_entry(row)}, \\' for row in OF_AIRCRAFT),
         '',
         '#endif',
     ]
@@ -101,6 +106,7 @@ def page() -> str:
         ('Of each axis: the cascade', PER_AXIS),
         ('Of the aircraft', SHARED),
         ('Of each axis, where a firmware has them (off at 0)', OPTIONAL),
+        ('Of the aircraft, where a firmware has them', OF_AIRCRAFT),
     ):
         lines += ['', f'## {title}', '', '| gain | wire | unit | meaning | limits | bound |',
                   '|---|---|---|---|---|---|']  # fmt: skip

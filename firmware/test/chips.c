@@ -371,9 +371,9 @@ int main(void)
     test_ppm_edges();
     test_pwm();
     test_arming();
-    float motors[4];
+    float motors[4], given[4];
     const float none[4] = {0.5f, NAN, 0.0f, 0.0f};
-    check(quad_mix(none, motors) && motors[0] == 0.0f && motors[1] == 0.0f, "no number, no thrust");
+    check(quad_mix(none, 0.05f, motors, given) && motors[0] == 0.0f && motors[1] == 0.0f, "no number, no thrust");
     check(esc_pulse_us(0) == 1000 && esc_pulse_us(1) == 2000 && esc_pulse_us(0.5f) == 1500, "ESC");
     check(esc_pulse_us(-1) == 1000 && esc_pulse_us(NAN) == 1000 && esc_pulse_us(9) == 2000, "limits");
     printf("%d checks, %d failed\n", checks, failures);

@@ -12,6 +12,7 @@ NODES = [
     'identification = quad_sysid.start_node:identification',
     'identify = quad_sysid.start:ros2',
     'inspect = quad_sysid.start:ros2',
+    'look = quad_sysid.start:ros2',
     'evaluate = quad_sysid.start:ros2',
     'import = quad_sysid.start:ros2',
     'design-excitation = quad_sysid.start:ros2',
@@ -26,7 +27,7 @@ setup(
     name=PACKAGE,
     version='0.2.0',
     packages=find_packages(),
-    package_data={PACKAGE: ['py.typed', '*.pyi', '**/*.yaml', '**/*.json']},
+    package_data={PACKAGE: ['py.typed', '*.pyi', '**/*.yaml', '**/*.json', '**/*.js']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),

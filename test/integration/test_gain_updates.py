@@ -9,24 +9,15 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import signal
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-from node_process import Started
 from probe import Probe, content, event
 
-from quad_bridge.lockstep import VARIABLE
-from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.model import AxisModel
-from quad_sysid.model import Parameter as IdentifiedParameter
 from quad_tuning.demo.processes import Crew
 from quad_tuning.demo.stages import Aircraft
-from quad_tuning.lqr import propose_lqr
 
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.usefixtures('workspace')]
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
@@ -123,43 +114,9 @@ class Bench:
         self.until(answer.done, 'the answer')
         return answer.result().result
 
-    def quad_tune(self, *words: object, gives: dict[str, float]) -> str:
-        """Run a command that gives these gains; what it prints.
-
-        Time stands still until the bridge has heard it: new gains are watched for 10 s only.
-        """
-        environment = {**os.environ, VARIABLE: str(self.crew.socket)}
-        command = [sys.executable, '-m', 'quad_tuning.cli', *words]
-        log = self.crew.folder / 'logs' / 'serial_bridge.log'
-        before = len(log.read_text())
-        done = Started(command, self.crew.folder / 'quad_tune', env=environment)
-
-        def heard():
-            said = log.read_text()[before:]
-            return done.poll() is not None or 'writing' in said or 'taking back' in said
-
-        self.probe.until(heard, 'what is asked', pause_s=0.1)
-        self.active(gives)
-        self.until(lambda: done.poll() is not None, 'its end')
-        assert (done.poll(), done.said) == (0, '')
-        return done.printed
-
     def history(self):
         lines = (self.state / 'test' / 'gains.jsonl').read_text().splitlines()
         return [json.loads(line) for line in lines]
-
-
-def paper_model():
-    """Roll of the virtual aircraft on the rig, as an identification would hand it on."""
-    base = (('gain', 435.0, 4.0), ('lag', 0.043, 5e-4), ('delay', 0.008, 4e-4),
-            ('damping', 0.4, 0.05), ('bias', 0.0, 0.02))
-    return AxisModel(
-        axis='roll', dt=0.004, gyro_filter_hz=42.0,
-        base=tuple(IdentifiedParameter(*one, '') for one in base),
-        parameter_names=tuple(name for name, *_ in base),
-        covariance=np.diag([std**2 for *_, std in base]),
-        active_gains=CascadeGains.default('roll').to_mapping('roll', constants=True),
-    )
 
 
 @pytest.fixture
@@ -168,8 +125,8 @@ def bench(tmp_path: Path, ros_domain: int, probe: Probe) -> Iterator[Bench]:
         yield Bench(crew, probe)
 
 
-def test_updates_parameters_services_a_killed_bridge_and_the_second_control_mode(bench, tmp_path):
-    bench.start(polarity='manual', sources=['test', 'a flood', '~/set_gains', 'quad-tune*'])
+def test_updates_parameters_services_and_a_killed_bridge(bench):
+    bench.start(polarity='manual', sources=['test', 'a flood', '~/set_gains'])
     bench.ask({KP: 0.1})
     bench.said('call ~/check_polarity')
     answer = bench.probe.ask('/serial_bridge/check_polarity')
@@ -190,9 +147,8 @@ def test_updates_parameters_services_a_killed_bridge_and_the_second_control_mode
     bench.ask({KP: 0.1}, source='a stranger')  # the last of this publisher: the flood is over
     bench.said('gains of a stranger refused')
     bench.told.clear()
-    told = bench.quad_tune('rollback', '--folder', bench.state, gives=OLD)
-    assert 'back to set 1 of' in told
-    bench.said('rolled back, old gains: quad-tune rollback asked for it')
+    bench.ask({'rollback': True})
+    bench.said('rolled back, old gains: test asked for it')
     bench.active(OLD)
 
     for bad, words in ((math.nan, 'finite'), (99.0, 'must lie in')):
@@ -207,22 +163,7 @@ def test_updates_parameters_services_a_killed_bridge_and_the_second_control_mode
     bench.heard.clear()
     bench.told.clear()
     bench.rest(2.5)
-    bench.start_bridge(sources=['test', 'quad-tune*'], polarity='off')
+    bench.start_bridge(sources=['test'], polarity='off')
     bench.active({ANGLE: 3.0})
     sets = [entry['gains'][ANGLE] for entry in bench.history() if 'gains' in entry]
     assert sets == [3.0, 4.0, 3.0, 5.0, 3.0]
-
-    # the second control mode comes in by quarters and goes back at once
-    design = tmp_path / 'gains.json'
-    proposal = propose_lqr(paper_model())
-    axes = {'roll': {'gains': proposal.gains, 'figures': proposal.figures}}
-    design.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
-    bench.quad_tune('send', design, gives={'roll.lqr.share': 1.0})
-    sets = [entry['gains'] for entry in bench.history() if 'gains' in entry][4:]
-    shares = [gains['roll.lqr.share'] for gains in sets]
-    assert shares[:3] == pytest.approx([0.0, 0.25, 0.5], rel=1e-3)
-    assert (shares[-1], max(shares)) == (1.0, 1.0)
-    assert sets[1]['roll.lqr.k_angle'] == pytest.approx(proposal.gains['roll.lqr.k_angle'])
-    bench.ask({'rollback': True})
-    bench.said('rolled back, old gains')
-    bench.active({'roll.lqr.share': 0.0})

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import math
-import os
-import tty
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from flown_axis import SHORT, Axis, fly
-from node_process import Started, program
-from probe import Probe, content, entries, event
+from node_process import Started
+from probe import Probe, entries, event
 
 from quad_sysid.bags import write_bag
 
@@ -58,48 +54,6 @@ class Ears:
 @pytest.fixture
 def ears(probe: Probe) -> Ears:
     return Ears(probe)
-
-
-def pty(link: Path, *, lock: bool = False) -> tuple[int, int]:
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    if lock:
-        fcntl.flock(slave, fcntl.LOCK_EX)
-    link.symlink_to(os.ttyname(slave))
-    return master, slave
-
-
-def unplug(link: Path, ends: tuple[int, int]) -> None:
-    link.unlink()
-    for end in ends:
-        os.close(end)
-
-
-def test_the_bridge_outlives_every_bad_port_and_refuses_bad_gains(ears, start, run, tmp_path):
-    link, name = tmp_path / 'tty', 'serial_bridge: link'
-    bridge = start('serial_bridge', port=link)
-    ears.until(name, ERROR, 'not there')
-    ends = pty(link)
-    ears.until(name, ERROR, 'nothing arrives')
-    sentence = b'$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n'
-    ears.until(name, ERROR, 'another protocol', lambda: os.write(ends[0], 9 * sentence))
-    unplug(link, ends)
-    ears.until(name, ERROR, 'not there')
-    ends = pty(link, lock=True)
-    ears.until(name, ERROR, 'busy')
-    unplug(link, ends)
-
-    run(*program('virtual_stm32'), '--mount', 'rig', '--axis', 'roll', '--link', link)
-    ears.until(name, OK, 'control cycles arrive')
-    ears.until('serial_bridge: gains', OK, 'read back')
-    flown = content(ears.active[-1])
-    for value in (math.nan, 1e6):
-        wanted = {'roll.rate.kp': value, 'source': f'test {value}'}
-        ears.probe.publish('/gains/update', event(wanted))
-        words = f'gains of test {value} refused: roll.rate.kp'
-        ears.until('serial_bridge: gains', ERROR, words)
-    assert content(ears.active[-1]) == flown
-    assert bridge.poll() is None
 
 
 @pytest.mark.timeout(1800)

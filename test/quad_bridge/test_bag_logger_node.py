@@ -6,10 +6,8 @@ from pathlib import Path
 
 import pytest
 from node_process import recorded
-from probe import content, entries, stamp
+from probe import content, stamp
 from rosbags.highlevel import AnyReader
-
-from quad_bridge.craft import LAYOUTS, from_urdf
 
 TOPICS = ('/setpoint/attitude', '/setpoint/rates', '/excitation/setpoint', '/excitation/applied')
 RECORDING = 'bag_logger: recording'
@@ -149,52 +147,3 @@ def test_after_a_recording_that_failed_the_logger_records_the_next(tmp_path, pro
     assert process.end() == 0
     assert 'Traceback' not in process.said
     assert numbers_in(bag) == list(range(400))
-
-
-def test_a_publisher_of_another_type_is_told_by_name(probe, logger):
-    probe.advertise('/rc/in', 'std_msgs/msg/String')
-    process = logger(topics=['/rc/in'])
-    process.says('/rc/in: a publisher has type std_msgs/msg/String, which is not recorded; '
-                 'the contract has sensor_msgs/msg/Joy')  # fmt: skip
-
-
-def test_simulated_time_that_nobody_tells_is_waited_for(tmp_path, probe, logger):
-    process = logger(use_sim_time=True)
-    told = probe.listen('/diagnostics')
-    probe.until(lambda: len(told) > 1)
-    assert 'nothing comes on /clock' in entries(told)['bag_logger: clock'].message
-    assert bags(tmp_path) == []
-    probe.publish('/clock', {'clock': {'sec': 5}}, every_s=0.05)
-    probe.until(lambda: bags(tmp_path))
-    assert process.end() == 0
-    assert len(bags(tmp_path)) == 1
-
-
-def test_a_description_without_motors_is_left_aside_and_another_one_recorded(
-    logger, probe, tmp_path
-):
-    topic, craft = '/robot_description', LAYOUTS['px4_quad_x']
-    probe.advertise(topic, 'std_msgs/msg/String')
-    process = logger(topics=[topic])
-    probe.meet(topic)
-    probe.publish(topic, {'data': '<robot name="drawn"><link name="base_link"/></robot>'})
-    probe.publish(topic, {'data': craft.to_urdf()})
-    probe.until(lambda: probe.diagnostics(RECORDING, WRITTEN) == '1')
-    assert process.end() == 0
-    assert 'has no joint motor_1: left aside' in process.said
-    (bag,) = tmp_path.glob('flight*')
-    with AnyReader([bag]) as reader:
-        texts = [reader.deserialize(raw, connection.msgtype).data
-                 for connection, _, raw in reader.messages()]  # fmt: skip
-    assert [from_urdf(text).signs for text in texts] == [craft.signs]
-
-
-def test_a_description_that_is_given_stands_in_every_bag(logger, probe, tmp_path):
-    process = logger(topics=['/robot_description'], robot_description='betaflight_hex6x')
-    probe.until(lambda: probe.diagnostics(RECORDING, WRITTEN) == '1')
-    assert process.end() == 0
-    (bag,) = tmp_path.glob('flight*')
-    with AnyReader([bag]) as reader:
-        ((connection, _, raw),) = reader.messages()
-        text = reader.deserialize(raw, connection.msgtype).data
-    assert from_urdf(text).signs == LAYOUTS['betaflight_hex6x'].signs

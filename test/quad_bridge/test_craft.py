@@ -10,7 +10,6 @@ from quad_bridge.craft import (
     Craft,
     Motor,
     X,
-    ardupilot_channels,
     from_urdf,
     of_ardupilot,
     of_betaflight,
@@ -66,16 +65,6 @@ def test_autopilots_of_one_frame_describe_the_same_craft():
         (of_betaflight({'mixer': 1}), 'TRI'),
     ):
         assert part in why
-
-
-def test_channels_of_ardupilot_are_those_of_the_servo_functions():
-    functions = {f'SERVO{n}_FUNCTION': float(f) for n, f in
-                 ((1, 0), (9, 33), (10, 34), (11, 35), (12, 36))}
-    assert ardupilot_channels(functions, 4) == (9, 10, 11, 12)
-    assert ardupilot_channels({}, 6) == (1, 2, 3, 4, 5, 6)
-    ten = {f'SERVO{n}_FUNCTION': float(f) for n, f in
-           enumerate((*range(33, 41), 82, 83), 1)}
-    assert ardupilot_channels(ten, 10) == tuple(range(1, 11))
 
 
 ARM = """<robot name="drawn"><link name="root"/><link name="base_link"><inertial>

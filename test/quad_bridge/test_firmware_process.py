@@ -170,20 +170,6 @@ def refused(*command):
     return run.stderr
 
 
-@pytest.mark.parametrize(
-    ('given', 'words'),
-    [
-        (['--link'], '--link: needs a value'),
-        (['--key', ''], '--key: needs a value'),
-        (['--rate', '3'], '--rate: known are --link PATH'),
-        (['--link', '/nowhere/port'], '/nowhere/port: No such file or directory'),
-    ],
-)
-def test_what_the_firmware_does_not_understand_it_says(firmware, given, words):
-    told = refused(firmware('checked/quad_firmware'), *given)
-    assert (told.count('\n'), words in told) == (1, True), told
-
-
 def test_the_firmware_ends_with_its_simulation_and_the_simulation_with_it(rig):
     rig.start_host()
     firmware = child_of(rig.host.pid)

@@ -187,6 +187,9 @@ def test_the_timer_keeps_250_hz_to_the_microsecond(firmware):
 PAGE_BYTES, PAGES_AT = 128 * 1024, 0x080C0000
 
 
+NEARLY_FULL = 2 * (PAGE_BYTES // (4 * len(ROWS) + 12)) - 8
+
+
 def kept_sets(number):
     """The flash after so many confirmed sets; roll.rate.kp is their number / 10000."""
     names = ''.join(name.ljust(16, '\0') for name in WIRE_NAMES.values()).encode()
@@ -204,7 +207,7 @@ def kept_sets(number):
 
 def test_a_flash_full_of_sets_holds_up_neither_boot_nor_loop(firmware, tmp_path):
     """By the flight board's own watchdog; the set that is confirmed cannot be kept in QEMU."""
-    (tmp_path / 'pages').write_bytes(kept_sets(980))
+    (tmp_path / 'pages').write_bytes(kept_sets(NEARLY_FULL))
     command = (EMULATOR, '-M', MACHINE, '-display', 'none', '-monitor', 'none', '-serial', 'stdio',
                '-kernel', firmware('strict.elf'), *EXACT, '-device',
                f'loader,file={tmp_path / "pages"},addr={PAGES_AT:#x},force-raw=on')  # fmt: skip
@@ -226,7 +229,7 @@ def test_a_flash_full_of_sets_holds_up_neither_boot_nor_loop(firmware, tmp_path)
     said = [x.text for x in heard(f.StatusText)]
     assert not any('watchdog' in text for text in said)
     assert 'flash: these gains end with the power' in said
-    assert heard(f.ParamValue)[0].value == pytest.approx(0.098)
+    assert heard(f.ParamValue)[0].value == pytest.approx(1e-4 * NEARLY_FULL)
     assert {b.cycle - a.cycle for a, b in pairwise(heard(f.Cycle))} == {1}
 
 

@@ -16,16 +16,12 @@ asked for), breadth first over the real code of both ends. The invariants, check
 import functools
 import math
 from functools import partial
-from itertools import product
 
 import pytest
 from flight_controller import (
-    DROPPED,
     INDEX,
-    Fault,
     FlightController,
     Store,
-    changed,
     clone,
     explore,
 )
@@ -37,7 +33,6 @@ from quad_bridge.gains.table import CONTRACT_NAMES
 from quad_bridge.wire.frames import (
     GainsAction,
     GainsCommand,
-    GainsPhase,
     ParamRequestList,
     ParamRequestRead,
     ParamValue,
@@ -313,27 +308,20 @@ def label(frame):
     return getattr(frame, 'name', '')
 
 
-def lost(what, times, how=DROPPED):
-    matches = what if callable(what) else lambda frame: label(frame) == what
-    return Fault(matches, how, times=times)
-
-
 class Talk:
-    """A protocol and a flight controller, 10 ms after 10 ms; `up` and `deaf` lose frames."""
+    """A protocol and a flight controller, 10 ms after 10 ms."""
 
     def __init__(self):
         self.far, self.now_s = FlightController(parameters=OLD), 0.0
-        self.bridge, self.up, self.deaf = GainProtocol(), lambda x: [x], lambda x: [x]
+        self.bridge = GainProtocol()
 
     def until(self, *whats, seconds=30.0):
         """Talk until one of these has happened; the event."""
         for _ in range(round(100 * seconds)):
             self.now_s += 0.01
             frame = self.bridge.poll(self.now_s)
-            for arrived in self.up(frame) if frame is not None else []:
-                for reply in self.far.answer(arrived, round(1e9 * self.now_s)):
-                    if self.deaf(arrived):
-                        self.bridge.take(reply, self.now_s)
+            for reply in [] if frame is None else self.far.answer(frame, round(1e9 * self.now_s)):
+                self.bridge.take(reply, self.now_s)
             events, self.bridge.events = self.bridge.events, []
             for event in events:
                 if event.what in whats:
@@ -366,82 +354,3 @@ def test_all_are_written_and_take_effect_together_in_one_order_of_frames(talk):
     assert talk.flown() == WRITTEN
     assert [label(x) for x in talk.far.heard] == ['OPEN', A, B, 'COMMIT', A, B]
     assert talk.far.heard[0].transaction == 1
-
-
-@pytest.mark.parametrize(
-    ('way', 'what', 'how'),
-    [
-        *product(('up', 'deaf'), ('OPEN', B, 'COMMIT'), (DROPPED,)),
-        ('up', B, changed(value=lambda x: 1.07 * x.value)),
-    ],
-)
-def test_three_faults_of_any_frame_do_no_harm(talk, way, what, how):
-    fault = lost(what, 3, how)
-    setattr(talk, way, fault)
-    talk.bridge.write(SET, 9000)
-    talk.until(What.COMMITTED)
-    assert talk.flown() == WRITTEN
-    assert fault.times == 0
-
-
-def spoilt(spoil):
-    """What `spoil` does to the flight controller when the set is to be committed."""
-    return 'up', lambda far: lambda x: [x] if label(x) != 'COMMIT' or spoil(far) is None else []
-
-
-def four(way, what):
-    """Four losses of a frame, or of the answer to it."""
-    return way, lambda _far: lost(what, 4)
-
-
-@pytest.mark.parametrize(
-    ('fault', 'reason'),
-    [
-        (four('up', 'OPEN'), 'no answer to 4 tries while opening'),
-        (four('up', B), f'{B}: no answer to 4 tries while writing'),
-        (four('up', 'COMMIT'), 'no answer to 4 tries while committing'),
-        (four('deaf', 'COMMIT'), 'no answer to 4 tries while committing'),
-        (four('up', lambda x: isinstance(x, ParamRequestRead) and x.name == B),
-         f'{B}: no answer to 4 tries while reading back'),
-        # a value that does not fit the firmware's bounds
-        (('up', lambda _far: lost(B, 99, changed(value=lambda _: 7.0))),
-         f'{B}: the STM32 kept 0.5 instead of 0.625'),
-        # a stray write that nobody read back
-        (spoilt(lambda far: far.store.write(B, 0.7)), 'the STM32 refused the set: checksum'),
-        (spoilt(lambda far: far.reports.update({B: 7.0})),
-         f'{B}: the STM32 kept 7 instead of 0.625'),
-    ],
-)  # fmt: skip
-def test_what_goes_wrong_with_a_set_leaves_the_old_one(talk, fault, reason):
-    way, make = fault
-    setattr(talk, way, make(talk.far))
-    talk.bridge.write(SET, 9000)
-    assert talk.until(What.FAILED).reason == reason
-    assert (talk.flown(), talk.far.store.state().phase) == (OLD_SET, GainsPhase.IDLE)
-
-
-@pytest.mark.parametrize(
-    ('way', 'what', 'flown'), [('up', What.REVERTED, OLD_SET), ('deaf', What.CONFIRMED, WRITTEN)]
-)
-def test_a_set_asked_back_while_it_is_confirmed_goes_back_unless_it_is_by_then(
-    talk, way, what, flown
-):
-    talk.bridge.write(SET, 9000)
-    talk.until(What.COMMITTED)
-    setattr(talk, way, lost('CONFIRM', 99))
-    talk.bridge.confirm()
-    talk.bridge.poll(talk.now_s)
-    talk.far.store.flown_us = talk.far.store.watch_us // 2
-    if way == 'deaf':
-        talk.far.answer(GainsCommand(int(GainsAction.CONFIRM), talk.bridge._number))
-    talk.bridge.revert('why')
-    event = talk.until(What.REVERTED, What.CONFIRMED)
-    assert (event.what, event.reason) == (what, 'why')
-    assert talk.flown() == flown
-
-
-def test_a_set_that_somebody_else_has_changed_is_read_again(talk):
-    talk.far.store.active[INDEX[B]] = 0.75
-    talk.bridge.take(talk.far.store.state(), talk.now_s)
-    assert talk.bridge.active == {}
-    assert talk.until(What.READ).active['roll.rate.ki'] == 0.75

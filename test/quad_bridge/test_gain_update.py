@@ -18,10 +18,8 @@ are stand-ins that speak when the walk says so. In every state that can be reach
    set stays on trial.
 """
 
-import errno
 import json
 import math
-import os
 import threading
 from dataclasses import replace
 
@@ -404,17 +402,6 @@ def test_on_the_ground_the_next_step_waits_for_flight_and_who_asked_is_told(tmp_
     bench.until('step 2 of 2')
 
 
-def test_a_set_that_shakes_after_take_off_is_taken_back_though_it_lay_still_before(tmp_path):
-    """Roll rates of 1.5 rad/s RMS, as an aircraft with seven times the gain had."""
-    bench = Bench(tmp_path)
-    bench.gains.watch = GainWatch(50.0)
-    bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
-    assert any('in force' in text for text in bench.goes_on(20.0))
-    bench.flags, bench.shakes = f.Flag.ARMED, 2.1
-    assert 'roll' in bench.until('rolled back')
-    assert not any('confirmed' in text for text in bench.goes_on())
-
-
 def test_the_next_flight_is_held_to_the_last_good_one(tmp_path):
     """0.6 rad/s at 12 rad/s: a sound aircraft may, one that has flown with 0.05 may not."""
     for calm in (False, True):
@@ -442,16 +429,6 @@ def test_a_link_too_slow_for_the_watch_gets_no_gains(tmp_path, rate_hz):
             bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
     else:
         bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
-
-
-def test_a_rollback_drops_the_gains_that_wait_for_the_polarity_check(tmp_path):
-    bench = Bench(tmp_path)
-    bench.gains.polarity, bench.flags = Pulses(), f.Flag.ARMED
-    bench.gains.cycle(cycle(bench.flags), bench.now_s)
-    bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
-    bench.gains.ask({'rollback': True, 'source': 'pilot'}, bench.now_s)
-    assert 'a rollback was asked for' in bench.until('refused')
-    assert not any('in force' in text for text in bench.goes_on())
 
 
 # The history.
@@ -505,41 +482,3 @@ def test_a_disk_that_takes_seconds_holds_up_nothing(tmp_path, monkeypatch):
         if thread.name == 'gain history':
             thread.join(60.0)
     assert len(lines()) == 5
-
-
-def test_a_disk_that_takes_a_part_of_a_line_loses_no_set_in_silence(tmp_path, monkeypatch):
-    write, kept, room = os.write, History(tmp_path, lambda job: job()), []
-
-    def some(file, data):  # as a disk does that fills up
-        if not room:
-            raise OSError(errno.ENOSPC, 'No space left on device')
-        return write(file, data[: room.pop()])
-
-    kept.open('one')
-    monkeypatch.setattr(history.os, 'write', some)
-    room[:] = [1000, 20]
-    kept.found({'roll.rate.kp': 0.1})
-    assert not kept.fault
-    room[:] = [20]
-    kept.found({'roll.rate.kp': 0.2})
-    assert 'No space left' in kept.fault
-    monkeypatch.setattr(history.os, 'write', write)
-    kept.found({'roll.rate.kp': 0.2})
-    lines = (tmp_path / 'one' / 'gains.jsonl').read_text().splitlines()
-    assert ['"roll.rate.kp": 0.1}' in lines[0], '"roll.rate.kp": 0.2}' in lines[2]] == [True] * 2
-    assert len(lines) == 3
-
-
-@pytest.mark.parametrize('rate_hz', [10.0, 2000.0])
-def test_a_loop_whose_rate_the_watch_does_not_know_is_refused(tmp_path, rate_hz):
-    walk = Walk(tmp_path)
-    walk.stm32.active[RATE] = walk.stm32.good[RATE] = rate_hz
-    walk.gains.take(walk.stm32.state(), 0.0)
-    walk.gains.polarity.known = True
-    for _ in range(20):
-        walk.tick()
-        walk.exchange()
-    walk.cycle(f.Flag.ARMED)
-    assert walk.gains.active['loop.rate_hz'] == rate_hz
-    with pytest.raises(RefusedError, match=f'at 50 to 1000 Hz: found {rate_hz:g}'):
-        walk.gains.ask({'roll.rate.kp': 0.12, 'source': 'test'}, 0.0)

@@ -10,7 +10,6 @@ from autopilots import (
     BETAFLIGHT,
     GRAVITY,
     PX4,
-    SET_MESSAGE_INTERVAL,
     Autopilot,
     Party,
     mav,
@@ -20,8 +19,7 @@ from flight_controller import Datagrams, Line, Port
 from quad_bridge.craft import LAYOUTS, from_urdf
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.link.report import clock_status
-from quad_bridge.motor_outputs import MotorOutputs, motor_outputs
-from quad_bridge.wire import frames as f
+from quad_bridge.motor_outputs import motor_outputs
 
 HOST0_NS = 5_000_000_000
 OURS = ['/control/wrench', '/setpoint/attitude', '/setpoint/rates', '/excitation/applied']
@@ -114,15 +112,6 @@ def test_betaflights_rates_of_exactly_zero_are_unknown_and_its_raw_channels_are_
     assert set(sticks) == {(1500, 1600, 1200, 1450)}
 
 
-def test_an_aircraft_at_rest_has_rates_that_are_zero_and_known():
-    peer = Autopilot(BETAFLIGHT)
-    peer.edit = lambda name, m: (
-        mav.MAVLink_attitude_message(m.time_boot_ms, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
-        if name == 'ATTITUDE' else m
-    )  # fmt: skip
-    assert {frame.gyro for frame in inertial(flown(peer))} == {(0.0, 0.0, 0.0)}
-
-
 ONE_EACH = {
     '/imu/data': ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE'),
     '/imu/mag': ('HIGHRES_IMU', 'SCALED_IMU'),
@@ -164,22 +153,6 @@ def test_no_stamp_of_any_topic_jumps_where_a_counter_wraps(kind, boot_us):
     assert late_rate_hz(line, topic) >= least_hz
 
 
-@pytest.mark.parametrize('false_ms', [0, 2**32 - 1], ids=['of the boot', '49.7 days ahead'])
-def test_a_time_that_cannot_be_is_dropped_and_counted(false_ms):
-    peer = Autopilot(PX4, boot_us=60_000_000)
-
-    def late_stick(name, message):
-        if name == 'RC_CHANNELS' and peer.step % 250 > 125:
-            message.time_boot_ms = false_ms
-        return message
-
-    peer.edit = late_stick
-    line = flown(peer)
-    assert false_ms not in [getattr(item.frame, 'time_ms', None) for item in line.out]
-    stamps_are_true(line)
-    assert line.link.stamping.false_times > 30
-
-
 @pytest.mark.parametrize(('taken_s', 'words', 'one_way'), [
     (0.004, 'converged', False),
     (0.040, 'TIMESYNC takes 40 ms there and back, more than 10: stamps are times of arriv', True),
@@ -192,13 +165,6 @@ def test_slow_answers_to_timesync_are_told_as_that(taken_s, words, one_way):
     assert words in told.message
     assert line.link.clock.one_way == one_way
     stamps_are_true(line, off_ms=2.5)
-
-
-def test_what_is_not_given_is_asked_for_ever_less_often_and_named():
-    line = flown(Autopilot(PX4, most_hz={'HIGHRES_IMU': 50.0}, unasked={'HIGHRES_IMU': 1.0}), 60.0)
-    assert 4 <= len(line.controller.asked['HIGHRES_IMU']) <= 7
-    assert line.link.autopilot.slow_ones(line.now_ns) == ['HIGHRES_IMU']
-    assert not line.link.autopilot.lowered
 
 
 def test_an_autopilot_that_restarts_is_raised_again_and_nobody_is_blamed():
@@ -281,13 +247,6 @@ class Shared(Line):
             self.fly(every_s)
 
 
-def interval(name, hz):
-    number = next(n for n, m in mav.mavlink_map.items() if m.msgname == name)
-    return mav.MAVLink_command_long_message(
-        1, 1, SET_MESSAGE_INTERVAL, 0, float(number), 1e6 / hz, 0, 0, 0, 0, 0
-    )
-
-
 GROUND_STATION = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
 MAVROS = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
 
@@ -311,57 +270,7 @@ def test_a_program_beside_is_not_taken_for_the_aircraft(sender, beat):
     assert {'TIMESYNC', 'PARAM_VALUE'} <= {m.get_type() for m in line.party_heard}
 
 
-def test_answers_to_anothers_timesync_tell_our_clock_nothing():
-    """A router hands the autopilot's answers to all; another clock's times stand in these."""
-    line = Shared(Autopilot(PX4), Party(1, 240))
-    line.fly(2.0)
-    accepted, offset = line.link.clock.accepted, line.link.clock.offset_ns
-    for k in range(50):
-        line.say_party(mav.MAVLink_timesync_message(0, line.now_ns - 700_000_000 + k))
-    assert line.link.clock.accepted == accepted
-    line.fly(2.0)
-    assert line.link.clock.offset_ns == pytest.approx(offset, abs=1e5)
-    assert line.link.clock.restarts == 0
-
-
-def test_who_lowers_the_rates_beside_us_is_outbid_and_named():
-    line = Shared(Autopilot(PX4, only=('HIGHRES_IMU', 'ATTITUDE')), Party(255, 190))
-    line.fly(3.0)
-    line.fly_beside(10.0, 5.0, interval('HIGHRES_IMU', 10.0), interval('ATTITUDE', 4.0))
-    assert late_rate_hz(line, '/imu/data') == pytest.approx(250.0, abs=2)
-    assert line.link.autopilot.lowered == {'HIGHRES_IMU', 'ATTITUDE'}
-    assert len(line.controller.asked['HIGHRES_IMU']) <= 2 + 2 * 2
-
-
 # The node.
-
-
-def test_messages_in_ros_units_and_axes():
-    pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
-    from quad_bridge.nodes import conversion
-
-    imu = conversion.inertial_message(
-        Inertial(0, (0.5, -0.25, 0.125), (0.0, 0.0, -9.81), None), 7_000_000_001
-    )
-    assert imu.header.stamp.nanosec == 1
-    rate = imu.angular_velocity
-    assert (rate.x, rate.y, rate.z) == (0.5, 0.25, -0.125)
-    assert imu.linear_acceleration.z == 9.81
-    assert imu.orientation_covariance[0] == -1.0
-    imu = conversion.inertial_message(Inertial(0, None, None, (0.0, 0.0, 0.0)), 1)
-    assert imu.linear_acceleration_covariance[0] == -1.0
-    assert imu.angular_velocity_covariance[0] == -1.0
-    # front right 0.1, rear left 0.2, front left 0.3, rear right 0.4 in the autopilots' order
-    motors = conversion.outputs_message(
-        f.Outputs(0, 0, (1100, 1200, 1300, 1400)), MotorOutputs(), 1
-    )
-    assert list(motors.effort) == pytest.approx([0.2, 0.4, 0.1, 0.3])
-    speeds = f.RotorSpeeds(0, (600.0, math.nan, 1200.0, 1800.0))
-    motors = MotorOutputs(LAYOUTS['px4_quad_x'], (0, 1, 2, 3))
-    rotors = conversion.rotors_message(speeds, motors, 1)
-    assert list(rotors.name) == ['motor_1', 'motor_2', 'motor_3', 'motor_4']
-    turns = [20 * math.pi, math.nan, 40 * math.pi, 60 * math.pi]
-    assert list(rotors.velocity) == pytest.approx(turns, nan_ok=True)
 
 
 PUBLISHED = ('/imu/data', '/motors/command', '/motors/state', '/rc/in', '/imu/mag', '/baro',

@@ -49,15 +49,6 @@ def test_a_stamp_in_the_future_is_held_back_and_does_not_stop_the_others(line):
     assert len(line.out) == published + 8
 
 
-def test_another_aircraft_is_heard_once_the_first_is_silent(line):
-    other = Encoder(7, 1)
-    assert line.link.receive(other.encode(f.StatusText(4, 'me too')), line.now_ns) == []
-    line.link.tick(line.now_ns + 4_000_000_000)
-    (heard,) = line.link.receive(other.encode(f.StatusText(4, 'now me')), line.now_ns)
-    assert heard.frame.text == 'now me'
-    assert line.link.decoder.counts.foreign == 1
-
-
 def answered_by(station, line, ahead_ns):
     """Another one answers TIMESYNC, by a clock that is so far ahead of the aircraft's."""
     for _ in range(20):

@@ -4,7 +4,6 @@ import fcntl
 import os
 import socket
 import threading
-from types import SimpleNamespace
 
 import pytest
 from flight_controller import Pty
@@ -91,15 +90,6 @@ def test_hang_up_and_replug_under_the_same_name(line, start):
     assert port.status.opened == 2
 
 
-def test_a_link_that_leads_elsewhere_is_followed_though_nothing_has_hung_up(line, start):
-    """As /dev/serial/by-id after a re-enumeration that left the old device half-open."""
-    port = start(line.link)
-    line.link.unlink()
-    line.plug()  # the old pty stays open, and silent
-    until(lambda: port.openings == 2)
-    port.hears(line, b'new')
-
-
 def test_a_silent_one_of_several_is_left_for_the_next(tmp_path, start, monkeypatch):
     monkeypatch.setattr(serial_port, 'HALF_OPEN_S', (0.3, 60.0))
     Pty(tmp_path / 'ttyACM0')
@@ -107,20 +97,6 @@ def test_a_silent_one_of_several_is_left_for_the_next(tmp_path, start, monkeypat
     port = start(tmp_path / 'ttyACM*')
     until(lambda: port.status.path.endswith('1'))
     port.hears(talking, b'x')
-
-
-def test_a_silent_port_is_opened_anew_ever_less_often(line, start, monkeypatch):
-    monkeypatch.setattr(serial_port, 'HALF_OPEN_S', (0.05, 1e9))
-    port = start(line.link)
-    until(lambda: port.openings == 3)
-    port.hears(line, b'x')
-    assert port.status.state is PortState.OPEN
-
-
-def test_a_file_that_is_no_terminal_is_said_to_be_unusable(tmp_path, start):
-    path = tmp_path / 'file'
-    path.write_text('text', encoding='utf-8')
-    assert '\n' not in start(path, PortState.UNUSABLE).status.detail
 
 
 def test_an_output_that_takes_frames_in_parts_tears_none(line, start, monkeypatch):
@@ -160,38 +136,8 @@ def test_no_write_waits_for_a_terminal_whose_output_is_full(line, start):
     assert port.status.state is PortState.OPEN
 
 
-def test_no_write_waits_for_a_network_peer_that_stops_reading(start):
-    with socket.socket() as deaf:  # accepts and never reads
-        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-        deaf.bind(('127.0.0.1', 0))
-        deaf.listen(1)
-        port = start(f'socket://127.0.0.1:{deaf.getsockname()[1]}')
-        assert written(port, 100_000)  # 6 MB, more than both ends buffer
-    assert port.status.dropped_writes > 1000
-
-
 def test_a_network_peer_that_does_not_listen_is_said_to_be_unreachable(start):
     with socket.socket() as closed:
         closed.bind(('127.0.0.1', 0))
         url = f'socket://127.0.0.1:{closed.getsockname()[1]}'
         assert 'refused' in start(url, PortState.UNREACHABLE).status.detail
-
-
-def test_what_opens_after_the_stop_is_not_announced(monkeypatch):
-    """A network's peer may be waited for longer than anybody waits for the thread."""
-    opening, stopped = threading.Event(), threading.Event()
-
-    def late(*_args, **_named):
-        opening.set()
-        stopped.wait(PATIENCE_S)
-        return SimpleNamespace(close=lambda: None, fileno=lambda: -1)
-
-    monkeypatch.setattr(serial_port.serial, 'serial_for_url', late)
-    port = Started('socket://far')
-    port.start()
-    assert opening.wait(PATIENCE_S)
-    port.stop()  # does not wait for it
-    assert port._thread.is_alive()
-    stopped.set()
-    port._thread.join(PATIENCE_S)
-    assert (port.status.state, port.openings) == (PortState.CLOSED, 0)

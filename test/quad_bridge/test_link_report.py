@@ -7,13 +7,12 @@ from flight_controller import STILL
 
 pytest.importorskip('diagnostic_msgs.msg', reason='needs the ROS 2 message packages')
 
-from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import PortState, PortStatus
-from quad_bridge.link.report import LinkReport, clock_status
+from quad_bridge.link.report import LinkReport
 from quad_bridge.status import ERROR, OK, WARN
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.codec import Decoder, Encoder
+from quad_bridge.wire.codec import Encoder
 from quad_bridge.wire.signing import Signing
 
 OPEN = PortStatus(PortState.OPEN, '', 1, 0)
@@ -66,36 +65,3 @@ def test_the_link_says_what_is_wrong_in_its_own_words(story):
         link.receive(data, 0)
         status, _ = report.entries(port, now_s)
         assert (status.level, words in status.message) == (level, True), status.message
-
-
-def test_the_clock_says_why_nothing_is_published():
-    def told(now_s=0.0):
-        return clock_status(link, 0, unset=False, now_s=now_s)
-
-    link = Link()
-    assert 'no answer to TIMESYNC' in told().message
-    signed = Encoder(1, 1, Signing(bytes(range(32)), lambda: 2**45))
-    link.receive(signed.encode(f.Heartbeat()), 0)
-    assert 'answers only who has its key: set key_file' in told().message
-    link.clock.add(0, 100, 200)
-    assert 'not converged' in told().message
-    for k in range(10):
-        link.clock.add(1000 * k, 1000 * k + 100, 1000 * k + 200)
-    assert told().level == OK
-    late = told(4.0)
-    assert (late.level, 'for 4 s: does the aircraft hear us?' in late.message) == (WARN, True)
-
-
-def test_the_excitation_state_follows_the_flags():
-    def told(flags):
-        (frame,) = Decoder().feed(cycle(1, int(flags)))
-        return relay.status(frame, 0.0)
-
-    relay = ExcitationRelay(100)
-    assert relay.status(None, 0.0).message == 'idle'
-    status = told(f.Flag.ARMED | f.Flag.EXCITATION)
-    assert status.message == 'running'
-    assert status.values['flags of the STM32'] == 'armed excitation'
-    assert 'stale' in told(f.Flag.STALE_SETPOINT).message
-    relay.setpoint(0.1, 0.0, 0.0)
-    assert 'no segment is running' in told(f.Flag.STALE_SETPOINT).message

@@ -1,23 +1,19 @@
 """A recording on a disk that is full, slow, read-only or gone: what is kept, counted and said."""
 
 import errno
-import json
 import os
 import shutil
 import struct
-import subprocess
-import sys
 import threading
 import time
 
 import pytest
 from node_process import until
-from probe import PATIENCE_S
 from rosbags.highlevel import AnyReader
 
 from quad_bridge import status as level
 from quad_bridge.log import mcap
-from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
+from quad_bridge.log.recording import Gaps, Recording, recording_status
 from quad_bridge.log.recover import recover
 from quad_bridge.log.stored.scan import McapScan
 from quad_bridge.log.writer import BagWriter, Limits
@@ -136,80 +132,6 @@ def test_a_write_that_fails_costs_only_what_no_later_one_can_store(
     assert numbers_in(recover(bag).path if kept < 200 else bag) == list(range(kept))
 
 
-ON_A_SMALL_DISK = """
-import json, os, struct, sys, time
-from pathlib import Path
-from quad_bridge.log.writer import BagWriter, Limits
-from quad_bridge.errors import BadInputError
-from quad_bridge.log.recording import Recording
-from quad_bridge.log.recover import recover
-from rosbags.highlevel import AnyReader
-
-def refusal(work):
-    try:
-        work()
-    except BadInputError as error:
-        return str(error)
-
-folder = Path(sys.argv[1])
-large = refusal(lambda: BagWriter(folder / 'large', Limits(reserve_bytes=20_000_000)))
-recording = Recording(BagWriter(folder / 'bag', Limits(reserve_bytes=5_000_000)))
-recording.declare('/setpoint/rates', 'geometry_msgs/msg/Vector3Stamped', ())
-k = 0
-while not recording.status.failure and k < 100_000:
-    for _ in range(64):
-        recording.put('/setpoint/rates', 10**18 + k, struct.pack('<4xQ', k) + bytes(500))
-        k += 1
-    time.sleep(0.002)
-status = recording.stop()
-with AnyReader([folder / 'bag']) as reader:
-    found = [struct.unpack_from('<Q', raw, 4)[0] for _, _, raw in reader.messages()]
-again = refusal(lambda: recover(folder / 'bag'))
-print(json.dumps({
-    'large': large, 'failure': status.failure, 'written': status.written,
-    'dropped': status.dropped, 'put': k, 'whole': found == list(range(len(found))),
-    'found': len(found), 'again': again, 'left': sorted(p.name for p in folder.iterdir()),
-}))
-"""
-
-
-def test_a_full_disk_ends_with_a_sound_bag_which_cannot_be_copied_there(tmp_path):
-    mount = 'mount -t tmpfs -o size=16m none "$1" && shift && exec "$@"'
-    command = ['unshare', '-rm', 'sh', '-c', mount, 'sh', str(tmp_path)]
-    if shutil.which('unshare') is None or subprocess.run(
-        [*command, 'true'], check=False, capture_output=True
-    ).returncode:
-        pytest.skip('no mount namespaces here: a disk of known size cannot be had')
-    done = subprocess.run(
-        [*command, sys.executable, '-c', ON_A_SMALL_DISK, str(tmp_path)],
-        capture_output=True, text=True, check=False, timeout=PATIENCE_S,
-        env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path), 'TMPDIR': str(tmp_path)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert 'needs 24 MB of free disk for a flight' in told['large']
-    assert 'No space left' in told['failure']
-    assert 'the bag is closed, whole up to here' in told['failure']
-    assert told['whole']
-    assert told['found'] == told['written'] > 3000
-    assert told['written'] + told['dropped'] == told['put']
-    # nor is there room for a recovery, of which nothing is left
-    assert 'bag_recovered: cannot be written: No space left on device' in told['again']
-    assert told['left'] == ['bag']
-
-
-def test_whatever_goes_wrong_in_the_writers_thread_ends_the_recording(bag):
-    recording = started(bag)
-    put(recording, range(10))
-    recording.put(TOPIC, -5, numbered(10))  # no time of an mcap file
-    until(lambda: recording.status.failure)
-    put(recording, range(11, 20))
-    status = recording.stop()
-    assert 'writing failed' in status.failure
-    assert status.dropped >= 9
-    assert numbers_in(bag) == list(range(status.written))
-
-
 # One bag, several files.
 
 
@@ -252,18 +174,6 @@ def test_of_a_split_bag_all_files_are_recovered_and_a_missing_one_is_told(bag):
 
 
 # What is said, and what the middleware lost.
-
-
-def test_the_status_warns_of_losses_and_names_a_failure(tmp_path):
-    def status(free_bytes=10**10, **changes):
-        base = {'written': 5, 'waiting': 0, 'dropped': 0, 'lost': 0, 'failure': ''}
-        entry = recording_status(RecordingStatus(tmp_path, **{**base, **changes}), '', free_bytes)
-        return entry.level, entry.message
-
-    assert status() == (level.OK, 'recording')
-    assert status(dropped=2, lost=1) == (level.WARN, 'recording, 3 messages lost')
-    assert 'nearly full: 50 MB are free' in status(free_bytes=50_000_000)[1]
-    assert status(failure='disk is full') == (level.ERROR, 'disk is full')
 
 
 @pytest.mark.parametrize(

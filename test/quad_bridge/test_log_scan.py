@@ -18,13 +18,9 @@ from quad_bridge.log.recover import recover
 from quad_bridge.log.stored import scan
 from quad_bridge.log.stored.records import (
     CHUNK,
-    DATA_END,
     MAGIC,
-    MESSAGE_INDEX,
     RECORD,
-    STATISTICS,
     end_of,
-    summary_of,
 )
 from quad_bridge.log.stored.scan import McapScan
 from quad_bridge.log.writer import BagWriter, Limits
@@ -116,65 +112,6 @@ def chunk(data, k):
     return positions(data, CHUNK)[k]
 
 
-def end_within(data):
-    ((begin, end),) = positions(data, DATA_END)
-    cut, _ = chunk(data, 5)
-    return data[:cut] + data[begin:end] + data[cut:]
-
-
-def short_index(data):
-    _, end = positions(data, MESSAGE_INDEX)[9]
-    return data[: end - 20] + data[end:]
-
-
-DAMAGE = {
-    **{f'length, bit {bit}': (2, ('none', True, False),
-       lambda d, bit=bit: flipped(d, chunk(d, 2)[0] + 1 + bit // 8, 1 << bit % 8))
-       for bit in (3, 11, 13, 16, 40)},
-    **{f'opcode {code:#x}': (3, ('zstd', False),
-       lambda d, code=code: flipped(d, chunk(d, 3)[0], CHUNK ^ code))
-       for code in (0x02, 0x05, 0x07, 0x0F, 0x86)},
-    **{f'index {k}, byte {at}': (None, ('none', False),
-       lambda d, k=k, at=at: flipped(d, positions(d, MESSAGE_INDEX)[k][0] + at, 0x21))
-       for k in (0, 9) for at in (0, 3, 9, 20)},
-    # which does not make it one that is cut off, of which the first messages are read
-    'the end of the last chunk': (9, ('none', False),
-       lambda d: d[: chunk(d, 9)[1] - 999] + bytes(len(d) - chunk(d, 9)[1] + 998) + b'!'),
-    'an index with bytes missing': (None, ('none', False), short_index),
-    # the length of that chunk, read a byte too late, looks like a footer
-    'an index with a byte missing before chunk 6': (None, ('lz4', False),
-       lambda d: d[: chunk(d, 6)[0] - 100] + d[chunk(d, 6)[0] - 99 :]),
-    'an end within the data': (None, ('none', True), end_within),
-    'statistics': (None, ('none', True),
-       lambda d: flipped(d, positions(d, STATISTICS)[0][0] + RECORD.size + 1, 0x40)),
-}  # fmt: skip
-"""Which chunk is lost by it, which files have it, and how it is made."""
-
-
-@pytest.mark.parametrize('name', DAMAGE)
-def test_damage_of_a_record_costs_its_chunk_at_most(sound, name):
-    lost, (compression, *kinds), damage = DAMAGE[name]
-    for closed in kinds:
-        data, ledger = sound[compression, closed]
-        damaged, got = read(damage(data))
-        kept = ledger if lost is None else ledger[: lost * EVERY] + ledger[(lost + 1) * EVERY :]
-        assert got == kept
-        assert damaged.lost == (len(ledger) - len(got) if closed and lost is not None else 0)
-        assert damaged.ended or 'an end' not in name
-        assert lost is None or damaged.unread
-
-
-def test_statistics_of_a_damaged_summary_do_not_count(tmp_path, sound):
-    data, ledger = sound['none', True]
-    assert summary_of(data)[2] == len(ledger)
-    noisy = bytes(DAMAGE['statistics'][2](data))
-    assert summary_of(noisy) is None
-    damaged, _ = read(noisy)
-    (tmp_path / 'damaged.mcap').write_bytes(noisy)
-    assert (damaged.ended, damaged.complete) == (True, False)
-    assert 'its summary is damaged' in '\n'.join(recover(tmp_path / 'damaged.mcap').notes)
-
-
 @pytest.mark.parametrize('closed', [True, False])
 def test_a_damaged_chunk_is_told_and_never_complete(tmp_path, sound, closed):
     data, ledger = sound['none', closed]
@@ -190,20 +127,6 @@ def test_a_damaged_chunk_is_told_and_never_complete(tmp_path, sound, closed):
     assert ('its statistics count 400 messages' in said) is closed
     got = read((result.path / 'bag_recovered_0.mcap').read_bytes())[1]
     assert got == ledger[: 4 * EVERY] + ledger[5 * EVERY :]
-
-
-def test_a_damaged_chunk_does_not_hide_the_next_one_nor_the_names(sound):
-    data, ledger = sound['none', False]
-    begin, _ = chunk(data, 4)
-    # bytes are missing from a chunk: by its lengths it ends within the next one
-    _, got = read(data[: begin + 500] + data[begin + 1100 :])
-    assert got == ledger[: 4 * EVERY] + ledger[5 * EVERY :]
-    for key in KINDS:
-        data, ledger = sound[key]
-        begin, end = chunk(data, 0)
-        damaged, got = read(data[: begin + 9] + bytes(end - begin - 9) + data[end:])
-        assert got == ledger[EVERY:]
-        assert damaged.unnamed == 0
 
 
 HARMS = ('flip', 'cut', 'tail', 'zero', 'page', 'swap', 'remove', 'insert')
@@ -257,7 +180,7 @@ def only_damaged_chunks_are_lost(bag, rng):
         assert damaged.lost == missing.total()
 
 
-COUNTS = [12, pytest.param(2300, marks=pytest.mark.long)]
+COUNTS = [25, pytest.param(2300, marks=pytest.mark.long)]
 """Damaged bags of each kind: a sample, and some 9,200 in all."""
 
 
@@ -360,21 +283,6 @@ def test_a_damaged_sqlite3_file_is_answered_with_the_command_that_recovers_it(
     assert before == {p.name: p.read_bytes() for p in tmp_path.rglob('*') if p.is_file()}
 
 
-@pytest.mark.parametrize('count', [8, pytest.param(300, marks=pytest.mark.long)])
-def test_noise_in_a_database_ends_in_messages_or_one_line(tmp_path, database, count):
-    file, ledger = database
-    data, rng = file.read_bytes(), random.Random('none 2')
-    for k in range(count):
-        bag = tmp_path / f'x{k}.db3'
-        bag.write_bytes(harmed(data, rng)[0])
-        try:
-            result = recover(bag)
-        except BadInputError as error:
-            assert '\n' not in str(error)  # noqa: PT017
-            continue
-        assert result.messages + result.undecodable <= len(ledger)
-
-
 def test_what_the_files_cannot_tell_metadata_does(tmp_path):
     ledger = made(tmp_path / 'bag', closed=True, split_s=0.4)
     (tmp_path / 'bag' / 'bag_3.mcap').unlink()
@@ -406,20 +314,6 @@ def test_a_bag_without_metadata_is_recovered_with_all_its_types(tmp_path, storag
         assert reader.deserialize(raw, connection.msgtype).a == own.a
     wanted = [('/a', kinds[k % 3 == 0], 1000 + k) for k in range(30)]
     assert [(c.topic, c.msgtype, time_ns) for c, time_ns, _ in got] == wanted
-
-
-def test_a_topic_whose_type_is_damaged_and_rows_that_are_none_do_not_cost_the_others(tmp_path):
-    with theirs(tmp_path / 'bag', 'SQLITE3') as writer:
-        for name in ('/a', '/b'):
-            topic = writer.add_connection(name, VECTOR, typestore=STORE)
-            for k in range(10):
-                writer.write(topic, 1000 + k, b'\0\1\0\0' + bytes([k]))
-    with contextlib.closing(sqlite3.connect(tmp_path / 'bag' / 'bag.db3')) as base, base:
-        base.execute("UPDATE topics SET type='geometry_msgs/msg/Vec' WHERE id=1")
-        base.execute('UPDATE messages SET data=5 WHERE id=20')
-    result = recover(tmp_path / 'bag')
-    assert (result.counts, result.undecodable) == ({'/b': 9}, 11)
-    assert '/a: left out' in '\n'.join(result.notes)
 
 
 @each_storage

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import re
-from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -15,9 +12,7 @@ from probe import event, stamp
 
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage, needed_s, reachable
 from quad_bridge.monitor.view import WIDTH, Entry, State
-from quad_bridge.topics import TOPIC_TYPES
 
-LAYOUTS = Path(__file__).resolve().parents[2] / 'src/quad_bridge/layouts'
 DT = 0.004
 
 
@@ -45,20 +40,6 @@ def test_an_answer_covers_the_band_and_noise_none_of_it():
     assert max(shares) < 0.5
 
 
-def test_low_frequencies_take_longer_and_noise_hides_high_ones():
-    x, y = answered(70.0, 0.05, 3)
-    assert coverage([(x, y)], DT, (0.1, 20.0)).enough
-    short = coverage([(x[:2500], y[:2500])], DT, (0.1, 20.0))
-    assert not short.enough
-    assert not short.coherent[short.w < 2.0 * np.pi / 10.0].any()
-    assert short.coherent[short.w > 2.5].all()
-    loud = coverage([(x, y + 2.0 * np.random.default_rng(4).standard_normal(y.size))], DT,
-                    (0.5, 100.0))
-    assert not loud.enough
-    assert loud.band[1] < 60.0
-    assert coverage([], DT, (0.5, 20.0)).band is None
-
-
 def test_pairs_match_by_stamp_and_break_at_gaps():
     pairs = Pairs()
     for k in range(1000):
@@ -74,17 +55,6 @@ def test_pairs_match_by_stamp_and_break_at_gaps():
     assert all((x == -y).all() for x, y in parts)
     pairs.clear()
     assert pairs.parts() == ([], 0.0)
-
-
-def test_a_few_lost_cycles_do_not_break_a_part():
-    pairs, x, y = Pairs(), *answered(40.0, 0.05, 1)
-    for k in range(x.size):
-        if k % 500 > 10:  # 44 ms
-            pairs.rate(k * 4_000_000, float(y[k]))
-            pairs.excitation(k * 4_000_000, float(x[k]))
-    parts, dt = pairs.parts()
-    assert len(parts) == 1
-    assert coverage(parts, dt, (0.2, 20.0)).enough
 
 
 def full_state() -> State:
@@ -157,21 +127,6 @@ def test_the_band_is_what_the_segments_can_tell_and_the_screen_says_so():
     shown = '\n'.join(state.lines(100.0))
     assert '0.25 to 20 of 0.25 to 20 rad/s' in shown
     assert '0 s trained, 12 s validated; 0.1 rad/s needs 100 s' in shown
-
-
-def test_layouts_show_topics_of_the_contract():
-    curves = [c.get('name') for c in ET.parse(LAYOUTS / 'plotjuggler.xml').iter('curve')]
-    assert len(curves) > 10
-    assert all(any(c.startswith(f'{t}/') for t in TOPIC_TYPES) for c in curves)
-    tree = json.loads((LAYOUTS / 'foxglove.json').read_text())
-    paths = [p['value'] for c in tree['configById'].values() for p in c.get('paths', [])]
-    assert len(paths) > 10
-    assert all(path.partition('.')[0] in TOPIC_TYPES for path in paths)
-
-    def panels(node):
-        return [node] if isinstance(node, str) else panels(node['first']) + panels(node['second'])
-
-    assert sorted(panels(tree['layout'])) == sorted(tree['configById'])
 
 
 def test_the_node_says_when_enough_is_in(probe, start):

@@ -5,8 +5,7 @@ import threading
 import pytest
 
 from quad_bridge.nodes import fence as module
-from quad_bridge.nodes.fence import Fence, LogLimiter
-from quad_bridge.status import OK, WARN
+from quad_bridge.nodes.fence import Fence
 
 
 @pytest.fixture(autouse=True)
@@ -64,25 +63,3 @@ def test_a_thread_of_its_own_outlives_whatever_its_callback_raises():
     for data in (b'bad',) * 5 + (b'good', b'bad'):
         fenced(data)
     assert (len(heard), fence.failed) == (7, 6)
-
-
-def test_callbacks_that_fail_are_a_warning_for_as_long_as_they_come(monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr(module.time, 'monotonic', lambda: now[0])
-    fence = Fence(lambda _line: None)
-    assert fence.entries() == []
-    for later_s, failing_now, level in ((1.0, 2, WARN), (0.1, 0, WARN), (1.0, 0, OK)):
-        now[0] += later_s
-        for _ in range(failing_now):
-            taken(fence, failing)
-        (told,) = fence.entries()
-        assert (told.level, told.values) == (level, {'failed callbacks': 2})
-        assert told.message.startswith('2 callbacks failed') is (level == WARN)
-
-
-def test_a_log_says_things_once_and_never_floods():
-    log = LogLimiter(repeat_s=30.0, burst=5, per_s=60.0)
-    assert [log.allow('hung up', t) for t in (0.0, 1.0, 29.0, 30.0)] == [True, False, False, True]
-    assert [log.allow(f'line {k}', 31.0) for k in range(5)] == [True] * 3 + [False] * 2
-    assert log.allow('line 9', 70.0)
-    assert log.left_out == 4

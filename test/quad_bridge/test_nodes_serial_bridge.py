@@ -13,6 +13,7 @@ from node_process import recorded
 from probe import content, entries, event, stamp_ns
 
 from quad_bridge.gains.table import WIRE_NAMES
+from quad_bridge.topics import NODES
 from quad_bridge.wire import frames as f
 
 CONFIG = Path(__file__).resolve().parents[2] / 'src' / 'quad_bridge' / 'config'
@@ -125,29 +126,36 @@ def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(
         wanted = {s for s in stamps.tolist() if min(same) <= s <= max(same)}
         assert len(wanted) > 500
         assert len(wanted - same) <= said_lost, topic
-    assert set(content(found['/gains/active'][0])) == set(WIRE_NAMES)
+    assert set(content(found['/gains/active'][0])) == {*WIRE_NAMES, 'mixer.desaturation'}
     assert {LINK, CLOCK, RECORDING} <= {s.name for a in found['/diagnostics'] for s in a.status}
     lines = Counter(line.partition(']: ')[2] for line in node.said.splitlines())
     assert max(lines.values()) <= 2  # a cable that is pulled is not a flood of words
 
 
-def test_two_aircraft_on_one_machine_keep_apart(tmp_path, probe, bridge, logger):
-    recorder = logger(namespace='/left')
-    heard = {}
+def test_two_aircraft_keep_apart_and_one_logs_inside_its_bridge(tmp_path, probe, bridge):
+    own = {'folder': tmp_path / 'bags', 'autostart': True}
+    inside = {'log': 'inside', **{f'bag_logger.{name}': x for name, x in own.items()}}
+    heard, nodes = {}, []
     with (
         Port(FlightController(gyro=(0.0, 0.25, 0.5)), Pty(tmp_path / 'left')),
         Port(FlightController(gyro=(0.0, 0.75, 0.5)), Pty(tmp_path / 'right')),
     ):
         for name in ('left', 'right'):
-            bridge(port=tmp_path / name, namespace=f'/{name}')
+            more = inside if name == 'left' else {}
+            nodes.append(bridge(port=tmp_path / name, namespace=f'/{name}', **more))
             heard[name] = probe.listen(f'/{name}/imu/data')
         told = probe.listen('/left/diagnostics')
         probe.until(lambda: min(len(h) for h in heard.values()) > 300)
         probe.until(lambda: RECORDING in entries(told))  # the bridge may be the first to speak
         probe.until(lambda: int(entries(told)[RECORDING].values['messages written']) > 1000)
-    assert recorder.end() == 0
+    assert [node.end() for node in nodes] == [0, 0]
     # in the bag topics have the contract's names, so that every analysis reads it
-    heard['bag'] = recorded(bag_in(tmp_path), '/imu/data')['/imu/data']
+    found = recorded(bag_in(tmp_path))
+    heard['bag'] = found['/imu/data']
+    assert {*PER_CYCLE, '/gains/active', '/diagnostics', '/logger/bag'} <= {*found}
+    times = {topic: [stamp_ns(m) for m in found[topic]] for topic in ('/imu/data', *PER_CYCLE)}
+    assert all(same == times['/imu/data'] for same in times.values())  # not one is missing
+    assert {stamp_ns(m) for m in list(heard['left'])[10:]} <= {*times['/imu/data']}
     rates = {name: {m.angular_velocity.y for m in list(imu)} for name, imu in heard.items()}
     assert rates == {'left': {-0.25}, 'right': {-0.75}, 'bag': {-0.25}}
 
@@ -164,12 +172,24 @@ def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
         assert all(10**9 * stamp.sec + stamp.nanosec < ended_ns for stamp in stamps)
         heard.clear()
 
+    def opens(what, *names):
+        """What the table says is open in this state, and no more."""
+        own = {f'/serial_bridge/{name}' for name in NODES['serial_bridge'].offers}
+        known = {*NODES['serial_bridge'].hears, *own}
+        probe.until(lambda: probe.opened('serial_bridge')[what] & known == {*names}, what)
+
+    opens('offers')
     silent_after(CONFIGURE)
+    opens('offers', *(f'/serial_bridge/{name}' for name in NODES['serial_bridge'].offers))
+    opens('hears')
     for _ in range(2):
         assert probe.transition('/serial_bridge', ACTIVATE)
         probe.until(lambda: len(heard) > 50)
+        opens('hears', *NODES['serial_bridge'].hears)
         silent_after(DEACTIVATE)
+        opens('hears')
     assert probe.transition('/serial_bridge', CLEANUP)
+    opens('offers')
     assert not probe.transition('/serial_bridge', ACTIVATE)  # not before configure
     assert probe.transition('/serial_bridge', CONFIGURE)
     assert probe.transition('/serial_bridge', ACTIVATE)
@@ -185,9 +205,9 @@ def test_nothing_that_is_sent_or_left_unanswered_stops_the_bridge(probe, far, br
     def arm(on):
         return probe.ask('/serial_bridge/arm', 'std_srvs/srv/SetBool', data=on)
 
+    assert probe.transition('/serial_bridge', CONFIGURE)
     refused = probe.answer(arm(False))
     assert (refused.success, refused.message) == (False, 'the node is not active')
-    assert probe.transition('/serial_bridge', CONFIGURE)
     assert probe.transition('/serial_bridge', ACTIVATE)
     probe.until(lambda: imu)
     refused = probe.answer(arm(True))

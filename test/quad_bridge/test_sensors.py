@@ -1,7 +1,6 @@
 """Known biases are found, from a bag too; what moves or is unclear is refused."""
 
 import math
-import shutil
 
 import numpy as np
 import pytest
@@ -102,48 +101,6 @@ def test_the_command_writes_what_it_finds(tmp_path, standing, capsys):
     kept = yaml.safe_load(file.read_text())['sensors']['rest']
     assert kept['gyro_bias'] == pytest.approx(list(BIAS), abs=1e-3)
     assert kept['source'] == str(standing)
-
-
-@pytest.fixture
-def rested(capsys):
-    """A function: the line on stdout of `sensors rest`, and what stderr warns of."""
-
-    def run(path):
-        main(['rest', str(path)])
-        told = capsys.readouterr()
-        assert all(line.startswith('sensors: warning: ') for line in told.err.splitlines())
-        return told.out, told.err
-
-    return run
-
-
-def test_a_bag_that_was_not_recovered_is_read_with_a_warning(tmp_path, standing, rested):
-    path = shutil.copytree(standing, tmp_path / 'bag')
-    (file,) = path.glob('*.mcap')
-    whole, warned = rested(path)
-    assert warned == ''
-    (path / 'metadata.yaml').unlink()
-    told, warned = rested(path)
-    assert told == whole
-    assert 'has no metadata.yaml' in warned
-    assert 'quad_bridge recover' in warned
-    file.write_bytes(file.read_bytes()[: file.stat().st_size * 3 // 4])
-    told, warned = rested(path)
-    assert 'gyro bias +0.01' in told
-    assert f'{file}: damaged or cut off' in warned
-
-
-def test_stamps_that_cannot_be_and_any_order_do_no_harm(tmp_path, standing, rested):
-    whole, _ = rested(standing)
-    t, gyro, felt = resting(8.0)
-    mixed = np.random.default_rng(1).permutation(len(t))
-    imu_bag(tmp_path / 'mixed', t[mixed], gyro[mixed], felt[mixed])
-    assert rested(tmp_path / 'mixed') == (whole, '')
-    t[100] = 3e8
-    imu_bag(tmp_path / 'far', t, gyro, felt, logged_s=np.sort(mixed) / RATE_HZ)
-    told, warned = rested(tmp_path / 'far')
-    assert told.split(' rad/s')[0][:20] == whole[:20]
-    assert '1 /imu/data left out, their stamps cannot be' in warned
 
 
 @pytest.mark.parametrize(

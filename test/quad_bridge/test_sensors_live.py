@@ -7,8 +7,8 @@ import pytest
 from flight_controller import STILL, ZERO
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.sensors.correction import Correction, as_sent, from_values
-from quad_bridge.sensors.live import LiveSensors, Wanted
+from quad_bridge.sensors.correction import as_sent, from_values
+from quad_bridge.sensors.live import LiveSensors
 from quad_bridge.status import OK, WARN
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Flag
@@ -80,17 +80,6 @@ def test_before_it_arms_the_bias_is_estimated_and_subtracted_and_can_be_had_back
     assert np.abs(np.array(one.published) - np.array(one.sent)).max() > 0.01
 
 
-def test_nothing_told_means_nothing_subtracted():
-    assert from_values({'unrelated': '1'}) is None
-    assert from_values({**Correction().told(), 'removed since (ns)': 'soon'}) is None
-    found = as_sent(np.arange(3), np.ones((3, 3)), [Correction(gyro_bias=BIAS)])
-    assert np.array_equal(found, np.ones((3, 3)))
-    # another bridge in the same bag subtracts nothing, and says since when
-    told = [Correction(BIAS, 5), Correction(ZERO, 7)]
-    found = as_sent(np.arange(9), np.zeros((9, 3)), told)[:, 0]
-    assert found.tolist() == [*5 * [0.0], *2 * [0.012], *2 * [0.0]]
-
-
 def test_what_moves_or_stands_too_short_is_refused_and_the_earlier_estimate_stays():
     one = Aircraft().stand(1.0, 1.0)
     assert 'only 1.0 s of data' in one.status.message
@@ -103,32 +92,3 @@ def test_what_moves_or_stands_too_short_is_refused_and_the_earlier_estimate_stay
     assert one.said[-1].endswith('the earlier one stays')
     assert one.sensors.current == before
     assert (one.status.level, len(one.said)) == (WARN, 3)
-
-
-def test_a_recording_wants_an_estimate_only_where_it_stands():
-    one = Aircraft()
-    one.run(7.0)
-    one.sensors.want('recording')
-    one.run(0.1)
-    assert 'at rest, recording' in one.said[0]
-    one.run(7.0, armed=True)
-    one.sensors.want('recording')
-    one.run(0.1, armed=True)
-    assert len(one.said) == 2  # the second is of the arming
-    one.ask(Wanted('asked for', one.sensors.standing()))
-    assert 'it is armed' in one.said[-1]
-
-
-def test_a_restart_of_the_stm32_forgets_its_bias():
-    one = Aircraft().stand()
-    assert one.sensors.current.gyro_bias != ZERO
-    one.sensors.restarted()
-    one.run(0.1, armed=True)
-    assert one.sensors.current.gyro_bias == ZERO
-    assert 'not estimated since' in one.status.message
-
-
-def test_where_it_may_not_correct_it_only_estimates():
-    one = Aircraft(correct=False).stand()
-    assert np.array_equal(one.published, one.sent)
-    assert 'at rest, arming' in one.said[0]

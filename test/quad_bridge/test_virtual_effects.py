@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from virtual_aircraft import coasting, open_loop, quiet_profile, without_noise
+from virtual_aircraft import coasting, quiet_profile, without_noise
 
 from quad_bridge.virtual import effects as table
 from quad_bridge.virtual.aircraft import Aircraft
@@ -85,13 +85,6 @@ def test_coulomb_friction_stops_a_spin_after_its_time_and_then_holds_it():
     assert slips[1][-1] == pytest.approx(0.001 / 0.0135, rel=0.01)
 
 
-def test_stribeck_holds_more_than_it_slides():
-    stuck = coast(enabled('stribeck'), 0.0, 0.0, 1.0, bias=0.0115)
-    sliding = coast(enabled('stribeck'), 1.0, 0.0, 1.0, bias=0.0115)
-    assert not stuck[1].any()
-    assert sliding[1][-1] == pytest.approx(1.0 + 0.0075 / 0.0135, rel=0.01)
-
-
 def test_quadratic_drag_decays_hyperbolically():
     time, rate, _ = coast(enabled('quadratic_drag'), 3.0, 0.0, 4.0)
     assert rate == pytest.approx(3.0 / (1.0 + 0.006 / 0.0135 * 3.0 * time), rel=1e-9)
@@ -129,24 +122,3 @@ def test_plain_is_linear_and_does_not_know_its_battery():
     airframe = profile.airframe
     empty = replace(airframe, battery=replace(airframe.battery, start_charge=0.2))
     assert np.array_equal(response(first), response(first, replace(profile, airframe=empty)))
-
-
-def test_battery_sag_lowers_the_gain_by_its_power():
-    full, low = (
-        _first_acceleration(enabled('battery_sag', exponent=2.0), charge) for charge in (1.0, 0.2)
-    )
-    assert low[0] / full[0] == pytest.approx((low[1] / full[1]) ** 2, rel=1e-4)
-
-
-def _first_acceleration(effects: Effects, charge: float) -> tuple[float, float]:
-    profile = quiet_profile(effects, damping=0.4)
-    battery = replace(profile.airframe.battery, start_charge=charge)
-    profile = replace(profile, airframe=replace(profile.airframe, battery=battery))
-    aircraft = Aircraft(profile, seed=1)
-    open_loop(aircraft)
-    given = np.zeros((12, INPUTS))
-    given[:, ARMED], given[:, THROTTLE], given[:, 1], given[:, 2] = 1.0, 0.32, 3.0, 0.01
-    aircraft.machine.state[7:11] = 0.32
-    aircraft.machine.queue[:] = 0.32
-    log = aircraft.run(given)
-    return float(log[-1, COLUMNS['true_rates']][0]), float(log[-1, COLUMNS['battery_v']][0])

@@ -38,12 +38,6 @@ def test_a_stalled_process_catches_up_without_losing_a_cycle(run, tmp_path):
     assert process.end() == 0
 
 
-def test_the_process_does_not_block_when_nobody_reads(run, tmp_path):
-    process = run(*program('virtual_stm32'), '--link', tmp_path / 'tty', '--duration', 1.2)
-    assert (process.wait(), process.said) == (0, '')
-    assert 'bytes dropped' in process.printed
-
-
 EFFECT = 'import numpy as np\ndef effect(t_s, rates, angles, thrusts, battery_v):\n    '
 
 
@@ -62,12 +56,8 @@ def handlers():
     [
         (EFFECT + 'raise KeyError("x")\n', 'KeyError'),
         (EFFECT + 'return [1.0, 2.0]\n', 'three finite torques'),
-        (EFFECT + 'return [np.nan, 0.0, 0.0]\n', 'three finite torques'),
-        (EFFECT + 'return "up"\n', 'ValueError'),
         (EFFECT + 'raise SystemExit(5)\n', 'effect() at t = 0.000 s: SystemExit: 5'),
-        ('import sys\nsys.exit(3)\n', 'SystemExit: 3'),
         ('x = 1\n', 'no function effect'),
-        ('import nowhere_to_be_found\n', 'cannot be loaded'),
         (None, 'not a readable Python file'),
     ],
 )

@@ -88,14 +88,6 @@ def test_a_control_step_gives_gain_lag_and_delay_of_the_base(axis):
     assert log[:, COLUMNS['true_rates']][:, index] == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
-def test_hover_throttle_carries_the_weight():
-    aircraft = Aircraft(quiet_profile(mount='hover'), seed=1)
-    assert aircraft.hover_throttle == pytest.approx(1.2 * 9.80665 / (4 * 9.218))
-    log = aircraft.run(inputs(500, aircraft))
-    assert np.abs(log[:, COLUMNS['altitude_m']]).max() < 1e-5
-    assert log[-1, COLUMNS['acceleration']] == pytest.approx([0.0, 0.0, 9.80665], abs=1e-5)
-
-
 @pytest.mark.parametrize(
     ('motor', 'signs'),
     [(1, (1, 1, 1)), (2, (-1, 1, -1)), (3, (-1, -1, 1)), (4, (1, -1, -1))],

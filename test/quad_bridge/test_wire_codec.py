@@ -1,6 +1,5 @@
 """One table of frames drives encoder and decoder; what else arrives is counted."""
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -60,24 +59,6 @@ def test_a_frame_comes_back_whole_byte_by_byte_and_before_a_part_of_the_next(fra
     assert [x for byte in third for x in decoder.feed(bytes([byte]))] == [frame]
     assert decoder.counts.garbage_bytes == 0
     assert [encoder.encode(frame)[4] for _ in range(255)] == [*range(3, 256), 0, 1]
-
-
-def test_a_battery_that_is_not_measured_is_nan():
-    (battery,) = Decoder().feed(Encoder().encode(f.Battery(math.nan)))
-    assert math.isnan(battery.voltage_v)
-    assert math.isnan(battery.current_a)
-
-
-@pytest.mark.parametrize(
-    ('bits', 'name', 'value'),
-    [
-        (0x007, 'accel', (1.0, 2.0, 3.0)), (0x038, 'gyro', (4.0, 5.0, 6.0)),
-        (0x1C0, 'mag_gauss', (7.0, 8.0, 9.0)), (0x200, 'pressure_hpa', 10.0), (3, 'accel', None),
-    ],
-)  # fmt: skip
-def test_only_what_was_updated_is_told(bits, name, value):
-    sent = peer().highres_imu_encode(1, *range(1, 14), bits).pack(peer())
-    assert Decoder().feed(sent) == [f.SlowSensors(1, temperature_c=13.0, **{name: value})]
 
 
 @pytest.mark.parametrize(

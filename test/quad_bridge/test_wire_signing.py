@@ -9,7 +9,7 @@ from quad_bridge.virtual.native import NativeFirmware
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
-from quad_bridge.wire.signing import LAST, Signing, Verdict, signing_time
+from quad_bridge.wire.signing import LAST, Signing, signing_time
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 FRAME = f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1)
@@ -27,11 +27,6 @@ def signing(key=KEY, now=NOW, **more):
 
 def encoder(**more):
     return Encoder(1, 191, signing(**more))
-
-
-def test_time_counts_from_2015_in_10_us():
-    assert signing_time(1_420_070_400_000_000_000 + 25_000) == 2
-    assert signing_time(0) == 0
 
 
 def theirs(key=KEY, time=10_000_000):
@@ -126,13 +121,6 @@ def test_a_clock_that_was_never_set_follows(end, stored):
     assert end(stored).hears(encoder(now=TODAY).encode(ASK)) == 1
 
 
-def test_the_first_version_knows_no_signatures():
-    decoder, old = Decoder(signing()), common.MAVLink(None, srcSystem=1, srcComponent=1)
-    heartbeat = common.MAVLink_heartbeat_message(2, 0, 0, 0, 4, 3)
-    assert decoder.feed(heartbeat.pack(old, force_mavlink1=True)) == []
-    assert (decoder.counts.old_version, decoder.counts.frames) == (1, 0)
-
-
 def test_ends_whose_clocks_differ_meet():
     ahead, behind = signing(now=2 * NOW), signing(now=NOW // 2)
     to_ahead = Encoder(1, 191, behind)
@@ -168,15 +156,3 @@ def test_a_clock_far_ahead_of_one_that_was_set_is_not_followed(own, theirs, hear
     again = signing(now=max(theirs if heard else 0, TODAY) + 100)
     assert decoder.feed(Encoder(1, 1, again).encode(FRAME)) == [FRAME]
     assert Decoder(again).feed(Encoder(1, 191, ours).encode(FRAME)) == [FRAME]
-
-
-def test_stamps_rise_while_the_clock_stands_or_falls():
-    times = iter([1000, 1000, 1000, 1000, 10, 5000])
-    signer = Signing(KEY, lambda: next(times))
-    assert [signer.stamp() for _ in range(5)] == [1001, 1002, 1003, 1004, 5000]
-
-
-def test_a_key_has_32_bytes():
-    with pytest.raises(ValueError, match='32 bytes: found 31'):
-        Signing(bytes(31), lambda: 0)
-    assert signing().judge(Encoder().encode(FRAME)) is Verdict.UNSIGNED

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import shutil
-import sqlite3
 from dataclasses import replace
 from pathlib import Path
 from unittest import mock
@@ -12,12 +10,10 @@ from unittest import mock
 import numpy as np
 import pytest
 import yaml
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from quad_sysid.bags import (
     BagOptions,
     cdr,
-    parse_span,
     read_bag,
     split_segments,
     write_bag,
@@ -26,7 +22,7 @@ from quad_sysid.bags import (
 from quad_sysid.bags.cdr import Stamped, decode
 from quad_sysid.bags.events import Event
 from quad_sysid.bags.stamps import uniform_grid
-from quad_sysid.contract import MIXER, TOPIC_TYPES, control_from_motors, motors_from_wrench
+from quad_sysid.contract import TOPIC_TYPES, control_from_motors, motors_from_wrench
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import GainChange, Record, Segment
 
@@ -113,14 +109,6 @@ def test_a_record_survives_every_storage(tmp_path, storage, compression):
     np.testing.assert_allclose(got.battery_v[:975], want.battery_v[:975], atol=1e-5)
     assert (got.segments, got.gains) == (want.segments, want.gains)
     assert got.gains_at(2.5) == {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.09}
-
-
-def test_without_motors_the_wrench_goes_through_the_mixer_and_its_limits(tmp_path):
-    want = replace(make_record(), motors=None)
-    got = read_bag(write_bag(want, tmp_path / 'bag'))
-    assert (motors_from_wrench(want.wrench) != want.wrench @ MIXER.T).any()
-    np.testing.assert_allclose(got.control, want.control, atol=1e-15)
-    assert (got.motors, '/motors/command' in ' '.join(got.warnings)) == (None, True)
 
 
 def test_motors_are_taken_by_their_names():
@@ -211,25 +199,6 @@ def test_cycles_lie_where_their_stamps_say_and_lost_ones_are_gaps(case):
     assert np.all(np.diff(stamps[grid.rows]) > 0)
 
 
-def test_lost_cycles_are_no_numbers_and_of_repeated_ones_the_first_counts(tmp_path):
-    stamps = np.repeat(np.delete(regular(), 100), np.where(np.arange(N - 1) == 50, 3, 1))
-    got, want = read_bag(write_imu(tmp_path / 'bag', stamps)), imu_stream(stamps).values[:, 5:8]
-    assert got.n == N
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(got.rates[:, 0])), [100])
-    np.testing.assert_array_equal(got.rates[50:52], want[[50, 53]])
-    assert '1 of 1000 cycles lost' in ' '.join(got.warnings)
-    assert len(got.axis('roll').segments) == 2
-
-
-def test_a_changed_rate_is_a_gap_with_a_warning(tmp_path):
-    fast = regular(2000)
-    stamps = np.concatenate((fast, fast[-1] + 2 * STEP * np.arange(1, 401)))
-    got = read_bag(write_imu(tmp_path / 'bag', stamps))
-    assert got.dt == 0.004
-    assert abs(np.count_nonzero(np.isfinite(got.rates[:, 0])) - 2000) <= 32
-    assert any('changes from 250 Hz to about 125 Hz at 7.9' in w for w in got.warnings)
-
-
 def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     stamps = regular(100)
     first = np.arange(300.0).reshape(100, 3)
@@ -242,13 +211,6 @@ def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     np.testing.assert_array_equal(got.rate_setpoint, first)
     assert got.attitude_setpoint is None
     assert '/setpoint/attitude' in got.missing
-
-
-def test_of_a_clock_that_was_set_back_every_topic_keeps_the_same_side():
-    """Stamps that come twice: what was flown before belongs to no sample that is kept."""
-    stamps = np.concatenate((regular(300), regular(700) - 200 * STEP))
-    placed = uniform_grid(stamps, 'bag').place(stamps, np.arange(1000.0)[:, None])
-    np.testing.assert_array_equal(placed[:, 0], np.arange(300.0, 1000.0))
 
 
 def test_nan_samples_are_kept_as_gaps_with_a_warning(tmp_path):
@@ -266,25 +228,6 @@ def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, there):
     got = read_bag(write_imu(tmp_path / 'bag', regular(100), **{'/battery': battery}))
     assert (got.battery_v is not None) is there
     assert ('/battery' in got.missing) is ('/battery' in ' '.join(got.warnings)) is not there
-
-
-def test_a_voltage_is_drawn_between_its_measurements_but_not_over_a_gap(tmp_path):
-    """10 Hz, nothing from 0.9 s to 3.2 s."""
-    at = np.array([*range(0, 250, 25), *range(800, N, 25)])
-    battery = Stamped(regular()[at], 12.0 - 1e-3 * at[:, None])
-    got = read_bag(write_imu(tmp_path / 'bag', regular(), **{'/battery': battery})).battery_v
-    known = np.r_[0:226, 801:N]
-    np.testing.assert_allclose(got[known], np.maximum(12.0 - 1e-3 * known, 12.0 - 1e-3 * at[-1]))
-    assert np.isnan(got[226:800]).all()
-
-
-@pytest.mark.parametrize('kind', ['identity', 'zero', 'unknown'])
-def test_an_orientation_that_was_not_measured_is_none(tmp_path, kind):
-    imu = imu_stream(regular(50))
-    imu.values[:, :5] = (0.0, 0.0, 0.0, 0.0 if kind == 'zero' else 1.0, 0.0)
-    if kind == 'unknown':
-        imu.values[:, [0, 4]] = 0.5, -1.0
-    assert read_bag(write_imu(tmp_path / 'bag', regular(50), imu)).angles is None
 
 
 # ---- damaged and foreign bags -----------------------------------------------------------------
@@ -309,9 +252,7 @@ def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
 NONE = {
     'absent': (None, 'no such bag'), 'empty.mcap': (b'', 'is empty'),
     'folder': ('', 'metadata.yaml names lost.mcap'),
-    'log.txt': (b't,u\n0,1\n', 'quad-sysid import'),
     'table.csv': (b't,u\n0,1\n', 'quad-sysid import'),
-    'notes.mcap': (b'hello, this is not a bag', 'neither mcap nor sqlite3'),
     'broken.db3': (b'SQLite format 3\x00' + bytes(500), 'is a damaged sqlite3 file'),
 }
 
@@ -405,73 +346,7 @@ def test_what_trains_and_what_validates(bare, asked, spans):
     assert bare or [s.signal for s in told] == ['prbs', 'square']
 
 
-def test_a_span_beyond_the_end_is_cut_and_told():
-    cut = split_segments(make_record(), train=(1.0, 2.0), validate=(3.0, 30.0))
-    assert '--validate 3:30 is cut at the end of the record, 4.00 s' in cut.warnings
-    assert parse_span(':', '--train') == (0.0, float('inf'))
-    assert parse_span('5:45', '--train') == (5.0, 45.0)
-
-
 # ---- what is damaged is told, and read as far as it is whole ----------------------------------
-
-
-def chunks_of(data: bytes) -> list[int]:
-    """Where the chunks of an mcap file begin."""
-    found, place = [], 8
-    while place + 9 <= len(data) - 8:
-        found += [place] if data[place] == 6 else []
-        place += 9 + int.from_bytes(data[place + 1 : place + 9], 'little')
-    return found
-
-
-@pytest.fixture(scope='module')
-def chunked(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, np.ndarray]:
-    """An mcap file of many chunks, and the rates in it."""
-    bag = write_bag(make_record(15_000), tmp_path_factory.mktemp('b') / 'bag',
-                    BagOptions('mcap', 'storage'))  # fmt: skip
-    return (bag / 'bag.mcap').read_bytes(), read_bag(bag).rates
-
-
-@pytest.mark.parametrize(
-    ('harm', 'where', 'mask'),
-    [('length', 3, 0x02), ('opcode', 0, 0x01), ('private', 0, 0x80), ('checksum', 9 + 24, 0x01)],
-)
-def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, chunked, harm, where, mask):
-    data, rates = chunked
-    chunks, noisy, spoiled = chunks_of(data), bytearray(data), tmp_path / 'spoiled.mcap'
-    assert len(chunks) > 5
-    noisy[chunks[2] + where] ^= mask
-    spoiled.write_bytes(bytes(noisy))
-    got = read_bag(spoiled)
-    assert got.n == len(rates)
-    known = np.isfinite(got.rates[:, 0])
-    np.testing.assert_array_equal(got.rates[known], rates[known])
-    assert 0.0 < 1.0 - known.mean() < 2.0 / len(chunks)
-    words = {'checksum': 'damaged chunks'}.get(harm, 'messages are missing')
-    assert words in ' '.join(got.warnings)
-
-
-@pytest.mark.parametrize(('plugin', 'foreign_last'),
-                         zip(StoragePlugin, (True, False), strict=True))
-def test_of_a_topic_with_two_types_the_contracts_one_is_read(tmp_path, plugin, foreign_last):
-    bag = write_bag(make_record(200), tmp_path / 'bag')
-    store, foreign = cdr.typestore(), ('/imu/data', 'std_msgs/msg/String')
-    text = bytes(store.serialize_cdr(store.types[foreign[1]](data='hello'), foreign[1]))
-    with Reader(bag) as reader, Writer(
-        tmp_path / 'two', version=9, storage_plugin=plugin
-    ) as writer:
-        pairs = [*((c.topic, c.msgtype) for c in reader.connections), foreign]
-        out = {
-            pair: writer.add_connection(*pair, typestore=store)
-            for pair in (pairs if foreign_last else pairs[::-1])
-        }
-        for connection, time, raw in reader.messages():
-            writer.write(out[connection.topic, connection.msgtype], time, raw)
-            if connection.topic == '/battery':
-                writer.write(out[foreign], time, text)
-    got = read_bag(tmp_path / 'two')
-    np.testing.assert_array_equal(got.rates, make_record(200).rates)
-    assert '/imu/data: 8 messages of type std_msgs/msg/String left out' in ' '.join(got.warnings)
 
 
 def test_metadata_that_is_missing_or_lists_too_much_or_too_little_is_told(tmp_path):
@@ -488,19 +363,3 @@ def test_metadata_that_is_missing_or_lists_too_much_or_too_little_is_told(tmp_pa
     file.unlink()
     assert (got := read_bag(second)).n == N
     assert 'metadata.yaml is missing' in got.warnings[0]
-
-
-def test_rows_that_are_no_messages_are_told(tmp_path):
-    bag = write_bag(make_record(), tmp_path / 'bag', BagOptions('sqlite3'))
-    (file,) = bag.glob('*.db3')
-    with contextlib.closing(sqlite3.connect(file)) as base, base:
-        for number, value in ((100, 1.5), (102, 'text'), (103, 5)):
-            base.execute('UPDATE messages SET data=? WHERE id=?', (value, number))
-    data, rng = file.read_bytes(), np.random.default_rng(9)
-    assert '3 rows are not messages' in ' '.join(read_bag(bag).warnings)
-    for _ in range(15):
-        noisy = bytearray(data)
-        for place in rng.integers(0, len(data), 30):
-            noisy[place] = rng.integers(256)
-        file.write_bytes(bytes(noisy))
-        record_or_line(bag)

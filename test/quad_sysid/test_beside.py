@@ -2,26 +2,16 @@
 
 import multiprocessing
 import os
-import select
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
 from quad_sysid import beside
 
-WHERE = """
-import os, sys, threading
-os.environ['OPENBLAS_NUM_THREADS'] = '1'
-from quad_sysid.beside import side_by_side
-if 'thread' in sys.argv:
-    threading.Thread(target=threading.Event().wait, daemon=True).start()
-print(len(set(side_by_side([os.getpid] * 3))))
-"""
 KILLED = """
 import os, signal
 os.environ['OPENBLAS_NUM_THREADS'] = '1'
@@ -90,47 +80,6 @@ def test_a_call_whose_result_did_not_come_is_made_here(there: Callable[[], objec
         return 7
 
     assert beside.side_by_side([call, call, call]) == [7, 7, 7]
-
-
-@pytest.mark.usefixtures('two_cores')
-def test_where_no_process_can_be_started_all_are_made_here(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(os, 'fork', lambda: Path('/no/room').stat())
-    assert beside.side_by_side([os.getpid] * 3) == [os.getpid()] * 3
-
-
-@pytest.mark.usefixtures('two_cores')
-def test_a_large_result_does_not_hold_up_the_next_call() -> None:
-    """The parent's second call waits for the child's second."""
-    done, told = os.pipe()
-    calls = [int, lambda: bytes(1 << 20), lambda: os.read(done, 1), lambda: os.write(told, b'!')]
-    assert beside.side_by_side(calls) == [0, bytes(1 << 20), b'!', 1]
-    os.close(done)
-    os.close(told)
-
-
-@pytest.mark.usefixtures('two_cores')
-def test_a_process_that_is_free_takes_the_next_call() -> None:
-    """The parent's first call waits for the last one, which only the other process can take."""
-    done, told = os.pipe()
-
-    def wait() -> bytes:
-        ready, _, _ = select.select([done], [], [], 60.0)
-        return os.read(done, 1) if ready else b''
-
-    calls = [wait, int, int, int, lambda: os.write(told, b'!')]
-    assert beside.side_by_side(calls) == [b'!', 0, 0, 0, 1]
-    os.close(done)
-    os.close(told)
-
-
-@ON_CORES
-@pytest.mark.parametrize(('argument', 'processes'), [('', '2'), ('thread', '1')])
-def test_only_a_process_of_one_thread_forks(argument: str, processes: str) -> None:
-    done = subprocess.run([sys.executable, '-c', WHERE, argument], capture_output=True, text=True,
-                          check=True)
-    assert done.stdout.split() == [processes], done.stderr
 
 
 @ON_CORES

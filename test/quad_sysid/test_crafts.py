@@ -83,10 +83,11 @@ def test_an_octocopters_lag_comes_from_its_rotors_and_leaves_the_damping_to_the_
 
 def test_yaw_shows_the_lead_of_heavy_rotors():
     """It draws the base so far away that no small step leads from there to the truth."""
-    model = model_of(recorded(QUAD, 2), 'mode/lead of rotors', 'mode/lead', 'motor_lag',
+    model = model_of(recorded(QUAD, 2), 'mode:rotor_lead', 'mode:lead', 'motor_lag',
                      axis='yaw')
-    assert [(e.name, e.variant) for e in model.effects] == [('mode', 'lead of rotors')]
-    for name, true in (('gain', 60.0), ('lag', 0.03), ('damping', 0.5), ('mode.lead_time', 0.12)):
+    assert [e.name for e in model.effects] == ['mode:rotor_lead']
+    for name, true in (('gain', 60.0), ('lag', 0.03), ('damping', 0.5),
+                       ('mode:rotor_lead.lead_time', 0.12)):
         assert model.value(name) == pytest.approx(true, rel=0.15 if name == 'damping' else 0.05)
 
 

@@ -448,8 +448,7 @@ LAWS = [
     Law('saturation', of_motors(lambda m: np.clip(m, 0.0, 0.64)),
         {'lower': 0.0, 'upper': 0.64}, variant='upper'),
     Law('motor_lag', slow_motors(0.25, 0.2), {'slow_time_constant': 0.2, 'share': 0.25}),
-    Law('mode', slow_motors(-0.4, 0.2), {'slow_time_constant': 0.2, 'share': 0.4},
-        variant='lead'),
+    Law('mode:lead', slow_motors(-0.4, 0.2), {'slow_time_constant': 0.2, 'share': 0.4}),
     Law('backlash', play(0.004), {'half_width': 0.004}),
     Law('resonance', ringing(6.0, 0.05, 0.1, -0.05),
         {'frequency': 6.0, 'damping_ratio': 0.05, 'in_phase': 0.1, 'quadrature': -0.05}),
@@ -471,8 +470,7 @@ LAWS = [
         variant='gain'),
     Law('step_event', torque(lambda *_: 0.8), {'time': 20.0, 'torque': 0.8},
         variant='torque'),
-    Law('mode', strap(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6},
-        variant='slow state'),
+    Law('mode:slow_state', strap(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6}),
     Law('shape:angle', remembered(lambda _t, angle: angle, -9.0, 0.6),
         {'time_constant': 0.6, 'change': -9.0}, PLAIN, variant='memory'),
     Law('shape:angle', beyond_a_wind(-9.0, 0.06, 0.6),
@@ -510,24 +508,24 @@ LAWS = [
             f'motor_{i}_{k}': 0.05 * ((i, k) == (3, 2)) for i in range(1, 5) for k in range(1, 5)
         }}, {'middle': 0.5, 'half': 0.08, 'dt': DT}, variant='shown by the gyro',
         left=0.006),  # the motors' delay counts here, in the model it does not
-    Law('mode', dahl(0.4, 0.05), {'torque': 0.4, 'reach': 0.05}, variant='hysteresis'),
-    Law('mode', with_play(0.5, 3.0, pull=60.0, weight=2.0),
+    Law('mode:hysteresis', dahl(0.4, 0.05), {'torque': 0.4, 'reach': 0.05}),
+    Law('mode:loose_load', with_play(0.5, 3.0, pull=60.0, weight=2.0),
         {'frequency': 0.5, 'damping': 3.0, 'pull': 60.0, 'weight': 2.0, 'inertia': 0.0},
-        variant='loose, leaning', left=0.01),
-    Law('mode', with_play(1.0, 4.0, turns=1.0 / 0.3, back=0.4 * 0.3),
+        variant='leaning', left=0.01),
+    Law('mode:loose_load', with_play(1.0, 4.0, turns=1.0 / 0.3, back=0.4 * 0.3),
         {'frequency': 1.0, 'damping': 4.0, 'reach': 0.3, 'weight': 0.0, 'inertia': 0.4},
-        variant='loose, turning', left=0.006),
-    Law('mode', behind_a_spring(6.0, 20.0, 0.02, 0.5),
+        variant='turning', left=0.006),
+    Law('mode:soft_mount', behind_a_spring(6.0, 20.0, 0.02, 0.5),
         {'frequency': 6.0, 'damping': 20.0, 'reach': 0.02, 'weight': 0.0, 'inertia': 0.5},
-        variant='loose, driven', left=0.01),
-    *(Law('mode', by_cubic_law(moved, *values),
+        left=0.01),
+    *(Law('mode:yielding', by_cubic_law(moved, *values),
           dict(zip(('reach', 'time_constant', 'slope', 'lean', 'torque'), values, strict=True)),
-          variant=f'yielding, {moved}', left=0.006)
+          variant=moved, left=0.006)
       for moved, *values in (('turning', 0.1, 0.3, 0.2, 0.5, 0.8),
                              ('leaning', 0.05, 0.3, -1.0, 0.0, 0.8),
                              ('driven', 0.01, 0.1, 1.0, -1.5, 0.8))),
-    Law('mode', laguerre(0.3, -0.2, 0.2),
-        {'time_constant': 0.2, 'c0': 0.3, 'c1': -0.2, **NO_MORE}, variant='response to drive',
+    Law('mode:response', laguerre(0.3, -0.2, 0.2),
+        {'time_constant': 0.2, 'c0': 0.3, 'c1': -0.2, **NO_MORE},
         left=0.003),
     *(Law('shape:gain:command', in_steps(0.0213, 0.4969, hysteresis),
           {'step': 0.0213, 'level': -0.0031 / 0.0213, 'hysteresis': hysteresis}, variant='steps',
@@ -704,7 +702,7 @@ def echo(share: float, delay_s: float) -> Changes:
 
 RIVALS = (
     'coulomb_friction', 'quadratic_drag', 'pendulum_stiffness', 'dead_zone', 'backlash',
-    'motor_lag', 'resonance', 'mode/slow state', 'mode/yielding, turning', 'shape:rate/smooth',
+    'motor_lag', 'resonance', 'mode:slow_state', 'mode:yielding/turning', 'shape:rate/smooth',
     'shape:angle/smooth', 'shape:command/smooth', 'shape:gain:command/smooth',
     'shape:delay:time/smooth',
 )
@@ -724,9 +722,13 @@ class Planted:
     """(value, relative tolerance, absolute tolerance) of its first parameters."""
     alone: bool | None = True
     """Whether it is all that is found; None: among all effects only."""
+    of_a_name: bool = False
+    """Whether all that is found has its name."""
     sure: bool = True
     """Not where another description is as good."""
     rivals: Collection[str] = RIVALS
+    quick: bool = True
+    """Whether it is flown outside of `make test-long`."""
 
     def __str__(self) -> str:
         return self.label
@@ -735,7 +737,7 @@ class Planted:
 STEP = 0.0213
 PLANTED = [
     Planted(law_of('dead_zone', 'half_width'), 'dead_zone', 4.0, ((0.004, 0.10, 0.0),)),
-    Planted(strap(3.6, 0.8), 'mode/slow state', 1.5, ((0.8, 0.6, 0.0), (3.6, 0.3, 0.0))),
+    Planted(strap(3.6, 0.8), 'mode:slow_state', 1.5, ((0.8, 0.6, 0.0), (3.6, 0.3, 0.0))),
     Planted(held(5), 'shape:delay:time/held', 3.0, ((50.0, 1e-3, 0.0),), alone=False),
     Planted(late_by(saw), 'shape:delay:time/periodic', 3.0, ((1.25, 1e-3, 0.0),), alone=False),
     Planted(in_steps(STEP, 0.4969), 'shape:gain:command/steps', 3.0,
@@ -746,12 +748,16 @@ PLANTED = [
     Planted(beyond_a_wind(-20.0, 0.06, 0.4), 'shape:angle/memory curve', 3.0,
             ((0.4, 0.3, 0.0),)),
     # a side that pulls less, by the command, though that needs no gain
-    Planted(command(lambda u: min(u, 0.5 * u)), 'shape:command', 2.0, alone=False),
-    # no law of the list is its own: the cubic law stands for it
-    Planted(slipping(30.0, 1.5), 'mode', 2.0, alone=False),
+    Planted(command(lambda u: min(u, 0.5 * u)), 'shape:command', 2.0, alone=False, quick=False),
+    # no law of the list is its own: the cubic law stands for it, and nothing else is found
+    Planted(slipping(30.0, 1.5), 'mode:yielding', 2.0, alone=False, of_a_name=True),
+    # gusts of the axis' own beside what another axis' command does to it
+    Planted(lambda: {**coloured(6, 3.0, 0.05)(), 'other_commands': other_commands,
+                     'command': lambda t, u, _v: u + 0.15 * other_commands(t)[0]},
+            'cross_axis_input', 1.5, ((0.15, 0.0, 0.02),)),
     Planted(in_its_wake(4.0, 0.3), 'shape:rate/with past rate', 2.0, ((0.3, 0.5, 0.0),),
-            sure=False, alone=None),
-    Planted(echo(0.4, 0.3), 'mode/response to drive', 2.0, alone=False, rivals=('motor_lag',)),
+            sure=False, alone=None, quick=False),
+    Planted(echo(0.4, 0.3), 'mode:response', 2.0, alone=False, rivals=('motor_lag',)),
 ]
 def among(label: str, rivals: Collection[str] = RIVALS) -> tuple[Effect, ...]:
     return tuple(e for e in EFFECTS if e.label in rivals or e.label.startswith(label))
@@ -785,7 +791,8 @@ def check_sure_of(effect) -> None:
 
 @pytest.mark.parametrize('every', [False, pytest.param(True, marks=pytest.mark.long)],
                          ids=['among rivals', 'among all'])
-@pytest.mark.parametrize('one', PLANTED, ids=str)
+@pytest.mark.parametrize('one', [
+    pytest.param(one, marks=[] if one.quick else pytest.mark.long) for one in PLANTED], ids=str)
 def test_what_acts_is_named_measured_and_foreseen_in_another_flight(one, every):
     """One of each kind; bench/effects.py plants all that are named, and pairs."""
     effects = EFFECTS if every else among(one.label, one.rivals)
@@ -797,6 +804,7 @@ def test_what_acts_is_named_measured_and_foreseen_in_another_flight(one, every):
     check_values_of(effect, one.truths)
     if one.truths and one.sure:
         check_sure_of(effect)
+    assert not one.of_a_name or {e.name for e in effects} == {one.label}
     if one.alone or (one.alone is None and every):
         assert effects == (effect,)
         assert answer.model.value('gain') == pytest.approx(GAIN, rel=0.05)
@@ -831,14 +839,15 @@ def test_a_spring_that_swings_an_aircraft_whose_motors_stand_is_no_answer():
     """It foresees the rates well, and the commands nothing: their gain would be a guess."""
     swings = {'torque': lambda _t, _rate, angle: -20.0 * math.sin(angle), 'torque_noise': 0.2,
               'command': lambda *_: 0.0}
-    answer = answer_to(lambda: swings, 1, effects=among('pendulum_stiffness'))
+    answer = answer_to(lambda: swings, 1, effects=among('pendulum_stiffness', ('dead_zone',)))
     assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
     assert 'commands do not predict' in answer.reason
 
 
 @pytest.mark.parametrize(
     ('variant', 'angles'),
-    [('', lambda angles, rng: angles + 0.02 * rng.standard_normal(angles.shape)),
+    [pytest.param('', lambda angles, rng: angles + 0.02 * rng.standard_normal(angles.shape),
+                  marks=pytest.mark.long),
      ('from the rate', lambda _angles, _rng: None)],
     ids=['noisy', 'not measured'],
 )
@@ -851,8 +860,9 @@ def test_a_swinging_rig_is_foreseen_in_another_flight_with_a_poor_angle_or_none(
         flight = fly(Axis(**law), seed, replace(plan, reference=held[:: 1 if seed == 1 else -1]))
         return replace(flight, angles=angles(flight.angles, np.random.default_rng(seed)))
 
-    rivals = ('pendulum_stiffness', 'shape:angle', 'coulomb_friction')
-    few = tuple(e for e in EFFECTS if e.name in rivals or e.variant in ('slow state', 'swinging'))
+    rivals = ('pendulum_stiffness', 'shape:angle', 'coulomb_friction', 'mode:slow_state',
+              'mode:swinging')
+    few = tuple(e for e in EFFECTS if e.name in rivals)
     answer = answer_of(flown(1, Plan()), effects=few)
     assert [(e.name, e.variant) for e in answer.model.effects] == [('pendulum_stiffness', variant)]
     found = {p.name: p.value for p in answer.model.effects[0].parameters}
@@ -909,7 +919,8 @@ def test_validation_does_not_touch_what_is_chosen(rubbed_flight):
         name: np.concatenate((getattr(rubbed_flight, name)[:cut], getattr(other, name)[cut:]))
         for name in columns
     })
-    ours, another = (answer_of(flight, effects=among('coulomb_friction')).model
+    few = among('coulomb_friction', ('quadratic_drag', 'dead_zone'))
+    ours, another = (answer_of(flight, effects=few).model
                      for flight in (rubbed_flight, mixed))
     assert [e.name for e in ours.effects] == ['coulomb_friction']
     assert ours.base == another.base

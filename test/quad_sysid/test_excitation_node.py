@@ -6,7 +6,6 @@ the time cycle by cycle, and it does not matter how long it takes over one.
 
 from __future__ import annotations
 
-import math
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -259,37 +258,4 @@ def test_a_callback_that_fails_ends_the_excitation_and_a_service_answers(aircraf
     aircraft.until_state('aborted')
     assert aircraft.state['reason'] == 'a callback failed: ArithmeticError: as the test wants'
     aircraft.until_taken_back()
-    assert process.poll() is None
-
-
-# Without the line: the node's own clocks.
-
-
-def test_simulated_time_that_nobody_tells_flies_nothing_and_says_so(probe, start):
-    told, setpoints = probe.listen('/diagnostics'), probe.listen(SETPOINT)
-    start('excitation', use_sim_time=True)
-    probe.until(lambda: 'excitation: schedule' in entries(told))
-    refused = probe.call('/excitation/start')
-    assert (refused.success, '/clock' in refused.message, setpoints) == (False, True, [])
-
-
-def test_a_system_clock_that_is_set_back_does_not_stop_a_schedule(
-    probe, set_back, start, tmp_path
-):
-    (tmp_path / 'long.yaml').write_text(LONG)
-    told, setpoints = probe.listen('/diagnostics'), probe.listen(SETPOINT)
-    probe.publish('/imu/data', {'orientation': UPRIGHT}, every_s=0.02)
-    process = start('excitation', schedule=tmp_path / 'long.yaml', autostart=True, imu_stale_s=2.0,
-                    abort_aux=0)  # nobody publishes /rc/in
-
-    def elapsed_s() -> float:
-        said = entries(told).get('excitation: schedule')
-        return math.nan if said is None else float(said.values['elapsed_s'])
-
-    probe.until(lambda: len(setpoints) > 100)
-    set_back()
-    before, flown_s = len(setpoints), elapsed_s()
-    probe.until(lambda: len(setpoints) > before + 500)
-    probe.until(lambda: elapsed_s() > flown_s + 1.0)
-    assert entries(told)['excitation: schedule'].values['state'] == 'running'
     assert process.poll() is None

@@ -10,7 +10,7 @@ from scipy import signal
 
 from quad_sysid.blackbox import bj, residual_test
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.plant import LoopPlant
+from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.pipeline.selection import feedback, through_controller
 from quad_sysid.record import IOData, Record, Segment
@@ -18,8 +18,7 @@ from quad_sysid.signals.waveforms import prbs
 
 DT, N = 0.004, 10_000
 GAINS = CascadeGains.default('yaw')
-PLANT = LoopPlant(gain=12.0, lag_s=0.05, delay_s=0.02, damping=0.6, bias=0.0, dt=DT,
-                  gyro_filter_hz=None)
+PLANT = plant_like('roll', np.array([12.0, 0.05, 0.02, 0.6, 0.0]), DT, None)
 
 
 @pytest.fixture(scope='module')

@@ -5,16 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import os
-import shutil
-import tempfile
-from contextlib import contextmanager
-from pathlib import Path
 
-import numpy as np
 import pytest
 from flown_axis import Axis, Plan, fly
 
-from quad_sysid import fleet
+from quad_sysid import fleets as fleet
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 
@@ -96,67 +91,3 @@ def test_what_waits_is_what_is_new_or_changed(folder, tmp_path):
     assert waiting() == ['one/flight', 'two/torn']
     # another question has no answer yet
     assert len(waiting('roll')) == len(waiting(effects=False)) == len(every)
-
-
-def test_another_folders_bags_need_a_place_of_their_own(folder, tmp_path, refusal):
-    (elsewhere := tmp_path / 'copy').symlink_to(folder / 'one')
-    for job in fleet.jobs(folder / 'one', tmp_path / 'out'):
-        job.row.parent.mkdir(parents=True)
-        job.row.write_text(json.dumps({'asked': job.asked | {'source': '/flights/one'}}))
-    assert 'results of another bag' in refusal(
-        fleet.run, fleet.jobs(elsewhere, tmp_path / 'out'))
-
-
-@contextmanager
-def as_nobody():
-    """Without root's right to read everything."""
-    if os.geteuid():
-        yield
-        return
-    os.seteuid(65534)
-    try:
-        yield
-    finally:
-        os.seteuid(0)
-
-
-def test_what_may_not_be_opened_is_a_row(folder):
-    with tempfile.TemporaryDirectory() as name:
-        place = Path(name)
-        place.chmod(0o755)
-        shutil.copytree(folder / 'one', place / 'one')
-        (place / 'closed').mkdir()
-        shut = (place / 'closed', *(place / 'one' / 'flight').glob('*.mcap'))
-        for path in shut:
-            path.chmod(0)
-        with as_nobody():
-            rows = [fleet.look(job) for job in fleet.jobs(place, place / 'out')]
-        for path in shut:
-            path.chmod(0o755)
-    assert [(row['bag'], row['status']) for row in rows] == [
-        ('closed', 'failed'), ('one/flight', 'failed')]
-    assert all('cannot be read (Permission denied)' in row['reason'] for row in rows), rows
-
-
-def test_a_fault_of_the_program_is_a_row_too(monkeypatch):
-    def broken(_):
-        raise RuntimeError('no such thing')
-
-    monkeypatch.setattr(fleet, '_identified', broken)
-    row = fleet.look(fleet.Job('bag', 'bag', '', 'none'))
-    assert (row['status'], row['reason']) == ('failed', 'RuntimeError: no such thing')
-
-
-def test_lacks_and_outliers_are_found_and_only_where_they_are():
-    rng = np.random.default_rng(1)
-    rows = [
-        {'bag': f'{craft}/{k}', 'aircraft': craft, 'status': 'answered',
-         'roll_verdict': 'effects_added', 'roll_effects': effects,
-         'roll_lag': 0.04 + 2e-4 * float(rng.standard_normal())}
-        for craft, effects in (('a', 'coulomb_friction'), ('b', '')) for k in range(12)
-    ]
-    rows[-1]['roll_lag'] = 0.06
-    shown = [line.split() for line in fleet.lines(rows)]
-    assert ['a', 'roll', 'coulomb_friction', '12', '12'] in shown
-    assert [words for words in shown if words[-1:] == ['b/11']] == [['roll', 'lag', 'b/11']]
-    assert len([words for words in shown if len(words) > 2 and '/' in words[-1]]) == 1

@@ -6,7 +6,6 @@ that nothing of the import's tables is used to make them.
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -166,69 +165,6 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         assert gains[name] == pytest.approx(value, rel=1e-4)
 
 
-def test_px4_torque_alone_is_the_input_in_its_own_unit(flight, px4):
-    def without_motors(topics):
-        del topics['actuator_motors']
-        topics['actuator_controls_0'] = {
-            'timestamp': topics['vehicle_attitude']['timestamp'],
-            'control': np.column_stack([flight.control[:, 1:] * FRD, flight.control[:, 0]]),
-        }
-
-    record, told = px4({'MC_PITCHRATE_P': 0.1}, without_motors)
-    check_motion(record, flight)
-    assert record.gains_at(0.0)['pitch.rate.kp'] == pytest.approx(0.1)
-    assert 'the controller demanded' in told
-
-
-def test_a_ulog_that_is_cut_off_is_told_in_one_line(flight, tmp_path, capfd):
-    pytest.importorskip('pyulog')
-    path = ulog(tmp_path / 'log.ulg', px4_topics(flight), {})
-    path.write_bytes(path.read_bytes()[:40])
-    assert main(['import', str(path)]) == 2
-    said = capfd.readouterr()
-    assert said.out == ''
-    assert said.err.count('\n') == 1
-    assert 'log.ulg: is cut off or damaged before its first data: found 40 bytes' in said.err
-
-
-def test_what_is_to_be_typed_next_can_be_typed(flight, tmp_path, monkeypatch, capsys):
-    """Names of files have blanks, which a shell would take apart."""
-    pytest.importorskip('pyulog')
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'my logs').mkdir()
-    ulog(tmp_path / 'my logs' / 'log 1.ulg', px4_topics(flight), {})
-    words = ['import', 'my logs/log 1.ulg']
-    for start in ('quad-sysid import', 'next: quad-sysid inspect'):
-        assert main(words) == 0
-        line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith(start))
-        words = shlex.split(line.removeprefix('next: '))[1:]
-    assert main(words) in {0, 3}
-
-
-def test_wrong_stamps_do_not_stretch_the_grid(flight, px4):
-    """One damaged byte puts a sample 2000 years off."""
-    def damage(topics):
-        for topic in topics.values():
-            topic['timestamp'] = topic['timestamp'].copy()
-            topic['timestamp'][[200, 700]] = [2**56, 2**40]
-
-    record, told = px4({}, damage)
-    assert '2 samples with a time far off left out' in told
-    lost = np.isnan(record.rates[:, 0])
-    assert np.flatnonzero(lost).tolist() == [200, 700]
-    np.testing.assert_allclose(record.rates[~lost], flight.rates[~lost], atol=1e-5)
-    # the commands beside the wrong stamps are held
-    np.testing.assert_allclose(record.control[~lost], flight.control[~lost], atol=1e-5)
-
-
-def test_times_that_are_damaged_throughout_are_refused(flight, tmp_path, refusal):
-    topics = px4_topics(flight)
-    for topic in topics.values():
-        topic['timestamp'] = topic['timestamp'] + (np.arange(N) // 500) * 10**12
-    file = ulog(tmp_path / 'log.ulg', topics, {})
-    assert 'has times that are damaged' in refusal(imported, file, tmp_path / 'bag')
-
-
 def ardupilot_messages(flight: Flight) -> dict:
     stamps = 3_000_000 + DT_US * np.arange(N)
     pulses = [1000.0 + 1000.0 * flight.thrusts[place]
@@ -291,20 +227,6 @@ def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
     np.testing.assert_allclose(record.control[N // 2 :], flight.control[N // 2 :], atol=1e-5)
 
 
-def test_ardupilot_outputs_carry_the_gains(flight, tmp_path):
-    messages = ardupilot_messages(flight)
-    del messages['RCOU']
-    record, told = imported(dataflash(tmp_path / 'log.bin', messages, {
-        'ATC_RAT_RLL_P': 0.135, 'ATC_ANG_RLL_P': 4.5, 'ATC_RATE_R_MAX': 90.0, 'FRAME_CLASS': 2,
-    }), tmp_path / 'bag')
-    check_motion(record, flight)
-    gains = record.gains_at(0.0)
-    assert gains['roll.rate.kp'] == pytest.approx(0.135)
-    assert gains['roll.angle.rate_limit'] == pytest.approx(np.pi / 2)
-    assert (record.desaturation, record.motors) == ('none', None)
-    assert 'the controller demanded' in told
-
-
 @pytest.mark.parametrize('firmware', ['ArduPilot', 'PX4'])
 def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware):
     """SYSTEM ID mode at the mixer's pitch input; the autotune's steps of the roll rate."""
@@ -336,22 +258,6 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
     assert 'the log holds experiments' in told
 
 
-def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
-    messages = ardupilot_messages(flight)
-    lines = ['ArduCopter V4.5.1 (0ef2c1a7)']
-    for number, (name, (labels, _)) in enumerate(messages.items(), 130):
-        form = 'Q' + 'f' * (len(labels) - 1)
-        lines.append(f'FMT, {number}, 40, {name}, {form}, {",".join(labels)}')
-    rows = [(row[0], name, row) for name, (_, some) in messages.items() for row in some]
-    lines += [', '.join([name, f'{row[0]:.0f}', *(f'{np.float32(x):.9g}' for x in row[1:])])
-              for _, name, row in sorted(rows, key=lambda one: one[0])]
-    (tmp_path / 'log.log').write_text('\n'.join(lines) + '\n')
-    text, _ = imported(tmp_path / 'log.log', tmp_path / 'text_bag')
-    binary, _ = imported(dataflash(tmp_path / 'log.bin', messages, {}), tmp_path / 'binary_bag')
-    np.testing.assert_allclose(text.rates, binary.rates, atol=1e-7)
-    np.testing.assert_allclose(text.control, binary.control, atol=1e-7)
-
-
 def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:
     places = ('rear right', 'front right', 'rear left', 'front left')
     names = ['loopIteration', 'time (us)', *(f'setpoint[{i}]' for i in range(3)),
@@ -381,13 +287,6 @@ def test_betaflight(flight, tmp_path, reversed_yaw):
     assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
     assert record.angles is None
     assert 'feed-forward' in told
-
-
-@pytest.mark.parametrize('column', ['time (us)', 'gyroADC[1]', 'gyroADC[2]', 'motor[0]'])
-def test_a_blackbox_log_without_a_column_is_refused_by_its_name(flight, tmp_path, refusal, column):
-    file = blackbox(tmp_path / 'LOG.csv', flight)
-    file.write_text(file.read_text().replace(column, 'debug[0]', 1))
-    assert column.partition(' ')[0] in refusal(imported, file, tmp_path / 'bag')
 
 
 def varied(value: int) -> bytes:

@@ -13,19 +13,15 @@ from unittest import mock
 import numpy as np
 import pytest
 from flown_axis import SHORT, Axis, Plan, fly
-from scipy.signal import butter, lfilter
 
 import quad_sysid
-from quad_sysid.bags import split_segments
 from quad_sysid.discover.base import best_base
-from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import readings
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.usable import check_moving
-from quad_sysid.record import Record
 from quad_sysid.report import document
 from quad_sysid.report.model_file import load_models, save_models
 
@@ -118,21 +114,6 @@ def test_two_flights_are_fitted_together(plain, plain_flight, other_flight):
         ratios = [b.std / a.std for a, b in zip(plain.model.base, both.model.base, strict=True)]
         assert sum(ratio < 1.0 for ratio in ratios) >= 4, ratios
         assert all(abs(p.value - TRUTH[p.name]) < 4.0 * p.std for p in both.model.base)
-
-
-def test_a_torque_that_never_ends_does_not_spoil_the_black_box(identified):
-    """4 rad/s² of bias: about the equilibrium, not about the means, models run free as without."""
-    record = fly(Axis(bias=4.0), 1, SHORT)
-    answer = identified(record, ())
-    fits = [
-        fit for row in answer.rows for fit in row.step_a.fit_validation_pct.values()
-        if row.step_a.model.stable
-    ]
-    assert np.median(fits) > 90.0
-    spans = tuple((s.start_s, s.end_s) for s in record.segments if s.role == 'validation')
-    polynomial = answer.rows[answer.selected].step_a.model
-    again = evaluate(answer.model, record, spans, polynomial)
-    assert again.blackbox == pytest.approx(answer.blackbox_error, rel=1e-6)
 
 
 # the error figures
@@ -263,17 +244,6 @@ def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):
         assert answer.model.value('gain') == pytest.approx(450.0, rel=0.02)
 
 
-def test_an_aircraft_that_is_carried_about_has_no_answer():
-    """Its controller asks for torque, from rate and angle, and no motor turns."""
-    rng, dt, n = np.random.default_rng(6), 0.004, 15000
-    hand = 8.0 * lfilter(*butter(2, 1.2 * 2.0 * dt), rng.standard_normal((n, 3)), axis=0)
-    asked = -(0.08 * hand + 0.15 * dt * np.cumsum(hand, axis=0))
-    control = np.c_[np.full(n, 0.5), np.clip(np.repeat(asked[::5], 5, axis=0), -0.24, 0.24)]
-    record = Record('carried', dt, hand + 0.001 * rng.standard_normal((n, 3)), control)
-    answer = base_of(split_segments(record))
-    assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
-
-
 def lost(share, *columns):
     """A link that loses single cycles, whole or without their command."""
 
@@ -299,26 +269,6 @@ def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flig
     for p, known in zip(readings(problem, best_base(problem)).base, plain.model.base, strict=True):
         assert abs(p.value - TRUTH[p.name]) < 4.0 * p.std, p
         assert p.std < wider * known.std, p
-
-
-@pytest.mark.parametrize(
-    ('change', 'words'),
-    [(held, 'does not move'), (silent, 'does not move'), (flat_out, 'at their limits')],
-)
-def test_a_flight_that_says_nothing_of_a_model_has_no_figures(
-    plain_flight, true_model, change, words
-):
-    with pytest.raises(NotInformativeError, match=words) as caught:
-        evaluate(true_model, change(plain_flight))
-    assert '\n' not in str(caught.value)
-
-
-def test_a_model_is_evaluated_at_its_own_rate_only(other_flight, true_model, refusal):
-    straight = evaluate(true_model, other_flight)
-    found = evaluate(true_model, other_flight.at_interval(other_flight.dt * PPM_250))
-    assert found.before == pytest.approx(straight.before, rel=0.01)
-    far = other_flight.at_interval(other_flight.dt * 1.02)
-    assert "sample rate must be the model's" in refusal(evaluate, true_model, far)
 
 
 def test_flights_that_do_not_fit_together_are_refused(plain_flight, other_flight, refusal):

@@ -93,15 +93,6 @@ def test_stray_shuffled_and_ticking_times(times, left, words):
     assert words in '; '.join(found.told)
 
 
-def test_rows_written_twice_are_told_from_a_clock_that_ticks():
-    times = np.repeat(T, 2)
-    twice = unroll(times, np.repeat(rows(T), 2, axis=0).T, 'file')
-    assert len(twice.rows) == N
-    assert f'{N} rows written twice' in twice.told[0]
-    ticking = unroll(times, rows(times).T, 'file')
-    assert np.diff(ticking.time_s) == pytest.approx(0.5 * DT, rel=0.01)
-
-
 @pytest.mark.parametrize('times', [np.zeros(50), -T, np.full(50, np.nan)])
 def test_what_cannot_be_mended_is_refused(times):
     with pytest.raises(BadInputError, match='file'):

@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 
 from quad_sysid.bags import read_bag
-from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER_INVERSE, control_from_motors, motors_from_wrench
 from quad_sysid.craft import LAYOUTS, Craft
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
 from quad_sysid.imports.mixers import mixer_of
-from quad_sysid.imports.table import Table, open_table
+from quad_sysid.imports.table import open_table
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.imports.units import unit_of
 
@@ -100,41 +99,6 @@ def test_other_forms_of_the_table(options, tmp_path, kind):
                                atol=1e-9)
 
 
-def test_a_last_line_without_its_end_is_left_out_and_told(options, tmp_path):
-    """A cut number is another number: 1.5e-05 becomes 1.5e-0."""
-    whole = options.file.read_text()
-    last = len(whole.splitlines())
-    for name, text in (('a', whole[:-1]), ('b', whole + '\0' * 100)):
-        cut = replace(options, file=tmp_path / f'{name}.csv')
-        cut.file.write_text(text)
-        imported(cut, tmp_path / name)
-        told = f'line {last + (name == "b")}, the last, has no end'
-        assert told in read_columns(cut).clock[0]
-        assert len(read_bag(tmp_path / name).rates) == last - 1 - (name == 'a')
-
-
-@pytest.mark.parametrize('change', [
-    lambda text: text.replace(',', ' '),
-    lambda text: text.replace(',', ';').replace('.', ','),
-])
-def test_spaces_and_decimal_commas(options, tmp_path, change):
-    other = replace(options, file=tmp_path / 'other.csv')
-    other.file.write_text(change(options.file.read_text()))
-    found, known = read_columns(other), read_columns(options)
-    np.testing.assert_allclose(found.rates.values, known.rates.values)
-
-
-@pytest.mark.parametrize(('unit', 'encoding'), [
-    ('Deg/s', 'utf-8'), ('DEG/S', 'utf-8'), ('°/s', 'utf-8'), ('°/s', 'latin-1'), ('DPS', 'utf-8'),
-])
-def test_a_unit_in_the_header_however_it_is_written(options, tmp_path, unit, encoding):
-    name = f'rate [{unit}]'
-    file = write(tmp_path / 'a.csv', columns() | {name: columns()['rate'] / DEG})
-    file.write_bytes(file.read_text().encode(encoding))
-    found = read_columns(replace(options, file=file, rate=(name,)))
-    np.testing.assert_allclose(found.rates.values[:, 1], columns()['rate'], atol=1e-9)
-
-
 def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsys):
     fast = columns()['rate'] * 30.0 / np.pi
     file = write(tmp_path / 'a.csv', columns() | {
@@ -145,36 +109,6 @@ def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsy
     np.testing.assert_allclose(found.rates.values[:, 1], columns()['rate'], atol=1e-9)
     assert main(['import', str(file)]) == 0
     assert "--unit 'gy [rpm]=rad/s'" in capsys.readouterr().out
-
-
-def test_a_motor_that_is_never_in_range_is_refused(options, refused, tmp_path):
-    file = write(tmp_path / 'a.csv', columns() | {'m1': np.full(len(columns()['t']), -1.0)})
-    line = refused(replace(options, file=file, control=(), motors=MOTORS, mixer='auto'))
-    assert 'column m1: in unit 1 is outside 0..1' in line
-
-
-def test_all_axes_at_once_in_the_units_of_the_header(tmp_path, capsys):
-    table = columns()
-    t = table['t']
-    rates = [np.cos(9 * t), np.cos(7 * t), np.cos(5 * t)]
-    file = write(tmp_path / 'all.csv', {
-        'Time (ms)': 1e3 * t, **{f'gyro {a} [deg/s]': rates[i] / DEG for i, a in enumerate('xyz')},
-        **{f'm{i} (%)': 100.0 * table[f'm{i}'] for i in range(1, 5)},
-        'bat [mV]': 1e3 * table['bat'],
-    })
-    assert main([
-        'import', str(file), '--time', 'Time (ms)', '--motors',
-        ','.join(f'm{i} (%)' for i in range(1, 5)), '--rate',
-        ','.join(f'gyro {a} [deg/s]' for a in 'xyz'), '--battery', 'bat [mV]',
-        '--out', str(tmp_path / 'bag'),
-    ]) == 0
-    record = read_bag(tmp_path / 'bag')
-    motors = np.column_stack([table[m] for m in MOTORS])
-    np.testing.assert_allclose(record.rates, np.column_stack(rates), atol=1e-9)
-    np.testing.assert_allclose(record.motors, motors, atol=1e-9)
-    np.testing.assert_allclose(record.control, control_from_motors(motors), atol=1e-9)
-    assert record.battery_v[0] == pytest.approx(11.5, abs=1e-3)
-    capsys.readouterr()
 
 
 def test_an_unknown_table_is_listed_with_a_command_line_that_works(tmp_path, capsys, monkeypatch):
@@ -230,7 +164,6 @@ def proposals(out: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize('heads', [
-    ('gx', 'gy', 'gz'), ('p', 'q', 'r'), ('gx (deg/s)', 'gy', 'gz'), ('gx', 'gy [deg/s]', 'gz'),
     ('Gyro X (deg/s)', 'Gyro Y', 'Gyro Z'), ('gyro_x_dps', 'gyro_y_dps', 'gyro_z_dps'),
 ])
 def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
@@ -253,43 +186,6 @@ def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
     np.testing.assert_allclose(record.angles[:, 1], want['pitch'], atol=1e-6)
 
 
-def test_a_unit_given_for_one_column_of_a_sensor_holds_for_its_others(tmp_path):
-    table = rig(**renamed('t', *MOTORS), **renamed('gx', 'gy', 'gz', factor=10.0))
-    three = ColumnOptions(write(tmp_path / 'own.csv', table), ('roll', 'pitch', 'yaw'), 't',
-                          motors=MOTORS, rate=('gx', 'gy', 'gz'))
-    for units, factors in (({'gx': 'deg/s'}, (DEG, DEG, DEG)),
-                           ({'gx': 'deg/s', 'gz': 'rad/s'}, (DEG, 1.0, 1.0)),
-                           ({'gy': '-0.5'}, (1.0, -0.5, 1.0))):  # a sign is an axis' own
-        found = read_columns(replace(three, units=units)).rates.values
-        for i, name in enumerate(('gx', 'gy', 'gz')):
-            np.testing.assert_allclose(found[:, i], factors[i] * table[name], atol=1e-9)
-
-
-@pytest.mark.parametrize(('angle', 'reference', 'factor'), [
-    ('Roll (deg)', 'Roll setpoint (deg)', 1.0 / DEG), ('phi', 'roll_ref', 1.0),
-    ('roll', 'roll_sp', 1.0 / DEG),
-])
-def test_one_angle_beside_three_rates_is_told_with_the_line_that_uses_it(
-    tmp_path, capsys, monkeypatch, angle, reference, factor
-):
-    monkeypatch.chdir(tmp_path)
-    write(tmp_path / 'own.csv', rig(
-        **renamed('t', *MOTORS, 'gx', 'gy', 'gz'), roll=(angle, factor), ref=(reference, factor)))
-    assert main(['import', 'own.csv']) == 0
-    out = capsys.readouterr().out
-    assert re.search(re.escape(angle) + r' .*  angle, roll.*, not used', out)
-    assert re.search(re.escape(reference) + r' .*  reference, roll.*, not used', out)
-    assert '--angle, --reference: not used, since only roll of roll, pitch, yaw has' in out
-    every, roll = proposals(out)
-    assert every[every.index('--axis') + 1] == 'roll,pitch,yaw'
-    assert '--angle' not in every
-    roll[roll.index('--mixer') + 1] = 'x'
-    assert main(roll) == 0
-    record, want = read_bag(tmp_path / 'own_roll_bag'), columns()
-    np.testing.assert_allclose(record.angles[:, 0], want['angle'], atol=1e-6)
-    np.testing.assert_allclose(record.attitude_setpoint[:, 0], want['ref'], atol=1e-6)
-
-
 @pytest.mark.parametrize(('unit', 'turned'), [
     ('1', '-1'), ('0.05', '-0.05'), ('pulse_us', '-0.001:1.5'),
 ])
@@ -309,56 +205,6 @@ def test_a_command_of_the_wrong_sign_is_told_and_what_is_advised_mends_it(
     right = imported(replace(wrong, units={'u': turned}), tmp_path / 'right')
     assert not [one for one in right.warnings if 'opposite' in one]
     np.testing.assert_allclose(right.record.control[:, 2], command, atol=1e-9)
-
-
-def test_a_rate_setpoint_by_name_or_unit_is_no_reference_of_the_angle(tmp_path, capsys):
-    for name in ('roll_rate_sp', 'Roll setpoint (deg/s)'):
-        write(tmp_path / 'own.csv', rig(**renamed('t', *MOTORS, 'gx', 'roll'), ref=(name, 1.0)))
-        assert main(['import', str(tmp_path / 'own.csv')]) == 0
-        out = capsys.readouterr().out
-        assert re.search(re.escape(name) + r' .*  rate reference, roll', out)
-
-
-@pytest.mark.parametrize(('unit', 'advised'), [('us', None), ('µs', None), ('PWM', 'pulse_us')])
-def test_motors_in_microseconds(options, tmp_path, refusal, unit, advised):
-    """Microseconds of a motor are its pulse's; of another unit the advice follows the values."""
-    names = tuple(f'Motor {i} ({unit})' for i in range(1, 5))
-    table = columns() | {new: 1000.0 + 1000.0 * columns()[m]
-                         for new, m in zip(names, MOTORS, strict=True)}
-    motors = replace(options, file=write(tmp_path / 'own.csv', table), control=(), motors=names)
-    if advised:
-        line = refusal(read_columns, motors)
-        assert f"'{unit}'" in line
-        assert f"such as --unit 'Motor 1 ({unit})={advised}'" in line
-        motors = replace(motors, units=dict.fromkeys(names, advised))
-    np.testing.assert_allclose(read_columns(motors).motors.values,
-                               np.column_stack([columns()[m] for m in MOTORS]), atol=1e-9)
-
-
-@pytest.mark.parametrize(('text', 'words'), [
-    ('A suite for quadrotors and their STM32\n\nIt has 3 packages.\nEach has tests, and 250 Hz.\n',
-     "is not a table: most lines have not the header's columns"),
-    ('one\ntwo\nthree\n4\nfive\nsix\n', 'is not a table of numbers'),
-])
-def test_a_text_that_is_no_table_is_refused_in_one_line(tmp_path, capsys, text, words):
-    file = tmp_path / 'notes.md'
-    file.write_text(text)
-    assert main(['import', str(file)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ''
-    assert len(said.err.splitlines()) == 1
-    assert f'notes.md: {words}' in said.err
-
-
-@pytest.mark.parametrize('text', [
-    't,gyro_x,u_x,mode\n0,0.1,1,on,\n0.1,0.2,2,on,\n0.2,0.4,1,off,\n',  # a comma ends each row
-    't,gyro_x,u_x\n0,0.1,\n0.1,,2\n0.2,0.4,1\n',
-])
-def test_odd_rows_still_make_a_table(tmp_path, capsys, text):
-    file = tmp_path / 'log.csv'
-    file.write_text(text)
-    assert main(['import', str(file)]) == 0
-    assert '3 columns with numbers' in capsys.readouterr().out
 
 
 def test_commands_of_all_axes_and_thrust(options, tmp_path):
@@ -400,36 +246,6 @@ def test_a_heading_that_wraps_turns_no_faster_than_the_aircraft(tmp_path):
     np.testing.assert_allclose(record.rates[:, 2], 3.0 * np.cos(2.0 * t), atol=0.01)
     np.testing.assert_allclose(record.attitude_setpoint[:, 2] - record.angles[:, 2], -10.0 * DEG,
                                atol=1e-6)
-
-
-def test_columns_of_two_rates_stand_side_by_side(options, tmp_path):
-    """An empty cell is not a sample: a slower command is held, a slower angle is drawn."""
-    table = columns()
-    slow = np.arange(N) % 5 != 0
-    for name in ('u', 'angle', 'ref', 'bat'):
-        table[name] = np.where(slow, np.nan, table[name])
-    imported(replace(options, file=write(tmp_path / 'two.csv', table)), tmp_path / 'bag')
-    record, want = read_bag(tmp_path / 'bag'), columns()
-    np.testing.assert_allclose(record.rates[:, 1], want['rate'], atol=1e-9)
-    np.testing.assert_allclose(record.control[:, 2], np.repeat(want['u'][::5], 5), atol=1e-9)
-    assert any('were logged at 50 Hz' in line for line in record.warnings)
-
-
-T = np.arange(10.0)
-
-
-@pytest.mark.parametrize(('times', 'values', 'rows'), [
-    (T, T, 10), (T + 0.1, T, 9), (T[::-1] + 0.1, T, 9), (T, np.full(10, np.nan), 0),
-    (T + 0.1, np.where(T == 4, np.nan, T), 9), (T + 0.1, np.full(10, np.nan), 0), ([], [], 0),
-    ([1.0], [2.0], 0), ([1.0, 1.0], [2.0, 3.0], 0), (np.full(10, np.nan), T, 0),
-])  # fmt: skip
-def test_a_column_beside_one_at_other_times(times, values, rows):
-    """Drawn at the times of the first; one without two samples makes no stream."""
-    times, values = np.array(times), np.array(values)
-    table = Table('a log', {'first': T, 'second': values}, {'first': T, 'second': times})
-    found = table.stream('first', 'second')
-    assert (0 if found is None else found.values.shape) == (rows and (rows, 2))
-    assert (table.stream('second') is None) == (rows == 0)
 
 
 def sd_card(version: int, cut: int = 0) -> bytes:
@@ -521,20 +337,13 @@ STILL = {**FOUR, 'rate': ('bat',), 'angle': (), 'battery': None}
 @pytest.mark.parametrize(
     ('change', 'words'),
     [
-        ({'time': 'time'}, 'no column time'),
         ({'time': None}, 'needs --time'),
-        ({'control': ()}, '--control and --motors'),
-        ({**FOUR, 'motors': ('m1',)}, '4, 6 or 8'),
         ({**FOUR, 'motors': ('m1', 'm2')}, '--mixer x: is one of 4 motors'),
         ({'rate': (), 'angle': ()}, '--rate or --angle'),
         ({'rate': ('rate', 'm1')}, 'a column for each of pitch'),
-        ({'axes': ('nose',)}, '--axis'),
         ({'rate': ('u',)}, 'named twice'),
         ({'units': {'rate': 'furlong'}}, "'furlong'"),
-        ({'units': {'speed': 'm/s'}}, 'speed'),
         ({'units': {'u': '9'}}, 'column u'),
-        ({'units': {'angle': '20'}}, 'column angle'),
-        ({**FOUR, 'mixer': 'round'}, '--mixer round'),
         ({**STILL, 'mixer': 'auto'}, 'does not show what the motors do'),
         ({**FOUR, 'units': {'m1': '4'}}, 'column m1'),
         ({'file': Path('absent.csv')}, 'absent.csv: cannot be read'),
@@ -551,22 +360,16 @@ BROKEN = gzip.compress(b't,u,rate\n' + b'0.125,0.5,1.75\n' * 2000, mtime=0)[:60]
     ('text', 'words'),
     [
         ('', 'is empty'),
-        ('t,u,rate\n', 'no rows'),
-        ('t,u\n0,1\n', 'line 1: no column rate'),
         ('t,u,rate,rate\n0,0,1,2\n', 'line 1: several columns rate'),
         ('t,u,rate\n0,0,1\n0.1,much,1\n', "line 3, column u: needs a number or nothing: found 'm"),
         ('t;u;rate\n0;0;1.234,5\n', "needs a number or nothing: found '1.234.5'"),
         ('0,0,1\n0.1,0,1\n', "line 1: holds numbers, not the columns' names"),
-        ('t,u,rate\n0,0,1', 'has a header but no rows'),
-        ('t,u,rate\n0,0,nan\n', 'line 2, column rate: holds no number'),
         ('t,u,rate\n0,0,1\n0,0,2\n', 'column t: does not increase'),
-        ('t,u,rate\n2,0,1\n1,0,2\n', 'column t: does not increase'),
         ('t,u,rate\n0,0,1\n0.2,0,1\n', 'too few'),
         (b'\xbc\x07\x00\x01\x00', 'unknown version'),
         (b'\xbc\x01\x00\x01\x00\x00', 'is not a whole log of a Crazyflie SD card'),
         (b'#ROSBAG V2.0\n and noise', 'is not a whole bag'),
         ('{"t": [0, 1]}\n', 'is JSON, not a table; give a CSV file'),
-        (MAGIC, 'is not a whole bag'),
         pytest.param(np.random.default_rng(0).bytes(1000), 'nor a log of PX4, ArduPilot',
                      id='noise'),
         pytest.param(BROKEN, '', id='broken gzip'),
@@ -603,14 +406,12 @@ ALONE = {'angle': (), 'reference': ()}
         ({}, ['rate=deg/s'], {}, '--unit rate=rad/s'),
         ({'angle': 1 / DEG}, ['angle=rad'], {}, '--unit angle=deg'),
         ({}, ['angle=deg', 'rate=rad/s', 'ref=deg'], {}, '--unit angle=rad'),
-        ({'ref': 1 / DEG}, [], {}, '--unit ref=deg'),
         ({}, ['ref=deg'], {}, '--unit ref=rad'),
         ({'angle': 0.05 / DEG, 'rate': 0.05, 'ref': 0.05}, [], {}, '--unit angle=deg'),
         ({'rate': -1.0}, [], {}, '--unit rate=-1, or --unit angle=-1'),
         ({'angle': -1.0, 'ref': -1.0}, [], {}, '--unit rate=-1, or --unit angle=-1'),
         ({'rate': -1 / DEG}, ['rate=deg/s'], {}, '--unit rate=-0.0174533, or'),
         ({'t': 1e3}, [], {}, '--unit t=ms (250 Hz), or --unit t=s'),
-        ({'t': 1e6}, [], {}, '--unit t=us (250 Hz)'),
         ({'t': 1e-3}, [], {}, '--unit t=FACTOR'),
         ({'rate': 100.0 / DEG}, [], ALONE, '--unit rate=deg/s'),
     ],
@@ -649,17 +450,6 @@ def test_what_is_odd_is_told(tmp_path, scale, units, names, words):
     assert any(words in line for line in read_bag(done.path).warnings)
 
 
-def test_an_angle_that_wraps_is_not_held_against_its_jumps(tmp_path):
-    t = DT * np.arange(N)
-    file = write(tmp_path / 'log.csv', {
-        't': t, 'u': 0.1 * np.sin(t), 'r': 2.0 + np.sin(3.0 * t),
-        'a': np.angle(np.exp(1j * (2.0 * t - np.cos(3.0 * t) / 3.0))),
-    })
-    done = imported(ColumnOptions(file, ('yaw',), 't', control=('u',), rate=('r',), angle=('a',)),
-                    tmp_path / 'bag')
-    assert done.log.checks == ()
-
-
 @pytest.mark.parametrize(
     ('names', 'columns_of', 'advice'),
     [
@@ -687,58 +477,6 @@ def test_the_unit_of_a_command_that_is_advised_is_accepted(
         assert advice in (None, unit)
         units[name] = unit
     assert read_columns(replace(options, units=units)).rates is not None
-
-
-def test_the_columns_of_a_table_are_told_by_their_own_roles_and_rates(options):
-    told = {one.source: (one.topic, one.rate_hz) for one in read_columns(options).mapped}
-    for name, role in (('rate', 'rate, pitch'), ('wanted', 'rate reference, pitch'),
-                       ('ref', 'reference, pitch'), ('u', 'control, pitch')):
-        assert told[name] == (role, pytest.approx(250.0))
-
-
-def test_a_table_without_a_time_is_not_given_one(tmp_path, capsys):
-    rng = np.random.default_rng(2)
-    table = {'time': columns()['t']} | {name: rng.standard_normal(N) for name in (
-        'gyro_x', 'gyro_y', 'gyro_z', 'cmd_x', 'cmd_y', 'cmd_z')}
-    table['gyro_x'] = np.cumsum(rng.choice([-1.0, 1.0, 1.0], N))  # rises in two steps of three
-    for names, told in ((list(table), '--time time'), (list(table)[1:], 'no column of time')):
-        file = write(tmp_path / 'log.csv', {name: table[name] for name in names})
-        assert main(['import', str(file)]) == 0
-        out = capsys.readouterr().out
-        assert told in out
-        assert ('--time' in out.replace('name it with --time', '')) is (names[0] == 'time')
-
-
-def test_a_fast_log_is_told_of_a_grid_that_is_fitted_sooner(tmp_path, capsys):
-    names = {'t': 't', 'rate': 'gyro_x', 'u': 'cmd_x'}
-    for step, said in ((1.0, False), (0.25, True)):
-        table = {new: columns()[old] for old, new in names.items()}
-        file = write(tmp_path / 'log.csv', table | {'t': step * table['t']})
-        assert main(['import', str(file)]) == 0
-        assert ('--grid 250' in capsys.readouterr().out) is said
-
-
-def test_a_grid_far_above_the_logs_rate_is_refused(options, refusal, tmp_path):
-    line = refusal(imported, options, tmp_path / 'bag', 1e6)
-    assert line == ('--grid: must be at most 1000 Hz: found 1e+06 Hz; the log has 250 Hz; '
-                    'leave --grid out')
-    assert not (tmp_path / 'bag').exists()
-
-
-def test_a_bag_of_the_contract_needs_no_import(options, tmp_path, capsys):
-    imported(options, tmp_path / 'bag')
-    assert main(['import', str(tmp_path / 'bag')]) == 2
-    said = capsys.readouterr()
-    assert said.out == ''
-    assert 'is a bag of this project already; use quad-sysid inspect' in said.err
-
-
-def test_units_of_commands_and_motors():
-    for quantity, unit, values, normalised in (
-        ('control', 'V', [-10.0, 10.0], [-0.5, 0.5]), ('motor', 'pwm16', [65535.0], [1.0]),
-        ('motor', 'pulse_us', [1000.0, 2000.0], [0.0, 1.0]),
-    ):
-        assert unit_of(quantity, unit, 'u')(np.array(values)).tolist() == normalised
 
 
 def test_mixers(tmp_path):

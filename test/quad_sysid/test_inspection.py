@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from quad_sysid.cli import main
 from quad_sysid.contract import MIXER
 from quad_sysid.inspection.cli import lines
 from quad_sysid.inspection.content import content
-from quad_sysid.report.model_file import save_models
 
 
 @pytest.fixture(scope='module')
@@ -77,17 +75,6 @@ def test_without_an_angle_no_effects_of_the_angle_are_promised(record, tmp_path)
     assert not uses['find effects of the measured angle'].possible
 
 
-def test_a_flight_in_which_nothing_moves_is_good_for_nothing(record, tmp_path, capsys):
-    still = replace(record, control=np.tile([0.5, 0.0, 0.0, 0.0], (record.n, 1)))
-    path = write_bag(still, tmp_path / 'still')
-    assert main(['inspect', str(path)]) == 3
-    out, err = capsys.readouterr()
-    assert 'no  identify roll: the command never moves' in out
-    assert 'not excited: the command stands still' in out
-    assert 'persistently' not in out
-    assert len(err.splitlines()) == 1
-
-
 @pytest.fixture(scope='module')
 def held(record):
     """Roll flies; pitch and yaw are held, so that their motors answer to the gyro's noise alone.
@@ -120,43 +107,6 @@ def test_an_axis_that_is_held_is_refused_as_by_identify(held, tmp_path, capsys):
     assert main(['identify', str(path), '--axis', 'pitch', '--no-effects', '--out', str(out)]) == 3
     said = ' '.join(capsys.readouterr().out.split())
     assert 'the commands do not predict the held-out rates better' in said
-
-
-def test_a_command_of_the_wrong_sign_is_told_without_motors(record, tmp_path, capsys):
-    control = record.control * [1.0, -1.0, 1.0, 1.0]
-    path = write_bag(replace(record, control=control, wrench=control), tmp_path / 'bag')
-    seen = content(path)
-    assert [(p.axis, p.signs, p.certain) for p in seen.layout] == [('roll', (-1,), True)]
-    (line,) = [one for one in seen.warnings if 'roll: command and rate' in one]
-    assert 'have opposite signs' in line
-    assert '--unit COLUMN=-1' in line
-    assert main(['inspect', str(path)]) == 0
-    out = ' '.join(capsys.readouterr().out.split())
-    assert 'command on roll: - explains' in out
-    assert '--mixer' not in out
-    assert 'motor_' not in out
-
-
-def test_what_identify_would_refuse_is_no_use(record, tmp_path, capsys):
-    short = tuple(replace(s, end_s=s.start_s + 4.0) if s.role == 'train' else s
-                  for s in record.segments)  # 6 windows, the fit needs 8
-    path = write_bag(replace(record, segments=short), tmp_path / 'bag')
-    assert main(['inspect', str(path)]) == 3
-    out = ' '.join(capsys.readouterr().out.split())
-    assert re.search(r'no identify roll: training holds \d windows of 0.5 s, at least 8', out)
-    assert 'gain design' not in out
-    assert 'yes evaluate a stored model' in out
-    assert main(['identify', str(path), '--axis', 'roll', '--out', str(tmp_path / 'out')]) == 3
-    assert re.search(r'training holds \d windows of 0.5 s, at least 8', capsys.readouterr().err)
-
-
-def test_a_bag_without_validation_still_serves_to_evaluate(record, tmp_path, plain_answer, capsys):
-    trained = tuple(s for s in record.segments if s.role != 'validation')
-    path = write_bag(replace(record, segments=trained), tmp_path / 'bag')
-    save_models({'roll': plain_answer.model}, tmp_path / 'model.json')
-    assert main(['evaluate', str(tmp_path / 'model.json'), str(path)]) == 0
-    main(['inspect', str(path)])
-    assert 'yes evaluate a stored model' in capsys.readouterr().out
 
 
 def test_a_bag_without_commands_tells_its_topics(record, tmp_path, capsys):

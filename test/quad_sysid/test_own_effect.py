@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import json
 import math
-import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,10 +14,9 @@ import pytest
 from flown_axis import SHORT, UNSEEN, Axis, fly
 
 import quad_sysid as qs
-from quad_sysid.arguments import own_effects
 from quad_sysid.cli import main
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.plant import slopes_at
+from quad_sysid.loop.linear import STILL, linear
 from quad_sysid.model.checked import checked
 from quad_sysid.report import html, plots
 from quad_tuning.cli import main as tune
@@ -99,16 +97,9 @@ class Unmeasured(Cogging):
         return 'nobody measured it'
 
 
-@pytest.mark.parametrize('beside', [(), qs.EFFECTS[:4]], ids=['alone', 'beside others'])
-def test_one_that_loses_is_reported_with_its_evidence(beside):
-    """Also where the search does not fit it, as it promises nothing; and one that was not tested.
-
-    Nothing is planted, or dry friction alone.
-    """
-    torque = (lambda _t, rate, _angle: -6.0 * math.tanh(rate / 0.005)) if beside else (
-        lambda _t, _rate, _angle: 0.0)
-    result = qs.identify(fly(Axis(torque=torque), 5, SHORT), 'roll',
-                         effects=(*beside, Cogging(), Unmeasured()))
+def test_one_that_loses_is_reported_with_its_evidence(plain_flight):
+    """Also where the search does not fit it; and one that was not tested."""
+    result = qs.identify(plain_flight, 'roll', effects=(Cogging(), Unmeasured()))
     tree = result.report['axes']['roll']
     lost, not_tested = tree['own_effects']
     assert (lost['name'], lost['outcome']) == ('cogging', 'not_added')
@@ -125,22 +116,16 @@ def test_one_that_loses_is_reported_with_its_evidence(beside):
     jsonschema.validate(result.report, json.loads(schema))
 
 
-def test_a_process_side_by_side_sends_back_what_names_it(tmp_path):
-    own = own_effects(written(tmp_path))
-    again = pickle.loads(pickle.dumps(own))  # noqa: S301
-    assert [type(effect) for effect in again] == [type(own[0])]
-
-
-def test_it_is_linearised_designed_for_and_separated(result, tmp_path):
+def test_it_is_linearised_designed_for_and_separated(result):
     """In small motion a spring of 12 T; gains and the flight that tells it from a spring."""
-    slope = slopes_at(loop_plant(result.model), 1e-3, 1e-3, 1e-3).angle
+    (part, _), *_ = linear(loop_plant(result.model), STILL).plant.pushing
+    slope = part.effect.rows[0, 1]
     assert slope == pytest.approx(-12.0 * TRUTH, rel=0.05)
     assert result.gains['roll.rate.kp'] > 0.0
     found = qs.separate(result.model, ('cogging', 'pendulum_stiffness'), 10.0)
     assert found.best.worst.nats > 0.0
     words = ['design-excitation', '--quiet', '--seconds', '10', '--separate', 'cogging', 'nothing']
     assert main(words) == 2
-    assert main([*words, '--effects', written(tmp_path)]) == 0
 
 
 def like(torque=Cogging.torque, **changes):
@@ -155,17 +140,11 @@ def like(torque=Cogging.torque, **changes):
         ((Cogging,), 'must hold instances of quad_sysid.Effect: found the class Cogging'),
         (('coulomb_friction',), "quad_sysid.Effect: found 'coulomb_friction'"),
         ((*OWN, Cogging()), 'two effects have one name: found cogging'),
-        ((like(name='quadratic_drag')(),), 'two effects have one name: found quadratic_drag'),
-        ((like(name='')(),), 'Mine: has no name'),
-        ((like(signals='rate')(),), '`signals` must be a tuple of str'),
         ((like(signals=('angel',))(),), "unknown one: found 'angel'; there are rate, angle, com"),
-        ((like(parameters=())(),), '`parameters` must be a tuple of Spec'),
-        ((like(lambda _, s, p: -p[0] * s.rate)(),), 'cannot be evaluated: found TypeError'),
         ((like(lambda _, s, p, __: p[0] * s.rates)(),), 'evaluated: found AttributeError'),
         ((like(lambda *given: -given[2][0])(),), '`torque` must give an array like s.rate'),
         ((like(lambda _, s, p, __: p[0] * np.sqrt(s.rate))(),), '`torque` must be finite'),
         ((like(lambda _, s, p, __: s.rate * p[0] ** 2)(),), 'not linear in its parameters'),
-        ((like(lambda *_: None)(),), 'adds no torque'),
     ],
 )
 def test_an_effect_that_is_none_is_refused_before_the_flight_is_read(tmp_path, effects, words):
@@ -174,7 +153,3 @@ def test_an_effect_that_is_none_is_refused_before_the_flight_is_read(tmp_path, e
         with pytest.raises(qs.BadInputError) as refused:
             call()
         assert words in str(refused.value)
-
-
-def test_the_built_in_effects_pass_the_same_check():
-    assert checked(qs.EFFECTS, 'here') == qs.EFFECTS

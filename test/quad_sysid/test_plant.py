@@ -1,4 +1,4 @@
-"""An effect is one thing wherever it acts: cycle by cycle, along a whole flight, in a free run.
+"""An effect is one thing wherever it acts: cycle by cycle, along a flight, free, in a loop.
 
 Each effect of the table flies in a plant of its own with seeded inputs; the flight that comes out
 is what filter and free run get, without any noise.
@@ -14,22 +14,16 @@ import numpy as np
 import pytest
 
 from quad_sysid.contract import motors_from_wrench
+from quad_sysid.craft import X
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.hidden import Linear, Load, Memory
-from quad_sysid.estimate.stored import estimate_of, plant_of
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.exports import to_control
 from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
-from quad_sysid.loop.from_model import (
-    Placed,
-    commanded,
-    loop_plant,
-    not_in_the_loop,
-    share_outside,
-    usual_signals,
-)
-from quad_sysid.loop.kernels import control
-from quad_sysid.loop.plant import exact_cycles, slopes_at, state_space
-from quad_sysid.loop.simulation import constants
+from quad_sysid.loop.from_model import Placed, loop_plant, not_in_the_loop, share_outside
+from quad_sysid.loop.linear import STILL, Level, loops_of
+from quad_sysid.loop.plant import Flying
+from quad_sysid.loop.simulation import Stepping, running, simulate_cascade
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.effect import Part
@@ -42,6 +36,7 @@ from quad_tuning.errors import DesignRefusedError
 DT, N = 0.004, 250
 BASE = np.array([120.0, 0.04, 0.0093, 0.8, 0.2])
 QUIET = np.array([1.0, 1.0, 0.3, 0.1])
+NO_GAINS = CascadeGains(0.0, 0.0, 0.0, 0.0)
 
 
 def flight_of_commands(seed: int = 3, gyro: float | None = 40.0) -> AxisData:
@@ -117,7 +112,7 @@ def of_the_table(effects: list) -> list:
 
 
 @pytest.mark.parametrize('effect', of_the_table(SHAPED))
-def test_cycle_by_cycle_along_arrays_and_in_a_free_run_an_effect_does_the_same(effect):
+def test_cycle_by_cycle_compiled_along_arrays_and_in_a_free_run_an_effect_does_the_same(effect):
     """To 1e-9 rad/s, from rest over a second, behind the gyro's filter."""
     data = flight_of_commands()
     rehearsed = replace(data, rate=0.5 * np.sin(4.0 * DT * np.arange(N)))
@@ -126,9 +121,13 @@ def test_cycle_by_cycle_along_arrays_and_in_a_free_run_an_effect_does_the_same(e
     p = parameters(effect)
     structure = Structure((Part(effect, settings),))
     values = np.r_[BASE, p, QUIET]
-    plant = Plant(structure, values, DT, Flight(data, data.stretches).sensor,
-                  Flight(data, data.stretches).share, rounds=6)
+    plant = Plant(structure, values, DT, Flight(data, data.stretches).sensor, X, 0, rounds=6)
     record, angles, begin = flown(plant, data)
+    flying = Flying(plant, Flight(data, data.stretches).commanded(BASE), settled=False)
+    assert not isinstance(running(flying), Stepping)
+    compiled = simulate_cascade(flying, NO_GAINS, np.zeros(N), DT,
+                                control_excitation=data.command)
+    np.testing.assert_allclose(compiled.rate, record.rate, atol=1e-9)
     plain, *_ = flown(replace(plant, structure=Structure(), p=np.r_[BASE, QUIET]), data)
     assert np.abs(record.rate - plain.rate).max() > 1e-5
     logs = np.array([spec.log for spec in structure.specs])
@@ -175,7 +174,7 @@ def smooth(effect) -> bool:
     steep_lag = effect.term == 'lag' and effect.signals[0] == 'command'
     kinked = effect.variant.startswith('rough')  # a knot at rest
     return not (kinked or steep_lag or effect.name in steep or effect.phased or effect.stepped
-                or warms or effect.variant == 'hysteresis' or part.why_outside)
+                or warms or effect.name == 'mode:hysteresis' or part.why_outside)
 
 
 @pytest.mark.parametrize('effect', of_the_table([e for e in SHAPED if smooth(e)]))
@@ -183,30 +182,18 @@ def test_in_small_motion_the_loop_is_the_plant(effect):
     """The rate after steps that are next to nothing: to 1 % of its largest."""
     data = flight_of_commands()
     settings = effect.prepare(replace(data, rate=0.5 * np.sin(4.0 * DT * np.arange(N))))
-    model = model_of(estimated(effect, parameters(effect), settings))
-    level = (2e-7, 2e-8, 1e-8)
-    loop = loop_plant(model, level)
-    linear = state_space(loop, slopes_at(loop, *level))
+    flying = loop_plant(model_of(estimated(effect, parameters(effect), settings)))
+    loops = loops_of([(flying, STILL)])
     u = 1e-8 * np.repeat([0.0, 1.0, -1.0, 1.0, 0.0], 30)
-    rates = np.zeros((2, u.size))
-    for i, given in enumerate((0.0 * u, u)):
-        s = commanded(model, usual_signals(model), given)
-        plant = replace(plant_of(model), rounds=3)
-        x, push = plant.begin(s.at(np.arange(1)), np.zeros(1), np.zeros(1)), 0.0
-        if effect.states and not effect.moves_command:
-            settled = effect.settled(replace(s.at(np.arange(1)), angle=np.zeros(1)), plant.p[5:],
-                                     settings)
-            x = x._replace(turning=x.turning._replace(hidden=(settled,)))
-        for _ in range(4):  # what holds it at rest
-            push = push - plant.step(x, s.at(np.arange(1)), push).turning.rate / DT
-        for k in range(u.size):
-            rates[i, k] = plant.measured(x)[0][0]
-            x = plant.step(x, s.at(np.array([k])), push)
-    expected, x = np.zeros(u.size), np.zeros(len(linear.a))
+    still, moved = (
+        simulate_cascade(flying, NO_GAINS, 0.0 * u, DT, disturbance=-flying.held,
+                         control_excitation=given).rate for given in (0.0 * u, u)
+    )
+    expected, x = np.zeros(u.size), np.zeros(loops.b.shape[1])
     for k in range(u.size):
-        expected[k] = linear.c[0] @ x
-        x = linear.a @ x + linear.b[:, 0] * u[k]
-    np.testing.assert_allclose(rates[1] - rates[0], expected, atol=0.01 * np.abs(expected).max())
+        expected[k] = loops.c[0, 0] @ x
+        x = loops.a[0] @ x + loops.b[0] * u[k]
+    np.testing.assert_allclose(moved - still, expected, atol=0.01 * np.abs(expected).max())
 
 
 MODE = {'frequency': 6.0, 'damping_ratio': 0.06, 'in_phase': 0.1, 'quadrature': 0.05}
@@ -216,22 +203,21 @@ FALLS = ('pendulum_stiffness', 'from the rate', [30.0, -12.0])
 
 @pytest.mark.parametrize(('found', 'tolerance'), [
     ((), 0.03),
-    ((('mode', 'second order', list(SECOND.values())), ('resonance', '', list(MODE.values()))),
+    ((('mode:second_order', '', list(SECOND.values())), ('resonance', '', list(MODE.values()))),
      0.03),
-    ((('mode', 'second lag', [0.02]),), 0.03),
+    ((('mode:second_lag', '', [0.02]),), 0.03),
     ((FALLS,), 0.03),
-    ((('mode', 'slow state', [0.3, 20.0]),), 0.03),
-    ((('mode', 'loose, turning', [4.0, 4.0, 0.3, 0.0, 0.5]),), 0.15),
+    ((('mode:slow_state', '', [0.3, 20.0]),), 0.03),
+    ((('mode:loose_load', 'turning', [4.0, 4.0, 0.3, 0.0, 0.5]),), 0.15),
 ], ids=['base', 'two modes', 'second lag', 'falls', 'slow state', 'loose load'])
 def test_the_edge_of_stability_by_margins_is_that_of_the_simulated_flight(found, tolerance):
     """The gain at which eigenvalues leave the unit circle is that at which a flight swings."""
     effects = tuple(estimate_of(name, p, variant) for name, variant, p in found)
-    level = (0.1, 0.01, 0.01)
+    level: Level = (0.1, 0.01, 0.01)
 
     def unstable(gain: float) -> bool:
-        plant = loop_plant(model_of(*effects, gain=gain), level)
-        cycle = exact_cycles([plant], [slopes_at(plant, *level)])
-        return bool(closed_loop_radius(GAINS, cycle)[0] >= 1.0)
+        loops = loops_of([(loop_plant(model_of(*effects, gain=gain)), level)])
+        return bool(closed_loop_radius(GAINS, loops)[0] >= 1.0)
 
     low, high = 200.0, 4000.0
     while high / low > 1.005:
@@ -244,16 +230,8 @@ def test_the_edge_of_stability_by_margins_is_that_of_the_simulated_flight(found,
 
 def swings(model: AxisModel) -> bool:
     """Whether a small step of the angle ends in a swing that grows."""
-    plant, n = plant_of(model), 1200
-    s = commanded(model, usual_signals(model), np.zeros(1))
-    numbers = constants(GAINS, DT)
-    x = plant.begin(s, np.zeros(1), np.zeros(1))
-    memory, u = np.zeros(3), np.zeros(n)
-    for k in range(n):
-        rate, angle = plant.measured(x)
-        wanted = 0.01 if k < 20 else 0.0
-        _, u[k] = control(numbers, memory, wanted, float(angle[0]), float(rate[0]), 0.0)
-        x = plant.step(x, replace(s, sent=u[k : k + 1]))
+    reference = np.where(np.arange(1200) < 20, 0.01, 0.0)
+    u = simulate_cascade(loop_plant(model), GAINS, reference, DT).control
     late, early = np.ptp(u[-300:]), np.ptp(u[100:400])
     return bool(late > early or late > 0.1)
 
@@ -275,8 +253,8 @@ def test_what_a_loop_cannot_hold_is_named_and_refused_where_it_is_large():
 
 def test_python_control_flies_a_found_model():
     """Its linearisation is the loop's plant, and a step of the command answers alike."""
-    model = model_of(estimate_of('quadratic_drag', [2.0]), estimate_of('mode', [0.3, 20.0],
-                                                                       'slow state'))
+    model = model_of(estimate_of('quadratic_drag', [2.0]),
+                     estimate_of('mode:slow_state', [0.3, 20.0]))
     whole, small = to_control(model), to_control(model, linear=True)
     near = control_system.linearize(whole, np.zeros(whole.nstates), [0.0])
     t = DT * np.arange(100)

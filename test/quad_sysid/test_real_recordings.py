@@ -1,7 +1,7 @@
 """Recordings that nobody here made: what the commands say of them, and what is added to them.
 
 The data lie beside the checkout (shared/data); without them the tests skip. Figures to compare
-with are those of its README. All but the flight with known truth take minutes and are long.
+with are those of its README. Most take minutes and are long.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def independent(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.xdist_group('independent')
+@pytest.mark.long
 def test_independent_parameters_agree_within_5_percent(independent):
     axis = report_of(independent)
     assert axis['verdict'] == 'effects_added'
@@ -155,7 +155,7 @@ def test_independent_parameters_agree_within_5_percent(independent):
     assert delay['std'] < 0.0015
 
 
-@pytest.mark.xdist_group('independent')
+@pytest.mark.long
 def test_independent_errors_agree_within_5_percent(independent, capsys):
     """Of the base no more than 5 % above the plain fit's: it knows its disturbance besides."""
     error = report_of(independent)['error']
@@ -298,11 +298,11 @@ def test_betaflights_propellers_in_or_out_give_the_same_names(tmp_path, log, yaw
     assert record.craft.places == ('rear right', 'front right', 'rear left', 'front left')
     assert record.craft.motors[2].spin == yaw_of_the_rear_left
     few = tuple(effect for effect in EFFECTS if effect.label in {
-        'thrust_curve', 'inertia_coupling', 'mode/lead of rotors', 'saturation/upper'})
+        'thrust_curve', 'inertia_coupling', 'mode:rotor_lead', 'saturation/upper'})
     answers = pipeline.identify([record], pipeline.Options(effects=few))
     assert [sorted(e.name for e in answers[axis].model.effects) for axis in AXES] == [
         ['inertia_coupling', 'thrust_curve'], ['inertia_coupling', 'thrust_curve'],
-        ['inertia_coupling', 'mode']]
+        ['inertia_coupling', 'mode:rotor_lead']]
     for axis, gain, damping in (('roll', 879.0, 2.5), ('pitch', 639.0, 1.82)):
         model = answers[axis].model
         assert model.value('gain') == pytest.approx(gain, rel=0.02)

@@ -13,7 +13,6 @@ from flown_axis import fly as flown
 
 import quad_sysid as qs
 from quad_sysid.cli import main
-from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import estimate_of
@@ -110,21 +109,6 @@ def test_springs_are_told_apart_by_larger_angles_than_the_plain_prbs(springs):
     assert 'cubic_stiffness' in text
 
 
-def test_sag_shows_where_the_throttle_moves():
-    found = separate(paper_aircraft('roll'), ('battery_sag', 'nothing'), SECONDS)
-    assert found.best.excitation.throttle_steps
-    assert found.best.second is None
-    assert found.best.worst.score > 2.0 * found.plain.worst.score
-    assert 'the pilot steps the throttle' in words.why(found)
-
-
-def test_the_pilot_moves_the_other_axes_where_an_effect_follows_one_of_them():
-    for effect in EFFECTS:
-        if effect.signals[0].startswith('other'):
-            flights = design.with_pilot(design.plain_prbs('roll', 30.0), {*effect.signals})
-            assert any(flight.others_move for flight in flights), effect
-
-
 def test_every_row_is_a_schedule_that_the_node_can_fly(springs):
     for row in springs.rows:
         schedule = schedule_of(replace(springs, rows=(row, *springs.rows)))
@@ -168,10 +152,10 @@ def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, capsys):
     [
         (['--separate', 'stickiness', 'nothing'], 'unknown effect'),
         (['--separate', 'coulomb_friction'], 'needs two effects or none'),
-        (['--separate', 'mode', 'mode'], 'two different effects'),
+        (['--separate', 'backlash', 'backlash'], 'two different effects'),
         (['--separate'], 'without effects needs --model'),
-        (['--separate', 'mode', 'nothing', '--seconds', '1'], 'must be from 10'),
-        (['--separate', 'mode', 'nothing', '--model', 'absent.json'], 'cannot be read'),
+        (['--separate', 'mode:swinging', 'nothing', '--seconds', '1'], 'must be from 10'),
+        (['--separate', 'mode:swinging', 'nothing', '--model', 'absent.json'], 'cannot be read'),
     ],
 )
 def test_what_cannot_be_designed_is_said_in_one_line(arguments, words_in, capsys):
@@ -193,7 +177,8 @@ def test_the_report_advises_the_flight_where_a_rival_is_near(refusal):
     doubted = replace(friction, probability=0.2, rivals=((UNLISTED, 0.8),))
     assert list(rivalry(replace(lonely, effects=(doubted,)))) == []
     backwards = replace(lonely, base=(Parameter('gain', -400.0, 1.0, ''), *lonely.base[1:]))
-    assert 'gain is not positive' in refusal(qs.separate, backwards, ('mode', 'nothing'), 20.0)
+    asked = ('mode:swinging', 'nothing')
+    assert 'gain is not positive' in refusal(qs.separate, backwards, asked, 20.0)
 
 
 @pytest.mark.long

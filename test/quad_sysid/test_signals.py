@@ -138,15 +138,6 @@ def test_a_length_of_the_training_reaches_the_low_end_of_the_band(refusal):
 # ---- schedules --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize('row', ['0.000000,0.010000,0.020000', 'gain_{}: 0.1'])
-def test_a_file_that_is_no_schedule_is_not_shown_whole(tmp_path, refusal, row):
-    """Neither a table, which YAML takes for one long text, nor a list of other parameters."""
-    file = tmp_path / 'other'
-    file.write_text('\n'.join(row.format(k) for k in range(20_000)))
-    line = refusal(load_schedule, file)
-    assert (line.startswith(f'{file}: '), len(line) < 600) == (True, True), line[:600]
-
-
 @pytest.mark.parametrize(('name', 'seconds'), [('rig', 83), ('demo', 60), ('hover', 156)])
 def test_the_shipped_schedules_are_in_order(name, seconds):
     schedule = load_schedule(CONFIG / f'schedule_{name}.yaml')
@@ -183,15 +174,9 @@ GOOD = {'segment': 'train', 'signal': 'square', 'period_s': 2.0, 'duration_s': 1
     ('change', 'named'),
     [
         ({'amplitud_deg': 3}, 'amplitud_deg'), ({'amplitude_deg': 25.0}, 'amplitude_deg'),
-        ({'amplitude_deg': math.nan}, 'must be a number: found nan'),
-        ({'amplitude': 0.1}, 'amplitude_deg'),
         ({'segment': 'trian'}, "'trian'"), ({'signal': 'sine'}, "'sine'"), ({'axis': 'x'}, "'x'"),
-        ({'injection': 'motor'}, "'motor'"), ({'duration_s': -1.0}, 'duration_s'),
-        ({'duration_s': 1e6}, 'duration_s must lie in 0..3600'),
         ({'signal': 'prbs', 'clock_s': 0.1, 'register_bits': 99, 'period_s': None},
          'register_bits must be a whole number from 2 to 15: found 99'),
-        ({'duration_s': 'long'}, "'long'"), ({'period_s': 0.0}, 'period_s'),
-        ({'period_s': '2'}, 'period_s'), ({'ramp_s': 6.0}, 'ramp_s'),
         ({'signal': 'prbs'}, 'period_s'), ({'segment': 'idle'}, 'idle'),
     ],
 )
@@ -201,43 +186,3 @@ def test_a_wrong_segment_is_told_with_file_number_and_key(change, named, refusal
     line = refusal(parse_schedule, {'schedule': {'segments': segments}}, 'flight.yaml')
     assert line.startswith('flight.yaml, segment 2')
     assert named in line
-
-
-@pytest.mark.parametrize(
-    ('content', 'named'),
-    [
-        (None, 'schedule'), ({'shedule': {}}, 'shedule'),
-        ({'schedule': {'segments': []}}, 'segments'),
-        ({'schedule': {'segments': [3]}}, 'segment 1'),
-        ({'schedule': {'segments': [GOOD], 'mount': 'boat'}}, "'boat'"),
-        ({'schedule': {'segments': [GOOD], 'speed': 1}}, 'speed'),
-        ({'schedule': {'segments': [GOOD, GOOD | {'injection': 'rate'}]}},
-         'segment 2: follows one of injection attitude: found rate; put an idle segment'),
-    ],
-)
-def test_a_wrong_file_is_told_in_one_line(content, named, refusal):
-    assert named in refusal(parse_schedule, content, 'flight.yaml')
-
-
-def test_a_rest_lies_between_two_injections():
-    other = GOOD | {'injection': 'rate'}
-    rested = [GOOD, GOOD, {'segment': 'idle', 'duration_s': 0.5}, other, other]
-    assert len(parse_schedule({'schedule': {'segments': rested}}, 'flight.yaml').parts) == 5
-
-
-def test_numbers_may_be_written_with_an_exponent_alone(tmp_path):
-    file = tmp_path / 'schedule.yaml'
-    file.write_text('schedule: {segments: [{segment: idle, duration_s: 1e1}]}')
-    assert load_schedule(file).duration_s == 10.0
-
-
-def test_files_that_are_no_schedule_are_told(tmp_path, refusal):
-    assert 'cannot be read' in refusal(load_schedule, tmp_path / 'absent.yaml')
-    broken = tmp_path / 'broken.yaml'
-    for text, told in (
-        ('schedule:\n  segments: [\n', 'broken.yaml, line 3: is not YAML'),
-        ('[' * 5000, 'broken.yaml: is not YAML'),
-        ('schedule: ' + '9' * 5000, 'broken.yaml: is not YAML'),
-    ):
-        broken.write_text(text)
-        assert told in refusal(load_schedule, broken)

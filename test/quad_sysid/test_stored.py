@@ -47,15 +47,6 @@ def test_a_model_from_a_file_runs_as_the_fit_it_was(problem, tmp_path):
     assert again.tail == found.tail
 
 
-def test_a_delay_of_nothing_has_no_standard_error(problem):
-    """Below a quarter of a cycle; how long it may be is told instead."""
-    start = start_of(problem)
-    start[2] = np.log(1e-4)
-    delay = readings(problem, fit(problem, Structure(), start, most_steps=0)).base[2]
-    assert (delay.name, delay.std, delay.interval[0]) == ('delay', None, 0.0)
-    assert delay.interval[1] > delay.value
-
-
 # up to where a model is worth something
 
 

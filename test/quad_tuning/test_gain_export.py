@@ -7,7 +7,6 @@ import json
 import pytest
 
 from quad_tuning.cli import main
-from quad_tuning.history import read_design
 
 GAINS = {
     'roll.angle.kp': 9.5, 'roll.rate.kp': 0.08, 'roll.rate.ki': 0.13, 'roll.rate.kd': 0.0028,
@@ -70,17 +69,12 @@ def test_ardupilot_through_a_file(file, tmp_path, capsys):
     [
         (roll(ki=-1.0), [], 'json: axes.roll.gains.roll.rate.ki: must lie in 0 .. 1 1/rad: found'),
         (roll(kp=float('nan')), [], 'rate.kp: must be a finite number: found nan; design again'),
-        (roll(kp=10**400), [], 'rate.kp: must be a finite number'),
-        (roll(kp='much'), [], "rate.kp: must be a finite number: found 'much'"),
         (roll(kpp=1.0), [], 'rate.kpp: is no gain that a design changes'),
         (None, [], 'cannot be read'), ('{', [], 'is not JSON'),
-        pytest.param('[' * 100_000, [], 'is not JSON', id='deep'),
         ('{"schema": "x/1"}', [], 'design/1 or quad_sysid/report/1: found x/1; give the file of'),
-        ('[]', [], 'schema'), (design(None), [], 'axes: is missing'),
         (design({'roll': {'gains': None}, 'pitch': 1}), [], 'holds none'),
         (roll(kp=0.1), ONES, 'lack angle.kp'),
         ('', ['--scale', 'roll=1'], '--scale yaw: is missing'),
-        ('', ['--scale', 'roll=0'], '--scale'), ('', ['--scale', 'nose=1'], '--scale'),
         ('', [*ONES, '--scale', 'pitch=0.3'], '--scale: names an axis without gains'),
     ],
 )
@@ -94,43 +88,20 @@ def test_wrong_files_and_options_are_one_line(file, content, arguments, words, c
     assert len(error.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ('content', 'words'),
-    [
-        ('{"schema": "x/1", "axes": {}}', 'schema: must be'),
-        (roll(kp='much'), "axes.roll.gains.roll.rate.kp: must be a finite number: found 'much'"),
-        (design({'roll': {'gains': {'roll.rate.kp': 0.1}, 'figures': {'rate_rms_ratio': 'low'}}}),
-         "axes.roll.figures.rate_rms_ratio: must be a finite number: found 'low'"),
-    ],
-)
-def test_such_files_are_not_sent_either(content, words, capsys, tmp_path):
-    path = tmp_path / 'other.json'
-    path.write_text(content)
-    assert main(['send', str(path)]) == 2
-    assert capsys.readouterr().err.startswith(f'quad-tune: {path}: {words}')
-
-
-def test_bounds_of_what_is_sent_are_those_of_the_bridge(tmp_path):
-    path = tmp_path / 'other.json'
-    path.write_text(roll(kp=0.9))
-    assert read_design(path) == ({'roll.rate.kp': 0.9}, {})
-
-
-def test_what_is_not_exported_is_told(file, tmp_path, capsys):
-    tree = json.loads(file.read_text())
-    tree['axes']['roll']['gains'] |= {'roll.sag.exponent': 1.5, 'roll.lqr.share': 0.0}
-    file.write_text(json.dumps(tree))
-    assert main(['export', str(file), '--to', 'px4', *ONES]) == 0
-    told = capsys.readouterr().out
-    assert '# Left out, it has no counterpart here: roll.sag.exponent 1.5\n# Veh' in told
-    out = str(tmp_path / 'gains.params')
-    assert main(['export', str(file), '--to', 'px4', *ONES, '--out', out]) == 0
-    told = capsys.readouterr().out
-    assert told.endswith('left out: roll.sag.exponent 1.5\n')
-
-
-@pytest.mark.parametrize('name', ['design', 'export', 'send', 'history', 'rollback'])
-def test_every_command_has_an_example_in_its_help(name, capsys):
-    with pytest.raises(SystemExit):
-        main([name, '--help'])
-    assert f'quad-tune {name}' in ' '.join(capsys.readouterr().out.split())
+def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, capsys):
+    unit = 57.29578 / 1000.0
+    before, after = ({'roll.rate.kp': p * 0.032029 * unit, 'roll.rate.ki': 80 * 0.244381 * unit,
+                      'roll.rate.kd': d * 0.000529 * unit} for p, d in ((45, 30), (60, 38)))
+    path = tmp_path / 'gains.json'
+    path.write_text(design({'roll': {'gains': after, 'steps': [before, after]}}))
+    assert main(['export', str(path), '--to', 'betaflight']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    sets = [line for line in lines if not line.startswith('#')]
+    assert sets == ['set simplified_pids_mode = OFF', 'set p_roll = 45', 'set i_roll = 80',
+                    'set d_roll = 30', 'save', 'set simplified_pids_mode = OFF',
+                    'set p_roll = 60', 'set i_roll = 80', 'set d_roll = 38', 'save']
+    assert any('from 45 (+15)' in line for line in lines)
+    assert main(['export', str(path), '--to', 'inav']) == 0
+    assert 'set mc_p_roll = 60' in capsys.readouterr().out  # 1/31 beside 0.032029
+    assert main(['export', str(path), '--to', 'inav', '--scale', 'roll=1']) == 2
+    assert '--scale: is not needed for inav' in capsys.readouterr().err

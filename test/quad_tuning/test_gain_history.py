@@ -97,23 +97,6 @@ def test_the_rollback_shows_what_it_would_send_and_needs_ros_to_send_it(
     assert 'quad-tune rollback: needs ROS 2' in capsys.readouterr().err
 
 
-def test_no_way_back_names_the_file(folder, capsys):
-    path = folder / 'quad_7' / 'gains.jsonl'
-    path.write_text(path.read_text().splitlines()[0])
-    assert main(['rollback', '--folder', str(folder)]) == 2
-    assert f'quad-tune: {path}: holds no earlier good set' in capsys.readouterr().err
-
-
-def test_a_torn_line_is_left_out_and_the_next_one_begins_anew(folder):
-    path = folder / 'quad_7' / 'gains.jsonl'
-    with path.open('a') as file:
-        file.write('{"schema": "quad_bri')
-    log = History(folder, lambda job: job())
-    log.open('quad_7')
-    log.found(gains(0.05, 2.0))
-    assert [one.gains[ANGLE] for one in read_history(path)] == [3.0, 6.0, 7.0, 7.0, 7.0, 2.0]
-
-
 @pytest.mark.parametrize(
     ('options', 'words'),
     [

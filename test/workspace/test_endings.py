@@ -105,7 +105,8 @@ def test_no_standard_streams_or_nobody_who_reads_them(begin, name):
     without.until(ready.exists)
     for number in range(3):  # else a port or a bag could get what ROS logs
         assert str(Path(f'/proc/{without.pid}/fd/{number}').readlink()) == os.devnull
-    without.send(INT)
+    for number in (INT, INT, TERM):
+        without.send(number)
     ended(without)
 
 

@@ -74,8 +74,7 @@ SAYS = {
 }
 
 
-@pytest.fixture(scope='module')
-def said(copy: Path) -> dict[str, str]:
+def test_what_the_page_adds_works(copy: Path) -> None:
     """What each use prints, all in one process."""
     uses = '\n'.join(f'print("=", {added!r})\n{code}' for added, code in USES.items())
     done = subprocess.run(
@@ -84,9 +83,5 @@ def said(copy: Path) -> dict[str, str]:
             copy, copy / 'src/quad_bridge', copy / 'src/quad_sysid', ROOT / 'test')))},
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    return dict(part.strip().split('\n', 1) for part in done.stdout.split('= ')[1:])
-
-
-@pytest.mark.parametrize('added', USES)
-def test_what_the_page_adds_works(said: dict[str, str], added: str) -> None:
-    assert said[added] == SAYS[added]
+    said = dict(part.strip().split('\n', 1) for part in done.stdout.split('= ')[1:])
+    assert said == SAYS

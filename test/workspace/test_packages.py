@@ -62,6 +62,7 @@ def test_manifest_and_setup_agree_and_every_entry_point_leads_to_a_function(pack
     assert (manifest.get('format'), manifest.findtext('name')) == ('3', package)
     for name in ('version', 'license'):
         assert arguments[name] == manifest.findtext(name)
+        assert f'{name}: {manifest.findtext(name)}\n' in (ROOT / 'CITATION.cff').read_text()
     for line in (line for lines in arguments['entry_points'].values() for line in lines):
         module, function = line.split('=')[1].strip().split(':')
         path = ROOT / 'src' / module.split('.')[0] / (module.replace('.', '/') + '.py')

@@ -12,6 +12,7 @@
 #include "quad_store.h"
 #include "radio.h"
 #include "registers.h"
+#include "serial_radio.h"
 
 /* Core clock, timers' clock to 1 MHz, watchdog. True where it comes from one of its own bites. */
 bool board_start(void);
@@ -56,6 +57,12 @@ void pulses_motors(const float motors[4]);
 float battery_v(void);
 void receiver_4_interrupt(void);
 void receiver_5_interrupt(void);
+
+/* A receiver on UART5 instead of pulses: hear what has come by now_us; send telemetry unless some is under way. */
+void receiver_start(serial_kind kind);
+void receiver_hear(serial_radio *r, uint64_t now_us);
+void receiver_tell(const uint8_t *bytes, size_t count);
+void receiver_interrupt(void);
 
 /* What both mains do between two cycles: send what waits, hear the bridge at now_us, and keep confirmed gains
  * in flash while the motors stand, or tell that they could not; `kept` counts the confirmations that were seen to. */

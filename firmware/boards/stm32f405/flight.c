@@ -10,8 +10,18 @@
 #include "ms5611.h"
 #include "quad_outbox.h"
 
-#define PPM true         /* false: a wire for each of six channels */
+/* The pilot's receiver, `make stm32 RECEIVER=...`: pulses on one wire or on six, or frames on UART5 */
+#define PPM 0
+#define PWM 1
+#define SBUS 2
+#define CRSF 3
+#define IBUS 4
+#ifndef RECEIVER
+#define RECEIVER PPM
+#endif
+#define TELEMETRY 25u    /* cycles between two of CRSF's telemetry */
 #define RETRY 25u        /* cycles between two attempts at a chip that does not answer */
+#define SILENT 5u        /* cycles without the gyro before it is set up anew */
 #define SLOW 5u          /* cycles between two readings of the compass */
 #define REST_SAMPLES 1000u
 #define REST_RAD_S 0.1f  /* between the largest and the smallest rate of a gyro at rest */
@@ -20,7 +30,8 @@
 static struct {
     quad_firmware firmware;
     quad_inputs inputs;
-    radio radio;
+    radio pulses;
+    serial_radio serial;
     ms5611 barometer;
     float gauss[3];
     bool gyro_is, compass_is, barometer_is, rested;
@@ -46,7 +57,12 @@ static void begin(void)
     settings.endpoint.aircraft = board_id();
     settings.endpoint.stored = stored ? kept : NULL;
     quad_firmware_init(&flight.firmware, &settings);
-    radio_start(&flight.radio, PPM);
+    if (RECEIVER >= SBUS) {
+        serial_radio_start(&flight.serial, (serial_kind)(RECEIVER - SBUS));
+        receiver_start((serial_kind)(RECEIVER - SBUS));
+    } else {
+        radio_start(&flight.pulses, RECEIVER == PPM);
+    }
     if (bitten) {
         quad_put_text(&flight.firmware.endpoint, 2, "restarted by the watchdog");
     }
@@ -70,13 +86,13 @@ static void measure(uint64_t now_us)
     if (cycle % RETRY == 0 && !flight.firmware.endpoint.armed) {
         start_chips();
     }
+    if (flight.silent >= SILENT) { /* it may have lost its settings; in flight it has QUAD_BLIND_S for that */
+        flight.gyro_is = mpu6050_start(&board_bus);
+        flight.silent = 0;
+    }
     s->samples = 0;
     const bool spoke = flight.gyro_is && mpu6050_read(&board_bus, s) && s->samples > 0;
     flight.silent = spoke ? 0 : flight.silent + 1;
-    if (flight.silent > RETRY) {
-        flight.gyro_is = false; /* it may have lost its settings: set up anew */
-        flight.silent = 0;
-    }
     if (cycle % SLOW == 0) {
         flight.gauss[0] = flight.gauss[1] = flight.gauss[2] = NAN;
         if (flight.compass_is) {
@@ -96,9 +112,24 @@ static void hear_pilot(uint64_t now_us)
 {
     radio_edge edge;
     for (uint32_t i = 0; i < 64 && pulses_edge(&edge); i++) {
-        radio_take(&flight.radio, edge, now_us);
+        radio_take(&flight.pulses, edge, now_us);
     }
-    flight.inputs.receiver = radio_now(&flight.radio, now_us);
+    if (RECEIVER >= SBUS) {
+        receiver_hear(&flight.serial, now_us);
+        flight.inputs.receiver = serial_radio_now(&flight.serial, now_us);
+    } else {
+        flight.inputs.receiver = radio_now(&flight.pulses, now_us);
+    }
+}
+
+static void tell_pilot(uint32_t cycle)
+{
+    uint8_t bytes[SERIAL_LONGEST];
+    if (RECEIVER == CRSF && cycle % TELEMETRY == 0) {
+        const bool battery = cycle / TELEMETRY % 2 == 0;
+        receiver_tell(bytes, battery ? serial_radio_battery(flight.inputs.sensors.slow.battery_v, bytes)
+                                     : serial_radio_attitude(flight.firmware.record.attitude, bytes));
+    }
 }
 
 /* The gyro's bias is its mean over a second in which it hardly moves; before, the firmware gets no sample
@@ -142,6 +173,7 @@ static void run_cycle(uint64_t due_us)
     }
     quad_firmware_cycle(&flight.firmware, due_us, &flight.inputs, motors);
     pulses_motors(motors);
+    tell_pilot(flight.firmware.timing.cycles);
     quad_firmware_timed(&flight.firmware, due_us, began_us, board_now_us());
     const quad_timing *t = &flight.firmware.timing;
     if (t->cycles % TOLD_CYCLES == 0) {

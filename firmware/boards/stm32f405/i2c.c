@@ -6,6 +6,7 @@
 #define HALF_BIT 200u   /* turns of 5 us by hand */
 #define PIN_SCL (1u << 10)
 #define PIN_SDA (1u << 11)
+#define PINS(mode) (((mode) << 20) | ((mode) << 22))
 
 static bool waited(uint32_t bit)
 {
@@ -38,23 +39,30 @@ static void set_up(void)
     I2C2->CR1 = I2C_CR1_PE;
 }
 
-/* A chip that was reset in the middle of a byte may hold SDA: nine clocks by hand set it free. */
-void i2c_start(void)
+/* A chip that lost count in the middle of a byte holds SDA: nine clocks by hand, some 100 us, set it free
+ * (I2C-bus specification UM10204, 3.1.16). */
+static void set_free(void)
 {
-    RCC->AHB1ENR |= 1u << 1;  /* GPIOB */
-    RCC->APB1ENR |= 1u << 22; /* I2C2 */
-    GPIOB->OTYPER |= PIN_SCL | PIN_SDA;
-    GPIOB->PUPDR |= (1u << 20) | (1u << 22);
+    I2C2->CR1 = 0;
     GPIOB->BSRR = PIN_SCL | PIN_SDA;
-    GPIOB->MODER |= (1u << 20) | (1u << 22);
+    GPIOB->MODER = (GPIOB->MODER & ~PINS(3u)) | PINS(1u); /* outputs, open drain */
     for (uint32_t i = 0; i < 9; i++) {
         GPIOB->BSRR = PIN_SCL << 16;
         pause();
         GPIOB->BSRR = PIN_SCL;
         pause();
     }
+    GPIOB->MODER = (GPIOB->MODER & ~PINS(3u)) | PINS(2u); /* of the bus again */
+}
+
+void i2c_start(void)
+{
+    RCC->AHB1ENR |= 1u << 1;  /* GPIOB */
+    RCC->APB1ENR |= 1u << 22; /* I2C2 */
+    GPIOB->OTYPER |= PIN_SCL | PIN_SDA;
+    GPIOB->PUPDR |= PINS(1u);
     GPIOB->AFRH |= (4u << 8) | (4u << 12);
-    GPIOB->MODER ^= (3u << 20) | (3u << 22); /* from output to alternate function */
+    set_free();
     set_up();
 }
 
@@ -131,6 +139,9 @@ static bool done(bool well)
     }
     I2C2->CR1 |= I2C_CR1_STOP;
     pause();
+    if ((GPIOB->IDR & PIN_SDA) == 0) {
+        set_free();
+    }
     set_up();
     return false;
 }

@@ -32,6 +32,7 @@ typedef struct {
 #define GPIOA ((gpio_registers *)0x40020000u)
 #define GPIOB ((gpio_registers *)0x40020400u)
 #define GPIOC ((gpio_registers *)0x40020800u)
+#define GPIOD ((gpio_registers *)0x40020C00u)
 
 /* RM0090 30.6: USART */
 typedef struct {
@@ -39,6 +40,7 @@ typedef struct {
 } usart_registers;
 #define USART1 ((usart_registers *)0x40011000u)
 #define USART2 ((usart_registers *)0x40004400u)
+#define UART5 ((usart_registers *)0x40005000u)
 #define USART_SR_RXNE (1u << 5)
 #define USART_SR_TXE (1u << 7)
 
@@ -111,5 +113,6 @@ typedef struct {
 #define USART2_IRQ 38u
 #define TIM4_IRQ 30u
 #define TIM5_IRQ 50u
+#define UART5_IRQ 53u
 
 #endif

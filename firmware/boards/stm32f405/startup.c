@@ -64,4 +64,5 @@ __attribute__((section(".vectors"), used)) static const handler vectors[16 + 82]
     /* 37, 38 */ uart_1_interrupt, uart_2_interrupt,
     /* 39 to 49 */ STUCK4, STUCK4, stuck, stuck, stuck,
     /* 50 TIM5 */ receiver_5_interrupt,
+    /* 51 to 53 UART5 */ stuck, stuck, receiver_interrupt,
 };

@@ -78,24 +78,36 @@ class Craft:
         """The plant's input U1..U4 (k, 4) of motor commands (k, n), normalised."""
         return np.asarray(motors @ self.inverse.T, dtype=np.float64)
 
-    def commands(self, control: FloatArray, desaturation: str = 'clip') -> FloatArray:
-        """Motor commands (k, n) in 0..1 of a control U1..U4 (k, 4).
+    def commands(
+        self, control: FloatArray, desaturation: str = 'clip', idle: float = 0.0
+    ) -> FloatArray:
+        """Motor commands (k, n) in idle..1 of a control U1..U4 (k, 4).
 
-        By `clip` each motor is limited by itself; by `yaw_first` U4 gives way before that.
+        By `clip` each motor is limited by itself. By `yaw_first` yaw is what the motors have left,
+        then the throttle moves, and only where roll and pitch alone need more than the motors have
+        are both made smaller by one factor: the firmware's quad_mix, for any number of motors.
         """
         if desaturation == 'yaw_first':
-            control = self._with_less_yaw(control)
-        return np.asarray(np.clip(control @ self.mixer.T, 0.0, 1.0), dtype=np.float64)
+            control = self._fitted(control, idle)
+        limited: FloatArray = np.clip(control @ self.mixer.T, idle, 1.0)
+        return limited
 
-    def _with_less_yaw(self, control: FloatArray) -> FloatArray:
-        """The control with U4 within what U1..U3 leave to every motor; 0 where they leave none."""
-        turns = np.abs(self.mixer[:, 3]) > 0.0
-        own = self.mixer[turns, 3]
-        others = control[:, :3] @ self.mixer[turns, :3].T
-        ends = np.stack([-others / own, (1.0 - others) / own])
-        least, most = ends.min(axis=0).max(axis=1), ends.max(axis=0).min(axis=1)
-        yaw = np.where(least <= most, np.clip(control[:, 3], least, most), 0.0)
-        return np.column_stack([control[:, :3], yaw])
+    def _fitted(self, control: FloatArray, idle: float) -> FloatArray:
+        """The control that the motors can give, roll and pitch first."""
+        lift, own = self.mixer[:, 0], self.mixer[:, 3]
+        turning = control[:, 1:3] @ self.mixer[:, 1:3].T
+        span = turning.max(axis=1) - turning.min(axis=1)
+        share = np.minimum(1.0, (1.0 - idle) / np.maximum(span, 1e-300))[:, None]
+        lowest = ((idle - share * turning) / lift).max(axis=1)
+        throttle = np.maximum(lowest, np.minimum(
+            ((1.0 - share * turning) / lift).min(axis=1), control[:, 0]))
+        here = throttle[:, None] * lift + share * turning
+        turns = np.abs(own) > 0.0
+        ends = np.stack([np.minimum(0.0, idle - here[:, turns]) / own[turns],
+                         np.maximum(0.0, 1.0 - here[:, turns]) / own[turns]])
+        yaw = np.maximum(ends.min(axis=0).max(axis=1, initial=-np.inf),
+                         np.minimum(ends.max(axis=0).min(axis=1, initial=np.inf), control[:, 3]))
+        return np.column_stack([throttle, share * control[:, 1:3], yaw])
 
     @property
     def count(self) -> int:

@@ -48,9 +48,9 @@ class Opens:
 
 
 AIRCRAFT_LOG = '/aircraft/log'
-"""An autopilot's own log as the bridge fetches it (ParameterEvent, latched): `path`, `state`
-(`expected` while it flies, `fetching`, `complete`, `failed`), `offset_s` from its time to ROS time.
-It is not recorded."""
+"""An autopilot's own log as the bridge fetches it (ParameterEvent, latched, not recorded): `path`,
+`state` (`expected` while it flies, `fetching`, `complete`, `failed`), `offset_s` from its time to
+ROS time."""
 SET_GAINS = '/serial_bridge/set_gains'
 NODES = {
     'serial_bridge': Opens(
@@ -88,3 +88,5 @@ NODES = {
     'quad_tune': Opens((), (), (), (SET_GAINS,)),
 }  # fmt: skip
 """By the name of the node."""
+STREAMS = frozenset(NODES['serial_bridge'].publishes) - LATCHED - {'/diagnostics'}
+"""Topics of what comes from the aircraft, serialised without rclpy."""

@@ -16,7 +16,7 @@ from pathlib import Path
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # a process of one thread may fork: beside.py
 
-from quad_sysid import comparison, exports, fleet
+from quad_sysid import comparison, exports, fleets
 from quad_sysid.arguments import (
     NOT_ANSWERED,
     Commands,
@@ -34,6 +34,7 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.files import check_new, write_whole
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
+from quad_sysid.logview import cli as look
 
 DONE = 0
 
@@ -56,13 +57,14 @@ def _parser() -> Parser:
     )
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
     inspection.add(commands)
+    look.add(commands)
     _identify_parser(commands)
     _evaluate_parser(commands)
     imports.add(commands)
     _design_parser(commands)
     exports.add(commands)
     comparison.add(commands)
-    fleet.add(commands)
+    fleets.add(commands)
     command(commands, 'compile', _compile,
             'Compile all that numba compiles, so that no first use has to wait (images, CI).',
             'quad-sysid compile')
@@ -194,7 +196,8 @@ def _evaluate(options: argparse.Namespace) -> int:
                            'one_step_after': e.one_step_after, 'blackbox': e.blackbox,
                            'hold_last_value': e.hold, 'windows': e.windows,
                            'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)},
-                 'explanation': [{'effects': names, 'explains_pct': percent, 'error': error}
+                 'explanation': [{'effects': names, 'explains_pct': percent, 'error': error,
+                                  'answer': {*names} == {x.name for x in models[e.axis].effects}}
                                  for names, percent, error in e.rungs],
                  'outside': [vars(one) for one in e.outside]}
         for e in found
@@ -204,10 +207,10 @@ def _evaluate(options: argparse.Namespace) -> int:
         print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes, **unanswered}))
         return DONE
     for e in () if options.quiet else found:
-        tree = {'error': axes[e.axis]['error'], 'effects': models[e.axis].effects}
+        tree = {**axes[e.axis], 'effects': models[e.axis].effects}
         beyond = (line for one in e.outside for line in tables.wrapped(str(one)))
-        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)), *text.growth(tree),
-                         *beyond]))
+        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)),
+                         *tables.explanation(tree).text(), *text.growth(tree), *beyond]))
     return DONE
 
 

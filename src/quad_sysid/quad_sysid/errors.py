@@ -30,6 +30,10 @@ class BadInputError(QuadSysidError, ValueError):
         super().__init__(' '.join(text.split()))
 
 
+class NoSuchAttributeError(BadInputError, AttributeError):
+    """A result lacks what was asked of it; `hasattr` says so too."""
+
+
 class NotInformativeError(QuadSysidError):
     """The data are in order but cannot answer what was asked (exit status 3)."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import io
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from quad_sysid.arguments import Commands, command, effects_option, own_effects
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, write_whole
 
 if TYPE_CHECKING:
@@ -31,14 +33,23 @@ def matrices(model: AxisModel) -> dict[str, Any]:
     A, B, C are continuous behind `delay_s`; Ad, Bd, Cd are one control cycle of `dt_s`, with the
     delay as states. From the normalised command to measured rate and angle, no curves.
     """
-    from quad_sysid.loop.from_model import loop_plant  # slow to import, as is scipy
-    from quad_sysid.loop.plant import Slopes, dynamics, state_space
+    from scipy.linalg import logm  # slow to import
 
-    plant = loop_plant(model)
-    cycle = state_space(plant)
-    a, b, c = dynamics(plant, Slopes())
-    return {'A': a, 'B': b[:, :1], 'C': c, 'delay_s': plant.delay_s,
-            'Ad': cycle.a, 'Bd': cycle.b, 'Cd': cycle.c, 'dt_s': plant.dt}
+    from quad_sysid.loop.from_model import loop_plant
+    from quad_sysid.loop.linear import STILL, linear_part, loops_of
+
+    flying = linear_part(loop_plant(model))
+    lag_s, delay_s, dt = flying.plant.p[1], flying.plant.p[2], flying.dt
+    p = flying.plant.p.copy()
+    p[1], p[2] = max(lag_s, 0.25 * dt), 0.0
+    prompt = replace(flying, plant=replace(flying.plant, p=p))
+    whole, one = loops_of([(flying, STILL)]), loops_of([(prompt, STILL)])
+    n = one.b.shape[1]
+    block = np.eye(n + 1)
+    block[:n, :n], block[:n, n] = one.a[0], one.b[0]
+    rates = np.real(logm(block)) / dt
+    return {'A': rates[:n, :n], 'B': rates[:n, n:], 'C': one.c[0], 'delay_s': delay_s,
+            'Ad': whole.a[0], 'Bd': whole.b[0][:, None], 'Cd': whole.c[0], 'dt_s': dt}
 
 
 NOTE = (
@@ -100,20 +111,18 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
     """
     import control
 
-    from quad_sysid.estimate.stored import plant_of
-    from quad_sysid.loop.from_model import commanded, loop_plant, usual_signals
-    from quad_sysid.loop.plant import slopes_at, state_space
+    from quad_sysid.loop.from_model import loop_plant, whole_plant
+    from quad_sysid.loop.linear import STILL, loops_of
 
     told: dict[str, Any] = {'inputs': ['command'], 'outputs': list(OUTPUTS), 'name': model.axis}
     if linear:
-        loop = loop_plant(model)
-        cycle = state_space(loop, slopes_at(loop, *SMALL))
-        return control.ss(cycle.a, cycle.b, cycle.c, 0.0, model.dt, **told)
-    plant, still = plant_of(model), commanded(model, usual_signals(model), np.zeros(1))
-    rest = plant.begin(still, np.zeros(1), np.zeros(1))
+        one = loops_of([(loop_plant(model), STILL)])
+        return control.ss(one.a[0], one.b[0][:, None], one.c[0], 0.0, model.dt, **told)
+    flying = whole_plant(model)
+    plant, rest = flying.plant, flying.begin()
 
     def ahead(_: float, x: FloatArray, u: FloatArray, __: object) -> FloatArray:
-        s = commanded(model, usual_signals(model), np.atleast_1d(u))
+        s = plant.with_motors(replace(flying.around, sent=np.atleast_1d(u)))
         return plant.flat(plant.step(plant.unflat(x[:, None], rest), s))[:, 0]
 
     def shown(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
@@ -123,12 +132,25 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
     return control.nlsys(ahead, shown, states=plant.flat(rest).shape[0], dt=model.dt, **told)
 
 
-SMALL = (1e-3, 1e-3, 1e-3)
-"""Amplitudes of rate, angle and command at which `to_control` is linear."""
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {
     'mat': (as_mat, '.mat'), 'control': (as_control, '.py'),
 }
 """Format → its writer and the file's suffix."""
+
+
+def export(models: Mapping[str, AxisModel], path: str | Path, to: str = '') -> Path:
+    """Write models, by axis, in a format of WRITERS, by default that of the suffix.
+
+    Raises BadInputError for an unknown format, and where the file exists.
+    """
+    place = Path(path)
+    name = to or next((key for key, (_, suffix) in WRITERS.items() if suffix == place.suffix), '')
+    if name not in WRITERS:
+        raise BadInputError('export', 'must be to one of ' + ', '.join(WRITERS), to or str(path),
+                            'name it, or a suffix of .py or .mat')
+    check_new(place)
+    write_whole(place, WRITERS[name][0](models))
+    return place
 
 
 def add(commands: Commands) -> None:
@@ -155,10 +177,9 @@ def _run(options: argparse.Namespace) -> int:
     models = load_models(model, own_effects(options.effects))
     if options.axis is not None:
         models = pick(models, options.axis, model)
-    write, suffix = WRITERS[options.to]
-    out = options.out or model.with_name(f'{model.stem}_export{suffix}')
-    check_new(out)
-    write_whole(out, write(models))
+    suffix = WRITERS[options.to][1]
+    out = export(models, options.out or model.with_name(f'{model.stem}_export{suffix}'),
+                 options.to)
     if not options.quiet:
         print(f'{out}: {", ".join(models)}')
     return 0

@@ -28,7 +28,7 @@ from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.conversion import event_message, parameters
 from quad_bridge.nodes.diagnostics import diagnostic_array
 from quad_bridge.nodes.managed_node import MOST_BYTES, answered
-from quad_bridge.nodes.qos import EVENT, STATE
+from quad_bridge.nodes.qos import EVENT, HEARD
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.topics import AIRCRAFT_LOG
 from quad_sysid import session
@@ -76,9 +76,9 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._begun_ns = time.time_ns()  # by the middleware's clock, whatever that of the flight
         self._gains = self.create_client(SetParametersAtomically, f'{BRIDGE}/set_gains')
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
-        self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE, raw=True)
+        self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, HEARD, raw=True)
         name = AIRCRAFT_LOG.removeprefix('/')
-        self.create_subscription(ParameterEvent, name, self._on_log, STATE)
+        self.create_subscription(ParameterEvent, name, self._on_log, HEARD)
         self.create_service(Trigger, '~/identify', self._on_identify)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time stands still meanwhile
         self.create_timer(0.2, self._collect, clock=steady)

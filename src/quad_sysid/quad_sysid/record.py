@@ -15,8 +15,14 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError, NotInformativeError
+from quad_sysid.units import Units
 
 ROLES = ('train', 'validation', 'idle')
+WIDTHS = {
+    'rates': 3, 'control': 4, 'angles': 3, 'acceleration': 3, 'motors': None, 'speeds': None,
+    'wrench': 4, 'attitude_setpoint': 3, 'rate_setpoint': 3, 'excitation': 3, 'battery_v': 0,
+}
+"""Array of a Record → its columns: 0 for one without (n,), None for any number."""
 INJECTIONS = ('attitude', 'rate', 'control')
 SHORT_GAP_S = 0.05
 """A gap up to this long, some motors' lag, does not end a segment: the filter predicts through it,
@@ -104,9 +110,21 @@ class Record:
     """Repairs and doubts of the reader, one line each."""
     t0_ns: int = 0
     """Stamp of the first sample, ns."""
+    units: Units | None = None
+    """Of the arrays that it was made of; None: it comes from a bag."""
 
     def __post_init__(self) -> None:
-        """Put the yaw set-point on the turn of the measured yaw, as a controller's error does."""
+        """Check every array and make it read-only; raises BadInputError naming the field.
+
+        The yaw set-point is put on the turn of the measured yaw, as a controller's error is.
+        """
+        if not _is_interval(self.dt):
+            raise BadInputError('Record', 'dt must be a positive number of seconds', self.dt)
+        n = np.shape(self.rates)[0] if np.ndim(self.rates) else 0
+        for name, width in WIDTHS.items():
+            given = getattr(self, name)
+            if given is not None:
+                object.__setattr__(self, name, _frozen(name, given, n, width))
         if self.attitude_setpoint is not None:
             yaw = None if self.angles is None else self.angles[:, 2]
             setpoint = _unwrapped(self.attitude_setpoint, yaw)
@@ -320,7 +338,7 @@ def axis_index(where: str, name: str) -> int:
     return AXES.index(name)
 
 
-def _signal(name: str, given: object) -> FloatArray:
+def _signal(name: str, given: object, where: str = 'IOData') -> FloatArray:
     """`given` as real numbers, or BadInputError naming the argument."""
     try:
         array = np.asarray(given)
@@ -329,8 +347,22 @@ def _signal(name: str, given: object) -> FloatArray:
         real = None
     if real is None:
         kind = getattr(given, 'dtype', type(given).__name__)
-        raise BadInputError('IOData', f'{name} must hold real numbers', kind)
+        raise BadInputError(where, f'{name} must hold real numbers', kind)
     return real
+
+
+def _frozen(name: str, given: object, n: int, width: int | None) -> FloatArray:
+    """An array of a Record as float64 that nobody can write to; BadInputError for other shapes."""
+    array = _signal(name, given, 'Record')
+    columns = array.shape[1:] if width is None else (width,) if width else ()
+    if array.ndim != (1 if width == 0 else 2) or array.shape != (n, *columns) or not n:
+        wanted = ', '.join(['n', *([] if width == 0 else [str(width or 'motors')])])
+        raise BadInputError('Record', f'{name} must be ({wanted}) with n as in rates',
+                            f'{array.shape} for n = {n}')
+    if array is given and array.flags.writeable:
+        array = array.copy()
+    array.flags.writeable = False
+    return array
 
 
 def _is_interval(dt: object) -> bool:

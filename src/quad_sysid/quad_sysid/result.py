@@ -10,59 +10,47 @@ matplotlib are loaded when they are needed.
 from __future__ import annotations
 
 import json
+import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, NoSuchAttributeError
+from quad_sysid.identified import Identified
 from quad_sysid.model import AxisModel, Designer, EffectEstimate
 from quad_sysid.record import Record
+from quad_sysid.units import Units
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
     from matplotlib.figure import Figure
 
-    from quad_sysid.contract import FloatArray
+    from quad_sysid.arrays import Parts, Samples, Table
     from quad_sysid.model.effect import Effect
     from quad_sysid.pipeline.answer import AxisAnswer
     from quad_sysid.pipeline.evaluate import Evaluation
+    from quad_sysid.record import IOData
     from quad_sysid.separation.design import Separation
 
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
 """Predictions of a design with which the bridge's watch compares the flight."""
 DESIGNERS = 'quad_sysid.designers'
 """Group of entry points: quad_sysid does not import quad_tuning."""
-Span = tuple[float, float]
-
-
-class Identified(AxisModel):
-    """The completed model of one axis, which can be run."""
-
-    def simulate(self, u: npt.ArrayLike, x0: Span = (0.0, 0.0),
-                 **signals: npt.ArrayLike) -> FloatArray:
-        """(n,) measured rate, rad/s, for commands u (n,); see pipeline.evaluate.simulate."""
-        from quad_sysid.pipeline.evaluate import simulate
-
-        return simulate(self, u, x0, **signals)
-
-    def to_control(self, *, linear: bool = False) -> Any:
-        """The model as a system of python-control; see exports.to_control."""
-        from quad_sysid.exports import to_control
-
-        return to_control(self, linear=linear)
+Flights: TypeAlias = 'Record | IOData | str | Path | Sequence[Record | str | Path] | Table'
+"""Flights of one aircraft, or what holds the arrays of experiments."""
 
 
 @dataclass(frozen=True)
 class Result:
     """The answer of an identification: all axes, or one of them as `result['roll']`.
 
-    Attributes of one axis (`verdict`, `effects`, `model` and so on) raise BadInputError where
-    there are several.
+    Attributes of one axis (`verdict`, `effects`, `model` and so on) raise NoSuchAttributeError
+    where there are several.
     """
 
     answers: Mapping[str, AxisAnswer]
@@ -100,7 +88,7 @@ class Result:
     def answer(self) -> AxisAnswer:
         """Everything behind the answer for the axis."""
         if len(self.answers) != 1:
-            raise BadInputError('result', 'has several axes', ', '.join(self.answers),
+            raise NoSuchAttributeError('result', 'has several axes', ', '.join(self.answers),
                                 f"take one, such as result['{next(iter(self.answers), 'roll')}']")
         return next(iter(self.answers.values()))
 
@@ -116,10 +104,10 @@ class Result:
 
     @property
     def model(self) -> Identified:
-        """The base with the effects that were added. Raises BadInputError where there is none."""
+        """The base with the effects that were added; NoSuchAttributeError without one."""
         model = self.answer.model
         if model is None:
-            raise BadInputError('result', 'has no model', self.verdict, self.reason)
+            raise NoSuchAttributeError('result', 'has no model', self.verdict, self.reason)
         return Identified(**vars(model))
 
     @property
@@ -161,6 +149,36 @@ class Result:
             raise BadInputError('plot', 'the data do not allow this picture', name,
                                 f'the verdict is {self.verdict}: {self.reason}')
         return picture.figure
+
+    def to_json(self) -> str:
+        """The answer as text: report and models, without loss; see `from_json`."""
+        from quad_sysid.report.model_file import tree_of_models
+
+        models = {axis: one.model for axis, one in self.answers.items() if one.model is not None}
+        return json.dumps({'report': self.report, 'flights': list(self.flights),
+                           'inertia': self.inertia and dict(self.inertia),
+                           'models': tree_of_models(models) if models else None},
+                          allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str, effects: Sequence[Effect] = ()) -> Result:
+        """A result from `to_json`: all but the pictures, which need the flight.
+
+        `effects`: those of one's own that it names. Raises BadInputError for another text.
+        """
+        from quad_sysid.report.document import answers_of
+        from quad_sysid.report.model_file import models_of
+
+        try:
+            tree = json.loads(text)
+            report, models = tree['report'], tree['models']
+            flights, inertia = tuple(tree['flights']), tree['inertia']
+        except (ValueError, TypeError, KeyError) as error:
+            raise BadInputError('from_json', 'is no result of to_json', str(error)) from error
+        known = models_of(models, 'from_json', effects) if models else {}
+        found = cls(answers_of(report, known), flights, inertia)
+        vars(found)['report'] = report
+        return found
 
     def save(self, folder: str | Path | None = None, *, html: bool = True,
              pictures: bool = True) -> Result:
@@ -212,19 +230,31 @@ class Result:
                 yield axis, answer.proposal.gains, answer.proposal.figures
 
 
-def identify(flights: Record | str | Path | Sequence[Record | str | Path],
-             axes: str | Sequence[str] = (), *, train: Span | None = None,
-             validate: Span | None = None, effects: Sequence[Effect] | None = None,
-             designer: Designer | None = None, inertia: Mapping[str, float] | None = None,
-             progress: Callable[[str], None] = lambda _: None) -> Result:
-    """Identify axes from flights of one aircraft, and find what the model lacks.
+def identify(
+    flights: Flights | None = None, axes: str | Sequence[str] = (), *,
+    u: Samples | None = None, y: Samples | None = None, dt: float | Sequence[float] | None = None,
+    t: Samples | None = None, angle: Samples | None = None, reference: Samples | None = None,
+    signals: Mapping[str, Samples] | None = None, units: Mapping[str, str | float] | None = None,
+    train: Parts | None = None, validate: Parts | None = None,
+    effects: Sequence[Effect] | None = None, extra_effects: Sequence[Effect] = (),
+    designer: Designer | None = None, inertia: Mapping[str, float] | None = None,
+    progress: Callable[[str], object] = lambda _: None, seconds: float | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Result:
+    """Identify axes from flights of one aircraft, or from arrays, and find what the model lacks.
 
-    `flights`: records or paths of bags. `axes`: `roll`, `pitch`, `yaw`; default: those that the
-    flights excite. `train`, `validate`: (start, end), s from the first sample; default: the bag's
-    segments, else 60 and 40 %. `effects`: the candidates; default `EFFECTS`, `()` for none.
-    `designer`: designs gains for a model; default: that of quad_tuning, where installed. Raises
-    BadInputError for wrong input.
+    `flights`: records or paths of bags, or a frame, a response, IOData with what `u`, `y` and so
+    on say of it; arrays alone need no `flights` (from_arrays has their shapes, units, errors; a
+    list has one for each experiment). `axes`: `roll`, `pitch`, `yaw`; default: those that the
+    flights excite; of arrays the one that they are called, `roll`. `train`, `validate`: Parts, or
+    (start, end), s from the first sample; default: the bag's segments, else 60 and 40 %.
+    `effects`: the candidates; default `EFFECTS`, `()` for none; `extra_effects` join them.
+    `designer`: designs gains for a model; default: that of quad_tuning, where installed.
+    `progress`: called with a line of text, or a tqdm; `seconds`: after which the search adds
+    nothing more, as where `stop()` is true; the report says what was not tried. Raises
+    BadInputError, one line, for wrong input.
     """
+    from quad_sysid.arrays import are_arrays, records_of
     from quad_sysid.effects import EFFECTS
     from quad_sysid.model.checked import checked
     from quad_sysid.pipeline.identify import Options
@@ -234,27 +264,97 @@ def identify(flights: Record | str | Path | Sequence[Record | str | Path],
     for axis in wanted:
         if axis not in AXES:
             raise BadInputError('identify', f'axes must be among {", ".join(AXES)}', repr(axis))
-    candidates = EFFECTS if effects is None else checked(effects, 'identify: effects', EFFECTS)
-    given = [flights] if isinstance(flights, Record | str | Path) else list(flights)
+    chosen = EFFECTS if effects is None else effects
+    candidates = EFFECTS if effects is None and not extra_effects else checked(
+        (*chosen, *extra_effects) if isinstance(chosen, list | tuple) else chosen,
+        'identify: effects', EFFECTS)
+    show, limit = _listener(progress), _halt(seconds, stop)
+    arrays = {'u': u, 'y': y, 'dt': dt, 't': t, 'angle': angle, 'reference': reference,
+              'signals': signals, 'units': units}
+    if are_arrays(flights) or any(one is not None for one in arrays.values()):
+        if isinstance(flights, Record | str | Path) or len(wanted) > 1:
+            raise BadInputError('identify', 'takes flights or arrays, not both, and arrays of one '
+                                'axis', ', '.join(wanted) or str(flights))
+        wanted = wanted or AXES[:1]
+        records = [split_segments(one, axes=wanted) for one in records_of(
+            flights, **arrays, train=train, validate=validate, axis=wanted[0])]
+    else:
+        records = _flown(flights, wanted, train, validate, show)
+    missing = ''
+    if designer is None:
+        designer, missing = installed_designer()
+    answers = answers_of(
+        records,
+        Options(axes=wanted, designer=designer, no_designer_because=missing, effects=candidates,
+                halt=limit),
+        show,
+    )
+    if records[0].units is not None:
+        answers = {axis: _with_units(answer, records[0].units)
+                   for axis, answer in answers.items()}
+    return Result(answers, tuple(record.source for record in records), inertia)
+
+
+def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,
+           show: Callable[[str], None]) -> list[Record]:
+    """The records of flights, with the segments that were asked for."""
+    from quad_sysid.arrays import with_parts
+
+    given: list[Any] = [flights] if isinstance(flights, Record | str | Path) \
+        else list(flights or ())
+    if not given:
+        raise BadInputError('identify', 'has no flight', repr(flights),
+                            'name a bag, or hand in arrays: u=…, y=…, dt=…')
     records = []
     for flight in given:
         if not isinstance(flight, Record):
-            progress(f'reading {flight}')
-            flight = read_bag(flight)  # noqa: PLW2901
-        records.append(split_segments(flight, train, validate, wanted or None))
-    missing = ''
-    if designer is None:
-        designer, missing = _designer()
-    answers = answers_of(
-        records,
-        Options(axes=wanted, designer=designer, no_designer_because=missing, effects=candidates),
-        progress,
-    )
-    names = tuple(flight.source if isinstance(flight, Record) else str(flight) for flight in given)
-    return Result(answers, names, inertia)
+            show(f'reading {flight}')
+        one = flight if isinstance(flight, Record) else read_bag(flight)
+        spans = _is_span(train) and _is_span(validate)
+        records.append(split_segments(one, train, validate, axes or None) if spans
+                       else with_parts(one, one.time_s, axes or AXES, train, validate))
+    return records
 
 
-def _designer(name: str = 'pid') -> tuple[Designer | None, str]:
+def _is_span(part: object) -> bool:
+    """Whether it is (start, end) in s, or nothing."""
+    return part is None or (isinstance(part, tuple) and len(part) == 2
+                            and not any(isinstance(one, slice) for one in part))
+
+
+def _with_units(answer: AxisAnswer, units: Units) -> AxisAnswer:
+    model = answer.model
+    if model is None:
+        return answer
+    reference = None if model.reference is None else replace(model.reference, units=units)
+    return replace(answer, model=replace(model, units=units, reference=reference))
+
+
+def _listener(progress: Any) -> Callable[[str], None]:
+    """`progress` as a function of a line; a tqdm shows it and counts."""
+    if callable(progress):
+        return lambda line: (progress(line), None)[1]
+    if hasattr(progress, 'set_description_str') and hasattr(progress, 'update'):
+        return lambda line: (progress.set_description_str(line), progress.update(), None)[2]
+    raise BadInputError('identify', 'progress must be a function of a line of text, or a tqdm',
+                        type(progress).__name__)
+
+
+def _halt(seconds: float | None, stop: Callable[[], bool]) -> Callable[[], str]:
+    """Why the search may add nothing more; '' as long as it may."""
+    if seconds is not None and not (math.isfinite(seconds) and seconds >= 0.0):
+        raise BadInputError('identify', 'seconds must be a number of at least 0', seconds)
+    end = math.inf if seconds is None else time.monotonic() + seconds
+
+    def halted() -> str:
+        if stop():
+            return 'the search was stopped'
+        return f'the search had {seconds:g} s' if time.monotonic() > end else ''
+
+    return halted
+
+
+def installed_designer(name: str = 'pid') -> tuple[Designer | None, str]:
     """The designer of this name, or None and the reason."""
     found = {entry.name: entry for entry in entry_points(group=DESIGNERS)}
     if name not in found:

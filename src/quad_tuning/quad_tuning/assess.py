@@ -6,7 +6,7 @@ feedback share margins, noise and prediction. Nothing is optimised here.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -22,16 +22,10 @@ from quad_sysid.loop.cascade import (
     reference_response,
 )
 from quad_sysid.loop.figures import square_figures, square_wave
-from quad_sysid.loop.plant import (
-    ComplexArray,
-    LoopPlant,
-    dynamics,
-    exact_step,
-    slopes_at,
-    state_space,
-)
+from quad_sysid.loop.linear import ComplexArray
+from quad_sysid.loop.plant import Flying
 from quad_sysid.loop.simulation import LoopResponse, simulate_cascade
-from quad_tuning.ensemble import AMPLITUDES, Ensemble
+from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.state_feedback import StateFeedback, simulate
 
@@ -97,7 +91,7 @@ class LoopFigures:
         return values if noise_rms is None else {**values, 'motor_noise_rms': gain * noise_rms}
 
 
-def assess(plant: LoopPlant, controller: CascadeGains | StateFeedback,
+def assess(plant: Flying, controller: CascadeGains | StateFeedback,
            ensemble: Ensemble) -> LoopFigures:
     """Figures of a controller on the nominal plant and over the ensemble."""
     nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
@@ -136,21 +130,13 @@ def meets(margins: Margins, needs: Requirements) -> npt.NDArray[np.bool_]:
     )
 
 
-def flown(plant: LoopPlant, controller: CascadeGains | StateFeedback, reference: FloatArray,
+def flown(plant: Flying, controller: CascadeGains | StateFeedback, reference: FloatArray,
           start: float = 0.0, torque: float = 0.0) -> LoopResponse:
-    """The loop over time from the angle `start`, rad, under a constant torque, rad/s².
-
-    A state feedback flies the plant linearised for wide motion.
-    """
+    """The loop over time from the angle `start`, rad, under a constant torque, rad/s²."""
     if isinstance(controller, CascadeGains):
         return simulate_cascade(plant, controller, reference, plant.dt, disturbance=torque,
                                 initial_angle=start)
-    slopes = slopes_at(plant, *AMPLITUDES[0])
-    a, b, _ = dynamics(plant, slopes)
-    model = state_space(plant, slopes)
-    push = np.zeros(model.a.shape[0])
-    push[: a.shape[0]] = torque * exact_step(a, b, np.array(plant.dt))[1][:, 1]
-    return simulate(model, controller, reference, start, push)
+    return simulate(plant, controller, reference, start, torque)
 
 
 def reference_square(dt: float) -> FloatArray:
@@ -158,17 +144,17 @@ def reference_square(dt: float) -> FloatArray:
     return square_wave(float(SQUARE_AMPLITUDE_RAD), SQUARE_HALF_PERIOD_S, 1, dt)
 
 
-def tracking(plant: LoopPlant, gains: CascadeGains, reference: FloatArray) -> tuple[float, float]:
+def tracking(plant: Flying, gains: CascadeGains, reference: FloatArray) -> tuple[float, float]:
     """RMS error, rad, and overshoot beyond the reference, %, of the square wave."""
     run = flown(plant, gains, reference, float(reference[0]))
     beyond = (np.max(np.abs(run.angle)) / SQUARE_AMPLITUDE_RAD - 1.0) / 2.0
     return float(np.sqrt(np.mean((reference - run.angle) ** 2))), 100.0 * float(beyond)
 
 
-def disturbance(plant: LoopPlant, controller: CascadeGains | StateFeedback) -> float:
+def disturbance(plant: Flying, controller: CascadeGains | StateFeedback) -> float:
     """RMS angle under a torque step, rad."""
     still = np.zeros(round(TORQUE_STEP_S / plant.dt))
-    run = flown(replace(plant, bias=0.0), controller, still, torque=TORQUE_STEP)
+    run = flown(plant, controller, still, torque=TORQUE_STEP - plant.held)
     return float(np.sqrt(np.mean(run.angle**2)))
 
 

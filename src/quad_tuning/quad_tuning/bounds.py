@@ -83,9 +83,7 @@ def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, 
         for field in DESIGNED:
             low, high = reachable(field, getattr(now, field))
             values[field] = min(max(getattr(wanted, field), low), high)
-        following = CascadeGains(**values, output_limit=wanted.output_limit,
-                                 rate_limit=wanted.rate_limit,
-                                 integrator_limit=wanted.integrator_limit)
+        following = replace(wanted, **values)
         if following == now:
             break
         now = following

@@ -81,7 +81,7 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     return GainProposal(
         gains={**told(way.told, model.axis, known), **chosen},
         figures={**_figures(model, found, known, loops.draws),
-                 **promise(loops, active, found.gains, plant.lag_s)},
+                 **promise(loops, active, found.gains, model.value('lag'))},
         left_out=not_in_the_loop(model),
         steps=along([told(step, model.axis, known) for step in way.steps], chosen,
                     flown.active_gains),

@@ -2,8 +2,8 @@
 
 Each rival replaces its effect in a share of the draws equal to its probability. A rival of the
 same signal gets the strength that matches the effect over the flown range; for any other rival the
-effect is left out. Each draw is linearised at one or two amplitudes (curves by their describing
-functions), so that a loop is judged both in wide motion and near rest.
+effect is left out. Each draw flies at a throttle and a voltage of its own, and is linearised at one
+or two amplitudes, so that a loop is judged both in wide motion and near rest.
 """
 
 from __future__ import annotations
@@ -26,17 +26,14 @@ from quad_sysid.loop.cascade import (
     open_loop,
 )
 from quad_sysid.loop.from_model import (
-    NEAR_REST,
-    WIDE,
     Placed,
-    battery_factor,
     gain_range,
     loop_plant,
     placed,
-    schedule_factor,
-    throttle_factor,
+    usual_signals,
 )
-from quad_sysid.loop.plant import ComplexArray, LoopPlant, Step, exact_cycles, slopes_at
+from quad_sysid.loop.linear import NEAR_REST, WIDE, ComplexArray, Loops, loops_of
+from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part
 
@@ -125,8 +122,6 @@ identified airframes (bench/tuning.py) 95 were off by less than 0.9 % in lag, 0.
 and, where another charge of the battery changed it, 3 % in gain (0.1 % in the median)."""
 DELAY_FLOOR_CYCLES = 0.05
 
-AMPLITUDES = (WIDE, NEAR_REST)
-"""Amplitudes of rate (rad/s), angle (rad) and command for linearisation."""
 
 VOLTAGE_RANGE = (0.9, 1.08)
 """Battery voltage of the next flight relative to this one's mean."""
@@ -141,7 +136,7 @@ class Ensemble:
     `nominal` (p,) marks the loops of the nominal plant. response (2, p, f) at omega (f,) rad/s.
     """
 
-    cycle: Step
+    cycle: Loops
     omega: FloatArray
     response: ComplexArray
     nominal: npt.NDArray[np.bool_]
@@ -161,9 +156,7 @@ class Ensemble:
 
     def subset(self, index: npt.NDArray[np.int64]) -> Ensemble:
         """The loops of `index` alone."""
-        c = self.cycle
-        cycle = Step(c.phi[index], c.now[index], c.before[index], c.c[index], c.whole[index], c.dt)
-        return replace(self, cycle=cycle, response=self.response[:, index],
+        return replace(self, cycle=self.cycle.subset(index), response=self.response[:, index],
                        nominal=self.nominal[index])
 
 
@@ -182,43 +175,29 @@ def draw_models(model: AxisModel, rng: np.random.Generator, count: int) -> list[
 
 
 def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ensemble:
-    """The ensemble of an axis model, its rivals included.
-
-    With battery sag or a thrust curve the next flight's voltage and throttle are drawn too.
-    """
-    choices, flights = variants(model), [(model, 1.0)]
+    """The ensemble of an axis model, its rivals included, in the next flight."""
+    choices, plants = variants(model), [loop_plant(model)]
     for number, (_, variant) in zip(shares(tuple(weight for weight, _ in choices), count), choices,
                                     strict=True):
-        drawn = draw_models(variant, rng, number)
-        flights += [(one, _next_factor(one, rng)) for one in drawn]
-    plants = [_at(one, factor, WIDE) for one, factor in flights]
-    every, slopes = plants, [slopes_at(p, *WIDE) for p in plants]
-    if any(p.bends for p in plants):
-        calm = [_at(one, factor, NEAR_REST) if p.remembers else p
-                for p, (one, factor) in zip(plants, flights, strict=True)]
-        every, slopes = plants + calm, slopes + [slopes_at(p, *NEAR_REST) for p in calm]
-    cycle = exact_cycles(every, slopes)
+        plants += [_next_flight(one, rng) for one in draw_models(variant, rng, number)]
+    levels = [WIDE, NEAR_REST] if any(one.plant.structure.parts for one in plants) else [WIDE]
+    cycle = loops_of([(one, level) for level in levels for one in plants])
     omega = frequency_grid(model.dt)
     return Ensemble(cycle=cycle, omega=omega, response=cycle.response(omega),
-                    nominal=np.arange(len(every)) % len(plants) == 0, draws=count)
+                    nominal=np.arange(len(levels) * len(plants)) % len(plants) == 0, draws=count)
 
 
-def _at(drawn: AxisModel, factor: float, level: tuple[float, float, float]) -> LoopPlant:
-    """A drawn plant with a factor on its gain, linear at these amplitudes where it remembers."""
-    plant = loop_plant(drawn, level)
-    return replace(plant, gain=plant.gain * factor)
-
-
-def _next_factor(drawn: AxisModel, rng: np.random.Generator) -> float:
-    """Factor on the gain in another flight: by voltage, throttle, and along its curves."""
-    factor = 1.0
+def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> Flying:
+    """The plant at another voltage and throttle, and along what changes its gain by itself."""
+    moved = {}
     if drawn.mean_battery_v:
-        volts = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
-        factor *= battery_factor(drawn, volts) / battery_factor(drawn)
-        factor *= schedule_factor(drawn, volts) / schedule_factor(drawn)
-    factor *= throttle_factor(drawn, rng.uniform(*THROTTLE_RANGE))
+        moved['battery'] = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
+    moved['throttle'] = usual_signals(drawn)['throttle'] * rng.uniform(*THROTTLE_RANGE)
     low, usual, high = gain_range(drawn)
-    return factor * rng.uniform(low, high) / usual
+    flying = loop_plant(drawn, moved)
+    p = flying.plant.p.copy()
+    p[0] *= rng.uniform(low, high) / usual
+    return replace(flying, plant=replace(flying.plant, p=p))
 
 
 def _believed_covariance(model: AxisModel) -> FloatArray:

@@ -1,4 +1,4 @@
-"""`quad-tune export`: gains of the contract as a parameter file of PX4 or ArduPilot.
+"""`quad-tune export`: gains of the contract in the words of PX4, ArduPilot, Betaflight or INAV.
 
 Ours: u = kp e + ki ∫e dt - kd d(rate)/dt in normalised command per rad/s, C1 in 1/s (contract).
 Theirs: the same in their own unit of torque, -1..1. `scale` is our U per unit of their torque: 1
@@ -13,7 +13,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,17 @@ from quad_sysid.arguments import Commands, command
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, read_json, write_whole
+from quad_sysid.imports.betaflight_gains import (
+    DEGREES,
+    DTERM,
+    INAV_D,
+    INAV_I,
+    INAV_P,
+    ITERM,
+    PIDSUM,
+    PTERM,
+    YAW_I,
+)
 from quad_tuning.autopilot_table import ARDUPILOT, D_FILTER, PX4, Table
 from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
 
@@ -33,13 +44,16 @@ NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
 
 @dataclass(frozen=True)
 class Firmware:
-    """How a firmware's file of parameters looks; its names are the table's."""
+    """How a firmware's file of parameters looks; its names are the table's, or those of `cli`."""
 
-    table: Table
+    table: Table | None
     notes: tuple[str, ...]
     """What has no counterpart."""
     head: str = ''
     row: str = '{name},{value:.9g}'
+    cli: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    """Of a firmware with whole numbers on a command line: its name and scale by ours."""
+    head_lines: tuple[str, ...] = ()
 
 
 PX4_NOTES = (
@@ -53,19 +67,44 @@ ARDUPILOT_NOTES = (
     ('Its input shaping (ATC_ACCEL_*) and its filters of target and error (FLTT, FLTE) are not '
      'part of our loop.'),
 )
+AT_THROTTLE = ('P and D stand for the throttle of the flight: divided by what TPA left of them '
+               'there, where --flown says so.')
+BETAFLIGHT_NOTES = (
+    ('Scales of Betaflight 3.1 to 2026.12 (src/main/flight/pid.h). D is differentiated from the '
+     'measured rate, as ours.'),
+    AT_THROTTLE,
+    ('Feed-forward, I-term relax, anti-gravity and RPM filters stay as they are. Before 2025.12 '
+     'set d_min_* to the same value as d_*, which is the largest D there.'),
+)
+INAV_NOTES = (
+    'Scales of INAV 2 to 8 (src/main/flight/pid.h, FP_PID_RATE_*_MULTIPLIER).', AT_THROTTLE,
+    'The control derivative (mc_cd_*) stays as it is.',
+)
 FIRMWARES = {
     'px4': Firmware(PX4, PX4_NOTES, '# Vehicle-Id\tComponent-Id\tName\tValue\tType (9: float)\n',
                     '1\t1\t{name}\t{value:.9g}\t9'),
     'ardupilot': Firmware(ARDUPILOT, ARDUPILOT_NOTES),
+    'betaflight': Firmware(None, BETAFLIGHT_NOTES, cli={
+        'rate.kp': ('p_{}', PTERM), 'rate.ki': ('i_{}', ITERM), 'rate.kd': ('d_{}', DTERM),
+    }, head_lines=('set simplified_pids_mode = OFF',)),
+    'inav': Firmware(None, INAV_NOTES, cli={
+        'rate.kp': ('mc_p_{}', INAV_P), 'rate.ki': ('mc_i_{}', INAV_I),
+        'rate.kd': ('mc_d_{}', INAV_D),
+    }),
 }
+"""By the name that --to takes."""
+MOST = 250
+"""Largest P, I, D of their command lines."""
+APART = 0.1
+"""Relative difference from which filters are said to differ."""
 
 
 def add(commands: Commands) -> None:
     """Register the command."""
     parser = command(
         commands, 'export', run,
-        'Write designed gains as a parameter file of PX4 or ArduPilot, with each conversion as a '
-        'comment.',
+        'Write designed gains as a parameter file of PX4 or ArduPilot, or as lines for the '
+        'command line of Betaflight or INAV, with each conversion as a comment.',
         'quad-tune design result/model.json --out gains.json && quad-tune export gains.json '
         '--to px4 --scale roll=0.25 --scale pitch=0.25',
     )
@@ -75,6 +114,9 @@ def add(commands: Commands) -> None:
     parser.add_argument('--scale', metavar='AXIS=NUMBER', action='append', default=[],
                         help="our command per unit of the firmware's torque; 1 where the model "
                         'was identified on its torque set-points; repeat for each axis')
+    parser.add_argument('--flown', metavar='MODEL.json', type=Path,
+                        help='Betaflight, INAV: the model of the flight, whose gains and filters '
+                        'say what changes')
     parser.add_argument('--out', metavar='FILE', type=Path,
                         help='a new file; default: print it')
 
@@ -82,6 +124,8 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, convert, print or write; raises BadInputError."""
     firmware = FIRMWARES[arguments.to]
+    if firmware.cli:
+        return _command_line(firmware, arguments)
     gains = read_gains(arguments.gains)
     found = parameters(firmware, gains, scales(arguments.scale))
     rest = left_out(gains)
@@ -102,6 +146,109 @@ def run(arguments: argparse.Namespace) -> int:
     print(f'{len(found)} parameters in {arguments.out}'
           + (f'; left out: {", ".join(rest)}' if rest else ''))
     return 0
+
+
+def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
+    """Lines of a command line: the steps of the design in turn, each to be flown."""
+    if arguments.scale:
+        raise BadInputError('--scale', f'is not needed for {arguments.to}', None,
+                            'its sum of 1000 is the whole range of the motors, as ours is 1')
+    # the firmware's own range bounds them, see MOST
+    gains, axes = read_gains(arguments.gains, bounded=False), read_axes(arguments.gains)
+    flown = _flown(arguments.flown) if arguments.flown else {}
+    steps = _steps(gains, axes)
+    said = [f'Gains of {arguments.gains.name}, converted by quad-tune export', *firmware.notes,
+            *(f'Left out, it has no counterpart here: {one}' for one in _no_counterpart(gains)),
+            *_filters(gains, flown)]
+    out = [f'# {line}' for line in said]
+    before = dict(flown)
+    for number, step in enumerate(steps, 1):
+        if len(steps) > 1:
+            out.append(f'# step {number} of {len(steps)}: '
+                       + ('fly it before the next' if number < len(steps) else 'the design itself'))
+        out += [*firmware.head_lines, *cli_lines(firmware, step, before, flown), 'save']
+        before = {**before, **step}
+    content = '\n'.join(out) + '\n'
+    if arguments.out is None:
+        print(content, end='')
+        return 0
+    check_new(arguments.out)
+    write_whole(arguments.out, content)
+    print(f'{len(steps)} steps in {arguments.out}')
+    return 0
+
+
+def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[str, float],
+              flown: Mapping[str, float]) -> list[str]:
+    """`set` lines for gains by the contract's names, each with what it was before.
+
+    Raises BadInputError where a value is outside the firmware's range.
+    """
+    out = []
+    for axis in AXES:
+        for ours, (theirs, unit) in firmware.cli.items():
+            name = f'{axis}.{ours}'
+            if name not in gains:
+                continue
+            unit_si = unit * DEGREES / PIDSUM * (
+                YAW_I if (axis, ours, unit) == ('yaw', 'rate.ki', ITERM) else 1.0)
+            unit_si *= flown.get(f'{axis}.rate.tpa_{ours[-2:]}', 1.0)
+            value, old = (round(known[name] / unit_si) if name in known else None
+                          for known in (gains, before))
+            if value is None or not 0 <= value <= MOST:
+                raise BadInputError(name, f'must come to 0 to {MOST} in the firmware', value,
+                                    'its scale does not hold this gain')
+            change = '' if old is None else f', from {old} ({value - old:+d})'
+            out += [f'# {name} {gains[name]:.6g} / {unit_si:.6g}{change}',
+                    f'set {theirs.format(axis)} = {value}']
+    return out
+
+
+def _steps(gains: Mapping[str, float],
+           axes: Mapping[str, Mapping[str, Any]]) -> list[dict[str, float]]:
+    """The sets of gains on the way to the design, each of which keeps its margins."""
+    ways = {axis: [one for one in tree.get('steps') or tree.get('gain_steps') or ()
+                   if isinstance(one, Mapping)] for axis, tree in axes.items()}
+    out: list[dict[str, float]] = []
+    for k in range(max((len(way) for way in ways.values()), default=0)):
+        here = dict(gains)
+        for axis, way in ways.items():
+            step = way[min(k, len(way) - 1)] if way else {}
+            here |= {n: finite(v, f'axes.{axis}.steps.{n}') for n, v in step.items() if n in gains}
+        if not out or here != out[-1]:
+            out.append(here)
+    return out or [dict(gains)]
+
+
+def _flown(path: Path) -> dict[str, float]:
+    """The gains and filters of the flight behind a model. Raises BadInputError."""
+    from quad_sysid.report.model_file import load_models, located
+
+    found: dict[str, float] = {}
+    for model in load_models(located(path)).values():
+        found |= model.active_gains
+    return found
+
+
+def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator[str]:
+    """A warning for each filter of the design that is not the aircraft's."""
+    for axis in AXES:
+        wanted, has = (known.get(f'{axis}.{D_FILTER}') for known in (gains, flown))
+        if wanted is None:
+            continue
+        if has is None:
+            yield (f'Warning: the design filters D of {axis} at {wanted:.3g} Hz (first order); '
+                   'compare dterm_lpf*, or give --flown')
+        elif abs(wanted / has - 1.0) > APART:
+            yield (f'Warning: the design filters D of {axis} at {wanted:.3g} Hz (first order), '
+                   f'the '
+                   f"aircraft's low-passes together at {has:.3g} Hz: scale their cut-offs by "
+                   f'{wanted / has:.3g}')
+
+
+def _no_counterpart(gains: Mapping[str, float]) -> list[str]:
+    return [f'{name} {value:.6g}' for name, value in gains.items()
+            if value and name.partition('.')[2] not in {*NEEDED[1:], D_FILTER}]
 
 
 def scales(items: list[str]) -> dict[str, float]:
@@ -202,12 +349,15 @@ def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
             f'--scale {axis}', 'is missing', None,
             'our command per unit of their torque: 1 where the model was identified on their '
             'torque set-points (quad-sysid import says so), else the factor of their mixer')
-    theirs = firmware.table.axes[AXES.index(axis)]
-    rows = {row.ours: row for row in firmware.table.rows}
+    table = firmware.table
+    if table is None:
+        return
+    theirs = table.axes[AXES.index(axis)]
+    rows = {row.ours: row for row in table.rows}
     yield (rows['angle.kp'].name(theirs), own['angle.kp'],
            f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s')
-    if firmware.table.multiplier:
-        yield firmware.table.multiplier.format(theirs), 1.0, 'P, I, D stand by themselves'
+    if table.multiplier:
+        yield table.multiplier.format(theirs), 1.0, 'P, I, D stand by themselves'
     for ours in NEEDED[1:]:
         if own[ours] < 0.0:
             raise BadInputError(f'{axis}.{ours}', 'must not be negative', own[ours])

@@ -2,31 +2,31 @@
 
 Feedback of drive, rate, angle and the integral of the angle's error in the firmware's model
 (state_feedback.py); weights by Bryson's rule. For a delayed input the optimal feedback is the
-undelayed one on predicted states. Slow motors enter the model by the mean of the lags, the gyro's
-filter by its delay, curves by their gain in wide motion. The loop is slowed until every loop of
-the ensemble, which contains all of these, keeps its margins.
+undelayed one on predicted states. The firmware's model is the one that answers most like the plant
+in wide motion (`likeness`). The loop is slowed until every loop of the ensemble keeps its margins.
 Source: Anderson, Moore, Optimal Control (1990), 2.3 and 7.2; Bryson, Ho, Applied Optimal Control
 (1975), 5.2.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import control
 import numpy as np
+from scipy.optimize import least_squares
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.plant import LoopPlant, slopes_at
+from quad_sysid.loop.linear import WIDE, loops_of
+from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel
 from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import Requirements, assess, meets, promise
 from quad_tuning.bounds import BOUNDS, check_band, check_inside, check_model, flown_gains
 from quad_tuning.designer import LARGEST_LOSS_PCT, SEED
-from quad_tuning.ensemble import AMPLITUDES, Ensemble
+from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.state_feedback import PARAMETERS, StateFeedback, beside
 from quad_tuning.way import least_on_the_way
@@ -34,6 +34,8 @@ from quad_tuning.way import least_on_the_way
 FASTEST = 0.02
 RAISE = 1.2
 ROUNDS = 72
+BAND_RAD_S = 2.0, 50.0
+"""Where the firmware's model must answer like the plant."""
 SHARES = (0.25, 0.5)
 """Shares of the state feedback in the bridge's steps."""
 
@@ -103,24 +105,24 @@ def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal
     figures = {
         **after.named(model.noise_rms),
         **{f'{name}_before': value for name, value in before.named(model.noise_rms).items()},
-        **promise(loops, active, found, plant.lag_s), 'draws': float(loops.draws),
+        **promise(loops, active, found, model.value('lag')), 'draws': float(loops.draws),
         'control_weight': factor,
     }
     return LqrProposal(found, found.to_mapping(model.axis),
                        {name: value for name, value in figures.items() if np.isfinite(value)})
 
 
-def design_lqr(plant: LoopPlant, ensemble: Ensemble, output_limit: float,
+def design_lqr(plant: Flying, ensemble: Ensemble, output_limit: float,
                weights: Weights | None = None, noise: Noise | None = None,
                needs: Requirements | None = None) -> tuple[StateFeedback, float]:
     """The fastest LQR of this family that keeps margins and bounds; else DesignRefusedError.
 
     With it comes the factor on the control's Bryson weight with which the margins hold.
     """
-    needs = needs or Requirements()
+    needs, like = needs or Requirements(), likeness(plant)
     for factor in FASTEST * RAISE ** np.arange(ROUNDS):
         try:
-            found = feedback(plant, output_limit, factor, weights or Weights(), noise or Noise())
+            found = feedback(plant, like, output_limit, factor, weights or Weights(), noise or Noise())
         except (ValueError, np.linalg.LinAlgError):
             continue
         if (passes(found) and meets(ensemble.margins(found), needs).all()
@@ -135,20 +137,39 @@ def passes(found: StateFeedback) -> bool:
                for name in PARAMETERS if name.startswith('k_'))
 
 
-def feedback(plant: LoopPlant, output_limit: float, factor: float, weights: Weights,
-             noise: Noise) -> StateFeedback:
-    """The optimal feedback where the control's weight is `factor` times Bryson's."""
-    slopes = slopes_at(plant, *AMPLITUDES[0])
-    dt = plant.dt
-    lag = plant.lag_s + sum(one.share * (one.lag_s - plant.lag_s) for one in plant.slow)
-    late = plant.delay_s + max(sum(one.delay_s for one in plant.before), 0.0)
-    if plant.gyro_filter_hz is not None:  # a Butterworth's delay at low frequency
-        late += np.sqrt(2.0) / (2.0 * np.pi * plant.gyro_filter_hz)
+def likeness(plant: Flying) -> tuple[float, float, float, float]:
+    """Gain (rad/s² per command), lag (s), delay (s) and damping (1/s) that answer like the plant.
+
+    In wide motion, over the band of a loop, by least squares of the logarithm of the response;
+    the gyro filter is a part of the delay.
+    """
+    p, omega = plant.plant.p, np.geomspace(*BAND_RAD_S, 40)
+    rate = loops_of([(plant, WIDE)]).response(omega)[0, 0]
+    s = 1j * omega
+    start = np.array([p[0], p[1], p[2] + plant.plant.sensor.late_s, max(p[3], 0.1)])
+
+    def away(factors: FloatArray) -> FloatArray:
+        gain, lag, delay, damping = start * np.exp(factors)
+        own = gain * np.exp(-s * (delay + 0.5 * plant.dt)) / ((lag * s + 1.0) * (s + damping))
+        error = np.log(own / rate)
+        turned = np.mod(error.imag + np.pi, 2.0 * np.pi) - np.pi
+        return np.r_[error.real, turned, 0.05 * factors]
+
+    found = start * np.exp(least_squares(away, np.zeros(4)).x)
+    return tuple(float(value) for value in found)  # type: ignore[return-value]
+
+
+def feedback(plant: Flying, like: tuple[float, float, float, float], output_limit: float,
+             factor: float, weights: Weights, noise: Noise) -> StateFeedback:
+    """The optimal feedback where the control's weight is `factor` times Bryson's.
+
+    like: as of `likeness`.
+    """
+    dt, (gain, lag, late, damping) = plant.dt, like
     bare = StateFeedback(k_angle=0.0, k_rate=0.0, k_drive=0.0, k_integral=0.0,
-                         gain=plant.gain * slopes.command * math.prod(
-                             one.gain for one in plant.before), lag_s=max(lag, 0.001),
-                         delay_s=dt * round(late / dt), damping=plant.damping - slopes.rate,
-                         observer=_observer(plant.damping - slopes.rate, dt, noise), dt=dt,
+                         gain=gain, lag_s=max(lag, 0.001),
+                         delay_s=dt * round(late / dt), damping=damping,
+                         observer=_observer(damping, dt, noise), dt=dt,
                          output_limit=output_limit)
     a, b = _states(bare)
     # a loop slower by s = factor^(-1/4) keeps its shape when rates count s^-2 and integrals s^2

@@ -20,7 +20,8 @@ from scipy.optimize import minimize
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import CONTRACT_NAMES, CascadeGains, margins
-from quad_sysid.loop.plant import ComplexArray, LoopPlant
+from quad_sysid.loop.linear import ComplexArray
+from quad_sysid.loop.plant import Flying
 from quad_tuning.assess import (
     SQUARE_HALF_PERIOD_S,
     LoopFigures,
@@ -69,7 +70,7 @@ CHUNK = 256
 class Problem:
     """Everything that is constant during a search."""
 
-    plant: LoopPlant
+    plant: Flying
     active: CascadeGains
     ensemble: Ensemble
     nominal: Ensemble
@@ -137,7 +138,7 @@ class Problem:
         return bool(kept and not self.ensemble.unstable(gains).any())
 
 
-def pose(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble, needs: Requirements,
+def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Requirements,
          fixed: Collection[str] = ()) -> Problem:
     """The problem of one axis; raises DesignRefusedError where the flown loop diverges.
 
@@ -363,7 +364,7 @@ class PidDesign:
     """Whether torque is rejected no worse than with the flown gains."""
 
 
-def retune(plant: LoopPlant, active: CascadeGains, ensemble: Ensemble,
+def retune(plant: Flying, active: CascadeGains, ensemble: Ensemble,
            needs: Requirements | None = None,
            fixed: Collection[str] = ()) -> PidDesign:
     """The best gains within the bounds that satisfy every loop of the ensemble.

@@ -15,8 +15,9 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import CascadeGains, Dynamics, Linear
-from quad_sysid.loop.plant import ComplexArray, StateSpace
-from quad_sysid.loop.simulation import LoopResponse
+from quad_sysid.loop.linear import ComplexArray
+from quad_sysid.loop.plant import Flying
+from quad_sysid.loop.simulation import LoopResponse, running
 from quad_tuning.bounds import BOUNDS, check_bounds
 from quad_tuning.errors import DesignRefusedError
 
@@ -134,27 +135,22 @@ def beside(found: StateFeedback, gains: CascadeGains, share: float) -> Linear:
     return Linear((a, b, c, d))
 
 
-def simulate(model: StateSpace, controller: StateFeedback, reference: FloatArray,
-             start_angle: float = 0.0, push: FloatArray | None = None,
+def simulate(flying: Flying, controller: StateFeedback, reference: FloatArray,
+             start_angle: float = 0.0, torque: float = 0.0,
              noise: FloatArray | None = None) -> LoopResponse:
-    """Measured angle and rate, and the limited command, with the linear plant.
+    """Measured angle and rate, and the limited command, around a plant.
 
-    `push` is added to the plant's states in every cycle (a torque), `noise` (n,) rad/s to the
-    measured rate. There is no rate reference: it is NaN.
+    torque, rad/s², acts all the time; noise (n,) rad/s is on the measured rate. There is no rate
+    reference: it is NaN.
     """
-    x = np.zeros(model.a.shape[0])
-    x[sorted({2, int(np.argmax(model.c[1]))})] = start_angle  # the true angle and the filtered
-    own = np.zeros(controller.size)
+    now, own = running(flying, angle=start_angle), np.zeros(controller.size)
     out = np.full((4, reference.size), np.nan)
     for k, wanted in enumerate(reference):
-        rate, angle = model.c @ x
-        rate += 0.0 if noise is None else noise[k]
+        angle, rate = now.angle, now.rate + (0.0 if noise is None else noise[k])
         error = wanted - angle
         raw, own = controller.command(own, rate, error)
         u = min(max(raw, -controller.output_limit), controller.output_limit)
         own = controller.moved(own, error, u, held=u != raw)
-        x = model.a @ x + model.b[:, 0] * u
-        if push is not None:
-            x = x + push
+        now.step(u, torque)
         out[:3, k] = angle, rate, u
     return LoopResponse(*out)

@@ -9,12 +9,14 @@ Values are SI on topics, in files and on the wire, so there is nothing to conver
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 AXES = ('roll', 'pitch', 'yaw')
 LARGEST_FACTOR = 2.0  # of one gain in one step; a configuration may ask for less, not for more
 ROUNDING = 1e-4
 """Share by which a step stays inside the factor, since float32 on the wire rounds."""
+IDLE = 'mixer.idle'
 US_PER_DEG_S = math.degrees(1.0) / 1000.0
 """The paper's unit, µs of motor pulse per deg/s (of 1000 µs), as command per rad/s."""
 
@@ -116,11 +118,34 @@ OPTIONAL = (
 """Of each axis, where a firmware has them: a state feedback, a schedule on the battery's voltage.
 Both are off at 0."""
 
+NOTCH_HZ = Bound(0.0, 400.0, small_step=400.0)
+"""A notch is placed where a peak is, which no factor of the place before bounds."""
+
+OF_AIRCRAFT = (
+    Gain(IDLE, 'MIX_IDLE', '1', 'smallest command of a motor in flight', (0.0, 0.3), (0.05,)),
+    Gain('mixer.airmode', 'MIX_AIRMODE', '1',
+         'stabilised at zero throttle in the air from 0.5 on', (0.0, 1.0)),
+    Gain('sensor.notch_1_hz', 'NOTCH_1_HZ', 'Hz', 'first notch on the gyro, off at 0',
+         (0.0, 400.0), bound=NOTCH_HZ),
+    Gain('sensor.notch_1_bandwidth_hz', 'NOTCH_1_BW', 'Hz', 'its width at -3 dB', (1.0, 200.0),
+         (20.0,), Bound(2.0, 100.0), switch='sensor.notch_1_hz'),
+    Gain('sensor.notch_2_hz', 'NOTCH_2_HZ', 'Hz', 'second notch on the gyro, off at 0',
+         (0.0, 400.0), bound=NOTCH_HZ),
+    Gain('sensor.notch_2_bandwidth_hz', 'NOTCH_2_BW', 'Hz', 'its width at -3 dB', (1.0, 200.0),
+         (20.0,), Bound(2.0, 100.0), switch='sensor.notch_2_hz'),
+    Gain('rate.d_notch_hz', 'D_NOTCH_HZ', 'Hz', 'notch before rate.kd of all axes, off at 0',
+         (0.0, 110.0), bound=Bound(0.0, 110.0, small_step=110.0)),
+    Gain('rate.d_notch_bandwidth_hz', 'D_NOTCH_BW', 'Hz', 'its width at -3 dB', (1.0, 100.0),
+         (20.0,), Bound(2.0, 100.0), switch='rate.d_notch_hz'),
+)  # fmt: skip
+"""Of the aircraft as a whole, where a firmware has them. A firmware with the first one gives up
+yaw before throttle and throttle before roll and pitch; one without it clips each motor."""
+
 
 def _all() -> dict[str, tuple[str, Gain]]:
     """Contract name to wire name and row, in the order of the index on the wire."""
     found = {}
-    for rows, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES)):
+    for rows, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES), (OF_AIRCRAFT, ('',))):
         for axis in axes:
             for row in rows:
                 name = f'{axis}.{row.name}' if axis else row.name
@@ -151,4 +176,13 @@ def split(name: str) -> tuple[str, str]:
 def switch_of(name: str) -> str:
     """Contract name of the gain that switches this one off at 0; '' where there is none."""
     axis, _ = split(name)
-    return f'{axis}.{ROWS[name].switch}' if ROWS[name].switch else ''
+    switch = ROWS[name].switch
+    return f'{axis}.{switch}' if axis and switch else switch
+
+
+def with_mixing(active: Mapping[str, float]) -> dict[str, float | str]:
+    """The active gains with what the aircraft does with commands that its motors cannot give.
+
+    A firmware with `mixer.idle` fits them to the motors; an older one clips each by itself.
+    """
+    return {**active, 'mixer.desaturation': 'yaw_first' if IDLE in active else 'clip'}

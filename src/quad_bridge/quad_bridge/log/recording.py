@@ -91,7 +91,8 @@ class Recording:
         """Start the thread; so many messages, and bytes of them, may wait."""
         self._writer = writer
         self._capacity, self._capacity_bytes = capacity, capacity_bytes
-        # that came into the queue, and left it: each counted in one thread only
+        self._putting = threading.Lock()
+        # that came into the queue, and left it: each counted by `put` or in the thread only
         self._put_bytes = self._taken_bytes = self._dropped_bytes = 0
         self._queue: deque[tuple[str, int, bytes]] = deque()
         self._declared: dict[str, tuple[str, tuple[Qos, ...]]] = {}
@@ -129,16 +130,17 @@ class Recording:
         self._declared[topic] = kind, qos
 
     def put(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Queue one serialised message of a declared topic; returns at once."""
-        if self._failure:
-            self._dropped += 1
-            return
-        if len(self._queue) >= self._capacity and self._drop_oldest():
-            self._dropped += 1
-        self._put_bytes += len(data)
-        while self._waiting_bytes > self._capacity_bytes and self._drop_oldest():
-            self._dropped += 1
-        self._queue.append((topic, time_ns, data))
+        """Queue one serialised message of a declared topic, from any thread; returns at once."""
+        with self._putting:
+            if self._failure:
+                self._dropped += 1
+                return
+            if len(self._queue) >= self._capacity and self._drop_oldest():
+                self._dropped += 1
+            self._put_bytes += len(data)
+            while self._waiting_bytes > self._capacity_bytes and self._drop_oldest():
+                self._dropped += 1
+            self._queue.append((topic, time_ns, data))
 
     @property
     def _waiting_bytes(self) -> int:

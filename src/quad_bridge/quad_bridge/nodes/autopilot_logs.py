@@ -43,10 +43,10 @@ class AutopilotLogs:
         self._fetch.there = self._store.there
         self._flew, self._said, self._told_pct = False, '', -1
         self._finishing = False
-        node.create_service(Trigger, '~/fetch_log', self._on_fetch)
 
     def configure(self) -> None:
-        """Create the topic."""
+        """Create the topic and the service."""
+        self._node.service(Trigger, '~/fetch_log', self._on_fetch)
         self._publisher = self._node.publisher(ParameterEvent, AIRCRAFT_LOG, STATE)
 
     def take(self, frame: f.LogEntry | f.LogData, _now_ns: int) -> None:

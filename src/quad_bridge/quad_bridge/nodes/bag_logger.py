@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
@@ -43,13 +43,15 @@ NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', description.PARAM
 
 
 class BagLogger(ManagedNode):
-    """See the module. Configured it has its topics and services, active it records when asked.
+    """See the module. Configured it has publishers and services, active it records when asked.
 
     Topics are looked for in the node's namespace; in the bag they have the contract's names.
     """
 
-    def __init__(self) -> None:
-        super().__init__('bag_logger')
+    def __init__(self, direct: Collection[str] = (), **options: Any) -> None:
+        """`direct`: topics whose messages come by `take`, of a bridge in the same process."""
+        super().__init__('bag_logger', **options)
+        self._direct = frozenset(direct)
         ros_node.refuse_unknown(self, NAMES)
         self._folder = Path(ros_node.declared(self, 'folder', '.', 'where bags are written'))
         self._prefix = ros_node.declared(self, 'prefix', 'flight', 'how names of bags begin')
@@ -77,12 +79,11 @@ class BagLogger(ManagedNode):
             self, 'autostart', False, 'record from the start of the node'
         )
         self._now_ns: Callable[[], int] = self._ros_now_ns if self.simulated else time.time_ns
-        self._timer: Any = None
-        self.create_service(Trigger, '~/start', self._on_start)
-        self.create_service(Trigger, '~/stop', self._on_stop)
 
     def configure(self) -> None:
-        """Create what is published."""
+        """Create what is published, and the services."""
+        self.service(Trigger, '~/start', self._on_start)
+        self.service(Trigger, '~/stop', self._on_stop)
         self._bag = self.publisher(ParameterEvent, '/logger/bag', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
 
@@ -90,11 +91,10 @@ class BagLogger(ManagedNode):
         """Report, and record where `autostart` says so."""
         self._waits = self._autostart
         self._start_by_itself()
-        self._timer = self.create_timer(1.0, self._on_report)
+        self.timer(1.0, self._on_report)
 
     def deactivate(self) -> None:
         """End a running recording and see that `/logger/bag` is delivered."""
-        self.destroy_timer(self._timer)
         if self._recording is not None:
             self._stop(self._recording)
             self._bag.wait_for_all_acked(Duration(seconds=0.5))
@@ -149,7 +149,8 @@ class BagLogger(ManagedNode):
             data = serialize_message(String(data=self._craft.to_urdf()))
             self._recording.put(description.TOPIC, self._now_ns(), data)
         for topic in self._topics:
-            self._subscribe(topic)
+            if topic not in self._direct:
+                self._subscribe(topic)
         self._announce(path, 'recording')
         return path
 
@@ -213,6 +214,15 @@ class BagLogger(ManagedNode):
             gaps = self._gaps.setdefault(topic, Gaps())
             lost = gaps.lost_before(number, lambda: len(self._offers(topic)))
             recording.count_lost(lost)
+        self._put(recording, topic, data)
+
+    def take(self, topic: str, data: bytes) -> None:
+        """Record a message that is published in this process; in any thread."""
+        recording = self._recording
+        if recording is not None and topic in self._topics:
+            self._put(recording, topic, data)
+
+    def _put(self, recording: Recording, topic: str, data: bytes) -> None:
         if not recording.known(topic):
             recording.declare(topic, TOPIC_TYPES[topic], offered(self._offers(topic)))
         recording.put(topic, self._now_ns(), data)

@@ -36,6 +36,8 @@ class BridgeSettings:
     correct_sensors: bool
     craft: Craft | None
     gains: GainSettings
+    logger: Mapping[str, Any] | None
+    """Parameters of a logger in the bridge's process; None: there is none."""
     allow_gains: bool
     allow_excitation: bool
     fetch_log: bool
@@ -49,14 +51,23 @@ class BridgeSettings:
 OWN = (
     'port', 'baud', 'excitation_valid_ms', 'key_file', 'unsigned', 'require_enable', 'sources',
     'polarity', 'aircraft', 'state_folder', 'managed', 'correct_sensors', 'robot_description',
-    'gains', 'excitation', 'fetch_log',
+    'gains', 'excitation', 'fetch_log', 'log',
 )  # fmt: skip
+INSIDE, LOGGER = 'inside', 'bag_logger.'
 
 
 def declare(node: Any) -> BridgeSettings:
     """Declare and read the parameters. Raises BadInputError naming the one that is wrong."""
     bounds = {f'bounds.{name}': name for name in SETTABLE}
-    ros_node.refuse_unknown(node, [*OWN, *bounds])
+    given = ros_node.overrides(node)
+    inside = given.get('log') == INSIDE
+    loggers = [name for name in given if inside and name.startswith(LOGGER)]
+    ros_node.refuse_unknown(node, [*OWN, *bounds, *loggers])
+    log = ros_node.declared(
+        node, 'log', '', f'{INSIDE}: a logger in this process; its parameters are {LOGGER}NAME'
+    )
+    if log not in {'', INSIDE}:
+        raise BadInputError('parameter log', f"must be '' or {INSIDE}", log)
     port = ros_node.declared(
         node, 'port', '/dev/ttyACM0',
         'device, pattern (/dev/ttyACM*), udp://HOST:PORT, udpin://, udpout:// or URL of pyserial',
@@ -88,6 +99,7 @@ def declare(node: Any) -> BridgeSettings:
             node, 'fetch_log', True,
             "fetch the log of PX4 or ArduPilot over the line after each landing",
         ),
+        logger={name.removeprefix(LOGGER): given[name] for name in loggers} if inside else None,
     )  # fmt: skip
 
 

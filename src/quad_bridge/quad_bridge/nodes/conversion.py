@@ -1,7 +1,7 @@
 """Frames to ROS messages: FRD/NED to FLU/ENU, wire units to SI. No node, no publishing.
 
-The messages of a control cycle are made as bytes: each is serialised once, by rclpy, and stamp and
-numbers are written into a copy of that. It takes a fifth of the time.
+Streams are made as bytes: each kind of message is laid out once, in CDR, and stamp and numbers are
+written into a copy of that. It takes a twentieth of the time of rclpy's conversion.
 """
 
 from __future__ import annotations
@@ -12,10 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
 
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.motor_outputs import MotorOutputs
@@ -23,68 +20,78 @@ from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_attitude, flip_body, flip_control, quaternion
 
 FRAME_ID = 'base_link'
-MOTORS = ('motor_1', 'motor_2', 'motor_3', 'motor_4')
 TESLA_PER_GAUSS = 1e-4
 PASCAL_PER_HPA = 100.0
 RAD_S_PER_RPM = math.tau / 60.0
 RC_CHANNELS, THROTTLE, STICKS = 9, 2, 4
 
 
-def _stamped(message: Any, stamp_ns: int) -> Any:
-    message.header.frame_id = FRAME_ID
-    message.header.stamp = time_message(stamp_ns)
-    return message
-
-
-def _set(vector: Any, values: tuple[float, float, float]) -> None:
-    vector.x, vector.y, vector.z = values
-
-
 class _Template:
-    """One message as bytes; `groups` are its numbers that change, as they lie together."""
+    """One message with a header as bytes (CDR); stamp and groups of numbers are written anew.
 
-    def __init__(self, message: Any, groups: tuple[tuple[float, ...], ...]) -> None:
-        """`message` holds these numbers, each of them only there."""
-        self._raw = bytearray(serialize_message(_stamped(message, 0)))
-        self._places, end = [], 0
-        for group in groups:
-            packer = struct.Struct(f'<{len(group)}d')
-            place = self._raw.find(packer.pack(*group))
-            self._places.append((packer.pack_into, place))
-            end = place + packer.size
-        if len(self._raw) - end <= _SPARE:
-            del self._raw[end:]
+    A field is such a group (its layout, as `struct` has it), a constant (layout and numbers) or a
+    text. What is empty or zero in it is a constant of so many bytes `x`.
+    """
 
-    def pack(self, stamp_ns: int, *groups: tuple[float, ...]) -> bytes:
+    def __init__(self, *fields: str | tuple[str | int, ...] | bytes) -> None:
+        self._raw, self._groups = bytearray(_HEAD + bytes(_STAMP.size)), list[Any]()
+        for field in (FRAME_ID.encode(), *fields):
+            if isinstance(field, bytes):
+                self._add('I', len(field) + 1)
+                self._raw += field + b'\0'
+            elif isinstance(field, tuple):
+                self._add(*field)
+            else:
+                packer = struct.Struct(f'<{field}')
+                place = self._add(field, *packer.unpack(bytes(packer.size)))
+                self._groups.append((packer.pack_into, place))
+
+    def _add(self, layout: Any, *numbers: Any) -> int:
+        """Add numbers behind what there is, as they must be aligned; their place."""
+        size = _SIZES[layout.lstrip('0123456789')[0]]
+        self._raw += bytes(-(len(self._raw) - len(_HEAD)) % size)
+        place = len(self._raw)
+        self._raw += struct.pack(f'<{layout}', *numbers)
+        return place
+
+    def pack(self, stamp_ns: int, *groups: Sequence[float]) -> bytes:
         raw = self._raw
         _STAMP.pack_into(raw, 4, *divmod(stamp_ns, 1_000_000_000))
-        for (pack_into, place), group in zip(self._places, groups, strict=True):
+        for (pack_into, place), group in zip(self._groups, groups, strict=True):
             pack_into(raw, place, *group)
         return bytes(raw)
 
 
-_STAMP = struct.Struct('<iI')
-_SPARE = 8  # bytes that rclpy may leave behind the last number: it estimates the size
-_THREE, _FOUR = (1.25, 2.25, 3.25), (4.25, 5.25, 6.25, 7.25)
-_MORE, _LAST = (8.25, 9.25, 10.25), (11.25, 12.25, 13.25)
+_HEAD, _STAMP = b'\0\1\0\0', struct.Struct('<iI')  # little endian
+_SIZES = {'d': 8, 'f': 4, 'i': 4, 'I': 4, 'x': 4}
+_NAN = (math.nan,)
+_KNOWN, _UNKNOWN = (0.0,), (-1.0,)
+"""First number of a covariance (REP-145): nobody knows it, or there is no measurement at all."""
+_NO_TURN, _ZERO = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
 
-class CycleMessages:
-    """The messages of one control cycle, all with the same stamp, serialised (CDR)."""
+def _joints(field: str, count: int) -> _Template:
+    """A JointState with the `velocity` or the `effort` of so many motors."""
+    names = [f'motor_{k}'.encode() for k in range(1, count + 1)]
+    before, behind = (1, 1) if field == 'velocity' else (2, 0)  # empty sequences beside it
+    return _Template(('I', count), *names, (f'{4 * before}x',), ('I', count), f'{count}d',
+                     (f'{4 * behind}x',))  # fmt: skip
+
+
+class Messages:
+    """The streams' messages, serialised; those of one control cycle have the same stamp."""
 
     def __init__(self) -> None:
-        imu, wrench, vector = Imu(), WrenchStamped(), Vector3Stamped()
-        q = imu.orientation
-        q.x, q.y, q.z, q.w = _FOUR
-        _set(imu.angular_velocity, _MORE)
-        _set(imu.linear_acceleration, _LAST)
-        _set(wrench.wrench.force, _MORE)
-        _set(wrench.wrench.torque, _LAST)
-        _set(vector.vector, _THREE)
-        self._imu = _Template(imu, (_FOUR, _MORE, _LAST))
-        self._motors = _Template(JointState(name=list(MOTORS), effort=list(_FOUR)), (_FOUR,))
-        self._wrench = _Template(wrench, (_MORE, _LAST))
-        self._vector = _Template(vector, (_THREE,))
+        # orientation, rates, acceleration, each with the first number of its covariance
+        self._imu = _Template('5d', ('64x',), '4d', ('64x',), '4d', ('64x',))
+        self._wrench = _Template('6d')
+        self._vector = _Template('3d')
+        self._field = _Template('3d', ('72x',))
+        self._pressure = _Template('d', ('8x',))
+        self._sticks = _Template(('I', RC_CHANNELS), f'{RC_CHANNELS}f', ('I', 1), 'i')
+        # voltage, temperature, current, three of charge, percentage; states; present; cells; texts
+        self._battery = _Template('7f3B?', ('8x',), b'', b'')
+        self._joints: dict[tuple[str, int], _Template] = {}
 
     def packed(
         self, cycle: f.Cycle, stamp_ns: int, gyro_bias: f.Vector3 = (0.0, 0.0, 0.0)
@@ -95,12 +102,12 @@ class CycleMessages:
         """
         u1, u2, u3, u4 = flip_control(cycle.control)
         (p, q, r), (x, y, z) = flip_body(cycle.gyro), gyro_bias
-        attitude = quaternion(flip_attitude(cycle.attitude))
-        imu = self._imu.pack(stamp_ns, attitude, (p - x, q - y, r - z), flip_body(cycle.accel))
+        attitude, accel = quaternion(flip_attitude(cycle.attitude)), flip_body(cycle.accel)
+        rates = p - x, q - y, r - z
         return (
-            imu,
-            self._motors.pack(stamp_ns, cycle.motors),
-            self._wrench.pack(stamp_ns, (0.0, 0.0, u1), (u2, u3, u4)),
+            self._imu.pack(stamp_ns, attitude + _KNOWN, rates + _KNOWN, accel + _KNOWN),
+            self._motors('effort', cycle.motors, stamp_ns),
+            self._wrench.pack(stamp_ns, (0.0, 0.0, u1, u2, u3, u4)),
             self._vector.pack(stamp_ns, flip_attitude(cycle.attitude_setpoint)),
             self._vector.pack(stamp_ns, flip_body(cycle.rate_setpoint)),
         )
@@ -109,60 +116,66 @@ class CycleMessages:
         """The excitation that the STM32 says it added."""
         return self._vector.pack(stamp_ns, flip_body(cycle.excitation))
 
+    def inertial(self, inertial: Inertial, stamp_ns: int) -> bytes:
+        """Another autopilot's data; -1 in a covariance marks what is not measured."""
+        gyro, accel, attitude = inertial.gyro, inertial.accel, inertial.attitude
+        return self._imu.pack(
+            stamp_ns,
+            _NO_TURN + _UNKNOWN if attitude is None
+            else quaternion(flip_attitude(attitude)) + _KNOWN,
+            _ZERO + _UNKNOWN if gyro is None else flip_body(gyro) + _KNOWN,
+            _ZERO + _UNKNOWN if accel is None else flip_body(accel) + _KNOWN,
+        )  # fmt: skip
+
+    def outputs(self, outputs: f.Outputs, motors: MotorOutputs, stamp_ns: int) -> bytes:
+        """Pulses of another autopilot as commands of the motors, 0..1."""
+        return self._motors('effort', motors.efforts(outputs.pulses), stamp_ns)
+
+    def rotors(self, speeds: f.RotorSpeeds, motors: MotorOutputs, stamp_ns: int) -> bytes:
+        """Speeds of the rotors in rad/s, positive as they fly; NaN where one is not measured."""
+        speed = [RAD_S_PER_RPM * rpm for rpm in motors.ordered(speeds.rpm)]
+        return self._motors('velocity', speed, stamp_ns)
+
+    def _motors(self, field: str, values: Sequence[float], stamp_ns: int) -> bytes:
+        key = field, len(values)
+        if key not in self._joints:
+            self._joints[key] = _joints(*key)
+        return self._joints[key].pack(stamp_ns, values)
+
+    def sticks(self, rc: f.RcChannels, stamp_ns: int, *, failsafe: bool) -> bytes:
+        """Nine axes, NaN where a channel has no pulse; `buttons[0]` 1 in failsafe.
+
+        A stick without a pulse counts as failsafe too.
+        """
+        axes = [rc_axis(rc, i) for i in range(RC_CHANNELS)]
+        lost = failsafe or any(math.isnan(v) for v in axes[:STICKS])
+        return self._sticks.pack(stamp_ns, axes, (lost,))
+
+    def battery(self, battery: f.Battery, stamp_ns: int) -> bytes:
+        """Voltage in V, discharge current negative as BatteryState has it; NaN: not measured."""
+        volts, present = battery.voltage_v, math.isfinite(battery.voltage_v)
+        numbers = (volts, math.nan, -battery.current_a, *(3 * _NAN), battery.remaining)
+        return self._battery.pack(stamp_ns, (*numbers, 0, 0, 0, present))
+
+    def mag(self, sensors: f.SlowSensors, stamp_ns: int) -> bytes | None:
+        """Tesla, FLU; None where the magnetometer was not updated."""
+        if sensors.mag_gauss is None:
+            return None
+        x, y, z = flip_body(sensors.mag_gauss)
+        scale = TESLA_PER_GAUSS
+        return self._field.pack(stamp_ns, (x * scale, y * scale, z * scale))
+
+    def baro(self, sensors: f.SlowSensors, stamp_ns: int) -> bytes | None:
+        """Pascal; None where the barometer was not updated."""
+        if sensors.pressure_hpa is None:
+            return None
+        return self._pressure.pack(stamp_ns, (PASCAL_PER_HPA * sensors.pressure_hpa,))
+
 
 def time_message(stamp_ns: int) -> Time:
     """A stamp as a message."""
     sec, nanosec = divmod(stamp_ns, 1_000_000_000)
     return Time(sec=sec, nanosec=nanosec)
-
-
-def inertial_message(inertial: Inertial, stamp_ns: int) -> Imu:
-    """Another autopilot's data; -1 in a covariance marks what is unknown (sensor_msgs)."""
-    message = _stamped(Imu(), stamp_ns)
-    if inertial.gyro is None:
-        message.angular_velocity_covariance[0] = -1.0
-    else:
-        _set(message.angular_velocity, flip_body(inertial.gyro))
-    if inertial.accel is None:
-        message.linear_acceleration_covariance[0] = -1.0
-    else:
-        _set(message.linear_acceleration, flip_body(inertial.accel))
-    if inertial.attitude is None:
-        message.orientation_covariance[0] = -1.0
-    else:
-        q = message.orientation
-        q.x, q.y, q.z, q.w = quaternion(flip_attitude(inertial.attitude))
-    return message
-
-
-def outputs_message(outputs: f.Outputs, motors: MotorOutputs, stamp_ns: int) -> JointState:
-    """Pulses of another autopilot as commands of the motors, 0..1."""
-    message = _stamped(JointState(name=_names(len(motors.channels))), stamp_ns)
-    message.effort = motors.efforts(outputs.pulses)
-    return message
-
-
-def rotors_message(speeds: f.RotorSpeeds, motors: MotorOutputs, stamp_ns: int) -> JointState:
-    """Speeds of the rotors in rad/s, positive as they fly; NaN where one is not measured."""
-    message = _stamped(JointState(name=_names(len(motors.channels))), stamp_ns)
-    message.velocity = [RAD_S_PER_RPM * rpm for rpm in motors.ordered(speeds.rpm)]
-    return message
-
-
-def _names(count: int) -> list[str]:
-    return [f'motor_{k}' for k in range(1, count + 1)]
-
-
-def rc_message(rc: f.RcChannels, stamp_ns: int, *, failsafe: bool) -> Joy:
-    """Nine axes, NaN where a channel has no pulse; `buttons[0]` 1 in failsafe.
-
-    A stick without a pulse counts as failsafe too.
-    """
-    message = _stamped(Joy(), stamp_ns)
-    message.axes = [rc_axis(rc, i) for i in range(RC_CHANNELS)]
-    lost = failsafe or any(math.isnan(v) for v in message.axes[:STICKS])
-    message.buttons = [int(lost)]
-    return message
 
 
 def rc_axis(rc: f.RcChannels, index: int) -> float:
@@ -173,38 +186,6 @@ def rc_axis(rc: f.RcChannels, index: int) -> float:
     if index == THROTTLE:
         return (pulse_us - 1000) / 1000.0
     return (pulse_us - 1500) / 500.0
-
-
-def battery_message(battery: f.Battery, stamp_ns: int) -> BatteryState:
-    """Pack voltage in V, discharge current negative as BatteryState has it; NaN: not measured."""
-    message = _stamped(BatteryState(), stamp_ns)
-    message.voltage = battery.voltage_v
-    message.current = -battery.current_a
-    message.percentage = battery.remaining
-    for name in ('temperature', 'charge', 'capacity', 'design_capacity'):
-        setattr(message, name, math.nan)
-    message.present = math.isfinite(battery.voltage_v)
-    return message
-
-
-def mag_message(sensors: f.SlowSensors, stamp_ns: int) -> MagneticField | None:
-    """Tesla, FLU; None where the magnetometer was not updated."""
-    if sensors.mag_gauss is None:
-        return None
-    message = _stamped(MagneticField(), stamp_ns)
-    x, y, z = flip_body(sensors.mag_gauss)
-    scale = TESLA_PER_GAUSS
-    _set(message.magnetic_field, (x * scale, y * scale, z * scale))
-    return message
-
-
-def baro_message(sensors: f.SlowSensors, stamp_ns: int) -> FluidPressure | None:
-    """Pascal; None where the barometer was not updated."""
-    if sensors.pressure_hpa is None:
-        return None
-    message = _stamped(FluidPressure(), stamp_ns)
-    message.fluid_pressure = PASCAL_PER_HPA * sensors.pressure_hpa
-    return message
 
 
 def event_message(

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from quad_bridge.craft import LAYOUTS, Craft, from_urdf
 from quad_bridge.errors import BadInputError, shortened
 from quad_bridge.nodes import ros_node
-from quad_bridge.nodes.qos import STATE
+from quad_bridge.nodes.qos import HEARD, STATE
 
 TOPIC, PARAMETER = '/robot_description', 'robot_description'
 WITHOUT_MOTORS = f'{TOPIC} has no joint motor_1: left aside, as a model that is drawn'
@@ -86,10 +86,13 @@ class Description:
         return self._given or self._heard
 
     def configure(self) -> None:
-        """Create topic and subscription."""
+        """Create the publisher."""
         self._texts.clear()
         self._publisher = self._node.publisher(String, TOPIC, STATE)
-        self._node.subscribe(String, TOPIC, self._take, STATE, MOST_BYTES)
+
+    def activate(self) -> None:
+        """Listen to others."""
+        self._node.subscribe(String, TOPIC, self._take, HEARD, MOST_BYTES)
 
     def publish(self, craft: Craft) -> None:
         """Describe this craft, unless somebody else has."""

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 
@@ -23,7 +22,6 @@ from quad_bridge.status import WARN, Status
 
 MOST_BYTES = 65_536  # of a message: all gains at once are a tenth of that
 SELDOM_S, LOOK_S = 1.0, 0.02  # how often, and for how long
-RCLError = rclpy_implementation.RCLError
 
 
 class Seldom(ReentrantCallbackGroup):  # type: ignore[misc]
@@ -49,11 +47,9 @@ class Seldom(ReentrantCallbackGroup):  # type: ignore[misc]
 class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     """`begin` makes it active at once, unless the parameter `managed` is true."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
         self.keep_time()
-        service = self._service_change_state
-        service.callback = _refusing(service.callback)
         self.active = False
         self.refused_large = 0  # messages that were too large to be looked at
         self.fence = Fence(self.get_logger().error)  # what notes callbacks that fail
@@ -61,7 +57,9 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'
         )
         self._fault: Exception | None = None
+        self._seldom = Seldom()
         self._entities: list[tuple[Callable[[Any], object], Any]] = []  # destroyer, entity
+        self._configured = 0  # so many of them `configure` has created
 
     def begin(self) -> None:
         """Go to the first state. Raises QuadBridgeError where that fails."""
@@ -73,17 +71,30 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         if self._fault is not None:
             raise self._fault
 
+    # What `configure` creates lives until `cleanup`, what `activate` creates until `deactivate`.
+
     def publisher(self, kind: Any, topic: str, qos: Any) -> Any:
-        """Create a publisher that lives until `cleanup`; `topic` relative to the namespace."""
+        """Create a publisher; `topic` relative to the namespace."""
         made = self.create_publisher(kind, relative(topic), qos)
-        self._entities.append((self.destroy_publisher, made))
-        return made
+        return self._keep(made, self.destroy_publisher)
+
+    def service(
+        self, kind: Any, name: str, callback: Callable[..., Any], group: Any = None
+    ) -> None:
+        """Create a service, which answers though its callback fails."""
+        callback = ros_node.answering(callback, self.fence)
+        made = self.create_service(kind, name, callback, callback_group=group)
+        self._keep(made, self.destroy_service)
+
+    def timer(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Create a timer."""
+        self._keep(self.create_timer(period_s, callback), self.destroy_timer)
 
     def subscribe(
         self, kind: Any, topic: str, callback: Callable[[Any], None], qos: Any,
         most_bytes: int = MOST_BYTES,
     ) -> None:  # fmt: skip
-        """Create a subscription that lives until `cleanup`; what is larger is never unpacked."""
+        """Create a subscription; what is larger is never unpacked."""
 
         def take(data: bytes) -> None:
             if len(data) <= most_bytes:
@@ -96,7 +107,23 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
             )  # fmt: skip
 
         made = self.create_subscription(kind, relative(topic), take, qos, raw=True)
-        self._entities.append((self.destroy_subscription, made))
+        self._keep(made, self.destroy_subscription)
+
+    def _keep(self, made: Any, destroy: Callable[[Any], object]) -> Any:
+        self._entities.append((destroy, made))
+        self._look_seldom(made)
+        return made
+
+    def _look_seldom(self, made: Any) -> None:
+        for handler in getattr(made, 'event_handlers', ()):
+            handler.callback_group = self._seldom
+            self._seldom.add_entity(handler)
+
+    def _destroy(self, first: int) -> None:
+        """Destroy all entities from the one of this number on, the last one first."""
+        while len(self._entities) > first:
+            destroy, made = self._entities.pop()
+            destroy(made)
 
     def bounds(self) -> list[Status]:
         """The entry for /diagnostics of messages that were too large; empty without any."""
@@ -111,10 +138,10 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
             raise RefusedError('the node is not active')
 
     def configure(self) -> None:
-        """Create topics. Raises QuadBridgeError."""
+        """Create what is published and the services. Raises QuadBridgeError."""
 
     def activate(self) -> None:
-        """Begin to work. Raises QuadBridgeError."""
+        """Begin to work: subscriptions, timers. Raises QuadBridgeError."""
 
     def deactivate(self) -> None:
         """Cease to work; called before an active node ends too."""
@@ -130,34 +157,40 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     def on_configure(self, _state: Any) -> Any:
         """Configure, and look seldom at the events of the entities."""
         answer = self._try(self.configure)
-        seldom, own = Seldom(), [made for _, made in self._entities]
-        for one in {*self.publishers, *own}:
-            for handler in one.event_handlers:
-                handler.callback_group = seldom
-                seldom.add_entity(handler)
+        for one in self.publishers:  # rclpy's own too
+            self._look_seldom(one)
+        self._configured = len(self._entities)
+        if self._fault is not None:
+            self._destroy(0)
         return answer
 
     def on_activate(self, _state: Any) -> Any:
         """Activate."""
         answer = self._try(self.activate)
         self.active = self._fault is None
+        if not self.active:
+            self._destroy(self._configured)
         return answer
 
     def on_deactivate(self, _state: Any) -> Any:
         """Deactivate."""
         self.active = False
-        return self._try(self.deactivate)
+        answer = self._try(self.deactivate)
+        self._destroy(self._configured)
+        return answer
 
     def on_cleanup(self, _state: Any) -> Any:
         """Destroy what `configure` has created."""
-        for destroy, made in self._entities:
-            destroy(made)
-        self._entities.clear()
+        self._destroy(0)
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: Any) -> Any:
         """End."""
         self.close()
+        return self.on_cleanup(state)
+
+    def on_error(self, state: Any) -> Any:
+        """Begin anew, unconfigured, after a transition that raised."""
         return self.on_cleanup(state)
 
     def _try(self, step: Callable[[], None]) -> Any:
@@ -173,19 +206,6 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
             self._fault = error  # rclpy says nothing of it
             raise
         return TransitionCallbackReturn.SUCCESS
-
-
-def _refusing(change: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Answer a transition that does not fit the state with False; rclpy would let the node die."""
-
-    def answer(request: Any, response: Any) -> Any:
-        try:
-            return change(request, response)
-        except RCLError:
-            response.success = False
-            return response
-
-    return answer
 
 
 def answered(response: Any, success: bool, message: str) -> Any:

@@ -28,7 +28,7 @@ from quad_bridge.monitor import view
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.node_time import nanoseconds
-from quad_bridge.nodes.qos import EVENT, STATE, STREAM
+from quad_bridge.nodes.qos import EVENT, HEARD, STREAM
 
 LEAST_NEW = 250  # cycles between two looks at the coverage
 CLEAR, HOME, BELL = '\x1b[2J', '\x1b[H\x1b[J', '\a'
@@ -66,8 +66,8 @@ class Monitor(Node):  # type: ignore[misc]
         self.create_subscription(Imu, 'imu/data', self._on_imu, STREAM)
         self.create_subscription(BatteryState, 'battery', self._on_battery, STREAM)
         self.create_subscription(Vector3Stamped, 'excitation/applied', self._on_applied, STREAM)
-        self.create_subscription(ParameterEvent, 'excitation/segment', self._on_segment, STATE)
-        self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, STATE)
+        self.create_subscription(ParameterEvent, 'excitation/segment', self._on_segment, HEARD)
+        self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, HEARD)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # whatever becomes of simulated time
         self.create_timer(0.5 if self._terminal else every, self._show, clock=steady)
         self.create_timer(1.0, self._look, clock=steady)

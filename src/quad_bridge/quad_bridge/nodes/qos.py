@@ -30,8 +30,10 @@ def _profile(depth: int, *, latched: bool = False, reliable: bool = True) -> QoS
 STREAM = _profile(1000)
 """Streams of up to 250 Hz: reliable, also for best-effort subscribers; 4 s deep, so that a logger
 without CPU time for a while misses nothing."""
-STATE = _profile(10, latched=True)
-"""States that a late subscriber must see: segment, active gains, bag."""
+STATE = _profile(1, latched=True)
+"""States: segment, active gains, bag. The last one is there for whoever comes late."""
+HEARD = _profile(10, latched=True)
+"""States as they are heard: of two that follow at once both are taken."""
 EVENT = _profile(10)
 """Messages that only present subscribers need: wanted gains, diagnostics."""
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import inspect
 import itertools
 import os
 import re
@@ -19,9 +20,10 @@ from typing import Any, NoReturn, TypeVar
 
 import rclpy
 import yaml
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, await_or_execute
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
@@ -88,11 +90,8 @@ def declared(
     return type(default)(value)
 
 
-def asks_for_help() -> bool:
-    """Whether --help stands on the command line; BadInputError for what no node takes.
-
-    rclpy ignores what does not stand behind --ros-args, and takes a FROM:=TO even there.
-    """
+def refuse_arguments(name: str) -> None:
+    """Raise BadInputError for what no node takes: rclpy ignores what is not behind --ros-args."""
     ours, own = True, list[str]()
     for word in sys.argv[1:]:
         if word in {'--ros-args', '--'}:
@@ -100,25 +99,12 @@ def asks_for_help() -> bool:
         elif ours:
             own.append(word)
     if {'-h', '--help'} & set(own):
-        return True
+        say(f'usage: {name} [--ros-args -p NAME:=VALUE … --params-file FILE.yaml]\n'
+            f'parameters: its file in config/, or ros2 param list /{name} while it runs\n')
+        sys.exit()
     if own:
         remedy = 'parameters stand behind --ros-args: --ros-args -p NAME:=VALUE'
         raise BadInputError(f'argument {own[0]}', 'is unknown', remedy=remedy)
-    return False
-
-
-def help_text(node: Any, name: str) -> str:
-    """What a node is, how it is started, and its parameters with their values."""
-    module = type(node).__module__
-    about = str(sys.modules[module].__doc__).partition('\n\n')[0]
-    command = f'ros2 run {module.partition(".")[0]} {name}'
-    lines = [f'usage: {command} [--ros-args -p NAME:=VALUE … --params-file FILE.yaml]', '', about,
-             '', 'parameters:']  # fmt: skip
-    for key, parameter in sorted(node.get_parameters_by_prefix('').items()):
-        told = node.describe_parameter(key)
-        if told.read_only and not key.startswith(_ROS_OWN):
-            lines.append(f'  {key} ({parameter.value!r}): {told.description}')
-    return '\n'.join(lines) + '\n'
 
 
 def begin_ros() -> None:
@@ -187,6 +173,7 @@ def tell_unused(node: Any) -> None:
 def run(factory: Callable[[], Any], name: str) -> NoReturn:
     """Spin one node until SIGINT, SIGTERM or its own `exit_status`; then end the process.
 
+    Nodes of its list `inside`, if it has one, spin with it; they begin before it and end after.
     The node's `close` runs while ROS still works; then executor, node and context end in this
     order, whatever failed before. A callback that fails is logged and left out. Exit status 2,
     with one line on stderr, where arguments or parameters are wrong or the node cannot begin.
@@ -198,25 +185,23 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
     try:
         with contextlib.ExitStack() as ending:
             ending.callback(rclpy.try_shutdown)
-            helping = asks_for_help()
+            refuse_arguments(name)
             begin_ros()
-            if helping:
-                set_logger_level(name, LoggingSeverity.WARN)
             node = factory()
-            ending.callback(node.destroy_node)
-            if helping:
-                say(help_text(node, name))
-                sys.exit()
+            nodes = [*getattr(node, 'inside', ()), node]
+            for one in nodes:
+                ending.callback(one.destroy_node)
             fence = getattr(node, 'fence', None) or Fence(node.get_logger().error)
             executor = SingleThreadedExecutor()
             ending.callback(executor.shutdown, timeout_sec=0)
-            for service in node.services:
-                service.callback = _answering(service.callback, fence)
-            executor.add_node(node)
-            ending.callback(fence.around(node.close))
+            for one in nodes:
+                for service in one.services:
+                    service.callback = answering(service.callback, fence)
+                executor.add_node(one)
+                ending.callback(fence.around(one.close))
             tell_unused(node)
-            if hasattr(node, 'begin'):
-                node.begin()
+            for one in nodes:
+                getattr(one, 'begin', bool)()
             while status is None:
                 _spin_once(executor, fence)
                 status = 0 if stopping.is_set() else getattr(node, 'exit_status', None)
@@ -228,22 +213,32 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
     _leave(status or 0)
 
 
-def _answering(callback: Callable[..., Any], fence: Fence) -> Callable[..., Any]:
+def answering(callback: Callable[..., Any], fence: Fence) -> Callable[..., Any]:
     """A service's callback that answers though it fails: whoever asked would wait for ever."""
 
     async def answer(request: Any, response: Any) -> Any:
         try:
-            return await await_or_execute(callback, request, response)
-        except Exception as error:
-            if not hasattr(response, 'success'):
-                raise
-            response.success = False
-            if hasattr(response, 'message'):
-                response.message = f'the service failed: {one_line(error)}'
-            fence.take(error)
+            found = callback(request, response)
+            return await found if inspect.isawaitable(found) else found
+        except Exception as error:  # noqa: BLE001  (whatever it is, it is answered)
+            _fail(response, f'the service failed: {one_line(error)}', error)
+            if not isinstance(response, ChangeState.Response):  # a transition that does not fit
+                fence.take(error)
             return response
 
     return answer
+
+
+def _fail(response: Any, words: str, error: Exception) -> None:
+    """Fill in that it failed; raises `error` where a response has no place for that."""
+    response = getattr(response, 'result', response)  # of rcl_interfaces
+    for success, reason in (('success', 'message'), ('successful', 'reason')):
+        if hasattr(response, success):
+            setattr(response, success, False)
+            if hasattr(response, reason):
+                setattr(response, reason, words)
+            return
+    raise error
 
 
 def _leave(status: int) -> NoReturn:

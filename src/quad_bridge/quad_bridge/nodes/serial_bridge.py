@@ -8,6 +8,7 @@ lock that also guards link and gains; the relay is the executor's alone.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -17,6 +18,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu, JointState, Joy, MagneticField
@@ -29,6 +31,7 @@ from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
+from quad_bridge.gains.table import with_mixing
 from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, State, Told
 from quad_bridge.link.autopilot import (
     BATTERY,
@@ -52,11 +55,12 @@ from quad_bridge.nodes.description import Description
 from quad_bridge.nodes.fence import LogLimiter
 from quad_bridge.nodes.host_time import NEVER_NS, Epoch, HostTime, read_epoch
 from quad_bridge.nodes.managed_node import ManagedNode
-from quad_bridge.nodes.qos import EVENT, STATE, STREAM
+from quad_bridge.nodes.qos import EVENT, HEARD, STATE, STREAM
 from quad_bridge.nodes.ros_node import run
 from quad_bridge.nodes.services import GainServices, OperatorServices, SensorServices
 from quad_bridge.sensors.live import LiveSensors
 from quad_bridge.status import OK
+from quad_bridge.topics import STREAMS
 from quad_bridge.wire import frames as f
 
 TICK_S = 0.1  # an executor's turn costs half a millisecond; what is urgent the port's thread does
@@ -65,7 +69,7 @@ YAW_STICK = 3
 
 
 class SerialBridge(ManagedNode):
-    """See the module. Configured it has its topics, active the port."""
+    """See the module. Configured it has publishers and services, active the port and ears."""
 
     def __init__(self) -> None:
         super().__init__('serial_bridge')
@@ -98,7 +102,10 @@ class SerialBridge(ManagedNode):
             self, lambda: self._aircraft.autopilot, self._aircraft_folder, self._offset_ns,
             self._log_worker, by_itself=settings.fetch_log,
         )  # fmt: skip
-        self._messages = conversion.CycleMessages()
+        self._messages = conversion.Messages()
+        self.inside: list[Any] = []
+        if settings.logger is not None:
+            self.inside.append(self._logger_inside(settings.logger))
         self._arrived: dict[type, Callable[[Any, int], None]] = {
             f.Cycle: self._on_cycle,
             f.ParamValue: self._on_gains_frame,
@@ -124,58 +131,76 @@ class SerialBridge(ManagedNode):
         return SerialPort(settings.port, settings.baud, around(self._on_bytes),
                           around(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
 
+    def _logger_inside(self, given: Mapping[str, Any]) -> Any:
+        """A logger for this process, in the same namespace, with these parameters."""
+        own = {name: self.get_parameter(name).value for name in ('managed', 'use_sim_time')}
+        parameters = [Parameter(name, value=value) for name, value in {**own, **given}.items()]
+        made = importlib.import_module('quad_bridge.nodes.bag_logger').BagLogger
+        return made(STREAMS, namespace=self.get_namespace(), use_global_arguments=False,
+                    parameter_overrides=parameters)  # fmt: skip
+
     def configure(self) -> None:
-        """Create the topics."""
-        publisher = partial(self.publisher, qos=STREAM)
-        imu, motors = publisher(Imu, '/imu/data'), publisher(JointState, '/motors/command')
+        """Create what is published, and the services."""
+        stream = self._stream
+        imu, motors = stream(Imu, '/imu/data'), stream(JointState, '/motors/command')
         self._per_cycle = (
-            imu.publish,
-            motors.publish,
-            publisher(WrenchStamped, '/control/wrench').publish,
-            publisher(Vector3Stamped, '/setpoint/attitude').publish,
-            publisher(Vector3Stamped, '/setpoint/rates').publish,
+            imu,
+            motors,
+            stream(WrenchStamped, '/control/wrench'),
+            stream(Vector3Stamped, '/setpoint/attitude'),
+            stream(Vector3Stamped, '/setpoint/rates'),
         )
-        self._applied = publisher(Vector3Stamped, '/excitation/applied')
-        self._rc = publisher(Joy, '/rc/in')
-        rotors = publisher(JointState, ROTORS)
+        self._applied = stream(Vector3Stamped, '/excitation/applied')
+        self._rc = stream(Joy, '/rc/in')
+        made = self._messages
         self._others: dict[str, tuple[Any, Callable[[Any, int], Any]]] = {
-            BATTERY: (publisher(BatteryState, BATTERY), conversion.battery_message),
-            COMPASS: (publisher(MagneticField, COMPASS), conversion.mag_message),
-            PRESSURE: (publisher(FluidPressure, PRESSURE), conversion.baro_message),
-            INERTIAL: (imu, conversion.inertial_message),
-            MOTORS: (motors, partial(self._of_motors, conversion.outputs_message)),
-            ROTORS: (rotors, partial(self._of_motors, conversion.rotors_message)),
+            BATTERY: (stream(BatteryState, BATTERY), made.battery),
+            COMPASS: (stream(MagneticField, COMPASS), made.mag),
+            PRESSURE: (stream(FluidPressure, PRESSURE), made.baro),
+            INERTIAL: (imu, made.inertial),
+            MOTORS: (motors, partial(self._of_motors, made.outputs)),
+            ROTORS: (stream(JointState, ROTORS), partial(self._of_motors, made.rotors)),
         }
-        self._description.configure()
         self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
-        self._logs.configure()
-        self._operator.configure()
-        self._sensor_services.configure()
-        self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
+        for part in (
+            self._description, self._gain_services, self._operator, self._sensor_services,
+            self._logs,
+        ):
+            part.configure()
+
+    def _stream(self, kind: Any, topic: str) -> Callable[[bytes], None]:
+        """What publishes on a topic, and hands it to the logger in this process."""
+        publish: Callable[[bytes], None] = self.publisher(kind, topic, STREAM).publish
+
+        def both(data: bytes) -> None:
+            publish(data)
+            for logger in self.inside:
+                logger.take(topic, data)
+
+        return both if self.inside else publish
+
+    def activate(self) -> None:
+        """Listen, and open the port; it need not be there yet."""
+        for part in self._description, self._operator, self._sensor_services:
+            part.activate()
+        self.subscribe(ParameterEvent, '/excitation/segment', self._on_segment, HEARD)
         self.subscribe(ParameterEvent, '/gains/update', self._on_gains, EVENT)
         self.subscribe(
             Vector3Stamped, '/excitation/setpoint', self._on_setpoint, qos_profile_sensor_data
         )
-
-    def activate(self) -> None:
-        """Open the port; it need not be there yet."""
         if self._settings.craft is not None:
             self._on_craft(self._settings.craft)
             self._description.publish(self._settings.craft)
         self._port = self._new_port()
-        self._timers_of_work = (
-            self.create_timer(TICK_S, self._on_tick),
-            self.create_timer(1.0, self._on_report),
-        )
+        self.timer(TICK_S, self._on_tick)
+        self.timer(1.0, self._on_report)
         self._port.start()
 
     def deactivate(self) -> None:
         """End a running excitation, stop the port's thread, finish the history."""
         if self._relay.injection:
             self._forward(self._relay.segment({'segment': 'idle'}))
-        for timer in self._timers_of_work:
-            self.destroy_timer(timer)
         self._operator.end()
         with self._lock:
             self._gains.disturb('the node was deactivated')
@@ -254,12 +279,12 @@ class SerialBridge(ManagedNode):
         elif isinstance(frame, f.RcChannels):
             last = self._link.last_cycle
             lost = last is not None and bool(last.flags & f.Flag.RC_FAILSAFE)
-            self._rc.publish(conversion.rc_message(frame, stamp_ns, failsafe=lost))
+            self._rc(self._messages.sticks(frame, stamp_ns, failsafe=lost))
         else:
-            publisher, convert = self._others[event.topic]
+            publish, convert = self._others[event.topic]
             message = convert(frame, stamp_ns)
             if message is not None:
-                publisher.publish(message)
+                publish(message)
         if isinstance(frame, Inertial):
             self._publish_autopilot(frame, stamp_ns)
 
@@ -277,7 +302,7 @@ class SerialBridge(ManagedNode):
             self._per_cycle[3](attitude)
             self._per_cycle[4](rates)
         if cycle.injection:
-            self._applied.publish(self._messages.applied(cycle, stamp_ns))
+            self._applied(self._messages.applied(cycle, stamp_ns))
 
     def _publish_cycle(self, frame: f.Cycle, stamp_ns: int) -> None:
         bias = self._sensors.stamped(stamp_ns).gyro_bias
@@ -286,7 +311,7 @@ class SerialBridge(ManagedNode):
         ):
             publish(message)
         if frame.flags & f.Flag.EXCITATION:
-            self._applied.publish(self._messages.applied(frame, stamp_ns))
+            self._applied(self._messages.applied(frame, stamp_ns))
         if self._told_time is not None:
             self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
 
@@ -358,7 +383,8 @@ class SerialBridge(ManagedNode):
             self.get_logger().info(item.text)
         if item.active is not None:
             name, now_ns = self.get_fully_qualified_name(), self.get_clock().now().nanoseconds
-            self._active.publish(conversion.event_message(item.active, name, now_ns))
+            self._active.publish(conversion.event_message(
+                with_mixing(item.active), name, now_ns))
 
     def _say_once(self, words: str) -> None:
         if self._limiter.allow(words, clock().now_s()):
@@ -403,8 +429,6 @@ class SerialBridge(ManagedNode):
         self, parameters: Mapping[str, object], told: Told | None = None, *, age_s: float = 0.0
     ) -> None:
         """Hand on an update; raises RefusedError."""
-        if not self.active:
-            self._say_once('gains refused: the node is not active')
         self.refuse_unless_active()
         with self._lock:
             if not parameters.get('rollback'):

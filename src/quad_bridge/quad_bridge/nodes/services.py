@@ -25,7 +25,7 @@ from quad_bridge.gains.update import Told
 from quad_bridge.lockstep import clock
 from quad_bridge.nodes import conversion
 from quad_bridge.nodes.managed_node import answered
-from quad_bridge.nodes.qos import STATE
+from quad_bridge.nodes.qos import HEARD
 from quad_bridge.sensors.live import LiveSensors, Wanted
 from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.frames import CommandAck, Frame
@@ -50,14 +50,13 @@ class GainServices:
     ) -> None:
         self._node, self._ask, self._check = node, ask, check
         self._waiting: list[tuple[float, Any]] = []
+
+    def configure(self) -> None:
+        """Create the services."""
         group = ReentrantCallbackGroup()
-        node.create_service(
-            SetParametersAtomically, '~/set_gains', self._on_set, callback_group=group
-        )
+        self._node.service(SetParametersAtomically, '~/set_gains', self._on_set, group)
         for name, motors in (('~/check_polarity', False), ('~/find_motors', True)):
-            node.create_service(
-                Trigger, name, partial(self._on_check, motors), callback_group=group
-            )
+            self._node.service(Trigger, name, partial(self._on_check, motors), group)
 
     def tick(self) -> None:
         """Answer those who have waited too long."""
@@ -116,11 +115,13 @@ class OperatorServices:
         self._second = SecondCall()
         self._arming = Arming(aircraft)
         self._late = ''
-        group = ReentrantCallbackGroup()
-        node.create_service(SetBool, '~/arm', self._on_arm, callback_group=group)
 
     def configure(self) -> None:
-        """Create the subscription."""
+        """Create the service."""
+        self._node.service(SetBool, '~/arm', self._on_arm, ReentrantCallbackGroup())
+
+    def activate(self) -> None:
+        """Listen to the operator."""
         self._node.subscribe(
             Header, '/operator/enable', self._on_enable, qos_profile_sensor_data
         )
@@ -190,11 +191,14 @@ class SensorServices:
     def __init__(self, node: Any, sensors: LiveSensors, report: Callable[[], None]) -> None:
         self._node, self._sensors, self._report = node, sensors, report
         self._since_ns = 0
-        node.create_service(Trigger, '~/calibrate_at_rest', self._on_calibrate)
 
     def configure(self) -> None:
-        """Create the subscription."""
-        self._node.subscribe(ParameterEvent, '/logger/bag', self._on_bag, STATE)
+        """Create the service."""
+        self._node.service(Trigger, '~/calibrate_at_rest', self._on_calibrate)
+
+    def activate(self) -> None:
+        """Listen for recordings that begin."""
+        self._node.subscribe(ParameterEvent, '/logger/bag', self._on_bag, HEARD)
 
     def tick(self) -> None:
         """Make the estimate that arming or a recording asks for; report a change at once."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
 ROLES = ('train', 'validation', 'idle')
 DESATURATION = 'mixer.desaturation'
+IDLE = 'mixer.idle'
 DESATURATIONS = ('clip', 'yaw_first', 'none')
 """Its values; the first holds where a bag does not say."""
 SECOND = 1_000_000_000
@@ -110,6 +111,12 @@ def desaturation_from(events: Sequence[Event]) -> str:
     """What the aircraft does with commands that its motors cannot give, `mixer.desaturation`."""
     said = [str(event.values[DESATURATION]) for event in events if DESATURATION in event.values]
     return said[-1] if said and said[-1] in DESATURATIONS else DESATURATIONS[0]
+
+
+def idle_from(events: Sequence[Event]) -> float:
+    """The smallest command of a motor in flight, `mixer.idle`; 0 where nothing says so."""
+    said = [event.values[IDLE] for event in events if IDLE in event.values]
+    return float(said[-1]) if said and isinstance(said[-1], int | float) else 0.0
 
 
 def gains_from(events: Sequence[Event], seconds: Callable[[int], float]) -> tuple[GainChange, ...]:

@@ -17,6 +17,7 @@ from quad_sysid.bags.events import (
     decode_events,
     desaturation_from,
     gains_from,
+    idle_from,
     segments_from,
 )
 from quad_sysid.bags.orientation import euler_angles
@@ -96,7 +97,8 @@ def read_bag(path: str | Path) -> Record:
         warnings.append(f'{MOTORS} is missing: the input is {CONTROL} as it was commanded; what '
                         'the motors made of it is not known')
     elif wrench is not None:
-        control = craft.control(craft.commands(wrench, desaturation))
+        control = craft.control(
+            craft.commands(wrench, desaturation, idle_from(gain_events)))
         warnings.append(f'{MOTORS} is missing: the input is {CONTROL} through mixer and limits')
     else:
         raise BadInputError(source, f'{MOTORS} and {CONTROL} are both missing or empty',

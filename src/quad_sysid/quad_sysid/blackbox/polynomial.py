@@ -8,13 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+
+if TYPE_CHECKING:
+    from quad_sysid.blackbox.frequency import FrequencyResponse
+    from quad_sysid.blackbox.residuals import ResidualTest
+    from quad_sysid.record import IOData
 
 ComplexArray = npt.NDArray[np.complex128]
 ORDERS_OF = {'ARX': ('na', 'nb', 'nk'), 'ARMAX': ('na', 'nb', 'nc', 'nk'),
@@ -116,6 +121,49 @@ class Model:
         """Akaike's final prediction error V (1 + p/N) / (1 - p/N), as MATLAB's fpe."""
         share = self.parameters.size / max(self.samples, 1)
         return self.loss * (1.0 + share) / (1.0 - share)
+
+    def simulate(self, u: npt.ArrayLike, x0: npt.ArrayLike | None = None) -> FloatArray:
+        """(n,) free run on inputs u (n,); see blackbox.simulate."""
+        from quad_sysid.blackbox.simulate import simulate
+
+        return simulate(self, np.asarray(u, dtype=float),
+                        None if x0 is None else np.asarray(x0, dtype=float))
+
+    def predict(self, z: IOData, horizon: float = 1) -> FloatArray:
+        """(n,) predicted output, `horizon` samples ahead; see blackbox.predict."""
+        from quad_sysid.blackbox.simulate import predict
+
+        return predict(self, z, horizon)
+
+    def compare(self, z: IOData, horizon: float = math.inf) -> float:
+        """Fit on z in per cent, by default of the free run."""
+        from quad_sysid.blackbox.simulate import compare
+
+        return compare(z, self, horizon=horizon)[0]
+
+    def residuals(self, z: IOData) -> ResidualTest:
+        """Tests of the one-step errors on z; see blackbox.residual_test."""
+        from quad_sysid.blackbox.residuals import residual_test
+
+        return residual_test(z, self)
+
+    def bode(self, w: npt.ArrayLike | None = None) -> FrequencyResponse:
+        """Response at w (m,), rad/s, by default at 200 up to the Nyquist frequency."""
+        from quad_sysid.blackbox.frequency import frequency_response
+
+        nyquist = np.pi / self.dt
+        grid = np.geomspace(1e-3 * nyquist, 0.999 * nyquist, 200) if w is None else w
+        return frequency_response(self, np.asarray(grid, dtype=float))
+
+    def step(self, gains: Any, size: float = 0.2, seconds: float = 2.0) -> Any:
+        """The angle's answer to a step of its reference (rad) in a cascade of these gains.
+
+        `gains`: CascadeGains. See loop.simulation.LoopResponse.
+        """
+        from quad_sysid.loop.simulation import simulate_polynomial_cascade
+
+        steps = np.full(round(seconds / self.dt), size)
+        return simulate_polynomial_cascade(self.denominator, self.B, gains, steps, self.dt)
 
     def __repr__(self) -> str:
         lines = [f'{self.name}: A y = (B/F) u + (C/D) e, {1.0 / self.dt:.6g} Hz, {self.approach}']

@@ -486,6 +486,8 @@ def _posterior(
             share = defaultdict(float, {name: again, UNLISTED: 1.0 - again})
         least = LEAST_REPORTED * sum(share.values())
         kept = {one: v for one, v in share.items() if one == name or v > least}
+        if len(found.prices) == 1:  # a lone candidate has no other rival
+            kept['nothing'] = share['nothing']
         total = sum(kept.values()) or 1.0
         probabilities.append(kept.pop(name, 0.0) / total)
         rivals.append(tuple(sorted(

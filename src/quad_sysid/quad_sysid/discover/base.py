@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -12,19 +12,17 @@ import numpy as np
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.constants import EXPECTED
+from quad_sysid.discover.constants import BEAM, EXPECTED
 from quad_sysid.discover.screen import vibration_line
 from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
 from quad_sysid.model.data import other_axis
 from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import Structure
 
-LEADING = 2
-"""Number of starts of the base that are fitted to convergence."""
 BEGUN_STEPS = 6
-"""Steps from each start of the base before the best ones are chosen."""
+"""Steps of each fit before the best ones go on."""
 FAR_BEHIND = 30.0
-"""Nats by which a start that was begun may lag behind and still be fitted to convergence."""
+"""Nats by which a fit that was begun may lag behind and still be brought to convergence."""
 MOST_LINES = 3
 """Most vibration lines in the noise."""
 
@@ -34,16 +32,15 @@ def best_base(problem: Problem) -> Fit:
 
     A few steps from each start; then the best are fitted to convergence.
     """
-    tried = partial(fitted_from, problem, Structure())
-    begun, rate = [], problem.flight.rate
+    starts = []
     for way, lag, delay in ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (-1, 0.04, 0.01)):
         start = start_of(problem)
         start[0] *= way
         start[1], start[2] = math.log(lag), math.log(delay)
-        begun.append(partial(tried, start, most_steps=BEGUN_STEPS, rate=rate))
-    leading = sorted((f for f in side_by_side(begun) if f), key=lambda f: -f.log_posterior)
-    ended = side_by_side([partial(tried, f.theta, rate=f.rate) for f in leading[:LEADING]])
-    base = most_probable(ended)
+        starts.append(start)
+    base = most_probable(contest(problem, [
+        Try(Structure(), (start,), problem.flight.rate) for start in starts
+    ]))
     if base is None:
         raise FloatingPointError('no start of the base holds')
     base = _beside(problem, base)
@@ -78,6 +75,36 @@ def both_orders(problem: Problem, fitted: Fit) -> Fit:
         return fitted
     ended = fitted_from(problem, fitted.structure, other.theta, rate=other.rate)
     return most_probable((fitted, ended)) or fitted
+
+
+@dataclass(frozen=True, eq=False)
+class Try:
+    """A structure to be fitted from the best of some starts, along a trajectory of the rate."""
+
+    structure: Structure
+    starts: Sequence[FloatArray]
+    rate: FloatArray
+
+
+def contest(problem: Problem, tries: Sequence[Try], least: float = -math.inf) -> list[Fit]:
+    """Fits of structures; only those that do not fall behind are brought to convergence.
+
+    After a few steps of each, what has an evidence FAR_BEHIND the best one, or below `least`, is
+    dropped; the BEAM best ones stay.
+    """
+    begun = [one for one in side_by_side([
+        partial(fitted_from, problem, one.structure, *one.starts, most_steps=BEGUN_STEPS,
+                rate=one.rate) for one in tries
+    ]) if one is not None]
+    begun.sort(key=lambda one: -one.evidence)
+    enough = begun[0].evidence - FAR_BEHIND if begun else least
+    ahead = [one for i, one in enumerate(begun)
+             if one.evidence >= least and (i < BEAM or one.evidence >= enough)]
+    ended = side_by_side([
+        partial(fitted_from, problem, one.structure, one.theta, rate=one.rate)
+        for one in ahead if not one.converged
+    ])
+    return [*(one for one in ahead if one.converged), *(one for one in ended if one is not None)]
 
 
 def _beside(problem: Problem, base: Fit) -> Fit:

@@ -7,8 +7,8 @@ steps, the base's starts and the bands of lines where they are used.
 # what is believed before the data
 
 EXPECTED = 0.05
-"""Prior probability that an effect is missing, divided equally among the names that can be tried,
-and within each name among its variants (smoothnesses, motors, other axes). The 5 % of a test."""
+"""Prior probability that an effect is missing, divided equally among the laws that can be tried,
+and within each law among its variants (smoothnesses, motors, other axes). The 5 % of a test."""
 
 # how far the search goes: more costs time only
 
@@ -20,6 +20,8 @@ EXCHANGES = 3
 """Explanations that are fitted in the place of each effect of the best structure."""
 MOST_EFFECTS = 4
 """A minute of flight hardly determines more."""
+SEARCHED, BLOCKS = 15_000, 6
+"""Rows of the training that a search sees, a minute at 250 Hz, and the blocks they are cut in."""
 HOPELESS = -8.0
 """Linear score relative to the best, nats, below which a candidate is not fitted: about where it
 would improve nothing even without its prior."""

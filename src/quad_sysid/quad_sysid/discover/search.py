@@ -4,25 +4,38 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import (
+    FAR_BEHIND,
+    Try,
     best_base,
     both_orders,
+    contest,
     fit_without,
     fitted_from,
     most_probable,
     shares,
 )
-from quad_sysid.discover.constants import BEAM, EXCHANGES, EXPECTED, HOPELESS, MOST_EFFECTS, REFITS
+from quad_sysid.discover.constants import (
+    BEAM,
+    BLOCKS,
+    EXCHANGES,
+    EXPECTED,
+    HOPELESS,
+    MOST_EFFECTS,
+    NEGLIGIBLE,
+    REFITS,
+    SEARCHED,
+)
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem, start_of
+from quad_sysid.estimate.stored import noise_of
 from quad_sysid.model.effect import Effect, Part, required
 from quad_sysid.model.structure import NOISE, VIBRATION, Structure, coordinates
 
@@ -47,6 +60,11 @@ class Scored:
     def names(self) -> tuple[str, ...]:
         """Of its effects, sorted."""
         return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
+
+
+def law(effect: Effect) -> tuple[str, type[Effect]]:
+    """What shares one prior: what one equation says in one place, of whichever motor or axis."""
+    return effect.name, type(effect)
 
 
 def explanation(effect: Effect) -> str:
@@ -83,9 +101,7 @@ class Found:
 def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
     """A fit with its score, log evidence plus log prior."""
     labels = fitted.structure.labels
-    price = sum(prices.get(label, 0.0) for label in labels)
-    # effects come in any order: the list of a set counts once
-    return Scored(fitted, fitted.evidence + price - math.lgamma(len(labels) + 1))
+    return Scored(fitted, fitted.evidence + sum(prices.get(label, 0.0) for label in labels))
 
 
 def noises(parent: Fit) -> list[FloatArray]:
@@ -101,46 +117,50 @@ def noises(parent: Fit) -> list[FloatArray]:
     return [kept] if np.array_equal(moderate, kept) else [kept, moderate]
 
 
-def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
-    """A structure with one more effect; None where its fit diverges."""
+def extensions(parent: Fit, one: Score) -> list[Try]:
+    """A structure with one more effect, from each start of the noise."""
     structure = parent.structure.plus(one.part)
     own = parent.theta[: -len(parent.structure.noise)]
-    return most_probable(
-        fitted_from(
-            problem, structure, *(np.r_[own, start, noise] for start in one.starts),
-            rate=parent.rate,
-        ) for noise in noises(parent)
-    )
+    return [Try(structure, [np.r_[own, start, noise] for start in one.starts], parent.rate)
+            for noise in noises(parent)]
 
 
-def anew(problem: Problem, parts: Sequence[Part]) -> list[Fit]:
+def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
+    """A structure with one more effect; None where its fit diverges."""
+    return most_probable(contest(problem, extensions(parent, one)))
+
+
+def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
     """Fits of how the motors may respond, begun from the priors and not from the base.
 
     A response that overshoots, as of yaw with heavy rotors, draws the base so far away, up to a
-    negative gain, that no step leads back from there once the response is added.
+    negative gain, that no step leads back from there once the response is added. Few steps show
+    whether such a response is there: only what is beyond the base by then is fitted to its end.
     """
     begun = start_of(problem)
     count = begun.size - len(Structure().noise)
-    tries = [
-        partial(fitted_from, problem, Structure((part,)), *(
+    return contest(problem, [
+        Try(Structure((part,)), [
             np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
-            for start in part.effect.starts(problem.data, part.settings)))
+            for start in part.effect.starts(problem.data, part.settings)
+        ], problem.flight.rate)
         for part in parts if part.effect.term == 'response' and not part.effect.motors
-    ]
-    return [fitted for fitted in side_by_side(tries) if fitted is not None]
+    ], base.evidence)
 
 
 class _Search:
     """The structures fitted so far, by the labels of their effects."""
 
-    def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit) -> None:
-        self.problem, self.parts = problem, parts
-        names = Counter(part.effect.name for part in parts)
+    def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit,
+                 halt: Callable[[], str], listen: Callable[[str], None]) -> None:
+        self.problem, self.parts, self.halt, self.listen = problem, parts, halt, listen
+        laws = Counter(law(part.effect) for part in parts)
         self.prices = {
-            part.effect.label: math.log(EXPECTED / len(names) / names[part.effect.name])
+            part.effect.label: math.log(EXPECTED / len(laws) / laws[law(part.effect)])
             for part in parts
         }
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
+        self.tried: set[frozenset[str]] = set()
         self.screens: dict[frozenset[str], list[Score]] = {}
 
     def build_on(self, parents: Sequence[Scored], refits: int) -> list[Scored]:
@@ -152,24 +172,42 @@ class _Search:
         least = parents[0].score + HOPELESS
         ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
         for parent in parents:
-            for one in self.scores(parent.fit):
+            for one in self.scores(parent.fit, whole=parent is parents[0]):
                 effect, own = one.part.effect, parent.fit.structure.labels
                 labels, kind = (frozenset((*own, x)) for x in (effect.label, explanation(effect)))
                 score = parent.score + one.nats + self.prices[effect.label]
-                if labels not in self.known and score >= ahead.get(kind, (least,))[0]:
+                new = labels not in self.tried and labels not in self.known
+                if new and score >= ahead.get(kind, (least,))[0]:
                     ahead[kind] = score, parent.fit, one
             if not ahead:
                 break
         hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
-        fits = side_by_side([partial(extended, self.problem, fit, one) for _, fit, one in hopeful])
-        return [self.keep(fit) for fit in fits if fit is not None]
+        if self.halt():
+            return []
+        self.tried |= {frozenset((*fit.structure.labels, one.part.effect.label))
+                       for _, fit, one in hopeful}
+        fits = contest(self.problem, [one_try for _, fit, one in hopeful
+                                      for one_try in extensions(fit, one)],
+                       self.best().fit.evidence - FAR_BEHIND)
+        kept = {frozenset(fit.structure.labels): self.keep(fit) for fit in fits}
+        best = ' and '.join(self.best().names) or 'the base'
+        self.listen(f'{len(self.known)} structures, best so far {best}')
+        return [*kept.values()]
 
-    def scores(self, parent: Fit) -> list[Score]:
-        """Linear scores of the candidates beside a structure, best first."""
+    def scores(self, parent: Fit, *, whole: bool = True) -> list[Score]:
+        """Linear scores of the candidates beside a structure, best first.
+
+        Not whole: of those that have explained something beside another structure.
+        """
         labels = frozenset(parent.structure.labels)
-        if labels not in self.screens:
-            rest = [p for p in self.parts if p.effect.label not in labels]
-            self.screens[labels] = screen(self.problem, parent, rest)
+        if labels in self.screens:
+            return self.screens[labels]
+        rest = [p for p in self.parts if p.effect.label not in labels]
+        if not whole:
+            hopeful = {one.part.effect.label for known in self.screens.values() for one in known
+                       if one.nats > 0.0}
+            return screen(self.problem, parent, [p for p in rest if p.effect.label in hopeful])
+        self.screens[labels] = screen(self.problem, parent, rest)
         return self.screens[labels]
 
     def keep(self, fitted: Fit) -> Scored:
@@ -182,6 +220,28 @@ class _Search:
     def best(self) -> Scored:
         """The most probable structure."""
         return max(self.known.values(), key=lambda s: s.score)
+
+    def hardly(self, before: Fit, more: Fit) -> bool:
+        """Whether one more effect changes next to nothing, however sure it is.
+
+        Free runs of both differ by less than NEGLIGIBLE of what the base misses of the larger one,
+        or by less than that share of the motion and than the gyro's noise.
+        """
+        problem = self.problem
+        windows = problem.data.windows(problem.spans)
+        if not windows.count:
+            return False
+        base = self.known[frozenset()].fit
+        with np.errstate(all='ignore'):
+            least, less, full = (
+                problem.flight.free_run(one.structure, one.theta, windows,
+                                        prediction=one.prediction) for one in (base, before, more)
+            )
+        rate = problem.data.rate[windows.starts[:, None] + np.arange(windows.length)]
+        motion = float(np.mean((rate - rate[:, :1]) ** 2))
+        change, missed = (float(np.mean((full - one) ** 2)) for one in (less, least))
+        small = min(NEGLIGIBLE**2 * motion, noise_of(more).measured_rms ** 2)
+        return change < max(NEGLIGIBLE * missed, small)
 
     def exchange(self) -> bool:
         """Exchange each effect of the best structure for others; whether one was better."""
@@ -205,49 +265,75 @@ def leading(fits: Iterable[Scored]) -> list[Scored]:
     return list(unlike.values())[:BEAM]
 
 
-def search(problem: Problem, effects: Sequence[Effect]) -> Found:
+def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] = lambda: '',
+           listen: Callable[[str], None] = lambda _: None) -> Found:
     """The structures that the training segments support.
 
     A beam search adds one effect at a time until no score beside the best structure promises more,
     or the evidence falls; then each effect of the best is exchanged for alternatives until none is
     better.
 
+    Of a long flight it sees SEARCHED rows; only the structures that lead there are fitted on all.
+
     A coupling counts only if no gust disturbs both axes: a gust at an angle moves both, each
     feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
     for such a gust beside the coupling, the search is repeated without that axis (a test of
-    exogeneity: Hausman 1978).
+    exogeneity: Hausman 1978). Once `halt` gives a reason nothing more is fitted, and what was not
+    is listed with it; `listen` gets a line of text after each round.
     """
+    whole, problem = problem, problem.shortened(SEARCHED, BLOCKS)
     parts, reasons = candidates(problem, effects)
     base = best_base(problem)
     problem.measure(base)
     while True:
-        found = _structures(problem, parts, base)
+        found = _structures(problem, parts, base, halt, listen)
         best = found.best().fit
         used = {which for part in best.structure.parts for which in part.effect.others}
         shared = {which for which in used if shares(problem, best, base, which)}
-        if not shared:
+        if not shared or halt():
             break
         reasons |= {p.effect.label: SHARED for p in parts if shared & set(p.effect.others)}
         parts = [p for p in parts if p.effect.label not in reasons]
+    if why := halt():
+        fitted = {label for labels in found.known for label in labels}
+        reasons |= {p.effect.label: f'{why}: it was not tried'
+                    for p in parts if p.effect.label not in fitted}
     ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
-    return Found(base, ordered, reasons, found.prices)
+    leading_ones = Found(base, ordered, reasons, found.prices)
+    return leading_ones if problem is whole else _on_all(whole, leading_ones)
 
 
-def _structures(problem: Problem, parts: Sequence[Part], base: Fit) -> _Search:
-    found = _Search(problem, parts, base)
-    for fitted in anew(problem, parts):
+def _on_all(problem: Problem, found: Found) -> Found:
+    """The leading structures of a search on a part of the rows, fitted on all of them."""
+    base = fitted_from(problem, found.base.structure, found.base.theta) or best_base(problem)
+    problem.measure(base)
+    fits = contest(problem, [
+        Try(one.fit.structure, (one.fit.theta,), base.rate) for one in found.all[:REFITS]
+        if one.fit.structure.parts and one.score > found.all[0].score - FAR_BEHIND
+    ])
+    known = (Scored(base, base.evidence), *(scored(one, found.prices) for one in fits))
+    return replace(found, base=base, all=tuple(sorted(known, key=lambda one: -one.score)))
+
+
+def _structures(problem: Problem, parts: Sequence[Part], base: Fit, halt: Callable[[], str],
+                listen: Callable[[str], None]) -> _Search:
+    found = _Search(problem, parts, base, halt, listen)
+    if halt():
+        return found
+    for fitted in anew(problem, parts, base):
         if fitted.evidence > base.evidence + ANEW:
             found.keep(fitted)
     beam = leading(found.known.values())
     for _ in range(MOST_EFFECTS):
-        top = beam[0].score
+        before, top = beam[0].fit, beam[0].score
         beam = leading(found.build_on(beam, REFITS))
         if beam:
             beam[0] = found.keep(both_orders(problem, beam[0].fit))
             found.screens.pop(frozenset(beam[0].fit.structure.labels), None)
-        if not beam or beam[0].score <= top:
+        if (not beam or beam[0].score <= top or found.hardly(before, beam[0].fit)
+                or halt()):
             break
     for _ in range(MOST_EFFECTS):
-        if not found.exchange():
+        if halt() or not found.exchange():
             break
     return found

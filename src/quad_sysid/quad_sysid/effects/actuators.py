@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import Curve, placed_around_zero
@@ -139,26 +138,26 @@ SLOW_MAPS = (
         excite='slow small commands',
     ),
     Following(
-        'mode', ('command', 'history'),
+        'mode:second_lag', ('command', 'history'),
         (
             Spec('time_constant', 's', spread=1.0, centre=math.log(0.02), log=True,
                  starts=(0.01, 0.03, 0.1)),
         ),
         lambda s, u, p: over_cycle(s.hidden, u, _late(p), s.dt), states=1,
         system=lambda p, _: behind_lag(np.array([_late(p)])), output=lambda _: (np.ones(1), 0.0),
-        kind='mode', variant='second lag',
-        term='response', physics='a second first-order lag between command and torque',
+        kind='mode', term='response',
+        physics='a second first-order lag between command and torque',
         excite='a PRBS that reaches beyond 1 / lag',
     ),
     Following(
-        'mode', ('command', 'history'),
+        'mode:second_order', ('command', 'history'),
         (
             Spec('frequency', 'Hz', spread=0.8, centre=math.log(3.0), log=True,
                  starts=(1.0, 2.0, 4.0, 8.0)),
             Spec('damping_ratio', '1', spread=0.4, centre=math.log(0.8), log=True, starts=(0.8,)),
             Spec('in_phase', '1', spread=0.3), Spec('quadrature', '1', spread=0.3),
         ),
-        _ringing, kind='mode', variant='second order', term='response', states=2, system=_mode,
+        _ringing, kind='mode', term='response', states=2, system=_mode,
         output=lambda p: (p[2:], 1.0),
         physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command: motors under a "
         'speed controller',
@@ -310,13 +309,16 @@ class MotorCurve(Propellers, Curve):
         self, m: FloatArray, p: FloatArray, settings: Settings
     ) -> tuple[FloatArray, FloatArray]:
         knots, slopes = settings['knots'], p - float(np.dot(settings['mean'], p))
-        area = make_interp_spline(knots, slopes, k=1).antiderivative()
+        width = np.diff(knots)
+        bends = 0.5 * np.diff(slopes) / width
 
         def thrust(m: FloatArray) -> FloatArray:
             inside = np.clip(m, knots[0], knots[-1])
-            return area(inside) + np.interp(m, knots, slopes) * (m - inside)
+            into = np.stack([np.clip(inside - a, 0.0, b) for a, b in zip(knots, width, strict=False)])
+            areas = np.tensordot(slopes[:-1], into, 1) + np.tensordot(bends, into**2, 1)
+            return areas + np.interp(m, knots, slopes) * (m - inside)
 
-        return thrust(m) - thrust(settings['throttle']), np.interp(m, knots, slopes)
+        return thrust(m) - thrust(np.array(settings['throttle'])), np.interp(m, knots, slopes)
 
 
 class Saturation(Map):
@@ -492,15 +494,15 @@ ACTUATORS: tuple[Effect, ...] = (
         excite='a PRBS that reaches beyond 1 / lag',
     ),
     Motors(
-        'mode', ('command',), (SLOW, SHARE), _slow_share(-1.0), kind='mode', variant='lead',
+        'mode:lead', ('command',), (SLOW, SHARE), _slow_share(-1.0), kind='mode',
         physics="the torque overshoots and falls back by a share: rotors' own reaction in yaw",
         excite='a PRBS that reaches beyond 1 / lag',
     ),
     Motors(
-        'mode', ('command',),
+        'mode:rotor_lead', ('command',),
         (Spec('lead_time', 's', spread=1.0, centre=math.log(0.1), log=True,
               starts=(0.03, 0.1, 0.3)),),
-        _reaction, kind='mode', variant='lead of rotors',
+        _reaction, kind='mode',
         physics='T times the change of the drive: rotors that speed up push the body the other '
         'way, a true lead in yaw',
         excite='a PRBS that reaches beyond 1 / lag',

@@ -127,8 +127,8 @@ class PeriodicDelay(Clocked):
     physics = 'delay + sum of S_k sin(2 pi k f t) + C_k cos(2 pi k f t)'
 
     def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
-        waves = np.exp(2j * math.pi * p[0] * np.multiply.outer(ORDERS, time))
-        return np.tensordot(p[1::2], waves.imag, 1) + np.tensordot(p[2::2], waves.real, 1)
+        turns = 2.0 * math.pi * p[0] * np.multiply.outer(ORDERS, time)
+        return np.tensordot(p[1::2], np.sin(turns), 1) + np.tensordot(p[2::2], np.cos(turns), 1)
 
     def longest_s(self, p: FloatArray) -> float:
         return float(np.sum(np.hypot(p[1::2], p[2::2])))
@@ -172,7 +172,7 @@ class Held(Clocked):
             here = np.floor(at)
             return -here - np.clip((at - here - 0.5) / FADING + 0.5, 0.0, 1.0)
 
-        ages = np.maximum([age(count - 1.0), age(count)], 0.0)
+        ages = np.maximum(np.stack([age(count - 1.0), age(count)]), 0.0)
         return replace(drive, ages=ages, fraction=fraction)
 
     def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:

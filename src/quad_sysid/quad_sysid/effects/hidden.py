@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -20,6 +19,7 @@ from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import UNITS, Effect, Settings, Signals, Spec, per_unit, required
 from quad_sysid.model.structure import BASE
+from quad_sysid.model.traced import Traced, noted
 
 System = tuple[FloatArray, FloatArray]
 """A (m, m) and B (m,) of x' = A x + B input."""
@@ -35,6 +35,15 @@ SHOWN_MOTORS = 4
 SHOWN_BY = tuple(itertools.product(range(SHOWN_MOTORS), range(1, DEGREE + 1)))
 """Motor and degree of each term that a gyro may show."""
 RING = "z'' + 2 d w z' + w² z = w²"
+
+
+def polynomials(x: FloatArray) -> FloatArray:
+    """(…, DEGREE + 1) Legendre polynomials of x (…), constant beyond EDGE."""
+    x = np.clip(x, -EDGE, EDGE)
+    rows = [np.ones_like(x), x]
+    for k in range(1, DEGREE):
+        rows.append(((2 * k + 1) * x * rows[k] - k * rows[k - 1]) / (k + 1))
+    return np.stack(rows, axis=-1)
 
 
 def ring(frequency_hz: float, damping_ratio: float) -> System:
@@ -79,6 +88,21 @@ def along(
     return out
 
 
+def each_ahead(
+    name: str, arrays: Sequence[FloatArray], numbers: Sequence[float], results: int
+) -> FloatArray:
+    """(results, …) a compiled law of one cycle on arrays (…) of one shape, or noted (traced.py)."""
+    if any(isinstance(x, Traced) for x in arrays):
+        return np.stack(noted(name, arrays, numbers, results))
+    rows = np.broadcast_arrays(*arrays)
+    out = np.empty((results, rows[0].size))
+    AHEAD[name](*(np.ascontiguousarray(x.ravel()) for x in rows), *numbers, out)
+    return out.reshape(results, *rows[0].shape)
+
+
+AHEAD = {'loose': recursion.all_loose_ahead, 'yielded': recursion.all_yielded}
+
+
 class Linear(Torque):
     """A torque of hidden states x' = A x + B input; the input is the rate."""
 
@@ -117,9 +141,8 @@ class Linear(Torque):
 class Hysteresis(Effect):
     """Dahl's friction, which builds up over an angle after each reversal."""
 
-    name = 'mode'
+    name = 'mode:hysteresis'
     kind = 'mode'
-    variant = 'hysteresis'
     sized_by_term = True
     signals = ('rate', 'history')
     states = 1
@@ -179,13 +202,14 @@ class Load(Effect):
     spring, a gyro on its pads or an arm, gets its acceleration through it.
     """
 
-    name = 'mode'
     kind = 'mode'
     states = 2
     sized_by_term = True
 
     def __init__(self, moved: str) -> None:
-        self.moved, self.variant = moved, f'loose, {moved}'
+        self.moved = moved
+        self.name, self.variant = ('mode:soft_mount', '') if moved == 'driven' \
+            else ('mode:loose_load', moved)
         self.signals, moves, self.parameters = LOADS[moved]
         pushes = 'in place of a share of the drive' if moved == 'driven' else 'on its mount'
         self.physics = (
@@ -220,10 +244,7 @@ class Load(Effect):
         """(3, …) the states a cycle later, and what pushed the mass meanwhile."""
         w = 2.0 * math.pi * float(p[0])
         pull, moved = self._inputs(s, p)
-        out = np.empty((3, pull.size))
-        recursion.all_loose_ahead(pull.ravel(), moved.ravel(), w, float(p[1]), s.dt,
-                                  np.ascontiguousarray(x.reshape(2, -1)), out)
-        return out.reshape(3, *pull.shape)
+        return each_ahead('loose', (pull, moved, x[0], x[1]), (w, float(p[1]), s.dt), 3)
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
@@ -245,14 +266,13 @@ class Yielding(Effect):
     a spring on a damper that gives way, with lean a valve, with slope < 0 two places of rest.
     """
 
-    name = 'mode'
+    name = 'mode:yielding'
     kind = 'mode'
     states = 1
     sized_by_term = True
 
     def __init__(self, moved: str) -> None:
-        self.moved = moved
-        self.variant = f'yielding, {moved}'
+        self.moved = self.variant = moved
         drive, unit, usual, push = {
             'turning': ('rate', 'rad', 0.1, 'rate / reach'),
             'leaning': ('angle', 'rad', 0.1, 'angle / (reach time_constant)'),
@@ -302,8 +322,7 @@ class Yielding(Effect):
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
         push, *law = self._flow(s, p)
-        ahead = recursion.all_yielded(x.ravel(), push.ravel(), *law, s.dt)
-        return ahead.reshape(1, *push.shape)
+        return each_ahead('yielded', (x[0], push), (*law, s.dt), 1)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[4] * required(s.hidden)[0]
@@ -493,8 +512,7 @@ class Shown(Shape):
     ) -> FloatArray:
         x, dt = required(s.hidden), s.dt
         ahead = self.advance(x, s, p, settings)
-        begin, end = (legvander(np.clip(z, -EDGE, EDGE), DEGREE) for z in (x, ahead))
-        change = (end - begin) / dt
+        change = (polynomials(ahead) - polynomials(x)) / dt
         return np.stack([change[i, ..., k] for i, k in SHOWN_BY], axis=-1)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
@@ -529,14 +547,14 @@ def _laguerre(p: FloatArray) -> System:
 
 HIDDEN: tuple[Effect, ...] = (
     Linear(
-        'mode', ('rate', 'history'),
+        'mode:slow_state', ('rate', 'history'),
         (
             Spec('time_constant', 's', spread=1.2, centre=math.log(0.5), log=True,
                  starts=(0.05, 0.2, 0.8, 3.0)),
             Spec('stiffness', 'rad/s² per rad'),
         ),
         lambda s, p: -p[1] * required(s.hidden)[0], system=_relaxing, states=1, per_rate=0.5,
-        variant='slow state', integrates=True, excite='a PRBS and slow steps of the angle',
+        integrates=True, excite='a PRBS and slow steps of the angle',
         physics="-k x, x' = rate - x / tau: a spring on a damper, a load that relaxes",
     ),
     # in free flight an accelerometer does not see the tilt, so the measured orientation is wrong;
@@ -553,7 +571,7 @@ HIDDEN: tuple[Effect, ...] = (
         physics="-k sin(x), x' = rate - x / memory: centre of mass off the axis",
     ),
     Linear(
-        'mode', ('rate', 'history'),
+        'mode:swinging', ('rate', 'history'),
         (
             Spec('frequency', 'Hz', spread=1.0, centre=math.log(3.0), log=True,
                  starts=tuple(np.geomspace(0.5, 16.0, 14))),
@@ -562,7 +580,7 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('in_phase', '1/s'), Spec('quadrature', '1/s'),
         ),
         lambda s, p: p[2] * required(s.hidden)[0] + p[3] * required(s.hidden)[1],
-        system=lambda p: ring(float(p[0]), min(float(p[1]), 1.0)), states=2, variant='swinging',
+        system=lambda p: ring(float(p[0]), min(float(p[1]), 1.0)), states=2,
         excite='a chirp or PRBS through the mode',
         physics=f"{RING} rate; torque in_phase z + quadrature z'/w",
     ),
@@ -570,14 +588,14 @@ HIDDEN: tuple[Effect, ...] = (
     *(Load(moved) for moved in LOADS),
     *(Yielding(moved) for moved in ('turning', 'leaning', 'driven')),
     Response(
-        'mode', ('command', 'history'),
+        'mode:response', ('command', 'history'),
         (
             Spec('time_constant', 's', spread=0.5, centre=math.log(0.2), log=True,
                  starts=(0.1, 0.3)),
             *(Spec(f'c{i}', UNITS['gain']) for i in range(LAGUERRE)),
         ),
         lambda s, p: np.tensordot(p[1:], required(s.hidden), 1), system=_laguerre, states=LAGUERRE,
-        term='gain', sized_by_term=True, variant='response to drive',
+        term='gain', sized_by_term=True,
         physics='sum of c_i x_i, Laguerre states of the drive: any linear response to it',
         excite='a PRBS long enough for the slowest response',
     ),

@@ -10,11 +10,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import SLOW_MOVES, Shape, signal_of
-from quad_sysid.effects.hidden import DEGREE, EDGE, FADES, Linear, behind_lag
+from quad_sysid.effects.hidden import DEGREE, FADES, Linear, behind_lag, polynomials
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Settings, Signals, Spec, required
 
@@ -71,8 +70,7 @@ class Surface(Shape, Linear):
         """(n, DEGREE + 1) of either signal."""
         first = _in_half_ranges(signal_of(s, self.signal), settings['first'])
         second = required(s.hidden)[0] if self.states else self.driver(s, settings)
-        one, other = (legvander(np.clip(z, -EDGE, EDGE), DEGREE) for z in (first, second))
-        return one, other
+        return polynomials(first), polynomials(second)
 
     def columns(
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings

@@ -15,11 +15,19 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.data import AxisData, Span, high, moved, part_of, typical_acceleration
+from quad_sysid.model.data import (
+    AxisData,
+    Span,
+    high,
+    moved,
+    part_of,
+    typical_acceleration,
+)
 from quad_sysid.model.effect import Part, required
 from quad_sysid.model.flight import Flight, Prediction, passes_of
 from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.qr import upper
+from quad_sysid.record import finite_runs
 
 SETTLE_S = 0.5
 """Innovations count from this long after the start of an unbroken stretch."""
@@ -112,6 +120,18 @@ class Problem:
             counts[start : start + settle] = False
         self.rows = np.flatnonzero(counts & np.isfinite(self.flight.measured))
         self.acceleration = typical_acceleration(self.data, self.spans)
+
+    def shortened(self, rows: int, blocks: int) -> Problem:
+        """The same on so many rows only, in blocks spread evenly over the spans."""
+        if self.rows.size <= rows:
+            return self
+        index = np.concatenate([np.arange(a, b) for a, b in self.spans])
+        length = rows // blocks
+        firsts = np.linspace(0, index.size - length, blocks).astype(int)
+        kept = np.zeros(self.data.rate.size, bool)
+        for first in firsts:
+            kept[index[first : first + length]] = True
+        return Problem(self.data, [run for span in self.spans for run in finite_runs(kept, span)])
 
     def blocks(self, length_s: float) -> NDArray[np.int64]:
         """(rows,) number of the block of each row: unbroken, of this length at most."""
@@ -240,7 +260,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
 
     theta = starts[0].astype(float)
     if len(starts) > 1:
-        theta = max(starts, key=lambda start: evaluated(start, begun, 3)[1]).astype(float)
+        theta = max(starts, key=lambda start: evaluated(start, begun, 1)[1]).astype(float)
     found, value, tail = evaluated(theta, begun, 3, by=steps)
     if found is None or not math.isfinite(value):
         raise FloatingPointError('the start runs away')

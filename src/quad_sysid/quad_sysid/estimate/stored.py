@@ -187,7 +187,7 @@ def plant_of(model: AxisModel) -> Plant:
     return Plant(
         stored.structure, stored.structure.natural(stored.theta), model.dt,
         sensor_of(model.gyro_filter_hz, None, model.dt),
-        model.craft.inverse[AXES.index(model.axis) + 1],
+        model.craft, AXES.index(model.axis),
     )
 
 

@@ -112,7 +112,9 @@ def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) 
                           converged=True)
         return Ladder(projection, (Rung(alone, 0.0),))
     starts = [projection.start((), (), own[:5]) for own in (reference.theta, base.theta)]
-    lowest = min((projection.project(plain, start) for start in starts), key=lambda m: m.total)
+    begun = min((projection.project(plain, start, coarse=True) for start in starts),
+                key=lambda model: model.total)
+    lowest = projection.project(plain, begun.theta)
     whole, rungs = lowest.total, [Rung(lowest, 0.0)]
     predicts = 100.0 * (1.0 - np.sqrt(min(whole / max(projection.motion, 1e-30), 1.0)))
     if whole > 0.0:

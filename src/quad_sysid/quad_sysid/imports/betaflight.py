@@ -11,8 +11,10 @@ from __future__ import annotations
 import csv
 import logging
 import re
+import struct
 from array import array
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -24,6 +26,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import BETAFLIGHT, Craft, of_betaflight
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
+from quad_sysid.imports.betaflight_gains import PIDSUM, Adjustment, changes, tuning
 from quad_sysid.imports.log import (
     DEGREE,
     RPM,
@@ -53,6 +56,7 @@ UNIT_AS_INTEGER = 8127.0
 WANTED = frozenset({
     'time', 'gyroADC', 'motor', 'setpoint', 'axisRate', 'accSmooth', 'vbatLatest', 'vbat',
     'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp', 'debug', 'eRPM', 'erpm',
+    'gyroUnfilt', 'axisD', 'rcCommand',
 })
 FILTERS = (
     'gyro_lpf1_static_hz', 'gyro_lpf2_static_hz', 'gyro_lowpass_hz', 'gyro_lowpass2_hz',
@@ -70,10 +74,13 @@ PHASE = 5000.0
 CHIRP_GAP_S = 1.0
 FASTER = 'set blackbox_sample_rate (before 4.3 blackbox_p_ratio) to log 500 Hz or more'
 NO_GAINS = (
-    "attitude set-point and gains of our form: Betaflight's loop has feed-forward and gains that "
-    'follow the throttle; no closed loop, no gain design (blackbox_decode --simulate-imu adds '
-    'angles)'
+    "the controller's gains in a header of Betaflight or INAV: no closed loop, no gain design "
+    '(blackbox_decode --simulate-imu adds angles)'
 )
+VARINT = 0x7F, 0x80
+"""Masks of the bits and of the sign that more follow, of a number in an event."""
+AS_FLOAT = 0x80
+"""Bit of an adjustment's number that a float follows."""
 
 
 def read(path: Path, log: int = 1) -> ForeignLog:
@@ -82,7 +89,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     Raises BadInputError naming file, line and column.
     """
     encoded = ENCODED.search(head_of(path)) is not None
-    table, units = _decoded(path, log) if encoded else _read(path)
+    table, units, adjusted = _decoded(path, log) if encoded else (*_read(path), [])
     for name in ('time', *_several('gyroADC', 3)):
         if name not in table.columns:
             raise BadInputError(table.source, f'lacks the column {name}', remedy=(
@@ -99,8 +106,34 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     reading.take(*wanted, motors, *_speeds(table, units, len(motors.columns)))
     kept = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
     reading.mapped += [Mapped('header', '-', 'note', kept)] if kept else []
-    return reading.log('a blackbox log', wanted, crafts=crafts, faster=FASTER,
+    header = {str(name): str(value) for name, value in table.header.items()}
+    throttle, span = _usual_throttle(table), _span_us(table)
+    known = tuning(header, throttle, span)
+    reading.mapped += [Mapped('header.rollPID, …', '-', '/gains/active', known.how)] * bool(
+        known.gains)
+    return reading.log('a blackbox log', wanted, crafts=crafts, faster=FASTER, gains=known.gains,
+                       gain_changes=changes(header, adjusted, throttle, span),
                        no_gains=NO_GAINS, experiments=tuple(_chirps(reading)))
+
+
+def _usual_throttle(table: Table) -> float | None:
+    """Median of the throttle stick above a quarter, 0..1; None where it is not logged."""
+    stick = table.columns.get('rcCommand[3]')
+    if stick is None:
+        return None
+    share = (stick - PULSE_US[0]) / (PULSE_US[1] - PULSE_US[0])
+    flown = share[(share > 0.25) & (share <= 1.0)]
+    return float(np.median(flown)) if flown.size else None
+
+
+def _span_us(table: Table) -> float:
+    """The motors' range by the header, µs."""
+    low, _, high = str(table.header.get('motorOutput', '')).partition(',')
+    try:
+        span = float(high) - float(low)
+    except ValueError:
+        return PIDSUM
+    return span if 0.0 < span <= PIDSUM else PIDSUM
 
 
 def _chirps(reading: Reading) -> Iterator[Experiment]:
@@ -178,6 +211,10 @@ def _wanted(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Wanted,
                lambda v: ned_angles(v / UNIT_AS_INTEGER)),
         _angles(('roll', 'pitch', 'heading'), *(('deg', DEGREE) if degrees else ('rad', 1.0))),
         _angles(_several('attitude', 3), '0.1 deg', 0.1 * DEGREE),
+        Wanted('rates_before', _several('gyroUnfilt', 3), said or 'deg/s',
+               f'times {scale:.6g}, before the filters', lambda v: v * scale * frame),
+        *(Wanted('d_term', _several('axisD', count), 'raw', 'times 0.001, the D part',
+                 lambda v: v / PIDSUM) for count in (3, 2)),
         *(Wanted('battery', (name,), units.get(name) or 'raw', 'to V', volts)
           for name in ('vbatLatest', 'vbat')),
     ]
@@ -190,7 +227,7 @@ def _wanted(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Wanted,
     return tuple(out)
 
 
-def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:
+def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str], list[Adjustment]]:
     """One log of an encoded file, by orangebox."""
     try:
         from orangebox import Parser
@@ -209,7 +246,8 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:
         parser: Any = Parser.load(str(path), log, allow_invalid_header=True)
         names = list(parser.field_names)
         places = [i for i, name in enumerate(names) if name.partition('[')[0] in WANTED]
-        rows, faults = _frames(parser, places, len(names))
+        with _events() as events:
+            rows, faults = _frames(parser, places, len(names), events)
     if len(rows) < FEWEST:
         what = 'holds no frames' if not len(rows) else 'holds too few frames'
         raise BadInputError(
@@ -219,10 +257,55 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str]]:
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
     columns = {names[i]: rows[:, k].copy() for k, i in enumerate(places)}
     told = (f'damaged in {faults} places: what cannot be read there is left out',)[: bool(faults)]
-    return Table(f'{path}, log {log} of {count}', columns, header=header, told=told), {}
+    times = columns.get('time', np.zeros(len(rows)))
+    adjusted = [Adjustment(1e-6 * float(times[min(row, len(times) - 1)]), function, value)
+                for row, function, value in events.found]
+    return (Table(f'{path}, log {log} of {count}', columns, header=header, told=told), {},
+            adjusted)
 
 
-def _frames(parser: Any, places: Sequence[int], width: int) -> tuple[FloatArray, int]:
+class _Events:
+    """Adjustments in flight, which orangebox skips: (row, number, value) each."""
+
+    def __init__(self) -> None:
+        self.rows = 0
+        self.found: list[tuple[int, int, float]] = []
+
+    def __call__(self, reader: Iterator[int]) -> None:
+        """Read one: its number, then a float or a number with a sign in the last bit."""
+        function = next(reader)
+        if function & AS_FLOAT:
+            value = struct.unpack('<f', bytes(next(reader) for _ in range(4)))[0]
+        else:
+            bits, more = VARINT
+            raw = shift = 0
+            while True:
+                byte = next(reader)
+                raw |= (byte & bits) << shift
+                shift += 7
+                if not byte & more or shift > 28:
+                    break
+            value = float((raw >> 1) ^ -(raw & 1))
+        self.found.append((self.rows, function & ~AS_FLOAT, float(value)))
+
+
+@contextmanager
+def _events() -> Iterator[_Events]:
+    """Let orangebox hand over adjustments while a log is read."""
+    from orangebox.events import event_map
+    from orangebox.types import EventType
+
+    events, kind = _Events(), EventType.INFLIGHT_ADJUSTMENT
+    before = event_map[kind]
+    event_map[kind] = events
+    try:
+        yield events
+    finally:
+        event_map[kind] = before
+
+
+def _frames(parser: Any, places: Sequence[int], width: int,
+            events: _Events) -> tuple[FloatArray, int]:
     """(n, k) the wanted fields, and the number of damaged places.
 
     Behind one, frames count from the next that does not build on those before.
@@ -235,6 +318,7 @@ def _frames(parser: Any, places: Sequence[int], width: int) -> tuple[FloatArray,
                 waiting &= frame.type.value != INTRA
                 data = frame.data
                 if len(data) >= width - 1 and not waiting:
+                    events.rows += 1
                     values.extend(
                         _number(data[i]) if i < len(data) else np.nan for i in places)
             break

@@ -16,6 +16,7 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.imports.mixers import Mixer
+from quad_sysid.record import GainChange
 
 if TYPE_CHECKING:
     from quad_sysid.imports.table import Table
@@ -27,8 +28,9 @@ TOPICS = {
     'acceleration': '/imu/data linear_acceleration', 'attitude_setpoint': '/setpoint/attitude',
     'rate_setpoint': '/setpoint/rates', 'battery': '/battery', 'control': '/control/wrench',
     'motors': '/motors/command', 'speeds': '/motors/state',
+    'rates_before': 'quad-sysid look', 'd_term': 'quad-sysid look',
 }
-"""Topic of each stream of ForeignLog."""
+"""Topic of each stream of ForeignLog, or who alone reads it."""
 LACKING = {
     'angles': 'no effects of the angle, no closed loop',
     'attitude_setpoint': 'no indirect approach, no closed loop',
@@ -119,8 +121,14 @@ class ForeignLog:
     """(n, 3) rad/s."""
     battery: Stream | None = None
     """(n, 1) V."""
+    rates_before: Stream | None = None
+    """(n, 3) rad/s, FLU, before the flight controller's filters."""
+    d_term: Stream | None = None
+    """(n, k) the D part of the first k axes, normalised command."""
     gains: Mapping[str, float] = field(default_factory=dict)
     """Gains by the names of /gains/active."""
+    gain_changes: tuple[GainChange, ...] = ()
+    """Gains that changed in flight; times in the log's own, s."""
     experiments: tuple[Experiment, ...] = ()
     mapped: tuple[Mapped, ...] = ()
     missing: tuple[str, ...] = ()
@@ -180,7 +188,8 @@ class Reading:
                  for one in reversed(wanted)}
         lacking = [f'{first[role]}: {text}' for role, text in LACKING.items()
                    if role in first and role not in self.streams]
-        lacking += [] if more.get('gains') else [more.pop('no_gains', NO_GAINS)]
+        no_gains = more.pop('no_gains', NO_GAINS)
+        lacking += [] if more.get('gains') else [no_gains]
         return ForeignLog(self.table.source, kind, clock=self.table.told,
                           **{'rates': None, **self.streams, **more},
                           mapped=tuple(self.mapped), missing=tuple(lacking))

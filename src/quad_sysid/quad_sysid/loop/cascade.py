@@ -4,8 +4,9 @@
     u = kp e + ki sum(e) dt - kd D(rate), e = rate reference - rate, limited
 
 D is the difference of the measured rate after a first-order filter; sum and difference are formed
-once per cycle, as in the firmware. The loop is broken at u, the control input. Linear only:
-simulation.py has limits, curves and time.
+once per cycle, as in the firmware. Other firmware has more filters, and adds a share of the rate
+reference. The loop is broken at u, the control input. Linear only: kernels.py has the controller
+with its limits, simulation.py time.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.loop.plant import ComplexArray, Step
+from quad_sysid.loop import kernels
+from quad_sysid.loop.linear import ComplexArray, Loops
 
 FIRMWARE_UNIT = np.degrees(1.0) / 1000.0
 """One firmware unit of gain (µs of motor pulse per deg/s) in normalised command per rad/s."""
@@ -34,6 +36,15 @@ CONTRACT_NAMES = {
     'rate_limit': 'angle.rate_limit',
 }
 """Field of CascadeGains → the contract's name after `<axis>.`."""
+ELSEWHERE = {
+    'kff': 'rate.kff',
+    'target_filter_hz': 'rate.target_filter_hz',
+    'error_filter_hz': 'rate.error_filter_hz',
+    'output_filter_hz': 'rate.output_filter_hz',
+}
+"""The same of what only other firmware has."""
+NOTCH = {'notch_hz': 'sensor.notch_1_hz', 'notch_bandwidth_hz': 'sensor.notch_1_bandwidth_hz'}
+"""Field of CascadeGains → the contract's name of what all axes share."""
 
 Dynamics = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Discrete (a, b, c, d) of a controller from (measured rate, angle) to u at reference 0."""
@@ -61,16 +72,31 @@ class CascadeGains:
     """Limit of the rate reference, rad/s."""
     integrator_limit: float = 0.1
     """Limit of the integral part of u, normalised command."""
+    kff: float = 0.0
+    """Normalised command per rad/s of the filtered rate reference."""
+    target_filter_hz: float = 0.0
+    """Cut-off of a first-order filter of the rate reference, Hz; of this and the next, 0: none."""
+    error_filter_hz: float = 0.0
+    """Of the error of the rate."""
+    output_filter_hz: float = 0.0
+    """Of u, before its limit."""
+    notch_hz: float = 0.0
+    """Centre of a notch in the measured rate, Hz; 0: none."""
+    notch_bandwidth_hz: float = 0.0
+    d_on_error: bool = False
+    """Whether D acts on the filtered error, not on the measured rate."""
 
     def __post_init__(self) -> None:
         """Check that all are finite and the constants positive; raises BadInputError."""
+        names = CONTRACT_NAMES | ELSEWHERE | NOTCH
         for item in fields(self):
-            value = getattr(self, item.name)
+            value, name = getattr(self, item.name), f'gains: {names.get(item.name, item.name)}'
             if not np.isfinite(value):
-                raise BadInputError(f'gains: {CONTRACT_NAMES[item.name]}', 'must be finite', value)
-            if item.name not in TUNED and value <= 0:
-                raise BadInputError(f'gains: {CONTRACT_NAMES[item.name]}', 'must be positive',
-                                    value)
+                raise BadInputError(name, 'must be finite', value)
+            if item.name in CONTRACT_NAMES and item.name not in TUNED and value <= 0:
+                raise BadInputError(name, 'must be positive', value)
+            if item.name.endswith('hz') and value < 0:
+                raise BadInputError(name, 'must not be negative', value)
 
     @classmethod
     def default(cls, axis: str) -> CascadeGains:
@@ -84,9 +110,11 @@ class CascadeGains:
     @classmethod
     def from_mapping(cls, values: Mapping[str, float], axis: str) -> CascadeGains:
         """Gains by the contract's names (`roll.angle.kp`, …); missing ones have their defaults."""
-        start = cls.default(axis)
-        return cls(**{field: float(values.get(f'{axis}.{name}', getattr(start, field)))
-                      for field, name in CONTRACT_NAMES.items()})
+        start, names = cls.default(axis), CONTRACT_NAMES | ELSEWHERE
+        told = {field: f'{axis}.{name}' for field, name in names.items()} | NOTCH
+        return cls(**{field: float(values.get(name, getattr(start, field)))
+                      for field, name in told.items()},
+                   d_on_error=values.get(f'{axis}.rate.d_on') in ('error', 1.0))
 
     def to_mapping(self, axis: str, *, constants: bool = False) -> dict[str, float]:
         """The contract's names and values; with `constants` filter and limits too."""
@@ -95,31 +123,62 @@ class CascadeGains:
                 if constants or field in TUNED}
 
     def dynamics(self, dt: float) -> Dynamics:
-        """The linear controller that the firmware computes with these gains.
-
-        States: integral, last rate, D part.
-        """
-        w = derivative_weight(self.d_filter_hz, dt)
-        error = np.array([-1.0, -self.angle_kp])  # of the rate, by (rate, angle)
-        keep = float(abs(self.rate_ki) > 1e-9)  # without ki it stays at 0: no mode
-        a = np.array([[keep, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, -w / dt, 1.0 - w]])
-        b = np.array([self.rate_ki * dt * error, [1.0, 0.0], [w / dt, 0.0]])
-        c = a[:1] - self.rate_kd * a[2:]
-        d = self.rate_kp * error + b[:1] - self.rate_kd * b[2:]
-        return a, b, c, d
+        """The linear controller that the firmware computes: one cycle of it for each unit."""
+        m, numbers = kernels.MEMORY, self.constants(dt)._replace(
+            output_limit=np.inf, rate_limit=np.inf, integrator_limit=np.inf)
+        memory, inputs = np.eye(m + 2, m), np.zeros((m + 2, 3))
+        measured, u = np.zeros((2, m + 2)), np.zeros(m + 2)
+        measured[[0, 1], [m, m + 1]] = 1.0
+        if abs(self.rate_ki) < 1e-9:  # without ki the integral stays at 0: no mode
+            memory[kernels.INTEGRAL] = 0.0
+        kernels.control_each(numbers, memory, inputs, measured[1], measured[0], u)
+        beyond = np.where(np.eye(m) > 0.0, 0.0, memory[:m])
+        used = np.abs(beyond).sum(axis=1) + np.abs(u[:m]) > 0.0
+        moves, a = memory.T[used], memory.T[used][:, :m][:, used]
+        return a, moves[:, m:], u[None, :m][:, used], u[None, m:]
 
     def response(self, omega: FloatArray, dt: float) -> ComplexArray:
         """(2, f) from the measured rate and angle to u at omega, rad/s, at reference 0."""
-        back = np.exp(-1j * omega * dt)
-        weight = derivative_weight(self.d_filter_hz, dt)
-        proportional = self.rate_kp + self.rate_ki * dt / (1.0 - back)
-        derivative = self.rate_kd * weight * (1.0 - back) / dt / (1.0 - (1.0 - weight) * back)
-        return np.stack([-(proportional + derivative), -(self.angle_kp * proportional)])
+        back, numbers = np.exp(-1j * omega * dt), self.constants(dt)
+
+        def behind(weight: float) -> ComplexArray | float:
+            return weight / (1.0 - (1.0 - weight) * back) if weight < 1.0 else 1.0
+
+        late, turns = behind(numbers.error_weight), (1.0 - back) / dt
+        error = (self.rate_kp + self.rate_ki / turns) * late
+        derivative = self.rate_kd * turns * behind(numbers.d_weight)
+        if self.d_on_error:
+            error = error + derivative * late
+        rate = error if self.d_on_error else error + derivative
+        angle = self.angle_kp * behind(numbers.target_weight) * (error + self.kff)
+        if numbers.notch < 1.0:
+            turn = numbers.notch_turn * back
+            rate = rate * (numbers.notch * (1.0 + back**2) + turn) / (
+                1.0 + turn + numbers.notch_keep * back**2)
+        return np.stack([-rate, -angle]) * behind(numbers.output_weight)
+
+    def constants(self, dt: float) -> kernels.Constants:
+        """The numbers of the compiled controller, with a control cycle of dt s."""
+        notch, turn, keep = 1.0, 0.0, 0.0
+        if 0.0 < self.notch_hz < 0.5 / dt and self.notch_bandwidth_hz > 0.0:
+            w = 2.0 * np.pi * self.notch_hz * dt
+            narrow = np.sin(w) * self.notch_bandwidth_hz / (2.0 * self.notch_hz)
+            notch, turn = 1.0 / (1.0 + narrow), -2.0 * np.cos(w) / (1.0 + narrow)
+            keep = (1.0 - narrow) / (1.0 + narrow)
+        known = vars(self) | {
+            'dt': dt, 'notch': notch, 'notch_turn': turn, 'notch_keep': keep,
+            **{f'{name}_weight': weight_of(getattr(self, f'{name}_filter_hz'), dt)
+               for name in ('d', 'target', 'error', 'output')},
+        }
+        return kernels.Constants(*(float(known[name]) for name in kernels.Constants._fields))
 
 
-def derivative_weight(d_filter_hz: float, dt: float) -> float:
-    """Weight of the new difference in the D filter: dt / (dt + 1 / (2 pi f)), backward Euler."""
-    return dt / (dt + 1.0 / (2.0 * np.pi * d_filter_hz))
+def weight_of(cutoff_hz: float, dt: float) -> float:
+    """Weight of the new value in a first-order filter: dt / (dt + 1 / (2 pi f)), backward Euler.
+
+    1 without a filter.
+    """
+    return dt / (dt + 1.0 / (2.0 * np.pi * cutoff_hz)) if cutoff_hz > 0.0 else 1.0
 
 
 class Controller(Protocol):
@@ -155,7 +214,7 @@ class Linear:
 
 def open_loop(controller: Controller, plant: ComplexArray, omega: FloatArray,
               dt: float) -> ComplexArray:
-    """Loop gain (p, f) broken at the control input; plant (2, p, f) from `Step.response`."""
+    """Loop gain (p, f) broken at the control input; plant (2, p, f) from `Loops.response`."""
     rate, angle = controller.response(omega, dt)
     return np.asarray(-(plant[0] * rate + plant[1] * angle))
 
@@ -229,19 +288,17 @@ def bandwidth(response: ComplexArray, omega: FloatArray) -> FloatArray:
     return np.where(below.any(axis=1), omega[index], np.nan)
 
 
-def closed_loop_radius(controller: Controller, cycle: Step) -> FloatArray:
+def closed_loop_radius(controller: Controller, loops: Loops) -> FloatArray:
     """(p,) largest absolute eigenvalue of the linear closed loop; stable below 1.
 
     The states are those of the plant, the commands in the delay, and the controller's.
     """
-    ca, cb, cc, cd = controller.dynamics(cycle.dt)
-    a, b = cycle.with_delay()
-    p, n, m = len(a), cycle.phi.shape[1], a.shape[1]
-    size = m + ca.shape[0]
-    control = np.zeros((p, size))
-    control[:, :n], control[:, m:] = cd[0] @ cycle.c, cc[0]
-    matrix = np.zeros((p, size, size))
-    matrix[:, :m, :m] = a
-    matrix[:, :m] += b[:, :, None] * control[:, None]
-    matrix[:, m:, :n], matrix[:, m:, m:] = cb @ cycle.c, ca
+    ca, cb, cc, cd = controller.dynamics(loops.dt)
+    p, n = loops.b.shape
+    control = np.zeros((p, n + len(ca)))
+    control[:, :n], control[:, n:] = cd[0] @ loops.c, cc[0]
+    matrix = np.zeros((p, n + len(ca), n + len(ca)))
+    matrix[:, :n, :n] = loops.a
+    matrix[:, :n] += loops.b[:, :, None] * control[:, None]
+    matrix[:, n:, :n], matrix[:, n:, n:] = cb @ loops.c, ca
     return np.asarray(np.max(np.abs(np.linalg.eigvals(matrix)), axis=1))

@@ -1,6 +1,6 @@
-"""Compiled inner loops of the closed loop: one control cycle, the plant between two cycles.
+"""Compiled inner loops of the closed loop: one control cycle, and the plant's own list of operations.
 
-Only arithmetic on arrays; simulation.py says what the numbers mean.
+Only arithmetic on arrays; simulation.py says what the numbers mean, model/traced.py the list.
 """
 
 from __future__ import annotations
@@ -14,78 +14,107 @@ from numba import types
 
 from quad_sysid.compiled import BLOCK, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.contract import FloatArray
+from quad_sysid.model.recursion import loose_ahead, motor_ahead, yielded
+from quad_sysid.model.traced import CODES
 
 IntArray = npt.NDArray[np.int64]
-INTEGRAL, LAST_RATE, D_PART = 0, 1, 2
-EMPTY = 3
-"""Size of an empty table."""
+INTEGRAL, LAST, D_PART, TARGET, ERROR, OUTPUT, NOTCH = range(7)
+MEMORY = 8
+"""Numbers that a controller remembers; the notch has the last two."""
+(ADD, SUBTRACT, MULTIPLY, DIVIDE, MAXIMUM, MINIMUM, POWER, GREATER, GREATER_EQUAL, LESS,
+ LESS_EQUAL, NEGATIVE, ABSOLUTE, SIGN, EXP, LOG, SQRT, SIN, COS, TANH, FLOOR, RINT, WHERE, INTERP,
+ LOOSE, YIELDED) = CODES.values()
 
 
 class Constants(NamedTuple):
-    """The cascade's numbers, as in CascadeGains; d_weight from derivative_weight."""
+    """The cascade's numbers, as in CascadeGains; weights are of first-order filters, 1: none."""
 
     angle_kp: float
     rate_kp: float
     rate_ki: float
     rate_kd: float
+    kff: float
     d_weight: float
+    target_weight: float
+    error_weight: float
+    output_weight: float
+    notch: float
+    """b0 of the notch, whose b2 is the same; 1: there is none."""
+    notch_turn: float
+    """Its b1 and a1."""
+    notch_keep: float
+    """Its a2."""
+    d_on_error: float
     output_limit: float
     rate_limit: float
     integrator_limit: float
     dt: float
 
 
-class Cycle(NamedTuple):
-    """The plant over one control cycle in two parts: before and after the command changes."""
+class Places(NamedTuple):
+    """Where a plant's numbers stand among the registers, and how its motors are mixed."""
 
-    phi: FloatArray
-    """(2, n, n) transition over one step of a part."""
-    drive: FloatArray
-    """(2, n) effect of the held command."""
-    push: FloatArray
-    """(2, n) effect of a held torque."""
-    split: IntArray
-    """(2,) steps in each part."""
-    whole: int
-    """Whole cycles of delay."""
-    rate_output: int
-    angle_output: int
-    rate_table: FloatArray
-    angle_table: FloatArray
-    command_table: FloatArray
-    """Tables are (x0, step, y0, y1, …), or of size EMPTY."""
+    split: int
+    """Operations before the motors."""
+    given: int
+    """The first register of what is known of a cycle."""
+    sent: int
+    push: int
+    motors: int
+    """Of the four numbers that come from the motors."""
+    state: int
+    """The first of the state."""
+    following: IntArray
+    """(states,) of the state a cycle later."""
+    shown: IntArray
+    """(2,) measured rate and angle a cycle later."""
+    commands: IntArray
+    """(c,)."""
+    lag: IntArray
+    """(c,)."""
+    when: IntArray
+    """(3,) the two ages and the fraction, as in Drive."""
+    row: FloatArray
+    """(c,)."""
+    factors: FloatArray
+    """(c, 2, k)."""
 
 
 GAINS = types.NamedUniTuple(NUMBER, len(Constants._fields), Constants)
-CYCLE = types.NamedTuple(
-    (BLOCK, TABLE, TABLE, WHOLES, WHOLE, WHOLE, WHOLE, LINE, LINE, LINE), Cycle)
+PLACES = types.NamedTuple(
+    (*[WHOLE] * 6, *[WHOLES] * 5, LINE, BLOCK), Places)
 
 
 @inner
-def look_up(table: FloatArray, x: float) -> float:
-    """Value of a table at x, outside it along the end slopes; 0 if empty."""
-    if table.size == EMPTY:
-        return 0.0
-    last = table.size - 3
-    position = (x - table[0]) / table[1]
-    index = min(max(math.floor(position), 0), last - 1)
-    low = table[2 + index]
-    return float(low + (position - index) * (table[3 + index] - low))
+def filtered(memory: FloatArray, which: int, x: float, weight: float) -> float:
+    """A first-order filter of x; with weight 1 there is none."""
+    if weight >= 1.0:
+        return x
+    memory[which] += weight * (x - memory[which])
+    return float(memory[which])
 
 
 @inner
 def control(gains: Constants, memory: FloatArray, reference: float, angle: float, rate: float,
             added: float) -> tuple[float, float]:
-    """One cycle of C1/C2: (rate reference, u). `added` is a rate excitation; memory (3,)."""
+    """One cycle of C1/C2: (rate reference, u). `added` is a rate excitation; memory (MEMORY,)."""
+    if gains.notch < 1.0:
+        seen = gains.notch * rate + memory[NOTCH]
+        memory[NOTCH] = gains.notch_turn * (rate - seen) + memory[NOTCH + 1]
+        memory[NOTCH + 1] = gains.notch * rate - gains.notch_keep * seen
+        rate = seen
     wanted = gains.angle_kp * (reference - angle)
     wanted = min(max(wanted, -gains.rate_limit), gains.rate_limit) + added
-    error = wanted - rate
+    target = filtered(memory, TARGET, wanted, gains.target_weight)
+    error = filtered(memory, ERROR, target - rate, gains.error_weight)
     total = memory[INTEGRAL] + gains.rate_ki * error * gains.dt
     memory[INTEGRAL] = min(max(total, -gains.integrator_limit), gains.integrator_limit)
-    slope = (rate - memory[LAST_RATE]) / gains.dt
+    now = -error if gains.d_on_error > 0.0 else rate
+    slope = (now - memory[LAST]) / gains.dt
     memory[D_PART] += gains.d_weight * (slope - memory[D_PART])
-    memory[LAST_RATE] = rate
+    memory[LAST] = now
     u = gains.rate_kp * error + memory[INTEGRAL] - gains.rate_kd * memory[D_PART]
+    u = filtered(memory, OUTPUT, u + gains.kff * target, gains.output_weight)
     return wanted, min(max(u, -gains.output_limit), gains.output_limit)
 
 
@@ -94,8 +123,8 @@ def control_each(gains: Constants, memory: FloatArray, inputs: FloatArray, angle
                  rate: FloatArray, out: FloatArray) -> None:
     """One cycle of f cascades: u (f,) with the excitation after C2.
 
-    memory (f, 3); inputs (f, 3): angle reference, excitation of the rate, of the control; angle
-    and rate (f,).
+    memory (f, MEMORY); inputs (f, 3): angle reference, excitation of the rate, of the control;
+    angle and rate (f,).
     """
     for i in range(angle.size):
         _, u = control(gains, memory[i], inputs[i, 0], angle[i], rate[i], inputs[i, 1])
@@ -103,54 +132,165 @@ def control_each(gains: Constants, memory: FloatArray, inputs: FloatArray, angle
 
 
 @inner
-def advance(cycle: Cycle, part: int, v: float, torque: float, state: FloatArray) -> None:
-    """One step of `part` in place: exact linear part, Heun for the curves."""
-    n = state.size
-    phi, drive, push = cycle.phi[part], cycle.drive[part], cycle.push[part]
-    x = torque + look_up(cycle.rate_table, state[1]) + look_up(cycle.angle_table, state[2])
-    free = np.empty(n)
-    for i in range(n):
-        total = drive[i] * v
-        for j in range(n):
-            total += phi[i, j] * state[j]
-        free[i] = total
-    if cycle.rate_table.size > EMPTY or cycle.angle_table.size > EMPTY:
-        then = torque + look_up(cycle.rate_table, free[1] + push[1] * x)
-        then += look_up(cycle.angle_table, free[2] + push[2] * x)
-        x = 0.5 * (x + then)
-    for i in range(n):
-        state[i] = free[i] + push[i] * x
+def over(table: FloatArray, at: int, n: int, x: float) -> float:
+    """numpy.interp over n knots, which stand at a place of the table with their values behind."""
+    if x <= table[at]:
+        return float(table[at + n])
+    for i in range(1, n):
+        if x < table[at + i]:
+            low = table[at + n + i - 1]
+            slope = (table[at + n + i] - low) / (table[at + i] - table[at + i - 1])
+            return float(slope * (x - table[at + i - 1]) + low)
+    return float(table[at + 2 * n - 1])
 
 
-@kernel(GAINS, CYCLE, TABLE, LINE, TABLE, NUMBER)
-def run_plant(gains: Constants, cycle: Cycle, signals: FloatArray, state: FloatArray,
-              out: FloatArray, lead: float) -> None:
-    """The cascade around the plant; `lead`: of the measured angle over the rate's integral, s.
+@inner
+def operate(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, begin: int,
+            end: int) -> None:
+    """Do the operations [begin, end) of `code` (m, 4) on the registers r."""
+    for k in range(begin, end):
+        what, to, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3]
+        if what == ADD:
+            r[to] = r[a] + r[b]
+        elif what == SUBTRACT:
+            r[to] = r[a] - r[b]
+        elif what == MULTIPLY:
+            r[to] = r[a] * r[b]
+        elif what == DIVIDE:
+            r[to] = r[a] / r[b]
+        elif what == MAXIMUM:
+            r[to] = max(r[a], r[b])
+        elif what == MINIMUM:
+            r[to] = min(r[a], r[b])
+        elif what == POWER:
+            r[to] = r[a] ** r[b]
+        elif what == GREATER:
+            r[to] = 1.0 if r[a] > r[b] else 0.0
+        elif what == GREATER_EQUAL:
+            r[to] = 1.0 if r[a] >= r[b] else 0.0
+        elif what == LESS:
+            r[to] = 1.0 if r[a] < r[b] else 0.0
+        elif what == LESS_EQUAL:
+            r[to] = 1.0 if r[a] <= r[b] else 0.0
+        elif what == NEGATIVE:
+            r[to] = -r[a]
+        elif what == ABSOLUTE:
+            r[to] = abs(r[a])
+        elif what == SIGN:
+            r[to] = 1.0 if r[a] > 0.0 else -1.0 if r[a] < 0.0 else r[a]
+        elif what == EXP:
+            r[to] = math.exp(r[a])
+        elif what == LOG:
+            r[to] = math.log(r[a])
+        elif what == SQRT:
+            r[to] = math.sqrt(r[a])
+        elif what == SIN:
+            r[to] = math.sin(r[a])
+        elif what == COS:
+            r[to] = math.cos(r[a])
+        elif what == TANH:
+            r[to] = math.tanh(r[a])
+        elif what == FLOOR:
+            r[to] = np.floor(r[a])
+        elif what == RINT:
+            r[to] = np.rint(r[a])
+        elif what == WHERE:
+            r[to] = r[more[a + 1]] if r[more[a]] != 0.0 else r[more[a + 2]]
+        elif what == INTERP:
+            r[to] = over(tables, int(r[more[a + 1]]), int(r[more[a + 2]]), r[more[a]])
+        elif what == LOOSE:
+            r[to], r[to + 1], r[to + 2] = loose_ahead(
+                r[more[a]], r[more[a + 1]], r[more[a + 4]], r[more[a + 5]], r[more[a + 6]],
+                r[more[a + 2]], r[more[a + 3]])
+        elif what == YIELDED:
+            r[to] = yielded(r[more[a]], r[more[a + 1]], r[more[a + 2]], r[more[a + 3]],
+                            r[more[a + 4]], r[more[a + 5]])
 
-    signals (5, n): angle reference, noise of the rate, torque, rate and control excitation;
-    out (4, n): angle, rate, control, rate reference. `state` ends where the run ends.
+
+@inner
+def before(line: FloatArray, newest: int, channel: int, age: float) -> float:
+    """The command that was sent so many cycles ago, linear between two; `line` (d, c) turns."""
+    whole = int(math.floor(age))
+    new = line[(newest + whole) % line.shape[0], channel]
+    share = age - whole
+    if share > 0.0:
+        new += share * (line[(newest + whole + 1) % line.shape[0], channel] - new)
+    return float(new)
+
+
+@inner
+def ahead(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
+          line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
+    """One cycle of a plant by its operations: the state in the registers r a cycle later.
+
+    The command, the acceleration and what is known of the cycle are in r already; line (d, c) and
+    w (c,) commands under way, from `newest` on, and behind their lags. Gives the new `newest`.
     """
-    memory = np.zeros(3)
-    memory[LAST_RATE] = state[cycle.rate_output]
+    own, lags = np.zeros(4), np.zeros((3, 3))
+    operate(code, more, tables, r, 0, at.split)
+    newest = (newest + line.shape[0] - 1) % line.shape[0]
+    r[at.motors] = r[at.motors + 1] = r[at.motors + 2] = r[at.motors + 3] = 0.0
+    for c in range(w.size):
+        line[newest, c] = r[at.commands[c]]
+        uneven = False
+        for i in range(at.factors.shape[2]):
+            uneven = uneven or at.factors[c, 1, i] != 0.0
+        w[c] = motor_ahead(
+            w[c], before(line, newest, c, r[at.when[1]]), before(line, newest, c, r[at.when[0]]),
+            r[at.lag[c]], uneven, at.factors[c], r[at.when[2]], dt, lags, own)
+        r[at.motors] += at.row[c] * own[0] * 2.0 / dt
+        r[at.motors + 1] += at.row[c] * own[1] * 2.0 / dt
+        r[at.motors + 2] += at.row[c] * own[2]
+        r[at.motors + 3] += at.row[c] * own[3]
+    operate(code, more, tables, r, at.split, code.shape[0])
+    m = at.following.size
+    following = np.empty(m)
+    for i in range(m):
+        following[i] = r[at.following[i]]
+    for i in range(m):
+        r[at.state + i] = following[i]
+    return newest
+
+
+@kernel(PLACES, WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, LINE, WHOLE, NUMBER)
+def cycle(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
+          line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
+    """`ahead`, for a controller in Python."""
+    return int(ahead(at, code, more, tables, r, line, w, newest, dt))
+
+
+@kernel(GAINS, PLACES, WHOLE[:, ::1], WHOLES, LINE, LINE, LINE, TABLE, LINE, TABLE, TABLE, TABLE,
+        NUMBER)
+def fly(gains: Constants, at: Places, code: IntArray, more: IntArray, tables: FloatArray,
+        r: FloatArray, first: FloatArray, line: FloatArray, w: FloatArray, known: FloatArray,
+        signals: FloatArray, out: FloatArray, lead: float) -> None:
+    """The cascade around a plant by its operations; `lead`: of the angle over the rate's sum, s.
+
+    r: registers, with the state at the start; first (2,) rate and angle as they are measured
+    there; line and w as in `ahead`; known (n, s) of each cycle; signals (5, n): angle reference,
+    noise of the rate, acceleration, excitation of rate and control; out (4, n): angle, rate,
+    control, rate reference.
+    """
+    memory, shown, angle_shown, newest = np.zeros(MEMORY), first[0], first[1], 0
+    memory[LAST] = 0.0 if gains.d_on_error > 0.0 else shown
     for k in range(signals.shape[1]):
-        rate = state[cycle.rate_output] + signals[1, k]
-        angle = state[cycle.angle_output] + lead * rate
+        rate = shown + signals[1, k]
+        angle = angle_shown + lead * rate
         wanted, u = control(gains, memory, signals[0, k], angle, rate, signals[3, k])
-        out[0, k], out[1, k], out[2, k], out[3, k] = angle, rate, u + signals[4, k], wanted
-        for part in range(2):
-            source = k - cycle.whole - 1 + part
-            v = out[2, source] if source >= 0 else 0.0
-            if cycle.command_table.size > EMPTY:
-                v = look_up(cycle.command_table, v)
-            for _ in range(cycle.split[part]):
-                advance(cycle, part, v, signals[2, k], state)
+        u += signals[4, k]
+        out[0, k], out[1, k], out[2, k], out[3, k] = angle, rate, u, wanted
+        for i in range(known.shape[1]):
+            r[at.given + i] = known[k, i]
+        r[at.sent], r[at.push] = u, signals[2, k]
+        newest = ahead(at, code, more, tables, r, line, w, newest, gains.dt)
+        shown, angle_shown = r[at.shown[0]], r[at.shown[1]]
 
 
 @kernel(GAINS, TABLE, LINE, LINE, TABLE, NUMBER)
 def run_polynomial(gains: Constants, signals: FloatArray, a: FloatArray, b: FloatArray,
                    out: FloatArray, lead: float) -> None:
     """The cascade around A(q) rate = B(q) u with a[0] = 1, b[0] = 0; the angle is its sum."""
-    memory = np.zeros(3)
+    memory = np.zeros(MEMORY)
     clean = np.zeros(signals.shape[1])
     angle = 0.0
     for k in range(signals.shape[1]):

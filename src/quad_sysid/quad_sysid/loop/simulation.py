@@ -1,14 +1,16 @@
-"""The closed loop over time, compiled: the cascade around a LoopPlant or a polynomial model.
+"""The closed loop over time: the cascade around a Plant or a polynomial model.
 
-Exact within a cycle for the linear plant; curves (friction, pendulum) take as many Heun steps per
-cycle as their steepest slope needs. The controller is that of cascade.py with its limits.
+The plant's own laws, noted once as operations on numbers (model/traced.py), run in compiled code; a
+law that cannot be noted runs in Python, cycle by cycle. The controller is that of cascade.py with
+its limits.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,18 +18,22 @@ import numpy.typing as npt
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop import kernels
-from quad_sysid.loop.cascade import CascadeGains, derivative_weight
-from quad_sysid.loop.plant import Curve, LoopPlant, Slopes, dynamics, exact_step
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.plant import Flying
+from quad_sysid.model import AxisModel
+from quad_sysid.model.effect import Signals, required
+from quad_sysid.model.plant import Plant, State, Turning
+from quad_sysid.model.traced import Listing, Traced, Untraceable
 
-MOST_STEPS = 64
-STEP_TIMES_SLOPE = 0.2
+GIVEN = ('throttle', 'battery_v', 'time', 'other_rates', 'other_commands', 'other_angles')
+"""Fields of Signals that are known of a cycle whatever the loop does."""
 
 
 class LoopResponse(NamedTuple):
     """(n,) each: measured angle (rad) and rate (rad/s) at the start of a cycle, outputs in it.
 
     control is the output of C2 (normalised command, the plant's input), rate_reference of C1
-    (rad/s).
+    (rad/s). (f, n) each for f flights.
     """
 
     angle: FloatArray
@@ -36,35 +42,144 @@ class LoopResponse(NamedTuple):
     rate_reference: FloatArray
 
 
-def _table(curve: Curve | None) -> FloatArray:
-    if curve is None:
-        return np.zeros(kernels.EMPTY)
-    return np.concatenate(([curve.x[0], curve.x[1] - curve.x[0]], curve.y))
+def _rows(value: Any) -> list[Any]:
+    """A signal's arrays: none, one, or one of either other axis."""
+    return [] if value is None else [*value] if isinstance(value, tuple) else [value]
 
 
-def constants(gains: CascadeGains, dt: float) -> kernels.Constants:
-    """The cascade's numbers for the kernels, with a control cycle of dt s."""
-    known = {**vars(gains), 'd_weight': derivative_weight(gains.d_filter_hz, dt), 'dt': dt}
-    return kernels.Constants(**{name: float(known[name]) for name in kernels.Constants._fields})
+@dataclass(frozen=True)
+class Program:
+    """A plant's laws as compiled code takes them."""
+
+    code: npt.NDArray[np.int64]
+    more: npt.NDArray[np.int64]
+    tables: FloatArray
+    start: FloatArray
+    places: kernels.Places
 
 
-@lru_cache(maxsize=32)
-def _cycle(plant: LoopPlant) -> kernels.Cycle:
-    """The plant's matrices and tables, cached: a search uses one plant hundreds of times."""
-    a, b, c = dynamics(plant, Slopes())
-    parts = np.array([plant.rest_delay_s, plant.dt - plant.rest_delay_s])
-    steps = np.ceil(_steps_a_cycle(plant) * parts / plant.dt - 1e-9)
-    split = np.maximum(1, steps).astype(np.int64)
-    if parts[0] < 1e-9 * plant.dt:
-        split[0] = 0
-        parts = np.array([plant.dt, plant.dt])
-    phi, gamma = exact_step(a, b, parts / np.maximum(split, 1))
-    return kernels.Cycle(phi=np.ascontiguousarray(phi), drive=np.ascontiguousarray(gamma[..., 0]),
-                         push=np.ascontiguousarray(gamma[..., 1]), split=split,
-                         whole=plant.whole_delay, rate_output=int(np.argmax(c[0])),
-                         angle_output=int(np.argmax(c[1])), rate_table=_table(plant.rate_curve),
-                         angle_table=_table(plant.angle_curve),
-                         command_table=_table(plant.command_curve))
+@lru_cache(maxsize=16)
+def program(plant: Plant, known: tuple[bool, ...]) -> Program | None:
+    """The operations of a cycle of a plant, `known`: which of GIVEN are; None: not to be noted."""
+    given = Signals.at_rest(np.zeros(1), np.zeros(1))
+    one = replace(given, battery_v=np.zeros(1), sent=np.zeros(1))
+    rest = plant.begin(plant.with_motors(one), np.zeros(1), np.zeros(1))
+    listing = Listing()
+    try:
+        fields = {
+            name: None if not there else (listing.input(1), listing.input(1))
+            if name.startswith('other') else listing.input(1)
+            for name, there in zip(GIVEN, known, strict=True)
+        }
+        sent, push, motors = listing.input(1), listing.input(1), listing.input(4, 1)
+        first = len(listing.start)
+        turning, hidden = (_inputs(listing, x) for x in (rest.turning, rest.hidden))
+        s = plant.told(replace(given, **fields, sent=sent))  # type: ignore[arg-type]
+        s = plant.with_motors(s)
+        drive, after = plant.send(hidden, s)
+        split = len(listing.code)
+        ahead = plant.turn(Turning(*turning), s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
+                           plant.sensor.step)
+        places = {
+            'following': (*ahead, *after), 'shown': plant.measured(ahead),
+            'commands': drive.commands, 'lag': drive.lag,
+            'when': (*required(drive.ages), required(drive.fraction)),
+        }
+        at = {name: _places(listing, value) for name, value in places.items()}
+    except Untraceable:
+        return None
+    code, split = listing.needed([int(i) for one in at.values() for i in one], split)
+    number = {'given': 0, 'sent': int(sent.at[0]), 'push': int(push.at[0]),
+              'motors': int(motors.at[0, 0]), 'state': first, 'split': split}
+    return Program(
+        code, np.array([*listing.more, 0], dtype=np.int64), np.array([*listing.tables, 0.0]),
+        np.array(listing.start),
+        kernels.Places(**number, **at, row=np.ascontiguousarray(drive.row),
+                       factors=np.ascontiguousarray(drive.factors)),
+    )
+
+
+def _inputs(listing: Listing, x: Any) -> Any:
+    """Registers in the shape of states."""
+    if x is None:
+        return None
+    if isinstance(x, tuple):
+        return tuple(_inputs(listing, one) for one in x)
+    return listing.input(*x.shape)
+
+
+def _places(listing: Listing, x: Any) -> npt.NDArray[np.int64]:
+    """The registers of states, in order."""
+    if isinstance(x, tuple):
+        return np.concatenate([np.zeros(0, np.int64), *(_places(listing, one) for one in x)])
+    return np.zeros(0, np.int64) if x is None else listing.places(x).ravel()
+
+
+def _numbers(x: Any) -> list[float]:
+    """The numbers of states of one flight, in order."""
+    if isinstance(x, tuple):
+        return [number for one in x for number in _numbers(one)]
+    return [] if x is None else [float(number) for number in np.ravel(x)]
+
+
+class Running:
+    """A plant in flight, in compiled code: `rate` and `angle` as they are measured now."""
+
+    def __init__(self, made: Program, flying: Flying, x: State) -> None:
+        plant = flying.plant
+        self.made, self.dt, self._newest = made, plant.dt, 0
+        self.known = [getattr(flying.around, name) for name in GIVEN]
+        self.registers = made.start.copy()
+        numbers = _numbers((*x.turning, *x.hidden))
+        at = made.places
+        self.registers[at.state : at.state + len(numbers)] = numbers
+        self.line = np.ascontiguousarray(x.line[..., 0])
+        self.motors = np.ascontiguousarray(x.motors[:, 0])
+        rate, angle = plant.measured(x)
+        self.rate, self.angle = float(rate[0]), float(required(angle)[0])
+
+    def rows(self, n: int) -> FloatArray:
+        """(n, s) what is known of each cycle."""
+        rows = [np.broadcast_to(row, (n,)) for value in self.known for row in _rows(value)]
+        return np.ascontiguousarray(np.stack(rows, axis=1))
+
+    def step(self, u: float, push: float = 0.0) -> None:
+        """Fly one cycle with a command, where what is around stays; push in rad/s²."""
+        r, made = self.registers, self.made
+        at = made.places
+        r[at.sent], r[at.push] = u, push
+        self._newest = kernels.cycle(at, made.code, made.more, made.tables, r, self.line,
+                                     self.motors, self._newest, self.dt)
+        self.rate, self.angle = float(r[at.shown[0]]), float(r[at.shown[1]])
+
+
+class Stepping:
+    """The same in Python: for laws of a user that compiled code has no words for."""
+
+    def __init__(self, flying: Flying, x: State) -> None:
+        self.flying, self.x = flying, x
+        self._show()
+
+    def _show(self) -> None:
+        rate, angle = self.flying.plant.measured(self.x)
+        self.rate, self.angle = float(rate[0]), float(required(angle)[0])
+
+    def step(self, u: float, push: float = 0.0, k: int = 0) -> None:
+        """Fly one cycle, the k-th of what is around."""
+        self.x = self.flying.step(self.x, u, push, k)
+        self._show()
+
+
+def running(flying: Flying, rate: float = 0.0, angle: float = 0.0) -> Running | Stepping:
+    """The plant from a rate and an angle on, rad/s and rad, motors at rest."""
+    known = tuple(getattr(flying.around, name) is not None for name in GIVEN)
+    made, x = program(flying.plant, known), flying.begin(rate, angle)
+    if made is None:
+        return Stepping(flying, x)
+    out = Running(made, flying, x)
+    given = out.rows(flying.around.time.size)[0]
+    out.registers[: given.size] = given
+    return out
 
 
 def _signal(values: npt.ArrayLike | None, n: int, name: str) -> FloatArray:
@@ -85,22 +200,13 @@ def _checked_reference(reference: npt.ArrayLike, dt: float, plant_dt: float) -> 
     return array
 
 
-def _steps_a_cycle(plant: LoopPlant) -> int:
-    """Number of Heun steps in a cycle."""
-    curves = [c for c in (plant.rate_curve, plant.angle_curve) if c is not None]
-    if not curves:
-        return 1
-    steepest = max(c.steepest for c in curves)
-    return int(np.clip(np.ceil(plant.dt * steepest / STEP_TIMES_SLOPE), 2, MOST_STEPS))
-
-
 def simulate_cascade(
-    plant: LoopPlant, gains: CascadeGains, reference_angle: npt.ArrayLike, dt: float,
+    flying: Flying | AxisModel, gains: CascadeGains, reference_angle: npt.ArrayLike, dt: float,
     noise: npt.ArrayLike | None = None, disturbance: npt.ArrayLike | None = None, *,
     rate_excitation: npt.ArrayLike | None = None, control_excitation: npt.ArrayLike | None = None,
     initial_angle: float = 0.0, initial_rate: float = 0.0, angle_lead_s: float = 0.0,
 ) -> LoopResponse:
-    """Simulate the cascade around `plant` for an angle reference (n,), rad.
+    """Simulate the cascade around a plant, or a model's, for an angle reference (n,), rad.
 
     noise (n,) rad/s is on the measured rate; disturbance (n,) or a number, rad/s², acts on the
     axis and is held over the cycle. rate_excitation and control_excitation (n,) are added after
@@ -109,20 +215,41 @@ def simulate_cascade(
     rate's integral (`angle_lead_s`). Raises BadInputError for wrong shapes, values that are not
     finite, and a dt that is not the plant's.
     """
-    reference = _checked_reference(reference_angle, dt, plant.dt)
-    n = reference.size
+    if isinstance(flying, AxisModel):
+        from quad_sysid.loop.from_model import loop_plant
+
+        flying = loop_plant(flying)
+    reference = _checked_reference(reference_angle, dt, flying.dt)
+    n, plant = reference.size, flying.plant
     signals = np.stack((reference, _signal(noise, n, 'noise'),
-                        plant.bias + _signal(disturbance, n, 'disturbance'),
+                        _signal(disturbance, n, 'disturbance'),
                         _signal(rate_excitation, n, 'rate_excitation'),
                         _signal(control_excitation, n, 'control_excitation')))
-    cycle = _cycle(plant)
-    state = np.zeros(cycle.phi.shape[1])
-    state[1], state[2] = initial_rate, initial_angle
-    if plant.gyro_filter_hz is not None:
-        behind = np.sqrt(2.0) / (2.0 * np.pi * plant.gyro_filter_hz)
-        state[3], state[4] = initial_rate, initial_angle - behind * initial_rate
-    out = np.zeros((4, n))
-    kernels.run_plant(constants(gains, plant.dt), cycle, signals, state, out, float(angle_lead_s))
+    now = running(flying, initial_rate, initial_angle)
+    if isinstance(now, Stepping):
+        return _in_python(now, gains, signals, float(angle_lead_s))
+    made, out = now.made, np.zeros((4, n))
+    kernels.fly(gains.constants(plant.dt), made.places, made.code, made.more, made.tables,
+                now.registers, np.array([now.rate, now.angle]), now.line, now.motors, now.rows(n),
+                signals, out, float(angle_lead_s))
+    return LoopResponse(*out)
+
+
+def _in_python(now: Stepping, gains: CascadeGains, signals: FloatArray,
+               lead: float) -> LoopResponse:
+    """The same cycle by cycle."""
+    numbers, still = gains.constants(now.flying.dt), now.flying.around.time.size == 1
+    memory, out, u = np.zeros((1, kernels.MEMORY)), np.zeros((4, signals.shape[1])), np.zeros(1)
+    memory[:, kernels.LAST] = 0.0 if gains.d_on_error else now.rate
+    for k, (wanted, noise, push, at_rate, at_control) in enumerate(signals.T):
+        rate = now.rate + noise
+        angle = now.angle + lead * rate
+        kernels.control_each(numbers, memory, np.array([[wanted, at_rate, at_control]]),
+                             np.array([angle]), np.array([rate]), u)
+        aim = gains.angle_kp * (wanted - angle)
+        out[:, k] = (angle, rate, u[0],
+                     min(max(aim, -gains.rate_limit), gains.rate_limit) + at_rate)
+        now.step(float(u[0]), push, 0 if still else k)
     return LoopResponse(*out)
 
 
@@ -146,7 +273,7 @@ def simulate_polynomial_cascade(
                             remedy='use nk >= 1')
     out = np.zeros((4, array.size))
     signals = np.stack((array, _signal(noise, array.size, 'noise')))
-    kernels.run_polynomial(constants(gains, dt), signals, a / a[0], b / a[0], out,
+    kernels.run_polynomial(gains.constants(dt), signals, a / a[0], b / a[0], out,
                            float(angle_lead_s))
     return LoopResponse(*out)
 

@@ -139,6 +139,7 @@ class Flight:
         }
         self.disturbances, self.variance = np.zeros((data.rate.size, 2)), 0.0
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+        self._windows: tuple[Windows | None, list[Signals]] = (None, [])
         # smoothed over five cycles and advanced by the filter's delay
         self.rate = self._ahead(np.convolve(self.gyro, np.full(5, 0.2), mode='same'))
 
@@ -453,7 +454,7 @@ class Flight:
         prediction = prediction or self.predict(structure, theta)
         found = prediction.filter
         halves, states = self.driven(structure, p)
-        plant = Plant(structure, p, dt, self.sensor, self.share, rounds)
+        plant = Plant(structure, p, dt, self.sensor, self.data.craft, self.data.index, rounds)
         x = prediction.states[windows.starts]
         r, d, g, q = x[:, :4].T
         end = 4 + 2 * structure.lines
@@ -472,16 +473,24 @@ class Flight:
             required(self.hidden(part, along, values).hidden)[: part.effect.states, windows.starts]
             if part.effect.states else None for part, values in plant.pushing
         ))
-        around = self.commanded(p)
-        for i in range(windows.length):
+        lag, delay = lag_and_delay(p)
+        for i, measured in enumerate(self._around(windows)):
             k = windows.starts + i
             out[:, i] = (turning.seen[0] if self.sensor.noisy else turning.rate) \
                 - self.data.rate[k]
             if not self.sensor.derived:
                 out[:, i] += v.real.sum(axis=1)
-            turning = plant.turn(turning, around.at(k), halves[:, k], states[:, k], hold * d, step)
+            around = replace(measured, lag=lag, delay=delay)
+            turning = plant.turn(turning, around, halves[:, k], states[:, k], hold * d, step)
             d, v = d * fade, v * turn
         return out
+
+    def _around(self, windows: Windows) -> list[Signals]:
+        """What was measured in each cycle of the windows, all but the axis' own motion."""
+        if self._windows[0] is not windows:
+            whole = self.commanded(np.zeros(3))
+            self._windows = windows, [whole.at(windows.starts + i) for i in range(windows.length)]
+        return self._windows[1]
 
 
 class _Inputs(NamedTuple):

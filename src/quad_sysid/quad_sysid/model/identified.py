@@ -13,6 +13,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.effect import Effect
+from quad_sysid.units import Units
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,8 @@ class AxisModel:
     """The model that predicts best, with which gains are designed; None: this one."""
     craft: Craft = X
     """Where the motors are and how they turn."""
+    units: Units | None = None
+    """Of the arrays that it was identified from; None: of a bag, in the contract's."""
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
     """Effects from outside quad_sysid.effects that `effects` and rivals may name."""
 

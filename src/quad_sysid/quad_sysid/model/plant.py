@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.craft import Craft
 from quad_sysid.model import recursion
 from quad_sysid.model.effect import Drive, Part, Signals, required
 from quad_sysid.model.noise import Sensor
@@ -119,9 +120,11 @@ class Plant:
     p: FloatArray
     dt: float
     sensor: Sensor
-    share: FloatArray
-    """(motors,) what a unit of each motor's command adds to that of the axis."""
-    rounds: int = 1
+    craft: Craft
+    """Where its motors are."""
+    index: int
+    """0 roll, 1 pitch, 2 yaw; -1: the climb."""
+    rounds: int = 3
     """Rounds of Newton's method in a cycle; one is enough where torques hardly bend in it."""
 
     @cached_property
@@ -136,13 +139,27 @@ class Plant:
         return [(part, self.p[at]) for part, at in self.structure.placed()
                 if not part.effect.moves_command]
 
-    def _told(self, s: Signals) -> Signals:
+    def told(self, s: Signals) -> Signals:
+        """The same with what the plant knows itself."""
         lag, delay = lag_and_delay(self.p)
-        return replace(s, lag=lag, delay=delay, dt=self.dt, share=self.share)
+        share = self.craft.inverse[self.index + 1]
+        return replace(s, lag=lag, delay=delay, dt=self.dt, share=share)
 
-    def begin(self, s: Signals, rate: FloatArray, angle: FloatArray | None) -> State:
-        """The state in which the command s.sent has long been given, s the first cycle."""
-        s = self._told(s)
+    def with_motors(self, s: Signals) -> Signals:
+        """The signals (w,) with what s.sent and the other axes' commands are to each motor."""
+        given = [s.throttle, *s.other_commands]
+        given.insert(self.index + 1, required(s.sent))
+        motors = self.craft.commands(np.stack(given, axis=-1))
+        return replace(s, motors=tuple(motors[..., i] for i in range(motors.shape[-1])))
+
+    def begin(
+        self, s: Signals, rate: FloatArray, angle: FloatArray | None, *, settled: bool = False
+    ) -> State:
+        """The state in which the command s.sent has long been given, s the first cycle.
+
+        settled: in the middle of a flight, not at its start.
+        """
+        s = self.told(s)
         own: list[FloatArray | None] = []
 
         def remembered(i: int, seen: Signals) -> FloatArray | None:
@@ -156,25 +173,18 @@ class Plant:
         lagged = np.tensordot(drive.row, drive.commands, 1)
         moved = replace(s, rate=rate, angle=angle, drive=self.p[0] * lagged, lagged=lagged,
                         command=self.p[0] * lagged, change=np.zeros_like(lagged))
-        hidden = tuple(part.effect.begin(moved, p, part.settings) if part.effect.states else None
-                       for part, p in self.pushing)
+        hidden = tuple(
+            None if not part.effect.states else
+            (part.effect.settled if settled else part.effect.begin)(moved, p, part.settings)
+            for part, p in self.pushing
+        )
         turning = Turning(rate, angle, np.stack([rate, np.zeros_like(rate)]), hidden)
         return State(turning, drive.commands.copy(), line, tuple(own))
 
     def step(self, x: State, s: Signals, push: FloatArray | float = 0.0) -> State:
         """The state a cycle later; push (w,): more acceleration over the cycle, rad/s²."""
-        s = self._told(s)
-        seen: list[Signals] = []
-
-        def remembered(i: int, own: Signals) -> FloatArray | None:
-            seen.append(own)
-            return x.hidden[i]
-
-        drive = sent_on(self.sending, s, remembered)
-        hidden = tuple(
-            None if known is None else part.effect.advance(known, own, p, part.settings)
-            for known, own, (part, p) in zip(x.hidden, seen, self.sending, strict=True)
-        )
+        s = self.told(s)
+        drive, hidden = self.send(x.hidden, s)
         line = np.concatenate([drive.commands[None], x.line[:-1]])
         before, new = (_sent_before(line, age) for age in required(drive.ages))
         motors, out = x.motors.copy(), np.empty((4, s.time.size))
@@ -182,6 +192,25 @@ class Plant:
                                drive.factors, required(drive.fraction), self.dt, out)
         turning = self.turn(x.turning, s, out[:2], out[2:], push, self.sensor.step)
         return State(turning, motors, line, hidden)
+
+    def send(
+        self, hidden: tuple[FloatArray | None, ...], s: Signals
+    ) -> tuple[Drive, tuple[FloatArray | None, ...]]:
+        """What becomes of the command s.sent, and what its effects remember a cycle later.
+
+        s: as of `told`.
+        """
+        seen: list[Signals] = []
+
+        def remembered(i: int, own: Signals) -> FloatArray | None:
+            seen.append(own)
+            return hidden[i]
+
+        drive = sent_on(self.sending, s, remembered)
+        return drive, tuple(
+            None if known is None else part.effect.advance(known, own, p, part.settings)
+            for known, own, (part, p) in zip(hidden, seen, self.sending, strict=True)
+        )
 
     def turn(
         self, x: Turning, s: Signals, halves: FloatArray, states: FloatArray,
@@ -240,9 +269,9 @@ class Plant:
         own, sent = (tuple(map(taken, one)) for one in (turning.hidden, like.hidden))
         return State(Turning(rate, angle, seen, own), motors, line, sent)
 
-    def measured(self, x: State) -> tuple[FloatArray, FloatArray | None]:
+    def measured(self, x: State | Turning) -> tuple[FloatArray, FloatArray | None]:
         """Rate and angle as the gyro and what integrates it show them, without noise."""
-        rate, angle, (g, slope), _ = x.turning
+        rate, angle, (g, slope), _ = x.turning if isinstance(x, State) else x
         if not self.sensor.noisy:
             return rate, angle
         late = self.sensor.late_s  # of a Butterworth filter, sqrt(2) / cut-off

@@ -554,12 +554,12 @@ def loose(pull, moved, spring, damping, dt, start, stop, out):
         z, q, _ = loose_ahead(pull[k], moved[k], spring, damping, dt, z, q)
 
 
-@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, TABLE, TABLE)
-def all_loose_ahead(pull, moved, spring, damping, dt, states, out):
+@kernel(LINE, LINE, LINE, LINE, NUMBER, NUMBER, NUMBER, TABLE)
+def all_loose_ahead(pull, moved, z, q, spring, damping, dt, out):
     """The same of many a cycle later, and f meanwhile, into `out` (3, w)."""
     for i in range(pull.size):
         out[0, i], out[1, i], out[2, i] = loose_ahead(
-            pull[i], moved[i], spring, damping, dt, states[0, i], states[1, i]
+            pull[i], moved[i], spring, damping, dt, z[i], q[i]
         )
 
 
@@ -588,10 +588,8 @@ def yielding(push, slope, lean, flow, dt, start, stop, out):
         x = yielded(x, push[k], slope, lean, flow, dt)
 
 
-@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, NUMBER)
-def all_yielded(x, push, slope, lean, flow, dt):
-    """The states (w,) a cycle later."""
-    out = np.empty_like(x)
+@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, NUMBER, TABLE)
+def all_yielded(x, push, slope, lean, flow, dt, out):
+    """The states (w,) a cycle later, into `out` (1, w)."""
     for i in range(x.size):
-        out[i] = yielded(x[i], push[i], slope, lean, flow, dt)
-    return out
+        out[0, i] = yielded(x[i], push[i], slope, lean, flow, dt)

@@ -15,14 +15,14 @@ from quad_sysid.discover.base import best_base
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import noise_of, readings
-from quad_sysid.model import AxisModel
+from quad_sysid.identified import Identified
 from quad_sysid.model.data import axis_alone
 from quad_sysid.pipeline.usable import check_moving
 from quad_sysid.record import IOData
 
 
 @dataclass(frozen=True)
-class GreyBox(AxisModel):
+class GreyBox(Identified):
     """The base: rate' = drive - damping rate + bias, drive = gain command behind delay and lag.
 
     gain rad/s² per unit command, lag s, delay s, damping 1/s, bias rad/s²; its covariance (5, 5)

@@ -12,13 +12,16 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from quad_sysid.blackbox import Model
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.discover.accept import Horizon, Unseen, horizons, rms
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate import stored
 from quad_sysid.estimate.stored import Stored, completed, plant_of
+from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import usual_signals
+from quad_sysid.loop.plant import Flying
+from quad_sysid.loop.simulation import LoopResponse, simulate_cascade
 from quad_sysid.model import AxisModel, Outside
 from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.model.effect import Signals
@@ -30,6 +33,7 @@ from quad_sysid.record import Record, finite_runs
 MOTION = 1.5
 """Error of holding the last rate over the measurement noise, below which nothing moved."""
 
+NO_GAINS = CascadeGains(0.0, 0.0, 0.0, 0.0)
 PHASES = 12
 """Starts of the search for the phase of a periodic effect."""
 NEEDS = {'other angle': "the other axes' angles in /imu/data",
@@ -215,27 +219,19 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
                                 remedy='give battery_v in V, one value for each command')
     n = command.size
-    wrench = np.zeros((n, 4))
-    wrench[:, 0] = _like(throttle, n, 'throttle', usual['throttle'])
-    wrench[:, 1 + AXES.index(model.axis)] = command
-    around = Signals.at_rest(
-        model.dt * (np.arange(n, dtype=np.float64) + 0.5)[None], wrench[None, :, 0],
-        battery_v=_like(battery_v, n, 'battery_v', usual['battery'])[None],
-        motors=tuple((wrench @ model.craft.mixer.T).T[:, None]),
-        sent=command[None],
-    )
-    plant = plant_of(model)
-    at_rest = around.at(0)
-    still = np.zeros(4)
-    still[0] = wrench[0, 0]
-    at_rest = replace(at_rest, sent=np.zeros(1),
-                      motors=tuple((model.craft.mixer @ still)[:, None]))
-    x = plant.begin(at_rest, *(np.array([float(value)]) for value in x0))
-    out = np.empty(n)
-    for k in range(n):
-        out[k] = plant.measured(x)[0][0]
-        x = plant.step(x, around.at(k))
-    return out
+    return flown(model, command, x0, _like(throttle, n, 'throttle', usual['throttle']),
+                 _like(battery_v, n, 'battery_v', usual['battery'])).rate
+
+
+def flown(model: AxisModel, command: FloatArray, x0: tuple[float, float], throttle: FloatArray,
+          battery_v: FloatArray) -> LoopResponse:
+    """Rate and angle for commands at a throttle and a voltage, (n,) each; x0 as in simulate."""
+    n = command.size
+    flying = Flying(plant_of(model), Signals.at_rest(
+        model.dt * (np.arange(n, dtype=np.float64) + 0.5), throttle, battery_v=battery_v,
+    ), settled=False)
+    return simulate_cascade(flying, NO_GAINS, np.zeros(n), model.dt, control_excitation=command,
+                            initial_rate=x0[0], initial_angle=x0[1])
 
 
 def _like(value: npt.ArrayLike | None, n: int, name: str, usual: float) -> FloatArray:

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
-from quad_sysid.discover.screen import candidates, screen
+from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
 from quad_sysid.discover.search import Found, extended, scored, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
@@ -50,6 +50,8 @@ class Options:
     no_designer_because: str = 'no designer is installed (quad_tuning offers one)'
     effects: tuple[Effect, ...] = EFFECTS
     """The candidates for what is missing."""
+    halt: Callable[[], str] = lambda: ''
+    """Why the search may add nothing more; '' as long as it may."""
 
 
 def identify(records: Sequence[Record], options: Options,
@@ -96,9 +98,12 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         )
     base = told.found.base
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
+    count = max(told.problem.data.motors.shape[1], FEWEST_MOTORS)
+    searched = any(one.label not in told.found.reasons and max(one.motors, default=0) < count
+                   for one in options.effects)
     verdict, reason = told.verdict.verdict, _reason(
-        told, DRAWN.format(drawn) if drawn else '' if options.effects else NOT_SEARCHED)
-    if not options.effects and verdict != 'cannot_tell':
+        told, DRAWN.format(drawn) if drawn else '' if searched else NOT_SEARCHED)
+    if not searched and verdict != 'cannot_tell':
         verdict = 'not_searched'
     model = assemble.axis_model(
         told, _gains_of(records), assemble.band_of(data), options.effects
@@ -133,7 +138,10 @@ def found_effects(data: AxisData, options: Options,
     progress(f'{data.axis}: what is missing')
     try:
         problem = Problem(data, data.train)
-        found = with_own(problem, search(problem, options.effects), options.effects)
+        found = search(problem, options.effects, options.halt,
+                       lambda line: progress(f'{data.axis}: {line}'))
+        if not options.halt():
+            found = with_own(problem, found, options.effects)
         if not options.effects:
             found.reasons.update((effect.label, NOT_SEARCHED) for effect in EFFECTS)
         progress(f'{data.axis}: the explanation')

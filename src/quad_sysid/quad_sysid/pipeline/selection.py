@@ -27,7 +27,7 @@ from quad_sysid.blackbox.innovations import one_step_errors
 from quad_sysid.blackbox.regression import lagged, solve_triangular_factor, triangular
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.cascade import CascadeGains, derivative_weight
+from quad_sysid.loop.cascade import CascadeGains, weight_of
 from quad_sysid.model.data import AxisData
 from quad_sysid.pipeline import blackbox_part, step_b
 from quad_sysid.pipeline.advice import Evidence, advice, rivalry
@@ -86,7 +86,7 @@ def controller(gains: CascadeGains, dt: float, *, trapezoid: bool = True) -> Lin
     """C1 and C2 without limits; the firmware's angle by trapezoids or by rectangles."""
     return cascade_controller(angle_kp=gains.angle_kp, rate_kp=gains.rate_kp,
                               rate_ki=gains.rate_ki, rate_kd=gains.rate_kd,
-                              d_weight=derivative_weight(gains.d_filter_hz, dt), dt=dt,
+                              d_weight=weight_of(gains.d_filter_hz, dt), dt=dt,
                               trapezoid=trapezoid)
 
 

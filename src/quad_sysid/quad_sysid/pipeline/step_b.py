@@ -16,10 +16,14 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import rms
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.estimate.stored import plant_of
+from quad_sysid.loop.from_model import schedule_factor
+from quad_sysid.loop.plant import Flying
 from quad_sysid.loop.simulation import angle_lead_s, simulate_cascade, simulate_polynomial_cascade
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Signals
+from quad_sysid.model.flight import Flight
 from quad_sysid.pipeline.answer import AxisAnswer, ClosedLoop, LoopRun, ModelRow
 from quad_sysid.record import Record, Segment, finite_runs
 
@@ -174,8 +178,8 @@ def closed_loop(answer: AxisAnswer, records: Sequence[Record],
     """Simulated against measured rate on the validation segments of every flight; else None.
 
     The simulation runs on the recorded attitude reference and on the excitation that was applied
-    behind C1 or C2, from the start of each record; a flight without them, or without gains, is
-    left out.
+    behind C1 or C2, from the start of each record, with throttle, battery and the other axes as
+    they were; a flight without them, or without gains, is left out.
     """
     model = answer.model
     if model is None:
@@ -187,8 +191,9 @@ def closed_loop(answer: AxisAnswer, records: Sequence[Record],
     if not runs:
         return None
     plain = replace(model, base=model.plain or model.base, effects=(), noise=model.plain_noise)
+    around = Flight(data, data.stretches).commanded(np.array([p.value for p in model.base]))
     try:
-        before, after = (np.concatenate([_simulated(one, run, data.dt) for run in runs])
+        before, after = (np.concatenate([_simulated(one, run, around) for run in runs])
                          for one in (plain, model))
     except QuadSysidError:
         return None
@@ -219,10 +224,15 @@ def excitations(record: Record, axis: str) -> tuple[FloatArray, FloatArray] | No
     return added['rate'], added['control']
 
 
-def _simulated(model: AxisModel, flight: Flown, dt: float) -> FloatArray:
+def _simulated(model: AxisModel, flight: Flown, around: Signals) -> FloatArray:
     """(m,) the rate on the compared rows, rad/s."""
     at_rate, at_control = flight.added or (None, None)
-    return np.asarray(simulate_cascade(loop_plant(model), flight.gains, flight.reference, dt,
+    plant = plant_of(model)
+    p = plant.p.copy()
+    p[0] *= schedule_factor(model)
+    own = around.at(flight.offset + np.arange(flight.reference.size))
+    flying = Flying(replace(plant, p=p), own, settled=False)
+    return np.asarray(simulate_cascade(flying, flight.gains, flight.reference, plant.dt,
                                        rate_excitation=at_rate, control_excitation=at_control,
                                        initial_angle=flight.start,
                                        angle_lead_s=flight.angle_lead_s).rate[flight.rows])

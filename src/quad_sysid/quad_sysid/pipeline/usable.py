@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from quad_sysid.bags.events import IDLE
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
@@ -105,7 +106,8 @@ def swapped_motors(record: Record) -> tuple[int, ...] | None:
     """
     if record.motors is None or record.wrench is None or record.desaturation == 'none':
         return None
-    expected = record.craft.commands(record.wrench, record.desaturation)
+    idle = record.gains_at(np.inf).get(IDLE, 0.0)
+    expected = record.craft.commands(record.wrench, record.desaturation, idle)
     both = np.isfinite(record.motors).all(axis=1) & np.isfinite(expected).all(axis=1)
     good = np.flatnonzero(both)
     rows = good[:: max(1, good.size // ROWS)]

@@ -12,7 +12,8 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Horizon
 from quad_sysid.discover.search import Found, Scored
-from quad_sysid.model import EffectEstimate, GainProposal, NoiseEstimate, Parameter
+from quad_sysid.errors import BadInputError
+from quad_sysid.model import AxisModel, EffectEstimate, GainProposal, NoiseEstimate, Parameter
 from quad_sysid.pipeline.answer import (
     AxisAnswer,
     Findings,
@@ -20,6 +21,7 @@ from quad_sysid.pipeline.answer import (
     Residual,
     Selection,
 )
+from quad_sysid.record import Segment
 
 SCHEMA = 'quad_sysid/report/1'
 MOST_TRIED = 40
@@ -37,6 +39,29 @@ def document(answers: Mapping[str, AxisAnswer], bags: Sequence[str],
     axes = {axis: _axis(answer, (inertia or {}).get(axis)) for axis, answer in answers.items()}
     tree: dict[str, Any] = plain({'schema': SCHEMA, 'bags': bags, 'axes': axes})
     return tree
+
+
+def answers_of(report: Mapping[str, Any],
+               models: Mapping[str, AxisModel]) -> dict[str, AxisAnswer]:
+    """Back from the tree: by axis, what is known without the flight, with its model.
+
+    Raises BadInputError for what is no report.
+    """
+    try:
+        return {axis: _answer(axis, tree, models.get(axis))
+                for axis, tree in report['axes'].items()}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise BadInputError('report', 'is not of quad-sysid identify', str(error)) from error
+
+
+def _answer(axis: str, tree: Mapping[str, Any], model: AxisModel | None) -> AxisAnswer:
+    segments = tuple(Segment(s['role'], s['signal'], axis, 'unknown', s['start_s'], s['end_s'])
+                     for s in tree['segments'])
+    proposal = GainProposal(
+        tree['gains'], tree.get('gains_refused_because', ''), tree.get('gain_figures', {}),
+        tree.get('gain_left_out', {}), tuple(tree.get('gain_steps', ())))
+    return AxisAnswer(axis, tree['sample_rate_hz'], segments, tree['verdict'], tree['reason'],
+                      model=model, warnings=tuple(tree['warnings']), proposal=proposal)
 
 
 def plain(value: Any) -> Any:

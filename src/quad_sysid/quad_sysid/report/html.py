@@ -7,6 +7,7 @@ from html import escape
 from pathlib import PurePath
 from typing import Any
 
+from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import tables, words
 from quad_sysid.report.canvas import Picture, embedded, svg
@@ -116,6 +117,18 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
     return ''.join(parts)
 
 
+def model_excerpt(model: AxisModel, parameters: Mapping[str, Parameter]) -> str:
+    """What a notebook shows of a model: its ladder, and its parameters as they are handed in."""
+    rungs = [(' and '.join(e.name for e in rung.effects),
+              {'explains_pct': rung.explains_pct, 'answer': len(rung.effects) ==
+               len(model.effects)}) for rung in model.rungs]
+    rows = [[name, words.number(p.value, 4), words.number(p.std), p.unit]
+            for name, p in parameters.items()]
+    table = tables.Table(['parameter', 'value', 'std. error', 'unit'], rows, (1, 2))
+    return (f'<style>{CELL}</style><div class="quad"><p>{escape(repr(model).splitlines()[0])}</p>'
+            f'{bars(rungs)}{table.html()}</div>')
+
+
 def _answer(axis: str, tree: Mapping[str, Any]) -> str:
     """The answer, which the page begins with."""
     style, line = words.headline(tree)
@@ -130,18 +143,24 @@ def _ladder(tree: Mapping[str, Any]) -> str:
     sentence, rungs = words.causes(tree), tree.get('explanation', ())
     if not sentence:
         return ''
-    bars, shown = [], 0.0
-    for row, rung in zip(tables.explanation(tree).rows, rungs, strict=True):
+    named = zip(tables.explanation(tree).rows, rungs, strict=True)
+    return f'<p><b>{escape(sentence)}</b></p>{bars([(row[1], rung) for row, rung in named])}'
+
+
+def bars(rungs: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
+    """A bar for each rung of a ladder, with its name."""
+    drawn, shown = [], 0.0
+    for name, rung in rungs:
         share = max(0.0, min(100.0, rung['explains_pct']))
         style = 'opacity:1' if not shown or rung.get('answer') else 'opacity:.45'
-        bars.append(
-            f'<div class="small">{escape(row[1])}: {share:.0f} %</div>'
+        drawn.append(
+            f'<div class="small">{escape(name)}: {share:.0f} %</div>'
             f'<div style="height:.6em;border:1px solid #8886;margin:.1em 0 .5em">'
             f'<div style="height:100%;width:{share:.1f}%;background:currentColor;{style}"></div>'
             '</div>'
         )
         shown = share
-    return f'<p><b>{escape(sentence)}</b></p>{"".join(bars)}'
+    return ''.join(drawn)
 
 
 def _tiles(tree: Mapping[str, Any]) -> str:

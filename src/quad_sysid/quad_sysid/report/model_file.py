@@ -32,9 +32,10 @@ FILE = 'model.json'
 """Its name in the folder of a report."""
 BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
-NOT_STORED = {'axis', 'interval', 'own_effects'}
-"""Fields that follow from the file's form, are for reports, or come from the caller."""
-OPTIONAL = {'craft', 'mean_throttle', 'ranges', 'rungs', 'reference', 'explains_pct'}
+NOT_STORED = {'axis', 'own_effects'}
+"""Fields that follow from the file's form or come from the caller."""
+OPTIONAL = {'craft', 'units', 'interval', 'mean_throttle', 'ranges', 'rungs', 'reference',
+            'explains_pct'}
 """Fields that older files lack; their defaults are what was meant."""
 BLACKBOX = ('structure', 'orders', 'approach', *POLYNOMIALS, 'nk', 'dt', 'noise_variance',
             'covariance')
@@ -50,9 +51,16 @@ def save_models(models: Mapping[str, AxisModel], path: str | os.PathLike[str],
     `blackbox`: trees of the selected black-box models by axis. Raises BadInputError where a
     number that must be finite is not, or the file cannot be written.
     """
-    axes = {a: _stored(AxisModel, model, f'{path}: {a}') for a, model in models.items()}
-    tree = {'schema': SCHEMA, 'axes': axes, **({'blackbox': blackbox} if blackbox else {})}
+    tree = tree_of_models(models, blackbox, str(path))
     write_whole(path, json.dumps(tree, indent=1, allow_nan=False) + '\n')
+
+
+def tree_of_models(models: Mapping[str, AxisModel],
+                   blackbox: Mapping[str, Mapping[str, Any]] | None = None,
+                   where: str = 'model') -> dict[str, Any]:
+    """The models as plain values; BadInputError, naming `where`, for what must be finite."""
+    axes = {a: _stored(AxisModel, model, f'{where}: {a}') for a, model in models.items()}
+    return {'schema': SCHEMA, 'axes': axes, **({'blackbox': blackbox} if blackbox else {})}
 
 
 def names_model(path: str | os.PathLike[str]) -> bool:
@@ -79,7 +87,12 @@ def load_models(path: str | os.PathLike[str],
     `own_effects`: the caller's effects that the models may name too.
     """
     path = located(path)
-    root = _keys(read_json(path, REMEDY), str(path), {'schema', 'axes'}, more=True)
+    return models_of(read_json(path, REMEDY), str(path), own_effects)
+
+
+def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> dict[str, AxisModel]:
+    """The same from plain values, of which messages name the `path`."""
+    root = _keys(tree, path, {'schema', 'axes'}, more=True)
     if root['schema'] not in (SCHEMA, BEFORE):
         raise BadInputError(f'{path}: schema', f'must be {SCHEMA}', root['schema'], REMEDY)
     axes = root['axes']

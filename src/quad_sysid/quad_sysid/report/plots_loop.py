@@ -6,8 +6,8 @@ import numpy as np
 
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains, frequency_grid, margins, open_loop
-from quad_sysid.loop.from_model import WIDE, loop_plant
-from quad_sysid.loop.plant import exact_cycles, slopes_at
+from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.linear import WIDE, loops_of
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report.canvas import (
@@ -110,7 +110,7 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
         return None
     plant = loop_plant(model)
     omega = frequency_grid(model.dt, 400, 0.3)
-    response = exact_cycles([plant], [slopes_at(plant, *WIDE)]).response(omega)
+    response = loops_of([(plant, WIDE)]).response(omega)
     figure, axes = panels(2, height_in=4.1)
     told = []
     for name, gains, colour, style in sets:

@@ -89,15 +89,18 @@ def overview(report: Tree) -> Table:
 def errors(tree: Tree) -> Table:
     """The held-out error of everything that predicts."""
     error = tree['error']
+    same = error.get('reference') == error.get('after')
+    known = {**error, 'reference': None} if same else error
     rows = [
         [name, number(error.get(key), 4), _span(error.get(f'{key}_interval_95')),
          number(error.get(f'one_step_{key}'), 4) if f'one_step_{key}' in error else '']
         for name, key in (('hold the last value', 'hold_last_value'), ('base (before)', 'before'),
-                          ('completed (after)', 'after'), ('black box', 'blackbox'),
+                          ('completed (after)', 'after'), ('best predictor', 'reference'),
+                          ('black box', 'blackbox'),
                           ('measurement noise', 'noise_floor'),
                           ('in the loop, base', 'closed_loop_before'),
                           ('in the loop, completed', 'closed_loop_after'))
-        if error.get(key) is not None and (tree['effects'] or 'completed' not in name)
+        if known.get(key) is not None and (tree['effects'] or 'completed' not in name)
     ]
     windows = f', {error["windows"]} windows' if error.get('windows') else ''
     return Table(['model', 'free run', '95 % interval', 'one step'],
@@ -184,8 +187,9 @@ def explanation(tree: Tree) -> Table:
                      f'{rung["explains_pct"]:.0f} %', number(rung['error'], 4)])
         above, answer = rung['effects'], i if rung.get('answer') else answer
     return Table(['rung', 'adds', 'explains', 'error, rad/s'], rows, (0, 2, 3), answer,
-                 'Share of what the base misses of the best predictor; the error is held-out. '
-                 'What stands below the marked rung is finer, and not claimed as a cause.')
+                 'Share of what the base misses of the best predictor; the error is of '
+                 f'{tree["error"]["data"]} data. What stands below the marked rung is finer, and '
+                 'not claimed as a cause.')
 
 
 def tried(tree: Tree) -> Table:

@@ -28,7 +28,15 @@ PLAIN = {
     'backlash': 'play between command and torque', 'transport_delay': 'a transport delay',
     'viscous_damping': 'viscous damping', 'bias_torque': 'a constant torque',
     UNLISTED: 'a cause that was not compared',
-    'mode': 'a hidden oscillation or slow state', 'event': 'an event in flight',
+    'mode:second_lag': 'a second lag of the motors', 'mode:lead': 'motors that overshoot',
+    'mode:rotor_lead': "rotors whose own reaction turns the aircraft",
+    'mode:second_order': 'motors under a speed controller',
+    'mode:slow_state': 'a spring on a damper, or a load that relaxes',
+    'mode:swinging': 'something that swings', 'mode:hysteresis': 'friction that builds up',
+    'mode:loose_load': 'a load with play',
+    'mode:soft_mount': 'a mount or an arm whose spring hardens',
+    'mode:yielding': 'a part that yields', 'mode:response': 'a late response to the drive',
+    'event': 'an event in flight',
 }
 """The contract's names of effects in everyday words."""
 
@@ -60,24 +68,18 @@ FIGURES = {
 }
 """A designer's figure → its label, unit and factor into that unit, in order of reading."""
 
-FORMS = {'loose': 'a load with play', 'yielding': 'a part that yields',
-         'loose, driven': 'a mount or an arm whose spring hardens',
-         'steps': 'motors that take their command in whole steps',
+FORMS = {'steps': 'motors that take their command in whole steps',
          'held': 'motors that hold a command for several cycles',
-         'lead': 'motors that overshoot', 'second order': 'motors under a speed controller',
          'shown by the gyro': 'what the gyro shows beside the rate'}
-"""A variant, or how it begins → everyday words."""
+"""A variant → everyday words."""
 
 
 def named(effect: Tree) -> str:
     """An effect in everyday words, with the signal of a shape spelled out."""
     name, variant = str(effect['name']), str(effect.get('variant', ''))
     kind, *rest = name.replace('_', ' ').split(':')
-    form = FORMS.get(variant, FORMS.get(variant.partition(',')[0]))
-    if form:
-        return form
-    if variant.startswith('response'):
-        return f'a late {variant}'
+    if variant in FORMS:
+        return FORMS[variant]
     if kind != 'shape' or name in PLAIN:
         return PLAIN.get(name, kind)
     motors = variant.partition(', ')[2]

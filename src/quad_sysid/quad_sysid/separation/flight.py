@@ -1,7 +1,6 @@
 """Simulated flights in closed loop: an aircraft with given effects, several excitations at once.
 
-The aircraft is an identified model or the paper's. The cascade is the compiled one of loop, the
-plant that of model, cycle by cycle, vectorised over the flights.
+The aircraft is an identified model or the paper's, flown by the room loop.
 """
 
 from __future__ import annotations
@@ -17,13 +16,12 @@ from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import Placed, placed
-from quad_sysid.loop.kernels import control_each
-from quad_sysid.loop.simulation import constants
+from quad_sysid.loop.plant import plant_like
+from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, NoiseEstimate
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Signals, required
 from quad_sysid.model.noise import sensor_of
-from quad_sysid.model.plant import Plant
 from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.signals import schedule
 
@@ -171,45 +169,31 @@ def fly(aircraft: Aircraft, acting: Sequence[Placed],
 def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData],
          inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n, f) measured rate and angle, and command, of f flights."""
-    count, _, n = inputs.shape
     dt = aircraft.dt
-    structure = Structure(tuple(one.part for one in acting))
-    values = np.concatenate([aircraft.theta, *(one.p for one in acting)])
-    index = AXES.index(aircraft.axis)
-    plant = Plant(structure, values, dt, sensor_of(aircraft.gyro_filter_hz, None, dt),
-                  aircraft.craft.inverse[index + 1])
-    known, wrench = _known(around), np.stack([d.control for d in around], axis=1)
-    torque, gyro = _noise(aircraft, n)
-    gains, memory = constants(aircraft.gains, dt), np.zeros((count, 3))
-    u, rates, angles = np.zeros((n, count)), np.zeros((n, count)), np.zeros((n, count))
-    nothing = np.zeros(count)
-    x = plant.begin(replace(known.at(0), sent=nothing), nothing, nothing)
-    for k in range(n):
-        rate, angle = plant.measured(x)
-        rates[k], angles[k] = rate + gyro[k], required(angle)
-        control_each(gains, memory, inputs[:, :, k], angles[k], rates[k], u[k])
-        wrench[k, :, index + 1] = u[k]
-        s = replace(known.at(k), sent=u[k], motors=tuple(aircraft.craft.commands(wrench[k]).T))
-        x = plant.step(x, s, torque[k])
-    return rates, angles, u
-
-
-def _known(around: Sequence[AxisData]) -> Signals:
-    """What is known of several flights before they are flown, (f, n) each."""
-    first, nothing = around[0], np.zeros((len(around), around[0].rate.size))
-    others = [i + 1 for i in range(3) if i != first.index]
-    motors = np.stack([d.motors.T for d in around], axis=1)
-    pairs = [
-        (np.stack([one[:, i] for one in signal]), np.stack([one[:, j] for one in signal]))
-        for signal, (i, j) in (
-            ([d.control for d in around], others), ([d.other_rates for d in around], (0, 1)),
-            ([required(d.other_angles) for d in around], (0, 1)),
-        )
+    flying = plant_like(
+        aircraft.axis, np.concatenate([aircraft.theta, *(one.p for one in acting)]), dt,
+        aircraft.gyro_filter_hz, craft=aircraft.craft,
+        structure=Structure(tuple(one.part for one in acting)),
+    )
+    torque, gyro = _noise(aircraft, inputs.shape[2])
+    runs = [
+        simulate_cascade(
+            replace(flying, around=_known(data), settled=False), aircraft.gains, wanted, dt, gyro,
+            torque, rate_excitation=at_rate, control_excitation=at_control,
+        ) for data, (wanted, at_rate, at_control) in zip(around, inputs, strict=True)
     ]
+    return (np.stack([run.rate for run in runs], axis=1),
+            np.stack([run.angle for run in runs], axis=1),
+            np.stack([run.control for run in runs], axis=1))
+
+
+def _known(data: AxisData) -> Signals:
+    """What is known of a flight before it is flown."""
+    others = [i + 1 for i in range(3) if i != data.index]
     return Signals.at_rest(
-        nothing + first.clock + 0.5 * first.dt, np.stack([d.control[:, 0] for d in around]),
-        battery_v=np.stack([required(d.battery_v) for d in around]), other_commands=pairs[0],
-        other_rates=pairs[1], other_angles=pairs[2], motors=tuple(motors),
+        data.clock + 0.5 * data.dt, data.control[:, 0], battery_v=data.battery_v,
+        other_commands=tuple(data.control[:, others].T), other_rates=tuple(data.other_rates.T),
+        other_angles=tuple(required(data.other_angles).T),
     )
 
 

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from quad_bridge.lockstep import Clock
 from quad_bridge.nodes.conversion import parameters
-from quad_bridge.nodes.qos import EVENT, STATE
+from quad_bridge.nodes.qos import EVENT, HEARD
 from quad_bridge.start import listen_by_udp
 from quad_tuning.demo.processes import StageFailedError
 
@@ -48,8 +48,8 @@ class Observer:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         subscribe = self._node.create_subscription
-        subscribe(ParameterEvent, '/gains/active', self._on_gains, STATE)
-        subscribe(ParameterEvent, '/excitation/segment', self._on_segment, STATE)
+        subscribe(ParameterEvent, '/gains/active', self._on_gains, HEARD)
+        subscribe(ParameterEvent, '/excitation/segment', self._on_segment, HEARD)
         subscribe(DiagnosticArray, '/diagnostics', self._on_diagnostics, EVENT)
         self._imu: Any = None
 

@@ -1,0 +1,563 @@
+"""Arrays, frames and responses of other libraries → Records: checked, converted, on one grid.
+
+    record = from_arrays(u=volts, angle=position, dt=0.001, units={'u': 'V', 'angle': 'm'})
+
+The grid, the derivative of a position and the usual segments are those of an imported table
+(imports/to_bag.py), so that a bag of the same numbers gives the same answer. Nothing is fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.to_bag import LEAST_SAMPLES, MIDDLE_COMMAND, record_of
+from quad_sysid.imports.units import UNITS, Role, written
+from quad_sysid.record import IOData, Record, Segment, finite_runs
+from quad_sysid.units import Units
+
+WHERE = 'arrays'
+MOST_COMMAND = 0.5
+"""Largest normalised command."""
+LONGEST_DT_S = 0.05
+"""Errors are those of free runs of 0.5 s, which need some samples."""
+EVEN = 1e-6
+"""Relative difference of intervals that rounding causes."""
+PHYSICAL = ('V', 'mV', 'A', 'mA', 'N', 'mN', 'N m', 'mN m', 'W', 'Pa', 'bar', 'K', 'rad', 'deg',
+            'm', 'mm', 'rad/s', 'deg/s', 'rpm', 'm/s', 'mm/s', 'counts')
+"""Units of an input without a range of its own: the largest value counts as full command."""
+RATES = {**{name: factor for name, (factor, _) in UNITS['rate'].items()},
+         'rpm': math.pi / 30.0, 'rev/s': 2.0 * math.pi, 'km/h': 1.0 / 3.6}
+MOTIONS = {**{name: factor for name, (factor, _) in UNITS['angle'].items()},
+           'rev': 2.0 * math.pi, 'cm': 0.01}
+OF_RATE = {'rpm': 'rev', 'km/h': 'm'}
+"""Unit of a rate → that of its motion, where it is not the text before the stroke."""
+SIGNALS: Mapping[str, tuple[Role, str]] = {
+    'battery': ('battery', 'V'), 'throttle': ('thrust', '1'),
+    **{f'{axis}_rate': ('rate', 'rad/s') for axis in AXES},
+    **{f'{axis}_angle': ('angle', 'rad') for axis in AXES},
+    **{f'{axis}_command': ('control', '1') for axis in AXES},
+}
+"""Other signals that effects may depend on, and their units."""
+
+
+class Table(Protocol):
+    """A frame of pandas or polars, an xarray.Dataset, a mapping: columns by their names."""
+
+    def __getitem__(self, key: Any, /) -> Any:
+        """The column."""
+
+
+Samples: TypeAlias = npt.ArrayLike | Sequence[npt.ArrayLike]
+"""(n,) numbers, of one experiment or a list with one array for each; or the name of a column."""
+Part: TypeAlias = (bool | float | slice | tuple[float, float] | npt.NDArray[np.bool_]
+                   | Sequence[slice] | Sequence[bool])
+"""A part of an experiment: a fraction, a slice or slices of samples, a mask (n,), (from, to) in s,
+or True for the whole of it and False for nothing."""
+Parts: TypeAlias = Part | Sequence[Part]
+"""A part of each experiment: one for all, or a list with one for each."""
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """One experiment as it was handed in: arrays (n,) in their own units; NaN is missing."""
+
+    u: FloatArray
+    y: FloatArray | None
+    angle: FloatArray | None
+    reference: FloatArray | None
+    signals: Mapping[str, FloatArray]
+    time_s: FloatArray
+    dt: float | None
+    """None where the times were given."""
+
+
+def from_arrays(data: Table | IOData | None = None, *, u: Samples | None = None,
+                y: Samples | None = None, dt: float | None = None, t: Samples | None = None,
+                angle: Samples | None = None, reference: Samples | None = None,
+                signals: Mapping[str, Samples] | None = None,
+                units: Mapping[str, str | float] | None = None, train: Part | None = None,
+                validate: Part | None = None, axis: str = 'roll') -> Record:
+    """One experiment as a Record, which every function takes that takes a flight.
+
+    u (n,): the input. y (n,): what was measured, a rate, or, by its unit, an angle or a position;
+    `angle` (n,) beside a rate or alone. `dt` (s) or the increasing times `t` (n,). `reference`
+    (n,): of the angle. `signals`: SIGNALS → (n,). With `data`, a frame or Dataset, all of these
+    may be names of its columns; a response of python-control, a pair (u, y) and IOData bring
+    their own. `units`: of `u`, `y`, `angle`, `reference`, `t` and the signals, a name or a factor
+    to the contract's; rad/s, rad, s where none is given, and u beyond -0.5..0.5 is scaled.
+    `train`, `validate`: see Part; the rest of one is the other. NaN and masked values are missing.
+    Raises BadInputError, one line that names the argument.
+    """
+    found = records_of(data, u=u, y=y, dt=dt, t=t, angle=angle, reference=reference,
+                       signals=signals, units=units, train=train, validate=validate, axis=axis)
+    if len(found) != 1:
+        raise BadInputError(WHERE, 'are of several experiments', len(found),
+                            'hand the lists to identify, or one experiment here')
+    return found[0]
+
+
+def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None, t: Any = None,
+               angle: Any = None, reference: Any = None, signals: Any = None, units: Any = None,
+               train: Any = None, validate: Any = None, axis: str = 'roll') -> list[Record]:
+    """A Record for each experiment; arguments as `from_arrays`, each a list of several, too."""
+    if axis not in AXES:
+        raise BadInputError(WHERE, f'axis must be one of {", ".join(AXES)}', repr(axis))
+    given = {'u': u, 'y': y, 't': t, 'angle': angle, 'reference': reference, 'dt': dt,
+             **{f'signals: {name}': one for name, one in _signals(signals).items()}}
+    several = isinstance(data, list) or any(map(_several, given.values()))
+    count = 1
+    if several:
+        lengths = {name: len(one) for name, one in [('the data', data), *given.items()]
+                   if _several(one) or (one is data and isinstance(data, list))}
+        count = next(iter(lengths.values()))
+        if len(set(lengths.values())) > 1:
+            raise BadInputError(WHERE, 'needs lists of as many experiments', ', '.join(
+                f'{name} has {k}' for name, k in lengths.items()))
+        if not count:
+            raise BadInputError(WHERE, 'hold no experiment', '[]')
+
+    def of(value: Any, k: int) -> Any:
+        return value[k] if several and (_several(value) or isinstance(value, list)) else value
+
+    read = [_columns(data[k] if isinstance(data, list) else data,
+                     {name: of(one, k) for name, one in given.items()}, _texts(units))
+            for k in range(count)]
+    known = _units(read, _texts(units))
+    return [
+        _record(one, known, _texts(units), axis, WHERE if count == 1 else f'experiment {k + 1}',
+                *(of(part, k) if isinstance(part, list) and len(part) == count else part
+                  for part in (train, validate)))
+        for k, one in enumerate(read)
+    ]
+
+
+def are_arrays(data: object) -> bool:
+    """Whether `data` is no Record, path, or list of these, but arrays or a table."""
+    if data is None or isinstance(data, Record | str | Path):
+        return False
+    if isinstance(data, Sequence):
+        return not all(isinstance(one, Record | str | Path) for one in data)
+    return True
+
+
+# what is handed in → columns
+
+
+def _signals(signals: Any) -> Mapping[str, Any]:
+    if signals is None:
+        return {}
+    if not isinstance(signals, Mapping):
+        raise BadInputError(WHERE, 'signals must be a dict of name and array',
+                            type(signals).__name__, "such as signals={'battery': volts}")
+    for name in signals:
+        if name not in SIGNALS:
+            raise BadInputError(WHERE, 'signals holds an unknown one', repr(name),
+                                f'there are {", ".join(SIGNALS)}')
+    return signals
+
+
+def _texts(units: Any) -> Mapping[str, Any]:
+    if units is None:
+        return {}
+    if not isinstance(units, Mapping):
+        raise BadInputError(WHERE, 'units must be a dict of name and unit', type(units).__name__,
+                            "such as units={'u': 'V', 'y': 'm/s'}")
+    allowed = ('u', 'y', 'angle', 'reference', 't', *SIGNALS)
+    for name in units:
+        if name not in allowed:
+            raise BadInputError(WHERE, 'units names what is no argument', repr(name),
+                                f'use {", ".join(allowed[:5])} or a signal')
+    return units
+
+
+def _several(value: object) -> bool:
+    """Whether a list or tuple has an array for each experiment."""
+    return isinstance(value, list | tuple) and bool(value) and all(
+        not isinstance(one, str | bytes) and (np.ndim(one) > 0 if not hasattr(one, 'shape')
+                                              else len(one.shape) > 0) for one in value)
+
+
+def _columns(data: Any, given: Mapping[str, Any], units: Mapping[str, Any]) -> _Columns:
+    given = _with_data(data, dict(given))
+    time, dt = given.pop('t'), given.pop('dt')
+    if time is None and dt is None:
+        time = _own_time(given)
+    arrays = {name: _numbers(name, one) for name, one in given.items() if one is not None}
+    if 'u' not in arrays:
+        raise BadInputError(WHERE, 'lack u, the input', remedy='identify(u=…, y=…, dt=…)')
+    if 'y' not in arrays and 'angle' not in arrays:
+        raise BadInputError(WHERE, 'lack y or angle, what was measured',
+                            remedy='identify(u=…, y=…, dt=…)')
+    n = arrays['u'].size
+    for name, one in arrays.items():
+        if one.size != n:
+            raise BadInputError(WHERE, f'{name} must be as long as u', f'{one.size} and {n}')
+    if n < LEAST_SAMPLES:
+        raise BadInputError(WHERE, f'need {LEAST_SAMPLES} samples at least', n, 'measure longer')
+    for name in ('u', 'y' if 'y' in arrays else 'angle'):
+        _check_moving(name, arrays[name])
+    return _Columns(
+        arrays['u'], arrays.get('y'), arrays.get('angle'), arrays.get('reference'),
+        {name.partition(': ')[2]: one for name, one in arrays.items() if ': ' in name},
+        *_times(time, dt, n, units))
+
+
+def _check_moving(name: str, values: FloatArray) -> None:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        raise BadInputError(WHERE, f'{name} holds no number', 'NaN throughout')
+    if known.min() == known.max():
+        raise BadInputError(WHERE, f'{name} never changes', f'{known[0]:g} throughout',
+                            'record an experiment in which it moves')
+
+
+def _with_data(data: Any, given: dict[str, Any]) -> dict[str, Any]:
+    """The arguments with what the data bring: columns by name, or a response's own."""
+    own = _own_of(data)
+    if own is None and data is not None:
+        given, own = {name: _column(data, name, one) for name, one in given.items()}, {}
+        index = getattr(data, 'index', None)
+        if given['t'] is None and given['dt'] is None and _is_time(index):
+            own = {'t': index}
+    for name, one in given.items():
+        if isinstance(one, str) and name != 'dt':
+            raise BadInputError(WHERE, f'{name} names a column of no frame', repr(one),
+                                f'identify(frame, {name}={one!r}, …)')
+    own = own or {}
+    if 't' in own and given['dt'] is not None:
+        del own['t']
+    if 'dt' in own and given['t'] is not None:
+        del own['dt']
+    return given | {name: one for name, one in own.items() if given.get(name) is None}
+
+
+def _own_of(data: Any) -> dict[str, Any] | None:
+    """The arguments that IOData, a response or a pair bring; None for a frame and nothing."""
+    if isinstance(data, IOData):
+        return {'u': data.u, 'y': _inside(data, data.y), 'dt': data.dt, 'reference': data.r}
+    if all(hasattr(data, name) for name in ('time', 'inputs', 'outputs')):
+        return {'u': data.inputs, 'y': data.outputs, 't': data.time}
+    if isinstance(data, tuple) and len(data) == 2:
+        return {'u': data[0], 'y': data[1]}
+    if data is not None and not hasattr(data, '__getitem__'):
+        raise BadInputError(WHERE, 'are of a kind that cannot be read', type(data).__name__,
+                            'identify(u=…, y=…, dt=…), a frame with names, or a path')
+    return None
+
+
+def _inside(z: IOData, values: FloatArray) -> FloatArray:
+    """The values of the segments, NaN between them."""
+    out = np.full(values.size, np.nan)
+    for start, stop in z.segments:
+        out[start:stop] = values[start:stop]
+    return out
+
+
+def _column(data: Any, name: str, one: Any) -> Any:
+    if not isinstance(one, str):
+        return one
+    try:
+        return data[one]
+    except Exception as error:
+        names = getattr(data, 'columns', None)
+        names = list(data) if names is None else list(names)
+        raise BadInputError(WHERE, f'{name} names a column that is not there', repr(one),
+                            f'there are {", ".join(map(str, names))}') from error
+
+
+def _is_time(index: object) -> bool:
+    """Whether a frame's index holds times, and is not the number of the row."""
+    kind = getattr(getattr(index, 'dtype', None), 'kind', '')
+    return kind in ('f', 'm', 'M')
+
+
+def _own_time(given: Mapping[str, Any]) -> Any:
+    """The times that an xarray.DataArray or a series brings with it."""
+    for name in ('y', 'angle', 'u'):
+        one = given.get(name)
+        if _is_time(getattr(one, 'index', None)):
+            return getattr(one, 'index')  # noqa: B009
+        dims: Any = getattr(one, 'dims', ())
+        coords: Any = getattr(one, 'coords', None)
+        if coords is not None and len(dims) == 1 and dims[0] in coords:
+            return coords[dims[0]]
+    raise BadInputError(WHERE, 'lack dt or t, the sample interval or the times',
+                        remedy='identify(u=…, y=…, dt=0.001), in s')
+
+
+def _numbers(name: str, value: Any) -> FloatArray:
+    """(n,) real numbers, NaN where masked or missing."""
+    array: Any = value
+    if isinstance(value, np.ma.MaskedArray):
+        array = array.astype(np.float64) if array.dtype.kind in 'fiub' else array
+        array = array.filled(np.nan if array.dtype.kind == 'f' else None)
+    else:
+        try:
+            array = np.asarray(value)
+        except ValueError as error:  # rows of unlike lengths
+            raise BadInputError(WHERE, f'{name} must be (n,)', 'rows of unlike lengths') from error
+    if array.dtype.kind == 'O':
+        array = _of_objects(name, array)
+    if array.dtype.kind not in 'fiub':
+        raise BadInputError(WHERE, f'{name} must hold real numbers', array.dtype)
+    if array.ndim == 2 and 1 in array.shape:
+        array = array.ravel()
+    if array.ndim != 1:
+        raise BadInputError(WHERE, f'{name} must be (n,), one channel', f'shape {array.shape}',
+                            'take one column' if array.ndim == 2 else '')
+    out = np.array(array, dtype=np.float64)
+    if np.isinf(out).any():
+        raise BadInputError(WHERE, f'{name} holds infinity', f'sample {np.isinf(out).argmax()}',
+                            'mark what is missing by NaN')
+    return out
+
+
+def _of_objects(name: str, array: Any) -> Any:
+    """Python's numbers as float64; None and pandas' NA are missing."""
+    def number(one: Any) -> float:
+        if one is None or type(one).__name__ in ('NAType', 'NaTType'):
+            return math.nan
+        if isinstance(one, str | bytes):
+            raise TypeError
+        return float(one)
+
+    try:
+        return np.array([number(one) for one in array.ravel()]).reshape(array.shape)
+    except (TypeError, ValueError) as error:
+        raise BadInputError(WHERE, f'{name} must hold real numbers', 'objects') from error
+
+
+def _times(time: Any, dt: Any, n: int,
+           units: Mapping[str, Any]) -> tuple[FloatArray, float | None]:
+    """(n,) s, and dt where the samples are given by it."""
+    per_s = _factor('t', units.get('t', 's'), {k: f for k, (f, _) in UNITS['time'].items()})
+    if dt is not None and time is not None:
+        raise BadInputError(WHERE, 'take dt or t, not both', remedy='leave one out')
+    if dt is not None:
+        number = isinstance(dt, int | float | np.number) and not isinstance(dt, bool | np.bool_)
+        if not number or not (math.isfinite(float(dt)) and dt > 0):
+            raise BadInputError(WHERE, 'dt must be a positive number of seconds', repr(dt))
+        seconds = float(dt) * per_s
+        _check_interval('dt', seconds)
+        return seconds * np.arange(n, dtype=np.float64), seconds
+    values = np.asarray(time)
+    if values.dtype.kind in 'mM':
+        values, per_s = (values - values[0]) / np.timedelta64(1, 'ns'), 1e-9
+    seconds_of = per_s * _numbers('t', values)
+    if seconds_of.size != n:
+        raise BadInputError(WHERE, 't must be as long as u', f'{seconds_of.size} and {n}')
+    if not np.isfinite(seconds_of).all():
+        raise BadInputError(WHERE, 't holds NaN', f'sample {np.isnan(seconds_of).argmax()}')
+    back = np.diff(seconds_of) <= 0.0
+    if back.any():
+        at = int(back.argmax()) + 1
+        raise BadInputError(WHERE, 't must increase', f'{seconds_of[at]:g} s after '
+                            f'{seconds_of[at - 1]:g} s at sample {at}', 'sort the rows by time')
+    _check_interval('t', float(np.median(np.diff(seconds_of))))
+    return seconds_of, None
+
+
+def _check_interval(name: str, seconds: float) -> None:
+    if seconds > LONGEST_DT_S:
+        raise BadInputError(WHERE, f'{name} has intervals that are too long', f'{seconds:g} s',
+                            f'at most {LONGEST_DT_S:g} s, since errors are those of half a second')
+
+
+# units
+
+
+def _factor(name: str, unit: Any, known: Mapping[str, float]) -> float:
+    """What one of a unit is inside, by its name or as a number."""
+    if isinstance(unit, int | float | np.number) and not isinstance(unit, bool):
+        if math.isfinite(float(unit)) and unit:
+            return float(unit)
+    elif isinstance(unit, str) and written(unit) in known:
+        return known[written(unit)]
+    elif isinstance(unit, str) and unit in known:
+        return known[unit]
+    every = {*RATES, *MOTIONS, *PHYSICAL, *(u for role in UNITS.values() for u in role)}
+    what = 'is not a unit of it' if isinstance(unit, str) and written(unit) in every \
+        else 'is no known unit'
+    raise BadInputError(WHERE, f'units: {name} {what}', repr(unit),
+                        f'use {", ".join(known)}, or a factor')
+
+
+def _units(read: Sequence[_Columns], units: Mapping[str, Any]) -> Units:
+    """The units of all experiments."""
+    command, per_command, zero = _command(read, units.get('u'))
+    rate, motion = units.get('y', 'rad/s'), units.get('angle')
+    if isinstance(rate, str) and written(rate) in MOTIONS and written(rate) not in RATES:
+        if any(one.angle is not None for one in read):
+            raise BadInputError(WHERE, 'units: y is a position beside an angle', repr(rate),
+                                'hand in one of them, or y as a rate')
+        rate, motion = None, rate
+    if rate is None or all(one.y is None for one in read):
+        motion = 'rad' if motion is None else motion
+        per_motion = _factor('angle', motion, MOTIONS)
+        name = written(motion) if isinstance(motion, str) else 'unit'
+        return Units(command, per_command, zero, f'{name}/s', per_motion, name, per_motion)
+    per_rate = _factor('y', rate, RATES | MOTIONS)
+    name = written(rate) if isinstance(rate, str) else 'unit/s'
+    own = OF_RATE.get(name, name.removesuffix('/s'))
+    return Units(command, per_command, zero, name, per_rate, own, MOTIONS.get(own, per_rate))
+
+
+def _command(read: Sequence[_Columns], unit: Any) -> tuple[str, float, float]:
+    """Name, factor and offset of u; what has no range of its own is scaled by a power of two."""
+    largest = max(float(np.nanmax(np.abs(one.u))) for one in read)
+    scaled = 2.0 ** -math.ceil(math.log2(2.0 * largest))
+    known = UNITS['control']
+    if unit is None:
+        return Units.command, min(1.0, scaled), 0.0
+    name = written(unit) if isinstance(unit, str) else ''
+    if name in known:
+        factor, offset = known[name]
+        low, high = _reach(read, factor, offset)
+        if max(-low, high) <= MOST_COMMAND + 1e-6:
+            return name, factor, offset
+        if name not in PHYSICAL:
+            raise BadInputError(WHERE, f'u in {name} is outside {-MOST_COMMAND:g}..'
+                                f'{MOST_COMMAND:g} of a normalised command',
+                                f'{low:.3g}..{high:.3g}', 'name its unit, or leave units out')
+    if name in known or name in PHYSICAL or unit in PHYSICAL:
+        return unit, scaled, 0.0
+    factor = _factor('u', unit, dict.fromkeys((*known, *PHYSICAL), 1.0))
+    low, high = _reach(read, factor, 0.0)
+    if max(-low, high) > MOST_COMMAND + 1e-6:
+        raise BadInputError(WHERE, 'u by its factor is outside -0.5..0.5 of a normalised command',
+                            f'{low:.3g}..{high:.3g}', f'use at most {scaled:g}')
+    return 'unit', factor, 0.0
+
+
+def _reach(read: Sequence[_Columns], factor: float, offset: float) -> tuple[float, float]:
+    values = [factor * one.u + offset for one in read]
+    return min(float(np.nanmin(v)) for v in values), max(float(np.nanmax(v)) for v in values)
+
+
+# columns → record
+
+
+def _record(one: _Columns, units: Units, texts: Mapping[str, Any], axis: str, source: str,
+            train: Any, validate: Any) -> Record:
+    index = AXES.index(axis)
+    y_moves = one.y is not None and units.rate == f'{units.motion}/s' and \
+        isinstance(texts.get('y'), str) and written(texts['y']) in MOTIONS
+    rate, angle = (None, one.y) if y_moves else (one.y, one.angle)
+
+    def stream(columns: Mapping[int, FloatArray], width: int = 3) -> Stream:
+        out = np.zeros((one.u.size, width))
+        for at, values in columns.items():
+            out[:, at] = values
+        known = np.isfinite(out).all(axis=1)
+        return Stream(one.time_s[known], out[known])
+
+    def signal(kind: str, name: str) -> FloatArray | None:
+        values = one.signals.get(f'{name}_{kind}')
+        if values is None:
+            return None
+        role, usual = SIGNALS[f'{name}_{kind}']
+        table = {'rate': RATES, 'angle': MOTIONS}.get(
+            role, {unit: factor for unit, (factor, _) in UNITS[role].items()})
+        return _factor(f'{name}_{kind}', texts.get(f'{name}_{kind}', usual), table) * values
+
+    others = [name for name in AXES if name != axis]
+    rates, angles, control = ({AXES.index(name): values for name in others
+                               if (values := signal(kind, name)) is not None}
+                              for kind in ('rate', 'angle', 'command'))
+    per_angle = units.per_motion if angle is one.y or one.angle is None else _factor(
+        'angle', texts.get('angle', units.motion), MOTIONS | {units.motion: units.per_motion})
+    command = {1 + at: values for at, values in control.items()}
+    throttle = one.signals.get('throttle')
+    command[0] = np.full(one.u.size, MIDDLE_COMMAND) if throttle is None else throttle
+    command[1 + index] = units.command_of(one.u)
+    wanted = one.reference
+    if wanted is not None:
+        wanted = wanted * _factor('reference', texts.get('reference', units.motion),
+                                  MOTIONS | {units.motion: units.per_motion})
+    battery = one.signals.get('battery')
+    log = ForeignLog(
+        source=source, kind='a table',
+        rates=None if rate is None else stream({**rates, index: units.rate_of(rate)}),
+        control=stream(command, 4), axes=(axis,),
+        angles=None if angle is None else stream({**angles, index: per_angle * angle}),
+        attitude_setpoint=None if wanted is None else stream({index: wanted}),
+        battery=None if battery is None else stream({0: _factor(
+            'battery', texts.get('battery', 'V'), {'V': 1.0, 'mV': 1e-3}) * battery}, 1),
+    )
+    record, _, warnings = record_of(log)
+    if one.dt is not None and abs(record.dt - one.dt) <= 1e-3 * one.dt:
+        record = record.at_interval(one.dt)
+    record = replace(record, units=units, warnings=(*record.warnings, *warnings))
+    measured = np.asarray(angle if rate is None else rate)
+    begun = float(one.time_s[int(np.isfinite(measured).argmax())])
+    return with_parts(record, one.time_s - begun, (axis,), train, validate)
+
+
+def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: Any,
+               validate: Any) -> Record:
+    """The record with the segments of samples at time_s (n,) that were asked for, if any."""
+    if train is None and validate is None:
+        return record
+    trained = None if train is None else _mask('train', train, time_s, last=False)
+    held = ~np.asarray(trained) if validate is None else _mask('validate', validate, time_s,
+                                                               last=True)
+    masks = {'train': ~held if trained is None else trained, 'validation': held}
+    both = masks['train'] & masks['validation']
+    if both.any():
+        raise BadInputError(WHERE, 'train and validate overlap', f'{both.sum()} samples',
+                            'keep them apart')
+    segments = [
+        Segment(role, 'unknown', axis, 'unknown', float(time_s[a]),
+                float(time_s[b - 1]) + record.dt)
+        for role, mask in masks.items() for a, b in finite_runs(mask, (0, time_s.size))
+        for axis in axes
+    ]
+    return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)))
+
+
+def _mask(name: str, part: Any, time_s: FloatArray, *, last: bool) -> np.ndarray:
+    """(n,) which samples a part holds; a fraction is the first samples, or the last."""
+    n = time_s.size
+    if isinstance(part, bool | np.bool_):
+        return np.full(n, bool(part))
+    if isinstance(part, float | int | np.number):
+        if not 0.0 < part < 1.0:
+            raise BadInputError(WHERE, f'{name} as a fraction must be between 0 and 1', part)
+        count = round(float(part) * n)
+        return np.arange(n) >= n - count if last else np.arange(n) < count
+    if isinstance(part, slice):
+        out = _sliced(name, [part], n)
+    elif isinstance(part, list | tuple) and part and all(isinstance(p, slice) for p in part):
+        out = _sliced(name, part, n)
+    elif isinstance(part, tuple) and len(part) == 2:
+        out = (time_s >= float(part[0])) & (time_s < float(part[1]))
+    else:
+        out = np.array(part)
+        if out.dtype.kind != 'b':
+            raise BadInputError(WHERE, f'{name} must be a fraction, a slice, a mask or (from, to)',
+                                out.dtype)
+        if out.shape != (n,):
+            raise BadInputError(WHERE, f'{name} must be a mask as long as u',
+                                f'{out.shape} and {n}')
+    if not out.any():
+        raise BadInputError(WHERE, f'{name} holds no sample', part)
+    return out
+
+
+def _sliced(name: str, pieces: Sequence[slice], n: int) -> np.ndarray:
+    out = np.zeros(n, dtype=bool)
+    for piece in pieces:
+        if piece.step not in (None, 1):
+            raise BadInputError(WHERE, f'{name} must take every sample of its slice', piece)
+        out[piece] = True
+    return out

@@ -1,0 +1,178 @@
+"""Functions of `import quad_sysid` that take whatever the others return.
+
+A model is a black box, an identified axis, a Result or the path of a model.json; a flight is a
+Record, IOData or the path of a bag. The work is done in the rooms that these functions name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from quad_sysid.errors import BadInputError
+from quad_sysid.identified import Identified, model_of
+from quad_sysid.model import AxisModel
+from quad_sysid.record import IOData, Record
+from quad_sysid.result import Result, identify
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from quad_sysid.blackbox import FrequencyResponse, Model
+    from quad_sysid.contract import FloatArray
+    from quad_sysid.inspection.content import Content
+    from quad_sysid.model import GainProposal
+
+AnyModel: TypeAlias = 'Model | AxisModel | Result | str | Path'
+AnyFlight: TypeAlias = 'Record | IOData | str | Path'
+
+
+def simulate(model: AnyModel, u: npt.ArrayLike, x0: Any = None, **signals: Any) -> FloatArray:
+    """(n,) output for inputs u (n,) without noise; see Identified.simulate, blackbox.simulate.
+
+    x0: (rate, angle) of an axis, the filter's state of a black box; default: at rest.
+    """
+    begun = {} if x0 is None else {'x0': x0}
+    return model_of(model).simulate(u, **begun, **signals)
+
+
+def predict(model: AnyModel, flight: AnyFlight, horizon: float = 1) -> FloatArray:
+    """(n,) predicted output, `horizon` samples ahead, math.inf for the free run; NaN elsewhere."""
+    return model_of(model).predict(_data(model, flight), horizon)
+
+
+def compare(data: Any, *others: Any, horizon: float = math.inf) -> tuple[Any, ...]:
+    """Fit of each model on IOData, per cent (MATLAB: compare); or what changed between flights.
+
+    compare(z, model, …): a fit for each model. compare(first, second, …), of results, models,
+    records, paths of bags or of models: for each other one the flight and its changes, parameter
+    by parameter, with the chance that nothing changed (comparison.Change).
+    """
+    from quad_sysid.blackbox import Model
+
+    if isinstance(data, Model):
+        raise BadInputError('compare', 'the data come first', 'a model', 'compare(z, model, …)')
+    if not others:
+        raise BadInputError('compare', 'needs something to compare with', remedy='compare(z, '
+                            'model), or two flights')
+    if isinstance(data, IOData) or any(isinstance(one, Model) for one in others):
+        return tuple(model_of(one).compare(_data(one, data), horizon) for one in others)
+    from quad_sysid import comparison
+
+    return comparison.compare(_flight_of(data), [_flight_of(one) for one in others])
+
+
+def _flight_of(one: Any) -> Any:
+    """What comparison compares: parameters by axis."""
+    from quad_sysid.comparison import Flight, of_model, trims
+    from quad_sysid.report.model_file import load_models, names_model
+
+    if isinstance(one, AxisModel):
+        return Flight('model', {one.axis: of_model(one)}, {})
+    if isinstance(one, str | Path) and names_model(one):
+        return Flight(str(one), {axis: of_model(m) for axis, m in load_models(one).items()}, {})
+    trim = trims(one) if isinstance(one, Record) else {}
+    result = one if isinstance(one, Result) else identify(one)
+    known = {axis: of_model(answer.model) | ({'trim': trim[axis]} if axis in trim else {})
+             for axis, answer in result.answers.items()
+             if answer.answered and answer.model is not None}
+    return Flight(', '.join(result.flights), known, {
+        axis: answer.reason for axis, answer in result.answers.items() if axis not in known})
+
+
+def bode(model: AnyModel, w: npt.ArrayLike | None = None) -> FrequencyResponse:
+    """Response from input to output at w (m,), rad/s, with its covariance."""
+    return model_of(model).bode(w)
+
+
+def export(model: AnyModel, path: str | Path, to: str = '') -> Path:
+    """Write an identified model for python-control (`control`) or MATLAB (`mat`).
+
+    Raises BadInputError for a black box, which `to_control` makes a system, and where the file
+    exists.
+    """
+    from quad_sysid.exports import export as write
+
+    if isinstance(model, Result):
+        return write({axis: model[axis].model for axis in model}, path, to)
+    own = model_of(model)
+    if not isinstance(own, Identified):
+        raise BadInputError('export', 'writes models of an axis', 'a black box',
+                            'model.to_control() makes it a system of python-control')
+    return own.export(path, to)
+
+
+def inspect(flight: AnyFlight) -> Content:
+    """What a flight holds and can be used for, before any fit."""
+    from quad_sysid.bags import split_segments
+    from quad_sysid.inspection import content
+
+    if isinstance(flight, str | Path):
+        return content.content(flight)
+    if not isinstance(flight, Record):
+        raise BadInputError('inspect', 'takes a Record or the path of a bag',
+                            type(flight).__name__, 'make one with from_arrays(u=…, y=…, dt=…)')
+    named = any(s.role in ('train', 'validation') for s in flight.segments)
+    return content.of_record(split_segments(flight), content.Topics((), (), ()), split=not named)
+
+
+def fleet(folder: str | Path, out: str | Path, axes: Sequence[str] = (), *, workers: int = 1,
+          search_effects: bool = True) -> list[dict[str, Any]]:
+    """Identify every bag below a folder, each in a process of its own: a row each (fleets.py).
+
+    A second call with the same `out` continues. Raises BadInputError where there is no bag.
+    """
+    from quad_sysid import fleets
+
+    every = fleets.jobs(Path(folder), Path(out), tuple(axes), search_effects=search_effects)
+    return fleets.run(every, workers)
+
+
+def import_log(path: str | Path, out: str | Path) -> Record:
+    """A log of PX4, ArduPilot, Betaflight and so on as a bag at `out`; returns its Record.
+
+    A table needs the meaning of its columns: from_arrays(frame, u='…', …). Raises BadInputError.
+    """
+    from quad_sysid.imports.formats import format_of, read_log
+    from quad_sysid.imports.to_bag import import_log as write
+
+    known = format_of(Path(path))
+    if known is None:
+        raise BadInputError(str(path), 'is of no known format of logs',
+                            remedy="read the table and call from_arrays(frame, u='…', y='…')")
+    return write(read_log(Path(path), known), Path(out)).record
+
+
+def design(model: AnyModel) -> GainProposal:
+    """Gains of one axis, or why there are none, by the installed designer (quad_tuning)."""
+    from quad_sysid.result import installed_designer
+
+    own = model_of(model)
+    if not isinstance(own, Identified):
+        raise BadInputError('design', 'needs the model of an axis', 'a black box')
+    designer, missing = installed_designer()
+    if designer is None:
+        raise BadInputError('design', missing)
+    return designer(own.predicting)
+
+
+def _data(model: Any, flight: Any) -> Any:
+    """The flight as a black box takes it; as it is for a model of an axis."""
+    from quad_sysid.blackbox import Model
+
+    own = model_of(model)
+    if isinstance(flight, Model | AxisModel | Result):
+        raise BadInputError('predict', 'the model comes first', type(flight).__name__,
+                            'predict(model, z)')
+    if not isinstance(own, Model) or isinstance(flight, IOData):
+        return flight
+    from quad_sysid.bags import read_bag
+
+    record = flight if isinstance(flight, Record) else read_bag(flight)
+    axes = {s.axis for s in record.segments if s.role != 'idle'} or {'roll'}
+    if len(axes) != 1:
+        raise BadInputError('black box', 'a flight of several axes', ', '.join(sorted(axes)),
+                            "take one: record.axis('roll')")
+    return record.axis(axes.pop())

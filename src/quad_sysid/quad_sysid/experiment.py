@@ -1,0 +1,213 @@
+"""Which excitation, within given limits, tells the parameters of a model best.
+
+Each candidate is flown by the model and followed by its Kalman filter; the derivatives of the
+innovations by the parameters are the information that the fit would have. Two rivals are told
+apart by `separate`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from quad_sysid.blackbox import Model
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError, NotInformativeError
+from quad_sysid.estimate.fit import Problem
+from quad_sysid.estimate.stored import completed
+from quad_sysid.identified import Identified, model_of
+from quad_sysid.loop.from_model import usual_signals
+from quad_sysid.pipeline.evaluate import flown
+from quad_sysid.record import IOData
+from quad_sysid.signals import waveform
+
+CANDIDATES: Mapping[str, tuple[str, Mapping[str, float]]] = {
+    **{f'prbs, clock {clock:g} s': ('prbs', {'clock_s': clock, 'register_bits': 9})
+       for clock in (0.02, 0.05, 0.1, 0.25)},
+    **{f'square, period {period:g} s': ('square', {'period_s': period})
+       for period in (0.4, 1.0, 2.5)},
+    'chirp, 0.2 to 8 Hz': ('chirp', {'f0_hz': 0.2, 'f1_hz': 8.0, 'sweep_s': 20.0}),
+}
+"""What is tried, each at full amplitude and at LOW of it: friction shows in small motion."""
+LOW = 0.3
+CRITERIA = ('D', 'A')
+NUDGE, LEAST = 1e-4, 1e-2
+"""Step of a parameter for derivatives, as a share of its size, and the least size."""
+ROUNDS = 6
+"""Halvings of the amplitudes' range."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An excitation and what it should bring."""
+
+    name: str
+    """Signal and its parameters."""
+    amplitude: float
+    """Peak of u, in its unit."""
+    dt: float
+    u: FloatArray
+    """(n,) in its unit, an input every dt s."""
+    std_now: Mapping[str, float | None]
+    """Standard error of each parameter in the model; None where it has none."""
+    std_expected: Mapping[str, float]
+    """The same with this experiment beside the data so far."""
+    largest_rate: float
+    """In the unit of the rate."""
+    largest_angle: float
+    ranking: tuple[tuple[str, float], ...]
+    """Every candidate and its criterion, best first: nats of information (D), or the root mean
+    square of the relative standard errors (A)."""
+
+    def __str__(self) -> str:
+        lines = [f'{self.name}, amplitude {self.amplitude:.3g}, {self.u.size * self.dt:g} s']
+        for name, now in self.std_now.items():
+            before = 'unknown' if now is None else f'{now:.2g}'
+            lines.append(f'  {name}: standard error {before} -> {self.std_expected[name]:.2g}')
+        return '\n'.join(lines)
+
+
+def design_experiment(
+    model: Any, *, amplitude: float, rate: float = math.inf, angle: float = math.inf,
+    seconds: float = 30.0, criterion: str = 'D',
+    progress: Callable[[str], object] = lambda _: None,
+) -> Experiment:
+    """The excitation of `seconds` that tells the model's parameters best.
+
+    `model`: an identified axis or its result. `amplitude`, `rate`, `angle`: limits of |u| and of
+    what the model then does, in the units of its arrays. `criterion`: `D`, the determinant of the
+    information, or `A`, the sum of the relative variances. Raises BadInputError for wrong limits,
+    NotInformativeError where no candidate stays within them.
+    """
+    own = model_of(getattr(model, 'model', model))
+    if isinstance(own, Model):
+        raise BadInputError('design_experiment', 'needs the model of an axis', 'a black box',
+                            'design_excitation gives a signal for a band')
+    for name, limit in (('amplitude', amplitude), ('rate', rate), ('angle', angle),
+                        ('seconds', seconds)):
+        if not limit > 0.0:
+            raise BadInputError('design_experiment', f'{name} must be positive', limit)
+    if criterion not in CRITERIA:
+        raise BadInputError('design_experiment', 'criterion must be D or A', repr(criterion))
+    units, n = own.units, round(seconds / own.dt)
+    per_u, per_y, per_angle = (1.0, 1.0, 1.0) if units is None else (
+        abs(units.per_command), abs(units.per_rate), abs(units.per_motion))
+    names, shapes = [], []
+    for name, (signal, known) in CANDIDATES.items():
+        wave = waveform(signal, known, 'design_experiment')
+        shape = np.array([wave.at(k * own.dt) for k in range(n)])
+        for level in (1.0, LOW):
+            names.append(name)
+            shapes.append(level * shape)
+    progress(f'{len(names)} candidates')
+    commands, rates, angles = _within(own, amplitude * per_u * np.array(shapes), rate * per_y,
+                                      angle * per_angle)
+    present = _values(own)
+    found = []
+    for i, name in enumerate(names):
+        progress(name)
+        information = _information(own, commands[i], rates[i], angles[i])
+        found.append((_worth(information, present, criterion), i, information))
+    if not any(math.isfinite(worth) for worth, _, _ in found):
+        raise NotInformativeError('design_experiment: no candidate tells anything within these '
+                                  'limits; widen them or take longer')
+    ordered = sorted(found, key=lambda one: -one[0])
+    _, best, information = ordered[0]
+    covariance = np.linalg.pinv(np.array(_with_present(information, present), dtype=np.float64))
+    expected = dict(zip(present, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
+    sign = 1.0 if criterion == 'D' else -1.0
+    zero = 0.0 if units is None else units.zero_command
+    return Experiment(
+        name=names[best], amplitude=float(np.abs(commands[best]).max()) / per_u, dt=own.dt,
+        u=(commands[best] - zero) / (1.0 if units is None else units.per_command),
+        std_now={name: std for name, (_, std) in present.items()},
+        std_expected={name: float(value) for name, value in expected.items()},
+        largest_rate=float(np.abs(rates[best]).max()) / per_y,
+        largest_angle=float(np.abs(angles[best]).max()) / per_angle,
+        ranking=tuple((f'{names[i]}, amplitude {np.abs(commands[i]).max() / per_u:.3g}',
+                       sign * worth) for worth, i, _ in ordered))
+
+
+def _values(model: Identified) -> dict[str, tuple[float, float | None]]:
+    """Value and standard error of each parameter as the fit takes it, by its name."""
+    fitted = completed(model)
+    structure = fitted.structure
+    count = len(structure.names) - len(structure.noise)
+    stored = {name: p.std for name, p in model._named}  # noqa: SLF001 - of the same object
+    return {name: (float(value), stored.get(name)) for name, value in zip(
+        structure.names[:count], structure.natural(fitted.theta), strict=False)}
+
+
+def _within(model: Identified, commands: FloatArray, rate: float,
+            angle: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The largest share of each command (w, n) with which the model stays within the limits."""
+    usual, n = usual_signals(model), commands.shape[1]
+    held = [np.full(n, usual[name]) for name in ('throttle', 'battery')]
+
+    def inside(shares: FloatArray) -> tuple[FloatArray, FloatArray, Any]:
+        runs = [flown(model, share * command, (0.0, 0.0), *held)
+                for share, command in zip(shares, commands, strict=True)]
+        rates, angles = np.array([r.rate for r in runs]), np.array([r.angle for r in runs])
+        kept = (np.abs(rates).max(axis=1) <= rate) & (np.abs(angles).max(axis=1) <= angle)
+        return rates, angles, kept
+
+    most = np.ones(len(commands))
+    rates, angles, kept = inside(most)
+    least = np.where(kept, 1.0, 0.0)
+    for _ in range(ROUNDS if not kept.all() else 0):
+        middle = np.where(least == most, most, 0.5 * (least + most))
+        *_, kept = inside(middle)
+        least, most = np.where(kept, middle, least), np.where(kept, most, middle)
+    rates, angles, kept = inside(least)
+    kept &= least > 0.0
+    if not kept.any():
+        raise NotInformativeError('design_experiment: every candidate leaves the limits, as '
+                                  'under a bias that nothing holds; widen them, or excite in '
+                                  'closed loop')
+    return np.where(kept, least, 0.0)[:, None] * commands, rates, angles
+
+
+def _information(model: Identified, command: FloatArray, rate: FloatArray,
+                 angle: FloatArray) -> FloatArray:
+    """(p, p) of the parameters in their units, from the derivatives of the innovations."""
+    fitted, units = completed(model), model.units
+    structure, theta = fitted.structure, fitted.theta
+    count = theta.size - len(structure.noise)
+    if not command.any():
+        return np.zeros((count, count))
+    u, y = (command, rate) if units is None else (
+        (command - units.zero_command) / units.per_command, units.rate_in(rate))
+    data, spans = model._data_of(IOData(u, y, model.dt))  # noqa: SLF001 - of the same object
+    problem = Problem(replace(data, angle=angle), spans)
+    logs = np.array([spec.log for spec in structure.specs])
+    steps = NUDGE * np.where(logs, 1.0, np.maximum(np.abs(theta), LEAST))
+    found = problem.flight.predict(structure, theta, sweeps=2, steps=steps)
+    if found.jacobian is None:
+        return np.zeros((count, count))
+    values = structure.natural(theta)[:count]
+    rows = found.jacobian[problem.rows][:, :count] / np.where(logs[:count], values, 1.0)
+    return np.asarray(rows.T @ rows * fitted.tail.information / fitted.tail.scale**2)
+
+
+def _with_present(information: FloatArray,
+                  known: Mapping[str, tuple[float, float | None]]) -> FloatArray:
+    """The information with that of the data so far."""
+    present = [0.0 if not std else std**-2.0 for _, std in known.values()]
+    return information + np.diag(present)
+
+
+def _worth(information: FloatArray, known: Mapping[str, tuple[float, float | None]],
+           criterion: str) -> float:
+    """What a candidate brings, the more the better; minus infinity for nothing."""
+    if not information.any() or not np.isfinite(information).all():
+        return -math.inf
+    sizes = np.array([abs(value) or std or 1.0 for value, std in known.values()])
+    whole = _with_present(information, known) * np.outer(sizes, sizes)
+    values = np.linalg.eigvalsh(whole)
+    if criterion == 'D':
+        return 0.5 * float(np.sum(np.log(np.maximum(values, 1e-12))))
+    return -math.sqrt(float(np.mean(1.0 / np.maximum(values, 1e-12))))

@@ -1,0 +1,283 @@
+"""The identified model of one axis as an object that runs: predictions, responses, exports.
+
+    model = identify(u=u, y=y, dt=0.004).model
+    model.simulate(u); model.compare(unseen); model.bode(); model.step(); model.to_control()
+
+A polynomial model (blackbox.Model) has the same methods. The mathematics is imported where it is
+called.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.model import AxisModel, Parameter
+from quad_sysid.record import IOData, Record
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from quad_sysid.blackbox import FrequencyResponse, Model, ResidualTest
+    from quad_sysid.discover.accept import Unseen
+    from quad_sysid.estimate.stored import Stored
+    from quad_sysid.loop.cascade import CascadeGains
+    from quad_sysid.loop.simulation import LoopResponse
+    from quad_sysid.model.data import AxisData
+    from quad_sysid.model.effect import Effect
+
+POINTS = 200
+NUDGE = 0.01
+"""Step of a parameter for derivatives, standard errors."""
+STEP_RAD = 0.2
+STEP_S = 2.0
+
+
+class Identified(AxisModel):
+    """The completed model of one axis, which can be run.
+
+    Arrays are in the units of the arrays that it was identified from (`units`), else a normalised
+    command, rad/s and rad.
+    """
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Base and effects by `name` and `effect.name`, in the units of the arrays."""
+        return {name: _in_units(self, p) for name, p in self._named}
+
+    def simulate(self, u: npt.ArrayLike, x0: tuple[float, float] = (0.0, 0.0), *,
+                 throttle: npt.ArrayLike | None = None,
+                 battery_v: npt.ArrayLike | None = None) -> FloatArray:
+        """(n,) rate for commands u (n,), one per cycle of `dt`, without noise and feedback.
+
+        x0: rate and angle at the first command. Raises BadInputError for signals that do not fit;
+        see pipeline.evaluate.simulate.
+        """
+        from quad_sysid.pipeline.evaluate import simulate
+
+        units = self.units
+        if units is None:
+            return simulate(self, u, x0, throttle=throttle, battery_v=battery_v)
+        begun = x0[0] * units.per_rate, x0[1] * units.per_motion
+        rate = simulate(self, units.command_of(np.asarray(u, dtype=np.float64)), begun,
+                        throttle=throttle, battery_v=battery_v)
+        return units.rate_in(rate)
+
+    def predict(self, flight: Record | IOData | str | Path, horizon: float = 1) -> FloatArray:
+        """(n,) predicted rate, `horizon` samples ahead; NaN where nothing is predicted.
+
+        `math.inf`: the free run of each segment from the state a second after its start, on the
+        recorded commands alone. Raises BadInputError where the flight does not suit the model.
+        """
+        from quad_sysid.model.data import SETTLE_S, Windows
+
+        unseen, fitted, spans = self._along(flight)
+        data = unseen.problem.data
+        rate = np.full(data.rate.size, np.nan)
+        if horizon == 1:
+            rate = data.rate - unseen.predict(fitted).innovation
+        elif horizon == math.inf:
+            settle = round(SETTLE_S / data.dt)
+            for start, stop in spans:
+                if stop - start > settle + 1:
+                    begun = Windows(np.array([start + settle]), stop - start - settle)
+                    inside = slice(start + settle, stop)
+                    rate[inside] = data.rate[inside] + unseen.errors(fitted, begun)[0]
+                    unseen.ran.clear()
+        elif isinstance(horizon, int) and horizon > 1:
+            starts = np.concatenate([np.arange(a, b - horizon + 1) for a, b in spans])
+            errors = unseen.errors(fitted, Windows(starts, horizon))
+            rate[starts + horizon - 1] = data.rate[starts + horizon - 1] + errors[:, -1]
+        else:
+            raise BadInputError('predict', 'horizon must be an integer >= 1 or math.inf', horizon)
+        return rate if self.units is None else self.units.rate_in(rate)
+
+    def compare(self, flight: Record | IOData | str | Path, horizon: float = math.inf) -> float:
+        """Fit on a flight in per cent, 100 (1 - ||y - ŷ|| / ||y - mean y||); see `predict`."""
+        from quad_sysid.blackbox import fit_percent
+
+        unseen, _, _ = self._along(flight)
+        predicted = self.predict(flight, horizon)
+        rate = unseen.problem.data.rate
+        return fit_percent(rate if self.units is None else self.units.rate_in(rate), predicted)
+
+    def residuals(self, flight: Record | IOData | str | Path) -> ResidualTest:
+        """Tests of the one-step errors on a flight: whiteness, and independence of the input."""
+        from quad_sysid.blackbox import innovation_test
+
+        unseen, fitted, spans = self._along(flight)
+        data = unseen.problem.data
+        z = IOData(np.nan_to_num(data.command), np.nan_to_num(data.rate), data.dt, segments=spans)
+        return innovation_test(unseen.predict(fitted).innovation, z)
+
+    def bode(self, w: npt.ArrayLike | None = None) -> FrequencyResponse:
+        """Response from command to measured rate at w (m,), rad/s, in small motion, with effects.
+
+        Its covariance is that of the base's parameters, first order. Default: 200 points up to
+        the Nyquist frequency. Raises BadInputError where w is not within it.
+        """
+        from quad_sysid.blackbox import FrequencyResponse
+        from quad_sysid.loop.from_model import loop_plant
+        from quad_sysid.loop.linear import NEAR_REST, loops_of
+
+        nyquist = np.pi / self.dt
+        grid = np.geomspace(0.1, 0.999 * nyquist, POINTS) if w is None else \
+            np.atleast_1d(np.asarray(w, dtype=np.float64))
+        if grid.ndim != 1 or not (np.isfinite(grid) & (grid > 0.0) & (grid <= nyquist)).all():
+            raise BadInputError('bode', f'w must be (m,) within 0..{nyquist:.6g} rad/s')
+        scale = 1.0 if self.units is None else self.units.per_command / self.units.per_rate
+
+        def response(model: AxisModel) -> Any:
+            return scale * loops_of([(loop_plant(model), NEAR_REST)]).response(grid)[0, 0]
+
+        here, covariance = response(self), None
+        names = [p.name for p in self.base]
+        known = [i for i, name in enumerate(self.parameter_names) if name in names
+                 and self.covariance is not None and np.isfinite(self.covariance[i, i])]
+        if known and self.covariance is not None:
+            gradient = []
+            for i in known:
+                by = NUDGE * math.sqrt(self.covariance[i, i]) or 1e-9
+                base = tuple(replace(p, value=p.value + by) if p.name == self.parameter_names[i]
+                             else p for p in self.base)
+                gradient.append((response(replace(self, base=base)) - here) / by)
+            slopes = np.stack([np.real(gradient), np.imag(gradient)]).transpose(2, 0, 1)
+            covariance = slopes @ self.covariance[np.ix_(known, known)] @ np.swapaxes(slopes, 1, 2)
+        return FrequencyResponse(grid, here, covariance)
+
+    def step(self, gains: CascadeGains | Mapping[str, float] | None = None,
+             size: float = STEP_RAD, seconds: float = STEP_S) -> LoopResponse:
+        """The angle's answer to a step of its reference (rad) in the cascade with these gains.
+
+        `gains`: by the contract's names, such as those of a design; default: those that flew.
+        Raises BadInputError where they are wrong.
+        """
+        from quad_sysid.loop.simulation import simulate_cascade
+
+        known = {} if gains is None else gains
+        if isinstance(known, Mapping):
+            from quad_sysid.loop.cascade import CascadeGains
+
+            known = CascadeGains.from_mapping({**self.active_gains, **known}, self.axis)
+        return simulate_cascade(self, known, np.full(round(seconds / self.dt), size), self.dt)
+
+    def to_control(self, *, linear: bool = False) -> Any:
+        """The model as a system of python-control; see exports.to_control."""
+        from quad_sysid.exports import to_control
+
+        return to_control(self, linear=linear)
+
+    def export(self, path: str | Path, to: str = '') -> Path:
+        """Write the model for python-control (`control`, .py) or MATLAB (`mat`); returns the path.
+
+        `to` may be left out where the suffix says it. Raises BadInputError where the file exists.
+        """
+        from quad_sysid.exports import export
+
+        return export({self.axis: self}, path, to)
+
+    def to_json(self) -> str:
+        """The model as text, without loss, as in model.json; own effects by their names."""
+        from quad_sysid.report.model_file import tree_of_models
+
+        return json.dumps(tree_of_models({self.axis: self}), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str, effects: Sequence[Effect] = ()) -> Identified:
+        """A model from `to_json`, or from a model.json of one axis.
+
+        `effects`: those of one's own that it names. Raises BadInputError naming the field.
+        """
+        from quad_sysid.report.model_file import models_of
+
+        try:
+            tree = json.loads(text)
+        except ValueError as error:
+            raise BadInputError('from_json', 'is no JSON', str(error)) from error
+        models = models_of(tree, 'from_json', effects)
+        if len(models) != 1:
+            raise BadInputError('from_json', 'must hold one axis', ', '.join(models))
+        return cls(**vars(next(iter(models.values()))))
+
+    def _repr_html_(self) -> str:
+        """HTML for a notebook: the ladder with its bars, and the parameters."""
+        from quad_sysid.report.html import model_excerpt
+
+        return model_excerpt(self, self.parameters)
+
+    def _along(self, flight: Record | IOData | str | Path,
+               ) -> tuple[Unseen, Stored, tuple[tuple[int, int], ...]]:
+        """The flight behind the model's filter, the model, and the spans that count."""
+        from quad_sysid.discover.accept import Unseen
+        from quad_sysid.estimate.stored import completed
+        from quad_sysid.pipeline.evaluate import of_this_flight
+
+        data, spans = self._data_of(flight)
+        if not spans:
+            raise BadInputError('flight', 'has no sample with both rate and command')
+        unseen = Unseen(data, spans)
+        return unseen, of_this_flight(unseen, completed(self)), spans
+
+    def _data_of(self, flight: Record | IOData | str | Path,
+                 ) -> tuple[AxisData, tuple[tuple[int, int], ...]]:
+        from quad_sysid.model.data import axis_alone, axis_data
+        from quad_sysid.pipeline.evaluate import flown_spans
+        from quad_sysid.pipeline.usable import same_rate
+
+        if isinstance(flight, str | Path):
+            from quad_sysid.bags import read_bag
+
+            flight = read_bag(flight)
+        if not isinstance(flight, Record | IOData):
+            raise BadInputError('flight', 'must be a Record, IOData or the path of a bag',
+                                type(flight).__name__, 'make one with from_arrays(u=…, y=…, dt=…)')
+        if not same_rate(flight.dt, self.dt):
+            raise BadInputError('flight', "sample rate must be the model's",
+                                f'{1 / flight.dt:.6g} Hz, model {1 / self.dt:.6g} Hz')
+        if isinstance(flight, Record):
+            data = axis_data([flight], self.axis)
+            return replace(data, gyro_filter_hz=self.gyro_filter_hz), flown_spans(flight, data)
+        u, y = np.nan_to_num(flight.u), flight.y
+        if self.units is not None:
+            u, y = self.units.command_of(u), self.units.rate_of(y)
+        spans = tuple((int(a), int(b)) for a, b in flight.segments)
+        data = axis_alone(u, y, self.dt, spans, self.gyro_filter_hz)
+        control = np.zeros((y.size, 4))
+        control[:, 0] = self.mean_throttle or 0.0
+        control[:, 1 + AXES.index(self.axis)] = u
+        return replace(data, axis=self.axis, control=control), spans
+
+
+def _in_units(model: AxisModel, parameter: Parameter) -> Parameter:
+    if model.units is None:
+        return parameter
+    unit, factor = model.units.parameter(parameter.unit)
+    return replace(parameter, value=factor * parameter.value, unit=unit,
+                   std=None if parameter.std is None else abs(factor) * parameter.std,
+                   interval=None if parameter.interval is None else (
+                       factor * parameter.interval[0], factor * parameter.interval[1]))
+
+
+def model_of(given: object) -> Identified | Model:
+    """The model of what a function of the public API takes for one: a result, a file, a model."""
+    from quad_sysid.blackbox import Model
+    from quad_sysid.result import Result, read_model
+
+    if isinstance(given, Result):
+        return given.model
+    if isinstance(given, str | Path):
+        return read_model(given)
+    if isinstance(given, Identified | Model):
+        return given
+    if isinstance(given, AxisModel):
+        return Identified(**vars(given))
+    raise BadInputError('model', 'must be a model, a result or the path of a model.json',
+                        type(given).__name__)

@@ -1,0 +1,1 @@
+"""What any log shows without a model: traces, step response, spectra, loop, motors, tracking."""

@@ -1,0 +1,318 @@
+"""A flown log → everything that is measured of it, for the whole and for each set of gains. Pure.
+
+step.py, spectrum.py and response.py measure; here stands which signals they are given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.logview import response, step
+from quad_sysid.logview.flown import Flown, Stretch, stretches
+from quad_sysid.logview.spectrum import Frames, frames
+
+NOISE_HZ = 80.0
+"""From here on what the gyro shows is called noise: no aircraft of this kind turns so fast."""
+AT_LIMIT = 1e-3
+"""Distance from 0 or 1 within which a motor stands at its limit."""
+LONGEST_LATENCY_S = 0.3
+SEEN = 0.5
+"""Share of a signal's samples with which it counts as measured."""
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How far the rate is from its set-point, rad/s (angles: rad)."""
+
+    quantity: str
+    setpoint_rms: float
+    error_rms: float
+    error_rms_delayed: float
+    """The error that is left where the set-point is delayed by `latency_s`."""
+    latency_s: float
+    """The delay with which that error is smallest."""
+
+
+@dataclass(frozen=True)
+class AxisLook:
+    """One axis over one stretch."""
+
+    axis: str
+    steps: tuple[step.Response, ...]
+    """Of the rate, and of the angle where it has a set-point: all windows first, then classes."""
+    loop: response.LoopResponse | None
+    tracking: tuple[Tracking, ...]
+    gyro: Frames | None
+    """Spectra of the rate as the controller sees it."""
+    gyro_before: Frames | None
+    """The same before the filters."""
+    d_term: Frames | None
+
+    @property
+    def rate_step(self) -> step.Response | None:
+        """The rate's step response over all windows."""
+        return next((s for s in self.steps if s.quantity == 'rate'), None)
+
+    @property
+    def noise_rms(self) -> float | None:
+        """RMS of the filtered gyro above NOISE_HZ, rad/s; None for a log that is too slow."""
+        if self.gyro is None or self.gyro.frequency_hz[-1] < 1.2 * NOISE_HZ:
+            return None
+        return self.gyro.rms(NOISE_HZ)
+
+
+@dataclass(frozen=True)
+class MotorLook:
+    """One motor in flight."""
+
+    name: str
+    mean: float
+    """Mean command, 0..1."""
+    apart_pct: float
+    """Its mean command beside the mean of all, %."""
+    at_zero_pct: float
+    at_one_pct: float
+    """Share of the time at the limits, %."""
+    speed_rad_s: float | None = None
+    """Mean speed where it was measured."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What was measured over one stretch of the flight."""
+
+    stretch: Stretch
+    flown_s: float
+    """Time in the air."""
+    axes: Mapping[str, AxisLook]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All that a log shows without a model."""
+
+    flown: Flown
+    whole: Part
+    parts: tuple[Part, ...]
+    """By set of gains; empty where the gains never change."""
+    motors: tuple[MotorLook, ...]
+    motor_frames: Frames | None
+    """Spectra of the motors' commands, mean over the motors."""
+    rotor_hz: FloatArray | None
+    """(n,) mean rotor frequency; None where it was not measured."""
+
+
+def look_at(flown: Flown) -> Measured:
+    """Measure everything."""
+    found = stretches(flown)
+    everything = Stretch(0.0, flown.length_s, found[-1].gains)
+    whole = _part(flown, everything if len(found) == 1 else Stretch(
+        0.0, flown.length_s, {}))
+    parts = tuple(_part(flown, one) for one in found) if len(found) > 1 else ()
+    return Measured(flown, whole, parts, _motors(flown), _motor_frames(flown), _rotor_hz(flown))
+
+
+def _part(flown: Flown, stretch: Stretch) -> Part:
+    time = np.arange(flown.n) * flown.dt
+    good = flown.flying & (time >= stretch.start_s) & (time < stretch.end_s)
+    good &= np.isfinite(flown.rates).all(axis=1)
+    return Part(stretch, float(good.sum()) * flown.dt,
+                {axis: _axis(flown, axis, good, stretch.gains) for axis in flown.axes})
+
+
+def _axis(flown: Flown, axis: str, good: npt.NDArray[np.bool_],
+          gains: Mapping[str, float]) -> AxisLook:
+    i, dt = AXES.index(axis), flown.dt
+    rate, asked = flown.rates[:, i], _column(flown.rate_setpoint, i)
+    angle, aim = _column(flown.angles, i), _column(flown.attitude_setpoint, i)
+    steps: tuple[step.Response, ...] = ()
+    tracking: tuple[Tracking, ...] = ()
+    flying, injected = good, _column(flown.injected, i)
+    if injected is not None:  # there it is not the set-point that moves the axis
+        good = good & ~np.isfinite(injected)
+    if asked is not None:
+        steps += step.responses(asked, rate, good, dt, step.RATE)
+        tracking += _tracking('rate', asked, rate, good, dt)
+    if aim is not None and angle is not None:
+        steps += step.responses(aim, angle, good, dt, step.ANGLE)
+        tracking += _tracking('angle', aim, angle, good, dt)
+    before = _column(flown.rates_before, i)
+    same = before is not None and len(before) == flown.n and flown.before_dt == dt
+    if before is not None:
+        gyro_before = frames(before, good if same else np.isfinite(before),
+                             flown.before_dt or dt)
+    else:
+        gyro_before = None
+    d_term, gyro = _column(flown.d_term, i), frames(rate, good, dt)
+    return AxisLook(
+        axis, steps, _loop(flown, i, flying, gains, before if same else None), tracking,
+        gyro, gyro_before,
+        _d_frames(gyro, gains, axis, dt) if d_term is None else frames(d_term, good, dt))
+
+
+def _d_frames(gyro: Frames | None, gains: Mapping[str, float], axis: str,
+              dt: float) -> Frames | None:
+    """The D part's spectra by the gyro's and the known gains."""
+    kd = gains.get(f'{axis}.rate.kd', 0.0)
+    if gyro is None or not kd > 0.0:
+        return None
+    part = response.derivative(gains, axis, gyro.frequency_hz, dt)
+    return replace(gyro, density=gyro.density * np.abs(part) ** 2)
+
+
+def _loop(flown: Flown, i: int, good: npt.NDArray[np.bool_], gains: Mapping[str, float],
+          before: FloatArray | None) -> response.LoopResponse | None:
+    """The loop, by what was injected into its command, or else by its set-point."""
+    axis, dt, rate = AXES[i], flown.dt, flown.rates[:, i]
+    asked, command = _column(flown.rate_setpoint, i), _column(flown.control, i + 1)
+    injected = _column(flown.injected, i)
+    if injected is not None and command is not None:
+        found = response.spectra(injected, command, rate, good, dt)
+        loop = None if found is None else response.loop_response(found, dt, gains, axis)
+        if loop is not None:
+            return _delayed(flown, i, good, gains, before, replace(
+                loop, instrument='excitation', tracking=np.full_like(loop.tracking, np.nan),
+                bandwidth_hz=np.nan, peak=np.nan, peak_hz=np.nan))
+    if asked is None:
+        return None
+    found = response.spectra(asked, asked if command is None else command, rate, good, dt)
+    loop = None if found is None else response.loop_response(
+        found, dt, gains if command is not None else {}, axis)
+    if loop is None:
+        return None
+    if command is None:
+        loop = replace(loop, plant=None, loop=None)
+    return _delayed(flown, i, good, gains, before, loop)
+
+
+def _delayed(flown: Flown, i: int, good: npt.NDArray[np.bool_], gains: Mapping[str, float],
+             before: FloatArray | None, loop: response.LoopResponse) -> response.LoopResponse:
+    """The loop with its delays: each that can be measured, the rest of the whole."""
+    axis, dt, rate = AXES[i], flown.dt, flown.rates[:, i]
+    at = response.at_crossover(loop)
+    delays = [_gyro_delay(rate, before, good, dt, gains, at), _motor_delay(flown, good, at)]
+    parts = [one for one in delays if one is not None]
+    total = response.plant_delay(loop, at)
+    if total is not None:
+        known = sum(one.milliseconds for one in parts) * 1e-3
+        parts.append(response.of_seconds(
+            'rest: output, airframe' + ('' if delays[1] else ', motors')
+            + ('' if delays[0] else ', filters'), total - known, at, 'measurement'))
+        parts.append(response.of_seconds('command to acceleration', total, at, 'measurement'))
+    parts += _d_delay(gains, axis, dt, at)
+    return replace(loop, delays=tuple(parts), delay_hz=at)
+
+
+def _gyro_delay(rate: FloatArray, before: FloatArray | None, good: npt.NDArray[np.bool_],
+                dt: float, gains: Mapping[str, float], at: float) -> response.Delay | None:
+    if before is not None:
+        return response.measured_delay('gyro filters', before, rate, good, dt, at)
+    cutoff = gains.get('sensor.gyro_filter_hz', 0.0)
+    centre = gains.get('sensor.notch_1_hz', 0.0)
+    lowpass = gains.get('sensor.gyro_lowpass_delay_s', 0.0)
+    if not max(cutoff, centre, lowpass) > 0.0:
+        return None
+    f = np.array([at])
+    total = response.butterworth(cutoff, f) * response.notch(
+        centre, gains.get('sensor.notch_1_bandwidth_hz', 0.0), f)
+    total = total * np.exp(-2j * np.pi * f * lowpass)
+    return response.of_filter('gyro filters', total, at, 'settings')
+
+
+def _motor_delay(flown: Flown, good: npt.NDArray[np.bool_], at: float) -> response.Delay | None:
+    """From the motors' commands to the rotors' speeds, which telemetry may delay further."""
+    if flown.motors is None or flown.speeds is None:
+        return None
+    found = [response.measured_delay('motors', flown.motors[:, k], flown.speeds[:, k], good,
+                                     flown.dt, at)
+             for k in range(flown.speeds.shape[1])]
+    known = [one.milliseconds for one in found if one is not None]
+    return response.of_seconds('motors', 1e-3 * float(np.median(known)), at,
+                               'measurement') if known else None
+
+
+def _d_delay(gains: Mapping[str, float], axis: str, dt: float,
+             at: float) -> list[response.Delay]:
+    """The D part's own filters, which delay D alone."""
+    f, out = np.array([at]), []
+    total = response.first_order(gains.get(f'{axis}.rate.d_filter_hz', 0.0), f, dt)
+    if gains.get(f'{axis}.rate.kd', 0.0) > 0.0 and abs(float(np.angle(total[0]))) > 0.0:
+        out.append(response.of_filter('D filters (of D alone)', total, at, 'settings'))
+    return out
+
+
+def _tracking(quantity: str, asked: FloatArray, got: FloatArray, good: npt.NDArray[np.bool_],
+              dt: float) -> tuple[Tracking, ...]:
+    """The error as it is, and beside the set-point delayed so that it is least."""
+    known = good & np.isfinite(asked) & np.isfinite(got)
+    if known.sum() < 2.0 / dt or not float(np.ptp(asked[known])) > 0.0:
+        return ()
+    power = float(np.mean(asked[known] ** 2))
+    error = float(np.sqrt(np.mean((asked - got)[known] ** 2)))
+    best, latency = error, 0.0
+    most = LONGEST_LATENCY_S if quantity == 'rate' else 1.0
+    for k in _delays(round(most / dt)):
+        both = known[k:] & known[:len(known) - k]
+        left = float(np.sqrt(np.mean((asked[:len(asked) - k] - got[k:])[both] ** 2)))
+        if left < best:
+            best, latency = left, k * dt
+    return (Tracking(quantity, float(np.sqrt(power)), error, best, latency),)
+
+
+def _delays(most: int) -> list[int]:
+    """Delays in samples: all small ones, then in steps of some per cent."""
+    return sorted({round(k) for k in np.geomspace(1, max(most, 2), 60)})
+
+
+def _motors(flown: Flown) -> tuple[MotorLook, ...]:
+    if flown.motors is None:
+        return ()
+    known = flown.flying & np.isfinite(flown.motors).all(axis=1)
+    if not known.any():
+        return ()
+    used = flown.motors[known]
+    mean = used.mean(axis=0)
+    out = []
+    for k, value in enumerate(mean):
+        speed = None
+        if flown.speeds is not None:
+            one = flown.speeds[flown.flying, k]
+            speed = float(np.nanmean(one)) if np.isfinite(one).any() else None
+        out.append(MotorLook(
+            f'motor_{k + 1}', float(value),
+            100.0 * float(value / mean.mean() - 1.0) if mean.mean() > 0.0 else 0.0,
+            100.0 * float(np.mean(used[:, k] <= AT_LIMIT)),
+            100.0 * float(np.mean(used[:, k] >= 1.0 - AT_LIMIT)), speed))
+    return tuple(out)
+
+
+def _motor_frames(flown: Flown) -> Frames | None:
+    if flown.motors is None:
+        return None
+    found = [frames(flown.motors[:, k], flown.flying, flown.dt)
+             for k in range(flown.motors.shape[1])]
+    known = [one for one in found if one is not None]
+    if not known or any(len(one.at) != len(known[0].at) for one in known):
+        return None
+    first = known[0]
+    return Frames(first.frequency_hz, np.mean([one.density for one in known], axis=0),
+                  first.time_s, first.at, first.size)
+
+
+def _rotor_hz(flown: Flown) -> FloatArray | None:
+    if flown.speeds is None or np.isfinite(flown.speeds).mean() < SEEN:
+        return None
+    return np.asarray(np.nanmean(flown.speeds, axis=1) / (2.0 * np.pi))
+
+
+def _column(signal: FloatArray | None, i: int) -> FloatArray | None:
+    """One axis of a signal; None where it is not measured."""
+    if signal is None or not np.isfinite(signal[:, i]).any():
+        return None
+    return signal[:, i]
+

@@ -1,0 +1,80 @@
+"""A look as one page: the answer, time series that zoom, pictures, tables. Nothing is loaded."""
+
+from __future__ import annotations
+
+import math
+from html import escape
+from pathlib import PurePath
+
+from quad_sysid.contract import AXES
+from quad_sysid.logview.measure import Measured
+from quad_sysid.logview.pictures import pictures
+from quad_sysid.logview.words import header, part_tables, sentences, tables
+from quad_sysid.report import zoom
+from quad_sysid.report.canvas import svg
+from quad_sysid.report.html import SHEET
+
+DEG = math.degrees(1.0)
+MARK = '<meta name="generator" content="quad-sysid look">'
+"""By which a page of this command is recognised, and may be replaced."""
+MOTORS = ('--blue', '--orange', '--green', '--pink', '--sky', '--ink', '--muted', '--grid')
+
+
+def page(look: Measured) -> str:
+    """The page as text, at most 2 MB."""
+    name = escape(PurePath(look.flown.source).name)
+    said = ''.join(f'<p>{escape(text)}</p>' for text in sentences(look))
+    figures = ''.join(
+        f'<figure id="{one.name}"><h4>{escape(one.title)}</h4>{svg(one, one.name)}'
+        f'<figcaption>{escape(one.caption)}</figcaption></figure>' for one in pictures(look))
+    stretches = ''.join(
+        f'<h3>{part.stretch.start_s:.1f} to {part.stretch.end_s:.1f} s</h3>'
+        + ''.join(table.html() for table in part_tables(part)) for part in look.parts)
+    notes = [f'Not in the log: {text}' for text in look.flown.lacks] + list(look.flown.warnings)
+    gains = ''.join(f'{escape(n)} {v:.6g}\n' for n, v in sorted(look.whole.stretch.gains.items()))
+    return '\n'.join([
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">', MARK,
+        '<meta name="viewport" content="width=device-width,initial-scale=1">',
+        f'<title>Look at {name}</title><style>{SHEET}{zoom.STYLE}</style></head><body>',
+        f'<h1>Look at {name}</h1><p class="small">{escape(header(look))}</p>',
+        f'<section class="answer">{said}</section>',
+        f'<h2>Traces</h2>{traces(look)}',
+        f'<h2>Pictures</h2><div class="figures">{figures}</div>',
+        f'<h2>Figures</h2>{"".join(table.html() for table in tables(look))}',
+        f'<h2>By set of gains</h2>{stretches}' if stretches else '',
+        f'<h2>Gains in the log</h2><pre>{gains}</pre>' if gains else '',
+        '<h2>Notes</h2><ul class="small">' + ''.join(f'<li>{escape(n)}</li>' for n in notes)
+        + '</ul>' if notes else '',
+        zoom.script(), '</body></html>\n'])
+
+
+def traces(look: Measured, budget: int = zoom.BUDGET) -> str:
+    """The time series: each axis with its set-point, motors, rotor speeds, battery."""
+    flown = look.flown
+    rows = []
+    for axis in flown.axes:
+        i = AXES.index(axis)
+        lines = [zoom.Line('rate', DEG * flown.rates[:, i], '--blue')]
+        if flown.rate_setpoint is not None:
+            lines.append(zoom.Line('set-point', DEG * flown.rate_setpoint[:, i], '--orange'))
+        rows.append(zoom.Row(f'{axis}, deg/s', lines))
+    if flown.angles is not None:
+        rows.append(zoom.Row('attitude, deg', [
+            zoom.Line(axis, DEG * flown.angles[:, AXES.index(axis)], colour)
+            for axis, colour in zip(('roll', 'pitch'), ('--blue', '--orange'), strict=True)]))
+    for label, values, scale in (('motor commands', flown.motors, 1.0),
+                                 ('rotor speeds, 1000 rpm', flown.speeds,
+                                  30.0 / math.pi / 1000.0)):
+        if values is not None:
+            rows.append(zoom.Row(label, [
+                zoom.Line(f'{k + 1}', scale * values[:, k], MOTORS[k % len(MOTORS)])
+                for k in range(values.shape[1])]))
+    if flown.motors is None and flown.control is not None:
+        rows.append(zoom.Row('command', [
+            zoom.Line(axis, flown.control[:, AXES.index(axis) + 1], colour)
+            for axis, colour in zip(AXES, MOTORS, strict=False)]))
+    if flown.battery_v is not None:
+        rows.append(zoom.Row('battery, V', [zoom.Line('V', flown.battery_v, '--green')]))
+    marks = [zoom.Mark(a, b, '--muted') for a, b in flown.gaps]
+    marks += [zoom.Mark(p.stretch.start_s, p.stretch.end_s, '--pink') for p in look.parts[1::2]]
+    return zoom.group(rows, flown.dt, marks, budget)

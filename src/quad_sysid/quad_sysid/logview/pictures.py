@@ -1,0 +1,251 @@
+"""The pictures of a look, by matplotlib: steps, spectra, maps over time and throttle, loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.logview.measure import Measured, Part
+from quad_sysid.logview.spectrum import LOWEST_PEAK_HZ, ORDERS, THROTTLE, Frames
+from quad_sysid.report.canvas import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PINK,
+    SKY,
+    Picture,
+    legend,
+    panels,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+DEG = math.degrees(1.0)
+COLOURS = {'all': INK, 'small': SKY, 'medium': BLUE, 'large': ORANGE}
+STRETCHES = (BLUE, ORANGE, GREEN, PINK, SKY, MUTED)
+MOST_PIXELS = 300
+"""Columns and rows of a map."""
+RANGE_DB = 50.0
+
+
+def pictures(look: Measured) -> tuple[Picture, ...]:
+    """All that the log allows, in the order of reading."""
+    return tuple(one for one in (
+        steps(look, 'rate'), steps(look, 'angle'), by_gains(look), spectra(look),
+        throttle_map(look), time_map(look), orders(look), loop(look)) if one is not None)
+
+
+def draw(look: Measured, name: str) -> Picture:
+    """One picture by its name; raises BadInputError where the log does not allow it."""
+    found = {one.name: one for one in pictures(look)}
+    if name not in found:
+        raise BadInputError('look', 'has no such picture', name, f'it has {", ".join(found)}')
+    return found[name]
+
+
+def steps(look: Measured, quantity: str) -> Picture | None:
+    """The step response of each axis, by amplitude."""
+    axes = {axis: [s for s in one.steps if s.quantity == quantity]
+            for axis, one in look.whole.axes.items()}
+    axes = {axis: found for axis, found in axes.items() if found}
+    if not axes:
+        return None
+    figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
+    for one, (axis, found) in zip(drawn, axes.items(), strict=True):
+        one.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
+        for s in found:
+            colour = COLOURS[s.amplitude]
+            if s.amplitude == 'all':
+                one.fill_between(s.time_s, s.low, s.high, color=MUTED, alpha=0.25, linewidth=0)
+            one.plot(s.time_s, s.mean, color=colour, label=s.amplitude,
+                     linewidth=1.6 if s.amplitude == 'all' else 1.0)
+        one.set_ylabel(f'{axis}, 1')
+        one.set_ylim(min(-0.1, *(float(s.mean.min()) for s in found)),
+                     max(1.5, *(1.05 * float(s.mean.max()) for s in found)))
+    drawn[-1].set_xlabel('time after the step, s')
+    legend(drawn[0])
+    return Picture(
+        f'step_{quantity}', f'Step response of the {quantity}',
+        'Response to a unit step of the set-point, by regularised deconvolution. '
+        'Grey: the spread between windows (16 to 84 %). Colours: windows whose largest set-point '
+        'is small, medium, large (table).', figure)
+
+
+def by_gains(look: Measured) -> Picture | None:
+    """The rate's step response of each set of gains."""
+    axes = [axis for axis in look.whole.axes if any(
+        p.axes[axis].rate_step is not None for p in look.parts if axis in p.axes)]
+    if not axes:
+        return None
+    figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
+    for one, axis in zip(drawn, axes, strict=True):
+        one.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
+        for k, part in enumerate(look.parts):
+            step = part.axes[axis].rate_step
+            if step is not None:
+                one.plot(step.time_s, step.mean, color=STRETCHES[k % len(STRETCHES)],
+                         label=f'{part.stretch.start_s:.0f} to {part.stretch.end_s:.0f} s')
+        one.set_ylabel(f'{axis}, 1')
+    drawn[-1].set_xlabel('time after the step, s')
+    legend(drawn[0], 3)
+    return Picture('step_by_gains', 'Step response by set of gains',
+                   'One line for each stretch of the flight with its own gains.', figure)
+
+
+def spectra(look: Measured) -> Picture | None:
+    """Amplitude spectra of gyro, before and after, D part and motors."""
+    axes = {axis: one for axis, one in look.whole.axes.items() if one.gyro is not None}
+    if not axes:
+        return None
+    motors = look.motor_frames
+    figure, drawn = panels(len(axes) + (motors is not None),
+                           height_in=0.7 + 1.5 * (len(axes) + (motors is not None)))
+    for one, (axis, found) in zip(drawn, axes.items(), strict=False):
+        for name, frames, colour in (('gyro before filters', found.gyro_before, SKY),
+                                     ('gyro', found.gyro, INK)):
+            if frames is not None:
+                _line(one, frames, DEG, colour, name)
+        if found.d_term is not None:
+            _line(one, found.d_term, 1e3, ORANGE, 'D part, ‰ of command')
+        one.set_ylabel(f'{axis}, deg/s/√Hz')
+    if motors is not None:
+        _line(drawn[-1], motors, 1e3, GREEN, 'motor commands, ‰')
+        drawn[-1].set_ylabel('motors, ‰/√Hz')
+        legend(drawn[-1])
+    drawn[-1].set_xlabel('frequency, Hz')
+    legend(drawn[0], 3)
+    return Picture('spectra', 'Spectra of gyro, D part and motors',
+                   'Amplitude density in the air: mean power of Hann windows of 0.5 s.', figure)
+
+
+def _line(axes: Axes, frames: Frames, scale: float, colour: str, label: str) -> None:
+    axes.loglog(frames.frequency_hz[1:], scale * np.sqrt(np.maximum(frames.mean[1:], 1e-30)),
+                color=colour, label=label)
+
+
+def throttle_map(look: Measured) -> Picture | None:
+    """Gyro noise over throttle, each axis."""
+    throttle = look.flown.throttle
+    if throttle is None:
+        return None
+    maps = {axis: (f, f.over(throttle, THROTTLE)) for axis, f in _noisiest(look)}
+    maps = {axis: (f, m) for axis, (f, m) in maps.items()
+            if np.isfinite(m).any(axis=1).sum() > 1}
+    if not maps:
+        return None
+    figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
+    for one, (axis, (frames, values)) in zip(drawn, maps.items(), strict=True):
+        seen = np.flatnonzero(np.isfinite(values).any(axis=1))
+        used = values[seen[0]:seen[-1] + 1]
+        _map(one, used.T, (float(THROTTLE[seen[0]]), float(THROTTLE[seen[-1] + 1])), frames)
+        one.set_ylabel(f'{axis}, Hz')
+    drawn[-1].set_xlabel('throttle (mean motor command)')
+    return Picture('throttle', 'Gyro spectrum over throttle', _map_words(look), figure)
+
+
+def time_map(look: Measured) -> Picture | None:
+    """The spectrogram of each axis."""
+    maps = dict(_noisiest(look))
+    if not maps:
+        return None
+    figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
+    for one, (axis, frames) in zip(drawn, maps.items(), strict=True):
+        edges = np.linspace(0.0, look.flown.length_s, min(
+            MOST_PIXELS, max(2, math.ceil(look.flown.length_s / 0.25))) + 1)
+        group = np.digitize(frames.time_s, edges) - 1
+        values = np.full((len(edges) - 1, len(frames.frequency_hz)), np.nan)
+        for c in np.unique(group[group < len(values)]):
+            values[c] = frames.density[group == c].mean(axis=0)
+        _map(one, values.T, (0.0, look.flown.length_s), frames)
+        one.set_ylabel(f'{axis}, Hz')
+    drawn[-1].set_xlabel('time, s')
+    return Picture('spectrogram', 'Spectrogram of the gyro', _map_words(look), figure)
+
+
+def _map_words(look: Measured) -> str:
+    raw = any(one.gyro_before is not None for one in look.whole.axes.values())
+    whose = 'before its filters' if raw else 'as the controller sees it'
+    return (f'Bright is loud, {RANGE_DB:.0f} dB from the loudest above {LOWEST_PEAK_HZ:g} Hz to '
+            f'black; the gyro {whose}. White: not flown there.')
+
+
+def _noisiest(look: Measured) -> Iterator[tuple[str, Frames]]:
+    """Of each axis the gyro before its filters on the log's grid, or else behind them."""
+    for axis, one in look.whole.axes.items():
+        raw = one.gyro_before if look.flown.before_dt == look.flown.dt else None
+        found = raw if raw is not None else one.gyro
+        if found is not None:
+            yield axis, found
+
+
+def _map(axes: Axes, density: FloatArray, span: tuple[float, float], frames: Frames) -> None:
+    """A map of decibels, the rows thinned to what can be seen."""
+    every = max(1, math.ceil(len(density) / MOST_PIXELS))
+    whole = len(density) // every * every
+    thin = density[:whole].reshape(-1, every, density.shape[1]).mean(axis=1)
+    level = 10.0 * np.log10(np.maximum(thin, 1e-30))
+    shaking = frames.frequency_hz[:whole:every] >= LOWEST_PEAK_HZ
+    top = float(np.nanpercentile(level[shaking[:len(level)]], 99.8))
+    axes.imshow(level, origin='lower', aspect='auto', interpolation='nearest', cmap='magma',
+                vmin=top - RANGE_DB, vmax=top,
+                extent=(*span, 0.0, float(frames.frequency_hz[whole - 1])))
+    axes.grid(visible=False)
+
+
+def orders(look: Measured) -> Picture | None:
+    """Gyro noise over multiples of the rotors' mean frequency."""
+    if look.rotor_hz is None:
+        return None
+    found = {axis: f.orders(look.rotor_hz) for axis, f in _noisiest(look)}
+    found = {axis: m for axis, m in found.items() if m is not None}
+    if not found:
+        return None
+    figure, (one,) = panels(height_in=2.6)
+    centres = 0.5 * (ORDERS[1:] + ORDERS[:-1])
+    for (axis, m), colour in zip(found.items(), (BLUE, ORANGE, GREEN), strict=False):
+        if m is not None:
+            one.semilogy(centres, DEG * np.sqrt(m), color=colour, label=axis)
+    one.set_xlabel("frequency over the rotors' mean frequency")
+    one.set_ylabel('deg/s/√Hz')
+    legend(one)
+    return Picture('orders', 'Gyro spectrum in orders of the rotors',
+                   'Whole orders are imbalance and blades; what stands between them is not driven '
+                   'by the rotors.', figure)
+
+
+def loop(look: Measured) -> Picture | None:
+    """Tracking over frequency, coherence, and loop gain where the gains are known."""
+    part: Part = look.parts[-1] if look.parts else look.whole
+    found = {axis: one.loop for axis, one in part.axes.items() if one.loop is not None}
+    if not found:
+        return None
+    known = any(one.loop is not None for one in found.values())
+    figure, drawn = panels(4 if known else 3, height_in=5.6 if known else 4.4)
+    for (axis, one), colour in zip(found.items(), (BLUE, ORANGE, GREEN), strict=False):
+        f = one.frequency_hz
+        drawn[0].loglog(f, np.abs(one.tracking), color=colour, label=axis)
+        drawn[1].semilogx(f, np.degrees(np.unwrap(np.angle(one.tracking))), color=colour)
+        drawn[2].semilogx(f, one.coherence, color=colour)
+        if known and one.loop is not None:
+            seen = np.isfinite(one.loop)
+            drawn[3].loglog(f[seen], np.abs(1.0 / (1.0 + one.loop[seen])), color=colour)
+    for axes, label in zip(drawn, ('tracking, 1', 'phase, °', 'coherence²', 'sensitivity, 1'),
+                           strict=False):
+        axes.set_ylabel(label)
+    drawn[2].set_ylim(0.0, 1.05)
+    drawn[-1].set_xlabel('frequency, Hz')
+    legend(drawn[0])
+    return Picture('loop', 'Rate loop over frequency',
+                   'Rate over set-point where both are coherent' + (
+                       '; the sensitivity 1 / (1 + L) by the measured plant and the known gains.'
+                       if known else '.'), figure)
+
+

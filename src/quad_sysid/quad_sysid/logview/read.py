@@ -1,0 +1,217 @@
+"""A bag, a foreign log or a table → what is looked at. The readers are those of the import."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quad_sysid.bags import read_bag
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.clock import LONGEST_PAUSE, cycles, draw, hold
+from quad_sysid.imports.columns import read_columns
+from quad_sysid.imports.formats import format_of, read_log
+from quad_sysid.imports.guess import guesses
+from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.stretches import airborne
+from quad_sysid.imports.table import head_of, is_bag, open_table
+from quad_sysid.imports.to_bag import record_of
+from quad_sysid.logview.flown import Flown
+from quad_sysid.logview.measure import Measured, look_at
+from quad_sysid.record import GainChange, Record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STILL = 1e-9
+"""Spread of a rate below which its axis was not measured."""
+SAME_GRID = 0.9
+"""Share of the rates' rate from which the raw gyro is put on their grid."""
+LACKING = {
+    'rate_setpoint': 'rate set-point: no step response of the rate, no loop, no tracking error',
+    'motors': 'motors: no balance, no limits', 'speeds': 'rotor speeds: no orders, no motor delay',
+    'battery_v': 'battery', 'rates_before': 'gyro before its filters: their delay is by settings',
+    'gains': 'gains: no margins',
+}
+
+
+class Look(Measured):
+    """What a log shows without a model, with its text, pictures and page."""
+
+    def __str__(self) -> str:
+        """The text that the command prints."""
+        from quad_sysid.logview.words import lines
+
+        return '\n'.join(lines(self))
+
+    def tree(self) -> dict[str, Any]:
+        """What `--json` prints."""
+        from quad_sysid.logview.words import tree
+
+        return tree(self)
+
+    def plot(self, name: str = 'step_rate') -> Figure:
+        """One picture as a matplotlib figure: `step_rate`, `spectra`, `throttle`, `loop`."""
+        from quad_sysid.logview.pictures import draw
+
+        return draw(self, name).figure
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page with all of it; returns where."""
+        from quad_sysid.files import write_whole
+        from quad_sysid.logview.page import page
+
+        write_whole(path, page(self))
+        return Path(path)
+
+
+def look(flight: Record | Flown | str | Path, *, log: int = 1,
+         messages: str | Path | None = None) -> Look:
+    """Measure what a log shows without a model, in seconds; see docs/look.md.
+
+    `flight`: a bag, a log of PX4, ArduPilot, Betaflight or INAV, a table, or a Record. `log`: of
+    several in a blackbox file, counted from 1; `messages`: a folder of .msg files. Raises
+    BadInputError where it cannot be read.
+    """
+    if isinstance(flight, Record):
+        flown = of_record(flight, 'a record')
+    elif isinstance(flight, Flown):
+        flown = flight
+    else:
+        flown = read(Path(flight), log, None if messages is None else Path(messages))
+    return Look(**vars(look_at(flown)))
+
+
+def read(path: Path, log: int = 1, messages: Path | None = None) -> Flown:
+    """Everything that is looked at in a file or bag; raises BadInputError."""
+    if is_bag(path, head_of(path)):
+        with suppress(BadInputError):  # then it holds other topics, which the readers below know
+            return of_record(read_bag(path), 'a bag')
+    known = format_of(path)
+    if known is not None:
+        return of_log(read_log(path, known, log, messages))
+    return of_log(_table(path, messages))
+
+
+def of_record(record: Record, kind: str) -> Flown:
+    """The signals of a record."""
+    return _complete(Flown(
+        source=record.source, kind=kind, dt=record.dt, rates=record.rates,
+        flying=airborne(record.control[:, 0], record.dt), axes=_moving(record.rates),
+        rate_setpoint=record.rate_setpoint, angles=record.angles,
+        attitude_setpoint=record.attitude_setpoint, control=record.control, motors=record.motors,
+        speeds=record.speeds, battery_v=record.battery_v, gains=record.gains,
+        injected=_injected(record), warnings=record.warnings))
+
+
+def _injected(record: Record) -> FloatArray | None:
+    """The excitation of the segments that excite the command itself."""
+    if record.excitation is None:
+        return None
+    out = np.full_like(record.rates, np.nan)
+    for one in record.segments:
+        if one.injection == 'control' and one.axis in AXES and one.signal != 'none':
+            rows, i = slice(*record.span(one)), AXES.index(one.axis)
+            out[rows, i] = np.nan_to_num(record.excitation[rows, i])
+    return out if np.isfinite(out).any() else None
+
+
+def of_log(log: ForeignLog) -> Flown:
+    """A foreign log, also one that the import refuses since it has no commands of use."""
+    base = log.rates or log.angles
+    if base is None or len(base.time_s) < 2:
+        raise BadInputError(log.source, 'holds no body rates and no angles',
+                            remedy='log the gyro; quad-sysid import lists what the log holds')
+    try:
+        record, told, warnings = record_of(log)
+    except BadInputError as error:
+        found = _without_commands(log, str(error))
+    else:
+        found = replace(of_record(record, log.kind), warnings=(*log.checks, *warnings, *told[:1]))
+    laid = cycles(base, log.source)
+    found = replace(found, gains=tuple(
+        GainChange(change.time_s - laid.times[0] if change.time_s else 0.0, change.values)
+        for change in (*found.gains, *log.gain_changes)))
+    times = laid.times
+    if log.d_term is not None and len(times) == found.n:
+        width = log.d_term.values.shape[1]
+        d_term = np.full((found.n, len(AXES)), np.nan)
+        d_term[:, :width] = hold(log.d_term, times, found.dt)
+        found = replace(found, d_term=d_term)
+    before = log.rates_before
+    if before is not None and before.rate_hz >= SAME_GRID / found.dt and len(times) == found.n:
+        found = replace(found, rates_before=_drawn(before, times), before_dt=found.dt)
+    elif before is not None and len(before.time_s) > 2:
+        own = cycles(before, log.source)
+        found = replace(found, rates_before=own.values, before_dt=own.dt)
+    return _complete(found)
+
+
+def _without_commands(log: ForeignLog, why: str) -> Flown:
+    base = log.rates or log.angles
+    if base is None:
+        raise BadInputError(log.source, 'holds no body rates')
+    laid = cycles(base, log.source)
+    rates = laid.values if log.rates is not None else np.gradient(laid.values, laid.dt, axis=0)
+    motors = None if log.motors is None else hold(log.motors, laid.times, laid.dt)
+    throttle = None if motors is None else motors.mean(axis=1)
+    flying = np.ones(len(rates), bool) if throttle is None or not np.isfinite(throttle).any() \
+        else airborne(throttle, laid.dt)
+
+    def held(stream: Stream | None) -> FloatArray | None:
+        return None if stream is None else hold(stream, laid.times, laid.dt)
+
+    return Flown(
+        source=log.source, kind=log.kind, dt=laid.dt, rates=rates, flying=flying,
+        axes=tuple(a for a in log.axes if a in _moving(rates)), motors=motors,
+        rate_setpoint=held(log.rate_setpoint), attitude_setpoint=held(log.attitude_setpoint),
+        angles=None if log.angles is None else _drawn(log.angles, laid.times),
+        battery_v=None if log.battery is None else np.interp(
+            laid.times, log.battery.time_s, log.battery.values[:, 0]),
+        gains=(GainChange(0.0, log.gains),) if log.gains else (),
+        warnings=(f'it cannot be identified: {why}',))
+
+
+def _complete(found: Flown) -> Flown:
+    """What the log lacks, in words."""
+    if not found.axes:
+        raise BadInputError(found.source, 'shows no axis that turns',
+                            remedy='give the log of a flight')
+    lacks = [text for name, text in LACKING.items()
+             if getattr(found, name) is None or (name == 'gains' and not found.gains)]
+    return replace(found, lacks=tuple(lacks))
+
+
+def _drawn(stream: Stream, times: FloatArray) -> FloatArray:
+    return draw(stream, times, LONGEST_PAUSE / stream.rate_hz)
+
+
+def _moving(rates: FloatArray) -> tuple[str, ...]:
+    spread = [float(np.nanstd(rates[:, i])) if np.isfinite(rates[:, i]).any() else 0.0
+              for i in range(len(AXES))]
+    return tuple(axis for axis, one in zip(AXES, spread, strict=True) if one > STILL)
+
+
+def _table(path: Path, messages: Path | None) -> ForeignLog:
+    """A table by the guess of its columns that the import accepts."""
+    content = open_table(path, messages=messages)
+    refused = ''
+    for guessed in guesses(content):
+        options = guessed.options(path)
+        if options is None:
+            continue
+        try:
+            found = read_columns(options, content)
+            record_of(found)
+        except BadInputError as error:
+            refused = refused or str(error)
+        else:
+            doubt = f'the columns were guessed: check them with quad-sysid import {path}'
+            return replace(found, checks=(*found.checks, doubt))
+    raise BadInputError(
+        str(path), 'is a table whose columns cannot be guessed', refused or None,
+        'quad-sysid import FILE lists them; import it with the right ones, then look at the bag')

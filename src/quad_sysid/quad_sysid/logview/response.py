@@ -1,0 +1,270 @@
+"""The loop in flight over frequency: tracking, sensitivity, margins, and what delays it. Pure.
+
+The set-point is the instrument: what the pilot or the outer loop asked for is independent of the
+noise, so S_yr / S_rr is the closed loop and S_yr / S_ur the plant from the command to the rate as
+the controller sees it, feedback or not (Söderström and Stoica, System Identification, ch. 10).
+With the gains of the log that plant gives the loop, its margins and its sensitivity. Without them
+1 - S_yr / S_rr is the sensitivity only of a loop without feed-forward, and no margins are stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.loop.cascade import margins
+from quad_sysid.loop.plant import ComplexArray
+
+FRAME_S = 2.0
+COHERENT = 0.6
+"""Squared coherence from which a frequency counts."""
+FEWEST = 8
+"""Frames from which a response is stated."""
+LEAST_POWER = 1e-4
+"""A line counts where the set-point has this share of its largest density."""
+REFERENCE_HZ = 10.0
+"""Frequency at which delays are stated where no crossover was measured."""
+NEAR = 0.35
+"""Distance of frequencies, in logarithms, whose phases give the delay at one."""
+FEWEST_LINES = 3
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Means over frames of the spectra of reference r, command u and output y."""
+
+    frequency_hz: FloatArray
+    rr: FloatArray
+    yy: FloatArray
+    uu: FloatArray
+    yr: ComplexArray
+    ur: ComplexArray
+    frames: int
+
+    def coherence(self, cross: ComplexArray, power: FloatArray) -> FloatArray:
+        """(f,) squared."""
+        return np.abs(cross) ** 2 / np.maximum(self.rr * power, 1e-300)
+
+
+@dataclass(frozen=True)
+class Delay:
+    """What one part costs at the stated frequency."""
+
+    part: str
+    milliseconds: float
+    degrees: float
+    how: str
+    """`measurement` or `settings`."""
+
+
+@dataclass(frozen=True)
+class LoopResponse:
+    """One axis' rate loop over frequency."""
+
+    frequency_hz: FloatArray
+    """(f,) where set-point and rate are coherent."""
+    tracking: ComplexArray
+    """(f,) rate over set-point."""
+    coherence: FloatArray
+    bandwidth_hz: float
+    """Where the tracking falls below -3 dB for good; NaN where that is not coherent."""
+    peak: float
+    """Largest magnitude of the tracking, and its frequency."""
+    peak_hz: float
+    plant: ComplexArray | None = None
+    """(f,) rad/s per unit of command; NaN where the command is not coherent."""
+    loop: ComplexArray | None = None
+    """(f,) loop gain by the gains of the log."""
+    crossover_hz: float = np.nan
+    phase_margin_deg: float = np.nan
+    gain_margin_db: float = np.nan
+    """NaN where the phase crosses 180° outside what is coherent."""
+    sensitivity: float = np.nan
+    """Largest |1 / (1 + L)| in the coherent band, and its frequency."""
+    sensitivity_hz: float = np.nan
+    instrument: str = 'set-point'
+    """`set-point`, or `excitation` where one was added to the command: then no tracking."""
+    delays: tuple[Delay, ...] = ()
+    delay_hz: float = REFERENCE_HZ
+    """The frequency at which they are stated."""
+
+
+def spectra(r: FloatArray, u: FloatArray, y: FloatArray, good: npt.NDArray[np.bool_],
+            dt: float) -> Spectra | None:
+    """Spectra over Hann windows, half overlapping, where all is good; None with too few."""
+    size = round(FRAME_S / dt)
+    if len(r) < size:
+        return None
+    known = good & np.isfinite(r) & np.isfinite(y) & np.isfinite(u)
+    lost = np.concatenate(([0], np.cumsum(~known)))
+    at = np.arange(0, len(r) - size + 1, max(1, size // 2))
+    at = at[lost[at + size] == lost[at]]
+    if len(at) < FEWEST:
+        return None
+    window, cut = np.hanning(size + 1)[:size], at[:, None] + np.arange(size)
+    fr, fu, fy = (np.fft.rfft((x[cut] - x[cut].mean(axis=1, keepdims=True)) * window, axis=1)
+                  for x in (r, u, y))
+    scale = 2.0 * dt / (window @ window) / len(at)
+
+    def power(x: ComplexArray) -> FloatArray:
+        return scale * np.asarray(np.sum(np.abs(x) ** 2, axis=0))
+
+    def cross(x: ComplexArray) -> ComplexArray:
+        return scale * np.asarray(np.sum(x * np.conj(fr), axis=0))
+
+    return Spectra(np.fft.rfftfreq(size, dt), power(fr), power(fy), power(fu), cross(fy),
+                   cross(fu), len(at))
+
+
+def loop_response(found: Spectra, dt: float, gains: Mapping[str, float],
+                  axis: str) -> LoopResponse | None:
+    """The closed loop, and with gains its margins; None where nothing is coherent."""
+    f = found.frequency_hz
+    seen = found.coherence(found.yr, found.yy)
+    asked = found.rr >= LEAST_POWER * found.rr[1:].max() if len(f) > 1 else np.zeros(1, bool)
+    used = (seen >= COHERENT) & asked & (f > 0.0)
+    used &= np.cumsum(~used & (f > 0.0) & (f > f[np.argmax(used)])) <= FEWEST_LINES
+    if used.sum() < FEWEST_LINES:
+        return None
+    f, tracking = f[used], (found.yr[used] / found.rr[used])
+    level = np.abs(tracking)
+    low = float(np.median(level[:FEWEST_LINES]))
+    below = level < np.sqrt(0.5) * low
+    at = int(np.argmax(below)) if below[-1] else -1
+    peak = int(np.argmax(level))
+    common = {'frequency_hz': f, 'tracking': tracking, 'coherence': seen[used],
+              'bandwidth_hz': float(f[at]) if at >= 0 else np.nan, 'peak': float(level[peak]),
+              'peak_hz': float(f[peak])}
+    driven = found.coherence(found.ur, found.uu)[used] >= COHERENT
+    if driven.sum() < FEWEST_LINES:
+        return LoopResponse(**common)
+    plant = np.where(driven, found.yr[used] / np.where(driven, found.ur[used], 1.0), np.nan)
+    controller = feedback(gains, axis, f, dt)
+    if controller is None:
+        return LoopResponse(**common, plant=plant)
+    loop = plant * controller
+    inside = np.isfinite(loop)
+    of = margins(loop[inside][None], 2.0 * np.pi * f[inside])
+    crossover = float(of.crossover_rad_s[0]) / (2.0 * np.pi)
+    sensitivity = np.where(inside, np.abs(1.0 / (1.0 + np.where(inside, loop, 0.0))), -np.inf)
+    worst = int(np.argmax(sensitivity))
+
+    if not crossover > 0.0:
+        return LoopResponse(**common, plant=plant, loop=loop)
+
+    def finite(value: float) -> float:
+        return value if np.isfinite(value) else np.nan
+
+    return LoopResponse(
+        **common, plant=plant, loop=loop, crossover_hz=crossover,
+        phase_margin_deg=finite(float(of.phase_margin_deg[0])),
+        gain_margin_db=finite(float(of.gain_margin_db[0])),
+        sensitivity=float(sensitivity[worst]), sensitivity_hz=float(f[worst]))
+
+
+def feedback(gains: Mapping[str, float], axis: str, frequency_hz: FloatArray,
+             dt: float) -> ComplexArray | None:
+    """(f,) command over minus the rate, by the contract's gains; None where kp is not known.
+
+    P and I behind the error's filter, D behind its filters, all behind the output's.
+    """
+    def of(name: str) -> float:
+        return float(gains.get(f'{axis}.rate.{name}', 0.0))
+
+    if f'{axis}.rate.kp' not in gains:
+        return None
+    back = np.exp(-2j * np.pi * frequency_hz * dt)
+    error = first_order(of('error_filter_hz'), frequency_hz, dt)
+    common = (of('kp') + of('ki') * dt / (1.0 - back)) * error
+    common = common + derivative(gains, axis, frequency_hz, dt)
+    return np.asarray(common * first_order(of('output_filter_hz'), frequency_hz, dt))
+
+
+def derivative(gains: Mapping[str, float], axis: str, frequency_hz: FloatArray,
+               dt: float) -> ComplexArray:
+    """(f,) the D part over minus the rate, behind its filters."""
+    out = gains.get(f'{axis}.rate.kd', 0.0) * (
+        1.0 - np.exp(-2j * np.pi * frequency_hz * dt)) / dt
+    return np.asarray(out * first_order(gains.get(f'{axis}.rate.d_filter_hz', 0.0),
+                                        frequency_hz, dt))
+
+
+def first_order(cutoff_hz: float, frequency_hz: FloatArray, dt: float) -> ComplexArray:
+    """(f,) a first-order filter as a firmware computes it, backward Euler; 1 where it is off."""
+    if not cutoff_hz > 0.0:
+        return np.ones(len(frequency_hz), complex)
+    weight = dt / (dt + 1.0 / (2.0 * np.pi * cutoff_hz))
+    return np.asarray(weight / (1.0 - (1.0 - weight) * np.exp(-2j * np.pi * frequency_hz * dt)))
+
+
+def butterworth(cutoff_hz: float, frequency_hz: FloatArray) -> ComplexArray:
+    """(f,) a second-order Butterworth low-pass; 1 where it is off."""
+    if not cutoff_hz > 0.0:
+        return np.ones(len(frequency_hz), complex)
+    x = frequency_hz / cutoff_hz
+    return np.asarray(1.0 / (1.0 - x**2 + 1j * np.sqrt(2.0) * x))
+
+
+def notch(centre_hz: float, width_hz: float, frequency_hz: FloatArray) -> ComplexArray:
+    """(f,) a second-order notch; 1 where it is off."""
+    if not (centre_hz > 0.0 and width_hz > 0.0):
+        return np.ones(len(frequency_hz), complex)
+    distance = centre_hz**2 - frequency_hz**2
+    return np.asarray(distance / (distance + 1j * width_hz * frequency_hz))
+
+
+def measured_delay(part: str, before: FloatArray, after: FloatArray,
+                   good: npt.NDArray[np.bool_], dt: float, at_hz: float) -> Delay | None:
+    """The delay of a part whose input and output were logged, from the phase around `at_hz`."""
+    found = spectra(before, before, after, good, dt)
+    if found is None:
+        return None
+    f = found.frequency_hz
+    used = (found.coherence(found.yr, found.yy) >= COHERENT) & (f > 0.0)
+    used &= np.abs(np.log(np.maximum(f, 1e-9) / at_hz)) < NEAR
+    if used.sum() < FEWEST_LINES:
+        return None
+    seconds = _delay_at(f[used], np.unwrap(np.angle(found.yr[used])), at_hz)
+    return of_seconds(part, seconds, at_hz, 'measurement')
+
+
+def of_seconds(part: str, seconds: float, at_hz: float, how: str) -> Delay:
+    """A delay with the phase that it costs at a frequency."""
+    return Delay(part, 1e3 * seconds, 360.0 * at_hz * seconds, how)
+
+
+def of_filter(part: str, response: ComplexArray, at_hz: float, how: str) -> Delay:
+    """The delay of a filter by its response (1,) at `at_hz`."""
+    return of_seconds(part, -float(np.angle(response[0])) / (2.0 * np.pi * at_hz), at_hz, how)
+
+
+def at_crossover(found: LoopResponse | None) -> float:
+    """The frequency at which delays are stated: the crossover, or REFERENCE_HZ within the band."""
+    if found is None:
+        return REFERENCE_HZ
+    if np.isfinite(found.crossover_hz):
+        return found.crossover_hz
+    return float(np.clip(REFERENCE_HZ, found.frequency_hz[0], found.frequency_hz[-1]))
+
+
+def plant_delay(found: LoopResponse, at_hz: float) -> float | None:
+    """Seconds from the command to the angular acceleration at a frequency; None if not known."""
+    if found.plant is None:
+        return None
+    known = np.isfinite(found.plant)
+    f = found.frequency_hz[known]
+    if len(f) < FEWEST_LINES or not f[0] <= at_hz <= f[-1]:
+        return None
+    phase = np.unwrap(np.angle(found.plant[known] * 1j * f))
+    near = np.abs(np.log(f / at_hz)) < NEAR
+    return _delay_at(f[near], phase[near], at_hz) if near.sum() >= FEWEST_LINES else None
+
+
+def _delay_at(frequency_hz: FloatArray, phase: FloatArray, at_hz: float) -> float:
+    """Seconds at one frequency, from a straight line through the phases around it."""
+    line = np.polyfit(np.log(frequency_hz / at_hz), phase, 1)
+    return -float(line[1]) / (2.0 * np.pi * at_hz)

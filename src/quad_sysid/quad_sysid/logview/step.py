@@ -1,0 +1,230 @@
+"""Step response of set-point tracking by regularised deconvolution. Array maths only.
+
+As PID-Analyzer and PIDtoolbox measure it, from whatever the pilot flew: output = response *
+set-point in windows. They divide spectra of tapered windows and damp what lies above 25 Hz; here
+the impulse response is a least-squares fit in the time domain, whose windows see the set-point
+before them and need no taper. Regularisation: the prior of a stable, smooth impulse response
+(the TC kernel of Chen, Ohlsson and Ljung, Automatica 48, 2012: covariance size · decay^max(i, j)),
+whose size and decay have the highest evidence on all windows together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.loop.figures import StepFigures, step_figures
+from quad_sysid.record import finite_runs
+
+HOP = 0.5
+"""Distance of windows as a share of their length."""
+MOST_WINDOWS = 240
+"""Windows that suffice: in a longer flight they lie further apart."""
+LAGS = 250
+"""Most samples of a response: finer ones are averaged before."""
+DECAYS = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
+"""Time constants that are tried for the prior, as shares of the response."""
+SIZES = (0.01, 0.1, 1.0, 10.0, 100.0)
+"""Sizes that are tried for the prior, in units of a response that ends at 1."""
+COARSE = 50
+"""Samples of the response with which the prior is sought, and the spread between windows."""
+FEWEST = 10
+"""Windows from which a response is stated."""
+LEAST_FIT, LEAST_END = 0.5, 0.3
+"""Share of the output's variance that a response must explain, and of the step at which it must
+end, to be stated: else something other than the set-point moves the output."""
+SPREAD = (16.0, 84.0)
+"""Percentiles of the windows that the spread shows: one standard deviation either way."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What one loop's response is measured with, by its quantity."""
+
+    quantity: str
+    seconds: float
+    """Length of the response."""
+    classes: tuple[tuple[str, float, float], ...]
+    """Name, and the range of a window's largest set-point, rad/s or rad."""
+
+
+_D = np.pi / 180.0
+RATE = Loop('rate', 0.5, (('small', 20 * _D, 100 * _D), ('medium', 100 * _D, 500 * _D),
+                          ('large', 500 * _D, np.inf)))
+ANGLE = Loop('angle', 2.0, (('small', 1 * _D, 10 * _D), ('medium', 10 * _D, 30 * _D),
+                            ('large', 30 * _D, np.inf)))
+
+
+@dataclass(frozen=True)
+class Response:
+    """The step response of one class of windows."""
+
+    quantity: str
+    """`rate` or `angle`."""
+    amplitude: str
+    """`all`, `small`, `medium`, `large`."""
+    time_s: FloatArray
+    """(m,) s after the step."""
+    mean: FloatArray
+    """(m,) share of the step."""
+    low: FloatArray
+    high: FloatArray
+    """(m,) each: the spread between windows. Where a window says nothing it stays at the mean."""
+    windows: int
+    fit: float
+    """Share of the output's variance in these windows that the response explains."""
+    figures: StepFigures
+    latency_s: float
+    """Time until half of the step."""
+    largest: float
+    """Largest set-point in the windows, rad/s or rad."""
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Normal equations of each window, about its means."""
+
+    gram: FloatArray
+    """(k, m, m)"""
+    cross: FloatArray
+    """(k, m)"""
+    power: FloatArray
+    """(k,)"""
+    rows: int
+    largest: FloatArray
+    """(k,)"""
+
+
+def responses(setpoint: FloatArray, output: FloatArray, good: npt.NDArray[np.bool_], dt: float,
+              loop: Loop = RATE) -> tuple[Response, ...]:
+    """The responses of all windows and of each class that has enough of them.
+
+    `setpoint`, `output`, `good` (n,): windows lie where all is good. Empty where nothing moves.
+    """
+    every = max(1, round(loop.seconds / LAGS / dt))
+    known = good & np.isfinite(setpoint) & np.isfinite(output)
+    step, m = every * dt, round(loop.seconds / (every * dt))
+    if m < 10:
+        return ()
+    runs = [(_thinned(setpoint[a:b], every), _thinned(output[a:b], every))
+            for a, b in finite_runs(known, (0, len(known))) if (b - a) * dt > 3.0 * loop.seconds]
+    held = _windows(runs, m, round(2.0 * loop.seconds / step))
+    least = loop.classes[0][1]
+    used = held.largest >= least if held is not None else np.zeros(0, bool)
+    if held is None or used.sum() < FEWEST:
+        return ()
+    found = []
+    for name, low, high in (('all', least, np.inf), *loop.classes):
+        inside = (held.largest >= low) & (held.largest < high)
+        if inside.sum() < FEWEST or (name != 'all' and inside.sum() == used.sum()):
+            continue
+        one = _response(held, inside, step, loop.quantity, name)
+        found += [one] if one is not None else []
+    return tuple(found)
+
+
+def _thinned(x: FloatArray, every: int) -> FloatArray:
+    """Means over `every` samples: the same average of input and output leaves the response."""
+    whole = len(x) // every * every
+    return np.asarray(x[:whole].reshape(-1, every).mean(axis=1))
+
+
+def _windows(runs: Sequence[tuple[FloatArray, FloatArray]], m: int, rows: int) -> _Windows | None:
+    """Normal equations from running sums of the products at each lag."""
+    length = sum(len(r) for r, _ in runs)
+    hop = max(1, round(HOP * rows), length // MOST_WINDOWS)
+    starts = [np.arange(m, len(r) - rows + 1, hop) for r, _ in runs]
+    count = sum(len(s) for s in starts)
+    if not count:
+        return None
+    gram, cross = np.empty((count, m, m)), np.empty((count, m))
+    power, largest = np.empty(count), np.empty(count)
+    lags, at = np.arange(m), 0
+    for (r, y), begin in zip(runs, starts, strict=True):
+        if not len(begin):
+            continue
+        here, end = slice(at, at + len(begin)), begin + rows
+        at += len(begin)
+        sums = np.concatenate(([0.0], np.cumsum(r)))
+        shifted = sums[end[:, None] - lags] - sums[begin[:, None] - lags]
+        y_sums, y2 = (np.concatenate(([0.0], np.cumsum(v))) for v in (y, y * y))
+        total = y_sums[end] - y_sums[begin]
+        power[here] = y2[end] - y2[begin] - total**2 / rows
+        for d in range(m):
+            own = np.concatenate((np.zeros(d + 1), np.cumsum(r[d:] * r[:len(r) - d])))
+            first = lags[:m - d]
+            part = own[end[:, None] - first] - own[begin[:, None] - first]
+            gram[here, first, first + d] = part
+            gram[here, first + d, first] = part
+            both = np.concatenate((np.zeros(d + 1), np.cumsum(y[d:] * r[:len(r) - d])))
+            cross[here, d] = both[end] - both[begin]
+        gram[here] -= shifted[:, :, None] * shifted[:, None, :] / rows
+        cross[here] -= shifted * total[:, None] / rows
+        level = np.abs(r)
+        largest[here] = [float(level[b:e].max()) for b, e in zip(begin, end, strict=True)]
+    return _Windows(gram, cross, power, rows, largest)
+
+
+def _response(held: _Windows, inside: npt.NDArray[np.bool_], step: float, quantity: str,
+              name: str) -> Response | None:
+    gram, cross = held.gram[inside].sum(axis=0), held.cross[inside].sum(axis=0)
+    power, rows = float(held.power[inside].sum()), held.rows * int(inside.sum())
+    if power <= 0.0:
+        return None
+    m = len(cross)
+    group = np.eye(-(-m // max(1, m // COARSE))).repeat(max(1, m // COARSE), axis=0)[:m]
+    share, size, noise = _prior(group.T @ gram @ group, group.T @ cross, power, rows, m)
+    impulse = np.linalg.solve(gram / noise + _precision(m, m, share, size)[0], cross / noise)
+    fit = 1.0 - (power - 2.0 * impulse @ cross + impulse @ gram @ impulse) / power
+    mean = np.cumsum(impulse)
+    figures = step_figures(mean, step)
+    if not (fit >= LEAST_FIT and figures.final_error_pct <= 100.0 * (1.0 - LEAST_END)):
+        return None
+    left = (held.cross[inside] - held.gram[inside] @ impulse) @ group
+    coarse = group.T @ held.gram[inside] @ group
+    prior = noise * _precision(group.shape[1], m, share, size)[0]
+    apart = np.linalg.solve(coarse + prior, left[:, :, None])[:, :, 0] @ group.T
+    low, high = np.percentile(mean + np.cumsum(apart, axis=1), SPREAD, axis=0)
+    half = int(np.argmax(mean >= 0.5))
+    reached = bool(mean[half] >= 0.5)
+    before = mean[half - 1] if half else 0.0
+    latency = step * (half - 1 + (0.5 - before) / (mean[half] - before)) if reached else np.nan
+    return Response(quantity, name, step * np.arange(len(mean)), mean, low, high,
+                    int(inside.sum()), float(fit), figures,
+                    float(max(latency, 0.0) if reached else np.nan),
+                    float(held.largest[inside].max()))
+
+
+def _prior(gram: FloatArray, cross: FloatArray, power: float, rows: int,
+           lags: int) -> tuple[float, float, float]:
+    """Decay and size of the prior with the highest evidence, and the variance of the noise."""
+    m = len(cross)
+    plain = np.linalg.solve(gram + 1e-6 * np.trace(gram) / m * np.eye(m), cross)
+    noise = max((power - float(plain @ cross)) / rows, 1e-9 * power / rows)
+    best, chosen = np.inf, (DECAYS[0], 1.0)
+    for share in DECAYS:
+        for size in SIZES:
+            prior, log_determinant = _precision(m, lags, share, size)
+            factor = np.linalg.cholesky(gram / noise + prior)
+            whitened = np.linalg.solve(factor, cross / noise)
+            cost = (2.0 * float(np.sum(np.log(np.diag(factor)))) - log_determinant
+                    - float(whitened @ whitened))
+            if cost < best:
+                best, chosen = cost, (share, size)
+    return *chosen, noise
+
+
+def _precision(m: int, lags: int, share: float, size: float) -> tuple[FloatArray, float]:
+    """The inverse (m, m) of size / (lags share) · decay^max(i, j), and its log determinant.
+
+    The steps between neighbours are independent, of variance decay^i - decay^(i + 1).
+    """
+    i = np.arange(1, m + 1)
+    decay = np.exp(-1.0 / (share * m))
+    weight = lags * share / size / np.append(decay**i[:-1] * (1.0 - decay), decay**m)
+    difference = np.eye(m) - np.eye(m, k=1)
+    return difference.T @ (weight[:, None] * difference), float(np.sum(np.log(weight)))

@@ -1,0 +1,298 @@
+"""A look as text of 80 columns that begins with the answer, and as the tree of `--json`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from quad_sysid.logview.measure import NOISE_HZ, AxisLook, Measured, Part
+from quad_sysid.logview.response import LoopResponse
+from quad_sysid.logview.spectrum import Frames, Peak
+from quad_sysid.logview.step import Response
+from quad_sysid.report.tables import Table, wrapped
+
+SCHEMA = 'quad_sysid/look/1'
+DEG = math.degrees(1.0)
+UNEVEN_PCT = 5.0
+"""A motor's command this far from the mean of all is said in words."""
+LIMITED_PCT = 0.5
+"""Share of the time at a limit from which it is said."""
+
+
+def lines(look: Measured) -> list[str]:
+    """One page for a terminal."""
+    out = [*answer(look), '', header(look)]
+    for table in tables(look):
+        if table.rows:
+            out += ['', *table.text()]
+    for part in look.parts:
+        for table in part_tables(part):
+            if table.rows:
+                out += ['', *table.text()]
+    if look.flown.lacks:
+        out += ['', *wrapped('not in the log: ' + '; '.join(look.flown.lacks), '  ', '')]
+    for text in look.flown.warnings:
+        out += wrapped(f'warning: {text}', '  ', '')
+    return out
+
+
+def answer(look: Measured) -> list[str]:
+    """The answer in sentences, a line list of at most 78 columns."""
+    return [line for text in sentences(look) for line in wrapped(text, '  ', '')]
+
+
+def sentences(look: Measured) -> list[str]:
+    """What a reader asks first, one sentence each: all of it measured."""
+    out = [_axis_sentence(look, axis) for axis in look.whole.axes.values()]
+    out += filter(None, (_motor_sentence(look),))
+    if look.parts:
+        out.append(f'The gains changed in flight: {len(look.parts)} stretches, each measured by '
+                   'itself below.')
+    return out
+
+
+def header(look: Measured) -> str:
+    """What was looked at."""
+    flown = look.flown
+    gaps = '' if not flown.gaps else f', {len(flown.gaps)} gaps'
+    return (f'{flown.source}: {flown.kind}, {flown.length_s:.1f} s at {1.0 / flown.dt:.5g} Hz'
+            f'{gaps}, {look.whole.flown_s:.1f} s of it in the air')
+
+
+def _axis_sentence(look: Measured, one: AxisLook) -> str:
+    step, loop = one.rate_step, one.loop
+    name = one.axis.capitalize()
+    if step is not None:
+        text = f'{name} follows a step of its rate set-point {_figures(step)}'
+    elif one.tracking:
+        found = one.tracking[0]
+        text = (f'{name} is off its rate set-point by {DEG * found.error_rms:.3g} deg/s RMS of '
+                f'{DEG * found.setpoint_rms:.3g}; the set-point moves too little, or the rate '
+                'follows it too loosely, for a step response')
+    elif look.flown.rate_setpoint is None:
+        text = f'{name} has no rate set-point in the log, hence no step response'
+    else:
+        text = f'The rate set-point of {one.axis} does not move, hence no step response'
+    angle = next((s for s in one.steps if s.quantity == 'angle'), None)
+    if angle is not None:
+        text += f'; the angle {_figures(angle)}'
+    if loop is not None and np.isfinite(loop.phase_margin_deg):
+        text += (f'. Its loop crosses over at {loop.crossover_hz:.3g} Hz with '
+                 f'{loop.phase_margin_deg:.0f}° of phase margin')
+        if np.isfinite(loop.gain_margin_db):
+            text += f' and {loop.gain_margin_db:.1f} dB of gain margin'
+    noise = one.noise_rms
+    if noise is not None and one.gyro is not None:
+        text += f'. Gyro noise above {NOISE_HZ:g} Hz: {DEG * noise:.2g} deg/s RMS'
+        peaks = [p for p in one.gyro.peaks() if p.frequency_hz >= NOISE_HZ]
+        if peaks:
+            text += f', of which {DEG * peaks[0].rms:.2g} at {peaks[0].frequency_hz:.0f} Hz'
+    return f'{text}.'
+
+
+def _figures(step: Response) -> str:
+    f = step.figures
+    parts = [f'in {_ms(f.rise_time_s)} (10 to 90 %)' if np.isfinite(f.rise_time_s) else
+             'without reaching it']
+    parts += [f'{f.overshoot_pct:.0f} % overshoot']
+    parts += [f'settled after {_ms(f.settling_time_s)}' if np.isfinite(f.settling_time_s)
+              else f'not settled within {step.time_s[-1]:.2g} s']
+    if abs(f.final_error_pct) >= 5.0:
+        parts.append(f'ending at {100.0 - f.final_error_pct:.0f} % of it')
+    return ', '.join(parts)
+
+
+def _motor_sentence(look: Measured) -> str:
+    if not look.motors:
+        return ''
+    apart = [f'{m.name} {m.apart_pct:+.0f} %' for m in look.motors
+             if abs(m.apart_pct) >= UNEVEN_PCT]
+    limit = [f'{m.name} {m.at_one_pct + m.at_zero_pct:.1f} %' for m in look.motors
+             if m.at_one_pct + m.at_zero_pct >= LIMITED_PCT]
+    text = 'Motors: ' + (f'mean commands apart from the others: {", ".join(apart)}' if apart else
+                         f'mean commands within {UNEVEN_PCT:g} % of each other')
+    return text + (f'; at a limit for {", ".join(limit)} of the time.' if limit else
+                   '; never at their limits.' if not any(
+                       m.at_one_pct + m.at_zero_pct for m in look.motors) else
+                   f'; at their limits for less than {LIMITED_PCT:g} % of the time.')
+
+
+def tables(look: Measured) -> tuple[Table, ...]:
+    """The tables of the whole flight."""
+    return (*part_tables(look.whole), motors(look))
+
+
+def part_tables(part: Part) -> tuple[Table, ...]:
+    """Steps, loop, delays, noise and tracking of one stretch."""
+    return (steps(part), loops(part), delays(part), noise(part), tracking(part))
+
+
+def _title(part: Part) -> str:
+    s = part.stretch
+    if not s.changed:
+        return '' if not s.start_s else f'{s.start_s:.1f} to {s.end_s:.1f} s: '
+    changed = ', '.join(f'{n} {s.gains[n]:.4g}' for n in s.changed[:6])
+    return f'{s.start_s:.1f} to {s.end_s:.1f} s, from here on {changed}: '
+
+
+def steps(part: Part) -> Table:
+    """Step responses by class."""
+    rows = []
+    for axis, one in part.axes.items():
+        for s in one.steps:
+            f = s.figures
+            largest = f'{DEG * s.largest:.0f}' + (' deg/s' if s.quantity == 'rate' else ' deg')
+            rows.append([axis, s.quantity, s.amplitude, largest, _ms(f.rise_time_s),
+                         f'{f.overshoot_pct:.1f}', _ms(f.settling_time_s), _ms(s.latency_s),
+                         f'{100.0 - f.final_error_pct:.0f}', f'{100.0 * s.fit:.0f}',
+                         str(s.windows)])
+    return Table(['axis', 'of', 'set-points', 'up to', 'rise', 'over, %', 'settled', 'half',
+                  'end, %', 'fit, %', 'n'], rows, range(3, 11), caption=(
+                      f'{_title(part)}Step response by regularised deconvolution of set-point and '
+                      'measurement; rise 10 to 90 %, settled within 5 %, half: time to half the '
+                      'step; end: level reached; fit: share of the output that it explains; n '
+                      'windows.'))
+
+
+def loops(part: Part) -> Table:
+    """Closed loop and margins."""
+    rows = []
+    for axis, one in part.axes.items():
+        found = one.loop
+        if found is not None:
+            rows.append([
+                axis, f'{found.frequency_hz[0]:.2g} to {found.frequency_hz[-1]:.3g}',
+                _or(found.bandwidth_hz, '.3g'), '–' if not np.isfinite(found.peak) else
+                f'{found.peak:.2f} at {found.peak_hz:.3g}',
+                _or(found.crossover_hz, '.3g'), _or(found.phase_margin_deg, '.0f'),
+                _or(found.gain_margin_db, '.1f'),
+                '–' if not np.isfinite(found.sensitivity) else
+                f'{found.sensitivity:.2f} at {found.sensitivity_hz:.3g}'])
+    return Table(['axis', 'coherent, Hz', '-3 dB, Hz', 'peak, Hz', 'crossover, Hz', 'phase, °',
+                  'gain, dB', 'sensitivity, Hz'], rows, range(1, 8), caption=(
+                      f'{_title(part)}Rate loop over frequency, by the set-point or what was '
+                      'injected as instrument: '
+                      'bandwidth and peak of the tracking; margins and peak sensitivity by the '
+                      "plant so measured and the log's gains, a dash where those or the "
+                      'coherence lack.'))
+
+
+def delays(part: Part) -> Table:
+    """What delays the loop."""
+    rows = [[axis, d.part, f'{d.milliseconds:.2f}', f'{d.degrees:.1f}',
+             f'{one.loop.delay_hz:.3g}', d.how]
+            for axis, one in part.axes.items() if one.loop is not None for d in one.loop.delays]
+    return Table(['axis', 'part', 'ms', 'phase, °', 'at, Hz', 'by'], rows, (2, 3, 4), caption=(
+        f'{_title(part)}What delays the loop, at its crossover where that is known. The rest is '
+        'the delay from command to angular acceleration less the parts above it.'))
+
+
+def noise(part: Part) -> Table:
+    """RMS of gyro and D part, and their largest peaks."""
+    rows = []
+    for axis, one in part.axes.items():
+        for name, found, scale, unit in (
+                ('gyro before filters', one.gyro_before, DEG, 'deg/s'),
+                ('gyro', one.gyro, DEG, 'deg/s'), ('D part', one.d_term, 100.0, '% command')):
+            if found is None:
+                continue
+            rows.append([axis, name, f'{scale * found.rms(1.0):.3g}',
+                         f'{scale * found.rms(NOISE_HZ):.3g}'
+                         if found.frequency_hz[-1] > 1.2 * NOISE_HZ else '–', unit,
+                         _peaks(found.peaks(), scale)])
+    return Table(['axis', 'signal', 'RMS', f'above {NOISE_HZ:g} Hz', 'unit', 'peaks'], rows,
+                 (2, 3))
+
+
+def _peaks(found: Sequence[Peak], scale: float) -> str:
+    return ', '.join(f'{scale * p.rms:.2g} at {p.frequency_hz:.0f} Hz'
+                     + (f' ({p.order:.0f} x rotor)' if p.order else '') for p in found) or '–'
+
+
+def tracking(part: Part) -> Table:
+    """Tracking error by axis."""
+    rows = [[axis, t.quantity, f'{DEG * t.setpoint_rms:.3g}', f'{DEG * t.error_rms:.3g}',
+             f'{DEG * t.error_rms_delayed:.3g}', _ms(t.latency_s)]
+            for axis, one in part.axes.items() for t in one.tracking]
+    return Table(['axis', 'of', 'set-point RMS', 'error RMS', 'left if delayed', 'by'], rows,
+                 range(2, 6), caption=f'{_title(part)}deg/s and deg; the set-point delayed by as '
+                 'much as leaves the least error.')
+
+
+def motors(look: Measured) -> Table:
+    """Balance and limits."""
+    rows = [[m.name, f'{m.mean:.3f}', f'{m.apart_pct:+.1f}', f'{m.at_zero_pct:.2g}',
+             f'{m.at_one_pct:.2g}', '–' if m.speed_rad_s is None else
+             f'{m.speed_rad_s * 30.0 / math.pi:.0f}'] for m in look.motors]
+    return Table(['motor', 'mean command', 'from the mean, %', 'at 0, %', 'at 1, %', 'rpm'], rows,
+                 range(1, 6))
+
+
+def _ms(seconds: float) -> str:
+    return f'{1e3 * seconds:.3g} ms' if np.isfinite(seconds) else '–'
+
+
+def _or(value: float, form: str) -> str:
+    return f'{value:{form}}' if np.isfinite(value) else '–'
+
+
+def tree(look: Measured) -> dict[str, Any]:
+    """What `--json` prints: SI units, null where something was not measured."""
+    flown = look.flown
+    return {
+        'schema': SCHEMA, 'source': flown.source, 'kind': flown.kind,
+        'sample_rate_hz': 1.0 / flown.dt, 'length_s': flown.length_s,
+        'flown_s': look.whole.flown_s, 'gaps': [list(g) for g in flown.gaps],
+        'answer': sentences(look), 'axes': _axes(look.whole),
+        'stretches': [{'start_s': p.stretch.start_s, 'end_s': p.stretch.end_s,
+                       'gains': dict(p.stretch.gains), 'changed': list(p.stretch.changed),
+                       'axes': _axes(p)} for p in look.parts],
+        'motors': [vars(m) for m in look.motors], 'lacks': list(flown.lacks),
+        'warnings': list(flown.warnings), 'gains': dict(look.whole.stretch.gains),
+    }
+
+
+def _axes(part: Part) -> dict[str, Any]:
+    return {axis: {
+        'steps': [_step(s) for s in one.steps], 'loop': _loop(one.loop),
+        'tracking': [vars(t) for t in one.tracking],
+        'noise': {name: _noise(found) for name, found in (
+            ('gyro_before', one.gyro_before), ('gyro', one.gyro), ('d_term', one.d_term))
+            if found is not None},
+    } for axis, one in part.axes.items()}
+
+
+def _step(s: Response) -> dict[str, Any]:
+    return {'quantity': s.quantity, 'amplitude': s.amplitude, 'windows': s.windows, 'fit': s.fit,
+            'largest': s.largest, 'latency_s': _number(s.latency_s),
+            **{k: _number(v) for k, v in vars(s.figures).items()},
+            'time_s': _list(s.time_s), 'mean': _list(s.mean), 'low': _list(s.low),
+            'high': _list(s.high)}
+
+
+def _loop(found: LoopResponse | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    names = ('bandwidth_hz', 'peak', 'peak_hz', 'crossover_hz', 'phase_margin_deg',
+             'gain_margin_db', 'sensitivity', 'sensitivity_hz', 'delay_hz')
+    return {**{n: _number(getattr(found, n)) for n in names},
+            'frequency_hz': _list(found.frequency_hz), 'coherence': _list(found.coherence),
+            'tracking_abs': _list(np.abs(found.tracking)),
+            'tracking_deg': _list(np.degrees(np.angle(found.tracking))),
+            'delays': [vars(d) for d in found.delays]}
+
+
+def _noise(found: Frames) -> dict[str, Any]:
+    return {'rms': found.rms(1.0), f'rms_above_{NOISE_HZ:g}_hz': found.rms(NOISE_HZ),
+            'peaks': [vars(p) for p in found.peaks()]}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _list(values: np.ndarray) -> list[float | None]:
+    return [None if not np.isfinite(v) else float(f'{v:.5g}') for v in values]

@@ -1,0 +1,333 @@
+"""A plant as a linear loop sees it: every effect as the linear one that moves most like it.
+
+Along a motion of the amplitudes at which a loop is judged, each effect's law is fitted by least
+squares: for a sine that is its describing function, and what is linear stays as it is. The plant
+with these linear effects is flown by its own laws, a cycle from each unit of its states. Nothing
+stands twice; from_model.py says which effects are in a loop, cascade.py what margins it has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.effects.hidden import Linear
+from quad_sysid.effects.maps import Following
+from quad_sysid.loop.plant import Flying
+from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Settings, Signals, required
+from quad_sysid.model.structure import Structure
+
+ComplexArray = npt.NDArray[np.complex128]
+Level = tuple[float, float, float]
+WIDE: Level = (4.0, 0.35, 0.3)
+NEAR_REST: Level = (0.3, 0.05, 0.03)
+"""Amplitudes of rate (rad/s), angle (rad) and command at which a loop is linearised."""
+STILL: Level = (2e-7, 2e-8, 1e-8)
+"""Next to none: the slope at rest."""
+TONES = (0.41, 1.0, 2.17)
+"""Frequencies of the motion that a memory sees, over rate / angle; one without a memory, 1."""
+SWINGS = 4
+"""Number of swings of the slowest of them."""
+LEAST, MOST = 64, 2000
+"""Cycles of the motion."""
+FEW_STATES = 2
+"""Up to so many, a memory is fitted along the motion; more of them by small steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """One control cycle of p linear plants: x+ = a x + b u; y = c x, measured rate and angle."""
+
+    a: FloatArray
+    """(p, n, n)."""
+    b: FloatArray
+    """(p, n)."""
+    c: FloatArray
+    """(p, 2, n)."""
+    dt: float
+
+    def response(self, omega: FloatArray) -> ComplexArray:
+        """(2, p, f) frequency response at omega (f,), rad/s."""
+        z = np.exp(1j * omega * self.dt)
+        left = z[None, :, None, None] * np.eye(self.b.shape[1]) - self.a[:, None]
+        states = np.linalg.solve(left, self.b[:, None, :, None])[..., 0]
+        return np.asarray(np.einsum('pon,pfn->opf', self.c, states))
+
+    def subset(self, index: npt.NDArray[np.int64]) -> Loops:
+        """Those of `index` alone."""
+        return Loops(self.a[index], self.b[index], self.c[index], self.dt)
+
+
+def loops_of(every: Sequence[tuple[Flying, Level]]) -> Loops:
+    """Plants of one control cycle, each linear at its amplitudes."""
+    found = [_cycle(linear(one, level)) for one, level in every]
+    n = max(len(b) for _, b, _ in found)
+    a, b, c = (np.zeros((len(found), *shape)) for shape in ((n, n), (n,), (2, n)))
+    for i, (own, into, shown) in enumerate(found):
+        m = len(into)
+        a[i, :m, :m], b[i, :m], c[i, :, :m] = own, into, shown
+    return Loops(a, b, c, every[0][0].dt)
+
+
+def _cycle(flying: Flying) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A cycle of a plant that is linear, without the states that nothing asks for."""
+    plant, rest = flying.plant, flying.begin()
+    still = plant.flat(rest)[:, 0]
+    n = still.size
+    like = plant.begin(_many(flying.around, n + 2, np.zeros(n + 2)), *np.zeros((2, n + 2)))
+    moved = np.column_stack([still[:, None] + np.eye(n), still, still])
+    sent = np.r_[np.zeros(n), 1.0, 0.0]
+    x = plant.unflat(moved, like)
+    ahead = plant.flat(plant.step(x, _many(flying.around, n + 2, sent)))
+    ahead = ahead - ahead[:, -1:]
+    shown = np.stack([required(one) for one in plant.measured(x)])
+    shown = shown - shown[:, -1:]
+    a, b, c = ahead[:, :n], ahead[:, n], shown[:, :n]
+    kept = np.arange(n)
+    while True:
+        inner = a - np.diag(np.diag(a))
+        asked = (np.abs(inner).sum(axis=0) + np.abs(c).sum(axis=0)) > 0.0
+        if asked.all():
+            return a, b, c
+        kept = np.flatnonzero(asked)
+        a, b, c = a[np.ix_(kept, kept)], b[kept], c[:, kept]
+
+
+def _many(around: Signals, n: int, sent: FloatArray) -> Signals:
+    """The signals around, of n plants, which are sent different commands."""
+    return replace(around.at(np.zeros(n, dtype=np.int64)), sent=sent)
+
+
+# ---- effects that are linear
+
+
+class Linearised(Effect):
+    """x' = a x + b inputs, and c x + d inputs is what it gives."""
+
+    name = 'linear'
+
+    def __init__(self, states: int, rows: FloatArray, rest: FloatArray) -> None:
+        """`rows` (states + outputs, states + inputs); rest (states,)."""
+        self.states, self.rows, self.rest = states, rows, rest
+
+    def inputs(self, s: Signals) -> FloatArray:
+        """(inputs, …) what moves it."""
+        raise NotImplementedError
+
+    def _all(self, s: Signals, x: FloatArray | None) -> FloatArray:
+        inputs = self.inputs(s)
+        away = [] if x is None else [x - self.rest.reshape(-1, *[1] * (x.ndim - 1))]
+        return np.tensordot(self.rows, np.concatenate([*away, inputs]), 1)
+
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return np.repeat(self.rest[:, None], s.time.size, axis=1)
+
+    def advance(
+        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
+    ) -> FloatArray:
+        return self._all(s, x)[: self.states] + self.rest[:, None]
+
+    def given(self, s: Signals) -> FloatArray:
+        """(outputs, …) what it gives."""
+        return self._all(s, s.hidden if self.states else None)[self.states :]
+
+
+class LinearTorque(Linearised):
+    """A torque of rate, angle, drive and the drive's change."""
+
+    signals = ('rate',)
+
+    def inputs(self, s: Signals) -> FloatArray:
+        return np.stack([s.rate, required(s.angle), s.drive, s.change])
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return self.given(s)[0]
+
+
+class LinearMap(Linearised):
+    """What becomes of the command."""
+
+    def inputs(self, s: Signals) -> FloatArray:
+        return required(s.sent)[None]
+
+    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return self.given(s)[0]
+
+
+class LinearChannels(Effect):
+    """What becomes of the axis' command, and of those of the motors, in channels with their lags.
+
+    It stands first and sees the command as it was sent.
+    """
+
+    name = 'linear'
+
+    def __init__(self, slopes: FloatArray, drive: Drive) -> None:
+        """`slopes` (c, 2) of each channel over the mapped command and over that of the motors."""
+        self.slopes, self.drive = slopes, drive
+
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
+        commands = self.slopes @ np.stack([drive.commands[0], required(s.sent)])
+        lag = np.repeat(self.drive.lag, commands.shape[1], axis=1)
+        return replace(drive, commands=commands, row=self.drive.row, lag=lag,
+                       factors=np.zeros((1, 2, 6)))
+
+
+def linear(flying: Flying, level: Level) -> Flying:
+    """The same with each effect's linear likeness in motion of these amplitudes."""
+    plant = flying.plant
+    parts = [*_commands(flying, level[2]), *(
+        Part(_torque(flying, part, p, level)) for part, p in plant.pushing
+    )]
+    p = np.r_[plant.p[:4], 0.0]
+    return replace(flying, plant=replace(plant, structure=Structure(tuple(parts)), p=p))
+
+
+def linear_part(flying: Flying) -> Flying:
+    """The same with those effects alone that answer alike in small and in wide motion."""
+    plant, kept, p = flying.plant, [], [flying.plant.p[:5]]
+    for part, at in plant.structure.placed():
+        alone = replace(flying, plant=replace(
+            plant, structure=Structure((part,)), p=np.r_[plant.p[:5], plant.p[at]]))
+        still, wide = (loops_of([(alone, level)]) for level in (STILL, WIDE))
+        if np.allclose(still.a, wide.a, rtol=1e-3, atol=1e-6) and np.allclose(
+                still.b, wide.b, rtol=1e-3, atol=1e-6):
+            kept.append(part)
+            p.append(plant.p[at])
+    return replace(flying, plant=replace(plant, structure=Structure(tuple(kept)),
+                                         p=np.concatenate(p)))
+
+
+def _tones(n: int, dt: float, frequency: float, several: bool) -> tuple[FloatArray, FloatArray]:
+    """Phases (n, tones) of a motion about a frequency, rad/s, and the tones' ratios to it."""
+    tones = np.array(TONES if several else (1.0,))
+    return np.outer(dt * np.arange(n), frequency * tones), tones
+
+
+def _length(dt: float, frequency: float, several: bool) -> int:
+    """Whole swings."""
+    slowest = TONES[0] if several else 1.0
+    cycles = math.ceil(SWINGS * 2.0 * np.pi / (frequency * slowest * dt))
+    return min(max(LEAST, cycles), MOST)
+
+
+def _fitted(
+    x: FloatArray, rest: FloatArray, inputs: FloatArray, outputs: FloatArray
+) -> FloatArray:
+    """(states + outputs, states + inputs) by least squares along a motion: the columns' rows."""
+    known = np.column_stack([(x - rest[:, None]).T, inputs.T, np.ones(inputs.shape[1])])
+    sizes = np.maximum(np.linalg.norm(known, axis=0), 1e-300)
+    found = np.linalg.lstsq(known / sizes, outputs.T, rcond=1e-9)[0] / sizes[:, None]
+    return np.asarray(found[:-1].T)
+
+
+def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTorque:
+    """A torque's likeness: what it remembers and gives along the motion, or by small steps."""
+    effect, settings, plant = part.effect, part.settings, flying.plant
+    m, gain, dt, lag = effect.states, plant.p[0], plant.dt, float(plant.p[1])
+    around = plant.told(flying.around)
+
+    def seen(rate: FloatArray, angle: FloatArray, drive: FloatArray,
+             change: FloatArray) -> Signals:
+        """Where the command is that which moves the drive so."""
+        command = drive + lag * change
+        sent = command / gain
+        s = _many(around, rate.size, sent)
+        return plant.with_motors(replace(s, rate=rate, angle=angle, drive=drive, change=change,
+                                         command=command, lagged=drive / gain))
+
+    def after(x: FloatArray, s: Signals) -> FloatArray:
+        """(m + 1, n) the states a cycle later, and the torque meanwhile."""
+        held = replace(s, hidden=x) if m else s
+        torque = np.broadcast_to(required(effect.torque(held, p, settings)), s.rate.shape)
+        return np.vstack([effect.advance(x, s, p, settings), torque]) if m else torque[None]
+
+    nothing = np.zeros(1)
+    still = seen(nothing, nothing, nothing, nothing)
+    rest = effect.settled(still, p, settings)[:, 0] if m else np.zeros(0)
+    small = min(SMALL, level[2])
+    rows = np.zeros((m + 1, m + 4))
+    if m > FEW_STATES or isinstance(effect, Linear):
+        steps = small * np.eye(m + 4)
+        begin = after(rest[:, None], still)
+        rows = (after(rest[:, None] + steps[:m], seen(*steps[m:])) - begin) / small
+    if m <= FEW_STATES:
+        w, several = level[0] / level[1], bool(m)
+        n = _length(dt, w, several)
+        phases, tones = _tones(n, dt, w, several)
+        size = 1.0 / math.sqrt(tones.size)
+        angle = level[1] * size * np.sin(phases).sum(axis=1)
+        rate = level[0] * size * (np.cos(phases) * tones).sum(axis=1)
+        inside = 1.13 if several else 1.5
+        drive = gain * level[2] * size * np.sin(inside * phases + 1.0).sum(axis=1)
+        change = gain * level[2] * size * inside * w * (
+            np.cos(inside * phases + 1.0) * tones).sum(axis=1)
+        s = seen(rate, angle, drive, change)
+        x = np.zeros((0, n))
+        if m:
+            begun = np.repeat(rest[:, None], n, axis=1)
+            x = effect.trace(s, p, settings, ((0, n),), begun)[:m]
+        moved = _fitted(x, rest, np.stack([rate, angle, drive, change]), after(x, s))
+        first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
+        rows[first:] = moved[first:]
+    return LinearTorque(m, rows, rest)
+
+
+def _commands(flying: Flying, size: float) -> list[Part]:
+    """The likeness of all that acts before the torque."""
+    plant, dt = flying.plant, flying.dt
+    several = any(part.effect.states for part, _ in plant.sending)
+    w = 2.0 * np.pi
+    n = _length(dt, w, several)
+    phases, tones = _tones(n, dt, w, several)
+    u = size / math.sqrt(tones.size) * np.sin(phases).sum(axis=1)
+    s = plant.told(plant.with_motors(_many(flying.around, n, u)))
+    sideways = size / math.sqrt(tones.size) * np.cos(1.13 * phases).sum(axis=1)
+    drive = Drive(sideways[None], np.ones(1), np.full((1, n), s.lag))
+    drive = drive.behind(np.full(n, s.delay / dt))
+    parts: list[Part] = []
+    for part, p in plant.sending:
+        effect, settings = part.effect, part.settings
+        if effect.states:
+            x = effect.begin(s, p, settings)  # of a command that has long been given
+            drive = effect.actuate(drive, replace(s, hidden=x), p, settings)
+            s = replace(s, hidden=effect.trace(s, p, settings, ((0, n),)))
+        else:
+            drive = effect.actuate(drive, s, p, settings)
+        if type(effect).command is not Effect.command:
+            found = _map(part, p, s)
+            parts.append(Part(found))
+            s = replace(s, sent=effect.command(s, p, settings), hidden=None)
+    known = np.column_stack([sideways, u, np.ones(n)])
+    slopes = np.linalg.lstsq(known / size, drive.commands.T, rcond=None)[0][:2].T / size
+    ends = np.linspace(-size, size, 41)
+    longer = [float(np.max(np.interp(ends, *curve))) for curve in drive.factors]
+    lag = drive.lag.mean(axis=1, keepdims=True) * np.exp(longer)[:, None]
+    return [Part(LinearChannels(slopes, replace(drive, lag=lag))), *parts]
+
+
+def _map(part: Part, p: FloatArray, s: Signals) -> LinearMap:
+    """A map's likeness along a motion: as it is where it is linear, else of one state or none."""
+    effect, settings, m = part.effect, part.settings, part.effect.states
+    if isinstance(effect, Following):
+        one, nothing = np.eye(m, m + 1), np.eye(1, m + 1, m)[0]
+        unit = replace(s.at(np.zeros(m + 1, dtype=np.int64)), sent=nothing, hidden=one)
+        rows = np.vstack([effect.advance(one, unit, p, settings),
+                          effect.command(unit, p, settings)])
+        return LinearMap(m, rows, np.zeros(m))
+    u, out = required(s.sent), effect.command(s, p, settings)
+    sizes = max(float(np.abs(u).max()), 1e-300)
+    if m and 'history' in effect.signals:
+        known = np.column_stack([out[:-1], u[1:]]) / sizes
+        keep, into = np.linalg.lstsq(known, out[1:] / sizes, rcond=None)[0]
+        keep = float(np.clip(keep, 0.0, 1.0 - 1e-6))
+        row = np.array([keep, into])
+        return LinearMap(1, np.stack([row, row]), np.zeros(1))
+    known = np.column_stack([u / sizes, np.ones(u.size)])
+    slope = np.linalg.lstsq(known, out / sizes, rcond=None)[0][0]
+    return LinearMap(0, np.array([[slope]]), np.zeros(0))

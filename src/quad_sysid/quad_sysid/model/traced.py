@@ -1,0 +1,289 @@
+"""An effect's law as a list of operations on numbers, taken down while the law itself runs.
+
+A Traced stands where a law expects an array: numpy's functions then note what they would compute.
+The list is run by compiled code (loop/kernels.py), so that a law is written once and is as fast as
+a compiled one. What cannot be noted, such as a branch on a value, raises Untraceable; such a law
+flies cycle by cycle in Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quad_sysid.contract import FloatArray
+
+Indices = NDArray[np.int64]
+
+OPERATIONS = (
+    'add', 'subtract', 'multiply', 'divide', 'maximum', 'minimum', 'power', 'greater',
+    'greater_equal', 'less', 'less_equal', 'negative', 'absolute', 'sign', 'exp', 'log', 'sqrt',
+    'sin', 'cos', 'tanh', 'floor', 'rint', 'where', 'interp', 'loose', 'yielded',
+)
+"""What the compiled code can do, by numpy's names; of the last four, numbers stand in `more`."""
+CODES = {name: code for code, name in enumerate(OPERATIONS)}
+SEVERAL = {CODES[name] for name in ('where', 'interp', 'loose', 'yielded')}
+"""Whose operands stand in `more`."""
+
+
+class Untraceable(Exception):  # noqa: N818 - no fault of anyone's
+    """A law does what cannot be noted."""
+
+
+class Listing:
+    """The operations so far; each number has a register, and constants have theirs."""
+
+    def __init__(self) -> None:
+        self.code: list[tuple[int, int, int, int]] = []
+        """Operation, where its first result goes, and two operands or a place in `more`."""
+        self.results: list[int] = []
+        """Number of results of each."""
+        self.more: list[int] = []
+        self.start: list[float] = []
+        """Of every register: constants as they are, 0 where an input or a result goes."""
+        self.tables: list[float] = []
+        self._known: dict[tuple[Any, ...], int] = {}
+        self._constants: dict[float, int] = {}
+        self._fixed: set[int] = set()
+        self._tables: dict[tuple[float, ...], int] = {}
+
+    def place(self, value: float = 0.0) -> int:
+        """A new register."""
+        self.start.append(float(value))
+        return len(self.start) - 1
+
+    def constant(self, value: float) -> int:
+        """The register of a constant."""
+        value = float(value)
+        if value not in self._constants:
+            self._constants[value] = self.place(value)
+            self._fixed.add(self._constants[value])
+        return self._constants[value]
+
+    def input(self, *shape: int) -> Traced:
+        """Registers that are filled before a run."""
+        places = [self.place() for _ in range(int(np.prod(shape)))]
+        return Traced(self, np.array(places, dtype=np.int64).reshape(shape))
+
+    def note(self, name: str, operands: Sequence[int], numbers: Sequence[float] = (),
+             results: int = 1) -> int:
+        """The register of the first result of an operation, which is noted once."""
+        if name not in CODES:
+            raise Untraceable(name)
+        given = (*operands, *(self.constant(x) for x in numbers))
+        if results == 1 and self._fixed.issuperset(given) and hasattr(np, name) \
+                and name not in ('interp', 'where'):
+            return self.constant(float(getattr(np, name)(*(self.start[i] for i in given))))
+        key = (name, *given)
+        if key not in self._known:
+            first = self.place()
+            for _ in range(results - 1):
+                self.place()
+            if CODES[name] in SEVERAL:
+                a, b = len(self.more), len(given)
+                self.more.extend(given)
+            else:
+                a, b = (*given, 0)[:2]
+            self.code.append((CODES[name], first, a, b))
+            self.results.append(results)
+            self._known[key] = first
+        return self._known[key]
+
+    def table(self, numbers: tuple[float, ...]) -> int:
+        """Where these numbers stand in `tables`."""
+        if numbers not in self._tables:
+            self._tables[numbers] = len(self.tables)
+            self.tables.extend(numbers)
+        return self._tables[numbers]
+
+    def needed(self, results: Sequence[int], split: int) -> tuple[NDArray[np.int64], int]:
+        """The operations (m, 4) that these results need, and how many are of the first `split`."""
+        wanted, kept = set(results), []
+        for i in reversed(range(len(self.code))):
+            code, first, a, b = self.code[i]
+            if not wanted.isdisjoint(range(first, first + self.results[i])):
+                kept.append(i)
+                several = code in SEVERAL
+                wanted.update(self.more[a : a + b] if several else (a, b))
+        rows = [self.code[i] for i in reversed(kept)]
+        return (np.array(rows, dtype=np.int64).reshape(-1, 4),
+                sum(i < split for i in kept))
+
+    def places(self, value: Any) -> Indices:
+        """The registers of an array, a number or what is Traced."""
+        if isinstance(value, Traced):
+            return value.at
+        array = np.asarray(value, dtype=np.float64)
+        return np.array([self.constant(x) for x in array.ravel()],
+                        dtype=np.int64).reshape(array.shape)
+
+    def each(self, name: str, *values: Any, numbers: Sequence[float] = ()) -> Traced:
+        """An operation on every element."""
+        together = np.broadcast_arrays(*(self.places(value) for value in values))
+        out = np.array([self.note(name, operands, numbers) for operands
+                        in zip(*(one.ravel().tolist() for one in together), strict=True)],
+                       dtype=np.int64)
+        return Traced(self, out.reshape(together[0].shape))
+
+
+class Traced(np.lib.mixins.NDArrayOperatorsMixin):
+    """An array of numbers that are not known yet, by their registers."""
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, listing: Listing, at: Indices) -> None:
+        self.listing, self.at = listing, at
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """As of an array."""
+        return self.at.shape
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return self.at.size
+
+    @property
+    def ndim(self) -> int:
+        """Number of dimensions."""
+        return self.at.ndim
+
+    @property
+    def T(self) -> Traced:  # noqa: N802 - numpy's name
+        """Transposed."""
+        return Traced(self.listing, self.at.T)
+
+    def __len__(self) -> int:
+        return len(self.at)
+
+    def __iter__(self) -> Iterator[Traced]:
+        return (self[i] for i in range(len(self.at)))
+
+    def __getitem__(self, index: Any) -> Traced:
+        return Traced(self.listing, np.asarray(self.at[index]))
+
+    def __setitem__(self, index: Any, value: Any) -> None:
+        self.at = self.at.copy()
+        self.at[index] = self.listing.places(value)
+
+    def reshape(self, *shape: int) -> Traced:
+        """As of an array."""
+        return Traced(self.listing, self.at.reshape(*shape))
+
+    def ravel(self) -> Traced:
+        """As of an array."""
+        return Traced(self.listing, self.at.ravel())
+
+    def copy(self) -> Traced:
+        """As of an array."""
+        return Traced(self.listing, self.at.copy())
+
+    def sum(self, axis: int | None = None) -> Traced:
+        """As of an array."""
+        return _sum(self, axis)
+
+    def __bool__(self) -> bool:
+        raise Untraceable('a branch on a value')
+
+    def __float__(self) -> float:
+        raise Untraceable('a value as one number')
+
+    def __array__(self, *_: Any, **__: Any) -> FloatArray:
+        raise Untraceable('a value as a plain array')
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **more: Any) -> Any:
+        """What numpy calls instead of computing."""
+        if more:
+            raise Untraceable(f'{ufunc.__name__} with {", ".join(more)}')
+        if method == 'outer':
+            one, other = (self.listing.places(x) for x in inputs)
+            inputs = (Traced(self.listing, one.reshape(one.shape + (1,) * other.ndim)),
+                      Traced(self.listing, other))
+        elif method != '__call__':
+            raise Untraceable(f'{ufunc.__name__}.{method}')
+        if ufunc is np.matmul:
+            return _contracted(*inputs)
+        if ufunc is np.power and np.ndim(inputs[1]) == 0 and inputs[1] == 2:
+            return self.listing.each('multiply', inputs[0], inputs[0])
+        if ufunc is np.square:
+            return self.listing.each('multiply', inputs[0], inputs[0])
+        return self.listing.each(ufunc.__name__, *inputs)
+
+    def __array_function__(self, function: Callable[..., Any], _: Any, given: tuple[Any, ...],
+                           more: dict[str, Any]) -> Any:
+        """The same for functions that are no ufuncs."""
+        if function not in FUNCTIONS:
+            raise Untraceable(function.__name__)
+        return FUNCTIONS[function](*given, **more)
+
+
+def _listing(*values: Any) -> Listing:
+    return next(x.listing for x in values if isinstance(x, Traced))
+
+
+def _joined(join: Callable[..., Any]) -> Callable[..., Traced]:
+    def joined(parts: Sequence[Any], axis: int = 0) -> Traced:
+        listing = _listing(*parts)
+        return Traced(listing, join([listing.places(x) for x in parts], axis=axis))
+
+    return joined
+
+
+def _moved(function: Callable[..., Any]) -> Callable[..., Traced]:
+    """A function that only moves elements."""
+    def moved(x: Traced, *given: Any, **more: Any) -> Traced:
+        return Traced(x.listing, np.array(function(x.at, *given, **more)))
+
+    return moved
+
+
+def _sum(x: Traced, axis: int | None = None) -> Traced:
+    rows = x.at.ravel() if axis is None else np.moveaxis(x.at, axis, 0)
+    total = Traced(x.listing, np.asarray(rows[0]))
+    for row in rows[1:]:
+        total = total + Traced(x.listing, np.asarray(row))
+    return total
+
+
+def _contracted(a: Any, x: Any, axes: int = 1) -> Traced:
+    """The sum over the last axis of one and the first of the other."""
+    listing = _listing(a, x)
+    one, other = listing.places(a), listing.places(x)
+    if axes != 1 or one.shape[-1] != other.shape[0]:
+        raise Untraceable('tensordot')
+    return _sum(Traced(listing, np.moveaxis(one, -1, 0).reshape(
+        (one.shape[-1], *one.shape[:-1], *[1] * (other.ndim - 1)))) * Traced(
+            listing, other.reshape((len(other), *[1] * (one.ndim - 1), *other.shape[1:]))), 0)
+
+
+def _interp(x: Traced, knots: Any, values: Any) -> Traced:
+    table = x.listing.table((*map(float, knots), *map(float, values)))
+    return x.listing.each('interp', x, numbers=(table, len(knots)))
+
+
+FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
+    np.where: lambda c, a, b: _listing(c, a, b).each('where', c, a, b),
+    np.clip: lambda x, low, high: np.minimum(np.maximum(x, low), high),
+    np.stack: _joined(np.stack), np.concatenate: _joined(np.concatenate),
+    np.sum: _sum, np.tensordot: _contracted, np.interp: _interp,
+    np.round: lambda x: x.listing.each('rint', x),
+    np.zeros_like: lambda x: np.zeros(x.shape), np.ones_like: lambda x: np.ones(x.shape),
+    np.full_like: lambda x, value: np.full(x.shape, value),
+    np.shape: lambda x: x.shape, np.ndim: lambda x: x.ndim,
+    np.repeat: _moved(np.repeat), np.broadcast_to: _moved(np.broadcast_to),
+    np.moveaxis: _moved(np.moveaxis),
+}
+
+
+def noted(name: str, operands: Sequence[Any], numbers: Sequence[float], results: int) -> Any:
+    """An operation that compiled code has and numpy lacks: `results` arrays like the operands."""
+    listing = _listing(*operands)
+    together = np.broadcast_arrays(*(listing.places(value) for value in operands))
+    first = np.array([listing.note(name, places, numbers, results) for places
+                      in zip(*(one.ravel().tolist() for one in together), strict=True)],
+                     dtype=np.int64).reshape(together[0].shape)
+    return [Traced(listing, first + i) for i in range(results)]

@@ -1,0 +1,343 @@
+"""Arrays of one's own: that every form of them is the same, what they give, what is refused."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import pickle
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from flown_axis import SHORT, Axis, fly
+
+import quad_sysid as qs
+from quad_sysid.bags import read_bag
+from quad_sysid.cli import main
+
+DT, N = 0.004, 2000
+RNG = np.random.default_rng(3)
+U = np.round(np.repeat(RNG.choice([-100, 100], 50), 40) / 1024.0, 6)
+Y = np.round(np.cumsum(U) * 0.1 * 1024.0) / 1024.0
+
+
+def record(**changes):
+    return qs.from_arrays(**({'u': U, 'y': Y, 'dt': DT} | changes))
+
+
+def same(one, other):
+    """Whether two records hold the same to the last digit, so that every answer is the same."""
+    for name in ('rates', 'control', 'angles', 'dt', 'segments', 'attitude_setpoint', 'battery_v'):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+@pytest.mark.parametrize('changes', [
+    {'y': np.asfortranarray(Y[:, None])}, {'y': Y.astype(np.float32)}, {'y': list(Y)},
+    {'u': np.round(U * 1024).astype(int), 'units': {'u': 1.0 / 1024.0}},
+    {'y': np.ma.masked_array(Y, np.zeros(N, bool))}, {'y': Y.astype(object)},
+    {'u': np.repeat(U, 2)[::2]}, {'dt': None, 't': DT * np.arange(N)},
+    {'dt': None, 't': np.datetime64('2026-01-01') + (4_000_000 * np.arange(N)).astype('m8[ns]')},
+    {'dt': 4.0, 'units': {'t': 'ms'}}, {'y': 180.0 / math.pi * Y, 'units': {'y': 'deg/s'}},
+], ids=['Fortran', 'float32', 'list', 'integers', 'masked', 'objects', 'view', 'times', 'dates',
+        'ms', 'degrees'])
+def test_every_form_of_one_experiment_is_the_same_record(changes):
+    U.flags.writeable = Y.flags.writeable = False
+    wanted = record()
+    np.testing.assert_array_equal(wanted.rates[:, 0], Y)
+    np.testing.assert_array_equal(wanted.control[:, 1], U)
+    if 'y' in (changes.get('units') or {}):
+        np.testing.assert_allclose(record(**changes).rates, wanted.rates, rtol=1e-12)
+    elif 'u' in (changes.get('units') or {}):
+        np.testing.assert_allclose(record(**changes).control[:, 1], U, atol=1e-3)
+    else:
+        same(record(**changes), wanted)
+    with pytest.raises(ValueError, match='read-only'):
+        wanted.rates[0, 0] = 1.0
+
+
+def test_missing_samples_are_nan_or_masked():
+    gap = slice(500, 520)
+    y = Y.copy()
+    y[gap] = np.nan
+    wanted = record(y=y)
+    assert np.isnan(wanted.rates[gap, 0]).all()
+    masked = np.ma.masked_array(Y, np.zeros(N, bool))
+    masked[gap] = np.ma.masked
+    same(record(y=masked), wanted)
+    same(record(y=[None if math.isnan(value) else value for value in y]), wanted)
+
+
+class Frame(dict):
+    """Columns by name, as pandas and polars have them."""
+
+    columns = ('volts', 'speed', 't')
+    index = SimpleNamespace(dtype=np.dtype(int))
+
+
+class Labelled(list):
+    """An array with its coordinate, as xarray.DataArray."""
+
+    dims, coords = ('time',), {'time': DT * np.arange(N)}
+
+
+def test_frames_responses_and_iodata_are_the_same_record():
+    wanted = record()
+    frame = Frame(volts=U, speed=Y, t=DT * np.arange(N))
+    same(qs.from_arrays(frame, u='volts', y='speed', t='t'), wanted)
+    response = SimpleNamespace(time=DT * np.arange(N), inputs=U[None], outputs=Y)
+    same(qs.from_arrays(response), wanted)
+    same(qs.from_arrays(qs.IOData(U, Y, DT)), wanted)
+    same(qs.from_arrays((U, Y), dt=DT), wanted)
+    same(qs.from_arrays(u=U, y=Labelled(Y)), wanted)
+
+
+def test_a_bag_of_the_same_numbers_gives_the_same_record(tmp_path, capsys):
+    """A position with its reference in mm, so that units and derivative are in it, and a rate."""
+    t = DT * np.arange(N)
+    table = tmp_path / 'slide.csv'
+    position = np.round(100.0 * np.sin(3.0 * t), 3)
+    np.savetxt(table, np.column_stack([t, 10.0 * U, position, Y]), delimiter=',', comments='',
+               header='t,volts,position,speed', fmt='%.9f')
+    _, volts, position, speed = np.loadtxt(table, delimiter=',', skiprows=1).T
+    for measured, unit in (('angle', 'mm'), ('rate', 'm/s')):
+        column = 'position' if measured == 'angle' else 'speed'
+        bag = tmp_path / measured
+        assert main(['import', str(table), '--axis', 'roll', '--time', 't', '--control', 'volts',
+                     f'--{measured}', column, '--unit', 'volts=V', '--unit', f'{column}={unit}',
+                     '--out', str(bag)]) == 0
+        name = 'angle' if measured == 'angle' else 'y'
+        mine = qs.from_arrays(u=volts, dt=DT, units={'u': 'V', name: unit},
+                              **{name: position if measured == 'angle' else speed})
+        stored = read_bag(bag)
+        np.testing.assert_array_equal(mine.rates, stored.rates)
+        np.testing.assert_array_equal(mine.control, stored.control)
+        assert mine.dt == stored.dt
+        assert [(s.role, s.start_s, s.end_s) for s in mine.segments] == \
+            [(s.role, s.start_s, s.end_s) for s in stored.segments if s.axis == 'roll']
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(('changes', 'train', 'validation'), [
+    ({'train': 0.6}, (0.0, 4.8), (4.8, 8.0)),
+    ({'validate': 0.25}, (0.0, 6.0), (6.0, 8.0)),
+    ({'train': slice(0, 1200), 'validate': slice(1500, None)}, (0.0, 4.8), (6.0, 8.0)),
+    ({'train': np.arange(N) < 1000}, (0.0, 4.0), (4.0, 8.0)),
+    ({'train': (1.0, 4.0), 'validate': (5.0, 8.0)}, (1.0, 4.0), (5.0, 8.0)),
+], ids=['fraction', 'last', 'slices', 'mask', 'seconds'])
+def test_training_and_validation_are_what_was_asked_for(changes, train, validation):
+    spans = {s.role: (s.start_s, s.end_s) for s in record(**changes).segments}
+    assert spans['train'] == pytest.approx(train)
+    assert spans['validation'] == pytest.approx(validation)
+
+
+def test_several_experiments_are_lists_and_share_the_scale_of_the_input():
+    from quad_sysid.arrays import records_of
+
+    one, other = records_of(u=[30.0 * U, 3.0 * U], y=[Y, Y[::-1]], dt=DT, units={'u': 'A'},
+                            train=[True, False], validate=[False, True])
+    assert {s.role for s in one.segments} == {'train'}
+    assert {s.role for s in other.segments} == {'validation'}
+    scale = one.units.per_command
+    assert scale == other.units.per_command == 2.0 ** round(math.log2(scale))
+    np.testing.assert_array_equal(other.control[:, 1], scale * 3.0 * U)
+    assert 0.25 < np.abs(one.control[:, 1]).max() <= 0.5
+
+
+def test_parameters_are_shown_in_the_units_of_the_arrays():
+    units = record(y=Y, units={'u': 'V', 'y': 'deg/s'}).units
+    degree = math.pi / 180.0
+    for unit, (name, factor) in {
+        'rad/s² per unit command': ('deg/s² per V', 1.0 / 20.0 / degree),
+        'rad/s² per (rad/s)²': ('deg/s² per (deg/s)²', degree), 's': ('s', 1.0),
+        'rad/s² per rad': ('deg/s² per deg', 1.0), 'normalised command': ('V', 20.0),
+        'rad/s² per rad³': ('deg/s² per deg³', degree**2),
+    }.items():
+        assert units.parameter(unit) == (name, pytest.approx(factor)), unit
+
+
+BAD = {
+    'u must be': ({'u': U[:-1]}, 'y must be as long as u: found 2000 and 1999'),
+    'two channels': ({'y': np.stack([Y, Y], axis=1)}, 'y must be (n,), one channel: found shape'),
+    'constant u': ({'u': 0.0 * U}, 'u never changes: found 0 throughout'),
+    'constant y': ({'y': 0.0 * Y + 2.0}, 'y never changes: found 2 throughout'),
+    'negative dt': ({'dt': -0.1}, 'dt must be a positive number of seconds: found -0.1'),
+    'dt is NaN': ({'dt': math.nan}, 'dt must be a positive number of seconds: found nan'),
+    'dt is text': ({'dt': '4 ms'}, "dt must be a positive number of seconds: found '4 ms'"),
+    'no dt': ({'dt': None}, 'lack dt or t'),
+    'dt and t': ({'t': DT * np.arange(N)}, 'take dt or t, not both'),
+    'slow': ({'dt': 1.0}, 'dt has intervals that are too long: found 1 s; at most 0.05 s'),
+    'one sample': ({'u': U[:1], 'y': Y[:1]}, 'need 100 samples at least: found 1'),
+    'empty': ({'u': [], 'y': []}, 'need 100 samples at least: found 0'),
+    'scalar': ({'u': 3.0}, 'u must be (n,), one channel: found shape ()'),
+    'texts': ({'y': ['a'] * N}, 'y must hold real numbers'),
+    'objects': ({'y': [object()] * N}, 'y must hold real numbers: found objects'),
+    'complex': ({'y': Y + 1j}, 'y must hold real numbers: found complex128'),
+    'infinity': ({'y': np.where(np.arange(N) == 7, np.inf, Y)}, 'y holds infinity: found sample'),
+    'only NaN': ({'u': np.full(N, np.nan)}, 'u holds no number: found NaN throughout'),
+    'time runs back': ({'dt': None, 't': DT * np.abs(np.arange(N) - 9.0)}, 't must increase'),
+    'short t': ({'dt': None, 't': DT * np.arange(N - 1)}, 't must be as long as u'),
+    't holds NaN': ({'dt': None, 't': np.full(N, np.nan)}, 't holds NaN: found sample 0'),
+    'unknown unit': ({'units': {'u': 'furlong'}}, "units: u is no known unit: found 'furlong'"),
+    'other unit': ({'units': {'y': 'V'}}, "units: y is not a unit of it: found 'V'; use rad/s"),
+    'unit of none': ({'units': {'z': 'V'}}, "units names what is no argument: found 'z'"),
+    'zero unit': ({'units': {'y': 0.0}}, 'units: y is no known unit: found 0.0'),
+    'no output': ({'y': None}, 'lack y or angle'),
+    'no input': ({'u': None}, 'lack u, the input'),
+    'strange signal': ({'signals': {'wind': Y}}, "signals holds an unknown one: found 'wind'"),
+    'short signal': ({'signals': {'battery': Y[:9]}}, 'signals: battery must be as long as u'),
+    'short mask': ({'train': np.ones(9, bool)}, 'train must be a mask as long as u: found (9,)'),
+    'fraction': ({'train': 1.5}, 'train as a fraction must be between 0 and 1: found 1.5'),
+    'overlap': ({'train': 0.7, 'validate': 0.7}, 'train and validate overlap: found 800 samples'),
+    'no part': ({'train': slice(10, 10)}, 'train holds no sample'),
+    'no column': ({'u': 'volts'}, "u names a column of no frame: found 'volts'"),
+    'no axis': ({'axis': 'bank'}, "axis must be one of roll, pitch, yaw: found 'bank'"),
+    'lists': ({'u': [U, U], 'y': [Y, Y, Y]}, 'needs lists of as many experiments: found u has 2'),
+}
+
+
+@pytest.mark.parametrize('name', BAD)
+def test_bad_arrays_are_refused_in_one_line(name):
+    changes, words = BAD[name]
+    with pytest.raises(qs.BadInputError) as refused:
+        record(**changes)
+    assert words in str(refused.value)
+    assert '\n' not in str(refused.value)
+
+
+@pytest.mark.parametrize(('call', 'words'), [
+    (lambda: qs.identify([]), 'has no flight'),
+    (qs.identify, 'has no flight'),
+    (lambda: qs.identify(object()), 'are of a kind that cannot be read: found object'),
+    (lambda: qs.identify('bag', u=U, y=Y, dt=DT), 'flights or arrays, not both'),
+    (lambda: qs.identify(u=U, y=Y, dt=DT, seconds=-1.0), 'seconds must be'),
+    (lambda: qs.identify(u=U, y=Y, dt=DT, progress=3), 'progress must be'),
+    (lambda: qs.Record('mine', -1.0, np.zeros((9, 3)), np.zeros((9, 4))), 'Record: dt must be'),
+    (lambda: qs.Record('mine', 0.1, np.zeros((9, 2)), np.zeros((9, 4))),
+     'Record: rates must be (n, 3)'),
+    (lambda: qs.Record('mine', 0.1, np.zeros((9, 3)), np.zeros((8, 4))),
+     'control must be (n, 4) with n as in rates: found (8, 4) for n = 9'),
+], ids=range(9))
+def test_what_cannot_be_identified_is_said_in_one_line(call, words):
+    with pytest.raises(qs.BadInputError) as refused:
+        call()
+    assert words in str(refused.value)
+
+
+@pytest.fixture(scope='module')
+def result():
+    """Dry friction, in turns a minute over volts, with the laws that it is told from."""
+    flight = fly(Axis(torque=lambda _t, rate, _a: -6.0 * math.tanh(rate / 0.005)), 5, SHORT)
+    lines = []
+    found = qs.identify(
+        u=20.0 * flight.control[:, 1], y=30.0 / math.pi * flight.rates[:, 0], dt=DT,
+        units={'u': 'V', 'y': 'rpm'}, effects=qs.EFFECTS[:2], progress=lines.append)
+    assert any('structures, best so far' in line for line in lines)
+    return found, flight
+
+
+def test_the_model_speaks_the_units_of_its_arrays(result):
+    found, flight = result
+    assert found.verdict == 'effects_added'
+    parameters = found.model.parameters
+    turn = 2.0 * math.pi
+    assert parameters['gain'].unit == 'rev/s² per V'
+    assert parameters['gain'].value == pytest.approx(450.0 / 20.0 / turn, rel=0.02)
+    assert parameters['coulomb_friction.torque'].value == pytest.approx(6.0 / turn, rel=0.05)
+    u = 20.0 * flight.control[:, 1]
+    z = qs.IOData(u, 30.0 / math.pi * flight.rates[:, 0], DT)
+    assert found.model.compare(z, 1) > 95.0
+    assert qs.compare(z, found, horizon=1) == (found.model.compare(z, 1),)
+    ahead = found.model.predict(z, 10)
+    assert np.nanstd(ahead - z.y) < 0.2 * np.std(z.y)
+    np.testing.assert_array_equal(qs.simulate(found, u[:500]), found.model.simulate(u[:500]))
+    assert found.model.residuals(z).residual_uncorrelated_with_input in (True, False)
+
+
+def test_every_function_takes_what_the_others_return(result, tmp_path):
+    found, flight = result
+    model = found.model
+    assert model.bode([1.0]).magnitude[0] == qs.bode(found, [1.0]).magnitude[0]
+    settled = model.step({'roll.rate.kp': 0.06, 'roll.angle.kp': 3.0}).angle[-1]
+    assert settled == pytest.approx(0.2, abs=0.1)  # it sticks before
+    gains = qs.CascadeGains.from_mapping({}, 'roll')
+    assert np.isfinite(qs.simulate_cascade(model, gains, np.full(50, 0.1), DT).angle).all()
+    assert model.to_control().ninputs == 1
+    assert qs.export(found, tmp_path / 'model.mat').stat().st_size > 100
+    assert qs.inspect(flight).length_s == pytest.approx(30.0)
+    saved = found.save(tmp_path / 'out', html=False, pictures=False).folder
+    (_, changes), = qs.compare(found, saved)
+    assert not any(change.changed for change in changes)
+    assert 'coulomb_friction' in model._repr_html_()
+    box = qs.arx(flight.axis('roll', 'train'), 4, 4, 3)
+    z = flight.axis('roll', 'validation')
+    assert box.compare(z) == qs.compare(z, box)[0]
+    assert qs.compare(flight, box) == qs.compare(flight.axis('roll'), box)
+    assert box.to_control().dt == DT
+    assert box.bode([3.0]).w[0] == 3.0
+
+
+def test_result_and_model_are_copied_pickled_and_written_without_loss(result):
+    found, _ = result
+    text = found.model.to_json()
+    for again in (copy.deepcopy(found.model), pickle.loads(pickle.dumps(found.model)),  # noqa: S301
+                  qs.Identified.from_json(text)):
+        assert again.to_json() == text
+        np.testing.assert_array_equal(again.simulate([1.0, 2.0, 3.0]),
+                                      found.model.simulate([1.0, 2.0, 3.0]))
+    whole = found.to_json()
+    for one in (pickle.loads(pickle.dumps(found)), qs.Result.from_json(whole)):  # noqa: S301
+        assert one.to_json() == whole
+        assert str(one) == str(found)
+        assert one.effects == found.effects
+        assert one.gains == found.gains
+    with pytest.raises(qs.BadInputError, match='no result'):
+        qs.Result.from_json(json.dumps({}))
+
+
+def test_a_result_of_several_axes_has_no_verdict_and_says_which_it_has():
+    answers = dict.fromkeys(('roll', 'pitch'))
+    several = qs.Result(answers, ('none',))
+    assert not hasattr(several, 'verdict')
+    with pytest.raises(qs.BadInputError, match='has several axes'):
+        several.verdict  # noqa: B018
+
+
+def test_a_budget_of_nothing_says_that_nothing_was_searched():
+    flight = fly(Axis(), 5, SHORT)
+    found = qs.identify(flight, 'roll', seconds=0.0)
+    assert found.verdict == 'not_searched'
+    untried = {entry['name']: entry['because']
+               for entry in found.report['axes']['roll']['not_tested']}
+    assert 'the search had 0 s: it was not tried' in untried['coulomb_friction']
+
+
+SCRIPT = """
+import numpy as np
+import quad_sysid as qs
+
+u: np.ndarray = np.zeros(500)
+result: qs.Result = qs.identify(u=u, y=[1.0, 2.0], dt=0.01, units={'u': 'V'}, train=0.6,
+                                signals={'battery': u}, validate=slice(300, 500))
+record: qs.Record = qs.from_arrays(u=u, y=u, dt=0.01, train=u > 0.0)
+model: qs.Identified = result.model
+rate = model.simulate(u) + model.predict(record)
+fit: float = model.compare(record)
+gain: float = model.parameters['gain'].value
+name: str = qs.identify(record, 'roll', extra_effects=(), seconds=3.0).verdict
+magnitude = qs.bode(model).magnitude + model.bode([1.0]).phase
+"""
+
+
+def test_a_users_script_passes_mypy_strict(tmp_path):
+    script = tmp_path / 'script.py'
+    script.write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, '-m', 'mypy', '--strict', '--follow-imports=silent',
+         '--cache-dir', str(tmp_path / 'cache'), str(script)],
+        capture_output=True, text=True, check=False)
+    if 'No module named mypy' in done.stderr:
+        pytest.skip('mypy is not installed (make lint)')
+    assert done.returncode == 0, done.stdout

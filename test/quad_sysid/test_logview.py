@@ -1,0 +1,208 @@
+"""What `look` measures, beside loops, noise and delays that are known: within 3 %."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quad_sysid import cli
+from quad_sysid.bags import write_bag
+from quad_sysid.errors import BadInputError
+from quad_sysid.logview.flown import Flown, stretches
+from quad_sysid.logview.read import look, of_record
+from quad_sysid.logview.spectrum import frames
+from quad_sysid.loop.figures import step_figures
+from quad_sysid.record import GainChange, Record
+
+DT, SECONDS = 0.002, 60.0
+GAIN, LAG_S, DELAY, DAMPING = 450.0, 0.03, 3, 0.5
+"""rad/s² per unit, s, samples, 1/s."""
+KP, KI, KD, D_HZ = 0.06, 0.3, 0.0008, 60.0
+SHAKE_HZ = 140.0
+ROTORS_HZ = 140.0
+KNOWN = {'roll.rate.kp': KP, 'roll.rate.ki': KI, 'roll.rate.kd': KD, 'roll.rate.d_filter_hz': D_HZ}
+
+
+class Loop:
+    """A rate loop in plain Python: what flies, cycle by cycle."""
+
+    def __init__(self, kp=KP):
+        self.kp, self.w, self.x, self.i, self.d, self.last = kp, 0.0, 0.0, 0.0, 0.0, 0.0
+        self.pipe = [0.0] * DELAY
+
+    def cycle(self, wanted, noise, push):
+        seen = self.w + noise
+        error = wanted - seen
+        self.i += KI * error * DT
+        weight = DT / (DT + 1.0 / (2.0 * np.pi * D_HZ))
+        self.d += weight * ((seen - self.last) / DT - self.d)
+        self.last = seen
+        u = self.kp * error + self.i - KD * self.d
+        self.pipe.append(u)
+        self.x += DT / LAG_S * (self.pipe.pop(0) - self.x)
+        self.w += DT * (GAIN * self.x - DAMPING * self.w + push)
+        return seen, u
+
+
+def flown(seed=1, kp=(KP, KP), noise=0.01):
+    """(set-point, rate, command) of a pilot's flight; the second half with another kp."""
+    rng = np.random.default_rng(seed)
+    n = round(SECONDS / DT)
+    asked, k = np.zeros(n), 0
+    while k < n:
+        held = int(rng.uniform(0.08, 0.7) / DT)
+        asked[k:k + held] = 3.0 * rng.standard_normal()
+        k += held
+    for k in range(1, n):  # as a stick moves
+        asked[k] = asked[k - 1] + 0.15 * (asked[k] - asked[k - 1])
+    white = noise * rng.standard_normal(n) + 0.03 * np.sqrt(2.0) * np.sin(
+        2.0 * np.pi * SHAKE_HZ * DT * np.arange(n))
+    pushes = 2.0 * rng.standard_normal(n)
+    loops = Loop(kp[0])
+    out = np.empty((n, 2))
+    for k in range(n):
+        if k == n // 2:
+            loops.kp = kp[1]
+        out[k] = loops.cycle(asked[k], white[k], pushes[k])
+    return asked, out[:, 0], out[:, 1]
+
+
+def truth(kp=KP):
+    loops = Loop(kp)
+    return step_figures([loops.cycle(1.0, 0.0, 0.0)[0] for _ in range(round(0.5 / DT))], DT)
+
+
+FIXED = (GainChange(0.0, KNOWN),)
+
+
+def record(asked, rate, command, gains=FIXED):
+    n, zero = len(rate), np.zeros(len(rate))
+    return Record(
+        source='loop', dt=DT, t0_ns=10**18, rates=np.stack([rate, zero, zero], axis=1),
+        control=np.stack([zero + 0.5, command, zero, zero], axis=1),
+        rate_setpoint=np.stack([asked, zero, zero], axis=1), gains=gains,
+        motors=0.5 + np.stack([command, command, -command, -command], axis=1),
+        speeds=np.full((n, 4), 2.0 * np.pi * ROTORS_HZ))
+
+
+@pytest.fixture(scope='module')
+def flight():
+    return record(*flown())
+
+
+@pytest.fixture(scope='module')
+def seen(flight):
+    return look(flight)
+
+
+def test_the_step_response_is_the_loops_own(seen):
+    found, true = seen.whole.axes['roll'].rate_step, truth()
+    assert found.windows > 50
+    assert found.figures.rise_time_s == pytest.approx(true.rise_time_s, rel=0.03)
+    assert found.figures.settling_time_s == pytest.approx(true.settling_time_s, rel=0.03)
+    assert found.figures.overshoot_pct == pytest.approx(true.overshoot_pct, abs=1.0)
+    assert (found.low <= found.mean + 1e-9).all()
+    assert (found.high >= found.mean - 1e-9).all()
+
+
+def test_margins_and_delays_are_those_of_plant_and_gains(seen):
+    found = seen.whole.axes['roll'].loop
+    f = np.geomspace(0.5, 60.0, 4000)
+    back = np.exp(-2j * np.pi * f * DT)
+    # motor and rate by forward Euler, as they were flown
+    plant = GAIN * back**DELAY * (DT / (LAG_S * (1 - back) + DT * back)) * (
+        DT * back / (1 - back + DAMPING * DT * back))
+    weight = DT / (DT + 1.0 / (2.0 * np.pi * D_HZ))
+    loop = plant * (KP + KI * DT / (1 - back) + KD * weight * (1 - back) / DT / (
+        1 - (1 - weight) * back))
+    at = np.flatnonzero(np.abs(loop) > 1.0)[-1]
+    crossed = np.flatnonzero(np.diff(np.sign(np.angle(loop[at:]))))[0] + at
+    assert found.crossover_hz == pytest.approx(f[at], rel=0.03)
+    assert found.phase_margin_deg == pytest.approx(180.0 + np.degrees(np.angle(loop[at])),
+                                                   rel=0.03)
+    assert found.gain_margin_db == pytest.approx(-20 * np.log10(np.abs(loop[crossed])), rel=0.06)
+    assert found.sensitivity == pytest.approx(np.abs(1 / (1 + loop)).max(), rel=0.03)
+    whole = next(d for d in found.delays if d.part == 'command to acceleration')
+    phase = np.interp(found.delay_hz, f, np.unwrap(np.angle(plant * 2j * np.pi * f)))
+    assert whole.milliseconds == pytest.approx(-1e3 * phase / (2 * np.pi * found.delay_hz),
+                                               rel=0.03)
+
+
+def test_spectra_have_the_power_that_was_put_in(seen):
+    rng = np.random.default_rng(3)
+    x = 0.5 * rng.standard_normal(200_000)
+    found = frames(x, np.ones(len(x), bool), DT)
+    assert np.mean(found.mean[1:-1]) == pytest.approx(0.25 * 2.0 * DT, rel=0.03)
+    assert found.rms(50.0, 150.0) == pytest.approx(0.5 * np.sqrt(100.0 / 250.0), rel=0.03)
+    peak = seen.whole.axes['roll'].gyro.peaks(ROTORS_HZ)[0]
+    assert peak.frequency_hz == pytest.approx(SHAKE_HZ, rel=0.01)
+    assert peak.rms == pytest.approx(0.03, rel=0.05)
+    assert peak.order == 1.0
+
+
+def test_the_delay_of_a_filter_is_measured_where_both_sides_are_logged(flight):
+    rate, weight = flight.rates[:, 0], DT / (DT + 1.0 / (2.0 * np.pi * 40.0))
+    smooth = np.zeros_like(rate)
+    for k in range(1, len(rate)):
+        smooth[k] = smooth[k - 1] + weight * (rate[k] - smooth[k - 1])
+    known = of_record(flight, 'a record')
+    both = replace(known, rates=np.stack([smooth, 0 * rate, 0 * rate], axis=1),
+                   rates_before=known.rates, before_dt=DT)
+    delay = look(both).whole.axes['roll'].loop
+    of = next(d for d in delay.delays if d.part == 'gyro filters')
+    back = np.exp(-2j * np.pi * delay.delay_hz * DT)
+    phase = np.angle(weight / (1 - (1 - weight) * back))
+    assert of.milliseconds == pytest.approx(-1e3 * phase / (2 * np.pi * delay.delay_hz), rel=0.03)
+
+
+def test_each_set_of_gains_is_measured_by_itself():
+    signals = flown(seed=2, kp=(0.04, 0.09))
+    changes = (GainChange(0.0, {**KNOWN, 'roll.rate.kp': 0.04}),
+               GainChange(SECONDS / 2, {**KNOWN, 'roll.rate.kp': 0.09}))
+    found = look(record(*signals, gains=changes))
+    assert [p.stretch.changed for p in found.parts][1] == ('roll.rate.kp',)
+    for part, kp in zip(found.parts, (0.04, 0.09), strict=True):
+        figures = part.axes['roll'].rate_step.figures
+        assert figures.rise_time_s == pytest.approx(truth(kp).rise_time_s, rel=0.03)
+    assert np.isnan(found.whole.axes['roll'].loop.phase_margin_deg)
+
+
+def test_gains_that_fly_for_moments_are_no_stretch():
+    n = 5000
+    still = Flown('x', 'a log', 0.004, np.zeros((n, 3)), np.ones(n, bool), ('roll',), gains=(
+        GainChange(0.0, {'roll.rate.kp': 0.1}), GainChange(6.0, {'roll.rate.kp': 0.2}),
+        GainChange(7.0, {'roll.rate.kp': 0.3})))
+    assert [(s.start_s, s.end_s) for s in stretches(still)] == [(0.0, 6.0), (6.0, 20.0)]
+
+
+def test_nothing_is_stated_of_a_rate_that_does_not_follow(seen):
+    rng = np.random.default_rng(5)
+    n = len(seen.flown.rates)
+    deaf = record(seen.flown.rate_setpoint[:, 0], rng.standard_normal(n), rng.standard_normal(n))
+    one = look(deaf).whole.axes['roll']
+    assert one.rate_step is None
+    assert one.loop is None
+
+
+def test_the_command_prints_the_answer_first_and_writes_a_page(
+    flight, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    write_bag(flight, tmp_path / 'flight')
+    assert cli.main(['look', 'flight']) == 0
+    out = capsys.readouterr().out
+    assert out.startswith('Roll follows a step of its rate set-point in ')
+    text = (tmp_path / 'flight_look.html').read_text()
+    assert len(text.encode()) < 2_000_000
+    assert not re.search(r'(?:src|href)="(?!data:|#)', text)
+    assert cli.main(['look', 'flight', '--json', '--no-page']) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree['axes']['roll']['steps'][0]['rise_time_s'] == pytest.approx(
+        truth().rise_time_s, rel=0.03)
+    (tmp_path / 'mine.html').write_text('notes')
+    assert cli.main(['look', 'flight', '--out', 'mine.html']) == 2
+    assert 'is no page of quad-sysid look' in capsys.readouterr().err
+    with pytest.raises(BadInputError):
+        look(flight).plot('nothing')
