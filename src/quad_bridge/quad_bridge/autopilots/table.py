@@ -57,6 +57,8 @@ class Table:
     """Of the aircraft as a whole; their `ours` is the whole name."""
     multiplier: str = ''
     """A parameter of each axis that multiplies P, I and D."""
+    d_on_error: bool = False
+    """Whether D acts on the error, not on the measured rate."""
 
     def of_axes(self) -> Iterator[tuple[str, int, Row, str]]:
         """Contract name, number of the axis, row and parameter of each gain of an axis."""
@@ -97,6 +99,8 @@ class Table:
         for name, unit in zip(AXES, units, strict=True):
             if f'{name}.rate.kp' in found:
                 found[f'{name}.rate.output_limit'] = float(unit)
+                if self.d_on_error:
+                    found[f'{name}.rate.d_on'] = 1.0
         for row in self.shared:
             if known.get(row.theirs, 0.0) > 0.0:
                 found[row.ours] = float(known[row.theirs] * row.factor)
@@ -163,6 +167,7 @@ ARDUPILOT = Table(
         Row('rate.error_filter_hz', 'ATC_RAT_{}_FLTE'),
     ),
     (Row('sensor.gyro_filter_hz', 'INS_GYRO_FILTER'),),
+    d_on_error=True,
 )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from quad_sysid.record import GainChange, Record
 
 STREAMS = (
     'rates', 'control', 'motors', 'speeds', 'armed', 'angles', 'acceleration',
-    'attitude_setpoint', 'rate_setpoint', 'battery',
+    'attitude_setpoint', 'rate_setpoint', 'battery', 'rates_before', 'd_term',
 )
 """Fields of a ForeignLog that are streams."""
 LEAST_S = 5.0
@@ -35,7 +36,11 @@ SLACK_S = 1.0
 def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
     """Write the bag of both. Raises BadInputError where they are not of one flight."""
     live = read_bag(bag)
-    read = read_log(log, format_of(log))
+    kind = format_of(log)
+    if kind is None:
+        raise BadInputError(str(log), 'is no log of an autopilot that is known',
+                            remedy='quad-sysid import says which are')
+    read = read_log(log, kind)
     start_s = 1e-9 * live.t0_ns
     end_s = start_s + live.n * live.dt
     cut = _cut(read, start_s - offset_s - SLACK_S, end_s - offset_s + SLACK_S)
@@ -62,7 +67,8 @@ def _cut(log: ForeignLog, begin_s: float, end_s: float) -> ForeignLog:
         keep = (stream.time_s >= begin_s) & (stream.time_s <= end_s)
         return Stream(stream.time_s[keep], stream.values[keep])
 
-    return replace(log, **{name: part(getattr(log, name)) for name in STREAMS})
+    cut: dict[str, Any] = {name: part(getattr(log, name)) for name in STREAMS}
+    return replace(log, **cut)
 
 
 def _with_schedule(record: Record, live: Record, after_s: float) -> Record:
