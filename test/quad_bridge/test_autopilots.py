@@ -24,6 +24,8 @@ from flying_autopilot import (
 
 from quad_bridge.aircraft import Ability
 from quad_bridge.autopilots.aircraft import Connected
+from quad_bridge.autopilots.check import lines, report
+from quad_bridge.autopilots.check import main as check
 from quad_bridge.autopilots.table import ARDUPILOT, PX4, UnfitError
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
@@ -193,16 +195,17 @@ def test_gains_that_fly_badly_go_back_within_the_watch(flying, name):
 
 
 @both
-def test_a_bridge_that_was_killed_puts_the_last_good_set_back(flying, name):
-    """However far the trial was, on a clean line and a noisy one: 20 of 20."""
+@pytest.mark.parametrize('attempts', [4, pytest.param(20, marks=pytest.mark.long)])
+def test_a_bridge_that_was_killed_puts_the_last_good_set_back(flying, name, attempts):
+    """However far the trial was, on a clean line and a noisy one: all of them."""
     line = flying(name)
     table = PX4 if name == 'px4' else ARDUPILOT
     before = {n: line.controller.parameters[n] for n in table.written}
 
     kp = line.updates.active['roll.rate.kp']
-    for attempt in range(20):
+    for attempt in range(attempts):
         line.ask(roll_rate_kp=1.5 * kp, roll_rate_ki=1.2 * line.updates.active['roll.rate.ki'])
-        line.run(1 + 11 * attempt)
+        line.run(1 + 220 * attempt // attempts)
         line.connect(Link())  # -9: nothing is said to the aircraft, nothing of the old one is left
         line.down.noise = line.up.noise = 5e-4 * (attempt % 2)
         line.fly(5.0)
@@ -413,6 +416,26 @@ def test_a_wrong_chirp_is_refused_in_one_line(flying):
         line.fly(0.5)
         assert words in line.connected.cannot(Ability.EXCITE)
         assert line.controller.parameters['SID_MAGNITUDE'] == 15.0
+
+
+@both
+def test_one_screen_says_whether_it_is_ready_and_what_to_change(flying, name):
+    line = flying(name)
+    log = 'SDLOG_PROFILE' if name == 'px4' else 'LOG_BITMASK'
+    line.aircraft.gains.values[log] = 1.0
+    screen = lines(report(line.aircraft, line.link, line.now_ns, 'an X frame'))
+    assert len(screen) <= 25
+    assert screen[0] == f'  ok  {"PX4 1.16" if name == "px4" else "ArduPilot 4.6"}, an X frame'
+    bad = [row for row in screen if row.startswith('  --')]
+    assert any(row.startswith(f'  --  log {log} 1: set {log} to') for row in bad)
+    assert any('Hz: below 100 Hz identify from the log' in row
+               for row in bad)  # fmt: skip
+    assert screen[-1] == f'{len(bad)} of {len(screen) - 1} lines are not as they should be'
+
+
+def test_nobody_there_is_one_line(capsys, tmp_path):
+    assert check(['--check', '--port', str(tmp_path / 'tty'), '--seconds', '0.1']) == 2
+    assert 'port not there: plug it in' in capsys.readouterr().err
 
 
 def test_a_slow_line_gets_what_it_can_carry():
