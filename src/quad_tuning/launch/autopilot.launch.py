@@ -6,45 +6,43 @@ waits for its `~/start`, the logger for its own.
 """
 
 from pathlib import Path
+from typing import Any
 
-import yaml
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch import LaunchContext, LaunchDescription
+from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-BRIDGE = {
-    'port': '/dev/ttyACM0', 'baud': '921600', 'key_file': '', 'unsigned': 'false', 'folder': '.',
-    'namespace': '', 'gains': 'off', 'excitation': 'off', 'robot_description': '',
-}
-"""Arguments that are handed on, and their defaults."""
+from quad_bridge.nodes.launched import (
+    BRIDGE,
+    COMMON,
+    EXCITATION,
+    IDENTIFICATION,
+    LOGGER,
+    arguments,
+    deferred,
+    node,
+    values,
+)
+
+HANDED_ON = {*COMMON, *BRIDGE, *LOGGER, *IDENTIFICATION, 'log', 'record'}
 
 
-def shipped(name: str) -> dict[str, object]:
-    """Return what the YAML of quad_sysid sets for a node, whatever its namespace."""
-    path = Path(get_package_share_directory('quad_sysid')) / 'config' / f'{name}.yaml'
-    return dict(yaml.safe_load(path.read_text(encoding='utf-8'))[name]['ros__parameters'])
+def nodes(context: LaunchContext) -> list[Any]:
+    """The excitation node."""
+    return [node(context, 'quad_sysid', 'excitation', values(context, EXCITATION))]
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the nodes with the YAML files of their packages."""
-    bridge = Path(get_package_share_directory('quad_bridge')) / 'launch' / 'bridge.launch.py'
-    defaults = {**BRIDGE, 'schedule': 'schedule_hover'}
-    given = {name: LaunchConfiguration(name) for name in defaults}
-    text = {name: ParameterValue(given[name], value_type=str) for name in ('folder', 'schedule')}
-    common = {'package': 'quad_sysid', 'namespace': given['namespace'], 'output': 'screen'}
+    """Describe the arguments, flight.launch.py and the excitation node."""
+    flight = Path(get_package_share_directory('quad_tuning')) / 'launch' / 'flight.launch.py'
+    own = arguments(*BRIDGE, *LOGGER, *IDENTIFICATION, *EXCITATION, log='true', record='false')
+    given = {name: LaunchConfiguration(name) for name in sorted(HANDED_ON)}
     return LaunchDescription([
-        *(DeclareLaunchArgument(name, default_value=value) for name, value in defaults.items()),
+        *own,
         IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(str(bridge)),
-            launch_arguments={**{name: given[name] for name in BRIDGE}, 'log': 'true',
-                              'record': 'false'}.items(),
+            PythonLaunchDescriptionSource(str(flight)), launch_arguments=given.items()
         ),
-        Node(executable='excitation', name='excitation',
-             parameters=[shipped('excitation'), {'schedule': text['schedule']}], **common),
-        Node(executable='identification', name='identification',
-             parameters=[shipped('identification'), {'folder': text['folder']}], **common),
+        deferred(nodes),
     ])

@@ -165,7 +165,7 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
     for number, step in enumerate(steps, 1):
         if len(steps) > 1:
             out.append(f'# step {number} of {len(steps)}: '
-                       + ('fly it before the next' if number < len(steps) else 'the design itself'))
+                       + ('fly it before the next' if number < len(steps) else 'the design'))
         out += [*firmware.head_lines, *cli_lines(firmware, step, before, flown), 'save']
         before = {**before, **step}
     content = '\n'.join(out) + '\n'

@@ -314,7 +314,9 @@ class MotorCurve(Propellers, Curve):
 
         def thrust(m: FloatArray) -> FloatArray:
             inside = np.clip(m, knots[0], knots[-1])
-            into = np.stack([np.clip(inside - a, 0.0, b) for a, b in zip(knots, width, strict=False)])
+            into = np.stack([
+                np.clip(inside - a, 0.0, b) for a, b in zip(knots, width, strict=False)
+            ])
             areas = np.tensordot(slopes[:-1], into, 1) + np.tensordot(bends, into**2, 1)
             return areas + np.interp(m, knots, slopes) * (m - inside)
 

@@ -91,7 +91,7 @@ def along(
 def each_ahead(
     name: str, arrays: Sequence[FloatArray], numbers: Sequence[float], results: int
 ) -> FloatArray:
-    """(results, …) a compiled law of one cycle on arrays (…) of one shape, or noted (traced.py)."""
+    """(results, …) a compiled law of one cycle on arrays (…) of one shape, or it is noted."""
     if any(isinstance(x, Traced) for x in arrays):
         return np.stack(noted(name, arrays, numbers, results))
     rows = np.broadcast_arrays(*arrays)

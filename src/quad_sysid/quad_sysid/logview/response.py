@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import margins
-from quad_sysid.loop.plant import ComplexArray
+from quad_sysid.loop.linear import ComplexArray
 
 FRAME_S = 2.0
 COHERENT = 0.6

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Memory as Warming
 from quad_sysid.estimate.stored import fitted_of, part_of, plant_of
 from quad_sysid.loop.plant import LATE_S, Flying, around, plant_like
