@@ -154,7 +154,7 @@ def likeness(plant: Flying) -> tuple[float, float, float, float]:
         own = gain * np.exp(-s * (delay + 0.5 * plant.dt)) / ((lag * s + 1.0) * (s + damping))
         error = np.log(own / rate)
         turned = np.mod(error.imag + np.pi, 2.0 * np.pi) - np.pi
-        return np.r_[error.real, turned, 0.05 * factors]
+        return np.concatenate([error.real, turned, 0.05 * factors])
 
     found = start * np.exp(least_squares(away, np.zeros(4)).x)
     return tuple(float(value) for value in found)  # type: ignore[return-value]

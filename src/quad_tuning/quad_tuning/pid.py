@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -82,7 +83,7 @@ class Problem:
 
     def gains(self, x: FloatArray) -> CascadeGains:
         """Gains at a point (5,) of the unit cube."""
-        values = {}
+        values: dict[str, Any] = {}
         for field, share, low, high in zip(DESIGNED, np.clip(x, 0.0, 1.0), self.low, self.high,
                                            strict=True):
             power = POWERS.get(field)
