@@ -19,6 +19,7 @@ NODES = [
     'export = quad_sysid.start:ros2',
     'compare = quad_sysid.start:ros2',
     'fleet = quad_sysid.start:ros2',
+    'app = quad_sysid.start:ros2',
 ]
 """Names for `ros2 run` alone: colcon calls setup.py develop or install, pip builds a wheel."""
 IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
@@ -27,7 +28,7 @@ setup(
     name=PACKAGE,
     version='0.2.0',
     packages=find_packages(),
-    package_data={PACKAGE: ['py.typed', '*.pyi', '**/*.yaml', '**/*.json', '**/*.js']},
+    package_data={PACKAGE: ['py.typed', '*.pyi', '**/*.yaml', '**/*.json', '**/*.js', '**/*.css', '**/*.html']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
@@ -43,6 +44,7 @@ setup(
         'logs': ['pyulog'],
         'blackbox': ['orangebox<0.5'],  # GPL-3; 0.5 cannot be installed by pip
         'export': ['control'],
+        'app': ['starlette', 'uvicorn'],
         'shell': ['argcomplete'],
         'test': ['pytest', 'hypothesis', 'jsonschema'],
     },

@@ -17,6 +17,7 @@ from pathlib import Path
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # a process of one thread may fork: beside.py
 
 from quad_sysid import comparison, exports, fleets
+from quad_sysid.app import cli as app
 from quad_sysid.arguments import (
     NOT_ANSWERED,
     Commands,
@@ -65,6 +66,7 @@ def _parser() -> Parser:
     exports.add(commands)
     comparison.add(commands)
     fleets.add(commands)
+    app.add(commands)
     command(commands, 'compile', _compile,
             'Compile all that numba compiles, so that no first use has to wait (images, CI).',
             'quad-sysid compile')

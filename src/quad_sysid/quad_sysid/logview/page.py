@@ -12,7 +12,7 @@ from quad_sysid.logview.pictures import pictures
 from quad_sysid.logview.words import header, part_tables, sentences, tables
 from quad_sysid.report import zoom
 from quad_sysid.report.canvas import svg
-from quad_sysid.report.html import SHEET
+from quad_sysid.report.style import SHEET
 
 DEG = math.degrees(1.0)
 MARK = '<meta name="generator" content="quad-sysid look">'

@@ -9,60 +9,14 @@ from typing import Any
 
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.report import tables, words
+from quad_sysid.report import tables, words, zoom
 from quad_sysid.report.canvas import Picture, embedded, svg
+from quad_sysid.report.next_flight import next_flight
 from quad_sysid.report.plots import Gallery, draw, gallery
+from quad_sysid.report.plots_data import zooming
+from quad_sysid.report.style import SHEET
 
-LIGHT = """--paper:#ffffff;--card:#f6f8fa;--line:#d5dae0;--ink:#1b1f24;
---muted:#5f6b78;--grid:#d5dae0;--blue:#0072b2;--orange:#d55e00;--green:#009e73;--sky:#56b4e9;--pink:#cc79a7;"""
-DARK = """--paper:#12161b;--card:#1a2027;--line:#333c46;--ink:#e8ecf0;
---muted:#9aa7b4;--grid:#2b333c;--blue:#56b4e9;--orange:#f08a3c;--green:#2fbf95;--sky:#9bd4f5;--pink:#e0a3c4;"""
-
-SHEET = (
-    ':root{color-scheme:light dark;--font:system-ui,-apple-system,"Segoe UI",Roboto,'
-    '"DejaVu Sans",sans-serif;' + LIGHT + '}'
-    '@media (prefers-color-scheme:dark){:root{' + DARK + '}}'
-    """
-*{box-sizing:border-box}
-body{margin:0 auto;max-width:1120px;padding:16px;background:var(--paper);color:var(--ink);
-font:16px/1.5 var(--font)}
-h1{font-size:1.5rem;margin:.2em 0}h2{font-size:1.3rem;margin:1.8em 0 .4em;
-border-top:1px solid var(--line);padding-top:.8em}h3{font-size:1.08rem;margin:1.4em 0 .4em}
-h4{font-size:.95rem;margin:0 0 .3em}p{margin:.4em 0}
-a{color:var(--blue)}nav{margin:.6em 0}nav a{margin-right:1em}
-.small,figcaption{color:var(--muted);font-size:.85rem}
-.answer{background:var(--card);border:1px solid var(--line);border-left:6px solid var(--muted);
-border-radius:8px;padding:12px 16px;margin:14px 0}
-.answer.found{border-left-color:var(--blue)}.answer.good{border-left-color:var(--green)}
-.answer.open{border-left-color:var(--orange)}
-.answer h2{border:0;margin:0 0 .3em;padding:0}.axis{display:inline-block;text-transform:capitalize}
-.answer h3{font-size:.95rem;margin:.8em 0 0}.answer p{overflow-wrap:anywhere}
-.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(130px,1fr));gap:8px;margin:10px 0}
-.tile{background:var(--paper);border:1px solid var(--line);border-radius:6px;padding:6px 10px}
-.tile b{display:block;font-size:1.08rem}.tile span{color:var(--muted);font-size:.8rem}
-.figures{columns:2 400px;column-gap:16px;margin-top:.8em}
-figure{margin:0 0 16px;break-inside:avoid;padding:10px;
-border:1px solid var(--line);border-radius:8px;min-width:0}
-figure svg{display:block;width:100%;height:auto}figure svg text{fill:var(--ink)}
-.scroll{overflow-x:auto;margin:.6em 0}
-table{border-collapse:collapse;font-size:.88rem}
-th,td{text-align:left;padding:4px 10px 4px 0;border-bottom:1px solid var(--line);
-vertical-align:top}
-th{font-weight:600;color:var(--muted);white-space:nowrap}
-.n{text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums}
-td:first-child{min-width:7em}td.w{min-width:17em}tr.sel td:first-child{font-weight:700}
-tr.sel td{background:var(--card)}details{margin:.6em 0}summary{cursor:pointer}
-@media (max-width:520px){body{padding:10px}figure{padding:6px}.answer{padding:10px}}
-@media print{:root{"""
-    + LIGHT
-    + """}body{max-width:none;font-size:11pt;padding:0}nav{display:none}
-figure,.answer,tr{break-inside:avoid}h2,h3,h4{break-after:avoid}
-.figures{columns:2}.scroll{overflow:visible}table{font-size:8.5pt}}
-"""
-)
-
-
-DATA = ('signals', 'coherence')
+DATA = ('coherence',)
 MODELS = ('bode',)
 PREDICTION = ('free_run', 'horizon')
 EFFECTS = ('effect_shape', 'left_out', 'rivals')
@@ -70,6 +24,13 @@ LEFT = ('correlations', 'residual_spectrum', 'missing_torque')
 LOOP = ('closed_loop', 'step', 'margins')
 SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals')
 """Picture of a notebook's cell: the first of these that exists."""
+COPY = """<script>document.querySelectorAll('[data-copy]').forEach(b => { b.onclick = () => {
+const pre = b.parentElement.querySelector('pre'), done = () => { b.textContent = 'copied'; };
+if (navigator.clipboard && window.isSecureContext)
+  navigator.clipboard.writeText(pre.textContent).then(done);
+else { getSelection().selectAllChildren(pre); document.execCommand('copy'); done(); }
+}; });</script>"""
+"""What the buttons of `copied` do."""
 CELL = """.quad .tiles{display:flex;flex-wrap:wrap;gap:8px}
 .quad .tile{border:1px solid #8886;border-radius:6px;padding:4px 10px}
 .quad .tile span{display:block;opacity:.75;font-size:.85em}.quad .scroll{overflow-x:auto}
@@ -85,7 +46,8 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
     bags = ', '.join(PurePath(bag).name for bag in report['bags'])
     parts = ['<!doctype html><html lang="en"><head><meta charset="utf-8">',
              '<meta name="viewport" content="width=device-width,initial-scale=1">',
-             f'<title>Identification of {escape(bags)}</title><style>{SHEET}</style></head><body>',
+             f'<title>Identification of {escape(bags)}</title>',
+             f'<style>{SHEET}{zoom.STYLE}</style></head><body>',
              f'<h1>Identification of {escape(bags)}</h1>']
     if len(axes) > 1:
         links = ''.join(
@@ -101,7 +63,7 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
         'ones were opened once. Numbers in full: report.json; the model: model.json. '
         f'Source: {sources}</p>'
     )
-    return '\n'.join([*parts, '</body></html>\n'])
+    return '\n'.join([*parts, zoom.script(), COPY, '</body></html>\n'])
 
 
 def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: str) -> str:
@@ -195,8 +157,12 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
         found = ''.join(figure(axis, shown[name]) for name in names if name in shown)
         return f'<div class="figures">{found}</div>' if found else ''
 
+    traces = ''
+    if answer is not None and 'signals' in shown and (zooms := zooming(answer)):
+        traces = _figure(axis, shown['signals'], zooms)
     sections = [
-        ('Data', _fold('Segments', tables.segments(tree).html()) + figures(DATA)),
+        ('Data', traces + _fold('Segments', tables.segments(tree).html()) + figures(
+            DATA if traces else ('signals', *DATA))),
         ('Prediction on held-out data', tables.errors(tree).html() + tables.horizons(tree).html()
          + figures(PREDICTION)),
         ('What the base lacks', tables.explanation(tree).html() + tables.effects(tree).html()
@@ -207,8 +173,10 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
         ('What is left', tables.residuals(tree).html() + figures(LEFT)),
         ('Black-box models', tables.models(tree).html() + figures(MODELS)
          + tables.approaches(tree).html()),
+        ('Next flight', _next(axis, tree)),
         ('Advice', _notes(tree.get('advice', ()))),
-        ('Loop and gains', tables.gains(tree, axis, active).html() + figures(LOOP)),
+        ('Loop and gains', tables.gains(tree, axis, active).html()
+         + copied(gain_lines(tree.get('gains') or active)) + figures(LOOP)),
         ('Warnings', _notes([
             *tree.get('warnings', []),
             *(f'picture {name} could not be drawn: {why}' for name, why in drawn.failed),
@@ -222,8 +190,32 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
 
 def figure(axis: str, picture: Picture) -> str:
     """A picture with its title and its caption."""
+    return _figure(axis, picture, svg(picture, axis))
+
+
+def _figure(axis: str, picture: Picture, drawn: str) -> str:
     return (f'<figure id="{axis}-{picture.name}"><h4>{escape(picture.title)}</h4>'
-            f'{svg(picture, axis)}<figcaption>{escape(picture.caption)}</figcaption></figure>')
+            f'{drawn}<figcaption>{escape(picture.caption)}</figcaption></figure>')
+
+
+def gain_lines(gains: Mapping[str, float]) -> str:
+    """Gains as lines of YAML, to copy into a parameter file."""
+    return '\n'.join(f'{name}: {value:.6g}' for name, value in sorted(gains.items()))
+
+
+def copied(text: str) -> str:
+    """A block of text with a button that copies it; nothing for an empty one."""
+    if not text:
+        return ''
+    return ('<div class="copy"><button type="button" data-copy>copy</button>'
+            f'<pre tabindex="0">{escape(text)}</pre></div>')
+
+
+def _next(axis: str, tree: Mapping[str, Any]) -> str:
+    """What to fly next, and why."""
+    rows = next_flight(axis, tree)
+    items = ''.join(f'<li>{escape(one.why)}' + copied(one.command) + '</li>' for one in rows)
+    return f'<ul>{items}</ul>' if items else ''
 
 
 def _fold(title: str, content: str) -> str:

@@ -12,6 +12,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, bridged
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.record import IOData
+from quad_sysid.report import zoom
 from quad_sysid.report.canvas import (
     AFTER,
     BLUE,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+TRACES = 350_000
+"""Characters that the samples of one axis may take in a page of three."""
 COHERENT = 0.6
 """Squared coherence above which the model is trusted."""
 
@@ -47,6 +50,29 @@ def signals(answer: AxisAnswer) -> Picture | None:
         'opened once, at the end; what lies in grey was left out.',
         _traces(answer, data),
     )
+
+
+def zooming(answer: AxisAnswer) -> str:
+    """The same for a page, where it zooms; empty without data."""
+    found = answer.findings
+    if found is None:
+        return ''
+    data = found.data
+    rows = []
+    for label, measured, reference in (
+            ('rate, rad/s', data.rate, answer.rate_reference),
+            ('angle, rad', data.angle, answer.attitude_reference),
+            ('command, normalised', data.command, None)):
+        lines = [zoom.Line('measured' if measured is not data.command else 'command', measured,
+                           '--ink')] if measured is not None else []
+        lines += [zoom.Line('reference', reference, '--green')] if reference is not None else []
+        rows += [zoom.Row(label, lines)] if lines else []
+    marks = [zoom.Mark(a * data.dt, b * data.dt, colour)
+             for spans, colour in ((data.train, '--blue'), (data.validation, '--orange'))
+             for a, b in bridged(sorted(spans), data.dt)]
+    marks += [zoom.Mark(s.start_s, s.end_s, '--muted') for s in answer.segments
+              if s.axis == answer.axis and s.parameters.get('because')]
+    return zoom.group(rows, data.dt, marks, TRACES)
 
 
 def _traces(answer: AxisAnswer, data: AxisData) -> Figure:
@@ -115,11 +141,9 @@ def trusted(axes: Axes, answer: AxisAnswer) -> None:
 
 
 def trusted_words(answer: AxisAnswer) -> str:
-    """What the shading means; empty where there is none."""
+    """What the shading means; the answer says its limits. Empty where there is none."""
     band = answer.model.trusted_band_rad_s if answer.model else None
-    if band is None:
-        return ''
-    return f' Green: the trusted range, {band[0]:.2g} to {band[1]:.3g} rad/s.'
+    return '' if band is None else ' Green: the trusted range.'
 
 
 def _finite(values: FloatArray, z: IOData) -> bool:

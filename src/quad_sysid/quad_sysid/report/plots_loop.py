@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from quad_sysid.errors import QuadSysidError
+from quad_sysid.logview.step import ANGLE, Response, responses
 from quad_sysid.loop.cascade import CascadeGains, frequency_grid, margins, open_loop
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, loops_of
@@ -15,6 +16,7 @@ from quad_sysid.report.canvas import (
     BEFORE,
     GREEN,
     INK,
+    MEASURED,
     MUTED,
     Picture,
     finish,
@@ -96,11 +98,31 @@ def step_response(answer: AxisAnswer) -> Picture | None:
         axes[0].plot(time_s, np.degrees(flown.angle), color=colour, ls=style, lw=1.6,
                      label=name)
         axes[1].plot(time_s, flown.control, color=colour, ls=style, lw=1.2)
+    measured = _measured(answer)
+    if measured is not None:
+        axes[0].plot(measured.time_s, np.degrees(STEP_RAD * measured.mean), color=MEASURED,
+                     lw=1.2, label='measured')
+        axes[0].fill_between(measured.time_s, np.degrees(STEP_RAD * measured.low),
+                             np.degrees(STEP_RAD * measured.high), color=MUTED, alpha=0.25,
+                             linewidth=0)
+        axes[0].set_xlim(time_s[0], time_s[-1])
     finish(axes, 'time since the step, s', 'angle, deg', 'command, norm.')
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
     return Picture('step', 'Step before and after',
                    f'A step of {np.degrees(STEP_RAD):.0f} degrees in the '
-                   'attitude reference, simulated with the identified model.' + why, figure)
+                   'attitude reference, simulated with the identified model.'
+                   + (' Measured: the response of this flight with the flown gains, by '
+                      'deconvolution, with its spread between windows.' if measured else '')
+                   + why, figure)
+
+
+def _measured(answer: AxisAnswer) -> Response | None:
+    """The step response of the angle in flight; None where it cannot be measured."""
+    found, reference = answer.findings, answer.attitude_reference
+    if found is None or reference is None or found.data.angle is None:
+        return None
+    good = np.isfinite(found.data.rate)
+    return next(iter(responses(reference, found.data.angle, good, found.data.dt, ANGLE)), None)
 
 
 def open_loop_margins(answer: AxisAnswer) -> Picture | None:

@@ -191,4 +191,17 @@ class Group {
   }
 }
 document.querySelectorAll('.zoom').forEach(box => { box.group = new Group(box); });
+// Within the app's frame: it says what a drag selects, and is told what was selected.
+if (window.parent !== window) {
+  const groups = [...document.querySelectorAll('.zoom')].map(box => box.group);
+  const own = groups.map(g => g.marks);
+  addEventListener('message', e => {
+    if (e.source !== window.parent || !e.data || !e.data.zoom) return;
+    groups.forEach((g, k) => {
+      g.mode = e.data.mode || 'zoom'; g.marks = own[k].concat(e.data.marks || []); g.draw();
+    });
+  });
+  addEventListener('zoom-select', e => window.parent.postMessage({zoomSelect: e.detail}, '*'));
+  window.parent.postMessage({zoomReady: groups.length}, '*');
+}
 })();

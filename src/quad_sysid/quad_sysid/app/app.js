@@ -1,0 +1,110 @@
+// The page of quad-sysid app: files, jobs, and the report of the chosen job in a sandboxed frame.
+'use strict';
+const $ = id => document.getElementById(id);
+const chosen = new Set(); let shown = 0, mode = 'zoom', files = [], known = '';
+const say = text => { $('say').textContent = text; };
+async function ask(path, options) {
+  const answer = await fetch(path, options);
+  if (!answer.ok) {
+    let why = answer.statusText;
+    try { why = (await answer.json()).error || why; } catch (e) { /* plain text */ }
+    throw new Error(why);
+  }
+  return answer;
+}
+const guarded = act => async (...given) => { try { await act(...given); } catch (e) { say(e.message); } };
+async function listFiles() {
+  files = await (await ask('/files')).json();
+  const list = $('files'); list.replaceChildren();
+  for (const name of [...chosen]) if (!files.some(f => f.path === name)) chosen.delete(name);
+  for (const file of files) {
+    const item = document.createElement('li'), label = document.createElement('label');
+    const box = document.createElement('input'); box.type = 'checkbox'; box.checked = chosen.has(file.path);
+    box.onchange = () => { if (box.checked) chosen.add(file.path); else chosen.delete(file.path); };
+    label.append(box, ' ' + file.path + ' '); const more = document.createElement('span');
+    more.className = 'small'; more.textContent = file.kind + ', ' + file.megabytes.toFixed(1) + ' MB';
+    label.append(more); item.append(label); list.append(item);
+  }
+  if (!files.length) list.append(Object.assign(document.createElement('li'), {textContent: 'no logs here yet'}));
+}
+const upload = guarded(async picked => {
+  for (const file of picked) {
+    say('reading in ' + file.name);
+    const answer = await ask('/upload?name=' + encodeURIComponent(file.name), {method: 'POST', body: file});
+    const path = (await answer.json()).path; chosen.clear(); chosen.add(path); say(path + ' is there');
+  }
+  await listFiles();
+});
+const start = kind => guarded(async () => {
+  const body = {kind, files: [...chosen], axis: $('axis').value, to: $('to').value};
+  if (kind === 'identify') { body.train = $('train').value.trim(); body.validate = $('validate').value.trim(); }
+  const job = await (await ask('/jobs', {method: 'POST', body: JSON.stringify(body)})).json();
+  shown = job.number; known = ''; say(job.title + ' was put into the queue'); await listJobs();
+});
+async function listJobs() {
+  const jobs = await (await ask('/jobs')).json(), list = $('jobs'); list.replaceChildren();
+  for (const job of jobs) {
+    const item = document.createElement('li'), open = document.createElement('button');
+    open.textContent = job.title; open.onclick = () => { shown = job.number; known = ''; listJobs(); };
+    const state = document.createElement('span'); state.className = 'small';
+    state.textContent = ' ' + job.state + (job.seconds ? ', ' + job.seconds.toFixed(0) + ' s' : '')
+      + (job.doing && job.state !== 'done' ? ': ' + job.doing : '');
+    item.append(open, state);
+    if (job.state === 'running' || job.state === 'waiting') {
+      const stop = document.createElement('button'); stop.textContent = 'stop';
+      stop.setAttribute('aria-label', 'stop ' + job.title);
+      stop.onclick = guarded(async () => { await ask('/jobs/' + job.number + '/stop', {method: 'POST'}); await listJobs(); });
+      item.append(' ', stop);
+      if (job.state === 'running') item.append(document.createElement('progress'));
+    }
+    list.append(item);
+    if (job.number === shown) await show(job);
+  }
+}
+async function show(job) {
+  const key = job.number + job.state + job.pages.join();
+  if (key === known) return;
+  known = key; $('title').textContent = job.title;
+  const tabs = $('tabs'); tabs.replaceChildren();
+  const view = guarded(async page => {
+    $('frame').hidden = !page; $('text').hidden = !!page;
+    if (page) $('frame').src = '/jobs/' + job.number + '/' + page;
+    else $('text').querySelector('pre').textContent = await (await ask('/jobs/' + job.number + '/text')).text();
+  });
+  for (const page of [...job.pages, '']) {
+    const tab = document.createElement('button'); tab.textContent = page ? 'page' : 'text';
+    tab.onclick = () => view(page); tabs.append(tab);
+  }
+  if (job.state === 'done' || job.state === 'failed' || job.state === 'stopped') {
+    await view(job.state === 'done' ? job.pages[0] || '' : ''); await listFiles();
+  }
+}
+const span = id => { const m = /^\s*([\d.]+)\s*:\s*([\d.]+)\s*$/.exec($(id).value); return m && [+m[1], +m[2]]; };
+function tell() {
+  const marks = [];
+  for (const [id, colour] of [['train', '--blue'], ['validate', '--orange']]) {
+    const found = span(id); if (found) marks.push({start: found[0], end: found[1], colour});
+  }
+  $('frame').contentWindow.postMessage({zoom: true, mode, marks}, '*');
+}
+addEventListener('message', e => {
+  if (e.source !== $('frame').contentWindow || !e.data) return;
+  if (e.data.zoomReady !== undefined) tell();
+  const s = e.data.zoomSelect;
+  if (s && (s.mode === 'train' || s.mode === 'validate') && isFinite(s.start) && isFinite(s.end)) {
+    $(s.mode).value = s.start.toFixed(2) + ':' + s.end.toFixed(2); tell();
+  }
+});
+for (const id of ['train', 'validate']) $(id).oninput = tell;
+document.querySelectorAll('input[name=mode]').forEach(one => { one.onchange = () => { mode = one.value; tell(); }; });
+$('file').onchange = () => upload([...$('file').files]);
+const drop = $('drop');
+for (const name of ['dragover', 'dragleave', 'drop']) addEventListener(name, e => {
+  e.preventDefault(); drop.classList.toggle('over', name === 'dragover');
+  if (name === 'drop' && e.dataTransfer.files.length) upload([...e.dataTransfer.files]);
+});
+for (const kind of ['look', 'inspect', 'import', 'identify', 'compare', 'export']) $(kind).onclick = start(kind);
+$('copy').onclick = () => {
+  getSelection().selectAllChildren($('text').querySelector('pre')); document.execCommand('copy'); say('copied');
+};
+guarded(listFiles)(); guarded(listJobs)(); setInterval(guarded(listJobs), 1000);

@@ -1,0 +1,120 @@
+"""The folder of the app: what is in it, and that no name leads out of it. No HTTP here."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import AsyncIterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from quad_sysid.files import UNFINISHED
+
+RESULTS = 'quad_sysid_app'
+"""Folder, in that of the user, for results."""
+SUFFIXES = ('.mcap', '.db3', '.ulg', '.bin', '.log', '.bbl', '.bfl', '.txt', '.csv', '.mat',
+            '.bag', '.gz', '.xz', '.bz2', '.json')
+MOST_FILES = 500
+DEEPEST = 3
+ALLOWED = re.compile(r'[^\w.+\-() ]')
+LONGEST_NAME = 120
+
+
+class RefusedError(Exception):
+    """A request that is not answered; its text is for the user."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file or bag that can be chosen."""
+
+    path: str
+    """Relative to the folder, with slashes."""
+    kind: str
+    """`bag`, `log` or `model`."""
+    megabytes: float
+
+
+def inside(folder: Path, name: str) -> Path:
+    """The file or folder of this relative name. Raises RefusedError where it lies elsewhere."""
+    root = folder.resolve()
+    if not name or '\0' in name:
+        raise RefusedError('no such file')
+    try:
+        found = (root / name).resolve(strict=True)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise RefusedError('no such file') from error
+    if found == root or not found.is_relative_to(root):
+        raise RefusedError('that file is not in the folder of the app')
+    return found
+
+
+def entries(folder: Path) -> list[Entry]:
+    """What can be chosen, by name; bags as one entry each."""
+    root = folder.resolve()
+    found: list[Entry] = []
+    waiting = [(root, 0)]
+    while waiting and len(found) < MOST_FILES:
+        here, depth = waiting.pop()
+        try:
+            content = sorted(here.iterdir())
+        except OSError:
+            continue
+        for path in content:
+            if path.name.startswith(('.', UNFINISHED)) or path.is_symlink():
+                continue
+            relative = path.relative_to(root).as_posix()
+            if path.is_dir():
+                if (path / 'metadata.yaml').is_file():
+                    size = sum(f.stat().st_size for f in path.iterdir() if f.is_file())
+                    found.append(Entry(relative, 'bag', size / 1e6))
+                elif depth < DEEPEST:
+                    waiting.append((path, depth + 1))
+            elif path.name == 'model.json':
+                found.append(Entry(relative, 'model', path.stat().st_size / 1e6))
+            elif (path.suffix.lower() in SUFFIXES and path.suffix != '.json'
+                  and RESULTS not in path.relative_to(root).parts):
+                kind = 'bag' if path.suffix == '.mcap' else 'log'
+                found.append(Entry(relative, kind, path.stat().st_size / 1e6))
+    return sorted(found, key=lambda e: e.path)
+
+
+def new_file(folder: Path, name: str) -> Path:
+    """An empty file for an upload, under a safe name that was free.
+
+    Raises RefusedError for a name of no known kind.
+    """
+    plain = ALLOWED.sub('_', re.split(r'[/\\]', name)[-1]).strip(' .')[-LONGEST_NAME:]
+    if not plain or not plain.lower().endswith(SUFFIXES):
+        raise RefusedError(f'no log by its name: known endings are {", ".join(SUFFIXES)}')
+    stem, dot, ending = plain.partition('.')
+    number = 1
+    while True:
+        target = folder / (plain if number == 1 else f'{stem}_{number}{dot}{ending}')
+        try:
+            target.touch(exist_ok=False)
+        except FileExistsError:
+            number += 1
+        else:
+            return target
+
+
+async def receive(target: Path, body: AsyncIterable[bytes], most_bytes: int) -> None:
+    """Fill a new file; RefusedError, and the file is gone, where it is empty or too large."""
+    whole, size = False, 0
+    try:
+        with target.open('wb') as stream:
+            async for part in body:
+                size += len(part)
+                if size > most_bytes:
+                    raise RefusedError(f'larger than {most_bytes / 1e6:.0f} MB (--most-mb)')
+                stream.write(part)
+        whole = size > 0
+        if not whole:
+            raise RefusedError('the file is empty')
+    finally:
+        if not whole:
+            _remove(target)
+
+
+def _remove(target: Path) -> None:
+    target.unlink(missing_ok=True)

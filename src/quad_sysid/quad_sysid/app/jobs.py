@@ -1,0 +1,193 @@
+"""The queue of the app: each job is a process of a command, one after the other.
+
+The command sees a terminal on its standard error, so that it says there what it is doing; what it
+prints goes to a file. No HTTP here.
+"""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+MOST_JOBS = 200
+"""Jobs that are remembered; the oldest finished ones are forgotten."""
+MOST_WAITING = 20
+STOP_S = 5.0
+"""Time for a process to end by itself before it is killed."""
+MOST_TEXT = 200_000
+"""Characters of a job's output that are shown."""
+ESCAPES = re.compile(r'\x1b\[[0-9;]*[A-Za-z]')
+PROGRAMS = {'quad-sysid': 'quad_sysid.start', 'quad-tune': 'quad_tuning.start'}
+
+
+@dataclass
+class Job:
+    """One call of a command."""
+
+    number: int
+    title: str
+    program: str
+    arguments: tuple[str, ...]
+    folder: Path
+    """Where its output and results are."""
+    state: str = 'waiting'
+    """`waiting`, `running`, `done`, `failed`, `stopped`."""
+    doing: str = ''
+    """What it says that it is doing."""
+    begun: float = 0.0
+    ended: float = 0.0
+    process: subprocess.Popen[bytes] | None = field(default=None, repr=False)
+
+    @property
+    def seconds(self) -> float:
+        """Time that it has run."""
+        return (self.ended or time.monotonic()) - self.begun if self.begun else 0.0
+
+    def text(self) -> str:
+        """What it printed."""
+        with suppress(OSError):
+            return (self.folder / 'output.txt').read_text(
+                encoding='utf-8', errors='replace')[-MOST_TEXT:]
+        return ''
+
+
+class Queue:
+    """Jobs in the order of their coming, one at a time, in a thread of its own."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[int, Job] = {}
+        self._wake = threading.Condition()
+        self._closed = False
+        self._last = 0
+        self._thread = threading.Thread(target=self._work, name='jobs', daemon=True)
+        self._thread.start()
+
+    def add(self, title: str, program: str, arguments: Sequence[str], place: Path) -> Job:
+        """Put a job at the end; its folder is made in `place`. ValueError where too many wait."""
+        with self._wake:
+            if sum(job.state == 'waiting' for job in self._jobs.values()) >= MOST_WAITING:
+                raise ValueError(f'{MOST_WAITING} jobs wait already: stop some')
+            number = self._last + 1
+            while (folder := place / f'{number:03d}').exists():
+                number += 1
+            self._last = number
+            folder.mkdir(parents=True)
+            given = tuple(str(folder / a.removeprefix('@')) if a.startswith('@') else a
+                          for a in arguments)
+            job = Job(number, title, program, given, folder)
+            self._jobs[number] = job
+            for old in [j for j in self._jobs.values() if j.ended][:-MOST_JOBS]:
+                del self._jobs[old.number]
+            self._wake.notify()
+            return job
+
+    def get(self, number: int) -> Job | None:
+        """A job by its number."""
+        with self._wake:
+            return self._jobs.get(number)
+
+    def all(self) -> list[Job]:
+        """All jobs, the latest first."""
+        with self._wake:
+            return sorted(self._jobs.values(), key=lambda job: -job.number)
+
+    def stop(self, job: Job) -> None:
+        """End a job, or take it from the queue."""
+        with self._wake:
+            if job.state == 'waiting':
+                job.state, job.ended = 'stopped', time.monotonic()
+                return
+            if job.state != 'running' or job.process is None:
+                return
+            job.state, process = 'stopped', job.process
+        _end(process)
+
+    def close(self) -> None:
+        """End everything."""
+        with self._wake:
+            self._closed = True
+            jobs = list(self._jobs.values())
+            self._wake.notify()
+        for job in jobs:
+            self.stop(job)
+        self._thread.join(2.0 * STOP_S)
+
+    def _work(self) -> None:
+        while True:
+            with self._wake:
+                waiting = [j for j in self._jobs.values() if j.state == 'waiting']
+                while not waiting and not self._closed:
+                    self._wake.wait()
+                    waiting = [j for j in self._jobs.values() if j.state == 'waiting']
+                if self._closed:
+                    return
+                job = min(waiting, key=lambda j: j.number)
+                job.state, job.begun = 'running', time.monotonic()
+                ours, theirs = pty.openpty()
+                try:
+                    with (job.folder / 'output.txt').open('wb') as out:
+                        job.process = _begin(job, out.fileno(), theirs)
+                except OSError as error:
+                    job.state, job.doing, job.ended = 'failed', str(error), time.monotonic()
+                    os.close(ours)
+                    continue
+                finally:
+                    os.close(theirs)
+            _follow(job, ours)
+            status = job.process.wait()
+            with self._wake:
+                job.ended = time.monotonic()
+                if job.state == 'running':
+                    job.state = 'done' if status == 0 else 'failed'
+
+
+def _begin(job: Job, out: int, terminal: int) -> subprocess.Popen[bytes]:
+    code = f'import sys; from {PROGRAMS[job.program]} import main; sys.exit(main())'
+    return subprocess.Popen(  # noqa: S603 - our own program, its arguments checked by the server
+        [sys.executable, '-c', code, *job.arguments], stdin=subprocess.DEVNULL, stdout=out,
+        stderr=terminal, start_new_session=True, cwd=job.folder,
+        env={**os.environ, 'COLUMNS': '200', 'OPENBLAS_NUM_THREADS': '1'})
+
+
+def _follow(job: Job, terminal: int) -> None:
+    """Read what the command says until it ends; what is no progress is an error's line."""
+    kept, rest = [], ''
+    while True:
+        try:
+            raw = os.read(terminal, 4096)
+        except OSError:  # the other end is closed
+            break
+        if not raw:
+            break
+        rest += raw.decode('utf-8', errors='replace')
+        *lines, rest = re.split(r'[\r\n]', rest)
+        said = [clean for line in lines if (clean := ESCAPES.sub('', line).strip())]
+        kept += said
+        latest = ESCAPES.sub('', rest).strip() or (said[-1] if said else '')
+        job.doing = latest or job.doing
+    os.close(terminal)
+    last = ESCAPES.sub('', rest).strip() or (kept[-1] if kept else '')
+    job.doing = last
+    if last:
+        with suppress(OSError), (job.folder / 'output.txt').open('a', encoding='utf-8') as out:
+            out.write('' if last in job.text() else f'{last}\n')
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Ask the process and its children to end, then kill them."""
+    for number, patience in ((signal.SIGINT, STOP_S), (signal.SIGKILL, STOP_S)):
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, number)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(patience)
+            return

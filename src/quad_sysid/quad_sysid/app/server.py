@@ -1,0 +1,266 @@
+"""The app's pages and requests, by Starlette: who may ask, what is asked for, what comes back.
+
+Only this machine is answered: the socket is bound to 127.0.0.1, a request needs the token of the
+address (then a cookie), its Host must be ours (else another name could point here), and one that
+changes anything must come from our own page. Reports are shown in a sandbox without our origin.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import asdict
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import (
+    FileResponse,
+    HTMLResponse,
+    JSONResponse,
+    RedirectResponse,
+    Response,
+)
+from starlette.routing import Route
+
+from quad_sysid.app.folder import RESULTS, RefusedError, entries, inside, new_file, receive
+from quad_sysid.app.jobs import Job, Queue
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+from quad_sysid.report.style import SHEET
+
+COOKIE = 'quad_sysid_token'
+MOST_REQUEST = 100_000
+"""Bytes of a request that is no upload."""
+HERE = Path(__file__).parent
+OWN_POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+              "connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; "
+              "frame-ancestors 'none'")
+REPORT_POLICY = ("sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; "
+                 "style-src 'unsafe-inline'; img-src data:")
+"""What a report may do: run its own scripts, in an origin of its own, and load nothing."""
+SHOWN = {'look.html': 'text/html', 'result/report.html': 'text/html'}
+FIRMWARES = ('px4', 'ardupilot', 'betaflight', 'inav')
+AXIS_NAMES = (*AXES, 'all')
+
+Handler = Callable[[Request], Awaitable[Response]]
+
+
+class App:
+    """The folder, the queue and the token behind the routes."""
+
+    def __init__(self, folder: Path, most_mb: float, token: str = '') -> None:
+        self.folder, self.most_bytes = folder, int(1e6 * most_mb)
+        self.token = token or secrets.token_urlsafe(24)
+        self.queue = Queue()
+
+    def starlette(self) -> Starlette:
+        """The application that a server runs."""
+
+        @asynccontextmanager
+        async def lifespan(_: Starlette) -> Any:
+            yield
+            self.queue.close()
+
+        routes = [
+            Route('/', self._guarded(self._home)),
+            Route('/app.js', self._guarded(self._script)),
+            Route('/app.css', self._guarded(self._style)),
+            Route('/files', self._guarded(self._files)),
+            Route('/upload', self._guarded(self._upload), methods=['POST']),
+            Route('/jobs', self._guarded(self._jobs)),
+            Route('/jobs', self._guarded(self._start), methods=['POST']),
+            Route('/jobs/{number:int}/stop', self._guarded(self._stop), methods=['POST']),
+            Route('/jobs/{number:int}/text', self._guarded(self._text)),
+            Route('/jobs/{number:int}/{name:path}', self._guarded(self._page)),
+        ]
+        return Starlette(routes=routes, lifespan=lifespan)
+
+    def _guarded(self, handler: Handler) -> Handler:
+        async def guarded(request: Request) -> Response:
+            refused = self._refusal(request)
+            if refused:
+                return Response(refused, 403, media_type='text/plain')
+            if request.query_params.get('token'):  # from now on by the cookie
+                answer: Response = RedirectResponse(request.url.path, 303)
+                answer.set_cookie(COOKIE, self.token, httponly=True, samesite='strict')
+                return _sealed(answer)
+            try:
+                return _sealed(await handler(request))
+            except RefusedError as error:
+                return _sealed(JSONResponse({'error': str(error)}, 400))
+            except ClientDisconnect:
+                return Response(status_code=499)
+
+        return guarded
+
+    def _refusal(self, request: Request) -> str:
+        """Why a request is not answered; '' where it may be."""
+        port = request.url.port
+        hosts = {f'{name}:{port}' for name in ('127.0.0.1', 'localhost')}
+        host = request.headers.get('host', '')
+        if host not in hosts:
+            return 'this page is for this machine only'
+        origin, site = request.headers.get('origin'), request.headers.get('sec-fetch-site')
+        if origin is not None and origin != f'http://{host}':
+            return 'a request of another page'
+        if request.method != 'GET' and site not in (None, 'same-origin'):
+            return 'a request of another page'
+        given = request.query_params.get('token') or request.cookies.get(COOKIE, '')
+        if not hmac.compare_digest(given.encode(), self.token.encode()):
+            return 'open the address that quad-sysid app printed, with its token'
+        return ''
+
+    async def _home(self, _: Request) -> Response:
+        page = (HERE / 'app.html').read_text(encoding='utf-8')
+        return HTMLResponse(page.replace('FOLDER', escape(str(self.folder.resolve()))))
+
+    async def _script(self, _: Request) -> Response:
+        return FileResponse(HERE / 'app.js', media_type='text/javascript')
+
+    async def _style(self, _: Request) -> Response:
+        own = (HERE / 'app.css').read_text(encoding='utf-8')
+        return Response(SHEET + own, media_type='text/css')
+
+    async def _files(self, _: Request) -> Response:
+        return JSONResponse([asdict(one) for one in entries(self.folder)])
+
+    async def _upload(self, request: Request) -> Response:
+        length = request.headers.get('content-length', '')
+        if length.isdigit() and int(length) > self.most_bytes:
+            raise RefusedError(f'larger than {self.most_bytes / 1e6:.0f} MB (--most-mb)')
+        target = new_file(self.folder, request.query_params.get('name', ''))
+        await receive(target, request.stream(), self.most_bytes)
+        return JSONResponse({'path': target.name})
+
+    async def _jobs(self, _: Request) -> Response:
+        return JSONResponse([_shown(job) for job in self.queue.all()])
+
+    async def _start(self, request: Request) -> Response:
+        raw = b''
+        async for part in request.stream():
+            raw += part
+            if len(raw) > MOST_REQUEST:
+                raise RefusedError('too long')
+        try:
+            asked = json.loads(raw)
+        except ValueError as error:
+            raise RefusedError('is not JSON') from error
+        if not isinstance(asked, dict):
+            raise RefusedError('is not JSON')
+        title, program, arguments = command(self.folder, asked)
+        place = self.folder.resolve() / RESULTS
+        try:
+            job = self.queue.add(title, program, arguments, place)
+        except (ValueError, OSError) as error:
+            raise RefusedError(str(error)) from error
+        return JSONResponse(_shown(job))
+
+    def _job(self, request: Request) -> Job:
+        job = self.queue.get(request.path_params['number'])
+        if job is None:
+            raise RefusedError('no such job')
+        return job
+
+    async def _stop(self, request: Request) -> Response:
+        from starlette.concurrency import run_in_threadpool
+
+        job = self._job(request)
+        await run_in_threadpool(self.queue.stop, job)
+        return JSONResponse(_shown(job))
+
+    async def _text(self, request: Request) -> Response:
+        return Response(self._job(request).text(), media_type='text/plain; charset=utf-8')
+
+    async def _page(self, request: Request) -> Response:
+        job, name = self._job(request), request.path_params['name']
+        path = job.folder / name
+        if name not in SHOWN or not path.is_file() or path.is_symlink():
+            raise RefusedError('no such page')
+        answer = FileResponse(path, media_type=SHOWN[name])
+        answer.headers['Content-Security-Policy'] = REPORT_POLICY
+        return answer
+
+
+def command(folder: Path, asked: Mapping[str, Any]) -> tuple[str, str, list[str]]:
+    """Title, program and arguments of what the page asks for. Raises RefusedError.
+
+    Only what stands here can be started; @ is the job's own folder.
+    """
+    kind = asked.get('kind')
+    names = asked.get('files')
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise RefusedError('choose a file first')
+    paths = [str(inside(folder, name)) for name in names]
+    first = Path(paths[0]).name
+    if kind == 'look':
+        return f'look at {first}', 'quad-sysid', ['look', paths[0], '--out', '@look.html']
+    if kind == 'inspect':
+        return f'inspect {first}', 'quad-sysid', ['inspect', paths[0]]
+    if kind == 'import':
+        return f'import {first}', 'quad-sysid', ['import', paths[0], '--out', _new_bag(
+            folder.resolve(), first.partition('.')[0] or 'log')]
+    if kind == 'identify':
+        return _identify(first, paths, asked)
+    if kind == 'compare':
+        if len(paths) < 2:
+            raise RefusedError('choose two or more bags or models to compare')
+        return f'compare {len(paths)} flights', 'quad-sysid', ['compare', *paths]
+    if kind == 'export':
+        return _export(paths[0], asked.get('to'))
+    raise RefusedError('no such command')
+
+
+def _new_bag(root: Path, stem: str) -> str:
+    numbers = ('', *(f'_{k}' for k in range(2, 1000)))
+    free = (root / f'{stem}_bag{k}' for k in numbers)
+    return str(next(path for path in free if not path.exists()))
+
+
+def _export(model: str, to: object) -> tuple[str, str, list[str]]:
+    report = Path(model).with_name('report.json')
+    if to not in FIRMWARES or Path(model).name != 'model.json' or not report.is_file():
+        raise RefusedError('choose the model of a result, and a firmware')
+    more = [f for axis in AXES for f in ('--scale', f'{axis}=1')] if to in FIRMWARES[:2] \
+        else ['--flown', model]
+    return f'gains for {to}', 'quad-tune', ['export', str(report), '--to', str(to), *more]
+
+
+def _identify(first: str, paths: list[str],
+              asked: Mapping[str, Any]) -> tuple[str, str, list[str]]:
+    from quad_sysid.bags import parse_span  # slow to import
+
+    axis = asked.get('axis', 'all')
+    if axis not in AXIS_NAMES:
+        raise RefusedError(f'axis must be one of {", ".join(AXIS_NAMES)}')
+    arguments = ['identify', *paths, '--axis', str(axis), '--out', '@result']
+    for option in ('train', 'validate'):
+        span = asked.get(option)
+        if span:
+            try:
+                a, b = parse_span(str(span), f'--{option}')
+            except BadInputError as error:
+                raise RefusedError(str(error)) from error
+            arguments += [f'--{option}', f'{a:.4f}:{b:.4f}']
+    return f'identify {axis} of {first}', 'quad-sysid', arguments
+
+
+def _shown(job: Job) -> dict[str, Any]:
+    pages = [name for name in SHOWN if (job.folder / name).is_file()]
+    return {'number': job.number, 'title': job.title, 'state': job.state, 'doing': job.doing,
+            'seconds': round(job.seconds, 1), 'pages': pages}
+
+
+def _sealed(answer: Response) -> Response:
+    answer.headers.setdefault('Content-Security-Policy', OWN_POLICY)
+    answer.headers['X-Content-Type-Options'] = 'nosniff'
+    answer.headers['Referrer-Policy'] = 'no-referrer'
+    answer.headers['Cross-Origin-Resource-Policy'] = 'same-origin'
+    answer.headers['Cache-Control'] = 'no-store'
+    return answer
+

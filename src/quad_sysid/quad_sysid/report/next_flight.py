@@ -1,0 +1,58 @@
+"""The flight to fly next, from a report's tree: for rivals, what was not tested, what is open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+RIVAL = 0.05
+"""Probability from which a rival is one to be told apart."""
+MOST_REASONS = 6
+
+
+@dataclass(frozen=True)
+class Next:
+    """One reason to fly again."""
+
+    why: str
+    command: str = ''
+    """What to type for it; '' where nothing plans it."""
+
+
+def next_flight(axis: str, tree: Mapping[str, Any]) -> Sequence[Next]:
+    """Each reason with the flight that answers it, the most useful first."""
+    return (*_rivals(axis, tree), *_open(axis, tree), *_untested(tree))
+
+
+def _rivals(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
+    for effect in tree.get('effects', ()):
+        rival = max(effect.get('rivals') or (), key=lambda r: r['probability'], default=None)
+        if rival is not None and rival['probability'] >= RIVAL:
+            yield Next(
+                f"{effect['name']} ({effect['probability']:.2f}) or {rival['name']} "
+                f"({rival['probability']:.2f}): fly the excitation that tells them apart",
+                f"quad-sysid design-excitation --model model.json --axis {axis} --separate "
+                f"{effect['name']} {rival['name']} --out next.yaml")
+
+
+def _open(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
+    verdict = tree['verdict']
+    if verdict == 'unexplained_residual':
+        yield Next('what is left has no name yet: fly other amplitudes and another throttle, so '
+                   'that what it depends on moves', _prbs(axis))
+    elif verdict == 'cannot_tell':
+        yield Next('to answer at all: fly an excitation of this axis', _prbs(axis))
+
+
+def _prbs(axis: str) -> str:
+    return f'quad-sysid design-excitation --band 1:30 --axis {axis} --out next.yaml'
+
+
+def _untested(tree: Mapping[str, Any]) -> Iterator[Next]:
+    reasons: dict[str, list[str]] = {}
+    for item in tree.get('not_tested', ()):
+        reasons.setdefault(item['because'], []).append(item['name'])
+    for because, names in sorted(reasons.items(), key=lambda r: len(r[1]))[:MOST_REASONS]:
+        shown = ', '.join(dict.fromkeys(names[:4])) + (' and others' if len(names) > 4 else '')
+        yield Next(f'not tested: {shown}, since {because}')

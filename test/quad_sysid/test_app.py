@@ -1,0 +1,240 @@
+"""The app: who is answered, what can be asked, and a pass through it in a real browser."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+from probe import PATIENCE_S
+
+pytest.importorskip('starlette', reason="the extra is not installed: pip install '…[app]'")
+pytest.importorskip('uvicorn', reason="the extra is not installed: pip install '…[app]'")
+pytestmark = pytest.mark.xdist_group('app')
+BROWSER = next((name for name in ('chromium', 'chromium-browser', 'google-chrome')
+                if shutil.which(name)), '')
+MOST_MB = 1
+
+
+class Server:
+    """The command as a process, and requests to it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.process = subprocess.Popen(
+            [sys.executable, '-c', 'from quad_sysid.start import main; main()', 'app', folder,
+             '--no-browser', '--most-mb', str(MOST_MB)], stdout=subprocess.PIPE, text=True)
+        self.address = self.process.stdout.readline().strip()
+        self.base, _, self.token = self.address.partition('/?token=')
+
+    def ask(self, path, data=None, *, token=True, **headers):
+        """(status, text) of a request."""
+        sent = {name.replace('_', '-'): value for name, value in headers.items()}
+        if token:
+            sent['Cookie'] = f'quad_sysid_token={self.token}'
+        request = urllib.request.Request(self.base + path, data, sent)  # noqa: S310
+        try:
+            with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:  # noqa: S310
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode()
+
+    def job(self, **asked):
+        return self.ask('/jobs', json.dumps(asked).encode())
+
+    def until(self, number, states):
+        """The job once it is in one of these states."""
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            job = next(j for j in json.loads(self.ask('/jobs')[1]) if j['number'] == number)
+            if job['state'] in states:
+                return job
+            time.sleep(0.2)
+        raise AssertionError(job)
+
+
+@pytest.fixture(scope='module')
+def server(tmp_path_factory, plain_bag):
+    folder = tmp_path_factory.mktemp('app') / 'flights'
+    shutil.copytree(plain_bag, folder / 'my_flight')
+    (folder.parent / 'secret.csv').write_text('a,b\n')
+    (folder / 'link.csv').symlink_to(folder.parent / 'secret.csv')
+    running = Server(folder)
+    yield running
+    running.process.send_signal(signal.SIGINT)
+    assert running.process.wait(PATIENCE_S) in (0, 130)
+
+
+def test_only_who_has_the_token_on_this_machine_is_answered(server):
+    assert server.base.startswith('http://127.0.0.1:')
+    assert server.ask('/files', token=False)[0] == 403
+    assert server.ask('/files')[0] == 200
+    for wrong in ({'Host': 'example.org'}, {'Origin': 'http://example.org'},
+                  {'Origin': 'null'}):
+        assert server.ask('/files', **wrong)[0] == 403, wrong
+    assert server.ask('/jobs', b'{}', Sec_Fetch_Site='cross-site')[0] == 403
+    assert server.ask('/?token=wrong', token=False)[0] == 403
+
+
+def test_no_name_leads_out_of_the_folder(server):
+    listed = {entry['path'] for entry in json.loads(server.ask('/files')[1])}
+    assert 'my_flight' in listed
+    assert 'link.csv' not in listed
+    for name in ('../secret.csv', 'link.csv', '/etc/passwd', '.', '', 'my_flight/../../secret.csv',
+                 'nothing', 'a\0b'):
+        status, text = server.job(kind='look', files=[name])
+        assert status == 400, name
+        assert 'file' in text
+    for asked in ({'kind': 'rm'}, {'kind': 'identify', 'axis': '--help'},
+                  {'kind': 'identify', 'train': '1:2 --out /'}, {'kind': 'compare'},
+                  {'kind': 'export', 'to': 'px4'}):
+        assert server.job(files=['my_flight'], **asked)[0] == 400, asked
+    assert server.ask('/jobs', b'[]')[0] == 400
+    assert server.ask('/jobs/1/%2e%2e/%2e%2e/secret.csv')[0] in (400, 404)
+
+
+def test_what_is_dropped_gets_a_safe_name_and_a_limit(server):
+    before = {path.name for path in server.folder.iterdir()}
+    status, text = server.ask('/upload?name=..%2F..%2F%3Cimg%20src%3Dx%3E%22.csv', b't,a\n')
+    assert status == 200
+    assert json.loads(text)['path'] == '_img src_x__.csv'
+    assert json.loads(server.ask('/upload?name=_img%20src_x__.csv', b't\n')[1])['path'] == (
+        '_img src_x___2.csv')
+    assert server.ask('/upload?name=evil.sh', b'x')[0] == 400
+    assert server.ask('/upload?name=empty.csv', b'')[0] == 400
+    assert server.ask('/upload?name=large.bin', bytes(MOST_MB * 1_000_000 + 1))[0] == 400
+    after = {path.name for path in server.folder.iterdir()}
+    assert after - before == {'_img src_x__.csv', '_img src_x___2.csv'}
+    for name in after - before:
+        (server.folder / name).unlink()
+
+
+def test_a_running_job_is_stopped_and_the_next_one_runs(server):
+    first, second = (json.loads(server.job(kind=kind, files=['my_flight'], axis='roll')[1])
+                     for kind in ('identify', 'look'))
+    server.until(first['number'], ('running',))
+    assert server.ask(f'/jobs/{first["number"]}/stop', b'')[0] == 200
+    assert server.until(first['number'], ('stopped', 'done'))['state'] == 'stopped'
+    done = server.until(second['number'], ('done', 'failed'))
+    assert done['pages'] == ['look.html']
+    assert server.ask(f'/jobs/{second["number"]}/text')[1].startswith('Roll follows a step')
+
+
+class Chromium:
+    """A headless browser over the pipe of its DevTools protocol."""
+
+    def __init__(self, folder: Path, width: int = 1280) -> None:
+        (to_read, self._out), (self._in, to_write) = os.pipe(), os.pipe()
+        command = [BROWSER, '--headless', '--no-sandbox', '--disable-gpu', '--no-first-run',
+                   '--disable-dev-shm-usage', '--disable-background-networking',
+                   f'--user-data-dir={folder}', f'--window-size={width},1400',
+                   '--remote-debugging-pipe', 'about:blank']
+        # the browser reads from 3 and writes to 4
+        self.process = subprocess.Popen(
+            ['bash', '-c', f'exec "$@" 3<&{to_read} 4>&{to_write}', 'bash', *command],
+            pass_fds=(to_read, to_write), stderr=subprocess.DEVNULL)
+        os.close(to_read)
+        os.close(to_write)
+        self._rest, self._number, self.session, self.errors = b'', 0, None, []
+        target = next(t for t in self.send('Target.getTargets')['targetInfos']
+                      if t['type'] == 'page')
+        self.session = self.send('Target.attachToTarget', targetId=target['targetId'],
+                                 flatten=True)['sessionId']
+        for domain in ('Page', 'Runtime', 'DOM', 'Log'):
+            self.send(f'{domain}.enable')
+
+    def send(self, method, **parameters):
+        self._number += 1
+        message = {'id': self._number, 'method': method, 'params': parameters}
+        if self.session:
+            message['sessionId'] = self.session
+        os.write(self._out, json.dumps(message).encode() + b'\0')
+        while True:
+            while b'\0' not in self._rest:
+                self._rest += os.read(self._in, 1 << 16)
+            raw, _, self._rest = self._rest.partition(b'\0')
+            answer = json.loads(raw)
+            if answer.get('method') in ('Runtime.exceptionThrown', 'Log.entryAdded'):
+                entry = answer['params'].get('entry', answer['params'])
+                if entry.get('level', 'error') == 'error':
+                    self.errors.append(entry)
+            if answer.get('id') == self._number:
+                assert 'error' not in answer, answer
+                return answer['result']
+
+    def run(self, script):
+        """The value of a script, awaited."""
+        found = self.send('Runtime.evaluate', expression=script, awaitPromise=True,
+                          returnByValue=True)
+        assert 'exceptionDetails' not in found, found
+        return found['result'].get('value')
+
+    def until(self, script):
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            value = self.run(script)
+            if value:
+                return value
+            time.sleep(0.2)
+        raise AssertionError(f'never: {script}: {self.run("document.body.innerText")}')
+
+    def drag(self, x, y, to_x):
+        for kind, at in (('mousePressed', x), ('mouseMoved', (x + to_x) / 2),
+                         ('mouseMoved', to_x), ('mouseReleased', to_x)):
+            self.send('Input.dispatchMouseEvent', type=kind, x=at, y=y, clickCount=1,
+                      button='left', buttons=0 if kind == 'mouseReleased' else 1)
+
+    def close(self):
+        with contextlib.suppress(OSError):
+            os.close(self._out)
+        self.process.terminate()
+        self.process.wait(PATIENCE_S)
+
+
+@pytest.mark.skipif(not BROWSER, reason='no Chromium here (apt-get install chromium)')
+def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, tmp_path):
+    log = tmp_path / 'dropped.csv'
+    log.write_text('t,u\n' + ''.join(f'{0.01 * k:.2f},{k % 7}\n' for k in range(300)))
+    browser = Chromium(tmp_path / 'profile')
+    try:
+        browser.send('Page.navigate', url=server.address)
+        browser.until("document.querySelectorAll('#files input').length === 1")
+        root = browser.send('DOM.getDocument')['root']['nodeId']
+        node = browser.send('DOM.querySelector', nodeId=root, selector='#file')['nodeId']
+        browser.send('DOM.setFileInputFiles', nodeId=node, files=[str(log)])
+        browser.until("document.querySelectorAll('#files input').length === 2")
+        browser.run("""document.querySelectorAll('#files input').forEach(box => {
+            box.checked = box.parentElement.innerText.includes('my_flight'); box.onchange(); });
+            document.querySelector('input[value=train]').click();
+            document.getElementById('look').click();""")
+        browser.until("!document.getElementById('frame').hidden")
+        place = browser.run("""(() => { const f = document.getElementById('frame');
+            f.scrollIntoView(); const r = f.getBoundingClientRect();
+            return [r.x, r.y, r.width]; })()""")
+        end = time.monotonic() + PATIENCE_S
+        value = ''
+        while not value and time.monotonic() < end:  # until the frame has drawn its traces
+            for down in range(300, 620, 40):
+                browser.drag(place[0] + 0.3 * place[2], place[1] + down,
+                             place[0] + 0.6 * place[2])
+            value = browser.run("document.getElementById('train').value")
+        start, stop = map(float, value.split(':'))
+        assert 0.0 < start < stop < 30.0
+        # a report has an origin of its own: it can ask this server for nothing
+        assert browser.run("""(() => { try { document.getElementById('frame').contentDocument.body;
+            return document.getElementById('frame').contentDocument === null; }
+            catch (e) { return true; } })()""")
+        assert browser.run('document.documentElement.scrollWidth <= window.innerWidth')
+        assert not browser.errors, browser.errors
+    finally:
+        browser.close()
+        (server.folder / 'dropped.csv').unlink(missing_ok=True)
