@@ -329,15 +329,6 @@ def test_every_candidate_has_a_label_of_its_own():
     assert len({effect.label for effect in qs.EFFECTS}) == len(qs.EFFECTS)
 
 
-def test_a_budget_of_nothing_says_that_nothing_was_searched():
-    flight = fly(Axis(), 5, SHORT)
-    found = qs.identify(flight, 'roll', seconds=0.0)
-    assert found.verdict == 'not_searched'
-    untried = {entry['name']: entry['because']
-               for entry in found.report['axes']['roll']['not_tested']}
-    assert 'the search had 0 s: it was not tried' in untried['coulomb_friction']
-
-
 SCRIPT = """
 import numpy as np
 import quad_sysid as qs

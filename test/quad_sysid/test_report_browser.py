@@ -58,7 +58,7 @@ def text() -> str:
          'passed_first_step': False, 'eliminated_because': 'residual is not white ' * 5},
     ]
     pictures = {}
-    for name, height in (('bode', 4.3), ('coherence', 3.0)):
+    for name, height in (('bode', 4.3), ('signals', 3.0)):
         figure, (one,) = canvas.panels(height_in=height)
         one.plot([0.0, 1.0], [0.0, 1.0], label='line')
         one.set_xlabel('time, s')
@@ -74,7 +74,7 @@ def test_figures_have_their_size_and_the_page_does_not_scroll_sideways(
 ):
     found = look(text, tmp_path, width, dark=dark)
     assert len(found['boxes']) == 2
-    # in the order of the page: coherence, then bode
+    # in the order of the page: signals, then bode
     for (w, h), inches in zip(found['boxes'], (3.0, 4.3), strict=True):
         assert w > 380
         assert h / w == pytest.approx(inches / canvas.WIDTH_IN, rel=0.02)

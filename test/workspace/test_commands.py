@@ -38,6 +38,7 @@ ONLY_PARSED = {
     'quad-tune history': 'needs gains that flew; test_gain_history.py',
     'quad-sysid import': 'its files are not at hand; test_foreign_logs.py, test_import_tables.py',
     'quad-sysid fleet': 'starts processes; test_fleet.py',
+    'quad-sysid app': 'serves until it is ended; test_app.py',
     'quad-sysid compare': 'identifies bags; test_comparison.py',
     'quad-sysid identify': 'half a minute each; the fixture runs one as README has it',
     'quad-sysid design-excitation --separate': 'test_separation.py',

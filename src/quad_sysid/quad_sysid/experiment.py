@@ -35,6 +35,8 @@ CANDIDATES: Mapping[str, tuple[str, Mapping[str, float]]] = {
 """What is tried, each at full amplitude and at LOW of it: friction shows in small motion."""
 LOW = 0.3
 CRITERIA = ('D', 'A')
+HELD = 1e-12
+"""What is smaller and has no standard error is no part of the model."""
 NUDGE, LEAST = 1e-4, 1e-2
 """Step of a parameter for derivatives, as a share of its size, and the least size."""
 ROUNDS = 6
@@ -106,11 +108,13 @@ def design_experiment(
     progress(f'{len(names)} candidates')
     commands, rates, angles = _within(own, amplitude * per_u * np.array(shapes), rate * per_y,
                                       angle * per_angle)
-    present = _values(own)
+    every = _values(own)
+    kept = [i for i, (value, std) in enumerate(every.values()) if abs(value) > HELD or std]
+    present = {name: every[name] for i, name in enumerate(every) if i in kept}
     found = []
     for i, name in enumerate(names):
         progress(name)
-        information = _information(own, commands[i], rates[i], angles[i])
+        information = _information(own, commands[i], rates[i], angles[i])[np.ix_(kept, kept)]
         found.append((_worth(information, present, criterion), i, information))
     if not any(math.isfinite(worth) for worth, _, _ in found):
         raise NotInformativeError('design_experiment: no candidate tells anything within these '

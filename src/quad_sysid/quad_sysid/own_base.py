@@ -486,8 +486,10 @@ def _judged(base: Base, data: AxisData, units: Units, problem: Problem,
     found = stored.effects_of(chosen, told, judged)
     law = chosen.structure.parts[0].effect
     model = Identified(
-        axis=data.axis, dt=data.dt, gyro_filter_hz=data.gyro_filter_hz, base=told.base,
-        effects=found, parameter_names=told.names, covariance=told.covariance, noise=noise,
+        axis=data.axis, dt=data.dt, gyro_filter_hz=data.gyro_filter_hz,
+        base=tuple(p if p.name in base.keep else Parameter(p.name, 0.0, None, p.unit)
+                   for p in told.base), effects=found,
+        parameter_names=told.names, covariance=told.covariance, noise=noise,
         mean_throttle=float(np.mean(data.training(data.control[:, 0]))), craft=data.craft,
         units=units, own_effects=(law,))
     scale = 1.0 / units.per_rate

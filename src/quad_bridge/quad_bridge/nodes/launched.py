@@ -20,7 +20,7 @@ BRIDGE: dict[str, Any] = {
     'port': str, 'baud': int, 'key_file': str, 'unsigned': bool, 'require_enable': bool,
     'robot_description': str, 'sources': TEXTS, 'polarity': str, 'state_folder': str,
     'aircraft': str, 'correct_sensors': bool, 'excitation_valid_ms': int, 'managed': bool,
-    'use_sim_time': bool,
+    'use_sim_time': bool, 'gains': str, 'excitation': str, 'fetch_log': bool,
 }  # fmt: skip
 LOGGER: dict[str, Any] = {
     'folder': str, 'prefix': str, 'robot_description': str, 'split_mb': int, 'split_s': int,

@@ -50,7 +50,8 @@ def inside(folder: Path, name: str) -> Path:
 
 def entries(folder: Path) -> list[Entry]:
     """What can be chosen, by name; bags as one entry each."""
-    root, found = folder.resolve(), []
+    root = folder.resolve()
+    found: list[Entry] = []
     waiting = [(root, 0)]
     while waiting and len(found) < MOST_FILES:
         here, depth = waiting.pop()

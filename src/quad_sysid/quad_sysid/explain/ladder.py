@@ -203,7 +203,7 @@ def _hopeful(projection: Projection, model: Projected,
     for part in parts:
         effect = part.effect
         if effect.kind == 'named' and effect.label not in have and not effect.wanders \
-                and not effect.phased and not effect.stepped:
+                and type(effect).sought is Effect.sought:
             shares += _share(here, part, q, left)
     best: dict[str, tuple[float, Part, FloatArray]] = {}
     for one in sorted(shares, key=lambda one: -one[0]):

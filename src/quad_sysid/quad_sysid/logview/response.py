@@ -111,12 +111,13 @@ def spectra(r: FloatArray, u: FloatArray, y: FloatArray, good: npt.NDArray[np.bo
     scale = 2.0 * dt / (window @ window) / len(at)
 
     def power(x: ComplexArray) -> FloatArray:
-        return scale * np.asarray(np.sum(np.abs(x) ** 2, axis=0))
+        return np.asarray(scale * np.sum(np.abs(x) ** 2, axis=0))
 
     def cross(x: ComplexArray) -> ComplexArray:
-        return scale * np.asarray(np.sum(x * np.conj(fr), axis=0))
+        return np.asarray(scale * np.sum(x * np.conj(fr), axis=0))
 
-    return Spectra(np.fft.rfftfreq(size, dt), power(fr), power(fy), power(fu), cross(fy),
+    lines = np.asarray(np.fft.rfftfreq(size, dt), float)
+    return Spectra(lines, power(fr), power(fy), power(fu), cross(fy),
                    cross(fu), len(at))
 
 

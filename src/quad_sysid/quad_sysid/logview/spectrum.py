@@ -126,4 +126,5 @@ def frames(signal: FloatArray, good: npt.NDArray[np.bool_], dt: float) -> Frames
     density[:, 0] *= 0.5
     if size % 2 == 0:
         density[:, -1] *= 0.5
-    return Frames(np.fft.rfftfreq(size, dt), density, (at + 0.5 * size) * dt, at, size)
+    lines = np.asarray(np.fft.rfftfreq(size, dt), float)
+    return Frames(lines, density, (at + 0.5 * size) * dt, at, size)

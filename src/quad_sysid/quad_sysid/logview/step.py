@@ -193,7 +193,8 @@ def _response(held: _Windows, inside: npt.NDArray[np.bool_], step: float, quanti
     reached = bool(mean[half] >= 0.5)
     before = mean[half - 1] if half else 0.0
     latency = step * (half - 1 + (0.5 - before) / (mean[half] - before)) if reached else np.nan
-    return Response(quantity, name, step * np.arange(len(mean)), mean, low, high,
+    times = np.asarray(step * np.arange(len(mean)), float)
+    return Response(quantity, name, times, mean, low, high,
                     int(inside.sum()), float(fit), figures,
                     float(max(latency, 0.0) if reached else np.nan),
                     float(held.largest[inside].max()))

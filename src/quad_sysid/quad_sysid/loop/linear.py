@@ -111,7 +111,8 @@ def linear(flying: Flying, level: Level) -> Flying:
         Part(_torque(flying, part, p, level)) for part, p in plant.pushing
     )]
     p = np.r_[plant.p[:4], 0.0]
-    return replace(flying, plant=replace(plant, structure=Structure(tuple(parts)), p=p))
+    one = replace(plant, structure=Structure(tuple(parts)), p=p, rounds=1)
+    return replace(flying, plant=one)
 
 
 def linear_part(flying: Flying) -> Flying:

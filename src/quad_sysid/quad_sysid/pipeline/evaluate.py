@@ -172,7 +172,8 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
             theta[where] = np.where(logs, np.log(np.where(logs, other, 1.0)), other)
         return replace(model, theta=theta)
 
-    if not any(part.effect.phased for part in structure.parts):
+    p = structure.natural(model.theta)
+    if not any(part.effect.repeats_hz(p[where]) for part, where in structure.placed()):
         return at(0.0)
 
     def unlikely(phase: float) -> float:

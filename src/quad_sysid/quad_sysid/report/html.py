@@ -157,9 +157,12 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
         found = ''.join(figure(axis, shown[name]) for name in names if name in shown)
         return f'<div class="figures">{found}</div>' if found else ''
 
+    traces = ''
+    if answer is not None and 'signals' in shown and (zooms := zooming(answer)):
+        traces = _figure(axis, shown['signals'], zooms)
     sections = [
-        ('Data', (zooming(answer) if answer is not None else '')
-         + _fold('Segments', tables.segments(tree).html()) + figures(DATA)),
+        ('Data', traces + _fold('Segments', tables.segments(tree).html()) + figures(
+            DATA if traces else ('signals', *DATA))),
         ('Prediction on held-out data', tables.errors(tree).html() + tables.horizons(tree).html()
          + figures(PREDICTION)),
         ('What the base lacks', tables.explanation(tree).html() + tables.effects(tree).html()
@@ -187,8 +190,12 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
 
 def figure(axis: str, picture: Picture) -> str:
     """A picture with its title and its caption."""
+    return _figure(axis, picture, svg(picture, axis))
+
+
+def _figure(axis: str, picture: Picture, drawn: str) -> str:
     return (f'<figure id="{axis}-{picture.name}"><h4>{escape(picture.title)}</h4>'
-            f'{svg(picture, axis)}<figcaption>{escape(picture.caption)}</figcaption></figure>')
+            f'{drawn}<figcaption>{escape(picture.caption)}</figcaption></figure>')
 
 
 def gain_lines(gains: Mapping[str, float]) -> str:

@@ -39,11 +39,10 @@ def _rivals(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
 def _open(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
     verdict = tree['verdict']
     if verdict == 'unexplained_residual':
-        yield Next(f'what is left has no name yet ({tree.get("reason", "").rstrip(".")}): fly '
-                   'other amplitudes and another throttle, so that what it depends on moves',
-                   _prbs(axis))
+        yield Next('what is left has no name yet: fly other amplitudes and another throttle, so '
+                   'that what it depends on moves', _prbs(axis))
     elif verdict == 'cannot_tell':
-        yield Next(f'{tree.get("reason", "").rstrip(".")}', _prbs(axis))
+        yield Next('to answer at all: fly an excitation of this axis', _prbs(axis))
 
 
 def _prbs(axis: str) -> str:

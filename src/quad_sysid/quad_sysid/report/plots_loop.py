@@ -121,9 +121,8 @@ def _measured(answer: AxisAnswer) -> Response | None:
     found, reference = answer.findings, answer.attitude_reference
     if found is None or reference is None or found.data.angle is None:
         return None
-    data = found.data
-    good = np.isfinite(data.rate)
-    return next(iter(responses(reference, data.angle, good, data.dt, ANGLE)), None)
+    good = np.isfinite(found.data.rate)
+    return next(iter(responses(reference, found.data.angle, good, found.data.dt, ANGLE)), None)
 
 
 def open_loop_margins(answer: AxisAnswer) -> Picture | None:
