@@ -63,7 +63,7 @@ class Hardship:
 
 
 CALM = Hardship(0.0, 1.0, False, 0.0, 0.0, 1.0, 0.0, 0.0, False, False)
-KINDS = {
+KINDS: dict[str, tuple[str, ...] | None] = {
     'mixed': None, 'white': (), 'gusts': ('gust', 'gust_hz', 'lulls'),
     'bursts': ('bursts_per_min',), 'shared': ('gust', 'gust_hz', 'one_gust'),
     'jitter': ('jitter_s',), 'quantised': ('step',), 'coloured gyro': ('colour', 'colour_hz'),

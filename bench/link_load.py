@@ -3,8 +3,9 @@
     make bench-link ARGS='--seconds 250=300,500=120,1000=60,excite=60'
 
 Per rate: cycles lost from wire to bag, CPU of each process and how long it waited for it, latency
-from the last byte of a cycle's frame to the subscriber's callback, memory. Beside it, in the same
-run, bare rclpy that publishes the same five messages at the same rate. The last line is one JSON
+from the last byte of a cycle's frame to the subscriber's callback, memory. Beside them, at the
+same time, bare rclpy in a domain of its own: a publisher of the same five messages at the same
+rate, and a raw subscriber of them. `--inside` has the bridge log itself. The last line is one JSON
 object. The processes' own part is link_load_roles.py.
 """
 
@@ -32,7 +33,6 @@ CYCLE_TOPICS = (
     '/imu/data', '/motors/command', '/control/wrench', '/setpoint/attitude', '/setpoint/rates',
 )  # fmt: skip
 TICK_HZ = os.sysconf('SC_CLK_TCK')
-SETTLE_S = 4.0
 
 
 def cpu_s(pid: int) -> float:
@@ -57,12 +57,14 @@ class Processes:
     def __init__(self) -> None:
         self.running: dict[str, subprocess.Popen[bytes]] = {}
 
-    def start(self, name: str, *command: str) -> None:
+    def start(self, name: str, *command: str, domain: int = 0) -> None:
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(1 + 2 * (os.getpid() % 100) + domain)}
         self.running[name] = subprocess.Popen(
-            [sys.executable, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
+            [sys.executable, *command], env=environment,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
 
-    def node(self, name: str, **settings: object) -> None:
+    def node(self, name: str, settings: dict[str, object]) -> None:
         given = [word for key, value in settings.items() for word in ('-p', f'{key}:={value}')]
         self.start(name, '-c', NODE.format(name), '--ros-args', *given)
 
@@ -97,12 +99,12 @@ class Processes:
         }
 
 
-def wait_for(path: Path, seconds: float = 60.0) -> None:
+def wait_for(folder: Path, pattern: str, least_bytes: int = 0, seconds: float = 180.0) -> None:
     deadline = time.monotonic() + seconds
-    while not path.exists():
+    while not any(path.lstat().st_size >= least_bytes for path in folder.glob(pattern)):
         if time.monotonic() > deadline:
-            raise TimeoutError(f'{path}: has not appeared in {seconds:g} s')
-        time.sleep(0.1)
+            raise TimeoutError(f'{folder}/{pattern}: has not appeared in {seconds:g} s')
+        time.sleep(0.2)
 
 
 def quantiles(values: np.ndarray) -> dict[str, float]:
@@ -158,69 +160,65 @@ def said(reader: AnyReader) -> dict[str, str]:
     return found
 
 
-def link(rate: float, seconds: float, folder: Path, *, excite: bool) -> dict[str, Any]:
-    run = Processes()
+def link(rate: float, seconds: float, folder: Path, *, excite: bool, inside: bool) -> Any:
+    """The suite in one domain, bare rclpy in another, at the same time."""
+    run, bare = Processes(), folder / 'bare'
+    bare.mkdir()
+    logger = {'folder': folder, 'autostart': 'true', 'reserve_mb': 0}
+    bridge = {'port': folder / 'tty', 'state_folder': folder / 'state'}
+    if inside:
+        bridge |= {'log': 'inside', **{f'bag_logger.{name}': x for name, x in logger.items()}}
     try:
         run.start('stm32', ROLES, 'stm32', str(folder), str(rate))
-        wait_for(folder / 'tty')
-        run.node('serial_bridge', port=folder / 'tty', state_folder=folder / 'state')
-        run.node('bag_logger', folder=folder, autostart='true', reserve_mb=0)
+        run.start('bare', ROLES, 'bare', str(bare), str(rate), domain=1)
+        wait_for(folder, 'tty')
+        run.node('serial_bridge', bridge)
+        if not inside:
+            run.node('bag_logger', logger)
         run.start('ears', ROLES, 'ears', str(folder))
+        run.start('raw', ROLES, 'raw', str(bare), domain=1)
+        run.start('bare ears', ROLES, 'ears', str(bare), domain=1)
         if excite:
             run.start('exciter', ROLES, 'exciter', str(folder))
-        time.sleep(SETTLE_S)
+        wait_for(folder, 'flight_*/*.mcap', least_bytes=1_000_000)
         figures = run.measure(seconds)
     finally:
         run.end('exciter', 'bag_logger', 'ears', 'serial_bridge', 'stm32')
+        run.end('raw', 'bare ears', 'bare')
+    heard = np.load(bare / 'ears.npy')
     return {
         'processes': figures, **lost(folder, rate), 'latency': latency(folder, rate),
+        'bare': quantiles(1e-6 * (heard[:, 1] - heard[:, 0])),
+        'raw_heard': int((bare / 'raw.count').read_text()),
     }  # fmt: skip
-
-
-def bare(rate: float, seconds: float, folder: Path) -> dict[str, Any]:
-    """The same five messages without a link: publishing alone, to the same subscribers."""
-    run = Processes()
-    try:
-        run.node('bag_logger', folder=folder, autostart='true', reserve_mb=0)
-        run.start('ears', ROLES, 'ears', str(folder))
-        time.sleep(2.0)
-        run.start('bare', ROLES, 'bare', str(folder), str(rate))
-        time.sleep(2.0)
-        figures = run.measure(seconds)
-    finally:
-        run.end('bare', 'bag_logger', 'ears')
-    heard = np.load(folder / 'ears.npy')
-    return {'processes': figures, 'latency': quantiles(1e-6 * (heard[:, 1] - heard[:, 0]))}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seconds', default='250=300,500=120,1000=60,excite=60')
-    parser.add_argument('--bare', type=float, default=20.0, help='s of bare rclpy beside each')
+    parser.add_argument('--inside', action='store_true', help='the bridge logs itself')
     given = parser.parse_args()
-    told: dict[str, Any] = {'schema': 'quad_bridge/link_load/1', 'cores': os.cpu_count()}
-    print(
-        'case      cycles  lost  bridge %  logger %  stm32 %  bare %   median  p99 ms   bare  p99'
-    )
+    told: dict[str, Any] = {'schema': 'quad_bridge/link_load/2', 'cores': os.cpu_count()}
+    print('case      cycles  lost  bridge %  bare %  ratio  logger %  raw %  ratio'
+          '   median  p99 ms   bare  p99')  # fmt: skip
     for part in given.seconds.split(','):
         name, _, seconds = part.partition('=')
         rate = 250.0 if name == 'excite' else float(name)
+        load = os.getloadavg()[0]
         with tempfile.TemporaryDirectory() as place:
-            folder = Path(place)
-            (folder / 'bare').mkdir()
-            load = os.getloadavg()[0]
-            beside = bare(rate, given.bare, folder / 'bare')
-            found = link(rate, float(seconds), folder, excite=name == 'excite')
-        used, late, bared = found['processes'], found['latency'], beside['latency']
-        cpu = {n: figures['cpu_percent'] for n, figures in used.items()}
+            found = link(rate, float(seconds), Path(place), excite=name == 'excite',
+                         inside=given.inside)  # fmt: skip
+        late, bared = found['latency'], found['bare']
+        cpu = {n: figures['cpu_percent'] for n, figures in found['processes'].items()}
+        logger = cpu.get('bag_logger', 0.0)
         print(
             f'{name:8} {found["cycles_in_bag"]:7d} {found["lost"]:5d} {cpu["serial_bridge"]:9.1f}'
-            f' {cpu["bag_logger"]:9.1f} {cpu["stm32"]:8.1f}'
-            f' {beside["processes"]["bare"]["cpu_percent"]:7.1f} {late["median_ms"]:8.2f}'
+            f' {cpu["bare"]:7.1f} {cpu["serial_bridge"] / cpu["bare"]:6.2f} {logger:9.1f}'
+            f' {cpu["raw"]:6.1f} {logger / cpu["raw"]:6.2f} {late["median_ms"]:8.2f}'
             f' {late["p99_ms"]:7.2f} {bared["median_ms"]:6.2f} {bared["p99_ms"]:4.1f}',
             flush=True,
         )
-        told[name] = {**found, 'bare': beside, 'load_before': load}
+        told[name] = {**found, 'load_before': load}
     print(json.dumps(told))
 
 

@@ -1,6 +1,6 @@
-"""The processes of link_load.py that are not the suite's own: STM32, subscriber, bare publisher.
+"""The processes of link_load.py that are not the suite's own: STM32, subscribers, bare publisher.
 
-python bench/link_load_roles.py stm32|ears|bare|exciter FOLDER [RATE]
+python bench/link_load_roles.py stm32|ears|raw|bare|exciter FOLDER [RATE]
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
+from quad_bridge.start import listen_by_udp
 
 
 class Stopped:
@@ -74,7 +76,7 @@ def ears(folder: Path) -> None:
 
 
 def bare(_: Path, rate: float) -> None:
-    """Publishes the bridge's five messages on schedule, filled as the bridge fills them."""
+    """Publishes the bridge's five messages on schedule, each number of them new."""
     import rclpy
     from geometry_msgs.msg import Vector3Stamped, WrenchStamped
     from rclpy.signals import SignalHandlerOptions
@@ -98,10 +100,45 @@ def bare(_: Path, rate: float) -> None:
     while not stopped.yes:
         time.sleep(max(0.0, begin_s + count / rate - time.monotonic()))
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
+        fill(*(message for _, message in pairs), 1e-3 * count)
         for publisher, message in pairs:
             message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
             publisher.publish(message)
         count += 1
+
+
+def fill(imu, motors, wrench, attitude, rates, x: float) -> None:
+    """Write a cycle's numbers into the same five objects, the cheapest that plain rclpy has."""
+    q = imu.orientation
+    q.x, q.y, q.z, q.w = x, x, x, x
+    motors.effort = [x, x, x, x]
+    wrench.wrench.force.z = x
+    for v in (imu.angular_velocity, imu.linear_acceleration, wrench.wrench.torque,
+              attitude.vector, rates.vector):  # fmt: skip
+        v.x, v.y, v.z = x, x, x
+
+
+def raw(folder: Path) -> None:
+    """Subscribes to the five topics raw, and does nothing with them: the least a logger costs."""
+    import rclpy
+    from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+    from rclpy.signals import SignalHandlerOptions
+    from sensor_msgs.msg import Imu, JointState
+
+    from quad_bridge.nodes.qos import STREAM
+
+    kinds = {'/imu/data': Imu, '/motors/command': JointState, '/control/wrench': WrenchStamped,
+             '/setpoint/attitude': Vector3Stamped, '/setpoint/rates': Vector3Stamped}
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    stopped, node, count = Stopped(), rclpy.create_node('raw'), [0]
+
+    def take(_: bytes) -> None:
+        count[0] += 1
+
+    for topic, kind in kinds.items():
+        node.create_subscription(kind, topic, take, STREAM, raw=True)
+    spin(node, stopped)
+    (folder / 'raw.count').write_text(str(count[0]))
 
 
 def exciter(_: Path) -> None:
@@ -132,11 +169,12 @@ def exciter(_: Path) -> None:
 
 
 def main() -> None:
+    listen_by_udp()  # as the nodes do
     role, folder = sys.argv[1], Path(sys.argv[2])
     if role in {'stm32', 'bare'}:
         {'stm32': stm32, 'bare': bare}[role](folder, float(sys.argv[3]))
     else:
-        {'ears': ears, 'exciter': exciter}[role](folder)
+        {'ears': ears, 'raw': raw, 'exciter': exciter}[role](folder)
 
 
 if __name__ == '__main__':

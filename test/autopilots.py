@@ -122,7 +122,8 @@ class Autopilot:
         self.asked: dict[str, list[float]] = {}
         """Message to the rates that it was asked for, Hz."""
         self.heard: list[str] = []
-        self.armed = True
+        self.armed, self.mode = True, 0
+        """`mode` is custom_mode of the heartbeat."""
         self.edit: Callable[[str, object], object] = lambda _name, message: message
         """What is done to each message before it is sent; None leaves it out."""
         self._late: deque[tuple[int, bytes]] = deque()
@@ -147,7 +148,9 @@ class Autopilot:
             out += self._late.popleft()[1]
         if self.step % 250 == 1:
             mode = 128 if self.armed else 0
-            out += self.pack(mav.MAVLink_heartbeat_message(2, self.kind.autopilot, mode, 0, 4, 3))
+            out += self.pack(mav.MAVLink_heartbeat_message(
+                2, self.kind.autopilot, mode, self.mode, 4, 3
+            ))
         for name, hz in self.streams.items():
             owed = self._owed.get(name, 0.0) + hz * 1e-6 * STEP_US
             self._owed[name] = owed % 1.0

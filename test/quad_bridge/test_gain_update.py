@@ -420,17 +420,6 @@ def test_the_next_flight_is_held_to_the_last_good_one(tmp_path):
         assert any('rolled back' in text for text in again.goes_on(13.0)) is calm
 
 
-@pytest.mark.parametrize('rate_hz', [30.0, 50.0])
-def test_a_link_too_slow_for_the_watch_gets_no_gains(tmp_path, rate_hz):
-    bench = Bench(tmp_path, rate_hz=rate_hz)
-    list(bench.goes_on(20.0))
-    if rate_hz < 50.0:
-        with pytest.raises(RefusedError, match='brings 30 cycles per second: the watch needs 50'):
-            bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
-    else:
-        bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, bench.now_s)
-
-
 # The history.
 
 

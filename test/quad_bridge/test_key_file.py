@@ -5,7 +5,7 @@ import subprocess
 import pytest
 
 from quad_bridge.errors import BadInputError
-from quad_bridge.key_file import read_key, signing_from, write_key
+from quad_bridge.key_file import main, read_key, signing_from, write_key
 
 
 def test_a_key_that_was_made_is_read(tmp_path):
@@ -28,6 +28,7 @@ FILES = {
     'hex': (HEX, ''),
     'a line of Windows': (HEX + b'\r\n', ''),
     'the most white space': (HEX + b' ' * (4096 - 64), ''),
+    'more of it': (HEX + b' ' * (4096 - 63), NO_KEY),
     'empty': (b'', NO_KEY),
     'a digit missing': (HEX[:63] + b'\n', NO_KEY),
     'two keys': (HEX + HEX, NO_KEY),
@@ -74,3 +75,18 @@ def test_a_file_that_others_may_touch_is_refused(tmp_path, mode):
     path.chmod(mode)
     with pytest.raises(BadInputError, match=rf'{path}.*mode {mode:04o}; chmod 600'):
         read_key(path)
+
+
+def test_the_command_keeps_what_is_there_and_says_one_line(tmp_path, capsys):
+    path = tmp_path / 'key'
+    assert main([str(path)]) == 0
+    before = path.read_bytes()
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as left:
+        main([str(path)])
+    assert left.value.code == 2
+    error = capsys.readouterr().err
+    assert (error.count('\n'), 'cannot be made' in error) == (1, True)
+    assert path.read_bytes() == before
+    with pytest.raises(BadInputError, match='make_key'):
+        read_key(tmp_path / 'nothing')

@@ -275,7 +275,8 @@ def test_a_program_beside_is_not_taken_for_the_aircraft(sender, beat):
 
 PUBLISHED = ('/imu/data', '/motors/command', '/motors/state', '/rc/in', '/imu/mag', '/baro',
              '/battery', '/robot_description')  # fmt: skip
-REFUSED = 'refused: the aircraft has no QUAD_GAINS'
+REFUSED = ('refused: ArduPilot: gains are off: read docs/ardupilot.md, then start the bridge with '
+           'gains:=allow')
 MISSING = 'ArduPilot sends standard MAVLink messages only: without QUAD_CYCLE there is no'
 
 
@@ -287,7 +288,7 @@ def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, probe
         probe.until(lambda: MISSING in probe.diagnostics('serial_bridge: link'))
         probe.until(lambda: probe.diagnostics('serial_bridge: gains') == REFUSED)
         answer = probe.call('/serial_bridge/check_polarity')
-        assert answer.message.startswith('ArduPilot has no QUAD_GAINS')
+        assert answer.message.startswith('ArduPilot takes no test pulses')
         assert bridge.end() == 0
     assert heard['/control/wrench'] == []
     assert heard['/imu/data'][-1].linear_acceleration.z == pytest.approx(9.81, abs=0.01)

@@ -2,7 +2,6 @@
 
 import fcntl
 import os
-import socket
 import threading
 
 import pytest
@@ -134,10 +133,3 @@ def test_no_write_waits_for_a_terminal_whose_output_is_full(line, start):
     while not port.write(b'again'):
         os.read(line.master, 65536)
     assert port.status.state is PortState.OPEN
-
-
-def test_a_network_peer_that_does_not_listen_is_said_to_be_unreachable(start):
-    with socket.socket() as closed:
-        closed.bind(('127.0.0.1', 0))
-        url = f'socket://127.0.0.1:{closed.getsockname()[1]}'
-        assert 'refused' in start(url, PortState.UNREACHABLE).status.detail

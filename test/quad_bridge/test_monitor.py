@@ -95,20 +95,6 @@ def test_the_screen_tells_all_in_one_place():
     assert 'roll' not in nothing
 
 
-def test_the_call_comes_when_enough_is_in_and_not_before():
-    state = full_state()
-    assert 'go on to validation' in state.call(10.0)
-    state.validated_s = 12.0
-    assert state.call(10.0) == 'stop now: 0.5 to 20 rad/s covered'
-    state.entries['excitation: schedule'] = Entry(0, 'running', {'axes': 'roll pitch'}, 100.0)
-    assert state.call(10.0) == 'roll suffices: 0.5 to 20 rad/s covered; pitch to come'
-    state.done, state.segment = {'roll'}, {'axis': 'pitch'}
-    assert state.call(10.0) == 'stop now: 0.5 to 20 rad/s covered'
-    state.coverage = coverage([], DT, (0.5, 20.0))
-    assert state.call(10.0) == ''
-    assert State().call(10.0) == ''
-
-
 def test_the_band_is_what_the_segments_can_tell_and_the_screen_says_so():
     assert BAND == (0.1, 20.0)
     assert reachable(BAND, math.nan) == reachable(BAND, 0.0) == BAND

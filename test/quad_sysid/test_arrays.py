@@ -6,8 +6,10 @@ import copy
 import json
 import math
 import pickle
+import re
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,9 +17,10 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 
 import quad_sysid as qs
-from quad_sysid.bags import read_bag
+from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.cli import main
 
+PAGE = Path(__file__).resolve().parents[2] / 'docs/python.md'
 DT, N = 0.004, 2000
 RNG = np.random.default_rng(3)
 U = np.round(np.repeat(RNG.choice([-100, 100], 50), 40) / 1024.0, 6)
@@ -91,6 +94,8 @@ def test_frames_responses_and_iodata_are_the_same_record():
     same(qs.from_arrays(response), wanted)
     same(qs.from_arrays(qs.IOData(U, Y, DT)), wanted)
     same(qs.from_arrays((U, Y), dt=DT), wanted)
+    same(qs.from_arrays(u=U, y=Y, dt=DT, units={'y': 'mm'}),
+         qs.from_arrays(u=U, angle=Y, dt=DT, units={'angle': 'mm'}))
     same(qs.from_arrays(u=U, y=Labelled(Y)), wanted)
 
 
@@ -111,12 +116,12 @@ def test_a_bag_of_the_same_numbers_gives_the_same_record(tmp_path, capsys):
         name = 'angle' if measured == 'angle' else 'y'
         mine = qs.from_arrays(u=volts, dt=DT, units={'u': 'V', name: unit},
                               **{name: position if measured == 'angle' else speed})
-        stored = read_bag(bag)
+        stored = split_segments(read_bag(bag), axes=('roll',))
         np.testing.assert_array_equal(mine.rates, stored.rates)
         np.testing.assert_array_equal(mine.control, stored.control)
         assert mine.dt == stored.dt
         assert [(s.role, s.start_s, s.end_s) for s in mine.segments] == \
-            [(s.role, s.start_s, s.end_s) for s in stored.segments if s.axis == 'roll']
+            [(s.role, s.start_s, s.end_s) for s in stored.segments]
     capsys.readouterr()
 
 
@@ -305,13 +310,23 @@ def test_a_result_of_several_axes_has_no_verdict_and_says_which_it_has():
         several.verdict  # noqa: B018
 
 
-def test_a_budget_of_nothing_says_that_nothing_was_searched():
-    flight = fly(Axis(), 5, SHORT)
-    found = qs.identify(flight, 'roll', seconds=0.0)
-    assert found.verdict == 'not_searched'
-    untried = {entry['name']: entry['because']
-               for entry in found.report['axes']['roll']['not_tested']}
-    assert 'the search had 0 s: it was not tried' in untried['coulomb_friction']
+def test_the_page_for_scripts_runs_as_it_stands(result, tmp_path, monkeypatch):
+    """With this result and small searches, which take seconds."""
+    found, flight = result
+    u, y = 20.0 * flight.control[:, 1], 30.0 / math.pi * flight.rates[:, 0]
+    names = {'qs': qs, 'result': found, 'volts': u, 'speed': y, 'volts2': u, 'speed2': y}
+    monkeypatch.chdir(tmp_path)
+    page = PAGE.read_text().partition('## Arrays of your own')[2].partition('## Black-box')[0]
+    first, *blocks = re.findall(r'```python\n(.*?)```', page, re.DOTALL)
+    assert first.startswith('result = qs.identify(u=volts, y=speed, dt=0.004')
+    for block in blocks:
+        exec(block.replace('qs.compare(result, unseen)', 'qs.compare(result, result)').replace(  # noqa: S102
+            'identify_base(motor, ', 'identify_base(motor, effects=(), '), names)
+    assert (tmp_path / 'motor.mat').exists()
+
+
+def test_every_candidate_has_a_label_of_its_own():
+    assert len({effect.label for effect in qs.EFFECTS}) == len(qs.EFFECTS)
 
 
 SCRIPT = """

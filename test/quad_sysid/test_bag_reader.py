@@ -13,13 +13,12 @@ import yaml
 
 from quad_sysid.bags import (
     BagOptions,
-    cdr,
     read_bag,
     split_segments,
     write_bag,
     write_streams,
 )
-from quad_sysid.bags.cdr import Stamped, decode
+from quad_sysid.bags.cdr import Stamped
 from quad_sysid.bags.events import Event
 from quad_sysid.bags.stamps import uniform_grid
 from quad_sysid.contract import TOPIC_TYPES, control_from_motors, motors_from_wrench
@@ -109,28 +108,6 @@ def test_a_record_survives_every_storage(tmp_path, storage, compression):
     np.testing.assert_allclose(got.battery_v[:975], want.battery_v[:975], atol=1e-5)
     assert (got.segments, got.gains) == (want.segments, want.gains)
     assert got.gains_at(2.5) == {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.09}
-
-
-def test_motors_are_taken_by_their_names():
-    store, types = cdr.typestore(), cdr.typestore().types
-    header = types['std_msgs/msg/Header'](
-        stamp=types['builtin_interfaces/msg/Time'](sec=1, nanosec=2), frame_id='abc'
-    )
-
-    def message(names: list[str], effort: list[float]) -> bytes:
-        joints = types[cdr.JOINTS](header=header, name=names, position=np.ones(len(effort)),
-                                   velocity=np.zeros(0), effort=np.array(effort))
-        return bytes(store.serialize_cdr(joints, cdr.JOINTS))
-
-    names = ['motor_4', 'motor_2', 'motor_3', 'motor_1']
-    got = decode(cdr.JOINTS, [
-        message(names, [0.4, 0.2, 0.3, 0.1]), message(sorted(names), [0.1, 0.2, 0.3, 0.4]),
-        message(['a', 'b', 'c', 'd'], [0.1, 0.2, 0.3, 0.4]), message(names[:3], [0.1, 0.2, 0.3]),
-        b'\x00\x01\x00\x00junk',
-    ])
-    np.testing.assert_array_equal(got.values, [[0.1, 0.2, 0.3, 0.4]] * 2)
-    assert got.stamps.tolist() == [1_000_000_002] * 2
-    assert got.spoiled == 3
 
 
 # ---- stamps -----------------------------------------------------------------------------------

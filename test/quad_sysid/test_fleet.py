@@ -6,6 +6,7 @@ import csv
 import json
 import os
 
+import numpy as np
 import pytest
 from flown_axis import Axis, Plan, fly
 
@@ -91,3 +92,18 @@ def test_what_waits_is_what_is_new_or_changed(folder, tmp_path):
     assert waiting() == ['one/flight', 'two/torn']
     # another question has no answer yet
     assert len(waiting('roll')) == len(waiting(effects=False)) == len(every)
+
+
+def test_lacks_and_outliers_are_found_and_only_where_they_are():
+    rng = np.random.default_rng(1)
+    rows = [
+        {'bag': f'{craft}/{k}', 'aircraft': craft, 'status': 'answered',
+         'roll_verdict': 'effects_added', 'roll_effects': effects,
+         'roll_lag': 0.04 + 2e-4 * float(rng.standard_normal())}
+        for craft, effects in (('a', 'coulomb_friction'), ('b', '')) for k in range(12)
+    ]
+    rows[-1]['roll_lag'] = 0.06
+    shown = [line.split() for line in fleet.lines(rows)]
+    assert ['a', 'roll', 'coulomb_friction', '12', '12'] in shown
+    assert [words for words in shown if words[-1:] == ['b/11']] == [['roll', 'lag', 'b/11']]
+    assert len([words for words in shown if len(words) > 2 and '/' in words[-1]]) == 1

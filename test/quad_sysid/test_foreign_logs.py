@@ -6,17 +6,16 @@ that nothing of the import's tables is used to make them.
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from autopilot_logs import dataflash, ulog
 
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.imports.cli import table
 from quad_sysid.imports.formats import format_of, read_log
-from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.to_bag import import_log
 
 SAMPLE = Path(__file__).resolve().parents[2] / '../shared/data/px4/sample_log_small.ulg'
@@ -64,36 +63,6 @@ def quaternion_ned(angles: np.ndarray) -> np.ndarray:
         return np.column_stack([w, v])
 
     return product(product(turn(3, yaw), turn(2, pitch)), turn(1, roll))
-
-
-def ulog(path: Path, topics: dict, parameters: dict, drop=()) -> Path:
-    """Topics {name: {field: values}}, floats or arrays of them, all but the first, timestamp."""
-    out = [b'ULog\x01\x12\x35\x01' + struct.pack('<Q', 1)]
-
-    def add(kind: bytes, body: bytes) -> None:
-        out.append(struct.pack('<Hc', len(body), kind) + body)
-
-    for name, columns in topics.items():
-        fields = ''.join(
-            f'float{f"[{v.shape[1]}]" if v.ndim > 1 else ""} {f};'
-            for f, v in columns.items() if f != 'timestamp'
-        )
-        add(b'F', f'{name}:uint64_t timestamp;{fields}'.encode())
-    for name, value in parameters.items():
-        key = f'{"int32_t" if isinstance(value, int) else "float"} {name}'.encode()
-        form = '<i' if isinstance(value, int) else '<f'
-        add(b'P', bytes([len(key)]) + key + struct.pack(form, value))
-    for i, name in enumerate(topics):
-        add(b'A', struct.pack('<BH', 0, i) + name.encode())
-    for i, columns in enumerate(topics.values()):
-        stamps = columns['timestamp']
-        values = np.column_stack([v for f, v in columns.items() if f != 'timestamp'])
-        for k, stamp in enumerate(stamps):
-            if k not in drop:
-                body = struct.pack('<HQ', i, int(stamp)) + values[k].astype('<f4').tobytes()
-                add(b'D', body)
-    path.write_bytes(b''.join(out))
-    return path
 
 
 FRD = np.array([1.0, -1.0, -1.0])
@@ -195,26 +164,6 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         assert gains[name] == pytest.approx(value, rel=1e-4)
 
 
-def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
-    """Messages {name: (labels, rows)}; the first label is TimeUS."""
-    out = []
-
-    def fmt(number, name, form, labels, length):
-        out.append(struct.pack('<3BBB4s16s64s', 0xA3, 0x95, 128, number, length, name.encode(),
-                               form.encode(), ','.join(labels).encode()))
-
-    fmt(128, 'FMT', 'BBnNZ', ('Type', 'Length', 'Name', 'Format', 'Columns'), 89)
-    fmt(129, 'PARM', 'QNf', ('TimeUS', 'Name', 'Value'), 3 + 8 + 16 + 4)
-    for name, value in parameters.items():
-        out.append(struct.pack('<3BQ16sf', 0xA3, 0x95, 129, 1, name.encode(), value))
-    for number, (name, (labels, rows)) in enumerate(messages.items(), 130):
-        fmt(number, name, 'Q' + 'f' * (len(labels) - 1), labels, 11 + 4 * (len(labels) - 1))
-        form = f'<3BQ{len(labels) - 1}f'
-        out += [struct.pack(form, 0xA3, 0x95, number, int(row[0]), *row[1:]) for row in rows]
-    path.write_bytes(b''.join(out))
-    return path
-
-
 def ardupilot_messages(flight: Flight) -> dict:
     stamps = 3_000_000 + DT_US * np.arange(N)
     pulses = [1000.0 + 1000.0 * flight.thrusts[place]
@@ -308,6 +257,22 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
     assert 'the log holds experiments' in told
 
 
+def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
+    messages = ardupilot_messages(flight)
+    lines = ['ArduCopter V4.5.1 (0ef2c1a7)']
+    for number, (name, (labels, _)) in enumerate(messages.items(), 130):
+        form = 'Q' + 'f' * (len(labels) - 1)
+        lines.append(f'FMT, {number}, 40, {name}, {form}, {",".join(labels)}')
+    rows = [(row[0], name, row) for name, (_, some) in messages.items() for row in some]
+    lines += [', '.join([name, f'{row[0]:.0f}', *(f'{np.float32(x):.9g}' for x in row[1:])])
+              for _, name, row in sorted(rows, key=lambda one: one[0])]
+    (tmp_path / 'log.log').write_text('\n'.join(lines) + '\n')
+    text, _ = imported(tmp_path / 'log.log', tmp_path / 'text_bag')
+    binary, _ = imported(dataflash(tmp_path / 'log.bin', messages, {}), tmp_path / 'binary_bag')
+    np.testing.assert_allclose(text.rates, binary.rates, atol=1e-7)
+    np.testing.assert_allclose(text.control, binary.control, atol=1e-7)
+
+
 def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:
     places = ('rear right', 'front right', 'rear left', 'front left')
     names = ['loopIteration', 'time (us)', *(f'setpoint[{i}]' for i in range(3)),
@@ -396,20 +361,6 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     assert 'holds commands that never change' in capsys.readouterr().err
     path.write_bytes(encoded(columns, told).replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
     assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
-
-
-@pytest.mark.parametrize('factor', [-1.0, 57.3])
-def test_angles_that_contradict_their_rates_are_left_out(flight, tmp_path, factor):
-    """Whatever format they come from: a sign or a unit is another than the reader knows."""
-    t = 1.0 + 1e-6 * DT_US * np.arange(N)
-    angles = np.cumsum(flight.rates, axis=0) * 1e-6 * DT_US * [1.0, factor, 1.0]
-    done = import_log(ForeignLog(
-        'log', 'a log', rates=Stream(t, flight.rates), control=Stream(t, flight.control),
-        angles=Stream(t, angles),
-    ), tmp_path / 'bag')
-    words = f'the pitch angle changes by {factor:g} times what the rate gives: the angles are left'
-    assert done.warnings == (f'{words} out',)
-    assert done.record.angles is None
 
 
 @pytest.mark.parametrize('down', [True, False])

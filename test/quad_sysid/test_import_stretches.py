@@ -49,16 +49,6 @@ def test_blocks_train_and_validate_and_the_rest_has_its_reason(tmp_path):
             assert spans(read, role, axis) == spans(found, role, axis)
 
 
-def test_a_short_flight_is_cut_in_two_and_a_whole_short_one_is_left_to_the_reader():
-    found = with_stretches(flight(27.0), ('roll',))
-    assert spans(found, 'train') == [(6.0, 15.0)]
-    assert spans(found, 'validation') == [(15.0, 20.0)]
-    record = flight(60.0)
-    whole = replace(record, rates=record.rates[2000:4500], control=record.control[2000:4500])
-    assert with_stretches(whole).segments == ()
-    assert told(whole) == ''
-
-
 @pytest.mark.parametrize(('reason', 'change'), [('gap', 'rates'), ('saturated', 'motors')])
 def test_gaps_and_limits_are_left_out(reason, change):
     record = flight(60.0)

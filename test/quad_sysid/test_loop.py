@@ -18,6 +18,7 @@ from quad_sysid.loop import kernels
 from quad_sysid.loop.cascade import (
     FIRMWARE_UNIT,
     CascadeGains,
+    Linear,
     bandwidth,
     closed_loop_radius,
     frequency_grid,
@@ -138,19 +139,32 @@ def test_stability_by_eigenvalues_agrees_with_the_gain_margin(delay_s):
         assert closed_loop_radius(GAINS, both)[0] == pytest.approx(alone, rel=1e-6)
 
 
-def test_noise_and_reference_response_match_the_time_simulation():
+FILTERED = CascadeGains.from_mapping({
+    'roll.rate.kff': 0.01, 'roll.rate.target_filter_hz': 8.0, 'roll.rate.error_filter_hz': 25.0,
+    'roll.rate.output_filter_hz': 40.0, 'rate.d_notch_hz': 20.0, 'rate.d_notch_bandwidth_hz': 10.0,
+}, 'roll')
+
+
+@pytest.mark.parametrize('gains', [GAINS, FILTERED, replace(FILTERED, d_on_error=True)],
+                         ids=['ours', 'filters of others', 'D on the error'])
+def test_noise_and_reference_response_match_the_time_simulation(gains):
     """A sine of 12 rad/s once settled: amplitude to 1 %."""
     omega, t, tail = np.array([12.0]), np.arange(5000) * DT, slice(3000, None)
     cycles = loops_of([(PLANT, STILL)])
     wave, plant = 0.05 * np.sin(12.0 * t), cycles.response(omega)
     for found, response_of in (
-        (simulate_cascade(PLANT, GAINS, wave, DT).angle, reference_response),
-        (simulate_cascade(PLANT, GAINS, 0 * t, DT, noise=wave).control, noise_response),
+        (simulate_cascade(PLANT, gains, wave, DT).angle, reference_response),
+        (simulate_cascade(PLANT, gains, 0 * t, DT, noise=wave).control, noise_response),
     ):
         settled = found[tail] - np.mean(found[tail])
         amplitude = np.abs(2 * np.mean(settled * np.exp(-12j * t[tail])))
-        want = 0.05 * np.abs(response_of(GAINS, plant, omega, DT)[0, 0])
+        want = 0.05 * np.abs(response_of(gains, plant, omega, DT)[0, 0])
         assert amplitude == pytest.approx(want, rel=0.01)
+    # a state for each filter that there is, and the response of these states
+    ours = Linear(gains.dynamics(DT)).response(np.geomspace(0.5, 700.0, 40), DT)
+    np.testing.assert_allclose(ours, gains.response(np.geomspace(0.5, 700.0, 40), DT), rtol=1e-9)
+    if gains != GAINS:
+        return
     grid = frequency_grid(DT)
     whole = reference_response(GAINS, cycles.response(grid), grid, DT)
     assert 2.0 < bandwidth(whole, grid)[0] < 6.0
@@ -394,10 +408,11 @@ def test_square_figures_bear_noise_gaps_and_a_standing_error():
 # ---- the firmware
 
 
-def by_the_loops_kernel(flight, axis, excitation, injection):
+def by_the_loops_kernel(flight, axis, excitation, injection, gains):
     """(n, 2) rate reference and control that C1, C2 make of the recorded measurements."""
-    constants, memory = GAINS.constants(DT), np.zeros(kernels.MEMORY)
+    constants, memory = gains.constants(DT), np.zeros(kernels.MEMORY)
     memory[kernels.LAST] = flight.rates[0, axis]
+    memory[kernels.NOTCH :] = (1.0 - constants.notch) * flight.rates[0, axis]
     added = {name: excitation * (name == injection) for name in ('attitude', 'rate', 'control')}
     rows = [
         kernels.control(
@@ -409,17 +424,21 @@ def by_the_loops_kernel(flight, axis, excitation, injection):
     return np.array(rows) + np.stack((0 * excitation, added['control']), axis=1)
 
 
-@pytest.mark.parametrize(('axis', 'injection', 'size'), [
-    ('roll', 'attitude', 0.3), ('pitch', 'attitude', 1.4), ('roll', 'rate', 1.0),
-    ('pitch', 'control', 0.05),
+D_NOTCH = {'rate.d_notch_hz': 30.0, 'rate.d_notch_bandwidth_hz': 20.0}
+
+
+@pytest.mark.parametrize(('axis', 'injection', 'size', 'gains'), [
+    ('roll', 'attitude', 0.3, {}), ('pitch', 'attitude', 1.4, {}), ('roll', 'rate', 1.0, D_NOTCH),
+    ('pitch', 'control', 0.05, {}),
 ])
-def test_the_firmware_in_c_flies_this_cascade(injection, size, axis):
-    """To 1e-6 of the command and rad/s over a flight, limits and integral included."""
+def test_the_firmware_in_c_flies_this_cascade(injection, size, axis, gains):
+    """To 1e-6 of the command and rad/s over a flight, limits, integral and notch included."""
     excitation = size * np.repeat([1.0, -1.0] * 4, 500)
     part = Excited(0.0, excitation, axis, injection)
-    flight = fly(replace(load_profile('plain'), axis=axis), [part], 16.0, 2)
+    flight = fly(replace(load_profile('plain'), axis=axis), [part], 16.0, 2, gains=gains)
     index = ('roll', 'pitch').index(axis)
-    expected = by_the_loops_kernel(flight, index, excitation, injection)
+    own = CascadeGains.from_mapping(gains, axis)
+    expected = by_the_loops_kernel(flight, index, excitation, injection, own)
     np.testing.assert_allclose(flight.rate_setpoint[:, index], expected[:, 0], atol=1e-6)
     np.testing.assert_allclose(flight.wrench[:, 1 + index], expected[:, 1], atol=1e-6)
     np.testing.assert_allclose(flight.excitation[:, index], excitation)

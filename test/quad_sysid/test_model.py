@@ -343,6 +343,21 @@ def test_the_probabilities_of_an_effect_and_its_rivals_sum_to_one(again):
     assert own + sum(p for _, p in rivals) == pytest.approx(1.0, abs=1e-9)
 
 
+def test_of_a_long_flight_a_search_sees_blocks_and_what_leads_is_fitted_on_all(
+    rubbed, monkeypatch
+):
+    _, problem, base = rubbed
+    monkeypatch.setattr('quad_sysid.discover.search.SEARCHED', 3000)
+    part = problem.shortened(3000, 6)
+    assert 2000 < part.rows.size <= 3000
+    assert np.ptp(part.data.clock) > 0.9 * np.ptp(problem.data.clock)
+    few = [e for e in EFFECTS if e.label in ('coulomb_friction', 'quadratic_drag')]
+    found = search(problem, few)
+    assert found.best.structure.labels == ('coulomb_friction',)
+    assert found.best.rate.size == problem.data.rate.size
+    assert found.base.log_posterior == pytest.approx(base.log_posterior, abs=0.1)
+
+
 def test_what_single_motors_add_is_the_same_in_any_order_and_adds_up():
     flown = fly(Axis(
         throttle=lambda t: 0.5 + 0.1 * np.sin(0.8 * t),

@@ -26,7 +26,7 @@ from quad_sysid.loop.plant import Flying
 from quad_sysid.loop.simulation import Stepping, running, simulate_cascade
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.data import AxisData, Windows
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import Effect, Part
 from quad_sysid.model.flight import Flight, Prediction
 from quad_sysid.model.plant import Plant
 from quad_sysid.model.structure import Structure
@@ -173,7 +173,8 @@ def smooth(effect) -> bool:
     part = Placed(Part(effect), effect.centre())
     steep_lag = effect.term == 'lag' and effect.signals[0] == 'command'
     kinked = effect.variant.startswith('rough')  # a knot at rest
-    return not (kinked or steep_lag or effect.name in steep or effect.phased or effect.stepped
+    sought = type(effect).sought is not Effect.sought
+    return not (kinked or steep_lag or effect.name in steep or sought
                 or warms or effect.name == 'mode:hysteresis' or part.why_outside)
 
 

@@ -44,7 +44,7 @@ def test_emps_in_ten_lines(monkeypatch):
 
 
 def test_a_flight_as_a_table(tmp_path, monkeypatch):
-    """As the page says, with the base alone, which takes seconds."""
+    """As the page says, with no time to search, which takes seconds and is said."""
     flight = fly(Axis(), 5, SHORT)
     table = np.column_stack([
         flight.time_s, flight.control[:, 0], flight.control[:, 1],
@@ -56,7 +56,11 @@ def test_a_flight_as_a_table(tmp_path, monkeypatch):
     (block,) = (block for block in BLOCKS if 'flight.csv' in block)
     names: dict[str, Any] = {'qs': qs, 'np': np}
     exec(block.replace('seconds=120', 'seconds=0'), names)  # noqa: S102
-    model = names['result'].model
+    result = names['result']
+    assert result.verdict == 'not_searched'
+    untried = {one['name']: one['because'] for one in result.report['axes']['roll']['not_tested']}
+    assert untried['coulomb_friction'] == 'the search had 0 s: it was not tried'
+    model = result.model
     degree = model.parameters['gain']
     assert degree.unit == 'deg/s² per unit command'
     assert degree.value == pytest.approx(np.rad2deg(450.0), rel=0.03)

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif('tools' in INSTALLED.parts, reason='no ros2 is i
 NODES = {'/serial_bridge', '/bag_logger', '/excitation', '/identification'}
 PATIENTLY = ('--no-daemon', '--spin-time', '3')
 NAN = (
-    '{node: test, changed_parameters: '
+    '{node: test, stamp: now, changed_parameters: '
     '[{name: roll.rate.kp, value: {type: 3, double_value: .nan}}]}'
 )
 
@@ -54,7 +54,7 @@ def demo(ros_domain, tmp_path):
 
 def test_the_launched_demo_answers_every_command_and_ends_at_once(demo):
     seen(NODES, 'node', 'list')
-    seen({'port', 'roll.rate.kp'}, 'param', 'list', '/serial_bridge')
+    seen({'port', 'log'}, 'param', 'list', '/serial_bridge')
     seen({'active [3]'}, 'lifecycle', 'get', '/serial_bridge')
     latched = ('--qos-durability', 'transient_local', '--qos-reliability', 'reliable')
     assert 'roll.rate.kp' in ros2('topic', 'echo', '--once', *latched, '/gains/active')

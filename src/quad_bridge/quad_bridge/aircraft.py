@@ -103,13 +103,13 @@ class Aircraft(ABC):
     def excite(
         self, value: f.Vector3, injection: f.Injection, valid_ms: int
     ) -> f.Frame | None:
-        """Give the frame that adds `value` (FLU, the injection's unit) for so long, if one does."""
+        """Give the frame that adds `value` (FLU, the injection's unit), if one does."""
 
     @abstractmethod
     def abort(self) -> f.Frame | None:
         """Give the frame that ends an excitation at once, if one does."""
 
-    def segment(self, parameters: Mapping[str, Any] | None) -> None:
+    def segment(self, parameters: Mapping[str, Any] | None) -> None:  # noqa: B027
         """A segment of the schedule begins, as it was announced; None: it has ended."""
 
     @abstractmethod

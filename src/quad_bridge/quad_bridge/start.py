@@ -74,7 +74,9 @@ def _open_standard_streams() -> None:
 
 
 def serial_bridge() -> None:
-    """`ros2 run quad_bridge serial_bridge`."""
+    """`ros2 run quad_bridge serial_bridge`; with `--check` no node, but a look at the aircraft."""
+    if '--check' in sys.argv:
+        sys.exit(_command('serial_bridge --check', 'quad_bridge.autopilots.check'))
     begin('quad_bridge.nodes.serial_bridge')
 
 

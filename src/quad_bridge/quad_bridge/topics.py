@@ -47,19 +47,24 @@ class Opens:
     """Whether it is a lifecycle node."""
 
 
+AIRCRAFT_LOG = '/aircraft/log'
+"""An autopilot's own log as the bridge fetches it (ParameterEvent, latched, not recorded): `path`,
+`state` (`expected` while it flies, `fetching`, `complete`, `failed`), `offset_s` from its time to
+ROS time."""
 SET_GAINS = '/serial_bridge/set_gains'
 NODES = {
     'serial_bridge': Opens(
         (
             '/imu/data', '/motors/command', '/motors/state', '/control/wrench',
             '/setpoint/attitude', '/setpoint/rates', '/rc/in', '/battery', '/imu/mag', '/baro',
-            '/excitation/applied', '/gains/active', '/robot_description', '/diagnostics',
+            '/excitation/applied', '/gains/active', AIRCRAFT_LOG, '/robot_description',
+            '/diagnostics',
         ),
         (
             '/excitation/setpoint', '/excitation/segment', '/gains/update', '/operator/enable',
             '/logger/bag', '/robot_description',
         ),
-        ('arm', 'calibrate_at_rest', 'check_polarity', 'find_motors', 'set_gains'),
+        ('arm', 'calibrate_at_rest', 'check_polarity', 'fetch_log', 'find_motors', 'set_gains'),
         managed=True,
     ),
     'bag_logger': Opens(
@@ -78,7 +83,7 @@ NODES = {
         ('start', 'stop'),
     ),
     'identification': Opens(
-        ('/diagnostics',), ('/logger/bag',), ('identify',), (SET_GAINS,)
+        ('/diagnostics',), ('/logger/bag', AIRCRAFT_LOG), ('identify',), (SET_GAINS,)
     ),
     'quad_tune': Opens((), (), (), (SET_GAINS,)),
 }  # fmt: skip

@@ -17,6 +17,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from quad_sysid.bags.split import split_segments
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.log import ForeignLog, Stream
@@ -500,7 +501,8 @@ def _record(one: _Columns, units: Units, texts: Mapping[str, Any], axis: str, so
     record = replace(record, units=units, warnings=(*record.warnings, *warnings))
     measured = np.asarray(angle if rate is None else rate)
     begun = float(one.time_s[int(np.isfinite(measured).argmax())])
-    return with_parts(record, one.time_s - begun, (axis,), train, validate)
+    return split_segments(with_parts(record, one.time_s - begun, (axis,), train, validate),
+                          axes=(axis,))
 
 
 def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: Any,

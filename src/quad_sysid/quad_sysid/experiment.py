@@ -18,10 +18,10 @@ from quad_sysid.blackbox import Model
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.fit import Problem
-from quad_sysid.estimate.stored import completed
+from quad_sysid.estimate.stored import completed, plant_of
 from quad_sysid.identified import Identified, model_of
 from quad_sysid.loop.from_model import usual_signals
-from quad_sysid.pipeline.evaluate import flown
+from quad_sysid.model.effect import Signals
 from quad_sysid.record import IOData
 from quad_sysid.signals import waveform
 
@@ -35,6 +35,8 @@ CANDIDATES: Mapping[str, tuple[str, Mapping[str, float]]] = {
 """What is tried, each at full amplitude and at LOW of it: friction shows in small motion."""
 LOW = 0.3
 CRITERIA = ('D', 'A')
+HELD = 1e-12
+"""What is smaller and has no standard error is no part of the model."""
 NUDGE, LEAST = 1e-4, 1e-2
 """Step of a parameter for derivatives, as a share of its size, and the least size."""
 ROUNDS = 6
@@ -106,11 +108,13 @@ def design_experiment(
     progress(f'{len(names)} candidates')
     commands, rates, angles = _within(own, amplitude * per_u * np.array(shapes), rate * per_y,
                                       angle * per_angle)
-    present = _values(own)
+    every = _values(own)
+    kept = [i for i, (value, std) in enumerate(every.values()) if abs(value) > HELD or std]
+    present = {name: every[name] for i, name in enumerate(every) if i in kept}
     found = []
     for i, name in enumerate(names):
         progress(name)
-        information = _information(own, commands[i], rates[i], angles[i])
+        information = _information(own, commands[i], rates[i], angles[i])[np.ix_(kept, kept)]
         found.append((_worth(information, present, criterion), i, information))
     if not any(math.isfinite(worth) for worth, _, _ in found):
         raise NotInformativeError('design_experiment: no candidate tells anything within these '
@@ -145,13 +149,8 @@ def _values(model: Identified) -> dict[str, tuple[float, float | None]]:
 def _within(model: Identified, commands: FloatArray, rate: float,
             angle: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The largest share of each command (w, n) with which the model stays within the limits."""
-    usual, n = usual_signals(model), commands.shape[1]
-    held = [np.full(n, usual[name]) for name in ('throttle', 'battery')]
-
     def inside(shares: FloatArray) -> tuple[FloatArray, FloatArray, Any]:
-        runs = [flown(model, share * command, (0.0, 0.0), *held)
-                for share, command in zip(shares, commands, strict=True)]
-        rates, angles = np.array([r.rate for r in runs]), np.array([r.angle for r in runs])
+        rates, angles = _flown(model, shares[:, None] * commands)
         kept = (np.abs(rates).max(axis=1) <= rate) & (np.abs(angles).max(axis=1) <= angle)
         return rates, angles, kept
 
@@ -169,6 +168,24 @@ def _within(model: Identified, commands: FloatArray, rate: float,
                                   'under a bias that nothing holds; widen them, or excite in '
                                   'closed loop')
     return np.where(kept, least, 0.0)[:, None] * commands, rates, angles
+
+
+def _flown(model: Identified, commands: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(w, n) measured rates and angles for commands (w, n) from rest, all side by side."""
+    usual, plant, (count, n) = usual_signals(model), plant_of(model), commands.shape
+
+    def around(k: int) -> Signals:
+        return plant.with_motors(Signals.at_rest(
+            np.full(count, model.dt * (k + 0.5)), np.full(count, usual['throttle']),
+            battery_v=np.full(count, usual['battery']), sent=commands[:, max(k, 0)] * (k >= 0)))
+
+    x = plant.begin(around(-1), np.zeros(count), np.zeros(count))
+    rates, angles = np.empty((count, n)), np.empty((count, n))
+    for k in range(n):
+        rate, angle = plant.measured(x)
+        rates[:, k], angles[:, k] = rate, 0.0 if angle is None else angle
+        x = plant.step(x, around(k))
+    return rates, angles
 
 
 def _information(model: Identified, command: FloatArray, rate: FloatArray,

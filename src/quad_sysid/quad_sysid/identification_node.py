@@ -30,6 +30,7 @@ from quad_bridge.nodes.diagnostics import diagnostic_array
 from quad_bridge.nodes.managed_node import MOST_BYTES, answered
 from quad_bridge.nodes.qos import EVENT, HEARD
 from quad_bridge.status import ERROR, OK, WARN, Status
+from quad_bridge.topics import AIRCRAFT_LOG
 from quad_sysid import session
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.result import Result
@@ -40,6 +41,7 @@ MOST_BAGS = 100
 """That wait, or are remembered: more than that is a flood."""
 
 
+LOG_COMES = "the autopilot's own log comes after the landing; ~/identify does not wait for it"
 EARLIER = 'the bag was complete before this node began'
 
 
@@ -66,6 +68,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._begun: set[str] = set()  # recordings that the logger began since this node did
         self._seen: dict[str, str] = {}  # bags, and why their gains are not sent
         self._queue: deque[str] = deque()
+        self._log: dict[str, Any] = {}  # what the bridge says of an autopilot's own log
         self._values: dict[str, str] = {'state': 'waiting'}
         self._level = OK
         self._worker: threading.Thread | None = None
@@ -74,6 +77,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._gains = self.create_client(SetParametersAtomically, f'{BRIDGE}/set_gains')
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, HEARD, raw=True)
+        name = AIRCRAFT_LOG.removeprefix('/')
+        self.create_subscription(ParameterEvent, name, self._on_log, HEARD)
         self.create_service(Trigger, '~/identify', self._on_identify)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time stands still meanwhile
         self.create_timer(0.2, self._collect, clock=steady)
@@ -106,17 +111,23 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if not earlier:
             self._start_next()
 
-    def _stranger(self, node: str) -> str:
-        """Why what was said on /logger/bag may not be the logger's; empty if it is."""
-        known = f'{self.get_namespace().rstrip("/")}/{LOGGER}'
+    def _on_log(self, event: Any) -> None:
+        """Take how far the bridge is with an autopilot's log; a stranger's word counts nothing."""
+        if not self._stranger(event.node, AIRCRAFT_LOG, BRIDGE):
+            self._log = parameters(event)
+
+    def _stranger(self, node: str, topic: str = '/logger/bag', by: str = LOGGER) -> str:
+        """Why what was said on a topic may not be that node's; empty if it is."""
+        known = f'{self.get_namespace().rstrip("/")}/{by}'
+        name = self.resolve_topic_name(topic.removeprefix('/'))
         said_by = [
             f'{one.node_namespace.rstrip("/")}/{one.node_name}'
-            for one in self.get_publishers_info_by_topic(self.resolve_topic_name('logger/bag'))
+            for one in self.get_publishers_info_by_topic(name)
         ]
         if node == known and said_by == [known]:
             return ''
         others = ', '.join(sorted({node, *said_by} - {known})) or 'another of that name'
-        return f'not {known} alone speaks on /logger/bag, but {others}'
+        return f'not {known} alone speaks on {topic}, but {others}'
 
     def _ours(self, bag: Path) -> bool:
         try:
@@ -136,15 +147,19 @@ class IdentificationNode(Node):  # type: ignore[misc]
             return answered(response, False, f'{where} below {self._folder}: see parameter bag')
         self._seen[str(found)] = 'it was asked for by ~/identify'
         self._queue.append(str(found))
-        self._start_next()
+        self._start_next(asked=True)
         return answered(response, True, f'identifying {found}')
 
     def _newest(self) -> Path | None:
         bags = [path.parent for path in self._folder.glob('**/metadata.yaml')]
         return max(bags, key=lambda path: path.stat().st_mtime, default=None)
 
-    def _start_next(self) -> None:
+    def _start_next(self, *, asked: bool = False) -> None:
         if self._worker is not None or not self._queue:
+            return
+        if self._log.get('state') in {'expected', 'fetching'} and not asked:
+            if self._values.get('reason') != LOG_COMES:
+                self._say(OK, state='waiting', reason=LOG_COMES)
             return
         self._bag = self._queue.popleft()
         self._say(OK, state='identifying', bag=self._bag)
@@ -159,12 +174,30 @@ class IdentificationNode(Node):  # type: ignore[misc]
         default = Path(bag).with_name(f'{Path(bag).stem}_identified')
         folder = free_folder(Path(self._out) if self._out else default)
         try:
-            self._outcome = session.run([bag], folder, self._wanted)
+            self._outcome = session.run([self._better(bag)], folder, self._wanted)
         except QuadSysidError as error:
             self._outcome = str(error)
         except Exception as error:  # noqa: BLE001 - a fault here must not take the node down
             self.get_logger().error(f'identification failed: {error!r}')
             self._outcome = f'fault of the program: {error!r}'
+
+    def _better(self, bag: str) -> str:
+        """The bag, or one of the autopilot's own log of the same flight, which is faster."""
+        said = self._log
+        path, offset_s = str(said.get('path', '')), said.get('offset_s')
+        if said.get('state') != 'complete' or not isinstance(offset_s, float):
+            return bag
+        from quad_sysid.imports.log_of_flight import joined
+        from quad_sysid.report.store import free_folder
+
+        out = free_folder(Path(bag).with_name(f'{Path(bag).stem}_log'))
+        try:
+            made = str(joined(Path(bag), Path(path), offset_s, out))
+        except QuadSysidError as error:
+            self.get_logger().warning(f'the bag alone is used: {error}')
+            return bag
+        self.get_logger().info(f"{made}: the bag with the autopilot's own log in it")
+        return made
 
     def _collect(self) -> None:
         if self._outcome is None:

@@ -160,6 +160,7 @@ class Identified(AxisModel):
         `gains`: by the contract's names, such as those of a design; default: those that flew.
         Raises BadInputError where they are wrong.
         """
+        from quad_sysid.loop.from_model import loop_plant
         from quad_sysid.loop.simulation import simulate_cascade
 
         known = {} if gains is None else gains
@@ -167,7 +168,8 @@ class Identified(AxisModel):
             from quad_sysid.loop.cascade import CascadeGains
 
             known = CascadeGains.from_mapping({**self.active_gains, **known}, self.axis)
-        return simulate_cascade(self, known, np.full(round(seconds / self.dt), size), self.dt)
+        reference = np.full(round(seconds / self.dt), size)
+        return simulate_cascade(loop_plant(self), known, reference, self.dt)
 
     def to_control(self, *, linear: bool = False) -> Any:
         """The model as a system of python-control; see exports.to_control."""

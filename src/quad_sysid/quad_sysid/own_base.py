@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -238,8 +239,11 @@ _LAWS: dict[int, _Law] = {}
 
 
 def _law_of(number: int, stored: bytes) -> _Law:
-    if number in _LAWS or not stored:
+    if number in _LAWS:
         return _LAWS[number]
+    if not stored:
+        raise BadInputError('base', 'its law cannot be read in another process', 'a lambda',
+                            'write it as a function of a module')
     return _Law(*pickle.loads(stored))  # noqa: S301 - what __reduce__ wrote
 
 
@@ -282,7 +286,7 @@ class BaseResult:
     """A base of one's own, fitted, completed and judged."""
 
     model: Identified
-    """Runs as any other: simulate, predict, compare, residuals, to_control."""
+    """Runs as any other: simulate, predict, compare, residuals, bode, step, to_control."""
     verdict: str
     """`effects_added`, `no_missing_effect` or `not_searched`."""
     parameters: Mapping[str, Parameter]
@@ -343,7 +347,7 @@ def identify_base(base: Base, flights: Any = None, *, effects: Sequence[Effect] 
 def _data(flights: Any, arrays: Mapping[str, Any]) -> tuple[AxisData, Units, Sequence[Record]]:
     given = {name: one for name, one in arrays.items() if one is not None}
     axis = given.pop('axis', 'roll')
-    if isinstance(flights, str | Record):
+    if isinstance(flights, str | Path | Record):
         record = flights if isinstance(flights, Record) else read_bag(flights)
         records = [record]
         axis = next((s.axis for s in record.segments if s.role == 'train'), axis)
@@ -482,8 +486,10 @@ def _judged(base: Base, data: AxisData, units: Units, problem: Problem,
     found = stored.effects_of(chosen, told, judged)
     law = chosen.structure.parts[0].effect
     model = Identified(
-        axis=data.axis, dt=data.dt, gyro_filter_hz=data.gyro_filter_hz, base=told.base,
-        effects=found, parameter_names=told.names, covariance=told.covariance, noise=noise,
+        axis=data.axis, dt=data.dt, gyro_filter_hz=data.gyro_filter_hz,
+        base=tuple(p if p.name in base.keep else Parameter(p.name, 0.0, None, p.unit)
+                   for p in told.base), effects=found,
+        parameter_names=told.names, covariance=told.covariance, noise=noise,
         mean_throttle=float(np.mean(data.training(data.control[:, 0]))), craft=data.craft,
         units=units, own_effects=(law,))
     scale = 1.0 / units.per_rate

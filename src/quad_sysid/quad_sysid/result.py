@@ -276,8 +276,7 @@ def identify(
             raise BadInputError('identify', 'takes flights or arrays, not both, and arrays of one '
                                 'axis', ', '.join(wanted) or str(flights))
         wanted = wanted or AXES[:1]
-        records = [split_segments(one, axes=wanted) for one in records_of(
-            flights, **arrays, train=train, validate=validate, axis=wanted[0])]
+        records = records_of(flights, **arrays, train=train, validate=validate, axis=wanted[0])
     else:
         records = _flown(flights, wanted, train, validate, show)
     missing = ''

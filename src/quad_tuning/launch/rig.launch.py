@@ -7,20 +7,26 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 
-FLIGHT = {'port': '/dev/ttyACM0', 'key_file': '', 'folder': '.', 'namespace': '',
-          'auto_update': 'false'}
-EXCITATION = {'schedule': 'schedule_rig', 'autostart': 'false', 'namespace': ''}
-"""Arguments of what is included, and their defaults."""
+from quad_bridge.nodes.launched import (
+    BRIDGE,
+    COMMON,
+    EXCITATION,
+    IDENTIFICATION,
+    LOGGER,
+    arguments,
+)
+
+FLIGHT = {*COMMON, *BRIDGE, *LOGGER, *IDENTIFICATION, 'log'}
 
 
-def included(package: str, name: str, arguments: dict[str, str]) -> IncludeLaunchDescription:
-    """Hand the arguments on to a launch file."""
+def included(package: str, name: str, names: set[str]) -> IncludeLaunchDescription:
+    """Hand the arguments of these names on to a launch file."""
     path = Path(get_package_share_directory(package)) / 'launch' / f'{name}.launch.py'
-    given = {argument: LaunchConfiguration(argument) for argument in arguments}
+    given = {argument: LaunchConfiguration(argument) for argument in sorted(names)}
     return IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(path)), launch_arguments=given.items()
     )
@@ -28,9 +34,9 @@ def included(package: str, name: str, arguments: dict[str, str]) -> IncludeLaunc
 
 def generate_launch_description() -> LaunchDescription:
     """Describe flight.launch.py and the excitation node."""
-    defaults = FLIGHT | EXCITATION
+    own = (*BRIDGE, *LOGGER, *IDENTIFICATION, *EXCITATION)
     return LaunchDescription([
-        *(DeclareLaunchArgument(name, default_value=value) for name, value in defaults.items()),
+        *arguments(*own, log='true'),
         included('quad_tuning', 'flight', FLIGHT),
-        included('quad_sysid', 'excitation', EXCITATION),
+        included('quad_sysid', 'excitation', {*COMMON, *EXCITATION}),
     ])

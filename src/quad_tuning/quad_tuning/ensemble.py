@@ -2,8 +2,8 @@
 
 Each rival replaces its effect in a share of the draws equal to its probability. A rival of the
 same signal gets the strength that matches the effect over the flown range; for any other rival the
-effect is left out. Each draw flies at a throttle and a voltage of its own, and is linearised at one
-or two amplitudes, so that a loop is judged both in wide motion and near rest.
+effect is left out. Each draw flies at a throttle and a voltage of its own, and is linear at one or
+two amplitudes, so that a loop is judged both in wide motion and near rest.
 """
 
 from __future__ import annotations

@@ -32,6 +32,7 @@ from quad_sysid.imports.betaflight_gains import (
     PTERM,
     YAW_I,
 )
+from quad_tuning.autopilot_table import ARDUPILOT, D_FILTER, PX4, Table
 from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
 
 DESIGN = 'quad_tuning/design/1'
@@ -39,24 +40,17 @@ SCHEMAS = (DESIGN, 'quad_sysid/report/1')
 """Of the files that hold gains."""
 REMEDY, AGAIN = 'give the file of quad-tune design --out, or a report.json', 'design again'
 NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
-D_FILTER = 'rate.d_filter_hz'
 
 
 @dataclass(frozen=True)
 class Firmware:
-    """Names of a firmware's parameters, with the axis' own name in the place of {}."""
+    """How a firmware's file of parameters looks; its names are the table's, or those of `cli`."""
 
-    axes: tuple[str, str, str]
-    angle: str
-    rate: str
-    """Without the letter P, I or D."""
-    d_filter: str
+    table: Table | None
     notes: tuple[str, ...]
     """What has no counterpart."""
     head: str = ''
     row: str = '{name},{value:.9g}'
-    fixed: str = ''
-    """A parameter that is set to 1, so that it multiplies nothing."""
     cli: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     """Of a firmware with whole numbers on a command line: its name and scale by ours."""
     head_lines: tuple[str, ...] = ()
@@ -87,15 +81,13 @@ INAV_NOTES = (
     'The control derivative (mc_cd_*) stays as it is.',
 )
 FIRMWARES = {
-    'px4': Firmware(('ROLL', 'PITCH', 'YAW'), 'MC_{}_P', 'MC_{}RATE_', 'IMU_DGYRO_CUTOFF',
-                    PX4_NOTES, '# Vehicle-Id\tComponent-Id\tName\tValue\tType (9: float)\n',
-                    '1\t1\t{name}\t{value:.9g}\t9', 'MC_{}RATE_K'),
-    'ardupilot': Firmware(('RLL', 'PIT', 'YAW'), 'ATC_ANG_{}_P', 'ATC_RAT_{}_',
-                          'ATC_RAT_{}_FLTD', ARDUPILOT_NOTES),
-    'betaflight': Firmware(AXES, '', '', '', BETAFLIGHT_NOTES, cli={
+    'px4': Firmware(PX4, PX4_NOTES, '# Vehicle-Id\tComponent-Id\tName\tValue\tType (9: float)\n',
+                    '1\t1\t{name}\t{value:.9g}\t9'),
+    'ardupilot': Firmware(ARDUPILOT, ARDUPILOT_NOTES),
+    'betaflight': Firmware(None, BETAFLIGHT_NOTES, cli={
         'rate.kp': ('p_{}', PTERM), 'rate.ki': ('i_{}', ITERM), 'rate.kd': ('d_{}', DTERM),
     }, head_lines=('set simplified_pids_mode = OFF',)),
-    'inav': Firmware(AXES, '', '', '', INAV_NOTES, cli={
+    'inav': Firmware(None, INAV_NOTES, cli={
         'rate.kp': ('mc_p_{}', INAV_P), 'rate.ki': ('mc_i_{}', INAV_I),
         'rate.kd': ('mc_d_{}', INAV_D),
     }),
@@ -357,16 +349,19 @@ def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
             f'--scale {axis}', 'is missing', None,
             'our command per unit of their torque: 1 where the model was identified on their '
             'torque set-points (quad-sysid import says so), else the factor of their mixer')
-    theirs = firmware.axes[AXES.index(axis)]
-    yield (firmware.angle.format(theirs), own['angle.kp'],
+    table = firmware.table
+    if table is None:
+        return
+    theirs = table.axes[AXES.index(axis)]
+    rows = {row.ours: row for row in table.rows}
+    yield (rows['angle.kp'].name(theirs), own['angle.kp'],
            f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s')
-    if firmware.fixed:
-        yield firmware.fixed.format(theirs), 1.0, 'P, I, D stand by themselves'
-    for letter, ours in zip('PID', NEEDED[1:], strict=True):
+    if table.multiplier:
+        yield table.multiplier.format(theirs), 1.0, 'P, I, D stand by themselves'
+    for ours in NEEDED[1:]:
         if own[ours] < 0.0:
             raise BadInputError(f'{axis}.{ours}', 'must not be negative', own[ours])
-        yield (firmware.rate.format(theirs) + letter, own[ours] / unit,
+        yield (rows[ours].name(theirs), own[ours] / unit,
                f'{axis}.{ours} {own[ours]:.6g} / {unit:.6g}')
     if D_FILTER in own:
-        yield (firmware.d_filter.format(theirs), own[D_FILTER],
-               f'{axis}.rate.d_filter_hz, in Hz')
+        yield rows[D_FILTER].name(theirs), own[D_FILTER], f'{axis}.rate.d_filter_hz, in Hz'

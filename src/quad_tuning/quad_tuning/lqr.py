@@ -122,7 +122,8 @@ def design_lqr(plant: Flying, ensemble: Ensemble, output_limit: float,
     needs, like = needs or Requirements(), likeness(plant)
     for factor in FASTEST * RAISE ** np.arange(ROUNDS):
         try:
-            found = feedback(plant, like, output_limit, factor, weights or Weights(), noise or Noise())
+            found = feedback(plant, like, output_limit, factor, weights or Weights(),
+                             noise or Noise())
         except (ValueError, np.linalg.LinAlgError):
             continue
         if (passes(found) and meets(ensemble.margins(found), needs).all()
@@ -166,11 +167,11 @@ def feedback(plant: Flying, like: tuple[float, float, float, float], output_limi
     like: as of `likeness`.
     """
     dt, (gain, lag, late, damping) = plant.dt, like
-    bare = StateFeedback(k_angle=0.0, k_rate=0.0, k_drive=0.0, k_integral=0.0,
-                         gain=gain, lag_s=max(lag, 0.001),
-                         delay_s=dt * round(late / dt), damping=damping,
-                         observer=_observer(damping, dt, noise), dt=dt,
-                         output_limit=output_limit)
+    bare = StateFeedback(
+        k_angle=0.0, k_rate=0.0, k_drive=0.0, k_integral=0.0, gain=gain, lag_s=max(lag, 0.001),
+        delay_s=dt * round(late / dt), damping=damping, observer=_observer(damping, dt, noise),
+        dt=dt, output_limit=output_limit,
+    )
     a, b = _states(bare)
     # a loop slower by s = factor^(-1/4) keeps its shape when rates count s^-2 and integrals s^2
     q = np.diag([0.0, np.sqrt(factor) / weights.rate**2, 1.0 / weights.angle**2,

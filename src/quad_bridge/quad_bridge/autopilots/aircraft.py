@@ -104,9 +104,7 @@ class AutopilotAircraft(Aircraft):
             self._injection = Injection.NONE
         if parameters is None:
             return  # why the last one was not flown stays to be read
-        self._refusal = self.takeover.refusal = ''
-        if self.system_id is not None:
-            self.system_id.refusal = ''
+        self._clear()
         fault = self.cannot(Ability.EXCITE) or ('' if goes_on else self._pilot_fault())
         if axis not in AXES:
             fault = fault or f'axis {axis[:20]!r}: known are {", ".join(AXES)}'
@@ -126,6 +124,11 @@ class AutopilotAircraft(Aircraft):
             self.system_id.begin(sid, now_s)
         else:
             self.takeover.begin(self._axis, injection, now_s)
+
+    def _clear(self) -> None:
+        self._refusal = self.takeover.refusal = ''
+        if self.system_id is not None:
+            self.system_id.refusal = ''
 
     def excite(self, value: Vector3, injection: Injection, valid_ms: int) -> None:
         """Take what the schedule wants now; SYSTEM ID plays its own signal."""

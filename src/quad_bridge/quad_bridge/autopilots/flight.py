@@ -1,6 +1,6 @@
 """What is known of an autopilot's flight from its messages, as one control cycle of ours. Pure.
 
-Mode, armed, in the air, attitude, what its loops follow, sticks, battery, place and height; whether
+Mode, armed, in the air, attitude, what its loops follow, sticks, battery, place, height; whether
 it hovers, and the throttle with which it does. Watch, gate and guard ask here and know no
 autopilot. Times are s on a steady clock; vectors FRD and NED, as on the wire.
 """

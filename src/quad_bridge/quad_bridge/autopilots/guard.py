@@ -34,7 +34,7 @@ class Guard:
         return cls(flight.mode or 0, flight.sticks, yaw, flight.height_m, flight.place,
                    flight.volts)  # fmt: skip
 
-    def fault(self, flight: FlightState, now_s: float) -> str:
+    def fault(self, flight: FlightState, now_s: float) -> str:  # noqa: PLR0911
         """Why what began so must end now; empty where it may go on."""
         fault = flight.line_fault(now_s) or flight.sticks_fault(now_s)
         if fault:

@@ -101,24 +101,22 @@ def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
          known.get('COM_OF_LOSS_T', 1.0) <= 1.0, 'set COM_OF_LOSS_T to 1 or less'),
     ]  # fmt: skip
     if version >= (1, 15):
-        found.append(('parameters in the processor\'s flash are stored once disarmed (1.15 and '
-                      'later)', True, ''))
+        found.append(("parameters in the processor's flash are stored once disarmed", True, ''))
     return found
 
 
 def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
     bits = int(known.get('LOG_BITMASK', 0))
     has_sid = 'SID_AXIS' in known
+    blocked = int(known.get('FLTMODE_GCSBLOCK', 0))
     found = [
         (f'log LOG_BITMASK {bits}', bits & 3 == 3,
          f'set LOG_BITMASK to {bits | 3} (bits 0, 1 fast and medium attitude)'),
         (f'motors in the log (bit 17) {"yes" if bits & 1 << 17 else "no"}', True, ''),
-        ('SYSTEM ID ' + ('is there' if has_sid else 'is not answered'), has_sid,
-         'set SID_AXIS to 1 and read again; boards of 1 MB flash lack it from 4.5 on: signals '
-         'other than chirp need GUIDED_NOGPS, which these boards lack too'),
-        ('DO_SET_MODE ' + ('is blocked for SYSTEM ID' if int(known.get('FLTMODE_GCSBLOCK', 0))
-                           & 1 << 20 else 'may enter SYSTEM ID'),
-         not int(known.get('FLTMODE_GCSBLOCK', 0)) & 1 << 20, 'clear bit 20 of FLTMODE_GCSBLOCK'),
+        (f'SYSTEM ID {"is there" if has_sid else "is not answered"}', has_sid,
+         'boards of 1 MB flash lack it from 4.5 on, and GUIDED_NOGPS too'),
+        (f'FLTMODE_GCSBLOCK {blocked}', not blocked & 1 << 20,
+         'clear bit 20: DO_SET_MODE may not enter SYSTEM ID'),
     ]  # fmt: skip
     del version
     return found

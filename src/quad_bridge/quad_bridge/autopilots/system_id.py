@@ -1,8 +1,8 @@
 """ArduPilot's own SYSTEM ID mode for a chirp: set up, entered, followed, put back. Pure, no I/O.
 
-Its parameters are written one after the other and read back; where one is not taken the mode is not
-entered. SID_MAGNITUDE is always the schedule's: its default of 15 is meant for degrees and is the
-whole command at the mixer. The mode ignores the sticks, so they are watched here.
+Its parameters are written one after the other and read back; where one is not taken the mode is
+not entered. SID_MAGNITUDE is always the schedule's: its default of 15 is meant for degrees and is
+the whole command at the mixer. The mode ignores the sticks, so they are watched here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from quad_bridge.wire.frames import Injection
 
 MODE = 25
 MODES_BEFORE = {0: 'Stabilize', 1: 'Acro'}
-"""Since 4.6 the axes of attitude, rate and mixer begin from a mode with manual throttle only."""
+"""Since 4.6 the axes of attitude, rate and mixer begin in a mode with manual throttle only."""
 FIRST_AXIS = {Injection.ATTITUDE: 1, Injection.RATE: 7, Injection.CONTROL: 10}
 DEGREES = {Injection.ATTITUDE: True, Injection.RATE: True, Injection.CONTROL: False}
 MOST = {Injection.ATTITUDE: 20.0, Injection.RATE: 200.0, Injection.CONTROL: 0.25}
@@ -49,8 +49,8 @@ def wanted(axis: int, injection: Injection, segment: Mapping[str, Any]) -> dict[
     """SID parameters of a segment with a chirp. Raises ValueError, one line, where it has none."""
     if injection not in FIRST_AXIS:
         raise ValueError('SYSTEM ID injects at attitude, rate or control')
-    found = {k: float(segment.get(k, math.nan)) for k in ('amplitude', 'start_hz', 'stop_hz',
-                                                          'sweep_s')}  # fmt: skip
+    names = ('amplitude', 'f0_hz', 'f1_hz', 'sweep_s')
+    found = {name: float(segment.get(name, math.nan)) for name in names}
     bad = [name for name, value in found.items() if not value > 0.0 or not math.isfinite(value)]
     if bad:
         raise ValueError(f'a chirp for SYSTEM ID needs {", ".join(bad)}')
@@ -58,14 +58,14 @@ def wanted(axis: int, injection: Injection, segment: Mapping[str, Any]) -> dict[
     if size > MOST[injection] * 1.001:
         raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: found {size:.4g}')
     ramp_s = max(float(segment.get('ramp_s', 0.5)), 0.1)
-    beside_s = SET_UP_S + DELAY_S + 2.0 / found['start_hz'] + 2.0 * ramp_s
+    beside_s = SET_UP_S + DELAY_S + 2.0 / found['f0_hz'] + 2.0 * ramp_s
     record_s = found['sweep_s'] - beside_s  # so that it has ended when the segment ends
     if record_s < LEAST_S:
-        raise ValueError(f'the segment is too short for SYSTEM ID: {beside_s:.1f} s go before and '
-                         f'after the sweep, and {LEAST_S:g} s must be left of {found["sweep_s"]:g}')
+        raise ValueError(f'the segment is too short for SYSTEM ID: {beside_s:.1f} s go beside the '
+                         f'sweep, and {LEAST_S:g} s must be left of {found["sweep_s"]:g}')
     return {
         'SID_AXIS': FIRST_AXIS[injection] + axis, 'SID_MAGNITUDE': size,
-        'SID_F_START_HZ': found['start_hz'], 'SID_F_STOP_HZ': found['stop_hz'],
+        'SID_F_START_HZ': found['f0_hz'], 'SID_F_STOP_HZ': found['f1_hz'],
         'SID_T_FADE_IN': ramp_s, 'SID_T_REC': record_s, 'SID_T_FADE_OUT': ramp_s,
     }  # fmt: skip
 
@@ -96,9 +96,8 @@ class SystemId:
         if self.phase is not Phase.IDLE:
             return f'SYSTEM ID is busy: {self.phase.value}'
         if not all(name in self.known for name in NAMES):
-            return ('this board has no SYSTEM ID (SID_AXIS is not answered): boards of 1 MB lack it '
-                    'from 4.5 on; set SID_AXIS to 1 and read the parameters again, or fly the '
-                    'signal in GUIDED_NOGPS (any signal but chirp)')
+            return ('SID_AXIS is not answered: boards of 1 MB have no SYSTEM ID from 4.5 on; '
+                    'other signals than chirp are flown in GUIDED_NOGPS')
         if version >= (4, 6) and self._flight.mode not in MODES_BEFORE:
             return f'SYSTEM ID is entered from {" or ".join(MODES_BEFORE.values())} only'
         return ''
@@ -141,7 +140,7 @@ class SystemId:
     def _aims(self) -> Mapping[str, float]:
         return self._wanted if self.phase is Phase.WRITING else self._before
 
-    def poll(self, now_s: float) -> list[f.Frame]:
+    def poll(self, now_s: float) -> list[f.Frame]:  # noqa: C901
         """Say what to send now."""
         out: list[f.Frame] = []
         if self.phase in {Phase.WRITING, Phase.ENTERING, Phase.FLYING}:

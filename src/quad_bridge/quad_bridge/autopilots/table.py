@@ -1,9 +1,9 @@
 """Gains of PX4 and ArduPilot by the contract's names: a table for each autopilot. Pure.
 
-The bridge reads and writes parameters by these tables, `quad-tune export` writes files by them, and
-the importers take the gains of a log from them; the two packages have this file by a link
-(`autopilot_table.py`), so it imports nothing of ours. Ours are commands U2..U4 per rad/s; theirs
-are a normalised torque per rad/s. `units` is U per torque, of roll, pitch and yaw.
+The bridge reads and writes parameters by these tables, and `quad-tune export` writes files by
+them; it has this file by a link (`autopilot_table.py`), so nothing of ours is imported here. Ours
+are commands U2..U4 per rad/s, theirs a normalised torque per rad/s; `units` is U per torque, of
+roll, pitch and yaw.
 """
 
 from __future__ import annotations
@@ -57,6 +57,8 @@ class Table:
     """Of the aircraft as a whole; their `ours` is the whole name."""
     multiplier: str = ''
     """A parameter of each axis that multiplies P, I and D."""
+    d_on_error: bool = False
+    """Whether D acts on the error, not on the measured rate."""
 
     def of_axes(self) -> Iterator[tuple[str, int, Row, str]]:
         """Contract name, number of the axis, row and parameter of each gain of an axis."""
@@ -89,7 +91,7 @@ class Table:
                 * (multiplier if row.multiplied else 1.0))  # fmt: skip
 
     def gains(self, known: Mapping[str, float], units: Units) -> dict[str, float]:
-        """Contract names, SI, of the parameters that are known; limits and filters of 0 are none."""
+        """Contract names, SI, of known parameters; limits and filters of 0 are none."""
         found = {}
         for ours, axis, row, theirs in self.of_axes():
             if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
@@ -97,6 +99,8 @@ class Table:
         for name, unit in zip(AXES, units, strict=True):
             if f'{name}.rate.kp' in found:
                 found[f'{name}.rate.output_limit'] = float(unit)
+                if self.d_on_error:
+                    found[f'{name}.rate.d_on'] = 1.0
         for row in self.shared:
             if known.get(row.theirs, 0.0) > 0.0:
                 found[row.ours] = float(known[row.theirs] * row.factor)
@@ -163,6 +167,7 @@ ARDUPILOT = Table(
         Row('rate.error_filter_hz', 'ATC_RAT_{}_FLTE'),
     ),
     (Row('sensor.gyro_filter_hz', 'INS_GYRO_FILTER'),),
+    d_on_error=True,
 )
 
 

@@ -1,9 +1,9 @@
 """Excitation by attitude set-points: PX4's OFFBOARD, ArduPilot's GUIDED_NOGPS. Pure, no I/O.
 
-The bridge flies the aircraft meanwhile: level, at the heading and about the height that it had, with
-the schedule on one axis. It begins only where `fault` says nothing, streams before it asks for the
-mode, and gives the mode from before back at the end, or as soon as anything is not as it was: the
-autopilots do not watch the sticks by default, so that is done here.
+The bridge flies the aircraft meanwhile: level, at the heading and about the height that it had,
+with the schedule on one axis. It begins only where `fault` says nothing, streams before it asks
+for the mode, and gives the mode from before back at the end, or as soon as anything is not as it
+was (guard.py).
 """
 
 from __future__ import annotations

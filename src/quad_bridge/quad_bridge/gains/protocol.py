@@ -21,7 +21,7 @@ from quad_bridge.wire import frames as f
 
 Request = f.GainsCommand | f.ParamSet | f.ParamRequestList | f.ParamRequestRead
 Keep = Callable[[Mapping[str, object], Callable[[bool], None]], None]
-"""Writes a record to the disk, {} for none, and calls back from any thread: whether it is there."""
+"""Writes a record to the disk, {} for none, and says from any thread whether it is there."""
 TRIES, STUBBORN_TRIES = 4, 41
 """Tries of one request; of CONFIRM and REVERT, which last until the STM32 decides itself."""
 REPEAT_S, READ_S, QUIET_S = 0.25, 0.5, 0.1

@@ -138,7 +138,8 @@ class GainWatch:
         if len(self._held) == self._every:
             rows = np.array(self._held)
             self._held.clear()
-            self._step(*rows[:, :2].mean(axis=0), *rows[-1, 2:])
+            rates, injected = np.add.reduce(rows[:, :2]) / self._every
+            self._step(rates, injected, *rows[-1, 2:])
 
     def _step(
         self, rates: FloatArray, injected: FloatArray, attitude: FloatArray, reference: FloatArray
@@ -153,7 +154,7 @@ class GainWatch:
         follows = FOLLOW_FACTOR * moved[:2]
         self._distance = np.abs(attitude + LEAD_S * rates - reference)[:2]
         self._allowed = np.maximum(follows, self._allowed * (1.0 - self._dt / FOLLOW_S))
-        signals = np.stack((rates, turn / self._dt + injected))[:, np.newaxis, :]
+        signals = np.array((rates, turn / self._dt + injected))[:, np.newaxis, :]
         memory, b, a = self._memory, self._b, self._a
         out = b[0] * signals + memory[0]
         memory[0] = b[1] * signals - a[0] * out + memory[1]

@@ -283,7 +283,8 @@ class Autopilot:
     def missing(self, now_ns: int) -> list[str]:
         """Topics of the contract that stay empty."""
         silent = [topic for topic in SOURCES if self._source(topic, now_ns) is None]
-        return [*(topic for topic in silent if topic not in OPTIONAL), *NEVER]
+        never = NEVER[:1] if self.also_hz else NEVER  # the others come from ATTITUDE_TARGET
+        return [*(topic for topic in silent if topic not in OPTIONAL), *never]
 
     def _alive(self, topic: str, name: str, now_ns: int) -> bool:
         last_ns, lasting_ns = self._sources.get((topic, name), (0, -1))

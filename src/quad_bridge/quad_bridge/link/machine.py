@@ -82,6 +82,7 @@ class Link:
         self._outbox = bytearray()
         self._restarts = 0
         self._inertial_us = 0  # an autopilot's time when it last sent its rates
+        self._heard_us = 0  # the same of all that it sends with angles or rates
         self._started_ns: int | None = None
         """When the aircraft had started that was heard before the port was opened anew."""
         self._peer_since_ns = 0
@@ -112,7 +113,7 @@ class Link:
         """The aircraft's time when it was last heard of in a cycle, or in what stands for one."""
         if self.last_cycle is not None:
             return self.last_cycle.time_us
-        return self._inertial_us or None
+        return self._heard_us or None
 
     @property
     def armed(self) -> bool:
@@ -303,6 +304,7 @@ class Link:
 
     def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
         """Events of another autopilot's messages; none once a control cycle was received."""
+        self._heard_us = 1000 * frame.time_ms if isinstance(frame, f.Attitude) else frame.time_us
         inertial = self.autopilot.inertial(frame, now_ns)
         if inertial is None or self.last_cycle is not None:
             return

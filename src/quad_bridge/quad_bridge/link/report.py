@@ -131,8 +131,9 @@ class LinkReport:
             return ERROR, 'no control cycle since the last report'
         missing = ', '.join(autopilot.missing(now_ns))
         only = f'{link.name} sends standard MAVLink messages only'
-        words = [f'{only}: without QUAD_CYCLE there is no {missing}',
-                 'excitation and gains are refused']  # fmt: skip
+        words = [f'{only}: without QUAD_CYCLE there is no {missing}']
+        if not autopilot.also_hz:
+            words.append('excitation and gains are refused')
         if autopilot.without_rates:
             words.append('its rates are exactly zero while the angles move: marked unknown')
         slow = autopilot.slow_ones(now_ns)

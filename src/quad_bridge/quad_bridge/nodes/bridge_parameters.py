@@ -40,6 +40,7 @@ class BridgeSettings:
     """Parameters of a logger in the bridge's process; None: there is none."""
     allow_gains: bool
     allow_excitation: bool
+    fetch_log: bool
 
     @property
     def line_baud(self) -> int | None:
@@ -50,8 +51,7 @@ class BridgeSettings:
 OWN = (
     'port', 'baud', 'excitation_valid_ms', 'key_file', 'unsigned', 'require_enable', 'sources',
     'polarity', 'aircraft', 'state_folder', 'managed', 'correct_sensors', 'robot_description',
-    'gains', 'excitation',
-    'log',
+    'gains', 'excitation', 'fetch_log', 'log',
 )  # fmt: skip
 INSIDE, LOGGER = 'inside', 'bag_logger.'
 
@@ -95,6 +95,10 @@ def declare(node: Any) -> BridgeSettings:
         gains=_gains(node, bounds),
         allow_gains=_allowed(node, 'gains', 'gains'),
         allow_excitation=_allowed(node, 'excitation', 'excitation'),
+        fetch_log=ros_node.declared(
+            node, 'fetch_log', True,
+            "fetch the log of PX4 or ArduPilot over the line after each landing",
+        ),
         logger={name.removeprefix(LOGGER): given[name] for name in loggers} if inside else None,
     )  # fmt: skip
 

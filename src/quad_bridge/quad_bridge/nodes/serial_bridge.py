@@ -12,6 +12,7 @@ import importlib
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -48,6 +49,7 @@ from quad_bridge.link.stamping import Arrived, Described, Restarted, Stamped
 from quad_bridge.lockstep import START_NS, WIRE, clock
 from quad_bridge.motor_outputs import MotorOutputs, motor_outputs
 from quad_bridge.nodes import conversion, diagnostics
+from quad_bridge.nodes.autopilot_logs import AutopilotLogs
 from quad_bridge.nodes.bridge_parameters import BridgeSettings, declare
 from quad_bridge.nodes.description import Description
 from quad_bridge.nodes.fence import LogLimiter
@@ -84,7 +86,7 @@ class SerialBridge(ManagedNode):
         )  # fmt: skip
         self._aircraft.on_change = self._on_aircraft
         self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable, self._aircraft)
-        self._worker = Worker()
+        self._worker, self._log_worker = Worker(), Worker()
         self._history = History(settings.gains.folder, self._worker)
         self._gains = GainUpdates(settings.gains, self._history, self._aircraft.gains)
         self._sensors = LiveSensors(correct=settings.correct_sensors)
@@ -96,6 +98,10 @@ class SerialBridge(ManagedNode):
             lambda: self._link.name,
         )
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
+        self._logs = AutopilotLogs(
+            self, lambda: self._aircraft.autopilot, self._aircraft_folder, self._offset_ns,
+            self._log_worker, by_itself=settings.fetch_log,
+        )  # fmt: skip
         self._messages = conversion.Messages()
         self.inside: list[Any] = []
         if settings.logger is not None:
@@ -107,8 +113,8 @@ class SerialBridge(ManagedNode):
             f.RcChannels: self._on_sticks,
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
             f.StatusText: lambda frame, _: self._say_once(f'{self._link.name}: {frame.text}'),
-            **dict.fromkeys((f.Heartbeat, f.AttitudeTarget, f.LocalPosition, f.LandedState,
-                             f.Version, f.LogEntry, f.LogData), lambda frame, _: None),
+            f.LogEntry: self._logs.take,
+            f.LogData: self._logs.take,
         }
         self._reported_s = 0.0
         self._simulated = self.simulated
@@ -158,7 +164,8 @@ class SerialBridge(ManagedNode):
         self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)
         for part in (
-            self._description, self._gain_services, self._operator, self._sensor_services
+            self._description, self._gain_services, self._operator, self._sensor_services,
+            self._logs,
         ):
             part.configure()
 
@@ -200,6 +207,7 @@ class SerialBridge(ManagedNode):
             self._gains.end('the node was deactivated')
         self._port.stop()
         self._worker.close()
+        self._log_worker.close()
 
     # In the port's thread.
 
@@ -223,7 +231,9 @@ class SerialBridge(ManagedNode):
                     self._publish(event)
                 elif isinstance(event, Arrived):
                     self._aircraft.take(event.frame, 1e-9 * now_ns)
-                    self._arrived[type(event.frame)](event.frame, now_ns)
+                    handle = self._arrived.get(type(event.frame))
+                    if handle is not None:
+                        handle(event.frame, now_ns)
                 elif isinstance(event, Described):
                     self._on_described(event)
                 elif isinstance(event, Restarted):
@@ -292,7 +302,7 @@ class SerialBridge(ManagedNode):
             self._per_cycle[3](attitude)
             self._per_cycle[4](rates)
         if cycle.injection:
-            self._applied.publish(self._messages.applied(cycle, stamp_ns))
+            self._applied(self._messages.applied(cycle, stamp_ns))
 
     def _publish_cycle(self, frame: f.Cycle, stamp_ns: int) -> None:
         bias = self._sensors.stamped(stamp_ns).gyro_bias
@@ -326,7 +336,7 @@ class SerialBridge(ManagedNode):
     def _poll_gains(self, now_ns: int) -> None:
         if self._aircraft.has_gains:  # parameters of others are their own, and a thousand
             self._send(self._gains.poll(1e-9 * now_ns))
-        for frame in self._aircraft.poll(1e-9 * now_ns):
+        for frame in [*self._aircraft.poll(1e-9 * now_ns), *self._logs.poll()]:
             self._link.send(frame)
 
     def _send(self, frame: f.Frame | None) -> None:
@@ -357,6 +367,7 @@ class SerialBridge(ManagedNode):
         self._operator.tick()
         self._gain_services.tick()
         self._sensor_services.tick()
+        self._logs.tick()
         end = self._relay.tick(clock().now_s())
         if end is not None:
             self._forward(end)
@@ -438,6 +449,19 @@ class SerialBridge(ManagedNode):
         """Name of an autopilot that sends standard messages only; '' for ours."""
         return self._link.name if self._link.standard_only(clock().now_ns()) else ''
 
+    def _aircraft_folder(self) -> Path | None:
+        """Where the files of the connected aircraft are; None while it is not known."""
+        name = self._gains.aircraft
+        return self._settings.gains.folder / name if name else None
+
+    def _offset_ns(self) -> int | None:
+        """ROS time minus the aircraft's own time; None while it is not known."""
+        link = self._link
+        if link.heard_us is None or not link.clock.converged:
+            return None
+        device_ns = 1000 * link.heard_us
+        return link.clock.host_ns(device_ns) - device_ns + self._time.epoch_ns
+
     def _armed(self) -> bool | None:
         with self._lock:
             return self._link.armed_lately(clock().now_ns())
@@ -477,6 +501,8 @@ class SerialBridge(ManagedNode):
             else:
                 log.warning(text)
         entries += [self._sensors.status(), *self._operator.entries()]
+        if self._aircraft.autopilot is not None:
+            entries.append(self._logs.status())
         entries += [*self.bounds(), *self.fence.entries()]
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(

@@ -76,7 +76,7 @@ class Line:
         """Tell the time, before anything of that time is sent elsewhere."""
         if now_ns > self._now_ns:
             self._now_ns, self._since_s = now_ns, time.monotonic()
-        published = {**self.published, WIRE: now_ns}
+        published = {WIRE: now_ns, **self.published}
         for member in self._members.values():
             published |= member.published
         text = json.dumps({'now': now_ns, 'published': published}) + '\n'

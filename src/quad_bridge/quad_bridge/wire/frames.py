@@ -28,6 +28,10 @@ class Flag(IntFlag):
     ANGLE_LIMIT = 128
     OVERRUN = 256
 
+    def __rand__(self, bits: int) -> int:  # type: ignore[override]
+        """Bits of a frame as a plain number: an enum of them takes microseconds each cycle."""
+        return bits & self._value_
+
 
 class Injection(IntEnum):
     """Where an excitation is added (enum QUAD_INJECTION); names as in the contract, lower case."""

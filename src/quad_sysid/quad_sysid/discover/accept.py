@@ -405,7 +405,7 @@ def _empty(ladder: Ladder, unseen: Unseen, base: Fit) -> tuple[str, str]:
     left = unexplained(unseen, base)
     if left:
         return 'unexplained_residual', left
-    if len(ladder.rungs) > 1 and not ladder.answer:
+    if ladder.negligible:
         return 'no_missing_effect', (
             f'the base predicts all but {100.0 - ladder.predicts_pct:.1g} % of the motion'
         )

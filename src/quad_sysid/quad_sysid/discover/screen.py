@@ -21,6 +21,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
+from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.flight import per_coefficient
 from quad_sysid.model.structure import Structure, coordinates, natural
@@ -188,12 +189,13 @@ class _Beside(Along):
     def starts(self, part: Part) -> list[FloatArray]:
         """Start values of a candidate, each (q,) coordinates, the linear parameters at zero."""
         effect = part.effect
-        starts = effect.starts(self.problem.data, part.settings)
-        if effect.phased:
-            starts = [np.r_[line, start[1:]] for line in self.lines(effect) for start in starts]
-        if effect.stepped:
-            starts = [np.r_[step, start[2:]] for step in self.steps() for start in starts]
+        starts = effect.sought(self, part.settings)
         return [coordinates(effect.parameters, start) for start in starts]
+
+    @property
+    def data(self) -> AxisData:
+        """The flight."""
+        return self.problem.data
 
     def lines(self, effect: Effect) -> list[float]:
         """Frequencies (Hz) at which a term swings, by the correlation with what it would cause."""

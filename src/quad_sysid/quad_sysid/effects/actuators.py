@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.curves import Curve, placed_around_zero
+from quad_sysid.effects.curves import CurveBefore, placed_around_zero
 from quad_sysid.effects.hidden import (
     RING,
     System,
@@ -133,7 +133,7 @@ SLOW_MAPS = (
         lambda *_: None, kept=lambda x, u, _, p: np.where(
             np.abs(u - x) - 0.5 > p[2], np.floor(u + 0.5), x),
         loop=recursion.in_steps, numbers=lambda _, p: (float(p[2]),),
-        kind='shape', variant='steps', stepped=True,
+        kind='shape', variant='steps',
         physics='motors take their command in whole steps, with hysteresis',
         excite='slow small commands',
     ),
@@ -277,7 +277,7 @@ class ThrustCurve(Propellers):
         return bent * away**2, 2.0 * bent * away
 
 
-class MotorCurve(Propellers, Curve):
+class MotorCurve(Propellers, CurveBefore):
     """The slope of thrust over command is a smooth curve, of all motors or of one."""
 
     def __init__(self, smoothness: str, *motors: int) -> None:
@@ -314,7 +314,9 @@ class MotorCurve(Propellers, Curve):
 
         def thrust(m: FloatArray) -> FloatArray:
             inside = np.clip(m, knots[0], knots[-1])
-            into = np.stack([np.clip(inside - a, 0.0, b) for a, b in zip(knots, width, strict=False)])
+            into = np.stack([
+                np.clip(inside - a, 0.0, b) for a, b in zip(knots, width, strict=False)
+            ])
             areas = np.tensordot(slopes[:-1], into, 1) + np.tensordot(bends, into**2, 1)
             return areas + np.interp(m, knots, slopes) * (m - inside)
 
@@ -454,7 +456,7 @@ def _asymmetric(variant: str, *motors: int, each: bool = True) -> Effect:
     )
 
 
-class HasteCurve(Curve):
+class HasteCurve(CurveBefore):
     """The lag of all motors follows how far each has to go, its command less its speed.
 
     A smooth curve of the logarithm of a factor.

@@ -25,6 +25,7 @@ from quad_sysid.model.effect import (
     Spec,
     per_unit,
     required,
+    size_of_term,
 )
 
 SLOW_MOVES = 0.01
@@ -88,7 +89,7 @@ class Shape(Effect):
     """A term of the base that varies with a signal, in the words of AxisData.signal."""
 
     kind = 'shape'
-    sized_by_term = True
+    size = size_of_term
 
     def shaped(self, term: str, signal: str, how: str, *more: str) -> None:
         """Take the names that follow from term, signal and how the term follows it."""
@@ -120,7 +121,7 @@ class Smooth(Shape):
 
 
 class Curve(Smooth):
-    """One term of the base as a curve of one signal."""
+    """One term of the base as a curve of one signal: an acceleration."""
 
     def __init__(self, term: str, signal: str, smoothness: str) -> None:
         self.shaped(term, signal, smoothness)
@@ -157,24 +158,12 @@ class Curve(Smooth):
         return over_knots(x, p[: self.count], settings)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
-        if self.moves_command:
-            return None
         factor = per_unit(self.term, s, float(p[-1]))
         return factor * self._along(signal_of(s, self.signal), p, settings)
-
-    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
-        if not self.moves_command:
-            return drive
-        signal = required(s.sent) if self.signal == 'command' else signal_of(s, self.signal)
-        return replace(drive, lag=drive.lag * np.exp(self._along(signal, p, settings)))
 
     @property
     def linear(self) -> list[int]:
         return list(range(self.count))
-
-    @property
-    def moves_command(self) -> bool:
-        return self.term in ('lag', 'command', 'response')
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         more = TRANSITION.starts if self.term == 'friction' else ((),)
@@ -191,6 +180,21 @@ class Curve(Smooth):
             spec.name: (float(v) - (mean if i < self.count else 0.0), spec.unit)
             for i, (spec, v) in enumerate(zip(self.parameters, p, strict=True))
         }
+
+
+class CurveBefore(Curve):
+    """The same of what acts before the torque."""
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
+        return None
+
+
+class LagCurve(CurveBefore):
+    """The motors' lag as a curve of one signal."""
+
+    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
+        signal = required(s.sent) if self.signal == 'command' else signal_of(s, self.signal)
+        return replace(drive, lag=drive.lag * np.exp(self._along(signal, p, settings)))
 
 
 class Wandering(Shape):
@@ -251,7 +255,7 @@ CELLS = {
 """Term → the signals that it may follow."""
 
 CURVES = tuple(
-    Curve(term, signal, smoothness)
+    (LagCurve if term == 'lag' else Curve)(term, signal, smoothness)
     for term, signals in CELLS.items() for signal in signals
     for smoothness in ((*SMOOTH, *DRIFT) if signal == 'time' and term != 'friction' else SMOOTH)
 )

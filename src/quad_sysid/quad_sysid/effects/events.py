@@ -15,10 +15,12 @@ from quad_sysid.model.effect import (
     UNITS,
     Drive,
     Effect,
+    Left,
     Settings,
     Signals,
     Spec,
     per_unit,
+    size_of_term,
 )
 
 EDGE_S = 1.0
@@ -45,10 +47,21 @@ def after(s: Signals, time_s: float) -> FloatArray:
     return 0.5 * (1.0 + np.tanh((s.time - time_s) / 0.02))
 
 
+def from_lines(effect: Effect, left: Left, settings: Settings) -> Sequence[FloatArray]:
+    """Start values of what swings at the frequency of its first parameter."""
+    starts = effect.starts(left.data, settings)
+    return [np.r_[line, start[1:]] for line in left.lines(effect) for start in starts]
+
+
+def first_parameter(_: Effect, p: FloatArray) -> float:
+    """The first parameter, a frequency in Hz."""
+    return float(p[0])
+
+
 class Event(Torque):
     """A torque that begins at a time, the first parameter."""
 
-    sized_by_term = True
+    size = size_of_term
     lengths: tuple[tuple[float, ...], ...] = ((),)
     """Start values of the parameters between the time and the size."""
 
@@ -62,8 +75,6 @@ class Event(Torque):
 class Periodic(Event):
     """A term that swings; its phase differs from flight to flight."""
 
-    phased = True
-
     def __init__(self, term: str, name: str, **more: str) -> None:
         self.term, unit = term, UNITS[term]
         parameters = (
@@ -72,6 +83,8 @@ class Periodic(Event):
         )
         signals = ('time', *(['command'] if term == 'gain' else []))
         super().__init__(name, signals, parameters, self._swing, **more)
+
+    sought, repeats_hz = from_lines, first_parameter
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.zeros(3)]  # the frequency comes from what a fit leaves
@@ -103,8 +116,8 @@ class Clocked(Effect):
     kind = 'shape'
     term = 'delay'
     signals = ('command', 'time', 'history')
-    phased = True
     excite = 'a PRBS over many periods'
+    sought, repeats_hz = from_lines, first_parameter
 
     def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
         """(n,) what is added to the delay at a time (n,), both in s."""

@@ -17,7 +17,16 @@ from quad_sysid.effects.curves import SLOW_MOVES, SMOOTH, Shape, Smooth, over_kn
 from quad_sysid.effects.torques import Torque
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, Span
-from quad_sysid.model.effect import UNITS, Effect, Settings, Signals, Spec, per_unit, required
+from quad_sysid.model.effect import (
+    UNITS,
+    Effect,
+    Settings,
+    Signals,
+    Spec,
+    per_unit,
+    required,
+    size_of_term,
+)
 from quad_sysid.model.structure import BASE
 from quad_sysid.model.traced import Traced, noted
 
@@ -91,7 +100,7 @@ def along(
 def each_ahead(
     name: str, arrays: Sequence[FloatArray], numbers: Sequence[float], results: int
 ) -> FloatArray:
-    """(results, …) a compiled law of one cycle on arrays (…) of one shape, or noted (traced.py)."""
+    """(results, …) a compiled law of one cycle on arrays (…) of one shape, or it is noted."""
     if any(isinstance(x, Traced) for x in arrays):
         return np.stack(noted(name, arrays, numbers, results))
     rows = np.broadcast_arrays(*arrays)
@@ -133,9 +142,16 @@ class Linear(Torque):
         return np.tensordot(a, x, 1) + np.multiply.outer(b, self.driver(s, settings))
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
-        if self.sized_by_term:
-            return super().size(s, j, settings)
         return self.per_rate * s.rate
+
+
+class Summing(Linear):
+    """The same where the states sum up the rate."""
+
+    def seen_along(
+        self, s: Signals, followed: Callable[[FloatArray], FloatArray]
+    ) -> Signals:
+        return replace(s, rate=followed(s.rate))
 
 
 class Hysteresis(Effect):
@@ -143,7 +159,7 @@ class Hysteresis(Effect):
 
     name = 'mode:hysteresis'
     kind = 'mode'
-    sized_by_term = True
+    size = size_of_term
     signals = ('rate', 'history')
     states = 1
     parameters = (
@@ -204,7 +220,7 @@ class Load(Effect):
 
     kind = 'mode'
     states = 2
-    sized_by_term = True
+    size = size_of_term
 
     def __init__(self, moved: str) -> None:
         self.moved = moved
@@ -269,7 +285,7 @@ class Yielding(Effect):
     name = 'mode:yielding'
     kind = 'mode'
     states = 1
-    sized_by_term = True
+    size = size_of_term
 
     def __init__(self, moved: str) -> None:
         self.moved = self.variant = moved
@@ -337,6 +353,7 @@ class Response(Linear):
     """A torque of hidden states that the drive moves."""
 
     free = True
+    size = size_of_term
 
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
         return s.drive
@@ -546,7 +563,7 @@ def _laguerre(p: FloatArray) -> System:
 
 
 HIDDEN: tuple[Effect, ...] = (
-    Linear(
+    Summing(
         'mode:slow_state', ('rate', 'history'),
         (
             Spec('time_constant', 's', spread=1.2, centre=math.log(0.5), log=True,
@@ -554,19 +571,19 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('stiffness', 'rad/s² per rad'),
         ),
         lambda s, p: -p[1] * required(s.hidden)[0], system=_relaxing, states=1, per_rate=0.5,
-        integrates=True, excite='a PRBS and slow steps of the angle',
+        excite='a PRBS and slow steps of the angle',
         physics="-k x, x' = rate - x / tau: a spring on a damper, a load that relaxes",
     ),
     # in free flight an accelerometer does not see the tilt, so the measured orientation is wrong;
     # the true angle turns the aircraft, and the rate's integral gives it over the memory
-    Linear(
+    Summing(
         'pendulum_stiffness', ('rate', 'history'),
         (
             Spec('memory', 's', spread=0.7, centre=math.log(30.0), log=True, starts=(15.0, 60.0)),
             Spec('stiffness', 'rad/s² per rad'),
         ),
         lambda s, p: -p[1] * np.sin(required(s.hidden)[0]), system=_relaxing, states=1,
-        per_rate=0.5, kind='named', variant='from the rate', integrates=True,
+        per_rate=0.5, kind='named', variant='from the rate',
         excite='large slow angles: a square wave of long period, a slow chirp',
         physics="-k sin(x), x' = rate - x / memory: centre of mass off the axis",
     ),
@@ -595,7 +612,7 @@ HIDDEN: tuple[Effect, ...] = (
             *(Spec(f'c{i}', UNITS['gain']) for i in range(LAGUERRE)),
         ),
         lambda s, p: np.tensordot(p[1:], required(s.hidden), 1), system=_laguerre, states=LAGUERRE,
-        term='gain', sized_by_term=True,
+        term='gain',
         physics='sum of c_i x_i, Laguerre states of the drive: any linear response to it',
         excite='a PRBS long enough for the slowest response',
     ),

@@ -13,7 +13,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import System, along, followed, step_of
 from quad_sysid.effects.torques import Row
 from quad_sysid.model.data import AxisData, Span
-from quad_sysid.model.effect import Settings, Signals, required
+from quad_sysid.model.effect import Left, Settings, Signals, required
 
 SLOPING = 0.05
 """Share of a step over which one level gives way to the next."""
@@ -96,6 +96,10 @@ class Steps(Kept):
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.floor(self.mapped(s, p) + 0.5)
+
+    def sought(self, left: Left, settings: Settings) -> Sequence[FloatArray]:
+        starts = self.starts(left.data, settings)
+        return [np.r_[step, start[2:]] for step in left.steps() for start in starts]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         x, kept = self.mapped(s, p), required(s.hidden)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,7 +40,6 @@ class Surface(Shape, Linear):
         self.second = second.removeprefix('past ')
         self.states = int(second != self.second)
         self.signals = (first, self.second, *(('history',) * self.states))
-        self.integrates = second == 'past rate'
         lag = Spec('time_constant', 's', spread=1.0, centre=math.log(0.2), log=True,
                    starts=(0.05, 0.2, 0.8))
         self.parameters = (
@@ -59,6 +59,11 @@ class Surface(Shape, Linear):
                 return f'{name} hardly moves during training'
             settings[place] = (0.5 * float(low + high), 0.5 * float(high - low))
         return settings
+
+    def seen_along(
+        self, s: Signals, followed: Callable[[FloatArray], FloatArray]
+    ) -> Signals:
+        return replace(s, rate=followed(s.rate)) if self.second == 'rate' else s
 
     def driver(self, s: Signals, settings: Settings) -> FloatArray:
         return _in_half_ranges(signal_of(s, self.second), settings['second'])

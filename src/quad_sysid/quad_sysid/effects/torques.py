@@ -109,7 +109,7 @@ TORQUES: tuple[Effect, ...] = (
         ),
         lambda s, p: p[1] * np.cos(p[0] * required(s.angle))
         + p[2] * np.sin(p[0] * required(s.angle)),
-        kind='shape', variant='periodic', sized_by_term=True,
+        kind='shape', variant='periodic', size=lambda s, *_: per_unit('torque', s),
         physics='C cos(n angle) + S sin(n angle): wells at equal angles, as of magnets or teeth',
         excite='slow motion over a large range of angles',
     ),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +131,8 @@ class Problem:
         kept = np.zeros(self.data.rate.size, bool)
         for first in firsts:
             kept[index[first : first + length]] = True
-        return Problem(self.data, [run for span in self.spans for run in finite_runs(kept, span)])
+        spans = tuple(run for span in self.spans for run in finite_runs(kept, span))
+        return Problem(replace(self.data, train=spans), spans)
 
     def blocks(self, length_s: float) -> NDArray[np.int64]:
         """(rows,) number of the block of each row: unbroken, of this length at most."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 
@@ -76,15 +76,15 @@ class Ladder:
     @property
     def negligible(self) -> bool:
         """Whether what the base misses is small beside the motion and beside the gyro's noise."""
-        projection, runs = self.projection, self.projection.goal.size
-        missed = np.sqrt(self.rungs[0].model.total / runs)
-        noise = noise_of(projection.reference).measured_rms
-        return bool(self.predicts_pct >= 100.0 * (1.0 - NEGLIGIBLE) and missed < noise)
+        if self.predicts_pct < 100.0 * (1.0 - NEGLIGIBLE):
+            return False
+        missed = np.sqrt(self.rungs[0].model.total / self.projection.goal.size)
+        return bool(missed < noise_of(self.projection.reference).measured_rms)
 
     @property
     def answer(self) -> int:
         """The lowest rung that explains EXPLAINS; 0 where the base misses next to nothing."""
-        if len(self.rungs) == 1 or self.negligible:
+        if len(self.rungs) == 1:
             return 0
         enough = (i for i, rung in enumerate(self.rungs) if rung.explains_pct >= EXPLAINS)
         return next(enough, len(self.rungs) - 1)
@@ -99,7 +99,7 @@ def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
     if not ladder.answer:
         return ladder
     blocks, reproducible = _resampled(problem, found, ladder)
-    return Ladder(ladder.projection, ladder.rungs, blocks, reproducible, ladder.predicts_pct)
+    return replace(ladder, blocks=blocks, reproducible=reproducible)
 
 
 def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) -> Ladder:
@@ -117,16 +117,20 @@ def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) 
     lowest = projection.project(plain, begun.theta)
     whole, rungs = lowest.total, [Rung(lowest, 0.0)]
     predicts = 100.0 * (1.0 - np.sqrt(min(whole / max(projection.motion, 1e-30), 1.0)))
+    ladder = Ladder(projection, (rungs[0],), predicts_pct=float(predicts))
+    if ladder.negligible:
+        return ladder
     if whole > 0.0:
-        while rungs[-1].explains_pct < EXPLAINS and len(rungs) <= MOST_RUNGS:
-            step = _next(projection, rungs[-1].model, parts, whole)
+        while rungs[-1].explains_pct < ENOUGH and len(rungs) <= MOST_RUNGS:
+            finer = rungs[-1].explains_pct >= EXPLAINS  # what the reference has, no more causes
+            step = _next(projection, rungs[-1].model, () if finer else parts, whole)
             if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
                 break
             rungs.append(Rung(step, 100.0 * (1.0 - step.total / whole)))
         if rungs[-1].explains_pct < ENOUGH:
             finest = projection.ordered(reference.structure)
             rungs.append(Rung(finest, 100.0))
-    return Ladder(projection, tuple(rungs), predicts_pct=float(predicts))
+    return replace(ladder, rungs=tuple(rungs))
 
 
 def _next(projection: Projection, model: Projected, parts: Sequence[Part],
@@ -144,7 +148,7 @@ def _next(projection: Projection, model: Projected, parts: Sequence[Part],
             if part.effect.kind in kinds
         ])
         best = min(tried, key=lambda one: one.total, default=None)
-        if best is not None and best.total <= (1.0 - 0.01 * EXPLAINS) * whole:
+        if best is not None and best.total <= (1.0 - 0.01 * EXPLAINS) * whole < model.total:
             break
     if best is None:
         return None
@@ -154,6 +158,8 @@ def _next(projection: Projection, model: Projected, parts: Sequence[Part],
     first = min(named, key=lambda one: one.total, default=best)
     alike = [one for one in (named or [best]) if _added(one).name == _added(first).name]
     plainest = min(alike, key=lambda one: (len(_added(one).parameters), one.total))
+    if plainest.total <= 0.0:  # the reference itself
+        return plainest
     return projection.project(plainest.structure, plainest.theta)
 
 
@@ -197,7 +203,7 @@ def _hopeful(projection: Projection, model: Projected,
     for part in parts:
         effect = part.effect
         if effect.kind == 'named' and effect.label not in have and not effect.wanders \
-                and not effect.phased and not effect.stepped:
+                and type(effect).sought is Effect.sought:
             shares += _share(here, part, q, left)
     best: dict[str, tuple[float, Part, FloatArray]] = {}
     for one in sorted(shares, key=lambda one: -one[0]):

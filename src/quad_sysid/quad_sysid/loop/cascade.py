@@ -43,8 +43,11 @@ ELSEWHERE = {
     'output_filter_hz': 'rate.output_filter_hz',
 }
 """The same of what only other firmware has."""
-NOTCH = {'notch_hz': 'sensor.notch_1_hz', 'notch_bandwidth_hz': 'sensor.notch_1_bandwidth_hz'}
-"""Field of CascadeGains → the contract's name of what all axes share."""
+NOTCH = {'d_notch_hz': 'rate.d_notch_hz', 'd_notch_bandwidth_hz': 'rate.d_notch_bandwidth_hz'}
+"""Field of CascadeGains → the contract's name of what all axes share. Notches on the gyro lie
+before the logged rate: they are in the identified lag and delay."""
+HIGHEST = 0.45
+"""Upper edge of a notch, in cycles per control cycle, from which the firmware leaves it out."""
 
 Dynamics = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Discrete (a, b, c, d) of a controller from (measured rate, angle) to u at reference 0."""
@@ -80,9 +83,9 @@ class CascadeGains:
     """Of the error of the rate."""
     output_filter_hz: float = 0.0
     """Of u, before its limit."""
-    notch_hz: float = 0.0
-    """Centre of a notch in the measured rate, Hz; 0: none."""
-    notch_bandwidth_hz: float = 0.0
+    d_notch_hz: float = 0.0
+    """Centre of a notch before D, Hz; 0: none."""
+    d_notch_bandwidth_hz: float = 0.0
     d_on_error: bool = False
     """Whether D acts on the filtered error, not on the measured rate."""
 
@@ -147,26 +150,24 @@ class CascadeGains:
         late, turns = behind(numbers.error_weight), (1.0 - back) / dt
         error = (self.rate_kp + self.rate_ki / turns) * late
         derivative = self.rate_kd * turns * behind(numbers.d_weight)
+        if numbers.notch < 1.0:
+            turn = numbers.notch_turn * back
+            derivative = derivative * (numbers.notch * (1.0 + back**2) + turn) / (
+                1.0 + turn + numbers.notch_keep * back**2)
         if self.d_on_error:
             error = error + derivative * late
         rate = error if self.d_on_error else error + derivative
         angle = self.angle_kp * behind(numbers.target_weight) * (error + self.kff)
-        if numbers.notch < 1.0:
-            turn = numbers.notch_turn * back
-            rate = rate * (numbers.notch * (1.0 + back**2) + turn) / (
-                1.0 + turn + numbers.notch_keep * back**2)
         return np.stack([-rate, -angle]) * behind(numbers.output_weight)
 
     def constants(self, dt: float) -> kernels.Constants:
         """The numbers of the compiled controller, with a control cycle of dt s."""
-        notch, turn, keep = 1.0, 0.0, 0.0
-        if 0.0 < self.notch_hz < 0.5 / dt and self.notch_bandwidth_hz > 0.0:
-            w = 2.0 * np.pi * self.notch_hz * dt
-            narrow = np.sin(w) * self.notch_bandwidth_hz / (2.0 * self.notch_hz)
-            notch, turn = 1.0 / (1.0 + narrow), -2.0 * np.cos(w) / (1.0 + narrow)
-            keep = (1.0 - narrow) / (1.0 + narrow)
+        hz, width, notch = self.d_notch_hz, self.d_notch_bandwidth_hz, 1.0
+        if hz > 0.0 and width > 0.0 and (hz + 0.5 * width) * dt < HIGHEST:
+            notch = 1.0 / (1.0 + np.tan(np.pi * width * dt))
         known = vars(self) | {
-            'dt': dt, 'notch': notch, 'notch_turn': turn, 'notch_keep': keep,
+            'dt': dt, 'notch': notch, 'notch_turn': -2.0 * notch * np.cos(2.0 * np.pi * hz * dt),
+            'notch_keep': 2.0 * notch - 1.0,
             **{f'{name}_weight': weight_of(getattr(self, f'{name}_filter_hz'), dt)
                for name in ('d', 'target', 'error', 'output')},
         }

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Memory as Warming
 from quad_sysid.estimate.stored import fitted_of, part_of, plant_of
 from quad_sysid.loop.plant import LATE_S, Flying, around, plant_like
@@ -47,7 +47,7 @@ class Placed:
         effect = self.effect
         if not set(effect.signals) <= HERE:
             return OTHER_AXES
-        if effect.phased and effect.term == 'torque':
+        if effect.repeats_hz(self.p) and effect.term == 'torque':
             return 'it is a disturbance, whatever the loop does'
         if effect.wanders and effect.term != 'gain':
             return BY_ITSELF
@@ -117,12 +117,14 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
     Raises BadInputError for effects that are not known and parameters that are not finite.
     """
     inside = _inside(model)
-    flying = [one for one in inside if not one.effect.phased and not one.effect.wanders]
+    flying = [one for one in inside
+              if not one.effect.repeats_hz(one.p) and not one.effect.wanders]
     p = np.array([model.value(spec.name) for spec in BASE])
-    at = _usual(model, inside) | (moved or {})
+    at = {**_usual(model, inside), **(moved or {})}
     p[0] *= schedule_factor(model, (moved or {}).get('battery'))
     p[2] = max(0.0, p[2]) + sum(
-        one.effect.longest_s(one.p) for one in inside if one.effect.phased and one.p[0] < SLOW_HZ
+        one.effect.longest_s(one.p) for one in inside
+        if 0.0 < one.effect.repeats_hz(one.p) < SLOW_HZ
     )
     return plant_like(
         model.axis, np.concatenate([p, *(one.p for one in flying)]), model.dt,
@@ -154,7 +156,7 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
         effect = one.effect
         if effect.term != 'gain' or effect.moves_command:
             continue
-        if effect.phased:
+        if effect.repeats_hz(one.p):
             size = float(np.hypot(*one.p[1:3]))
             factors = np.array([1.0 - size, 1.0 + size])
         elif effect.wanders:

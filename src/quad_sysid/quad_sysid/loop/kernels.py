@@ -1,4 +1,4 @@
-"""Compiled inner loops of the closed loop: one control cycle, and the plant's own list of operations.
+"""Compiled inner loops of the closed loop: a control cycle, and a plant's list of operations.
 
 Only arithmetic on arrays; simulation.py says what the numbers mean, model/traced.py the list.
 """
@@ -39,7 +39,7 @@ class Constants(NamedTuple):
     error_weight: float
     output_weight: float
     notch: float
-    """b0 of the notch, whose b2 is the same; 1: there is none."""
+    """b0 of the notch before D, whose b2 is the same; 1: there is none."""
     notch_turn: float
     """Its b1 and a1."""
     notch_keep: float
@@ -98,11 +98,6 @@ def filtered(memory: FloatArray, which: int, x: float, weight: float) -> float:
 def control(gains: Constants, memory: FloatArray, reference: float, angle: float, rate: float,
             added: float) -> tuple[float, float]:
     """One cycle of C1/C2: (rate reference, u). `added` is a rate excitation; memory (MEMORY,)."""
-    if gains.notch < 1.0:
-        seen = gains.notch * rate + memory[NOTCH]
-        memory[NOTCH] = gains.notch_turn * (rate - seen) + memory[NOTCH + 1]
-        memory[NOTCH + 1] = gains.notch * rate - gains.notch_keep * seen
-        rate = seen
     wanted = gains.angle_kp * (reference - angle)
     wanted = min(max(wanted, -gains.rate_limit), gains.rate_limit) + added
     target = filtered(memory, TARGET, wanted, gains.target_weight)
@@ -110,6 +105,11 @@ def control(gains: Constants, memory: FloatArray, reference: float, angle: float
     total = memory[INTEGRAL] + gains.rate_ki * error * gains.dt
     memory[INTEGRAL] = min(max(total, -gains.integrator_limit), gains.integrator_limit)
     now = -error if gains.d_on_error > 0.0 else rate
+    if gains.notch < 1.0:
+        seen = gains.notch * now + memory[NOTCH]
+        memory[NOTCH] = gains.notch_turn * (now - seen) + memory[NOTCH + 1]
+        memory[NOTCH + 1] = gains.notch * now - gains.notch_keep * seen
+        now = seen
     slope = (now - memory[LAST]) / gains.dt
     memory[D_PART] += gains.d_weight * (slope - memory[D_PART])
     memory[LAST] = now
@@ -210,7 +210,7 @@ def operate(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, b
 @inner
 def before(line: FloatArray, newest: int, channel: int, age: float) -> float:
     """The command that was sent so many cycles ago, linear between two; `line` (d, c) turns."""
-    whole = int(math.floor(age))
+    whole = math.floor(age)
     new = line[(newest + whole) % line.shape[0], channel]
     share = age - whole
     if share > 0.0:
@@ -272,7 +272,9 @@ def fly(gains: Constants, at: Places, code: IntArray, more: IntArray, tables: Fl
     control, rate reference.
     """
     memory, shown, angle_shown, newest = np.zeros(MEMORY), first[0], first[1], 0
-    memory[LAST] = 0.0 if gains.d_on_error > 0.0 else shown
+    if gains.d_on_error == 0.0:
+        memory[LAST] = shown
+        memory[NOTCH] = memory[NOTCH + 1] = (1.0 - gains.notch) * shown
     for k in range(signals.shape[1]):
         rate = shown + signals[1, k]
         angle = angle_shown + lead * rate

@@ -17,9 +17,10 @@ import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Linear
+from quad_sysid.effects.likeness import LinearChannels, LinearMap, LinearTorque
 from quad_sysid.effects.maps import Following
 from quad_sysid.loop.plant import Flying
-from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Settings, Signals, required
+from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Signals, required
 from quad_sysid.model.structure import Structure
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -103,81 +104,6 @@ def _many(around: Signals, n: int, sent: FloatArray) -> Signals:
     return replace(around.at(np.zeros(n, dtype=np.int64)), sent=sent)
 
 
-# ---- effects that are linear
-
-
-class Linearised(Effect):
-    """x' = a x + b inputs, and c x + d inputs is what it gives."""
-
-    name = 'linear'
-
-    def __init__(self, states: int, rows: FloatArray, rest: FloatArray) -> None:
-        """`rows` (states + outputs, states + inputs); rest (states,)."""
-        self.states, self.rows, self.rest = states, rows, rest
-
-    def inputs(self, s: Signals) -> FloatArray:
-        """(inputs, …) what moves it."""
-        raise NotImplementedError
-
-    def _all(self, s: Signals, x: FloatArray | None) -> FloatArray:
-        inputs = self.inputs(s)
-        away = [] if x is None else [x - self.rest.reshape(-1, *[1] * (x.ndim - 1))]
-        return np.tensordot(self.rows, np.concatenate([*away, inputs]), 1)
-
-    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return np.repeat(self.rest[:, None], s.time.size, axis=1)
-
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        return self._all(s, x)[: self.states] + self.rest[:, None]
-
-    def given(self, s: Signals) -> FloatArray:
-        """(outputs, …) what it gives."""
-        return self._all(s, s.hidden if self.states else None)[self.states :]
-
-
-class LinearTorque(Linearised):
-    """A torque of rate, angle, drive and the drive's change."""
-
-    signals = ('rate',)
-
-    def inputs(self, s: Signals) -> FloatArray:
-        return np.stack([s.rate, required(s.angle), s.drive, s.change])
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.given(s)[0]
-
-
-class LinearMap(Linearised):
-    """What becomes of the command."""
-
-    def inputs(self, s: Signals) -> FloatArray:
-        return required(s.sent)[None]
-
-    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.given(s)[0]
-
-
-class LinearChannels(Effect):
-    """What becomes of the axis' command, and of those of the motors, in channels with their lags.
-
-    It stands first and sees the command as it was sent.
-    """
-
-    name = 'linear'
-
-    def __init__(self, slopes: FloatArray, drive: Drive) -> None:
-        """`slopes` (c, 2) of each channel over the mapped command and over that of the motors."""
-        self.slopes, self.drive = slopes, drive
-
-    def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
-        commands = self.slopes @ np.stack([drive.commands[0], required(s.sent)])
-        lag = np.repeat(self.drive.lag, commands.shape[1], axis=1)
-        return replace(drive, commands=commands, row=self.drive.row, lag=lag,
-                       factors=np.zeros((1, 2, 6)))
-
-
 def linear(flying: Flying, level: Level) -> Flying:
     """The same with each effect's linear likeness in motion of these amplitudes."""
     plant = flying.plant
@@ -185,7 +111,8 @@ def linear(flying: Flying, level: Level) -> Flying:
         Part(_torque(flying, part, p, level)) for part, p in plant.pushing
     )]
     p = np.r_[plant.p[:4], 0.0]
-    return replace(flying, plant=replace(plant, structure=Structure(tuple(parts)), p=p))
+    one = replace(plant, structure=Structure(tuple(parts)), p=p, rounds=1)
+    return replace(flying, plant=one)
 
 
 def linear_part(flying: Flying) -> Flying:
@@ -281,6 +208,8 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
 def _commands(flying: Flying, size: float) -> list[Part]:
     """The likeness of all that acts before the torque."""
     plant, dt = flying.plant, flying.dt
+    if not plant.sending:
+        return []
     several = any(part.effect.states for part, _ in plant.sending)
     w = 2.0 * np.pi
     n = _length(dt, w, several)

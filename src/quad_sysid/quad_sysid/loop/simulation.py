@@ -1,8 +1,7 @@
 """The closed loop over time: the cascade around a Plant or a polynomial model.
 
-The plant's own laws, noted once as operations on numbers (model/traced.py), run in compiled code; a
-law that cannot be noted runs in Python, cycle by cycle. The controller is that of cascade.py with
-its limits.
+The plant's own laws, noted once as operations on numbers (model/traced.py), run in compiled code;
+one that cannot be noted runs in Python, cycle by cycle. The controller is that of kernels.py.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel
 from quad_sysid.model.effect import Signals, required
 from quad_sysid.model.plant import Plant, State, Turning
-from quad_sysid.model.traced import Listing, Traced, Untraceable
+from quad_sysid.model.traced import Listing, Untraceable
 
 GIVEN = ('throttle', 'battery_v', 'time', 'other_rates', 'other_commands', 'other_angles')
 """Fields of Signals that are known of a cycle whatever the loop does."""
@@ -240,7 +239,9 @@ def _in_python(now: Stepping, gains: CascadeGains, signals: FloatArray,
     """The same cycle by cycle."""
     numbers, still = gains.constants(now.flying.dt), now.flying.around.time.size == 1
     memory, out, u = np.zeros((1, kernels.MEMORY)), np.zeros((4, signals.shape[1])), np.zeros(1)
-    memory[:, kernels.LAST] = 0.0 if gains.d_on_error else now.rate
+    if not gains.d_on_error:
+        memory[:, kernels.LAST] = now.rate
+        memory[:, kernels.NOTCH :] = (1.0 - numbers.notch) * now.rate
     for k, (wanted, noise, push, at_rate, at_control) in enumerate(signals.T):
         rate = now.rate + noise
         angle = now.angle + lead * rate

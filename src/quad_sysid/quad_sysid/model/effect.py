@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,6 +179,23 @@ class Drive:
         object.__setattr__(self, 'factors', np.concatenate([self.factors, more]))
 
 
+class Left(Protocol):
+    """What a fit leaves."""
+
+    @property
+    def data(self) -> AxisData:
+        """The flight."""
+        ...
+
+    def lines(self, effect: Effect) -> Sequence[float]:
+        """Frequencies (Hz) at which the effect's term swings."""
+        ...
+
+    def steps(self) -> Sequence[FloatArray]:
+        """Steps in which motors may take their commands, each with one level."""
+        ...
+
+
 class Effect:
     """A physical effect that the base lacks; a subclass changes command, motors or torque."""
 
@@ -203,24 +220,12 @@ class Effect:
     states: int = 0
     """Number of hidden states, which `advance` drives by the signals; of what acts on single
     motors, of each."""
-    integrates: bool = False
-    """Whether its hidden states sum up the rate."""
     free: bool = False
     """Whether its form is free, as that of a curve: it describes what no law of the list says."""
     wanders: bool = False
     """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
     (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero
     without it."""
-    sized_by_term: bool = False
-    """Whether a unit of a parameter without a spread counts as one of the term it changes,
-    wherever the other parameters are."""
-    phased: bool = False
-    """Whether it swings at its first parameter's frequency (Hz), whose start comes from lines in
-    what a fit leaves; each flight has its own phase, which `elsewhere` takes."""
-
-    stepped: bool = False
-    """Whether its parameters are a step of the motors' commands and a level, which are sought as a
-    sawtooth over the commands in what a fit leaves."""
 
     def prepare(self, data: AxisData) -> Settings | str:
         """Settings from the training data, or a text: why it cannot be tested on them."""
@@ -248,8 +253,6 @@ class Effect:
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         """Acceleration per unit of a parameter without a spread, the others at their centre."""
-        if self.sized_by_term:
-            return per_unit(self.term, s)
         return self.columns(s, self.centre(), [j], settings)[:, 0]
 
     def columns(
@@ -266,6 +269,17 @@ class Effect:
             spec.starts or (at,) for spec, at in zip(self.parameters, self.centre(), strict=True)
         ]
         return [np.array(values) for values in itertools.product(*grid)]
+
+    def sought(self, left: Left, settings: Settings) -> Sequence[FloatArray]:
+        """Start values where a fit leaves something, by default `starts`."""
+        return self.starts(left.data, settings)
+
+    def repeats_hz(self, p: FloatArray) -> float:
+        """Frequency at which it repeats itself, Hz; 0: it does not.
+
+        Each flight has its own phase, which `elsewhere` takes.
+        """
+        return 0.0
 
     def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
         """Name → (value, unit) as a report shows the parameters."""
@@ -295,6 +309,15 @@ class Effect:
     ) -> FloatArray:
         """(states, …) hidden states a cycle of s.dt later, for signals held over it."""
         raise NotImplementedError
+
+    def seen_along(
+        self, s: Signals, followed: Callable[[FloatArray], FloatArray]
+    ) -> Signals:
+        """The signals that move its hidden states along a flight.
+
+        followed: a rate (n,) as it follows the measured one where that is slow.
+        """
+        return s
 
     def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray | None:
         """(states, n) where each stretch begins, by its first sample; None: as `begin` says."""
@@ -352,6 +375,12 @@ class Effect:
     def label(self) -> str:
         """Name and variant."""
         return f'{self.name}/{self.variant}' if self.variant else self.name
+
+
+def size_of_term(effect: Effect, s: Signals, j: int, settings: Settings) -> FloatArray:
+    """The `size` of an effect whose parameters count as one of the term it changes."""
+    del j, settings
+    return per_unit(effect.term, s)
 
 
 @dataclass(frozen=True)

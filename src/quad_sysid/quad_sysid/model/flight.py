@@ -221,23 +221,26 @@ class Flight:
         )
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
-        """The signals with the effect's hidden states, (states, n), if any, along the flight.
-
-        What integrates the rate takes the measured one at all that is slower than FOLLOWED_S:
-        errors of an estimated rate would add up in it, and from one pass to the next.
-        """
+        """The signals with the effect's hidden states, (states, n), if any, along the flight."""
         effect, data = part.effect, self.data
         if not effect.states:
             return s
-        rate = s.rate
-        if effect.integrates and not self.sensor.derived:
-            dt, grid = data.dt, np.arange(rate.size)
-            keep = math.exp(-dt / FOLLOWED_S)
-            away = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
-            rate = rate + lfilter([1.0 - keep], [1.0, -keep], away)
-        seen = replace(s, rate=rate)
+        seen = effect.seen_along(s, self.followed)
         begun = effect.begun(data, p, part.settings)
         return replace(s, hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
+
+    def followed(self, rate: FloatArray) -> FloatArray:
+        """A rate (n,) that is the measured one in all that is slower than FOLLOWED_S.
+
+        In what integrates the rate errors of an estimate would add up, from pass to pass too.
+        """
+        if self.sensor.derived:
+            return rate
+        dt, grid = self.data.dt, np.arange(rate.size)
+        keep = math.exp(-dt / FOLLOWED_S)
+        away = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
+        out: FloatArray = rate + lfilter([1.0 - keep], [1.0, -keep], away)
+        return out
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""

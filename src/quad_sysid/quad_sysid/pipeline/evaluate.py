@@ -21,7 +21,7 @@ from quad_sysid.estimate.stored import Stored, completed, plant_of
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import usual_signals
 from quad_sysid.loop.plant import Flying
-from quad_sysid.loop.simulation import LoopResponse, simulate_cascade
+from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, Outside
 from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.model.effect import Signals
@@ -172,7 +172,8 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
             theta[where] = np.where(logs, np.log(np.where(logs, other, 1.0)), other)
         return replace(model, theta=theta)
 
-    if not any(part.effect.phased for part in structure.parts):
+    p = structure.natural(model.theta)
+    if not any(part.effect.repeats_hz(p[where]) for part, where in structure.placed()):
         return at(0.0)
 
     def unlikely(phase: float) -> float:
@@ -219,19 +220,13 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
                                 remedy='give battery_v in V, one value for each command')
     n = command.size
-    return flown(model, command, x0, _like(throttle, n, 'throttle', usual['throttle']),
-                 _like(battery_v, n, 'battery_v', usual['battery'])).rate
-
-
-def flown(model: AxisModel, command: FloatArray, x0: tuple[float, float], throttle: FloatArray,
-          battery_v: FloatArray) -> LoopResponse:
-    """Rate and angle for commands at a throttle and a voltage, (n,) each; x0 as in simulate."""
-    n = command.size
     flying = Flying(plant_of(model), Signals.at_rest(
-        model.dt * (np.arange(n, dtype=np.float64) + 0.5), throttle, battery_v=battery_v,
+        model.dt * (np.arange(n, dtype=np.float64) + 0.5),
+        _like(throttle, n, 'throttle', usual['throttle']),
+        battery_v=_like(battery_v, n, 'battery_v', usual['battery']),
     ), settled=False)
     return simulate_cascade(flying, NO_GAINS, np.zeros(n), model.dt, control_excitation=command,
-                            initial_rate=x0[0], initial_angle=x0[1])
+                            initial_rate=x0[0], initial_angle=x0[1]).rate
 
 
 def _like(value: npt.ArrayLike | None, n: int, name: str, usual: float) -> FloatArray:

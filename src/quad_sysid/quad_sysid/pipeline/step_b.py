@@ -15,8 +15,8 @@ from quad_sysid.blackbox import Model, fit_percent
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import rms
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.estimate.stored import plant_of
+from quad_sysid.loop.cascade import NOTCH, CascadeGains
 from quad_sysid.loop.from_model import schedule_factor
 from quad_sysid.loop.plant import Flying
 from quad_sysid.loop.simulation import angle_lead_s, simulate_cascade, simulate_polynomial_cascade
@@ -93,7 +93,8 @@ def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
 def gains_of_axis(record: Record, axis: str, time_s: float) -> dict[str, float]:
     """The known gains and constants of one axis at a time."""
     known = record.gains_at(time_s)
-    return {name: value for name, value in known.items() if name.startswith(f'{axis}.')}
+    return {name: value for name, value in known.items()
+            if name.startswith(f'{axis}.') or name in NOTCH.values()}
 
 
 def _flown(record: Record, axis: str, values: Mapping[str, float], segments: Sequence[Segment],

@@ -20,7 +20,7 @@ from quad_sysid.effects.events import Clocked
 from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData, Span
-from quad_sysid.model.effect import Drive, Part, Signals, per_unit
+from quad_sysid.model.effect import Drive, Effect, Part, Signals, per_unit
 
 HALF_SPAN_S = 0.025
 BLOCK_S = 1.0
@@ -144,7 +144,7 @@ def weight(along: Along, part: Part) -> FloatArray | None:
 
 def variable(along: Along, part: Part) -> FloatArray:
     """(n,) of the signal that an effect is drawn over, at the samples."""
-    if part.effect.phased:
+    if _frequency(along, part):
         time = along.at_samples(along.signals.time)
         return (2.0 * np.pi * _frequency(along, part) * time) % (2.0 * np.pi)
     name = _name(part)
@@ -168,10 +168,12 @@ def _which(part: Part) -> int:
 
 
 def _frequency(along: Along, part: Part) -> float:
+    """At which an effect repeats itself, Hz; 0: it does not."""
+    if type(part.effect).repeats_hz is Effect.repeats_hz:
+        return 0.0
     index = along.fit.structure.parts.index(part)
     where = along.fit.structure.slices()[index]
-    told = part.effect.readable(along.fit.values[where], part.settings)
-    return told['frequency'][0]
+    return part.effect.repeats_hz(along.fit.values[where])
 
 
 def is_curve(part: Part) -> bool:
@@ -224,7 +226,7 @@ def _picture(along: Along, part: Part) -> tuple[Evaluate, FloatArray, str]:
     x = np.linspace(low, high, GRID)
     name = _name(part)
     over = f'{_named(along.problem.data, part, name)}, {OVER[name][1]}'
-    if part.effect.phased:
+    if _frequency(along, part):
         x, over = np.linspace(0.0, 2.0 * np.pi, GRID), 'phase, rad'
     if isinstance(part.effect, Clocked):
         return partial(part.effect.later, x / (2.0 * np.pi * _frequency(along, part))), x, over
@@ -248,7 +250,7 @@ def _named(data: AxisData, part: Part, name: str) -> str:
 
 def _moved(along: Along, part: Part, name: str, x: FloatArray) -> dict[str, Any]:
     """The signals that go over `x` (GRID,) with the variable that an effect is drawn over."""
-    if part.effect.phased:
+    if _frequency(along, part):
         return {'time': x / (2.0 * np.pi * _frequency(along, part))}
     if name.startswith('product'):
         return {'other_rates': (x, np.ones(x.size))}

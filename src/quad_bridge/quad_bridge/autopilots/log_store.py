@@ -1,0 +1,64 @@
+"""Where fetched logs lie: a `.part` that grows, which is the log once it is whole. Files only."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from quad_bridge.autopilots.log_fetch import Part
+from quad_bridge.wire.frames import LogEntry
+
+
+class LogStore:
+    """The folder of one aircraft's logs; `run` takes the work of writing, in order."""
+
+    def __init__(self, run: Callable[[Callable[[], object]], None]) -> None:
+        self.fault = ''  # what keeps a log from being written
+        self.whole = ''  # path of the log that is complete; set from the thread that writes
+        self._run = run
+        self._folder, self._suffix = Path(), '.log'
+        self._name = ''
+
+    def open(self, folder: Path, suffix: str) -> None:
+        """From now on this aircraft's."""
+        self._folder, self._suffix = folder, suffix
+
+    def there(self, entry: LogEntry) -> int:
+        """How many bytes of this log are there already."""
+        self._name, self.fault, self.whole = f'log_{entry.number}_{entry.size}', '', ''
+        for path in (self._path(self._suffix), self._path('.part')):
+            with contextlib.suppress(OSError):
+                return path.stat().st_size
+        return 0
+
+    def write(self, parts: Iterable[Part]) -> None:
+        """Append what has come in order."""
+        path, taken = self._path('.part'), [*parts]
+        if taken:
+            self._run(lambda: self._append(path, taken))
+
+    def finish(self) -> None:
+        """Give the log its name, once all is written."""
+        part, whole = self._path('.part'), self._path(self._suffix)
+        self._run(lambda: self._rename(part, whole))
+
+    def _path(self, suffix: str) -> Path:
+        return self._folder / f'{self._name}{suffix}'
+
+    def _append(self, path: Path, parts: list[Part]) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open('r+b' if path.exists() else 'w+b') as file:
+                file.seek(parts[0].offset)
+                file.write(b''.join(part.data for part in parts))
+        except OSError as error:
+            self.fault = f'{path}: cannot be written ({error.strerror})'
+
+    def _rename(self, part: Path, whole: Path) -> None:
+        try:
+            if not whole.exists():
+                part.replace(whole)
+            self.whole = str(whole)
+        except OSError as error:
+            self.fault = f'{part}: cannot be renamed ({error.strerror})'

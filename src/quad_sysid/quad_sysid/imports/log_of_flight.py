@@ -1,0 +1,113 @@
+"""An autopilot's own log beside the bag of the same flight → one bag that has the best of both.
+
+From the log come the rates and commands at the controller's rate, and what SYSTEM ID injected;
+from the bag the gains in force, the schedule's segments, and ROS time. `offset_s` turns the log's
+time into ROS time, as the bridge says it on /aircraft/log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quad_sysid.bags import read_bag
+from quad_sysid.bags.writer import BagOptions, write_bag
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.errors import BadInputError
+from quad_sysid.imports.formats import format_of, read_log
+from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.to_bag import record_of
+from quad_sysid.record import GainChange, Record
+
+STREAMS = (
+    'rates', 'control', 'motors', 'speeds', 'armed', 'angles', 'acceleration',
+    'attitude_setpoint', 'rate_setpoint', 'battery', 'rates_before', 'd_term',
+)
+"""Fields of a ForeignLog that are streams."""
+LEAST_S = 5.0
+"""A log that has less of the bag's flight is of another flight."""
+SLACK_S = 1.0
+
+
+def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
+    """Write the bag of both. Raises BadInputError where they are not of one flight."""
+    live = read_bag(bag)
+    kind = format_of(log)
+    if kind is None:
+        raise BadInputError(str(log), 'is no log of an autopilot that is known',
+                            remedy='quad-sysid import says which are')
+    read = read_log(log, kind)
+    start_s = 1e-9 * live.t0_ns
+    end_s = start_s + live.n * live.dt
+    cut = _cut(read, start_s - offset_s - SLACK_S, end_s - offset_s + SLACK_S)
+    if cut.rates is None or len(cut.rates.time_s) < 2 or np.ptp(cut.rates.time_s) < LEAST_S:
+        raise BadInputError(str(log), 'is of another flight than the bag', str(bag),
+                            'the newest log was fetched; take the right one from the card')
+    record, told, warnings = record_of(cut)
+    t0_ns = round(1e9 * (float(cut.rates.time_s[0]) + offset_s))
+    after_s = 1e-9 * (t0_ns - live.t0_ns)  # of the log's first sample, in the bag
+    record = replace(record, t0_ns=t0_ns)
+    if not read.experiments:
+        record = _with_schedule(record, live, after_s)
+    record = _in_our_unit(record, live.gains, read.gains, after_s)
+    notes = {'log of the autopilot': log.name, 'bag of the flight': bag.name,
+             'import clock': '; '.join(told), 'import check': '; '.join(warnings)}
+    return write_bag(record, out, BagOptions(notes=notes))
+
+
+def _cut(log: ForeignLog, begin_s: float, end_s: float) -> ForeignLog:
+    """The part of a log between two of its times."""
+    def part(stream: Stream | None) -> Stream | None:
+        if stream is None:
+            return None
+        keep = (stream.time_s >= begin_s) & (stream.time_s <= end_s)
+        return Stream(stream.time_s[keep], stream.values[keep])
+
+    cut: dict[str, Any] = {name: part(getattr(log, name)) for name in STREAMS}
+    return replace(log, **cut)
+
+
+def _with_schedule(record: Record, live: Record, after_s: float) -> Record:
+    """The bag's segments and excitation on the log's samples."""
+    segments = tuple(
+        replace(s, start_s=max(s.start_s - after_s, 0.0), end_s=s.end_s - after_s)
+        for s in live.segments if s.end_s - after_s > 0.0
+    )
+    excitation = None
+    if live.excitation is not None:
+        rows = np.floor((record.time_s + after_s) / live.dt).astype(int)
+        inside = (rows >= 0) & (rows < live.n)
+        excitation = np.full((record.n, 3), np.nan)
+        excitation[inside] = live.excitation[rows[inside]]
+    return replace(record, segments=segments, excitation=excitation)
+
+
+def _in_our_unit(
+    record: Record, live: tuple[GainChange, ...], own: Mapping[str, float], after_s: float
+) -> Record:
+    """The log's control in the unit of the bag's gains, and these gains.
+
+    Where the log holds the controller's own outputs, they are in its unit; the gains are the same
+    in both, so what they differ by is the factor.
+    """
+    if not live:
+        return record
+    gains = tuple(GainChange(max(g.time_s - after_s, 0.0), g.values) for g in live)
+    if record.motors is not None or record.desaturation != 'none':
+        return replace(record, gains=gains)
+    known = live[-1].values
+    scale: FloatArray = np.ones(4)
+    for i, axis in enumerate(AXES, 1):
+        name = f'{axis}.rate.kp'
+        if known.get(name, 0.0) > 0.0 and own.get(name, 0.0) > 0.0:
+            scale[i] = known[name] / own[name]
+    wrench = None if record.wrench is None else record.wrench * scale
+    excitation = record.excitation
+    if excitation is not None and any(s.injection == 'control' for s in record.segments):
+        excitation = excitation * scale[1:]
+    return replace(record, control=record.control * scale, wrench=wrench, gains=gains,
+                   excitation=excitation)

@@ -1,0 +1,58 @@
+"""Logs as PX4 (.ulg) and ArduPilot (.bin) write them, of columns."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+
+def ulog(path: Path, topics: dict, parameters: dict, drop=()) -> Path:
+    """Topics {name: {field: values}}, floats or arrays of them, all but the first, timestamp."""
+    out = [b'ULog\x01\x12\x35\x01' + struct.pack('<Q', 1)]
+
+    def add(kind: bytes, body: bytes) -> None:
+        out.append(struct.pack('<Hc', len(body), kind) + body)
+
+    for name, columns in topics.items():
+        fields = ''.join(
+            f'float{f"[{v.shape[1]}]" if v.ndim > 1 else ""} {f};'
+            for f, v in columns.items() if f != 'timestamp'
+        )
+        add(b'F', f'{name}:uint64_t timestamp;{fields}'.encode())
+    for name, value in parameters.items():
+        key = f'{"int32_t" if isinstance(value, int) else "float"} {name}'.encode()
+        form = '<i' if isinstance(value, int) else '<f'
+        add(b'P', bytes([len(key)]) + key + struct.pack(form, value))
+    for i, name in enumerate(topics):
+        add(b'A', struct.pack('<BH', 0, i) + name.encode())
+    for i, columns in enumerate(topics.values()):
+        stamps = columns['timestamp']
+        values = np.column_stack([v for f, v in columns.items() if f != 'timestamp'])
+        for k, stamp in enumerate(stamps):
+            if k not in drop:
+                body = struct.pack('<HQ', i, int(stamp)) + values[k].astype('<f4').tobytes()
+                add(b'D', body)
+    path.write_bytes(b''.join(out))
+    return path
+
+
+def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
+    """Messages {name: (labels, rows)}; the first label is TimeUS."""
+    out = []
+
+    def fmt(number, name, form, labels, length):
+        out.append(struct.pack('<3BBB4s16s64s', 0xA3, 0x95, 128, number, length, name.encode(),
+                               form.encode(), ','.join(labels).encode()))
+
+    fmt(128, 'FMT', 'BBnNZ', ('Type', 'Length', 'Name', 'Format', 'Columns'), 89)
+    fmt(129, 'PARM', 'QNf', ('TimeUS', 'Name', 'Value'), 3 + 8 + 16 + 4)
+    for name, value in parameters.items():
+        out.append(struct.pack('<3BQ16sf', 0xA3, 0x95, 129, 1, name.encode(), value))
+    for number, (name, (labels, rows)) in enumerate(messages.items(), 130):
+        fmt(number, name, 'Q' + 'f' * (len(labels) - 1), labels, 11 + 4 * (len(labels) - 1))
+        form = f'<3BQ{len(labels) - 1}f'
+        out += [struct.pack(form, 0xA3, 0x95, number, int(row[0]), *row[1:]) for row in rows]
+    path.write_bytes(b''.join(out))
+    return path

@@ -1,0 +1,506 @@
+"""Stand-ins of PX4 and ArduPilot that fly: the virtual aircraft's physics, the autopilot's law.
+
+One class for both; what differs in flight is written beside each other here, by their sources: the
+rate loops and their filters, OFFBOARD, GUIDED_NOGPS and SYSTEM ID with their conditions, PARAM_SET
+and what it refuses in silence, logs and LOG_REQUEST_*. ~/arm takes off and lands. Vectors are FRD.
+As a program (`python flying_autopilot.py px4 --link tty --lockstep SOCKET`) it is a process on a
+pseudo-terminal that owns simulated time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import signal
+import sys
+import tempfile
+import time
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from autopilot_logs import dataflash, ulog
+from autopilots import ACCEPTED, ARDUPILOT, ARM_DISARM, INERTIAL, PX4, Autopilot, mav
+from flight_controller import Pty
+
+from quad_bridge.craft import X
+from quad_bridge.lockstep import START_NS, WIRE
+from quad_bridge.virtual import hil
+from quad_bridge.virtual.aircraft import Aircraft
+from quad_bridge.virtual.line import Line
+from quad_bridge.virtual.physics import POSITION, QUAT, RATES, VELOCITY
+from quad_bridge.virtual.profile import load_profile
+from quad_bridge.virtual.receiver import Channels
+
+DT = 0.004
+DO_SET_MODE, REQUEST_MESSAGE, DENIED = 176, 512, 2
+FRD = np.array([1.0, -1.0, -1.0])
+OUTPUTS = (2, 0, 3, 1)
+"""Motor of the contract's frame (rear left, rear right, front right, front left) at each output of
+PX4's Quad X: front right, rear left, front left, rear right."""
+OFFBOARD, POSITION_MODE, STABILIZED = 6 << 16, 3 << 16, 7 << 16
+STABILIZE, LOITER, GUIDED_NOGPS, SYSTEM_ID = 0, 5, 20, 25
+LIFT_OFF_S = 0.5
+PX4_GAINS = {
+    **{f'MC_{a}_P': 6.5 for a in ('ROLL', 'PITCH')}, 'MC_YAW_P': 2.8,
+    **{f'MC_{a}RATE_{n}': v for a in ('ROLL', 'PITCH')
+       for n, v in {'P': 0.05, 'I': 0.05, 'D': 0.0008, 'FF': 0.0, 'K': 1.0, 'MAX': 220.0}.items()},
+    **{f'MC_YAWRATE_{n}': v for n, v in {'P': 0.2, 'I': 0.1, 'D': 0.0, 'FF': 0.0, 'K': 1.0,
+                                         'MAX': 200.0}.items()},
+    **{f'MC_{a}R_INT_LIM': 0.3 for a in 'RPY'},
+    'IMU_GYRO_CUTOFF': 40.0, 'IMU_DGYRO_CUTOFF': 30.0, 'IMU_GYRO_NF0_FRQ': 0.0,
+    'IMU_GYRO_NF0_BW': 20.0, 'MC_YAW_TQ_CUTOFF': 0.0, 'SDLOG_PROFILE': 25, 'MC_AIRMODE': 0,
+    'MAV_FWDEXTSP': 1, 'COM_RC_OVERRIDE': 1, 'COM_OF_LOSS_T': 1.0, 'IMU_INTEG_RATE': 200,
+}  # fmt: skip
+ARDUPILOT_GAINS = {
+    **{f'ATC_ANG_{a}_P': 4.5 for a in ('RLL', 'PIT', 'YAW')},
+    **{f'ATC_RAT_{a}_{n}': v for a in ('RLL', 'PIT')
+       for n, v in {'P': 0.07, 'I': 0.07, 'D': 0.001, 'FF': 0.0, 'IMAX': 0.5, 'FLTT': 20.0,
+                    'FLTE': 0.0, 'FLTD': 20.0}.items()},
+    **{f'ATC_RAT_YAW_{n}': v for n, v in {'P': 0.3, 'I': 0.03, 'D': 0.0, 'FF': 0.0, 'IMAX': 0.5,
+                                          'FLTT': 20.0, 'FLTE': 2.5, 'FLTD': 0.0}.items()},
+    **{f'ATC_RATE_{a}_MAX': 0.0 for a in 'RPY'},
+    'INS_GYRO_FILTER': 40.0, 'MOT_THST_EXPO': 0.0, 'MOT_THST_HOVER': 0.4, 'MOT_SPIN_MIN': 0.0,
+    'MOT_SPIN_MAX': 1.0, 'LOG_BITMASK': 180223, 'FLTMODE_GCSBLOCK': 0, 'SCHED_LOOP_RATE': 400,
+    'SID_AXIS': 0, 'SID_MAGNITUDE': 15.0, 'SID_F_START_HZ': 0.5, 'SID_F_STOP_HZ': 40.0,
+    'SID_T_FADE_IN': 15.0, 'SID_T_REC': 70.0, 'SID_T_FADE_OUT': 2.0,
+}  # fmt: skip
+MORE_HZ = {'ATTITUDE_TARGET': 100.0, 'LOCAL_POSITION_NED': 50.0, 'EXTENDED_SYS_STATE': 10.0}
+FLYING_PX4 = replace(PX4, most_hz={**PX4.most_hz, **MORE_HZ}, parameters={
+    **PX4.parameters, **PX4_GAINS,
+    **{f'CA_ROTOR{k}_{axis}': v for k, place in enumerate(((1, 1), (-1, -1), (1, -1), (-1, 1)))
+       for axis, v in zip(('PX', 'PY'), (0.16 * place[0], 0.16 * place[1]), strict=True)},
+    **{f'CA_ROTOR{k}_KM': -0.05 if k < 2 else 0.05 for k in range(4)},  # turned: the contract's X
+})  # fmt: skip
+FLYING_ARDUPILOT = replace(ARDUPILOT, most_hz={**ARDUPILOT.most_hz, **MORE_HZ}, gauss=1.0,
+                           parameters={
+    **ARDUPILOT.parameters, **ARDUPILOT_GAINS, 'FRAME_TYPE': 18,
+})  # fmt: skip
+ARDUPILOT_OUTPUTS = (1, 2, 0, 3)  # BetaflightX, reversed: rear right, front right, rear left …
+
+
+class Low:
+    """A first-order low pass; 0 Hz is none."""
+
+    def __init__(self):
+        self.y = None
+
+    def __call__(self, x, hz):
+        if hz <= 0.0 or self.y is None:
+            self.y = x
+        else:
+            self.y = self.y + DT / (DT + 1.0 / (math.tau * hz)) * (x - self.y)
+        return self.y
+
+
+class Flying(Autopilot):
+    """See the module. `armed`, `sticks`, `parameters` and the rest may be set by a test."""
+
+    def __init__(self, kind, *, seed=1, takes_off=True, uid=0x1234, **changed):
+        super().__init__(kind, **changed)
+        self.px4 = self.kind.autopilot == 12
+        self.parameters = {n: v if isinstance(v, int) else float(np.float32(v))
+                           for n, v in self.parameters.items()}  # fmt: skip
+        profile = replace(load_profile('plain'), mount='hover')
+        self.craft = Aircraft(profile, seed=seed)
+        self.rng = np.random.default_rng(seed)
+        self.uid = uid
+        self.outputs = OUTPUTS if self.px4 else ARDUPILOT_OUTPUTS
+        self.pilot_mode = POSITION_MODE if self.px4 else STABILIZE
+        self.mode, self.armed, self.up_s = self.pilot_mode, False, -1.0
+        self.sticks = [0.0, 0.0, 0.0, 0.0]  # roll, pitch, throttle, yaw, -1..1
+        self.volts = 12.4
+        self.target, self.targets = None, deque(maxlen=200)
+        """The last SET_ATTITUDE_TARGET, and when they came."""
+        self.refused_modes = self.ignores_modes = False
+        self.written = []  # PARAM_SET as they were taken: name and value
+        self.rows, self.said = [], []  # of its log: a row per cycle; SIDS
+        self.filters = [[Low() for _ in range(5)] for _ in range(3)]
+        self.gyro = [Low(), Low()]
+        self.integral, self.before = np.zeros(3), np.zeros(3)
+        self.torque, self.motors = np.zeros(3), np.zeros(4)
+        self.rate_sp, self.att_sp, self.thrust = np.zeros(3), np.zeros(3), 0.0
+        self.heading = None
+        self.sid_s = None
+        self.injected = 0.0
+        self.log, self.log_number = b'', 1
+        self.sending = deque()
+        self.sends = 20  # LOG_DATA in a cycle
+        self.timed_us = 0  # of the last message with rates or angles
+        if takes_off:
+            self.take_off()
+
+    # Flight.
+
+    @property
+    def now_s(self):
+        return 1e-6 * (self.now_us - self.boot_us)
+
+    @property
+    def in_air(self):
+        return self.armed and self.up_s >= 0.0 and self.now_s - self.up_s > LIFT_OFF_S
+
+    def take_off(self):
+        self.armed, self.up_s, self.mode = True, self.now_s, self.pilot_mode
+        state = self.craft.machine.state
+        for first in (POSITION, VELOCITY, RATES):
+            state[first : first + 3] = 0.0
+        state[QUAT : QUAT + 4] = (1.0, 0.0, 0.0, 0.0)
+        self.rows, self.said = [], []
+
+    def land(self):
+        self.armed, self.up_s, self.mode = False, -1.0, self.pilot_mode
+        self.motors = np.zeros(4)
+        self.log = self.finished_log()
+
+    def cycle(self):
+        if self.armed:
+            self.step_physics()
+        out = super().cycle()
+        for _ in range(min(self.sends, len(self.sending))):
+            out += self.pack(self.sending.popleft())
+        return out
+
+    @property
+    def rates(self):
+        return self.craft.machine.state[RATES : RATES + 3] * FRD
+
+    @property
+    def angles(self):
+        """Roll, pitch, yaw, FRD in NED."""
+        w, x, y, z = self.craft.machine.state[QUAT : QUAT + 4]
+        roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+        pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return np.array([roll, -pitch, math.remainder(0.5 * math.pi - yaw, math.tau)])
+
+    def step_physics(self):
+        self.craft.measure(Channels())  # draws this cycle's noise
+        noisy = self.rates + 0.004 * self.rng.standard_normal(3)
+        cut = self.parameters['IMU_GYRO_CUTOFF' if self.px4 else 'INS_GYRO_FILTER']
+        self.measured = self.gyro[1](self.gyro[0](noisy, 1.5 * cut), 1.5 * cut)
+        self.follow()
+        self.control()
+        self.note_log()
+        u = np.array([self.thrust, *(self.scale * self.torque * FRD)])
+        self.motors = np.clip(X.mixer @ u, 0.0, 1.0)
+        self.craft.move(hil.Motors(0, tuple(self.motors), 0, 0, 0))
+
+    @property
+    def scale(self):
+        return np.array([math.sqrt(0.5)] * 2 + [1.0]) if self.px4 else np.full(3, 0.5)
+
+    def follow(self):
+        """What the loops are to follow in this mode: attitude or rates, and thrust."""
+        state, angles = self.craft.machine.state, self.angles
+        self.heading = angles[2] if self.heading is None else self.heading
+        held = self.craft.hover_throttle - 0.05 * state[POSITION + 2] - 0.06 * state[VELOCITY + 2]
+        self.thrust, self.rate_ff, self.rate_only = min(max(held, 0.1), 0.9), np.zeros(3), None
+        lean = np.radians(30.0) * np.array(self.sticks[:2])
+        if self.mode in {POSITION_MODE, LOITER}:
+            x, y = state[POSITION : POSITION + 2]
+            vx, vy = state[VELOCITY : VELOCITY + 2]
+            lean += np.clip([0.05 * y + 0.1 * vy, 0.05 * x + 0.1 * vx], -0.2, 0.2)
+        self.att_sp = np.array([lean[0], lean[1], self.heading])
+        fresh = self.target is not None and self.now_s - self.targets[-1] < 1.0
+        if self.mode in {OFFBOARD, GUIDED_NOGPS}:
+            if not fresh:
+                self.mode = self.pilot_mode
+                return
+            w, x, y, z = self.target.q
+            if self.target.type_mask & 7 == 7:
+                self.att_sp = np.array([
+                    math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+                    math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
+                    math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+                ])
+            else:
+                self.rate_only = np.array([self.target.body_roll_rate, self.target.body_pitch_rate,
+                                           self.target.body_yaw_rate])  # fmt: skip
+            if self.mode == OFFBOARD:
+                self.thrust = self.target.thrust
+        if self.mode == SYSTEM_ID:
+            self.system_id()
+
+    def system_id(self):
+        p, t = self.parameters, self.now_s - self.sid_s - 1.0
+        first, last = p['SID_F_START_HZ'], p['SID_F_STOP_HZ']
+        record, steady = p['SID_T_REC'], 2.0 / first
+        whole = p['SID_T_FADE_IN'] + steady + record + p['SID_T_FADE_OUT']
+        self.injected = 0.0
+        if not 0.0 < t < whole:
+            return
+        window = min(1.0, t / p['SID_T_FADE_IN'], (whole - t) / p['SID_T_FADE_OUT'])
+        if t < steady:
+            phase = math.tau * first * (t - steady)
+        else:
+            b = math.log(last / first)
+            phase = math.tau * first * record / b * (math.exp(b * (t - steady) / record) - 1.0)
+        self.injected = p['SID_MAGNITUDE'] * window * math.sin(phase)
+        axis = int(p['SID_AXIS'])
+        if 1 <= axis <= 3:
+            self.att_sp[axis - 1] += math.radians(self.injected)
+        elif 7 <= axis <= 9:
+            self.rate_ff[axis - 7] = math.radians(self.injected)
+
+    def control(self):
+        wrap = [math.remainder(v, math.tau) for v in self.att_sp - self.angles]
+        p, extra = self.parameters, np.zeros(3)
+        for i, (a, b) in enumerate(zip(('ROLL', 'PITCH', 'YAW'), ('RLL', 'PIT', 'YAW'),
+                                       strict=True)):  # fmt: skip
+            k = (lambda n, a=a: p[f'MC_{a}RATE_{n}']) if self.px4 else (
+                lambda n, b=b: p[f'ATC_RAT_{b}_{n}'])
+            angle = p[f'MC_{a}_P'] if self.px4 else p[f'ATC_ANG_{b}_P']
+            wanted = angle * wrap[i] + self.rate_ff[i]
+            most = math.radians(p[f'MC_{a}RATE_MAX']) if self.px4 else 12.0
+            wanted = min(max(wanted, -most), most)
+            if self.rate_only is not None:
+                wanted = self.rate_only[i]
+            self.rate_sp[i] = wanted
+            low, y = self.filters[i], self.measured[i]
+            if self.px4:
+                error = wanted - y
+                d = low[0]((y - self.before[i]) / DT, p['IMU_DGYRO_CUTOFF'])
+                out = k('K') * (k('P') * error - k('D') * d) + self.integral[i] + k('FF') * wanted
+                self.integral[i] += k('K') * k('I') * error * DT
+                most = p[f'MC_{a[0]}R_INT_LIM']
+                self.before[i] = y
+            else:
+                target = low[0](wanted, k('FLTT'))
+                error = low[1](target - y, k('FLTE'))
+                d = low[2]((error - self.before[i]) / DT, k('FLTD'))
+                out = k('P') * error + k('D') * d + self.integral[i] + k('FF') * target
+                self.integral[i] += k('I') * error * DT
+                most = k('IMAX')
+                self.before[i] = error
+            self.integral[i] = min(max(self.integral[i], -most), most)
+            extra[i] = out
+        if self.mode == SYSTEM_ID and 10 <= int(p['SID_AXIS']) <= 12:
+            extra[int(p['SID_AXIS']) - 10] += self.injected
+        self.torque = np.where(np.isfinite(extra), np.clip(extra, -1.0, 1.0), 0.0)
+
+    # Its log.
+
+    def note_log(self):
+        self.rows.append((self.now_us, *self.measured, *self.angles, *self.rate_sp, *self.att_sp,
+                          self.thrust, *self.torque, *self.motors, self.volts,
+                          self.injected if self.mode == SYSTEM_ID else math.nan))  # fmt: skip
+
+    def finished_log(self):
+        rows = np.array(self.rows)
+        if len(rows) < 10:
+            return b''
+        t, gyro, angle = rows[:, 0], rows[:, 1:4], rows[:, 4:7]
+        rate_sp, att_sp, thrust = rows[:, 7:10], rows[:, 10:13], rows[:, 13]
+        torque = rows[:, 14:17]
+        motors, volts, injected = rows[:, 17:21], rows[:, 21], rows[:, 22]
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / 'log'
+            if self.px4:
+                ulog(path, {
+                    'vehicle_angular_velocity': {'timestamp': t, 'xyz': gyro},
+                    'vehicle_attitude': {'timestamp': t[::2], 'q': quaternions(angle[::2])},
+                    'vehicle_attitude_setpoint': {'timestamp': t[::5],
+                                                  'q_d': quaternions(att_sp[::5])},
+                    'vehicle_rates_setpoint': {
+                        'timestamp': t[::2], **{n: rate_sp[::2, i] for i, n in
+                                                enumerate(('roll', 'pitch', 'yaw'))}},
+                    'actuator_motors': {'timestamp': t, 'control': motors[:, list(OUTPUTS)]},
+                    'vehicle_torque_setpoint': {'timestamp': t, 'xyz': torque},
+                    'vehicle_thrust_setpoint': {'timestamp': t, 'xyz': np.column_stack(
+                        [0 * t, 0 * t, -thrust])},
+                    'battery_status': {'timestamp': t[::50], 'voltage_v': volts[::50]},
+                }, self.parameters)  # fmt: skip
+            else:
+                deg = 180.0 / math.pi
+                sid = np.isfinite(injected)
+                messages = {
+                    'RATE': (('TimeUS', 'RDes', 'R', 'ROut', 'PDes', 'P', 'POut', 'YDes', 'Y',
+                              'YOut', 'ADes', 'A', 'AOut'),
+                             np.column_stack([t, *(c for i in range(3) for c in
+                                                   (deg * rate_sp[:, i], deg * gyro[:, i],
+                                                    torque[:, i])), thrust, thrust, thrust])),
+                    'ATT': (('TimeUS', 'DesRoll', 'Roll', 'DesPitch', 'Pitch', 'DesYaw', 'Yaw'),
+                            np.column_stack([t, *(c for i in range(3) for c in
+                                                  (deg * att_sp[:, i], deg * angle[:, i]))])[::5]),
+                    'BAT': (('TimeUS', 'Instance', 'Volt'),
+                            np.column_stack([t, 0 * t, volts])[::50]),
+                }  # fmt: skip
+                if sid.any():
+                    messages['SIDD'] = (('TimeUS', 'Time', 'Targ'),
+                                        np.column_stack([t, 1e-6 * t, injected])[sid])
+                    messages['SIDS'] = (('TimeUS', 'Ax', 'Mag', 'FSt', 'FSp', 'TFin', 'TC', 'TR',
+                                         'TFout'), np.array(self.said))  # fmt: skip
+                dataflash(path, messages, self.parameters)
+            return path.read_bytes()
+
+    # The line.
+
+    def message(self, name):
+        if name in INERTIAL:
+            self.timed_us = self.now_us
+        us, ms = self.now_us, self.now_us // 1000 % 2**32
+        if not hasattr(self, 'measured'):
+            self.measured = self.rates
+        state = self.craft.machine.state
+        pulses = [0] * 16
+        if name == 'SERVO_OUTPUT_RAW':
+            for k, motor in enumerate(self.outputs):
+                pulses[k] = round(1000 + 1000 * self.motors[motor])
+        place = state[POSITION : POSITION + 3], state[VELOCITY : VELOCITY + 3]
+        (e, n, u), (ve, vn, vu) = place
+        made = {
+            'ATTITUDE': lambda: mav.MAVLink_attitude_message(ms, *self.angles, *self.measured),
+            'HIGHRES_IMU': lambda: mav.MAVLink_highres_imu_message(
+                us, 0.0, 0.0, -9.81, *self.measured, 0.2, 0.1, -0.4,
+                1000.0 - u / 8.43, 0, 0, 20.0, 0x0FFF),
+            'SCALED_IMU': lambda: mav.MAVLink_scaled_imu_message(
+                ms, 0, 0, -1000, *(round(1000 * v) for v in self.measured), 200, 100, -400),
+            'SERVO_OUTPUT_RAW': lambda: mav.MAVLink_servo_output_raw_message(
+                us % 2**32, 0, *pulses[:8], *pulses[8:]),
+            'RC_CHANNELS': lambda: mav.MAVLink_rc_channels_message(
+                ms, 8, *(round(1500 + 500 * v) for v in self.sticks), 1000, 1000, 1000, 1000,
+                *([65535] * 10), 255),
+            'ATTITUDE_TARGET': lambda: mav.MAVLink_attitude_target_message(
+                ms, 0, quaternions(self.att_sp[None])[0], *self.rate_sp, self.thrust),
+            'LOCAL_POSITION_NED': lambda: mav.MAVLink_local_position_ned_message(
+                ms, n, e, -u, vn, ve, -vu),
+            'EXTENDED_SYS_STATE': lambda: mav.MAVLink_extended_sys_state_message(
+                0, 2 if self.in_air else 1),
+            'BATTERY_STATUS': lambda: mav.MAVLink_battery_status_message(
+                0, 0, 0, 2000, [round(1000 * self.volts / 3)] * 3 + [65535] * 7, 150, -1, -1, 80),
+        }  # fmt: skip
+        return made[name]() if name in made else super().message(name)
+
+    def _answers(self, message):
+        kind = message.get_type()
+        if kind == 'SET_ATTITUDE_TARGET':
+            self.target = message
+            self.targets.append(self.now_s)
+        elif kind == 'PARAM_SET':
+            yield from self._set(message)
+        elif kind == 'LOG_REQUEST_LIST':
+            if self.px4 or not self.armed:  # ArduPilot says nothing while armed
+                yield mav.MAVLink_log_entry_message(
+                    self.log_number, 1, self.log_number, 0, len(self.log))
+        elif kind == 'LOG_REQUEST_DATA' and message.id == self.log_number:
+            self.sending.clear()
+            for at in range(message.ofs, min(message.ofs + message.count, len(self.log)), 90):
+                part = self.log[at : min(at + 90, message.ofs + message.count)]
+                self.sending.append(mav.MAVLink_log_data_message(
+                    self.log_number, at, len(part), [*part, *bytes(90 - len(part))]))
+        else:
+            yield from super()._answers(message)
+
+    def _set(self, message):
+        name, value = message.param_id, message.param_value
+        old = self.parameters.get(name)
+        if old is None or (not self.px4 and not math.isfinite(value)):
+            return
+        if self.px4 and message.param_type != (6 if isinstance(old, int) else 9):
+            return  # another type gets no answer
+        new = self._integer(value) if isinstance(old, int) else value
+        self.parameters[name] = new
+        self.written.append((name, new))
+        yield self.value(name)
+
+    def _command(self, message):
+        command = message.command
+        if command == REQUEST_MESSAGE and message.param1 == 148:
+            version = (1 << 24 | 16 << 16) if self.px4 else (4 << 24 | 6 << 16)
+            self.sending.append(mav.MAVLink_autopilot_version_message(
+                0, version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, self.uid))
+            return ACCEPTED
+        if command == ARM_DISARM:
+            (self.take_off if message.param1 else self.land)()
+            return ACCEPTED
+        if command == DO_SET_MODE:
+            return self._set_mode(message)
+        return super()._command(message)
+
+    def _set_mode(self, message):
+        wanted = int(message.param2) << 16 | int(message.param3) << 24 if self.px4 else int(
+            message.param2)
+        if self.ignores_modes:
+            return ACCEPTED
+        if wanted == OFFBOARD:
+            streamed = len(self.targets) > 50 and self.now_s - self.targets[-50] < 2.0
+            if not streamed or not self.armed:
+                return DENIED
+        if wanted == SYSTEM_ID:
+            if self.mode != STABILIZE or not self.in_air or not self.parameters['SID_AXIS']:
+                return DENIED
+            self.sid_s, p = self.now_s, self.parameters
+            self.said.append((self.now_us, p['SID_AXIS'], p['SID_MAGNITUDE'], p['SID_F_START_HZ'],
+                              p['SID_F_STOP_HZ'], p['SID_T_FADE_IN'], 2 / p['SID_F_START_HZ'],
+                              p['SID_T_REC'], p['SID_T_FADE_OUT']))  # fmt: skip
+        self.mode, self.heading = wanted, None
+        return ACCEPTED
+
+
+def quaternions(angles):
+    """(n, 4) w x y z of roll, pitch, yaw (n, 3)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angles / 2).T, np.sin(angles / 2).T
+    return np.column_stack([
+        cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy,
+    ])  # fmt: skip
+
+
+# The process.
+
+
+class Told(Line):
+    """The clock of lockstep: the wire is waited for as far as messages with a time were sent."""
+
+    sent_ns = START_NS
+
+    def tell(self, now_ns):
+        self.published = {WIRE: self.sent_ns}
+        super().tell(now_ns)
+
+
+def main(argv=None):
+    """Fly behind a pseudo-terminal, in lockstep where that is asked for, until a signal."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument('kind', choices=('px4', 'ardupilot'))
+    parser.add_argument('--link', type=Path, required=True)
+    parser.add_argument('--lockstep', type=Path)
+    parser.add_argument('--hz', type=float, default=250.0)
+    given = parser.parse_args(argv)
+    kind = FLYING_PX4 if given.kind == 'px4' else FLYING_ARDUPILOT
+    most = {name: min(hz, given.hz) for name, hz in kind.most_hz.items()}
+    aircraft = Flying(kind, takes_off=False, most_hz=most, timesync_s=0.0)
+    stopped = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stopped.append(1))
+    end = Pty(given.link)
+    line = Told(given.lockstep) if given.lockstep else None
+    unsent, begun_s = bytearray(), time.monotonic()
+    try:
+        while not stopped:
+            if line is not None:
+                line.attend(0.0 if line.ready else 0.2)
+                due = line.ready
+            else:
+                due = time.monotonic() - begun_s > aircraft.now_s
+                time.sleep(0.0 if due else 0.002)
+            if due and len(unsent) < 8000:
+                unsent += aircraft.cycle()
+                if line is not None:
+                    line.sent_ns = START_NS + 1000 * aircraft.timed_us
+                    line.tell(START_NS + 1000 * aircraft.now_us)
+            if unsent:
+                del unsent[: end.write(unsent)]
+            with contextlib.suppress(OSError):
+                unsent += aircraft.receive(end.read(), 1000 * aircraft.now_us)
+    finally:
+        end.close()
+        if line is not None:
+            line.close()
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,447 @@
+"""Gains and excitation on PX4 and ArduPilot, flown by the stand-ins, in memory.
+
+The bridge's parts are joined as the node joins them; the aircraft's files lie in a folder.
+"""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from flight_controller import Line
+from flying_autopilot import (
+    FLYING_ARDUPILOT,
+    FLYING_PX4,
+    GUIDED_NOGPS,
+    LOITER,
+    OFFBOARD,
+    POSITION_MODE,
+    STABILIZE,
+    STABILIZED,
+    SYSTEM_ID,
+    Flying,
+)
+
+from quad_bridge.aircraft import Ability
+from quad_bridge.autopilots.aircraft import Connected
+from quad_bridge.autopilots.check import lines, report
+from quad_bridge.autopilots.check import main as check
+from quad_bridge.autopilots.table import ARDUPILOT, PX4, UnfitError
+from quad_bridge.errors import RefusedError
+from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.gains.history import History
+from quad_bridge.gains.update import GainSettings, GainUpdates, State
+from quad_bridge.link.autopilot import Inertial, fitted, load
+from quad_bridge.link.machine import Link
+from quad_bridge.link.parameters import encoded, number
+from quad_bridge.link.stamping import Arrived, Described, Stamped
+from quad_bridge.motor_outputs import motor_outputs
+from quad_bridge.wire import frames as f
+
+KINDS = {
+    name: replace(kind, most_hz={n: min(hz, 62.5) for n, hz in kind.most_hz.items()})
+    for name, kind in (('px4', FLYING_PX4), ('ardupilot', FLYING_ARDUPILOT))
+}
+"""At rates that a modest line carries: what is tested here is no matter of rates."""
+HOST0_NS = 5_000_000_000
+P = {'px4': 'MC_ROLLRATE_P', 'ardupilot': 'ATC_RAT_RLL_P'}
+both = pytest.mark.parametrize('name', KINDS)
+
+
+class Cockpit(Line):
+    """The bridge as the node joins it, and one of the flying stand-ins."""
+
+    def __init__(self, name, folder, *, gains=True, excitation=True, aircraft=None):
+        self.folder, self.allow = folder, (gains, excitation)
+        self.cycles, self.commands = [], []
+        super().__init__(aircraft or Flying(KINDS[name]), Link(), host0_ns=HOST0_NS)
+
+    def connect(self, link):
+        """A bridge begins; one that was there is killed."""
+        self.link = link
+        gains, excitation = self.allow
+        self.connected = Connected(
+            lambda: '', lambda: 1e-9 * self.now_ns, allow_gains=gains,
+            allow_excitation=excitation,
+        )
+        self.history = History(self.folder, lambda job: job())
+        self.updates = GainUpdates(GainSettings(folder=self.folder), self.history)
+        self.relay = ExcitationRelay(100, None, self.connected)
+        self.connected.on_change = self.changed
+        self.news = []
+        self.link.opened()
+
+    def changed(self, aircraft):
+        self.updates.use(aircraft.gains)
+        self.link.autopilot.also_hz = aircraft.kind.wants_hz
+
+    def handle(self, event):
+        now_s = 1e-9 * self.now_ns
+        if isinstance(event, Arrived):
+            self.connected.take(event.frame, now_s)
+            if isinstance(event.frame, f.ParamValue) and self.connected.has_gains:
+                self.updates.take(event.frame, now_s)
+        elif isinstance(event, Stamped):
+            self.connected.take(event.frame, now_s)
+            aircraft = self.connected.autopilot
+            if isinstance(event.frame, Inertial) and aircraft is not None:
+                cycle = aircraft.cycle(event.frame, now_s)
+                if cycle is not None:
+                    self.cycles.append(cycle)
+                    self.updates.cycle(cycle, now_s)
+        elif isinstance(event, Described):
+            outputs = motor_outputs(event.peer.autopilot, '', event.parameters)
+            self.connected.autopilot.craft = outputs.craft
+
+    def tick(self):
+        record = self.history.open(self.updates.aircraft)
+        if record is not None:
+            self.updates.know(record)
+        self.link.tick(self.now_ns)
+        self.updates.tick(1e-9 * self.now_ns)
+        self.news += [item.text for item in self.updates.news]
+        self.updates.news.clear()
+        self.poll()
+
+    def poll(self):
+        now_s = 1e-9 * self.now_ns
+        request = self.updates.poll(now_s) if self.connected.has_gains else None
+        for frame in [*([request] if request else []), *self.connected.poll(now_s)]:
+            self.link.send(frame)
+
+    # What operators and nodes do.
+
+    @property
+    def aircraft(self):
+        return self.connected.autopilot
+
+    def ask(self, **gains):
+        """Ask as ~/set_gains does; keys with _ for dots: roll_rate_kp."""
+        wanted = {name.replace('_', '.', 2): value for name, value in gains.items()}
+        fault = self.connected.cannot(Ability.GAINS)
+        if fault:
+            raise RefusedError(fault)
+        return self.updates.ask({'source': 'test', **wanted}, 1e-9 * self.now_ns)
+
+    def segment(self, **given):
+        said = {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'attitude'}
+        frame = self.relay.segment({**said, **given})
+        assert frame is None
+
+    def excite(self, seconds, size, period_s=1.0):
+        """Play a square on roll, 250 set-points a second."""
+        for k in range(round(seconds / 0.004)):
+            value = size if (k * 0.004) % period_s < period_s / 2 else -size
+            self.relay.setpoint(value, 0.0, 0.0, 1e-9 * self.now_ns)
+            self.run()
+
+    def kept(self):
+        paths = [*self.folder.glob('*/trial.json')]
+        return json.loads(paths[0].read_text()) if paths else {}
+
+
+@pytest.fixture
+def cockpit(tmp_path):
+    return lambda name, **more: Cockpit(name, tmp_path, **more)
+
+
+@pytest.fixture
+def flying(cockpit):
+    """A cockpit whose aircraft has hovered for some seconds."""
+
+    def made(name, **more):
+        there = cockpit(name, **more)
+        there.fly(5.0)
+        return there
+
+    return made
+
+
+# Gains.
+
+
+@both
+def test_gains_are_read_written_watched_and_confirmed(flying, name):
+    line = flying(name)
+    unit = 0.70711 if name == 'px4' else 0.5
+    before = line.controller.parameters[P[name]]
+    active = line.updates.active
+    assert active['roll.rate.kp'] == pytest.approx(unit * before, rel=1e-4)
+    assert active['sensor.gyro_filter_hz'] == 40.0
+    wanted = 1.6 * unit * before
+    line.ask(roll_rate_kp=wanted)
+    line.fly(2.0)
+    assert line.controller.parameters[P[name]] == pytest.approx(1.6 * before, rel=1e-5)
+    assert line.updates.state is State.WATCHING
+    assert line.kept()['trial']['good'][P[name]] == pytest.approx(before)
+    line.fly(10.0)
+    assert line.updates.state is State.IDLE
+    assert line.updates.active['roll.rate.kp'] == pytest.approx(wanted, rel=1e-4)
+    assert 'trial' not in line.kept()
+    assert any('confirmed' in text for text in line.news)
+
+
+@both
+def test_gains_that_fly_badly_go_back_within_the_watch(flying, name):
+    line = flying(name)
+    before = line.controller.parameters[P[name]] = 0.25
+    line.hear(line.controller.pack(line.controller.value(P[name])))
+    kp = line.updates.active['roll.rate.kp']  # stiff already, and far too stiff twice as large
+    line.ask(roll_rate_kp=1.9 * kp, roll_angle_kp=11.9)
+    line.fly(8.0)
+    assert line.updates.rollbacks == 1
+    assert line.controller.parameters[P[name]] == before
+    assert abs(line.controller.angles[0]) < 0.6
+
+
+@both
+@pytest.mark.parametrize('attempts', [4, pytest.param(20, marks=pytest.mark.long)])
+def test_a_bridge_that_was_killed_puts_the_last_good_set_back(flying, name, attempts):
+    """However far the trial was, on a clean line and a noisy one: all of them."""
+    line = flying(name)
+    table = PX4 if name == 'px4' else ARDUPILOT
+    before = {n: line.controller.parameters[n] for n in table.written}
+
+    kp = line.updates.active['roll.rate.kp']
+    for attempt in range(attempts):
+        line.ask(roll_rate_kp=1.5 * kp, roll_rate_ki=1.2 * line.updates.active['roll.rate.ki'])
+        line.run(1 + 220 * attempt // attempts)
+        line.connect(Link())  # -9: nothing is said to the aircraft, nothing of the old one is left
+        line.down.noise = line.up.noise = 5e-4 * (attempt % 2)
+        line.fly(5.0)
+        now = {n: line.controller.parameters[n] for n in before}
+        assert now == before, attempt
+        assert 'trial' not in line.kept()
+        assert line.updates.state is State.IDLE
+
+
+@both
+def test_a_ground_station_that_writes_during_a_trial_ends_it(flying, name):
+    line = flying(name)
+    before, kp = line.controller.parameters[P[name]], line.updates.active['roll.rate.kp']
+    line.ask(roll_rate_kp=1.4 * kp)
+    line.fly(3.0)
+    line.controller.parameters[P[name]] = 0.9 * before  # over another line: nobody tells us
+    line.fly(2.0)
+    assert line.controller.parameters[P[name]] == before
+    assert 'by another program' in ' '.join(line.news)
+    line.controller.parameters[P[name]] = other = 0.8 * before
+    line.hear(line.controller.pack(line.controller.value(P[name])))
+    line.fly(2.0)
+    assert line.controller.parameters[P[name]] == other  # is left alone
+    with pytest.raises(RefusedError, match='until the bridge starts anew'):
+        line.ask(roll_rate_kp=kp)
+
+
+def test_what_a_parameter_may_not_be_is_refused_in_one_line():
+    known = {'MC_ROLLRATE_K': 1.0}
+    with pytest.raises(UnfitError, match=r'rate.kd: MC_ROLLRATE_D must lie in 0 .. 0.01: f'):
+        PX4.parameters({'roll.rate.kd': 0.04}, known, (0.7, 0.7, 1.0))
+    with pytest.raises(UnfitError, match='no such gain that can be set'):
+        ARDUPILOT.parameters({'roll.lqr.share': 0.5}, {}, (0.5, 0.5, 0.5))
+    lowest = PX4.parameters({f'{a}.rate.d_filter_hz': v for a, v in
+                             (('roll', 40.0), ('pitch', 30.0))}, {}, (1.0, 1.0, 1.0))
+    assert lowest == {'IMU_DGYRO_CUTOFF': 30.0}
+
+
+@pytest.mark.parametrize('bytewise', [True, False])
+@pytest.mark.parametrize(('value', 'kind'), [(25, 6), (-3, 6), (200, 1), (-7, 2), (0.125, 9)])
+def test_numbers_come_back_in_both_encodings(bytewise, value, kind):
+    sent = encoded(value, kind, bytewise=bytewise)
+    assert number(f.ParamValue('X', sent, 1, 0, kind), bytewise=bytewise) == value
+
+
+# Excitation.
+
+
+def test_px4_is_excited_on_one_axis_and_given_back(flying):
+    line = flying('px4')
+    height = line.aircraft.flight.height_m
+    line.segment()
+    line.excite(10.0, 0.1)
+    assert line.controller.mode == OFFBOARD
+    applied = [c.excitation for c in line.cycles[-500:]]
+    assert max(a[0] for a in applied) == pytest.approx(0.1, abs=1e-3)
+    assert min(a[0] for a in applied) == pytest.approx(-0.1, abs=1e-3)
+    assert all(a[1] == a[2] == 0.0 for a in applied)
+    assert all(c.injection == f.Injection.ATTITUDE for c in line.cycles[-500:])
+    assert abs(line.aircraft.flight.height_m - height) < 0.5
+    line.relay.segment({'segment': 'idle', 'signal': 'none'})
+    line.fly(3.0)
+    assert line.controller.mode == POSITION_MODE
+    assert line.aircraft.takeover.phase.value == 'idle'
+    assert not line.aircraft.cannot(Ability.EXCITE)
+
+
+@pytest.mark.parametrize('name', ['px4', 'ardupilot'])
+def test_rates_are_excited_too_and_stale_fields_do_no_harm(flying, name):
+    line = flying(name)
+    line.segment(injection='rate', axis='pitch')
+    for k in range(2000):
+        value = 0.3 if k % 100 < 50 else -0.3
+        line.relay.setpoint(0.0, value, 0.0, 1e-9 * line.now_ns)
+        line.run()
+    assert line.controller.mode == (OFFBOARD if name == 'px4' else GUIDED_NOGPS)
+    applied = [c.excitation[1] for c in line.cycles[-300:]]
+    assert max(map(abs, applied)) == pytest.approx(0.3, abs=0.02)
+    assert abs(line.controller.angles[:2]).max() < 0.3
+
+
+def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
+    line = flying('ardupilot')
+    before = dict(line.controller.parameters)
+    line.segment(signal='chirp', injection='control', axis='pitch', amplitude=0.06, f0_hz=0.8,
+                 f1_hz=8.0, sweep_s=20.0, ramp_s=0.5)
+    line.fly(10.0)
+    assert line.controller.mode == SYSTEM_ID
+    assert line.controller.parameters['SID_AXIS'] == 11
+    assert line.controller.parameters['SID_MAGNITUDE'] == pytest.approx(0.06)
+    assert any(c.flags & f.Flag.EXCITATION for c in line.cycles[-10:])
+    line.fly(10.5)
+    assert line.controller.mode == STABILIZE  # by itself, within the segment
+    line.relay.segment({'segment': 'idle', 'signal': 'none'})
+    line.fly(2.0)
+    assert line.controller.parameters == before
+    assert max(abs(row[-1]) for row in line.controller.rows if math.isfinite(row[-1])) > 0.05
+    assert line.aircraft.cannot(Ability.EXCITE) == ''
+
+
+def without(*names):
+    """These messages come no more."""
+    def act(line):
+        line.controller.edit = lambda name, message: None if name in names else message
+
+    return act
+
+
+def in_mode(px4, ardupilot):
+    return lambda line: setattr(line.controller, 'mode', px4 if line.controller.px4 else ardupilot)
+
+
+REFUSED = {
+    'a mode of its own': (in_mode(4 << 16, 6), 'the pilot must fly'),
+    'no hover': (lambda line: line.controller.sticks.__setitem__(0, 0.9), 'does not hover'),
+    'no sticks': (without('RC_CHANNELS', 'RC_CHANNELS_RAW'), 'sticks'),
+    'just taken off': (lambda line: line.controller.take_off(), 'it'),
+    'a stale line': (without('ATTITUDE', 'HIGHRES_IMU', 'SCALED_IMU'), 'the line is stale'),
+    'on the ground': (lambda line: line.controller.land(), 'not armed'),
+}
+"""What is done before, and the words of the refusal."""
+
+
+def refuses(line, words):
+    """Neither a gain nor an excitation reaches it."""
+    line.controller.written.clear()
+    line.controller.target, mode = None, line.controller.mode
+    with pytest.raises(RefusedError, match=words):
+        line.ask(roll_rate_kp=0.05)
+    line.segment()
+    assert words in line.connected.cannot(Ability.EXCITE)
+    line.excite(1.6, 0.1)
+    assert not line.controller.written
+    assert line.controller.mode == mode
+    assert line.controller.target is None
+
+
+@both
+def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, name):
+    """The table of refusals, each tried on both."""
+    line = flying(name, gains=False, excitation=False)
+    refuses(line, 'are off: read docs/')
+    line.allow = (True, True)
+    line.connect(Link())
+    for case, (act, words) in REFUSED.items():
+        line.controller.take_off()
+        line.fly(4.5)
+        assert line.connected.cannot(Ability.GAINS) == '', case
+        act(line)
+        line.fly(1.3 if case != 'just taken off' else 0.3)
+        refuses(line, words)
+        line.controller.edit, line.controller.sticks[0] = lambda _, message: message, 0.0
+
+
+ABORTS = {
+    'sticks': (lambda line: line.controller.sticks.__setitem__(1, 0.4), 'sticks were moved'),
+    'lean': (lambda line: state(line).__setitem__(0, 25.0), 'beyond 35'),
+    'height': (lambda line: state(line).__setitem__(19, 2.5), 'of height'),
+    'place': (lambda line: state(line).__setitem__(17, 6.0), 'from where'),
+    'battery': (lambda line: setattr(line.controller, 'volts', 11.0), 'battery has sunk'),
+    'another mode': (in_mode(STABILIZED, LOITER), 'was left by'),
+    'schedule silent': (None, 'schedule has been silent'),
+    'receiver': (without('RC_CHANNELS', 'RC_CHANNELS_RAW'), 'not received'),
+}
+
+
+def state(line):
+    return line.controller.craft.machine.state
+
+
+@both
+def test_a_segment_in_flight_ends_and_the_mode_is_given_back(flying, name):
+    """The aborts, each tried on both."""
+    line = flying(name)
+    own = OFFBOARD if name == 'px4' else GUIDED_NOGPS
+    for case, (act, words) in ABORTS.items():
+        line.segment()
+        line.excite(3.2, 0.05)
+        assert line.controller.mode == own, case
+        if act is not None:
+            act(line)
+        for _ in range(400):
+            if act is not None:
+                line.relay.setpoint(0.05, 0.0, 0.0, 1e-9 * line.now_ns)
+            line.run()
+        chosen = (STABILIZED if name == 'px4' else LOITER) if case == 'another mode' else None
+        assert line.controller.mode == (chosen or line.controller.pilot_mode), case
+        assert words in line.connected.cannot(Ability.EXCITE)
+        assert line.cycles[-1].flags & f.Flag.EXCITATION_REFUSED
+        line.controller.edit = lambda _, message: message
+        line.controller.sticks[1], line.controller.volts = 0.0, 12.4
+        line.controller.take_off()
+        line.relay.segment({'segment': 'idle', 'signal': 'none'})
+        line.fly(4.0)
+
+
+def test_a_wrong_chirp_is_refused_in_one_line(flying):
+    line = flying('ardupilot')
+    chirp = {'signal': 'chirp', 'amplitude': 0.05, 'f0_hz': 1.0, 'f1_hz': 8.0,
+             'sweep_s': 20.0, 'injection': 'control'}
+    for given, words in (
+        ({'amplitude': 0.9}, 'SID_MAGNITUDE must be at most 0.25'),
+        ({'sweep_s': 6.0}, 'too short for SYSTEM ID'),
+        ({'f0_hz': math.nan}, 'needs f0_hz'),
+        ({'axis': 'nose'}, "axis 'nose'"),
+    ):
+        line.segment(**{**chirp, **given})
+        line.fly(0.5)
+        assert words in line.connected.cannot(Ability.EXCITE)
+        assert line.controller.parameters['SID_MAGNITUDE'] == 15.0
+
+
+@both
+def test_one_screen_says_whether_it_is_ready_and_what_to_change(flying, name):
+    line = flying(name)
+    log = 'SDLOG_PROFILE' if name == 'px4' else 'LOG_BITMASK'
+    line.aircraft.gains.values[log] = 1.0
+    screen = lines(report(line.aircraft, line.link, line.now_ns, 'an X frame'))
+    assert len(screen) <= 25
+    assert screen[0] == f'  ok  {"PX4 1.16" if name == "px4" else "ArduPilot 4.6"}, an X frame'
+    bad = [row for row in screen if row.startswith('  --')]
+    assert any(row.startswith(f'  --  log {log} 1: set {log} to') for row in bad)
+    assert any('Hz: below 100 Hz identify from the log' in row
+               for row in bad)  # fmt: skip
+    assert screen[-1] == f'{len(bad)} of {len(screen) - 1} lines are not as they should be'
+
+
+def test_nobody_there_is_one_line(capsys, tmp_path):
+    assert check(['--check', '--port', str(tmp_path / 'tty'), '--seconds', '0.1']) == 2
+    assert 'port not there: plug it in' in capsys.readouterr().err
+
+
+def test_a_slow_line_gets_what_it_can_carry():
+    wanted = {'HIGHRES_IMU': 250.0, 'ATTITUDE': 250.0, 'SERVO_OUTPUT_RAW': 250.0,
+              'ATTITUDE_TARGET': 50.0, 'RC_CHANNELS': 50.0}
+    assert fitted(wanted, math.inf) == wanted
+    rates = fitted(wanted, 0.8 * 5760)
+    assert load(rates) <= 0.8 * 5760
+    assert min(rates.values()) >= 10.0

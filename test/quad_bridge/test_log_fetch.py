@@ -1,0 +1,82 @@
+"""An autopilot's log over a line that loses: whole, in order, resumed, and never fetched twice."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quad_bridge.autopilots.log_fetch import CHUNK, TRIES, LogFetch, Phase
+from quad_bridge.autopilots.log_store import LogStore
+from quad_bridge.wire import frames as f
+
+LOG = np.random.default_rng(3).bytes(150_007)
+
+
+class Card:
+    """An autopilot with one log; `says` is the size that its list gives."""
+
+    def __init__(self, log=LOG, says=None, loses=0.0):
+        self.log, self.says, self.loses = log, says or len(log), loses
+        self.random, self.sent = np.random.default_rng(1), 0
+
+    def answers(self, asked):
+        if isinstance(asked, f.LogRequestList):
+            yield f.LogEntry(7, 3, 7, 0, self.says)
+        elif isinstance(asked, f.LogRequestData):
+            for at in range(asked.offset, min(asked.offset + asked.count, len(self.log)), CHUNK):
+                end = min(at + CHUNK, asked.offset + asked.count)
+                self.sent += 1
+                if self.random.random() >= self.loses:
+                    yield f.LogData(7, at, self.log[at:end])
+
+
+def fetched(card, folder, until=None):
+    """Fetch until it is done or `until` says so; the file's path, and the fetch."""
+    store = LogStore(lambda job: job())
+    store.open(folder, '.bin')
+    fetch = LogFetch()
+    fetch.there = store.there
+    fetch.begin(0.0, wait_s=0.0)
+    now_s = 0.0
+    while fetch.busy and not (until and until(fetch)):
+        now_s += 0.02
+        for asked in fetch.poll(now_s):
+            for answer in card.answers(asked):
+                fetch.take(answer, now_s)
+        parts, fetch.parts = fetch.parts, []
+        store.write(parts)
+    if fetch.phase is Phase.DONE:
+        store.finish()
+    return store, fetch
+
+
+@pytest.mark.parametrize('says', [None, len(LOG) + 4000])
+def test_whole_through_losses(tmp_path, says):
+    store, fetch = fetched(Card(loses=0.2, says=says), tmp_path)
+    assert fetch.phase is Phase.DONE
+    assert Path(store.whole).read_bytes() == LOG
+
+
+def test_resumed_after_a_lost_line_and_not_fetched_again(tmp_path):
+    _, half = fetched(Card(), tmp_path, until=lambda fetch: fetch.got > 60_000)
+    assert half.phase is Phase.FETCHING
+    card = Card()
+    store, _ = fetched(card, tmp_path)
+    assert card.sent < 1 + (len(LOG) - 60_000) / CHUNK
+    assert Path(store.whole).read_bytes() == LOG
+    card = Card()
+    store, again = fetched(card, tmp_path)
+    assert (again.phase, card.sent) == (Phase.DONE, 0)
+    assert store.whole.endswith(f'log_7_{len(LOG)}.bin')
+
+
+def test_a_silent_autopilot_and_an_empty_card_are_told():
+    fetch = LogFetch()
+    fetch.begin(0.0)
+    for k in range(2 * TRIES):
+        fetch.poll(2.0 * k)
+    assert fetch.reason == f'no answer to {TRIES} requests'
+    fetch.begin(0.0, wait_s=0.0)
+    fetch.poll(0.1)
+    fetch.take(f.LogEntry(0, 0, 0, 0, 0), 0.2)
+    assert fetch.reason == 'the autopilot has no log'
