@@ -149,8 +149,9 @@ class AxisData:
         return np.arange(self.rate.size, dtype=np.float64) * self.dt
 
     def training(self, signal: FloatArray) -> FloatArray:
-        """The samples of a signal (n, …) in the training segments."""
-        return np.concatenate([signal[a:b] for a, b in self.train])
+        """The samples of a signal (n, …) in the training segments; without any, in the others."""
+        spans = self.train or self.validation or self.stretches
+        return np.concatenate([signal[a:b] for a, b in spans])
 
     def measures(self, which: int) -> bool:
         """Whether another axis' rate (0 or 1) is known throughout training."""
