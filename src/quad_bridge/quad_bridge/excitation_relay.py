@@ -56,7 +56,8 @@ class ExcitationRelay:
         elif Flag.STALE_SETPOINT in flags:
             level, text = WARN, 'the STM32 dropped a stale set-point'
         elif Flag.EXCITATION_REFUSED in flags:
-            level, text = WARN, 'the STM32 refuses the excitation'
+            why = self._aircraft.cannot(Ability.EXCITE)
+            level, text = WARN, why or 'the STM32 refuses the excitation'
         elif disabled:
             text = f'disabled: {disabled}'
         return Status('excitation', level, text, values)

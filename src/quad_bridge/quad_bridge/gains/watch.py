@@ -138,8 +138,8 @@ class GainWatch:
         if len(self._held) == self._every:
             rows = np.array(self._held)
             self._held.clear()
-            rates, injected = np.add.reduce(rows[:, :2]) / self._every
-            self._step(rates, injected, *rows[-1, 2:])
+            means = np.add.reduce(rows[:, :2]) / self._every
+            self._step(means[0], means[1], *rows[-1, 2:])
 
     def _step(
         self, rates: FloatArray, injected: FloatArray, attitude: FloatArray, reference: FloatArray

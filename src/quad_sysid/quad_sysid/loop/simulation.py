@@ -88,12 +88,14 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program | None:
     except Untraceable:
         return None
     code, split = listing.needed([int(i) for one in at.values() for i in one], split)
-    number = {'given': 0, 'sent': int(sent.at[0]), 'push': int(push.at[0]),
-              'motors': int(motors.at[0, 0]), 'state': first, 'split': split}
+    number: dict[str, Any] = {
+        'given': 0, 'sent': int(sent.at[0]), 'push': int(push.at[0]),
+        'motors': int(motors.at[0, 0]), 'state': first, 'split': split, **at,
+    }
     return Program(
         code, np.array([*listing.more, 0], dtype=np.int64), np.array([*listing.tables, 0.0]),
         np.array(listing.start),
-        kernels.Places(**number, **at, row=np.ascontiguousarray(drive.row),
+        kernels.Places(**number, row=np.ascontiguousarray(drive.row),
                        factors=np.ascontiguousarray(drive.factors)),
     )
 
