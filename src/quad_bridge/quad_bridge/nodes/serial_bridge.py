@@ -2,7 +2,7 @@
 
 One thread reads the port and hands each of the link's events to its handler; the executor's thread
 does the rest. Whatever is sent is encoded, signed and written in `_flush`, in one order, under the
-lock that also guards link and gains; the relay is the executor's alone.
+lock that also guards link, gains and relay.
 """
 
 from __future__ import annotations
@@ -200,7 +200,10 @@ class SerialBridge(ManagedNode):
     def deactivate(self) -> None:
         """End a running excitation, stop the port's thread, finish the history."""
         if self._relay.injection:
-            self._forward(self._relay.segment({'segment': 'idle'}))
+            with self._lock:
+                end = self._relay.segment({'segment': 'idle'})
+                self._poll_gains(clock().now_ns())  # an autopilot gets its pilot's mode back
+            self._forward(end)
         self._operator.end()
         with self._lock:
             self._gains.disturb('the node was deactivated')
@@ -368,7 +371,8 @@ class SerialBridge(ManagedNode):
         self._gain_services.tick()
         self._sensor_services.tick()
         self._logs.tick()
-        end = self._relay.tick(clock().now_s())
+        with self._lock:
+            end = self._relay.tick(clock().now_s())
         if end is not None:
             self._forward(end)
         for item in news:
@@ -397,8 +401,9 @@ class SerialBridge(ManagedNode):
                 self._gains.polarity.craft = craft
 
     def _on_segment(self, event: ParameterEvent) -> None:
-        end = self._relay.segment(conversion.parameters(event), self._age_s(event.stamp))
+        given, age_s = conversion.parameters(event), self._age_s(event.stamp)
         with self._lock:
+            end = self._relay.segment(given, age_s)
             if self._relay.injection:
                 self._gains.disturb()
             elif self._gains.state is State.CHECKING:
@@ -409,7 +414,8 @@ class SerialBridge(ManagedNode):
     def _on_setpoint(self, message: Vector3Stamped) -> None:
         v = message.vector
         age_s = self._age_s(message.header.stamp)
-        frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s(), age_s)
+        with self._lock:
+            frame = self._relay.setpoint(v.x, v.y, v.z, clock().now_s(), age_s)
         if frame is not None:
             self._forward(frame)
 
