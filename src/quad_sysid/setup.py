@@ -28,7 +28,8 @@ setup(
     name=PACKAGE,
     version='0.2.0',
     packages=find_packages(),
-    package_data={PACKAGE: ['py.typed', '*.pyi', '**/*.yaml', '**/*.json', '**/*.js', '**/*.css', '**/*.html']},
+    package_data={PACKAGE: ['py.typed', '*.pyi',
+                            *(f'**/*.{end}' for end in ('yaml', 'json', 'js', 'css', 'html'))]},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),

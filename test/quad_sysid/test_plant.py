@@ -16,7 +16,8 @@ import pytest
 from quad_sysid.contract import motors_from_wrench
 from quad_sysid.craft import X
 from quad_sysid.effects import EFFECTS
-from quad_sysid.effects.hidden import Linear, Load, Memory
+from quad_sysid.effects.hidden import Linear, Memory
+from quad_sysid.effects.loads import Load
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.exports import to_control
 from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius

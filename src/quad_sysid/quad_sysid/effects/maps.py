@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.hidden import System, along, followed, step_of
+from quad_sysid.effects.hidden import System, followed, step_of
+from quad_sysid.effects.loads import along
 from quad_sysid.effects.torques import Row
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Left, Settings, Signals, required

@@ -124,6 +124,8 @@ def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) 
         while rungs[-1].explains_pct < ENOUGH and len(rungs) <= MOST_RUNGS:
             finer = rungs[-1].explains_pct >= EXPLAINS  # what the reference has, no more causes
             step = _next(projection, rungs[-1].model, () if finer else parts, whole)
+            if step is not None and not finer and _added(step).kind != 'named':
+                step = _first_of_two(projection, rungs[-1].model, parts, whole) or step
             if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
                 break
             rungs.append(Rung(step, 100.0 * (1.0 - step.total / whole)))
@@ -163,6 +165,27 @@ def _next(projection: Projection, model: Projected, parts: Sequence[Part],
     return projection.project(plainest.structure, plainest.theta)
 
 
+def _first_of_two(projection: Projection, model: Projected, parts: Sequence[Part],
+                  whole: float) -> Projected | None:
+    """The model with the first of two named laws that explain EXPLAINS together; None: no two do.
+
+    What two causes do may look like one curve.
+    """
+    for first in _with_named(projection, model, parts):
+        for both in _with_named(projection, first, parts):
+            if both.total <= (1.0 - 0.01 * EXPLAINS) * whole:
+                return projection.project(first.structure, first.theta)
+    return None
+
+
+def _with_named(projection: Projection, model: Projected,
+                parts: Sequence[Part]) -> list[Projected]:
+    """The model with each of the most hopeful named laws, best first."""
+    ahead = side_by_side([partial(_extended, projection, model, part, values)
+                          for part, values in _hopeful(projection, model, parts, own=False)])
+    return sorted(ahead, key=lambda one: one.total)
+
+
 def _added(model: Projected) -> Effect:
     """The effect of the last rung."""
     return model.structure.parts[-1].effect
@@ -178,9 +201,11 @@ def _extended(projection: Projection, model: Projected, part: Part,
     return projection.project(structure, start, coarse=True)
 
 
-def _hopeful(projection: Projection, model: Projected,
-             parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
+def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part], *,
+             own: bool = True) -> list[tuple[Part, FloatArray]]:
     """The named laws and the effects of the reference that explain most of the missing torque.
+
+    Not own: of the reference's effects the named ones only.
 
     The missing torque is the reference's acceleration less the model's along the reference's
     trajectory; a law explains of it what its columns do beside the base's own.
@@ -195,10 +220,11 @@ def _hopeful(projection: Projection, model: Projected,
     columns, _, _ = flight.columns(structure, theta, rate, steps)
     q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
     left = missing - q @ (q.T @ missing)
-    own = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
-           for part, where in reference.structure.placed() if part.effect.label not in have]
-    own = sorted(own, key=lambda one: -one[0])[:PROJECTED]
-    have |= {part.effect.label for _, part, _ in own}
+    theirs = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
+              for part, where in reference.structure.placed()
+              if part.effect.label not in have and (own or part.effect.kind == 'named')]
+    theirs = sorted(theirs, key=lambda one: -one[0])[:PROJECTED]
+    have |= {part.effect.label for _, part, _ in theirs}
     shares: list[tuple[float, Part, FloatArray]] = []
     for part in parts:
         effect = part.effect
@@ -208,9 +234,9 @@ def _hopeful(projection: Projection, model: Projected,
     best: dict[str, tuple[float, Part, FloatArray]] = {}
     for one in sorted(shares, key=lambda one: -one[0]):
         best.setdefault(one[1].effect.label, one)
-    most = max((one[0] for one in (*own, *best.values())), default=0.0)
+    most = max((one[0] for one in (*theirs, *best.values())), default=0.0)
     named = [one for one in best.values() if one[0] >= LEAST_OF_BEST * most][:PROJECTED]
-    return [(part, p) for _, part, p in (*own, *named)]
+    return [(part, p) for _, part, p in (*theirs, *named)]
 
 
 def _share(here: Along, part: Part, q: FloatArray,

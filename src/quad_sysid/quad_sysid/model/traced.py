@@ -63,7 +63,7 @@ class Listing:
             self._fixed.add(self._constants[value])
         return self._constants[value]
 
-    def input(self, *shape: int) -> Traced:
+    def given(self, *shape: int) -> Traced:
         """Registers that are filled before a run."""
         places = [self.place() for _ in range(int(np.prod(shape)))]
         return Traced(self, np.array(places, dtype=np.int64).reshape(shape))
