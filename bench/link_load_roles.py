@@ -94,13 +94,14 @@ def bare(_: Path, rate: float) -> None:
         (node.create_publisher(Vector3Stamped, '/setpoint/attitude', STREAM), Vector3Stamped()),
         (node.create_publisher(Vector3Stamped, '/setpoint/rates', STREAM), Vector3Stamped()),
     ]  # fmt: skip
+    imu, motors, wrench, attitude, rates = (message for _, message in pairs)
     for _, message in pairs:
         message.header.frame_id = 'base_link'
     begin_s, count = time.monotonic(), 0
     while not stopped.yes:
         time.sleep(max(0.0, begin_s + count / rate - time.monotonic()))
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
-        fill(*(message for _, message in pairs), 1e-3 * count)
+        fill(imu, motors, wrench, attitude, rates, 1e-3 * count)
         for publisher, message in pairs:
             message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
             publisher.publish(message)
