@@ -94,8 +94,7 @@ def test_the_loop_closes(name, tmp_path, ros_domain, probe):
             crew.start_node('quad_sysid', 'excitation', schedule)
             until('excitation: schedule', 'ready', 'state')
             until('serial_bridge: gains', 'read back')
-        answer = probe.call('/excitation/start')
-        assert answer.success, answer.message
+        probe.until(lambda: probe.call('/excitation/start').success, 'its first /imu/data')
         until('excitation: schedule', 'done', 'state')
         fly(False)
         assert probe.call('/bag_logger/stop').success

@@ -277,6 +277,7 @@ def test_flights_that_do_not_fit_together_are_refused(plain_flight, other_flight
     part = replace(
         plain_flight, source='part', rates=plain_flight.rates[later:],
         control=plain_flight.control[later:], angles=None, battery_v=None, attitude_setpoint=None,
+        rate_setpoint=None, wrench=None, motors=None, excitation=None, acceleration=None,
         t0_ns=plain_flight.t0_ns + round(12.0e9),
     )
     copy = replace(plain_flight, t0_ns=plain_flight.t0_ns + 10**15)

@@ -35,6 +35,7 @@ STARTED_ELSEWHERE = {
 }
 ONLY_PARSED = {
     'quad-tune rollback': 'needs ROS; test_gain_history.py rolls back',
+    'quad-tune send': 'needs a bridge; test_update_node.py and test_gain_updates.py send',
     'quad-tune history': 'needs gains that flew; test_gain_history.py',
     'quad-sysid import': 'its files are not at hand; test_foreign_logs.py, test_import_tables.py',
     'quad-sysid fleet': 'starts processes; test_fleet.py',

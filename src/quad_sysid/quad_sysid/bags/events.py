@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from quad_sysid.bags.cdr import blank, typestore
-from quad_sysid.contract import AXES
+from quad_sysid.contract import AXES, IDLE
 from quad_sysid.record import GainChange, Segment
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
 ROLES = ('train', 'validation', 'idle')
 DESATURATION = 'mixer.desaturation'
-IDLE = 'mixer.idle'
 DESATURATIONS = ('clip', 'yaw_first', 'none')
 """Its values; the first holds where a bag does not say."""
 SECOND = 1_000_000_000

@@ -125,7 +125,7 @@ def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) 
             finer = rungs[-1].explains_pct >= EXPLAINS  # what the reference has, no more causes
             step = _next(projection, rungs[-1].model, () if finer else parts, whole)
             if step is not None and not finer and _added(step).kind != 'named':
-                step = _first_of_two(projection, rungs[-1].model, parts, whole) or step
+                step = _first_of_two(projection, rungs[-1].model, step, parts) or step
             if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
                 break
             rungs.append(Rung(step, 100.0 * (1.0 - step.total / whole)))
@@ -165,15 +165,16 @@ def _next(projection: Projection, model: Projected, parts: Sequence[Part],
     return projection.project(plainest.structure, plainest.theta)
 
 
-def _first_of_two(projection: Projection, model: Projected, parts: Sequence[Part],
-                  whole: float) -> Projected | None:
-    """The model with the first of two named laws that explain EXPLAINS together; None: no two do.
+def _first_of_two(projection: Projection, model: Projected, curve: Projected,
+                  parts: Sequence[Part]) -> Projected | None:
+    """The model with the first of two named laws that stand before the curve; None: no two do.
 
-    What two causes do may look like one curve.
+    What two causes do may look like one curve. The second law halves what one may leave.
     """
+    enough = curve.total + 0.5 * (1.0 - NAMED_FIRST) * (model.total - curve.total)
     for first in _with_named(projection, model, parts):
         for both in _with_named(projection, first, parts):
-            if both.total <= (1.0 - 0.01 * EXPLAINS) * whole:
+            if both.total <= enough:
                 return projection.project(first.structure, first.theta)
     return None
 

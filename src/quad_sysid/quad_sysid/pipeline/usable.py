@@ -12,8 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from quad_sysid.bags.events import IDLE
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.contract import AXES, IDLE, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
