@@ -44,6 +44,7 @@ TRUTH = {'gain': 2 * 9.218 * 0.225 * 2**0.5 / 0.0135, 'lag': 0.045}
 """Of the virtual aircraft about roll: rad/s² per U2, s."""
 
 
+@pytest.mark.long  # minutes each, and not yet sure beside other work
 @pytest.mark.parametrize('name', SCHEDULES)
 def test_the_loop_closes(name, tmp_path, ros_domain, probe):
     (tmp_path / 'schedule.yaml').write_text(SCHEDULES[name])
