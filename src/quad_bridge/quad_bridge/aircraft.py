@@ -112,17 +112,24 @@ class Aircraft(ABC):
     def segment(self, parameters: Mapping[str, Any] | None) -> None:  # noqa: B027
         """A segment of the schedule begins, as it was announced; None: it has ended."""
 
-    @abstractmethod
     def fly_to(self, attitude: f.Vector3, thrust: float) -> f.Frame:
-        """Give the frame that makes `attitude` (rad, FLU against ENU) the set-point."""
+        """Give the frame that makes `attitude` (rad, FLU against ENU) the set-point.
 
-    @abstractmethod
+        Refused here: its pilot flies it.
+        """
+        del attitude, thrust
+        raise RefusedError(self.cannot(Ability.SET_POINTS))
+
     def arm(self, on: bool) -> f.Frame:
-        """Give the frame that arms or disarms."""
+        """Give the frame that arms or disarms, by MAVLink's standard."""
+        return f.Command(ARM_DISARM, (1.0 if on else 0.0,))
 
-    @abstractmethod
     def armed_answer(self, frame: f.CommandAck) -> str | None:
         """Say what an answer to `arm` says (`ACCEPTED` or why not); None where it is no such."""
+        if frame.command != ARM_DISARM:
+            return None
+        known = frame.result < len(RESULTS)
+        return RESULTS[frame.result] if known else f'result {frame.result}'
 
 
 class Quad(Aircraft):
@@ -155,19 +162,3 @@ class Quad(Aircraft):
     def abort(self) -> f.Frame:
         """Give the frame that ends an excitation; it clears a refusal too."""
         return self.excite(STILL, f.Injection.NONE, 100)
-
-    def fly_to(self, attitude: f.Vector3, thrust: float) -> f.Frame:
-        """Refuse: its pilot flies it."""
-        del attitude, thrust
-        raise RefusedError(self.cannot(Ability.SET_POINTS))
-
-    def arm(self, on: bool) -> f.Frame:
-        """Give the frame that arms or disarms."""
-        return f.Command(ARM_DISARM, (1.0 if on else 0.0,))
-
-    def armed_answer(self, frame: f.CommandAck) -> str | None:
-        """Say what an answer to `arm` says."""
-        if frame.command != ARM_DISARM:
-            return None
-        known = frame.result < len(RESULTS)
-        return RESULTS[frame.result] if known else f'result {frame.result}'

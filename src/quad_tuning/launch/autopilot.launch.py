@@ -5,14 +5,9 @@ excitation reach the aircraft unless `gains:=allow` and `excitation:=allow` say 
 waits for its `~/start`, the logger for its own.
 """
 
-from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
-from launch.actions import IncludeLaunchDescription
-from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration
 
 from quad_bridge.nodes.launched import (
     BRIDGE,
@@ -22,6 +17,7 @@ from quad_bridge.nodes.launched import (
     LOGGER,
     arguments,
     deferred,
+    included,
     node,
     values,
 )
@@ -36,13 +32,9 @@ def nodes(context: LaunchContext) -> list[Any]:
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the arguments, flight.launch.py and the excitation node."""
-    flight = Path(get_package_share_directory('quad_tuning')) / 'launch' / 'flight.launch.py'
     own = arguments(*BRIDGE, *LOGGER, *IDENTIFICATION, *EXCITATION, log='true', record='false')
-    given = {name: LaunchConfiguration(name) for name in sorted(HANDED_ON)}
     return LaunchDescription([
         *own,
-        IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(str(flight)), launch_arguments=given.items()
-        ),
+        included('quad_tuning', 'flight', HANDED_ON),
         deferred(nodes),
     ])

@@ -3,25 +3,17 @@
 All arguments are those of autopilot.launch.py.
 """
 
-from pathlib import Path
-
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
-from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration
+from launch.actions import DeclareLaunchArgument
+
+from quad_bridge.nodes.launched import included
 
 DEFAULTS = {'port': 'udp://127.0.0.1:14540', 'schedule': 'schedule_hover'}
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe autopilot.launch.py with the port and schedule of PX4."""
-    folder = Path(get_package_share_directory('quad_tuning')) / 'launch'
-    given = {name: LaunchConfiguration(name) for name in DEFAULTS}
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=value) for name, value in DEFAULTS.items()),
-        IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(str(folder / 'autopilot.launch.py')),
-            launch_arguments=given.items(),
-        ),
+        included('quad_tuning', 'autopilot', DEFAULTS),
     ])

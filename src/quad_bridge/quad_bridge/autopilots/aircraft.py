@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from quad_bridge.aircraft import ARM_DISARM, RESULTS, STILL, Ability, Aircraft, Quad
+from quad_bridge.aircraft import STILL, Ability, Aircraft, Quad
 from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.autopilots.gains import ParameterGains
 from quad_bridge.autopilots.kinds import BY_NUMBER, Kind
@@ -18,7 +18,6 @@ from quad_bridge.autopilots.system_id import NAMES as SID_NAMES
 from quad_bridge.autopilots.system_id import SystemId, wanted
 from quad_bridge.autopilots.takeover import Takeover
 from quad_bridge.craft import AXES, Craft
-from quad_bridge.errors import RefusedError
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_body
@@ -141,22 +140,6 @@ class AutopilotAircraft(Aircraft):
         self.takeover.end('it was ended', self._now_s())
         if self.system_id is not None:
             self.system_id.end('it was ended', self._now_s())
-
-    def fly_to(self, attitude: Vector3, thrust: float) -> f.Frame:
-        """Refuse: its pilot flies it."""
-        del attitude, thrust
-        raise RefusedError(self.cannot(Ability.SET_POINTS))
-
-    def arm(self, on: bool) -> f.Frame:
-        """Give the frame that arms or disarms."""
-        return f.Command(ARM_DISARM, (1.0 if on else 0.0,))
-
-    def armed_answer(self, frame: f.CommandAck) -> str | None:
-        """Say what an answer to `arm` says."""
-        if frame.command != ARM_DISARM:
-            return None
-        known = frame.result < len(RESULTS)
-        return RESULTS[frame.result] if known else f'result {frame.result}'
 
     # The line.
 

@@ -6,10 +6,14 @@ own defaults. No topics here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, List  # noqa: UP035  (launch knows no other lists)
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -58,6 +62,15 @@ def node(context: Any, package: str, name: str, own: Mapping[str, Any]) -> Any:
         package=package, executable=name, name=name, namespace=given['namespace'],
         output='screen', parameters=[*files, *([dict(own)] if own else [])],
     )  # fmt: skip
+
+
+def included(package: str, name: str, names: Iterable[str]) -> Any:
+    """A launch file of a package, with the arguments of these names handed on."""
+    path = Path(get_package_share_directory(package)) / 'launch' / f'{name}.launch.py'
+    given = {argument: LaunchConfiguration(argument) for argument in sorted(names)}
+    return IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(str(path)), launch_arguments=given.items()
+    )
 
 
 def deferred(make: Any) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import margins
+from quad_sysid.loop.cascade import margins, weight_of
 from quad_sysid.loop.linear import ComplexArray
 
 FRAME_S = 2.0
@@ -196,9 +196,7 @@ def derivative(gains: Mapping[str, float], axis: str, frequency_hz: FloatArray,
 
 def first_order(cutoff_hz: float, frequency_hz: FloatArray, dt: float) -> ComplexArray:
     """(f,) a first-order filter as a firmware computes it, backward Euler; 1 where it is off."""
-    if not cutoff_hz > 0.0:
-        return np.ones(len(frequency_hz), complex)
-    weight = dt / (dt + 1.0 / (2.0 * np.pi * cutoff_hz))
+    weight = weight_of(cutoff_hz, dt)
     return np.asarray(weight / (1.0 - (1.0 - weight) * np.exp(-2j * np.pi * frequency_hz * dt)))
 
 
