@@ -50,7 +50,7 @@ def test_only_the_bridge_of_its_namespace_is_asked_and_what_it_answers_is_the_en
         assert process.said == f'quad-tune: {reason}\n'
     (wanted,) = asked['left']
     assert told(wanted) == {
-        'roll.rate.kp': 0.08, 'source': 'quad-tune send', 'predicted': '{}',
+        'roll.rate.kp': 0.08, 'source': 'quad-tune send', 'predicted': '{}', 'flown': '{}',
     }  # fmt: skip
     assert asked['right'] == []
 

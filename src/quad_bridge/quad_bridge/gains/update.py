@@ -255,6 +255,7 @@ class GainUpdates:
             self._end_check()
 
     def _admit(self, asked: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
+        gate.check_flown(asked, self.active)
         path = gate.steps(asked.gains, self.active, self._settings.bounds)
         if now_s - self._cycle_s > QUIET_S:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
