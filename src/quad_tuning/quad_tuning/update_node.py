@@ -32,8 +32,8 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
 
     `beside` is what a design sends with its gains, `namespace` the bridge's, `aircraft` the name
     of the one they are for, if that is known. Returns '' once the aircraft has read them back,
-    else the reason why not. Raises BadInputError for an invalid namespace or a bridge that is not there
-    or does not answer, KeyboardInterrupt on SIGINT. Call it in the main thread.
+    else the reason why not. Raises BadInputError for an invalid namespace or a bridge that is
+    not there or does not answer, KeyboardInterrupt on SIGINT. Call it in the main thread.
     """
     try:
         validate_namespace(f'/{namespace.strip("/")}')
