@@ -281,7 +281,7 @@ class GainUpdates:
         return self._period_s > 1.2 / LEAST_HZ
 
     def _slow_words(self) -> str:
-        return f'the link brings {1.0 / self._period_s:.0f} cycles a second: the watch needs {LEAST_HZ:g}'
+        return f'the link brings {1.0 / self._period_s:.0f} cycles/s: the watch needs {LEAST_HZ:g}'
 
     def _known_rate(self) -> None:
         if self._slow:
