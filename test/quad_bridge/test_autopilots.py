@@ -33,7 +33,6 @@ from quad_bridge.gains.history import History
 from quad_bridge.gains.update import GainSettings, GainUpdates, State
 from quad_bridge.link.autopilot import Inertial, fitted, load
 from quad_bridge.link.machine import Link
-from quad_bridge.link.parameters import encoded, number
 from quad_bridge.link.stamping import Arrived, Described, Stamped
 from quad_bridge.motor_outputs import motor_outputs
 from quad_bridge.wire import frames as f
@@ -242,13 +241,6 @@ def test_what_a_parameter_may_not_be_is_refused_in_one_line():
     lowest = PX4.parameters({f'{a}.rate.d_filter_hz': v for a, v in
                              (('roll', 40.0), ('pitch', 30.0))}, {}, (1.0, 1.0, 1.0))
     assert lowest == {'IMU_DGYRO_CUTOFF': 30.0}
-
-
-@pytest.mark.parametrize('bytewise', [True, False])
-@pytest.mark.parametrize(('value', 'kind'), [(25, 6), (-3, 6), (200, 1), (-7, 2), (0.125, 9)])
-def test_numbers_come_back_in_both_encodings(bytewise, value, kind):
-    sent = encoded(value, kind, bytewise=bytewise)
-    assert number(f.ParamValue('X', sent, 1, 0, kind), bytewise=bytewise) == value
 
 
 # Excitation.

@@ -34,7 +34,7 @@ from quad_sysid.model.effect import Effect, Part, Signals
 from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import Structure
 from quad_sysid.pipeline import identify as pipeline
-from quad_sysid.pipeline.evaluate import evaluate, simulate
+from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.record import Record
 from quad_sysid.report import document
 
@@ -586,17 +586,6 @@ def test_a_model_is_refused_on_a_flight_without_a_signal_that_it_needs(
         evaluate(replace(true_model, effects=(effect,)), replace(empty_flight, angles=angles))
 
 
-@pytest.mark.parametrize(('name', 'variant', 'value'), [
-    ('shape:lag:direction', 'motors', 0.5), ('motor_lag', 'motor 1', 0.2),
-])
-def test_a_simulated_command_passes_motors_that_differ(name, variant, value, true_model):
-    u = np.repeat([0.02, -0.02, 0.02], 60)
-    told = {'shape:lag:direction': 'asymmetry', 'motor_lag': 'slow_time_constant'}[name]
-    effect = EffectEstimate(name, 'named', (), (Parameter(told, value, None, ''),), variant)
-    plain, moved = (simulate(replace(true_model, effects=e), u) for e in ((), (effect,)))
-    assert np.abs(moved - plain).max() > 0.02 * np.ptp(plain)
-
-
 def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged():
     """Neither earlier segments that are left out nor a gap make it cold."""
     plan = Plan(24.0, (('train', 'prbs', 4.0, 9.0), ('train', 'prbs', 13.0, 18.0),
@@ -640,12 +629,6 @@ def test_a_curve_holds_its_last_value_outside_the_training():
 
 def law_of(name: str, parameter: str) -> Changes:
     return next(law.changes for law in LAWS if law.name == name and parameter in law.parameters)
-
-
-def gale(seed: int, size: float) -> Changes:
-    """A torque that jumps between +-size at random times, every 4 s on average."""
-    jumps = np.cumsum(np.random.default_rng(seed).exponential(4.0, 200))
-    return torque(lambda t, *_: size * (-1.0) ** np.searchsorted(jumps, t))
 
 
 def coloured(seed: int, bandwidth_hz: float, intensity: float) -> Changes:
@@ -887,12 +870,6 @@ def test_where_nothing_acts_nothing_is_found(changes, seed):
     assert (answer.verdict, answer.model.effects) == ('no_missing_effect', ()), answer.reason
     error = document.document({'roll': answer}, ['bag'])['axes']['roll']['error']
     assert error['after'] == pytest.approx(error['before'], rel=1e-12)
-
-
-@pytest.mark.long
-def test_wind_is_given_no_name_of_the_aircraft():
-    passing = {'event', 'step_event', 'periodic_disturbance', 'shape:time'}
-    assert {e.name for e in answer_to(gale(13, 0.6), 13).model.effects} <= passing
 
 
 @pytest.mark.long
