@@ -30,6 +30,7 @@ from quad_sysid.arguments import (
     quiet_and_json,
     run_command,
 )
+from quad_sysid.axes import EVERY, units_of
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.files import check_new, write_whole
@@ -82,8 +83,9 @@ def _identify_parser(commands: Commands) -> None:
         'quad-sysid identify flight/ --axis roll --out report/', reads='bags',
     )
     parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--axis', metavar='AXES', help='roll, pitch or yaw, several with commas '
-                        'between, or all (default: the axes that the bag says were excited)')
+    parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, '
+                        'several with commas between; all (of the attitude) or every one '
+                        '(default: the axes that the bag says were excited)')
     parser.add_argument('--train', metavar='A:B', help='seconds from the first /imu/data stamp')
     parser.add_argument('--validate', metavar='A:B', help='seconds from the first stamp')
     parser.add_argument('--out', metavar='DIR', type=Path, help='folder of the report, which '
@@ -103,7 +105,7 @@ def _evaluate_parser(commands: Commands) -> None:
     parser.add_argument('model', metavar='MODEL.json',
                         help='written by quad-sysid identify, or its folder')
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
+    parser.add_argument('--axis', choices=EVERY, help='default: every axis of the model')
     parser.add_argument('--validate', metavar='A:B',
                         help='seconds; default: all but the idle segments')
     effects_option(parser)
@@ -191,7 +193,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     if not found:
         return NOT_ANSWERED
     axes = {
-        e.axis: {'error': {'metric': document.METRIC, 'unit': 'rad/s', 'data': 'unseen',
+        e.axis: {'error': {'metric': document.METRIC, 'data': 'unseen',
+                           'unit': getattr(units_of(e.axis), 'rate', 'rad/s'),
                            'before': e.before, 'after': e.after,
                            'reference': e.after if e.reference is None else e.reference,
                            'one_step_before': e.one_step_before,

@@ -19,13 +19,13 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from quad_sysid.axes import axis_of
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NoSuchAttributeError
 from quad_sysid.identified import Identified
 from quad_sysid.model import BEFORE, AxisModel, Designer, EffectEstimate
 from quad_sysid.record import Record
-from quad_sysid.units import Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -257,7 +257,8 @@ def identify(
 
     `flights`: records or paths of bags, or a frame, a response, IOData with what `u`, `y` and so
     on say of it; arrays alone need no `flights` (from_arrays has their shapes, units, errors; a
-    list has one for each experiment). `axes`: `roll`, `pitch`, `yaw`; default: those that the
+    list has one for each experiment). `axes`: `roll`, `pitch`, `yaw`, `surge`,
+    `sway`, `climb`; default: those that the
     flights excite; of arrays the one that they are called, `roll`. `train`, `validate`: Parts, or
     (start, end), s from the first sample; default: the bag's segments, else 60 and 40 %.
     `effects`: the candidates; default `EFFECTS`, `()` for none; `extra_effects` join them.
@@ -274,8 +275,7 @@ def identify(
 
     wanted = (axes,) if isinstance(axes, str) else tuple(axes)
     for axis in wanted:
-        if axis not in AXES:
-            raise BadInputError('identify', f'axes must be among {", ".join(AXES)}', repr(axis))
+        axis_of('identify', axis)
     chosen = EFFECTS if effects is None else effects
     candidates = EFFECTS if effects is None and not extra_effects else checked(
         (*chosen, *extra_effects) if isinstance(chosen, list | tuple) else chosen,
@@ -300,9 +300,6 @@ def identify(
                 halt=limit),
         show,
     )
-    if records[0].units is not None:
-        answers = {axis: _with_units(answer, records[0].units)
-                   for axis, answer in answers.items()}
     return Result(answers, tuple(record.source for record in records), inertia)
 
 
@@ -331,14 +328,6 @@ def _is_span(part: object) -> bool:
     """Whether it is (start, end) in s, or nothing."""
     return part is None or (isinstance(part, tuple) and len(part) == 2
                             and not any(isinstance(one, slice) for one in part))
-
-
-def _with_units(answer: AxisAnswer, units: Units) -> AxisAnswer:
-    model = answer.model
-    if model is None:
-        return answer
-    reference = None if model.reference is None else replace(model.reference, units=units)
-    return replace(answer, model=replace(model, units=units, reference=reference))
 
 
 def _listener(progress: Any) -> Callable[[str], None]:

@@ -35,8 +35,8 @@ FloatArray = npt.NDArray[np.float64]
 
 ARMED, INJECTION, ADDED, STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW = 0, 1, 2, 5, 6, 7, 8
 INPUTS = 9
-"""Columns of what reaches a cycle from outside: armed 0/1, injection 0..3 (none, attitude, rate,
-control), excitation (3), sticks -1..1, throttle 0..1."""
+"""Columns of what reaches a cycle from outside: armed 0/1, injection 0..4 (none, attitude, rate,
+control, collective), excitation (3), sticks -1..1, throttle 0..1."""
 LARGEST_DELAY = 4
 HOLD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
 NORMALS_PER_STEP = 9
@@ -58,10 +58,11 @@ COLUMNS: dict[str, slice] = {
     'throttle': slice(30, 31),
     'true_rates': slice(31, 34),
     'true_angles': slice(34, 37),
-    'altitude_m': slice(37, 38),
+    'position_m': slice(37, 40),
+    'velocity_m_s': slice(40, 43),
 }
 """Columns of a log row, by name."""
-WIDTH = 38
+WIDTH = 43
 OBSERVED = 12
 
 
@@ -137,7 +138,9 @@ def begin(
     log[28] = sensed[PRESSURE]
     log[30] = used[THROTTLE]
     euler_from_quaternion(state[QUAT : QUAT + 4], log[34:37])
-    log[37] = state[POSITION + 2]
+    for i in range(3):
+        log[37 + i] = state[POSITION + i]
+        log[40 + i] = state[VELOCITY + i]
 
 
 @kernel

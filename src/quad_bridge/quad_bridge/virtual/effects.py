@@ -180,6 +180,38 @@ class Vibration(Effect):
 
 
 @dataclass(frozen=True)
+class GroundEffect(Effect):
+    """Thrust times 1 / (1 - (radius / 4 z)^2), z the height over the ground (Cheeseman, Bennett).
+
+    The pilot hovers `height_m` above it; in hover only.
+    """
+
+    radius_m: float = 0.3
+    height_m: float = 0.6
+
+    def __post_init__(self) -> None:
+        """Check bounds."""
+        require(self.height_m > 0.0, f'height_m must be positive: {self.height_m}')
+
+
+@dataclass(frozen=True)
+class AirDrag(Effect):
+    """Force -coefficient v |v| of the body in the air, each body axis with its own; in hover only.
+    """
+
+    coefficient_n_s2_m2: Vector = (0.25, 0.25, 0.4)
+
+
+@dataclass(frozen=True)
+class RotorDrag(Effect):
+    """Blades in the air that passes: force -coefficient v of each rotor in its plane at full speed,
+    proportional to its speed; in hover only.
+    """
+
+    coefficient_n_s_m: float = 0.15
+
+
+@dataclass(frozen=True)
 class Effects:
     """All effects; `Effects()` has none."""
 
@@ -201,3 +233,6 @@ class Effects:
     periodic_disturbance: PeriodicDisturbance = field(default_factory=PeriodicDisturbance)
     step_event: StepEvent = field(default_factory=StepEvent)
     vibration: Vibration = field(default_factory=Vibration)
+    ground_effect: GroundEffect = field(default_factory=GroundEffect)
+    air_drag: AirDrag = field(default_factory=AirDrag)
+    rotor_drag: RotorDrag = field(default_factory=RotorDrag)

@@ -22,7 +22,7 @@ from quad_bridge.virtual.physics import (
     QUAT,
     RATES,
     TIME,
-    VELOCITY,
+    air_force,
     battery_voltage,
     motor_thrusts,
 )
@@ -139,11 +139,8 @@ def specific_force(state: FloatArray, plant: Plant, out: FloatArray) -> None:
         drag[2] = GRAVITY_M_S2
         body_from_world(state[QUAT : QUAT + 4], drag, out)
         return
-    for i in range(3):
-        drag[i] = -plant.linear_drag * state[VELOCITY + i]
-    body_from_world(state[QUAT : QUAT + 4], drag, out)
     motor_thrusts(state, plant, battery_voltage(state, plant), thrusts)
-    out[2] += (thrusts[0] + thrusts[1] + thrusts[2] + thrusts[3]) / plant.mass
+    air_force(state, plant, thrusts, out)
 
 
 @kernel

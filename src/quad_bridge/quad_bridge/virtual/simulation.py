@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-INJECTIONS = ('none', 'attitude', 'rate', 'control')
+INJECTIONS = ('none', 'attitude', 'rate', 'control', 'collective')
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,8 @@ class Flight:
     limits: FloatArray
     true_rates: FloatArray
     true_angles: FloatArray
-    altitude_m: FloatArray
+    position_m: FloatArray
+    velocity_m_s: FloatArray
 
     @property
     def dt(self) -> float:
@@ -133,6 +134,9 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
     for part in schedule:
         start = round(part.start_s / aircraft.cycle_s)
         stop = min(count, start + part.samples.size)
-        given[start:stop, INJECTION] = INJECTIONS.index(part.injection)
-        given[start:stop, ADDED + AXES.index(part.axis)] = part.samples[: stop - start]
+        climbs = part.axis == 'climb'
+        given[start:stop, INJECTION] = INJECTIONS.index(
+            'collective' if climbs else part.injection)
+        column = 2 if climbs else AXES.index(part.axis)
+        given[start:stop, ADDED + column] = part.samples[: stop - start]
     return given

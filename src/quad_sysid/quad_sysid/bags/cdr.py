@@ -48,6 +48,8 @@ JOINTS = 'sensor_msgs/msg/JointState'
 WRENCH = 'geometry_msgs/msg/WrenchStamped'
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 BATTERY = 'sensor_msgs/msg/BatteryState'
+ODOMETRY = 'nav_msgs/msg/Odometry'
+PRESSURE = 'sensor_msgs/msg/FluidPressure'
 TEXT = 'std_msgs/msg/String'
 
 COLUMNS = {
@@ -58,6 +60,10 @@ COLUMNS = {
     WRENCH: tuple(f'wrench.{part}.{axis}' for part in ('force', 'torque') for axis in 'xyz'),
     VECTOR: ('vector.x', 'vector.y', 'vector.z'),
     BATTERY: ('voltage',),
+    PRESSURE: ('fluid_pressure',),
+    ODOMETRY: (*(f'pose.pose.position.{axis}' for axis in 'xyz'),
+               *(f'pose.pose.orientation.{axis}' for axis in 'xyzw'),
+               *(f'twist.twist.linear.{axis}' for axis in 'xyz')),
 }
 """Which fields of a type are read, in the order of the columns; of JOINTS those of Joints."""
 

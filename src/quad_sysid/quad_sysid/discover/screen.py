@@ -299,6 +299,7 @@ def candidates(
     """
     count = max(problem.data.motors.shape[1], FEWEST_MOTORS)
     prepared = [(effect, effect.prepare(problem.data)) for effect in effects
-                if max(effect.motors, default=0) < count]
+                if max(effect.motors, default=0) < count
+                and (not effect.axes or problem.data.axis in effect.axes)]
     parts = [Part(effect, found) for effect, found in prepared if not isinstance(found, str)]
     return parts, {effect.label: found for effect, found in prepared if isinstance(found, str)}

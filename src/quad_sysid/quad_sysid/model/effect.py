@@ -205,6 +205,8 @@ class Effect:
     """What it depends on; reports draw it over the first."""
     motors: tuple[int, ...] = ()
     """Which motors, from 0, differ from the others; none: no single one does."""
+    axes: tuple[str, ...] = ()
+    """The axes that it exists on; none: all."""
     others: tuple[int, ...] = ()
     """Which of the other two axes (0, 1) it depends on."""
     term: str = 'torque'

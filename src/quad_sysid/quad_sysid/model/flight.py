@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
@@ -127,7 +128,7 @@ class Flight:
         self.others: list[FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
             self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
-        columns = [AXES.index(name) + 1 for name in data.other_axes]
+        columns = [EVERY[name].index + 1 for name in data.other_axes]
         self.share = data.share
         self._known: dict[str, Any] = {
             'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,

@@ -123,7 +123,7 @@ class Plant:
     craft: Craft
     """Where its motors are."""
     index: int
-    """0 roll, 1 pitch, 2 yaw; -1: the climb."""
+    """0 roll or surge, 1 pitch or sway, 2 yaw; -1 climb."""
     rounds: int = 3
     """Rounds of Newton's method in a cycle; one is enough where torques hardly bend in it."""
 
@@ -147,8 +147,12 @@ class Plant:
 
     def with_motors(self, s: Signals) -> Signals:
         """The signals (w,) with what s.sent and the other axes' commands are to each motor."""
+        own = required(s.sent)
         given = [s.throttle, *s.other_commands]
-        given.insert(self.index + 1, required(s.sent))
+        if self.index < 0:  # of the climb the throttle is its own command
+            given = [own, *s.other_commands, np.zeros_like(own)]
+        else:
+            given.insert(self.index + 1, own)
         motors = self.craft.commands(np.stack(given, axis=-1))
         return replace(s, motors=tuple(motors[..., i] for i in range(motors.shape[-1])))
 
