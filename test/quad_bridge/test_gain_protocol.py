@@ -18,19 +18,13 @@ import math
 from functools import partial
 
 import pytest
-from flight_controller import (
-    Store,
-    clone,
-    explore,
-)
+from flight_controller import Store, clone, explore
 
+from quad_bridge.errors import RefusedError
 from quad_bridge.gains import protocol
 from quad_bridge.gains.protocol import GainProtocol, State, What
 from quad_bridge.gains.table import CONTRACT_NAMES
-from quad_bridge.wire.frames import (
-    ParamRequestList,
-    ParamRequestRead,
-)
+from quad_bridge.wire.frames import ParamRequestList, ParamRequestRead, ParamValue
 
 A, B = NAMES = ('ROLL_RATE_KP', 'ROLL_RATE_KI')
 OLD = {A: 0.25, B: 0.5}
@@ -253,7 +247,8 @@ def connected(monkeypatch):
 @pytest.mark.parametrize(
     ('faults', 'restarts', 'writes', 'flies', 'most'),
     [
-        (1, 0, 1, True, math.inf),
+        (1, 0, 1, True, 9_000),
+        pytest.param(1, 0, 1, True, math.inf, marks=pytest.mark.long),
         (0, 1, 1, True, 8_000),
         (0, 0, 2, True, 6_000),
         (0, 0, 2, False, 6_000),
@@ -279,4 +274,20 @@ def test_no_state_and_no_event_breaks_an_invariant(
         assert (State.ON_TRIAL, 'confirm') in met
 
 
-# One conversation after the other, told by name.
+def test_the_number_of_a_transaction_begins_anew_and_an_echo_is_no_answer(connected):
+    """Whatever an earlier bridge has left; all are written in one order of frames."""
+    connected.bridge.take(ParamValue(B, 9.0, 2, 2), 0.0)
+    assert connected.bridge.active[CONTRACT_NAMES[B]] == OLD[B]
+    connected.stm32.transaction = 255
+    connected.bridge.take(connected.stm32.state(), 0.0)
+    said = []
+    connected.write()
+    with pytest.raises(RefusedError, match='busy: opening'):
+        connected.bridge.write(WRITES[0], WATCH_MS)
+    for _ in range(12):
+        said += connected.up
+        for name in ('arrives up', 'arrives down'):
+            connected.does(name)
+    assert connected.state is State.ON_TRIAL
+    assert said[0].transaction == 1
+    assert [getattr(one, 'name', '') for one in said] == ['', A, B, '', A, B]

@@ -722,7 +722,8 @@ PLANTED = [
     Planted(law_of('dead_zone', 'half_width'), 'dead_zone', 4.0, ((0.004, 0.10, 0.0),)),
     Planted(strap(3.6, 0.8), 'mode:slow_state', 1.5, ((0.8, 0.6, 0.0), (3.6, 0.3, 0.0))),
     Planted(held(5), 'shape:delay:time/held', 3.0, ((50.0, 1e-3, 0.0),), alone=False),
-    Planted(late_by(saw), 'shape:delay:time/periodic', 3.0, ((1.25, 1e-3, 0.0),), alone=False),
+    Planted(late_by(saw), 'shape:delay:time/periodic', 3.0, ((1.25, 1e-3, 0.0),), alone=False,
+            quick=False),
     Planted(in_steps(STEP, 0.4969), 'shape:gain:command/steps', 3.0,
             ((STEP, 0.005, 0.0), (-0.0031 / STEP, 0.0, 0.05), (0.0, 0.0, 0.05))),
     # propellers that coast, by how far they have to go
@@ -733,14 +734,16 @@ PLANTED = [
     # a side that pulls less, by the command, though that needs no gain
     Planted(command(lambda u: min(u, 0.5 * u)), 'shape:command', 2.0, alone=False, quick=False),
     # no law of the list is its own: the cubic law stands for it, and nothing else is found
-    Planted(slipping(30.0, 1.5), 'mode:yielding', 2.0, alone=False, of_a_name=True),
+    Planted(slipping(30.0, 1.5), 'mode:yielding', 2.0, alone=False, of_a_name=True,
+            quick=False),
     # gusts of the axis' own beside what another axis' command does to it
     Planted(lambda: {**coloured(6, 3.0, 0.05)(), 'other_commands': other_commands,
                      'command': lambda t, u, _v: u + 0.15 * other_commands(t)[0]},
             'cross_axis_input', 1.5, ((0.15, 0.0, 0.02),)),
     Planted(in_its_wake(4.0, 0.3), 'shape:rate/with past rate', 2.0, ((0.3, 0.5, 0.0),),
             sure=False, alone=None, quick=False),
-    Planted(echo(0.4, 0.3), 'mode:response', 2.0, alone=False, rivals=('motor_lag',)),
+    Planted(echo(0.4, 0.3), 'mode:response', 2.0, alone=False, rivals=('motor_lag',),
+            quick=False),
 ]
 def among(label: str, rivals: Collection[str] = RIVALS) -> tuple[Effect, ...]:
     return tuple(e for e in EFFECTS if e.label in rivals or e.label.startswith(label))
@@ -806,7 +809,7 @@ def test_friction_is_named_and_measured_among_all_effects(rubbed_answer):
 
 
 def test_a_gain_that_wanders_is_followed_in_another_flight_on_its_own_path():
-    answer = answer_to(drifting(1, 0.3, 5.0), 1, effects=among('shape:gain:time'))
+    answer = answer_to(drifting(1, 0.3, 5.0), 1, effects=among('shape:gain:time', ()))
     (effect,) = answer.model.effects
     assert (effect.name, effect.variant) == ('shape:gain:time', 'wandering')
     found = {p.name: p.value for p in effect.parameters}

@@ -25,13 +25,6 @@ def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
     assert told.verdict.rungs[1] == pytest.approx(told.verdict.after)
 
 
-def test_where_nothing_is_missing_the_base_is_the_answer(plain_answer):
-    told = plain_answer.findings
-    assert len(told.ladder.rungs) == 1
-    assert plain_answer.verdict == 'not_searched'
-    assert plain_answer.model.effects == plain_answer.model.rungs == ()
-
-
 def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
     """The reference is a smooth curve over the rate; the named law stands before it."""
     told = rubbed_answer.findings

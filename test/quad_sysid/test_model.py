@@ -107,33 +107,6 @@ def rubbed():
     return data, *based(data)
 
 
-@pytest.fixture(scope='module')
-def climb():
-    """Data, problem and what is found of three torques."""
-    data = climbing()
-    problem = Problem(data, data.train)
-    return data, problem, search(problem, TORQUES)
-
-
-def climbing():
-    """Thrust 25 m/s² per unit of U1 against 9.81, and drag of 0.15 1/m."""
-    rng = np.random.default_rng(4)
-    throttle = 9.81 / 25.0 + np.repeat(rng.choice([-0.12, 0.12], 120), 80)
-    speed = moved(25.0, 0.06, 0.1, 0.15, -9.81, throttle, 0.15)[1]
-    return axis('climb', 0, speed + 0.02 * rng.standard_normal(speed.size), throttle)
-
-
-def test_the_climb_over_the_throttle_is_another_instance_of_the_model(climb):
-    """The drag is found and named."""
-    verdict = judged(*climb)
-    base = values_of(climb[1], verdict)
-    assert [part.effect.name for part in verdict.chosen.structure.parts] == ['quadratic_drag']
-    assert verdict.chosen.value('quadratic_drag.coefficient') == pytest.approx(0.15, rel=0.2)
-    for name, truth in (('gain', 25.0), ('lag', 0.06), ('bias', -9.81)):
-        assert base[name].value == pytest.approx(truth, rel=0.1)
-        assert abs(base[name].value - truth) < 4.0 * base[name].std
-
-
 def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
     """A position to 20 µm, its slope over 50 ms to either side: no effect is made up of that."""
     rng = np.random.default_rng(5)

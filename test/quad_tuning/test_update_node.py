@@ -8,7 +8,7 @@ import pytest
 from quad_bridge.gains.update import WATCH_S
 from quad_bridge.lockstep import VARIABLE
 
-QUAD_TUNE = 'import sys; from quad_tuning.cli import main; sys.exit(main())'
+QUAD_TUNE = 'import sys; from quad_tuning.cli import main as start; sys.exit(start())'
 KIND = 'rcl_interfaces/srv/SetParametersAtomically'
 
 
