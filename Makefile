@@ -17,7 +17,7 @@ ARGS ?=
 # cache of bytecode, also where the shell has it switched off; they begin in the order of test/conftest.py
 PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup --no-loadscope-reorder
 
-.PHONY: build-test build-lint build-docs help demo flight qemu pictures test test-qemu test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood bench-outside bench-twice bench-results wheel docs lock shell clean
+.PHONY: build-test build-lint build-docs help demo flight qemu pictures test test-qemu test-browser test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood bench-outside bench-twice bench-results wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -48,6 +48,9 @@ test: build-test  ## all tests but those below, two more at once than there are 
 
 test-qemu: build-test  ## the STM32's ELF in QEMU: gains under faults, and the whole loop (two minutes)
 	@$(PYTEST) -m qemu $(ARGS)
+
+test-browser: build-test  ## the pages and the app in Debian's Chromium (a minute or two)
+	@$(PYTEST) -m browser $(if $(ARGS),$(ARGS),test/quad_sysid/test_app.py test/quad_sysid/test_report_browser.py)
 
 test-long: build-test  ## soaks, studies and sweeps alone (an hour or more)
 	@$(PYTEST) -m long $(ARGS)

@@ -203,6 +203,7 @@ class Chromium:
         self.process.wait(PATIENCE_S)
 
 
+@pytest.mark.browser
 @pytest.mark.skipif(not BROWSER, reason='no Chromium here (apt-get install chromium)')
 def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, tmp_path):
     log = tmp_path / 'dropped.csv'
