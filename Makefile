@@ -79,6 +79,9 @@ bench-effects: build  ## planted effects against named ones (half an hour; ARGS=
 bench-effects-speed: build  ## a likelihood beside plain and other filters, a whole axis (a minute; ARGS="--peers PYTHON")
 	@$(RUN) exec python bench/effects_speed.py $(ARGS)
 
+bench-peers: build  ## one axis from arrays by other packages, beside ours (20 minutes; ARGS="--peers PYTHON")
+	@$(RUN) exec python bench/array_peers.py $(ARGS)
+
 bench-likelihood: build  ## the fit against the Cramer-Rao bound, the evidence against the truth (15 minutes)
 	@$(RUN) OPENBLAS_NUM_THREADS=1 python bench/accuracy.py; exec python bench/evidence.py
 
