@@ -74,6 +74,8 @@ class ExcitationRelay:
             return None
         running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
+        if parameters.get('axis') == 'climb':
+            wanted = Injection.THRUST if wanted is Injection.CONTROL else None
         before, self._lost = self._injection, False
         self._injection = wanted if running and wanted is not None else Injection.NONE
         end = self._aircraft.abort() if Injection.NONE in {before, self._injection} else None

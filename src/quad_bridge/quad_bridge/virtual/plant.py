@@ -82,6 +82,10 @@ class Plant(NamedTuple):
     event_time_s: float
     event_gain: Triple
     event_torque: Triple
+    ground: bool
+    ground_m: float
+    rotor_radius: float
+    rotor_height: float
 
 
 def torque_map(airframe: Airframe) -> FloatArray:
@@ -165,6 +169,10 @@ def build_plant(
         'periodic_rad_s': 2.0 * math.pi * effects.periodic_disturbance.frequency_hz,
         'periodic_phase': phase,
         'event_time_s': effects.step_event.time_s,
+        'ground': hovers and effects.ground.enabled,
+        'ground_m': effects.ground.height_m,
+        'rotor_radius': effects.ground.rotor_radius_m,
+        'rotor_height': effects.ground.rotor_height_m,
     }
     for name, (effect, strength) in STRENGTHS.items():
         one = getattr(effects, effect)

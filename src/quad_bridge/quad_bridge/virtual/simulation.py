@@ -18,6 +18,7 @@ from quad_bridge.virtual.cycle import (
     ADDED,
     ARMED,
     COLUMNS,
+    HOLD,
     INJECTION,
     INPUTS,
     STICK_PITCH,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-INJECTIONS = ('none', 'attitude', 'rate', 'control')
+INJECTIONS = ('none', 'attitude', 'rate', 'control', 'thrust')
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ class Flight:
     true_rates: FloatArray
     true_angles: FloatArray
     altitude_m: FloatArray
+    height_m: FloatArray  # as the firmware estimates it, with its climb
+    climb_m_s: FloatArray
 
     @property
     def dt(self) -> float:
@@ -127,6 +130,7 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
         given[rows, ARMED] = float(armed)
         throttle = channels.throttle
         given[rows, THROTTLE] = aircraft.hover_throttle if throttle is None else throttle
+        given[rows, HOLD] = float(channels.hold)
         sticks = (channels.roll, channels.pitch, channels.yaw)
         for column, stick in zip((STICK_ROLL, STICK_PITCH, STICK_YAW), sticks, strict=True):
             given[rows, column] = 0.0 if channels.failsafe else stick
