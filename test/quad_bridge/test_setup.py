@@ -7,13 +7,15 @@ import pytest
 
 from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.gains.table import ROWS, SET_UP
-from quad_bridge.setup import measure
+from quad_bridge.motor_test import frame
+from quad_bridge.setup import measure, wizard
 from quad_bridge.setup.talk import Talk
-from quad_bridge.setup.wizard import Wizard, load, save
+from quad_bridge.setup.wizard import load, save
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import boot
 from quad_bridge.virtual.native import NativeFirmware
 from quad_bridge.virtual.profile import Profile
+from quad_bridge.wire import Encoder
 
 CYCLE_US = 4000
 ORDER = {'throttle': 1, 'roll': 3, 'pitch': 2, 'yaw': 4, 'kill': 7, 'arm': 6}  # of the receiver
@@ -29,13 +31,13 @@ class Built:
     def __init__(self, **settings):
         self.firmware = NativeFirmware(boot(Profile(**settings)).frame())
         self.firmware.arm(armed=False)
-        self.time_us, self.pulses, self.turning = 0, self._rest(), 0.0
+        self.time_us, self.pulses, self.turning = 0, self.rest(), 0.0
         self.force, self.fields = np.array([0.0, 0.0, -9.80665]), np.array([[0.2, 0.0, 0.4]])
         self.outputs, self.random = (0.0,) * 4, np.random.default_rng(1)
         self.battery_v = 12.0 / 10.1  # at the pin: a divider of 10.1
 
     @staticmethod
-    def _rest():
+    def rest():
         pulses = [1500.0] * 9
         pulses[0], pulses[5], pulses[6] = 1100.0, 1000.0, 1000.0
         return pulses
@@ -52,8 +54,8 @@ class Built:
             chip = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up
             row = np.concatenate([np.full(3, self.turning), chip * raw])
             slow = (self.battery_v, *(chip * mag), 1000.0 + 0.1 * self.random.random(), 20.0)
-            frame = hil.sensors(self.time_us, self.pulses, False, slow, np.array([row] * 4))
-            self.outputs = hil.motors(self.firmware.cycle(frame)).commands
+            data = hil.sensors(self.time_us, self.pulses, False, slow, np.array([row] * 4))
+            self.outputs = hil.motors(self.firmware.cycle(data)).commands
             talk.take(self.firmware.send())
             self.time_us += CYCLE_US
 
@@ -61,45 +63,48 @@ class Built:
 class Person:
     """Answers the wizard, and does what it asks for."""
 
+    answers = (('height mode', 'n'), ('deadband', '20'), ('the voltmeter', '12.0'),
+               ('type OFF', 'off'))  # fmt: skip
+    ways = (('throttle', 'down', 'up'), ('roll', 'left', 'right'), ('pitch', 'back', 'forward'),
+            ('yaw', 'right', 'left'))  # fmt: skip
+
     def __init__(self, built):
-        self.built, self.asked, self.spun = built, [], []
+        self.built, self.spun, self.told = built, [], []
 
     def __call__(self, words):
-        self.asked.append(words)
+        assert 'again?' not in words, self.told[-1]
+        self._hold(words)
+        self._sticks(words)
+        if 'which one was it' in words:
+            return str(self.spun[-1])
+        return next((answer for asked, answer in self.answers if asked in words), '')
+
+    def _hold(self, words):
         built = self.built
-        for name in measure.FORCES:
+        for name, force in measure.FORCES.items():
             if f'hold it {name}' in words:
-                built.force = 9.80665 * np.array(measure.FORCES[name])
+                built.force = 9.80665 * np.array(force)
         if 'all directions' in words:
             points = built.random.standard_normal((400, 3))
             built.fields = 0.5 * points / np.linalg.norm(points, axis=1)[:, np.newaxis]
             built.force = np.array([0.0, 0.0, -9.80665])
-        if 'sticks in the middle' in words or 'let the sticks go' in words:
-            built.pulses = built._rest()  # noqa: SLF001
-        for name, less, more in (('throttle', 'down', 'up'), ('roll', 'left', 'right'),
-                                 ('pitch', 'back', 'forward'), ('yaw', 'right', 'left')):  # fmt: skip
+
+    def _sticks(self, words):
+        built = self.built
+        if 'sticks' in words:
+            built.pulses = built.rest()
+        for name, less, more in self.ways:
             if f'hold {name} ' in words:
-                built.pulses = built._rest()  # noqa: SLF001
+                built.pulses = built.rest()
                 ends = (1900.0, 1080.0) if name == 'pitch' else (1100.0, 1890.0)  # reversed
                 built.pulses[ORDER[name] - 1] = ends[more in words]
                 assert less in words or more in words
         for name, switch in (('kill', 'kill switch'), ('arm', 'arming switch')):
-            if switch in words and words.startswith('  ' + switch):
+            if words.startswith(f'  {switch}'):
                 built.pulses[ORDER[name] - 1] = 1000.0 if 'off' in words else 2000.0
-        if 'height mode' in words and 'is there' in words:
-            return 'n'
-        if 'deadband' in words:
-            return '20'
-        if 'the voltmeter' in words:
-            return '12.0'
-        if 'type OFF' in words:
-            return 'off'
-        if 'which one was it' in words:
-            return str(self.spun[-1])
-        return ''
 
 
-def test_the_wizard_finds_how_it_is_built_and_the_firmware_flies_by_it():
+def test_the_wizard_finds_how_it_is_built_and_the_firmware_flies_by_it(monkeypatch):
     """Channels in another order, pitch reversed, board a quarter turned, outputs swapped."""
     built = Built()
     person = Person(built)
@@ -113,7 +118,9 @@ def test_the_wizard_finds_how_it_is_built_and_the_firmware_flies_by_it():
             person.spun.append(WIRES.index(turned[0] + 1) + 1)
 
     talk.wait = watched
-    found = Wizard(talk, person, lambda _: None).run()
+    monkeypatch.setattr(wizard, 'COMPASS_S', 6.0)
+    found = wizard.Wizard(talk, person, person.told.append).run()
+    assert set(found) <= {row.name for row in SET_UP}
     assert {n: found.get(f'receiver.{n}_channel', ROWS[f'receiver.{n}_channel'].start[0])
             for n in ORDER} == ORDER  # fmt: skip
     assert found['receiver.hold_channel'] == 0.0
@@ -129,14 +136,13 @@ def test_the_wizard_finds_how_it_is_built_and_the_firmware_flies_by_it():
     assert tuple(int(now[f'motors.output_{k}']) for k in range(1, 5)) == WIRES
 
     talk.wait = wait
-    talk.write(found)
-    built.force, built.pulses = np.array([0.0, 0.0, -9.80665]), built._rest()  # noqa: SLF001
+    built.force, built.pulses = np.array([0.0, 0.0, -9.80665]), built.rest()
     built.pulses[ORDER['pitch'] - 1] = 1080.0
-    talk.wait(1.0)
+    talk.wait(1.5)
     assert talk.channels[:4] == (1500, 2000, 1000, 1500)  # forward is more, as /rc/in has it
     assert talk.cycle.accel == pytest.approx((0.0, 0.0, -9.80665), abs=0.05)
     assert talk.volts == pytest.approx(12.0, abs=0.02)
-    built.pulses = built._rest()  # noqa: SLF001
+    built.pulses = built.rest()
     talk.wait(0.2)
     talk.spin(1, 0.1, 0.3)
     assert not any(built.outputs)  # it was stopped
@@ -162,19 +168,11 @@ def test_a_motor_is_tested_only_disarmed_at_rest_and_no_longer_than_asked_for():
     with pytest.raises(RefusedError, match='denied'):
         talk.spin(1, 0.3, 0.1)  # too fast
     talk.spin(2, 0.1, 0.3)
-    frame = talk._encoder.encode(measured(2))  # noqa: SLF001
-    built.firmware.receive(frame, built.time_us)
+    built.firmware.receive(Encoder(1, 191).encode(frame(2, 0.1, 10.0)), built.time_us)
     talk.wait(0.4)
     assert built.outputs == pytest.approx((0.0, 0.1, 0.0, 0.0))
     talk.wait(0.2)  # nobody asks again
     assert not any(built.outputs)
-
-
-def measured(motor):
-    """A request that would last for ten seconds."""
-    from quad_bridge.motor_test import frame  # noqa: PLC0415
-
-    return frame(motor, 0.1, 10.0)
 
 
 def test_a_set_up_that_cannot_fly_does_not_arm_and_nothing_of_it_changes_armed():

@@ -120,7 +120,7 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
     # raw = offset + force_body @ A, A = turn / scale, by least squares
     solved, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), place]), felt, rcond=None)
     offset, shaped = solved[0], solved[1:]
-    scale = 1.0 / np.linalg.norm(shaped, axis=0)
+    scale = 1.0 / np.maximum(np.linalg.norm(shaped, axis=0), 1e-6)
     left, _, right = np.linalg.svd(shaped * scale)
     rotation = left @ right
     off = felt - offset - place @ (rotation / scale)
@@ -157,8 +157,9 @@ def compass(raw: FloatArray) -> Values:
     radius = float(np.sqrt(max(solved[3] + centre @ centre, 1e-12)))
     covered = np.ptp(raw, axis=0) / radius
     if covered.min() < LEAST_COVERED:
-        raise RefusedError('the compass: not turned through all directions about its '
-                           f'{"xyz"[int(covered.argmin())]} axis; turn it over as well')  # fmt: skip
+        axis = 'xyz'[int(covered.argmin())]
+        raise RefusedError('the compass: not turned through all directions: too little along '
+                           f'its {axis} axis; turn it over as well')  # fmt: skip
     spread = float(np.std(np.linalg.norm(raw - centre, axis=1)))
     if spread > ROUND_SHARE * radius:
         raise RefusedError(f'the compass: its fields lie {100 * spread / radius:.0f} % off a '

@@ -1,6 +1,7 @@
 """`ros2 run quad_bridge setup`: asks for one thing after another, shows what it measures.
 
-It talks to the port itself, so no bridge may run. It writes nothing before its last question.
+It talks to the port itself, so no bridge may run. Each step is written once it is agreed to, since
+the next ones need it: no motor spins before the throttle's channel is known.
 """
 
 from __future__ import annotations
@@ -49,11 +50,11 @@ class Wizard:
 
     def __init__(self, talk: Talk, ask: Ask, tell: Callable[[str], object]) -> None:
         self._talk, self._ask, self._tell = talk, ask, tell
-        self.values: dict[str, float] = {}
-        """What has been measured, by name."""
+        self.written: dict[str, float] = {}
+        """What has been changed, by name."""
 
     def run(self, only: Sequence[str] = ()) -> dict[str, float]:
-        """Ask for each step, or only for these; what has changed and was agreed to."""
+        """Ask for each step, or only for these; what has been changed."""
         self._talk.read()
         cycle = self._talk.cycle
         if cycle is not None and cycle.flags & Flag.ARMED:
@@ -68,7 +69,7 @@ class Wizard:
             if not only and not self._yes(f'\n{words}'):
                 continue
             self._take(step)
-        return self._changed()
+        return self.written
 
     def _steps(self) -> tuple[tuple[str, str, Callable[[], dict[str, float]]], ...]:
         return (
@@ -93,12 +94,16 @@ class Wizard:
             for name, value in found.items():
                 self._tell(f'  {name:28s} {self._now(name):10.4g} -> {value:10.4g} '
                            f'{ROWS[name].unit}')  # fmt: skip
-            if self._yes('  take these'):
-                self.values |= found
+            if self._yes('  write these'):
+                changed = changed_by(found, self._talk.values)
+                if changed:
+                    self._talk.write(changed)
+                self.written |= changed
+                self._tell('  written, read back and kept')
             return
 
     def _now(self, name: str) -> float:
-        return self.values.get(name, self._talk.values[name])
+        return self._talk.values[name]
 
     def _yes(self, words: str) -> bool:
         return self._ask(f'{words}? [Y/n] ').strip().lower() in {'', 'y', 'yes'}
@@ -115,16 +120,6 @@ class Wizard:
         if not low <= value <= high:
             raise RefusedError(f'must be a number of {low:g} to {high:g}: found {text!r}')
         return value
-
-    def _changed(self) -> dict[str, float]:
-        now = self._talk.values
-        found = {}
-        for name, value in self.values.items():
-            low, high = ROWS[name].limits or (value, value)
-            bounded = float(np.float32(min(max(value, low), high)))
-            if bounded != now[name]:
-                found[name] = bounded
-        return found
 
     # The steps.
 
@@ -200,6 +195,15 @@ class Wizard:
         for place in wrong:
             self._tell(f'  motor {place}: swap two of its three wires, so that it turns round')
         return measure.outputs(seen, self._talk.values)
+
+
+def changed_by(wanted: Mapping[str, float], now: Mapping[str, float]) -> dict[str, float]:
+    """What differs, inside the firmware's limits and as the wire carries it."""
+    bounded = {}
+    for name, value in wanted.items():
+        low, high = ROWS[name].limits or (value, value)
+        bounded[name] = float(np.float32(min(max(value, low), high)))
+    return {name: value for name, value in bounded.items() if value != now.get(name)}
 
 
 def save(path: Path, aircraft: str, values: Mapping[str, float]) -> None:
@@ -291,18 +295,13 @@ def _set_up(given: argparse.Namespace) -> int:
     talk = Talk(line.wait, time.monotonic, signing_from(given.key))
     with contextlib.closing(line):
         if restored is None:
-            changed = Wizard(talk, input, lambda text: say(f'{text}\n')).run(given.only)
+            Wizard(talk, input, lambda text: say(f'{text}\n')).run(given.only)
         else:
             talk.read()
-            changed = {n: v for n, v in restored.items() if v != talk.values.get(n)}
-        if not changed:
-            say('nothing has changed\n')
-        elif input(f'write {len(changed)} values to the aircraft? [y/N] ').strip().lower() == 'y':
-            talk.write(changed)
-            say('written, read back and kept\n')
-        else:
-            say('nothing was written\n')
-            return 0
+            changed = changed_by(restored, talk.values)
+            if changed:
+                talk.write(changed)
+            say(f'{len(changed)} values written\n')
         path = (given.folder or default_folder()) / talk.aircraft / FILE
         save(path, talk.aircraft, talk.values)
         say(f'{path}\n')
