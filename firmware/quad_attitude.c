@@ -88,10 +88,10 @@ static void tune_turn(quad_attitude *a, const float *gains)
     memcpy(a->turned, angle, sizeof a->turned);
     const float sr = sinf(angle[0]), cr = cosf(angle[0]), sp = sinf(angle[1]), cp = cosf(angle[1]);
     const float sy = sinf(angle[2]), cy = cosf(angle[2]);
-    const float turn[3][3] = {{cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr},
-                              {sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr},
-                              {-sp, cp * sr, cp * cr}};
-    memcpy(a->turn, turn, sizeof turn);
+    const float matrix[3][3] = {{cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr},
+                                {sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr},
+                                {-sp, cp * sr, cp * cr}};
+    memcpy(a->turn, matrix, sizeof matrix);
 }
 
 static void to_body(const quad_attitude *a, const float board[3], float body[3])

@@ -204,7 +204,7 @@ def test_what_does_not_fit_is_refused_in_words():
     with pytest.raises(RefusedError, match='channels 1 and 2 moved'):
         measure.stick('roll', rest, low, high)
     raw = {name: np.array([0.0, 0.0, -9.8]) for name in measure.FORCES}
-    with pytest.raises(RefusedError, match='six positions do not fit'):
+    with pytest.raises(RefusedError, match='no sound accelerometer'):
         measure.six_positions(raw)
     flat = np.random.default_rng(1).standard_normal((200, 3)) * (0.4, 0.4, 0.01)
     with pytest.raises(RefusedError, match='all directions'):
