@@ -49,6 +49,12 @@ void quad_gains_write(quad_gains *gains, size_t index, float value)
     }
 }
 
+bool quad_gains_sets_up(const quad_gains *gains)
+{
+    const float *set = gains->staging ? gains->copy : gains->active;
+    return memcmp(&set[QUAD_SET_UP], &gains->good[QUAD_SET_UP], (QUAD_PARAMETERS - QUAD_SET_UP) * sizeof(float)) != 0;
+}
+
 float quad_gains_shown(const quad_gains *gains, size_t index)
 {
     return gains->staging ? gains->copy[index] : gains->active[index];

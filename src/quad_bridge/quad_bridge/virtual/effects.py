@@ -165,6 +165,26 @@ class StepEvent(Effect):
 
 
 @dataclass(frozen=True)
+class Ground(Effect):
+    """A ground to take off from and to land on, and its cushion of air; in hover only.
+
+    Thrust is multiplied by 1 / (1 - (radius / 4 height)^2) (Cheeseman and Bennett, 1955) with the
+    rotors' height; radius 0: no cushion. What stands on it does not turn.
+    """
+
+    height_m: float = 0.0
+    """Of the ground in the world; the flight begins at 0."""
+    rotor_radius_m: float = 0.127
+    rotor_height_m: float = 0.12  # above the ground, standing
+
+    def __post_init__(self) -> None:
+        """Check bounds."""
+        require(self.height_m <= 0.0, f'height_m must not be above the start: {self.height_m}')
+        require(0.0 <= self.rotor_radius_m < 2.0 * self.rotor_height_m,
+                'rotor_radius_m must lie in 0..2 rotor_height_m')  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Vibration(Effect):
     """Lines in the gyro before its filter, rad/s each."""
 
@@ -180,32 +200,17 @@ class Vibration(Effect):
 
 
 @dataclass(frozen=True)
-class GroundEffect(Effect):
-    """Thrust times 1 / (1 - (radius / 4 z)^2), z the height over the ground (Cheeseman, Bennett).
-
-    The pilot hovers `height_m` above it; in hover only.
-    """
-
-    radius_m: float = 0.3
-    height_m: float = 0.6
-
-    def __post_init__(self) -> None:
-        """Check bounds."""
-        require(self.height_m > 0.0, f'height_m must be positive: {self.height_m}')
-
-
-@dataclass(frozen=True)
 class AirDrag(Effect):
-    """Force -coefficient v |v| of the body in the air, each body axis with its own; in hover only.
-    """
+    """Force -coefficient v |v| in the air, each body axis with its own; in hover only."""
 
     coefficient_n_s2_m2: Vector = (0.25, 0.25, 0.4)
 
 
 @dataclass(frozen=True)
 class RotorDrag(Effect):
-    """Blades in the air that passes: force -coefficient v of each rotor in its plane at full speed,
-    proportional to its speed; in hover only.
+    """Force -coefficient v of each rotor in its plane at full speed, in proportion to its speed.
+
+    The blades meet the air that passes; in hover only.
     """
 
     coefficient_n_s_m: float = 0.15
@@ -232,7 +237,7 @@ class Effects:
     resonance: Resonance = field(default_factory=Resonance)
     periodic_disturbance: PeriodicDisturbance = field(default_factory=PeriodicDisturbance)
     step_event: StepEvent = field(default_factory=StepEvent)
+    ground: Ground = field(default_factory=Ground)
     vibration: Vibration = field(default_factory=Vibration)
-    ground_effect: GroundEffect = field(default_factory=GroundEffect)
     air_drag: AirDrag = field(default_factory=AirDrag)
     rotor_drag: RotorDrag = field(default_factory=RotorDrag)

@@ -5,7 +5,7 @@ lever l sqrt(2)/2, yaw by the rotors' reaction torques, Omega = -w1 + w2 - w3 + 
 spin vectors that point up (1 and 3 turn clockwise), gyroscopic torque -(J Omega) q about roll and
 +(J Omega) p about pitch. Body FLU, world ENU, SI. Constants come as a `Plant`; no sensors here.
 Dry friction acts as an impulse after each step (it can hold the axis still, and never reverses
-it); everything else goes through RK4.
+it), so does the ground; everything else goes through RK4.
 """
 
 from __future__ import annotations
@@ -72,6 +72,9 @@ def motor_thrusts(state: FloatArray, plant: Plant, voltage: float, thrusts: Floa
     scale = plant.full_thrust
     if plant.sag_exponent != 0.0:
         scale *= (voltage / plant.sag_reference_v) ** plant.sag_exponent
+    if plant.ground:
+        above = plant.rotor_height + max(0.0, state[POSITION + 2] - plant.ground_m)
+        scale /= 1.0 - (0.25 * plant.rotor_radius / above) ** 2
     c = plant.curvature
     for i in range(4):
         n = state[ROTORS + i]
@@ -153,14 +156,11 @@ def body_torque(state: FloatArray, plant: Plant, time_s: float, torque: FloatArr
 
 @kernel
 def air_force(state: FloatArray, plant: Plant, thrusts: FloatArray, out: FloatArray) -> None:
-    """Write all but the weight (3,) over the mass, m/s², body axes: thrust, ground and drags."""
+    """Write all but the weight (3,) over the mass, m/s², body axes: thrust and drags."""
     lift, turning, speed = 0.0, 0.0, np.empty(3)
     for i in range(4):
         lift += thrusts[i]
         turning += math.sqrt(max(0.0, float(state[ROTORS + i])))
-    if plant.ground_radius > 0.0:
-        height = max(0.5 * plant.ground_radius, state[POSITION + 2] + plant.ground_height)
-        lift /= 1.0 - (0.25 * plant.ground_radius / height) ** 2
     body_from_world(state[QUAT : QUAT + 4], state[VELOCITY : VELOCITY + 3], speed)
     for i in range(3):
         blades = plant.rotor_drag * turning if i < 2 else 0.0
@@ -219,6 +219,29 @@ def dry_friction(state: FloatArray, plant: Plant) -> None:
 
 
 @kernel
+def stands(state: FloatArray, plant: Plant) -> bool:
+    """Whether the ground carries it."""
+    return plant.ground and state[POSITION + 2] <= plant.ground_m
+
+
+@kernel
+def touch_ground(state: FloatArray, plant: Plant) -> None:
+    """Nothing sinks into the ground; what stands on it is level and neither slides nor turns."""
+    if not stands(state, plant) or state[VELOCITY + 2] > 0.0:
+        return
+    state[POSITION + 2] = plant.ground_m
+    heading = math.hypot(state[QUAT], state[QUAT + 3])
+    for i in range(3):
+        state[VELOCITY + i] = 0.0
+        state[RATES + i] = 0.0
+    if heading > 0.0:
+        state[QUAT] /= heading
+        state[QUAT + 1] = 0.0
+        state[QUAT + 2] = 0.0
+        state[QUAT + 3] /= heading
+
+
+@kernel
 def physics_step(
     state: FloatArray, plant: Plant, motors: FloatArray, normals: FloatArray, extra: FloatArray
 ) -> None:
@@ -247,6 +270,7 @@ def physics_step(
             h / 6.0 * (stages[0, i] + 2.0 * stages[1, i] + 2.0 * stages[2, i] + stages[3, i])
         )
     dry_friction(state, plant)
+    touch_ground(state, plant)
     norm = 0.0
     for i in range(4):
         norm += state[QUAT + i] ** 2

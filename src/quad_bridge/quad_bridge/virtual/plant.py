@@ -43,8 +43,6 @@ class Plant(NamedTuple):
     linear_drag: float
     air_drag: Triple  # of the body's axes, N s²/m²
     rotor_drag: float  # of a rotor at full speed, N s/m
-    ground_radius: float  # m; 0: no ground is near
-    ground_height: float  # of the pilot's altitude over the ground, m
     damping: Triple  # n m s/rad
     bias_torque: Triple
     noise: Triple  # n m/sqrt(Hz), one-sided
@@ -86,6 +84,10 @@ class Plant(NamedTuple):
     event_time_s: float
     event_gain: Triple
     event_torque: Triple
+    ground: bool
+    ground_m: float
+    rotor_radius: float
+    rotor_height: float
 
 
 def torque_map(airframe: Airframe) -> FloatArray:
@@ -113,7 +115,6 @@ STRENGTHS = {
     'event_torque': ('step_event', 'torque_nm'),
     'air_drag': ('air_drag', 'coefficient_n_s2_m2'),
     'rotor_drag': ('rotor_drag', 'coefficient_n_s_m'),
-    'ground_radius': ('ground_effect', 'radius_m'),
 }
 """Constant of the plant to the effect and its field that it is where the effect is on; else 0."""
 
@@ -172,7 +173,10 @@ def build_plant(
         'periodic_rad_s': 2.0 * math.pi * effects.periodic_disturbance.frequency_hz,
         'periodic_phase': phase,
         'event_time_s': effects.step_event.time_s,
-        'ground_height': effects.ground_effect.height_m,
+        'ground': hovers and effects.ground.enabled,
+        'ground_m': effects.ground.height_m,
+        'rotor_radius': effects.ground.rotor_radius_m,
+        'rotor_height': effects.ground.rotor_height_m,
     }
     for name, (effect, strength) in STRENGTHS.items():
         one = getattr(effects, effect)

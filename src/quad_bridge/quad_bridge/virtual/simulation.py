@@ -18,6 +18,7 @@ from quad_bridge.virtual.cycle import (
     ADDED,
     ARMED,
     COLUMNS,
+    HOLD,
     INJECTION,
     INPUTS,
     STICK_PITCH,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-INJECTIONS = ('none', 'attitude', 'rate', 'control', 'collective')
+INJECTIONS = ('none', 'attitude', 'rate', 'control', 'thrust')
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,8 @@ class Flight:
     true_angles: FloatArray
     position_m: FloatArray
     velocity_m_s: FloatArray
+    height_m: FloatArray  # as the firmware estimates it, with its climb
+    climb_m_s: FloatArray
 
     @property
     def dt(self) -> float:
@@ -128,6 +131,7 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
         given[rows, ARMED] = float(armed)
         throttle = channels.throttle
         given[rows, THROTTLE] = aircraft.hover_throttle if throttle is None else throttle
+        given[rows, HOLD] = float(channels.hold)
         sticks = (channels.roll, channels.pitch, channels.yaw)
         for column, stick in zip((STICK_ROLL, STICK_PITCH, STICK_YAW), sticks, strict=True):
             given[rows, column] = 0.0 if channels.failsafe else stick
@@ -136,7 +140,7 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
         stop = min(count, start + part.samples.size)
         climbs = part.axis == 'climb'
         given[start:stop, INJECTION] = INJECTIONS.index(
-            'collective' if climbs else part.injection)
+            'thrust' if climbs else part.injection)
         column = 2 if climbs else AXES.index(part.axis)
         given[start:stop, ADDED + column] = part.samples[: stop - start]
     return given
