@@ -130,3 +130,24 @@ def test_barometer_and_accelerometer_give_the_climb():
     speed, altitude = vertical_motion(altitude_of(flight.pressure_pa), force, record.dt)
     assert np.std(speed - flight.velocity_m_s[:, 2]) < 0.06
     assert np.std(altitude - flight.position_m[:, 2]) < 0.15
+
+
+def test_the_aircraft_as_a_whole():
+    """Thrust by the mass and mass by the thrust to 1 %, throttle of the hover to 1 %, a centre of
+    mass in the middle, and a URDF that comes back.
+    """
+    from quad_sysid.craft import from_urdf
+    from quad_sysid.whole import whole_of
+
+    record, flight = flown(Effects(), 'climb')
+    body = load_profile('plain').airframe
+    full = 4.0 * body.motors.full_thrust_n
+    found = qs.identify(record, axes='climb', effects=(), mass=body.mass_kg)
+    facts = {fact.name: fact for fact in found.whole.facts}
+    assert facts['full_thrust'].value == pytest.approx(full, rel=0.01)
+    assert facts['hover_throttle'].value == pytest.approx(body.mass_kg * 9.81 / full, rel=0.01)
+    assert abs(facts['centre_of_mass_x'].value) < 1.0
+    models = {'climb': found.answer.model}
+    turned = whole_of(models, [record], thrust_n=full)
+    assert turned.facts[0].value == pytest.approx(body.mass_kg, rel=0.01)
+    assert from_urdf(found.report['aircraft']['urdf']).count == 4

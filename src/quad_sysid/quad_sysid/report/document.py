@@ -23,6 +23,7 @@ from quad_sysid.pipeline.answer import (
 )
 from quad_sysid.record import Segment
 from quad_sysid.units import Units, spoken, unit_in
+from quad_sysid.whole import Whole
 
 SCHEMA = 'quad_sysid/report/1'
 MOST_TRIED = 40
@@ -37,10 +38,12 @@ ERRORS = ('before', 'after', 'reference', 'blackbox', 'noise_floor', 'one_step_b
 
 
 def document(answers: Mapping[str, AxisAnswer], bags: Sequence[str],
-             inertia: Mapping[str, float] | None = None) -> dict[str, Any]:
+             inertia: Mapping[str, float] | None = None,
+             whole: Whole | None = None) -> dict[str, Any]:
     """The tree of report.json; `inertia` in kg m² by axis adds torques in N m."""
     axes = {axis: _axis(answer, (inertia or {}).get(axis)) for axis, answer in answers.items()}
-    tree: dict[str, Any] = plain({'schema': SCHEMA, 'bags': bags, 'axes': axes})
+    tree: dict[str, Any] = plain({'schema': SCHEMA, 'bags': bags, 'axes': axes,
+                                  **({'aircraft': whole.tree} if whole else {})})
     return tree
 
 

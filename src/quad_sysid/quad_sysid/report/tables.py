@@ -88,6 +88,14 @@ def overview(report: Tree) -> Table:
                  rows, (3, 4))
 
 
+def aircraft(report: Tree) -> Table:
+    """The aircraft as a whole."""
+    rows = [[fact['name'].replace('_', ' '), _value(fact) if fact['std'] is not None
+             else number(fact['value'], 4), '' if fact['unit'] == '1' else fact['unit'],
+             fact['how']] for fact in report.get('aircraft', {}).get('facts', ())]
+    return Table(['aircraft', 'value', 'unit', 'how'], rows, (1,))
+
+
 def errors(tree: Tree) -> Table:
     """The held-out error of everything that predicts."""
     error = tree['error']
