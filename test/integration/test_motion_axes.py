@@ -133,13 +133,11 @@ def test_barometer_and_accelerometer_give_the_climb():
 
 
 def test_the_aircraft_as_a_whole():
-    """Thrust by the mass and mass by the thrust to 1 %, throttle of the hover to 1 %, a centre of
-    mass in the middle, and a URDF that comes back.
-    """
+    """Thrust by the mass, mass by the thrust and the throttle of the hover to 1 %; a URDF."""
     from quad_sysid.craft import from_urdf
     from quad_sysid.whole import whole_of
 
-    record, flight = flown(Effects(), 'climb')
+    record, _ = flown(Effects(), 'climb')
     body = load_profile('plain').airframe
     full = 4.0 * body.motors.full_thrust_n
     found = qs.identify(record, axes='climb', effects=(), mass=body.mass_kg)

@@ -42,8 +42,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     ('arguments', 'words'),
     [
         ('--axis sideways',
-         'axis: must be one of roll, pitch, yaw, surge, sway, climb, all, '
-         "every: found 'sideways'"),
+         "must be one of roll, pitch, yaw, surge, sway, climb, all, every: found 'sideways'"),
         ('--train 0:20 --validate 10:30', 'training and validation overlap'),
         ('--train 100:130', '--train starts after the end'),
         *((f'--inertia {three}', '--inertia: needs three positive numbers')
