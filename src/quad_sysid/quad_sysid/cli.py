@@ -93,6 +93,10 @@ def _identify_parser(commands: Commands) -> None:
                         'where that exists)')
     parser.add_argument('--inertia', metavar='IX,IY,IZ',
                         help='kg m²; the report then gives torques in N m as well')
+    parser.add_argument('--mass', type=float, metavar='KG', help='of the aircraft: thrust, drag '
+                        'and inertia then follow')
+    parser.add_argument('--thrust', type=float, metavar='N',
+                        help='of all motors at full command, where the mass is not known')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
     effects_option(parser)
     quiet_and_json(parser, 'report.json')
@@ -148,7 +152,7 @@ def _identify(options: argparse.Namespace) -> int:
     wanted = session.asked(
         () if options.axis is None else options.axis.split(','), options.train or '',
         options.validate or '', options.inertia or '',
-    ) | {'effects': candidates(options)}
+    ) | {'effects': candidates(options), 'mass': options.mass, 'thrust': options.thrust}
     show = progress(quiet=options.quiet)
     outcome = session.run(options.bags, options.out, wanted, show)
     if options.json:

@@ -73,6 +73,14 @@ def over_level(body: FloatArray, angles: FloatArray) -> FloatArray:
     return np.column_stack([cp * x + sp * down, cr * y - sr * z, cp * down - sp * x])
 
 
+def in_body(level: FloatArray, angles: FloatArray) -> FloatArray:
+    """(n, 3) the inverse of over_level."""
+    (cr, cp), (sr, sp) = np.cos(angles[:, :2]).T, np.sin(angles[:, :2]).T
+    x, y, z = level.T
+    down = sp * x + cp * z
+    return np.column_stack([cp * x - sp * z, cr * y + sr * down, cr * down - sr * y])
+
+
 def altitude_of(pressure_pa: FloatArray) -> FloatArray:
     """(n,) m above the first known of these pressures, by the standard atmosphere."""
     height = (1.0 - (pressure_pa / SEA_LEVEL_PA) ** (1.0 / POWER)) / PER_METRE

@@ -26,7 +26,8 @@ WIDTHS = {
     'velocity': 3, 'altitude': 0, 'lean': 2,
 }
 """Array of a Record → its columns: 0 for one without (n,), None for any number."""
-SPOKEN, SEEN = ('control', 'motors', 'wrench'), ('velocity', 'altitude', 'lean')
+ACTING = ('control', 'motors', 'wrench', 'angles', 'lean')
+SPARSE = ('velocity', 'altitude', 'lean')
 """Arrays that act over a whole cycle, and those that may come more rarely."""
 SPEED_DT_S = (0.01, 0.05)
 """Shortest and longest interval, s, at which a speed is looked at: its motors have a lag of some
@@ -305,12 +306,8 @@ class Record:
             values = getattr(self, array)
             if values is None:
                 continue
-            if array in SPOKEN:
-                arrays[array] = cells(values).mean(axis=1)
-            elif array in SEEN:
-                arrays[array] = cells(_joined(values, SPEED_GAP_S / self.dt))[:, 0]
-            else:
-                arrays[array] = cells(values)[:, 0]
+            known = _joined(values, SPEED_GAP_S / self.dt) if array in SPARSE else values
+            arrays[array] = cells(known).mean(axis=1) if array in ACTING else cells(known)[:, 0]
         away = phase * self.dt
         return replace(
             self, dt=count * self.dt, t0_ns=self.t0_ns + round(1e9 * away), **arrays,

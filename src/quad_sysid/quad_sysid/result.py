@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from quad_sysid.pipeline.evaluate import Evaluation
     from quad_sysid.record import IOData
     from quad_sysid.separation.design import Separation
+    from quad_sysid.whole import Whole
 
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
 """Predictions of a design with which the bridge's watch compares the flight."""
@@ -59,6 +60,8 @@ class Result:
     """Sources of the flights."""
     inertia: Mapping[str, float] | None = None
     """Axis → kg m², to report torques in N m too."""
+    whole: Whole | None = None
+    """The aircraft as a whole; None where the flights are arrays."""
     folder: Path | None = None
     """Folder of the report, once it is saved."""
 
@@ -82,7 +85,7 @@ class Result:
         """The tree of report.json (contract)."""
         from quad_sysid.report.document import document
 
-        return document(self.answers, self.flights, self.inertia)
+        return document(self.answers, self.flights, self.inertia, self.whole)
 
     @property
     def answer(self) -> AxisAnswer:
@@ -191,7 +194,8 @@ class Result:
         place = Path(folder) if folder else store.free_folder(
             Path(f'{Path(self.flights[0]).resolve().stem}_identified')
         )
-        store.write(place, self.report, self.answers, html=html, pictures=pictures)
+        store.write(place, self.report, self.answers, html=html, pictures=pictures,
+                    urdf=self.whole.craft.to_urdf() if self.whole else '')
         return replace(self, folder=place)
 
     @property
@@ -250,6 +254,7 @@ def identify(
     train: Parts | None = None, validate: Parts | None = None,
     effects: Sequence[Effect] | None = None, extra_effects: Sequence[Effect] = (),
     designer: Designer | None = None, inertia: Mapping[str, float] | None = None,
+    mass: float | None = None, thrust: float | None = None,
     progress: Callable[[str], object] = lambda _: None, seconds: float | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Result:
@@ -262,6 +267,7 @@ def identify(
     flights excite; of arrays the one that they are called, `roll`. `train`, `validate`: Parts, or
     (start, end), s from the first sample; default: the bag's segments, else 60 and 40 %.
     `effects`: the candidates; default `EFFECTS`, `()` for none; `extra_effects` join them.
+    `mass` (kg) or `thrust` (N, of all motors at full command): of the aircraft as a whole.
     `designer`: designs gains for a model; default: that of quad_tuning, where installed.
     `progress`: called with a line of text, or a tqdm; `seconds`: after which the search adds
     nothing more, as where `stop()` is true; the report says what was not tried. Raises
@@ -272,10 +278,14 @@ def identify(
     from quad_sysid.model.checked import checked
     from quad_sysid.pipeline.identify import Options
     from quad_sysid.pipeline.identify import identify as answers_of
+    from quad_sysid.whole import whole_of
 
     wanted = (axes,) if isinstance(axes, str) else tuple(axes)
     for axis in wanted:
         axis_of('identify', axis)
+    for name, value in (('mass', mass), ('thrust', thrust)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise BadInputError('identify', f'{name} must be a positive number', value)
     chosen = EFFECTS if effects is None else effects
     candidates = EFFECTS if effects is None and not extra_effects else checked(
         (*chosen, *extra_effects) if isinstance(chosen, list | tuple) else chosen,
@@ -300,7 +310,12 @@ def identify(
                 halt=limit),
         show,
     )
-    return Result(answers, tuple(record.source for record in records), inertia)
+    whole = None
+    if records[0].units is None:
+        models = {axis: one.model for axis, one in answers.items()
+                  if one.model is not None and one.answered}
+        whole = whole_of(models, records, mass, thrust)
+    return Result(answers, tuple(record.source for record in records), inertia, whole)
 
 
 def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,

@@ -201,16 +201,16 @@ class Vibration(Effect):
 
 @dataclass(frozen=True)
 class AirDrag(Effect):
-    """Force -coefficient v |v| in the air, each body axis with its own; in hover only."""
+    """Force -coefficient v |v| of the body in the air, by body axis; in hover only."""
 
     coefficient_n_s2_m2: Vector = (0.25, 0.25, 0.4)
 
 
 @dataclass(frozen=True)
 class RotorDrag(Effect):
-    """Force -coefficient v of each rotor in its plane at full speed, in proportion to its speed.
+    """Force -coefficient v of each rotor in its plane, proportional to its speed; in hover only.
 
-    The blades meet the air that passes; in hover only.
+    The coefficient is that at full speed.
     """
 
     coefficient_n_s_m: float = 0.15

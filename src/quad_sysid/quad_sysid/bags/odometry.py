@@ -1,6 +1,6 @@
 """Speed over the ground and altitude on the grid: of /odom, or of barometer and accelerometer.
 
-Messages in, arrays out; what they mean is in motion.py. REP-105 and REP-103: the pose is in a
+Messages to arrays and back; what they mean is in motion.py. REP-105 and REP-103: the pose is in a
 world ENU, the twist in the body's FLU; a source that writes the twist in the world is recognised
 by its positions.
 """
@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from quad_sysid.bags.cdr import Stamped
-from quad_sysid.bags.orientation import euler_from_quaternion
+from quad_sysid.bags.orientation import euler_from_quaternion, quaternions
 from quad_sysid.bags.stamps import Grid
 from quad_sysid.contract import FloatArray
-from quad_sysid.motion import altitude_of, lean, over_level, vertical_motion
+from quad_sysid.motion import altitude_of, in_body, lean, over_level, vertical_motion
+from quad_sysid.record import Record
 
 ODOM, BARO = '/odom', '/baro'
 LEAST = 10
@@ -54,7 +55,9 @@ def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
     if stream is None:
         return Moving()
     stamps, rows = np.unique(stream.stamps, return_index=True)
-    rows = rows[np.isfinite(stream.values[rows]).all(axis=1)]
+    upward = not np.isfinite(stream.values[:, 7:9]).any()  # no horizontal speed is known
+    needed = [*range(7), 9] if upward else slice(None)
+    rows = rows[np.isfinite(stream.values[rows][:, needed]).all(axis=1)]
     if rows.size < LEAST:
         warnings.append(f'{ODOM}: {rows.size} messages whose numbers are finite; not used')
         return Moving()
@@ -72,7 +75,7 @@ def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
     else:
         warnings.append(f'{ODOM} and /imu/data hold no attitude; not used')
         return Moving()
-    level = _along_heading(position, twist, attitude, stamps, warnings)
+    level = twist if upward else _along_heading(position, twist, attitude, stamps, warnings)
     if level is None:
         return Moving()
     return Moving(grid.place(stamps, level), grid.place(stamps, position[:, 2:])[:, 0], leans)
@@ -136,3 +139,34 @@ def _vertical(stream: Stamped | None, grid: Grid, angles: FloatArray,
     velocity[cells, 2], height[cells] = speed, altitude
     velocity[~np.isfinite(force), 2] = np.nan
     return Moving(velocity, height, by_force=True)
+
+
+def odometry_of(record: Record, stamps: np.ndarray) -> Stamped | None:
+    """The messages of /odom that say of the motion what a record does; None: it says nothing.
+
+    Their orientation is that of the record's lean where it has one. The place is the integral of
+    the speed from the first sample on. Without horizontal speeds the twist is the vertical one.
+    """
+    velocity, angles = record.velocity, record.angles
+    if velocity is None or angles is None or record.speed_filter_hz is not None:
+        return None
+    seen = np.flatnonzero(np.isfinite(velocity[:, 2]) & np.isfinite(angles).all(axis=1))
+    if seen.size < LEAST:
+        return None
+    attitude = angles[seen].copy()
+    if record.lean is not None:
+        forward, left = record.lean[seen].T
+        tilted = np.isfinite(forward) & np.isfinite(left)
+        pitch = np.arctan(forward[tilted])
+        attitude[tilted, 0] = -np.arctan(left[tilted] * np.cos(pitch))
+        attitude[tilted, 1] = pitch
+    speed, time, yaw = velocity[seen], seen * record.dt, attitude[:, 2]
+    flat = np.nan_to_num(speed[:, :2])
+    c, s = np.cos(yaw), np.sin(yaw)
+    world = np.column_stack([c * flat[:, 0] - s * flat[:, 1], s * flat[:, 0] + c * flat[:, 1]])
+    steps = 0.5 * (world[1:] + world[:-1]) * np.diff(time)[:, None]
+    place = np.zeros((seen.size, 3))
+    place[1:, :2] = np.cumsum(steps, axis=0)
+    place[:, 2] = 0.0 if record.altitude is None else np.nan_to_num(record.altitude[seen])
+    twist = in_body(speed, attitude) if np.isfinite(speed).all() else speed
+    return Stamped(stamps[seen], np.column_stack([place, quaternions(attitude), twist]))

@@ -36,6 +36,7 @@ from quad_sysid.bags.cdr import (
     typestore,
 )
 from quad_sysid.bags.events import DESATURATION, DESATURATIONS, EVENT, Event, encode_event
+from quad_sysid.bags.odometry import ODOM, odometry_of
 from quad_sysid.bags.orientation import UNMEASURED, quaternions
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import X
@@ -98,6 +99,9 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
             streams[topic] = _stream(stamps, array)
     if battery is not None:
         streams['/battery'] = _stream(stamps[::step], battery[::step, None])
+    moved = odometry_of(record, stamps)
+    if moved is not None:
+        streams[ODOM] = moved
     return write_streams(path, streams, _events(record), options,
                          '' if record.craft == X else record.craft.to_urdf())
 

@@ -157,7 +157,8 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
     if brief is not None and known is not None:
         there = [replace(one, rate=brief.flight.rate) for one in tries]
         tries = [Try(one.structure, (one.theta,), problem.flight.rate)
-                 for one in begun_fits(brief, there) if one.evidence > known.evidence + ANEW / BRIEF]
+                 for one in begun_fits(brief, there)
+                 if one.evidence > known.evidence + ANEW / BRIEF]
     return contest(problem, tries, base.evidence)
 
 
@@ -341,7 +342,7 @@ def settled(problem: Problem, found: Found) -> Found:
 
 
 def _brief(problem: Problem, base: Fit) -> Problem | None:
-    """A short part of the rows, with the priors that the base has there; None: it is no shorter."""
+    """A short part of the rows, with the base's priors there; None: it is no shorter."""
     rows = problem.rows.size // BRIEF
     blocks = int(np.clip(rows * problem.data.dt / BRIEF_BLOCK_S, 2, BLOCKS))
     brief = problem.shortened(rows, blocks)

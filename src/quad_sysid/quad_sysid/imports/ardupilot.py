@@ -31,12 +31,12 @@ from quad_sysid.imports.log import (
     Stream,
     Wanted,
 )
-from quad_sysid.imports.mixers import MIRROR, angles_from_ned, mirrored
+from quad_sysid.imports.mixers import MIRROR, angles_from_ned, enu, mirrored
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, text_lines
 
-FIRST_INSTANCE = ('IMU', 'BAT')
-INSTANCE = ('I', 'Instance', 'Inst')
+FIRST_INSTANCE = ('IMU', 'BAT', 'XKF1')
+INSTANCE = ('I', 'Instance', 'Inst', 'C')
 QUAD = 4
 """Number of motors where the parameters do not say it."""
 OLD_CHANNEL = re.compile(r'^Ch(an)?(?=\d)')
@@ -79,12 +79,14 @@ WANTED = (
            'to rad/s, pitch and yaw turned', _mirrored_degrees),
     Wanted('acceleration', _of('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
            mirrored),
+    Wanted('velocity', _of('XKF1', 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
+    Wanted('position', _of('XKF1', 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu),
     Wanted('battery', _of('BAT', 'Volt'), 'V', 'as it is'),
 )
 OUTPUTS = Wanted('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
                  'as they are, pitch and yaw turned; U is in the unit of these outputs',
                  lambda values: values * [1.0, *MIRROR])
-MESSAGES = ('RATE', 'ATT', 'IMU', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD', 'SIDS')
+MESSAGES = ('RATE', 'ATT', 'IMU', 'XKF1', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD', 'SIDS')
 NO_GAINS = ("ArduPilot's gains are not carried over: {}, so nobody knows what its outputs do to "
             'the motors')
 AT_HOVER = ("ArduPilot's gains are stated for the thrust of hover: between its outputs and the "

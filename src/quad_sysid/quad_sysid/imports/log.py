@@ -27,7 +27,8 @@ TOPICS = {
     'rates': '/imu/data angular_velocity', 'angles': '/imu/data orientation',
     'acceleration': '/imu/data linear_acceleration', 'attitude_setpoint': '/setpoint/attitude',
     'rate_setpoint': '/setpoint/rates', 'battery': '/battery', 'control': '/control/wrench',
-    'motors': '/motors/command', 'speeds': '/motors/state',
+    'motors': '/motors/command', 'speeds': '/motors/state', 'velocity': '/odom twist',
+    'position': '/odom pose',
     'rates_before': 'quad-sysid look', 'd_term': 'quad-sysid look',
 }
 """Topic of each stream of ForeignLog, or who alone reads it."""
@@ -36,6 +37,7 @@ LACKING = {
     'attitude_setpoint': 'no indirect approach, no closed loop',
     'rate_setpoint': 'the pictures lack the rate reference',
     'battery': 'no battery sag',
+    'velocity': 'no surge and sway; the climb needs it too',
 }
 """What cannot be done without a stream."""
 NO_GAINS = "the controller's gains: no closed loop, no gain design"
@@ -115,6 +117,10 @@ class ForeignLog:
     """(n, 3) roll, pitch, yaw, rad, FLU in ENU."""
     acceleration: Stream | None = None
     """(n, 3) m/s², FLU."""
+    velocity: Stream | None = None
+    """(n, 3) m/s over the ground, ENU."""
+    position: Stream | None = None
+    """(n, 3) m, ENU; its slope is the velocity where that is not logged."""
     attitude_setpoint: Stream | None = None
     """(n, 3) rad."""
     rate_setpoint: Stream | None = None

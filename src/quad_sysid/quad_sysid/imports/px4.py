@@ -28,7 +28,7 @@ from quad_sysid.imports.log import (
     Stream,
     Wanted,
 )
-from quad_sysid.imports.mixers import MIRROR, mirrored, ned_angles
+from quad_sysid.imports.mixers import MIRROR, enu, mirrored, ned_angles
 from quad_sysid.imports.rosbag import read_messages, topics_of
 from quad_sysid.imports.table import Table
 
@@ -73,6 +73,8 @@ WANTED = (
            'FRD in NED to FLU in ENU', ned_angles),
     Wanted('rate_setpoint', _of('vehicle_rates_setpoint', *AXES), 'rad/s',
            'pitch and yaw turned', mirrored),
+    Wanted('velocity', _of('vehicle_local_position', 'vx', 'vy', 'vz'), 'm/s', 'NED to ENU', enu),
+    Wanted('position', _of('vehicle_local_position', 'x', 'y', 'z'), 'm', 'NED to ENU', enu),
     Wanted('battery', _of('battery_status', 'voltage_v'), 'V', 'as it is'),
 )
 TOPICS = (
