@@ -16,7 +16,7 @@ from pathlib import Path
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # a process of one thread may fork: beside.py
 
-from quad_sysid import comparison, exports, fleets
+from quad_sysid import comparison, exports
 from quad_sysid.app import cli as app
 from quad_sysid.arguments import (
     NOT_ANSWERED,
@@ -34,6 +34,7 @@ from quad_sysid.axes import EVERY, units_of
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.files import check_new, write_whole
+from quad_sysid.fleets import cli as fleets
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
 from quad_sysid.logview import cli as look
