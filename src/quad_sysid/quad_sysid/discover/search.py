@@ -153,11 +153,12 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
         ], problem.flight.rate)
         for part in parts if part.effect.term == 'response' and not part.effect.motors
     ]
-    known = brief and fitted_from(brief, base.structure, base.theta, rate=base.rate[brief.index])
+    known = None if brief is None else fitted_from(brief, base.structure, base.theta,
+                                                   rate=base.rate[brief.index])
     if brief is not None and known is not None:
-        there = [replace(one, rate=brief.flight.rate) for one in tries]
+        there = begun_fits(brief, [replace(one, rate=brief.flight.rate) for one in tries])
         tries = [Try(one.structure, (one.theta,), problem.flight.rate)
-                 for one in begun_fits(brief, there) if one.evidence > known.evidence + ANEW / BRIEF]
+                 for one in there if one.evidence > known.evidence + ANEW / BRIEF]
     return contest(problem, tries, base.evidence)
 
 
@@ -198,8 +199,9 @@ class _Search:
             if not ahead:
                 break
         unlike: dict[frozenset[str], tuple[float, Fit, Score]] = {}
-        for one in sorted(ahead.values(), key=lambda one: -one[0]):
-            unlike.setdefault(frozenset((*one[1].structure.labels, one[2].part.effect.label)), one)
+        for found in sorted(ahead.values(), key=lambda one: -one[0]):
+            _, fit, one = found
+            unlike.setdefault(frozenset((*fit.structure.labels, one.part.effect.label)), found)
         hopeful = [*unlike.values()][:refits]
         if self.halt():
             return []
@@ -341,7 +343,7 @@ def settled(problem: Problem, found: Found) -> Found:
 
 
 def _brief(problem: Problem, base: Fit) -> Problem | None:
-    """A short part of the rows, with the priors that the base has there; None: it is no shorter."""
+    """A short part of the rows, with the priors that the base has there; None: there is none."""
     rows = problem.rows.size // BRIEF
     blocks = int(np.clip(rows * problem.data.dt / BRIEF_BLOCK_S, 2, BLOCKS))
     brief = problem.shortened(rows, blocks)
