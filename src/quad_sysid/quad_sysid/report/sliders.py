@@ -18,7 +18,7 @@ import numpy as np
 
 from quad_sysid.loop.cascade import TUNED, CascadeGains, frequency_grid
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.linear import NEAR_REST, WIDE, loops_of
+from quad_sysid.loop.linear import NEAR_REST, WIDE, ComplexArray, loops_of
 from quad_sysid.model import AxisModel
 
 SCRIPT = Path(__file__).with_name('sliders.js')
@@ -61,7 +61,7 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
     rate, angle = loops.response(omega)
     none = replace(flown, angle_kp=0.0, rate_kp=0.0, rate_ki=0.0, rate_kd=0.0, kff=0.0)
 
-    def part(**gains: float) -> np.ndarray[Any, Any]:
+    def part(**gains: Any) -> ComplexArray:
         return replace(none, **gains).response(omega, model.dt)
 
     error = part(rate_kp=1.0)[0]
