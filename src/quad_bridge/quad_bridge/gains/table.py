@@ -205,7 +205,7 @@ SET_UP = (
     _channel('yaw', 'YAW', 4, needed=True),
     _channel('kill', 'KILL', 5, needed=True),
     _channel('arm', 'ARM', 6, needed=False),
-    _channel('hold', 'HOLD', 7, needed=False),
+    _channel('hold', 'HOLD', 0, needed=False),
     *(row for stick in STICKS for row in _ends(stick)),
     Gain('receiver.deadband_us', 'RC_DEADBAND', 'µs', 'around the middle, without effect',
          (0.0, 100.0)),

@@ -24,10 +24,10 @@ from quad_bridge.gains.history import FLIGHT, TRIAL, History
 from quad_bridge.gains.polarity import PolarityCheck, Push
 from quad_bridge.gains.protocol import GainEvent, GainProtocol, Request, What
 from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, Bound
-from quad_bridge.gains.watch import GainWatch
+from quad_bridge.gains.watch import ClimbWatch, GainWatch
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.axes import flip_attitude, flip_body
+from quad_bridge.wire.axes import flip_attitude, flip_body, upwards
 
 STEP_WATCH_S, WATCH_S = 3.0, 10.0  # between the steps of a larger change, and after the last
 STM32_WATCH_MS = 15_000
@@ -95,6 +95,11 @@ class _Update:
     written: int = 0
     armed: bool = False  # at any time since the first step was in force
 
+    @property
+    def climbs(self) -> bool:
+        """Whether it changes the height mode, in which it is tried then."""
+        return any(name.startswith('climb.') for name in self.asked.gains)
+
     def tell(self, reason: str = '', *, done: bool = False) -> None:
         """Answer who waits, once: it is read back as a whole, or why it is not."""
         told, self.told = self.told, None
@@ -118,7 +123,7 @@ class GainUpdates:
         self._trial: Any = None  # what the files know of a trial, once they are open
         self.use(protocol or GainProtocol())
         self.rate_hz = gate.USUAL_HZ
-        self.watch = GainWatch(gate.USUAL_HZ)
+        self.watch, self.climb = GainWatch(gate.USUAL_HZ), ClimbWatch()
         self.polarity = PolarityCheck(settings.polarity, gate.USUAL_HZ)
         self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
         self._update: _Update | None = None
@@ -265,6 +270,9 @@ class GainUpdates:
             raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
         if now_s - self._excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs: send them when it is idle')
+        climbs = any(name.startswith('climb.') for name in asked.gains)
+        if climbs and self._flying_s is not None and not self._flags & f.Flag.HOLD:
+            raise RefusedError('climb gains are tried in the height mode: switch it on first')
         if self._flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE):
             raise RefusedError("the pilot's kill switch or the receiver's failsafe is on")
         self._known_rate()
@@ -303,6 +311,8 @@ class GainUpdates:
         if not touched <= set(AXES) or self.protocol.in_common & set(asked.gains):
             touched = set(AXES)
         self.watch.begin(asked.predicted, touched)
+        if update.climbs:
+            self.climb.begin()
 
     def _write_step(self, update: _Update) -> None:
         step = update.steps[update.written]
@@ -342,7 +352,8 @@ class GainUpdates:
         since_s, self._cycle_s, self._flags = now_s - self._cycle_s, now_s, frame.flags
         self._measure_rate(frame.time_us)
         flies = self._flies(frame, now_s)
-        if flies and self.state is State.WATCHING:
+        held = not (self._update and self._update.climbs) or bool(frame.flags & f.Flag.HOLD)
+        if flies and held and self.state is State.WATCHING:
             self._left_s -= min(since_s, LINK_S)
         injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == f.Injection.RATE:
@@ -353,6 +364,7 @@ class GainUpdates:
         reference = flip_attitude(frame.attitude_setpoint)
         if flies:
             self.watch.step(flip_body(frame.gyro), attitude, reference, injected)
+            self.climb.step(upwards(frame.accel, frame.attitude), min(since_s, QUIET_S / 5.0))
         if self.state is State.CHECKING:
             pulse = self.polarity.step(frame)
             if not self.polarity.running:
@@ -362,6 +374,7 @@ class GainUpdates:
             self._excited_s = now_s
         if self.state in {State.WATCHING, State.WRITING}:
             alarm = self._slow_words() if flies and self._slow else self.watch.alarm()
+            alarm = alarm or self.climb.alarm()
             if alarm is not None:
                 self._take_back(str(alarm))
         self._heed_pilot(frame.flags)
@@ -544,6 +557,7 @@ class GainUpdates:
             self._end_check()
         self._update, self.state = None, State.IDLE
         self.watch.end()
+        self.climb.end()
 
     def _fault(self, text: str) -> None:
         self.refused = text

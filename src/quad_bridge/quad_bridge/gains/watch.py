@@ -53,6 +53,50 @@ class Predicted:
     peak: float = PEAK  # largest complementary sensitivity of the new loop
 
 
+CLIMB_LEAK_S, CLIMB_MEAN_S, CLIMB_AVERAGE_S = 1.5, 10.0, 1.5
+CLIMB_FLOOR_M_S, CLIMB_PATIENCE_S = 0.5, 0.5
+"""RMS of the vertical motion that is of no concern; what a pilot's climbs make of it too."""
+
+
+class ClimbWatch:
+    """The same for the height mode's gains: RMS of the vertical speed, by the accelerometer.
+
+    The specific force along the vertical beyond its own mean, integrated with a leak: what swings
+    with periods of some seconds and faster. Not the firmware's estimate, which may be at fault.
+    """
+
+    def __init__(self) -> None:
+        self._mean = self._speed = self._energy = self._over_s = 0.0
+        self._bound: float | None = None
+        self._started = False
+
+    def step(self, up: float, dt: float) -> None:
+        """Take one cycle's vertical specific force, m/s², dt s after the one before."""
+        if not self._started:
+            self._mean, self._started = up, True
+        self._mean += dt / CLIMB_MEAN_S * (up - self._mean)
+        self._speed += dt * (up - self._mean - self._speed / CLIMB_LEAK_S)
+        self._energy += dt / CLIMB_AVERAGE_S * (self._speed**2 - self._energy)
+        over = self._bound is not None and self._energy > self._bound
+        self._over_s = self._over_s + dt if over else 0.0
+
+    def begin(self) -> None:
+        """From now on compare with the motion before this call."""
+        self._bound = max(MARGIN**2 * self._energy, CLIMB_FLOOR_M_S**2)
+        self._over_s = 0.0
+
+    def end(self) -> None:
+        """Stop comparing."""
+        self._bound = None
+
+    def alarm(self) -> str | None:
+        """Whether it has moved beyond its bound for too long."""
+        if self._bound is None or self._over_s < CLIMB_PATIENCE_S:
+            return None
+        now, most = math.sqrt(self._energy), math.sqrt(self._bound)
+        return f'climb: vertical speed {now:.2f} m/s RMS, bound {most:.2f}'
+
+
 class GainWatch:
     """Takes each cycle by `step`; after `begin`, `alarm` says whether the gains must go back."""
 
