@@ -179,9 +179,9 @@ def _channel(name: str, wire: str, number: int, *, needed: bool) -> Gain:
 
 def _ends(stick: str) -> tuple[Gain, ...]:
     """A stick's pulses; the throttle has no middle."""
-    names = (('min', 1000.0), ('max', 2000.0))
-    if stick != 'throttle':
-        names = (names[0], ('centre', 1500.0), names[1])
+    names = [('min', 1000.0), ('centre', 1500.0), ('max', 2000.0)]
+    if stick == 'throttle':
+        names.pop(1)
     return tuple(
         Gain(f'receiver.{stick}_{end}_us', f'RC_{stick[:5].upper()}_{end[:3].upper()}', 'µs',
              'its pulse ' + ('in the middle' if end == 'centre' else f'at {end[:3]}imum'),

@@ -24,7 +24,7 @@ from quad_bridge.gains.history import FLIGHT, TRIAL, History
 from quad_bridge.gains.polarity import PolarityCheck, Push
 from quad_bridge.gains.protocol import GainEvent, GainProtocol, Request, What
 from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, Bound
-from quad_bridge.gains.watch import ClimbWatch, GainWatch
+from quad_bridge.gains.watch import GainWatch
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_attitude, flip_body, upwards
@@ -95,11 +95,6 @@ class _Update:
     written: int = 0
     armed: bool = False  # at any time since the first step was in force
 
-    @property
-    def climbs(self) -> bool:
-        """Whether it changes the height mode, in which it is tried then."""
-        return any(name.startswith('climb.') for name in self.asked.gains)
-
     def tell(self, reason: str = '', *, done: bool = False) -> None:
         """Answer who waits, once: it is read back as a whole, or why it is not."""
         told, self.told = self.told, None
@@ -123,7 +118,7 @@ class GainUpdates:
         self._trial: Any = None  # what the files know of a trial, once they are open
         self.use(protocol or GainProtocol())
         self.rate_hz = gate.USUAL_HZ
-        self.watch, self.climb = GainWatch(gate.USUAL_HZ), ClimbWatch()
+        self.watch = GainWatch(gate.USUAL_HZ)
         self.polarity = PolarityCheck(settings.polarity, gate.USUAL_HZ)
         self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
         self._update: _Update | None = None
@@ -270,9 +265,7 @@ class GainUpdates:
             raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
         if now_s - self._excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs: send them when it is idle')
-        climbs = any(name.startswith('climb.') for name in asked.gains)
-        if climbs and self._flying_s is not None and not self._flags & f.Flag.HOLD:
-            raise RefusedError('climb gains are tried in the height mode: switch it on first')
+        gate.refuse_climb(asked.gains, self._flags, flying=self._flying_s is not None)
         if self._flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE):
             raise RefusedError("the pilot's kill switch or the receiver's failsafe is on")
         self._known_rate()
@@ -288,17 +281,15 @@ class GainUpdates:
         return self._period_s > 1.2 / LEAST_HZ
 
     def _slow_words(self) -> str:
-        found = f'{1.0 / self._period_s:.0f} cycles per second'
-        return f'the link brings {found}: the watch needs {LEAST_HZ:g}'
+        hz = 1.0 / self._period_s
+        return f'the link brings {hz:.0f} cycles per second: the watch needs {LEAST_HZ:g}'
 
     def _known_rate(self) -> None:
         if self._slow:
             raise RefusedError(self._slow_words())
         if not LEAST_HZ <= self.rate_hz <= MOST_HZ:
-            raise RefusedError(
-                f'loop.rate_hz: the watch works at {LEAST_HZ:g} to {MOST_HZ:g} Hz: '
-                f'found {self.rate_hz:g}'
-            )
+            words = f'the watch works at {LEAST_HZ:g} to {MOST_HZ:g} Hz: found {self.rate_hz:g}'
+            raise RefusedError(f'loop.rate_hz: {words}')
 
     def _begin(
         self, asked: gate.GainRequest, path: list[dict[str, float]], told: Told | None
@@ -309,10 +300,8 @@ class GainUpdates:
         # what flies from the commit on, seen some time before its answer, is not "before"
         touched = {name.partition('.')[0] for name in asked.gains}
         if not touched <= set(AXES) or self.protocol.in_common & set(asked.gains):
-            touched = set(AXES)
+            touched |= set(AXES)
         self.watch.begin(asked.predicted, touched)
-        if update.climbs:
-            self.climb.begin()
 
     def _write_step(self, update: _Update) -> None:
         step = update.steps[update.written]
@@ -352,19 +341,18 @@ class GainUpdates:
         since_s, self._cycle_s, self._flags = now_s - self._cycle_s, now_s, frame.flags
         self._measure_rate(frame.time_us)
         flies = self._flies(frame, now_s)
-        held = not (self._update and self._update.climbs) or bool(frame.flags & f.Flag.HOLD)
-        if flies and held and self.state is State.WATCHING:
-            self._left_s -= min(since_s, LINK_S)
+        if flies and self.state is State.WATCHING:  # climb gains fly in the height mode only
+            held = frame.flags & f.Flag.HOLD or not self.watch.climbs
+            self._left_s -= min(since_s, LINK_S) if held else 0.0
         injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
         elif frame.injection == f.Injection.CONTROL:
             injected = flip_body(frame.excitation) / self._rate_kp
-        attitude = flip_attitude(frame.attitude)
-        reference = flip_attitude(frame.attitude_setpoint)
+        attitude, reference = map(flip_attitude, (frame.attitude, frame.attitude_setpoint))
         if flies:
-            self.watch.step(flip_body(frame.gyro), attitude, reference, injected)
-            self.climb.step(upwards(frame.accel, frame.attitude), min(since_s, QUIET_S / 5.0))
+            self.watch.step(flip_body(frame.gyro), attitude, reference, injected,
+                            upwards(frame.accel, frame.attitude))  # fmt: skip
         if self.state is State.CHECKING:
             pulse = self.polarity.step(frame)
             if not self.polarity.running:
@@ -374,7 +362,6 @@ class GainUpdates:
             self._excited_s = now_s
         if self.state in {State.WATCHING, State.WRITING}:
             alarm = self._slow_words() if flies and self._slow else self.watch.alarm()
-            alarm = alarm or self.climb.alarm()
             if alarm is not None:
                 self._take_back(str(alarm))
         self._heed_pilot(frame.flags)
@@ -557,7 +544,6 @@ class GainUpdates:
             self._end_check()
         self._update, self.state = None, State.IDLE
         self.watch.end()
-        self.climb.end()
 
     def _fault(self, text: str) -> None:
         self.refused = text
