@@ -17,7 +17,7 @@ ARGS ?=
 # cache of bytecode, also where the shell has it switched off; they begin in the order of test/conftest.py
 PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup --no-loadscope-reorder
 
-.PHONY: build-test build-lint build-docs help demo flight qemu pictures test test-qemu test-browser test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood bench-outside bench-twice bench-results wheel docs lock shell clean
+.PHONY: build-test build-lint build-docs help demo flight qemu pictures test test-qemu test-browser test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-mixer bench-link bench-effects-speed bench-peers bench-likelihood bench-outside bench-twice bench-results wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -99,6 +99,9 @@ bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; A
 
 bench-watch: build  ## good and bad updates in flight on 100 airframes (20 minutes; ARGS='--count 12')
 	@$(RUN) exec python bench/watch.py $(ARGS)
+
+bench-mixer: build  ## the firmware's mixer beside plain clipping at hard manoeuvres (a minute)
+	@$(RUN) exec python bench/mixer.py $(ARGS)
 
 bench-link: build  ## decoder fuzzed, clock studied, link under load (15 minutes; ARGS='--seconds 250=60')
 	@$(RUN) python bench/link_fuzz.py; python bench/link_clock.py; exec python bench/link_load.py $(ARGS)

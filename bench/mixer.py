@@ -2,8 +2,8 @@
 
 `python bench/mixer.py`: a minute. The same firmware is built twice, once with `quad_mix` replaced
 by what it was before: each motor clipped by itself, integrators not told. Sticks of two axes are
-thrown at high, middle and low throttle; what counts is the largest deviation of the axis that
-nobody commands, and of those that are.
+thrown at high, middle and low throttle, with gains that use what the motors have; what counts is
+the largest error of the rate of the axis that nobody commands.
 """
 
 from __future__ import annotations
@@ -37,6 +37,11 @@ CLIPPED = """bool quad_mix(const float control[4], float idle, float motors[4], 
 }
 """
 SECONDS, SEED = 12.0, 4
+STICK_DEG = 45.0
+GAINS = {'roll.angle.kp': 8.0, 'pitch.angle.kp': 8.0, 'yaw.angle.kp': 4.0, 'roll.rate.kp': 0.13,
+         'pitch.rate.kp': 0.13, 'yaw.rate.kp': 0.3, 'roll.rate.kd': 0.003, 'pitch.rate.kd': 0.003,
+         **{f'{axis}.rate.output_limit': 0.5 for axis in ('roll', 'pitch', 'yaw')},
+         **{f'{axis}.angle.rate_limit': 8.0 for axis in ('roll', 'pitch')}}  # fmt: skip
 THROTTLES = (0.9, 0.55, 0.12)
 THROWS = (('roll', 'yaw'), ('pitch', 'yaw'), ('roll', 'pitch'))
 
@@ -58,12 +63,14 @@ def build(folder: Path) -> Path:
 
 
 def fly_all() -> list[dict[str, object]]:
-    """Each throttle and pair of sticks: degrees of the largest deviation, by axis."""
+    """Each throttle and pair of sticks: the largest error of the rate, deg/s, by axis."""
     from quad_bridge.virtual.profile import load_profile
     from quad_bridge.virtual.receiver import Event, Receiver
     from quad_bridge.virtual.simulation import fly
 
     profile, rows = load_profile('hover'), []
+    firmware = replace(profile.firmware, stick_angle_deg=STICK_DEG)
+    profile = replace(profile, firmware=firmware)
     for throttle in THROTTLES:
         for pair in THROWS:
             events = [Event(1.0, 'throttle', throttle)]
@@ -71,13 +78,12 @@ def fly_all() -> list[dict[str, object]]:
                 thrown = 0.9 if k % 2 == 0 else -0.9
                 events += [Event(1.0 + k, name, thrown) for name in pair]
             script = replace(profile, receiver=Receiver(tuple(events)))
-            flight = fly(script, [], SECONDS, SEED)
+            flight = fly(script, [], SECONDS, SEED, gains=GAINS)
             late = flight.time_s > 1.0
-            error = flight.true_angles - flight.attitude_setpoint
-            error = np.degrees(np.angle(np.exp(1j * error[late])))
+            error = np.degrees(flight.true_rates - flight.rate_setpoint)[late]
             names = ('roll', 'pitch', 'yaw')
             rows.append({'throttle': throttle, 'thrown': list(pair),
-                         'largest_deg': {n: float(np.abs(error[:, i]).max())
+                         'largest_deg_s': {n: float(np.abs(error[:, i]).max())
                                          for i, n in enumerate(names)},
                          'cut_share': float(np.mean(flight.limits[late].astype(int) & 1))})
     return rows
@@ -99,12 +105,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         clipped = child(build(Path(folder)))
     ours = child(ROOT / 'firmware/build')
-    print('| throttle | sticks thrown | axis nobody commands | clipping, deg | mixer, deg |')
-    print('|---|---|---|---|---|')
+    print('| throttle | sticks thrown | axis nobody commands | clipping, deg/s | mixer, deg/s '
+          '| cycles with a motor at its limit |')
+    print('|---|---|---|---|---|---|')
     for old, new in zip(clipped, ours, strict=True):
         idle = next(n for n in ('roll', 'pitch', 'yaw') if n not in new['thrown'])
         print(f'| {new["throttle"]} | {" and ".join(new["thrown"])} | {idle} '
-              f'| {old["largest_deg"][idle]:.1f} | {new["largest_deg"][idle]:.1f} |')
+              f'| {old["largest_deg_s"][idle]:.0f} | {new["largest_deg_s"][idle]:.0f} '
+              f'| {100 * new["cut_share"]:.0f} % |')
 
 
 if __name__ == '__main__':

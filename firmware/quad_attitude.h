@@ -16,7 +16,7 @@
 
 /* What changes slowly; NaN where it is not measured. */
 typedef struct {
-    float battery_v;
+    float battery_v; /* of the pack; what a board hands over is at its pin, behind BAT_DIVIDER */
     float mag_gauss[3]; /* chip axes */
     float pressure_hpa;
     float temperature_c;

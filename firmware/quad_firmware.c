@@ -10,7 +10,7 @@
 #define LONGEST_US 2200.0f
 #define SWITCHED_US 1750.0f
 
-enum { ROLL, PITCH, THROTTLE, YAW, KILL, ARM, HOLD };
+enum { ROLL, PITCH, THROTTLE, YAW, KILL, ARM, FREE, HOLD };
 
 quad_firmware_settings quad_firmware_defaults(void)
 {

@@ -185,7 +185,7 @@ enum {
     {"RC_YAW_CH", 1.0f, 9.0f, 4.0f}, \
     {"RC_KILL_CH", 1.0f, 9.0f, 5.0f}, \
     {"RC_ARM_CH", 0.0f, 9.0f, 6.0f}, \
-    {"RC_HOLD_CH", 0.0f, 9.0f, 7.0f}, \
+    {"RC_HOLD_CH", 0.0f, 9.0f, 0.0f}, \
     {"RC_ROLL_MIN", 800.0f, 2200.0f, 1000.0f}, \
     {"RC_ROLL_CEN", 800.0f, 2200.0f, 1500.0f}, \
     {"RC_ROLL_MAX", 800.0f, 2200.0f, 2000.0f}, \

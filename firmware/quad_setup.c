@@ -90,9 +90,12 @@ static float meant(const float *set, const stick *s, float pulse_us)
 
 void quad_setup_pulses(const float *set, const float came_us[QUAD_CHANNELS], float meant_us[QUAD_CHANNELS])
 {
+    static const size_t of[QUAD_CHANNELS] = {
+        QUAD_RECEIVER_ROLL_CHANNEL, QUAD_RECEIVER_PITCH_CHANNEL, QUAD_RECEIVER_THROTTLE_CHANNEL,
+        QUAD_RECEIVER_YAW_CHANNEL, QUAD_RECEIVER_KILL_CHANNEL, QUAD_RECEIVER_ARM_CHANNEL,
+        QUAD_PARAMETERS, QUAD_RECEIVER_HOLD_CHANNEL, QUAD_PARAMETERS};
     for (size_t i = 0; i < QUAD_CHANNELS; i++) {
-        const size_t channel =
-            i < STICKS + SWITCHES ? quad_setup_channel(set, QUAD_RECEIVER_ROLL_CHANNEL + i) : i + 1;
+        const size_t channel = of[i] < QUAD_PARAMETERS ? quad_setup_channel(set, of[i]) : i + 1;
         const float came = channel > 0 ? came_us[channel - 1] : LOW_US;
         meant_us[i] = i < STICKS ? meant(set, &sticks[i], came) : came;
     }

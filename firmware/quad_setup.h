@@ -7,7 +7,7 @@
 
 #include "quad_parameters.h"
 
-#define QUAD_CHANNELS 9 /* roll, pitch, throttle, yaw, aux 1 (kill), aux 2 (arm), aux 3 (height), aux 4, aux 5 */
+#define QUAD_CHANNELS 9 /* roll, pitch, throttle, yaw, aux 1 (kill), aux 2 (arm), aux 3, aux 4 (height), aux 5 */
 
 /* The receiver. Pulses are us, 1000..2000; a pitch pulse above the middle is nose down, a yaw pulse
  * above it nose to the left. A pulse outside 800..2200 is none: the last good one holds. */

@@ -180,3 +180,19 @@ def test_without_a_history_no_gains_come_in_and_those_on_trial_can_go_back(bench
     made.ask(rollback=True)
     made.fly_until('rolled back')
     assert made.gain(KP) == pytest.approx(OLD_KP)
+
+
+def test_climb_gains_are_tried_in_the_height_mode_and_go_back_where_it_swings(bench):
+    """By the accelerometer alone: the vertical speed of the swing is more than it was before."""
+    names = ('climb.rate.kp', 'climb.rate.ki', 'climb.height.kp')
+    made = bench(mount='hover', profile='hover', events=[Event(6.0, 'aux4', 1.0)],
+                 bounds={name: Bound(0.005, 5.0, 20.0) for name in names})  # fmt: skip
+    with pytest.raises(RefusedError, match='tried in the height mode'):
+        made.ask(climb_rate_kp=0.12)
+    made.fly(8.0)
+    made.ask(climb_rate_kp=0.12)
+    made.fly_until('confirmed')
+    made.ask(climb_rate_kp=0.02, climb_rate_ki=0.2, climb_height_kp=3.0)
+    made.fly_until('climb: vertical speed')
+    made.fly(1.0)
+    assert made.gain('climb.rate.kp') == made.told['climb.rate.kp'] == pytest.approx(0.12)

@@ -28,7 +28,7 @@ def at(flight, start_s, end_s):
 
 def test_it_holds_its_height_climbs_by_the_stick_and_knows_both():
     """2 Pa of noise are 0.17 m at the barometer; a hand at the throttle would drift away."""
-    flight = flown([(1.0, 'throttle', HOVER), (2.0, 'aux3', 1.0), (12.0, 'throttle', 0.7),
+    flight = flown([(1.0, 'throttle', HOVER), (2.0, 'aux4', 1.0), (12.0, 'throttle', 0.7),
                     (15.0, 'throttle', HOVER)], 30.0)  # fmt: skip
     held = at(flight, 4.0, 12.0)
     assert np.ptp(flight.position_m[:, 2][held]) < 0.25
@@ -43,7 +43,7 @@ def test_it_holds_its_height_climbs_by_the_stick_and_knows_both():
 
 @pytest.mark.parametrize('radius_m', [0.0, 0.127])
 def test_it_takes_off_and_lands_with_and_without_a_cushion_of_air(radius_m):
-    flight = flown([(0.0, 'throttle', 0.0), (1.0, 'aux3', 1.0), (3.0, 'throttle', 0.8),
+    flight = flown([(0.0, 'throttle', 0.0), (1.0, 'aux4', 1.0), (3.0, 'throttle', 0.8),
                     (6.0, 'throttle', 0.5), (10.0, 'throttle', 0.0)], 24.0,
                    ground=Ground(enabled=True, rotor_radius_m=radius_m))  # fmt: skip
     landed = flight.limits.astype(int) & LANDED > 0
@@ -63,7 +63,7 @@ def test_it_takes_off_and_lands_with_and_without_a_cushion_of_air(radius_m):
 def test_the_climb_is_excited_at_u1_and_up_is_up():
     wave = 0.02 * np.sign(np.sin(np.pi * np.arange(1500) / 125.0))
     excited = Excited(6.0, wave, axis='yaw', injection='thrust')  # the third number
-    flight = flown([(1.0, 'throttle', HOVER), (2.0, 'aux3', 1.0)], 12.0, schedule=[excited])
+    flight = flown([(1.0, 'throttle', HOVER), (2.0, 'aux4', 1.0)], 12.0, schedule=[excited])
     held = at(flight, 6.0, 12.0)
     rate = np.gradient(flight.position_m[:, 2], flight.dt)
     pushed = np.corrcoef(np.gradient(rate, flight.dt)[held][20:], wave[:-20])[0, 1]

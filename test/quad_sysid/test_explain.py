@@ -11,7 +11,7 @@ from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Found, Scored
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import derivative_steps, fit
-from quad_sysid.explain.ladder import explain, values_of
+from quad_sysid.explain.ladder import explain
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
 

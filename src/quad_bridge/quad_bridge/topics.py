@@ -65,7 +65,10 @@ NODES = {
             '/excitation/setpoint', '/excitation/segment', '/gains/update', '/operator/enable',
             '/logger/bag', '/robot_description',
         ),
-        ('arm', 'calibrate_at_rest', 'check_polarity', 'fetch_log', 'find_motors', 'set_gains'),
+        (
+            'arm', 'calibrate_at_rest', 'check_polarity', 'fetch_log', 'find_motors', 'motor_test',
+            'set_gains',
+        ),
         managed=True,
     ),
     'bag_logger': Opens(

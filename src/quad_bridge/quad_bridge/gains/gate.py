@@ -23,7 +23,8 @@ from quad_bridge.gains.table import (
     Bound,
     switch_of,
 )
-from quad_bridge.gains.watch import Predicted
+from quad_bridge.gains.watch import CLIMB, Predicted
+from quad_bridge.wire.frames import Flag
 
 FLOAT32_MAX = 3.4028234663852886e38  # nothing larger goes over the wire, and no bound is
 USUAL_HZ = 250.0  # control cycles per second, where the STM32 has not said it
@@ -157,6 +158,13 @@ def check_flown(request: GainRequest, active: Mapping[str, float]) -> None:
                 f'{name}: the design began from {before:.4g}, and the aircraft has {now:.4g}: it '
                 'is of another aircraft or of older gains; fly, identify and design again'
             )
+
+
+def refuse_climb(wanted: Mapping[str, float], flags: int, *, flying: bool) -> None:
+    """Raise RefusedError for gains of the height mode while the pilot has the throttle."""
+    climbs = any(name.startswith(f'{CLIMB}.') for name in wanted)
+    if climbs and flying and not flags & Flag.HOLD:
+        raise RefusedError('climb gains are tried in the height mode: switch it on first')
 
 
 def steps(

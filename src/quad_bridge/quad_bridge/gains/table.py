@@ -179,9 +179,9 @@ def _channel(name: str, wire: str, number: int, *, needed: bool) -> Gain:
 
 def _ends(stick: str) -> tuple[Gain, ...]:
     """A stick's pulses; the throttle has no middle."""
-    names = (('min', 1000.0), ('max', 2000.0))
-    if stick != 'throttle':
-        names = (names[0], ('centre', 1500.0), names[1])
+    names = [('min', 1000.0), ('centre', 1500.0), ('max', 2000.0)]
+    if stick == 'throttle':
+        names.pop(1)
     return tuple(
         Gain(f'receiver.{stick}_{end}_us', f'RC_{stick[:5].upper()}_{end[:3].upper()}', 'µs',
              'its pulse ' + ('in the middle' if end == 'centre' else f'at {end[:3]}imum'),
@@ -205,7 +205,7 @@ SET_UP = (
     _channel('yaw', 'YAW', 4, needed=True),
     _channel('kill', 'KILL', 5, needed=True),
     _channel('arm', 'ARM', 6, needed=False),
-    _channel('hold', 'HOLD', 7, needed=False),
+    _channel('hold', 'HOLD', 0, needed=False),
     *(row for stick in STICKS for row in _ends(stick)),
     Gain('receiver.deadband_us', 'RC_DEADBAND', 'µs', 'around the middle, without effect',
          (0.0, 100.0)),

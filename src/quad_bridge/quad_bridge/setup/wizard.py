@@ -234,6 +234,13 @@ def load(path: Path) -> dict[str, float]:
     return {name: float(np.float32(value)) for name, value in given.items()}
 
 
+def _ask(words: str) -> str:
+    try:
+        return input(words)
+    except EOFError as error:
+        raise BadInputError('the terminal', 'has ended before the last question') from error
+
+
 class _Line:
     """The port's bytes, for `Talk.wait`."""
 
@@ -295,7 +302,7 @@ def _set_up(given: argparse.Namespace) -> int:
     talk = Talk(line.wait, time.monotonic, signing_from(given.key))
     with contextlib.closing(line):
         if restored is None:
-            Wizard(talk, input, lambda text: say(f'{text}\n')).run(given.only)
+            Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(given.only)
         else:
             talk.read()
             changed = changed_by(restored, talk.values)

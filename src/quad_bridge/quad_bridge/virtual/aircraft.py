@@ -199,6 +199,7 @@ def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:
     firmware, sensors = profile.firmware, profile.sensors
     wanted = {
         'receiver.arm_channel': 0.0,  # it is armed by the bridge, or from the start
+        'receiver.hold_channel': 8.0,
         **firmware.gains,
         'sensor.gyro_filter_hz': sensors.gyro_filter_hz,
         'sensor.accel_filter_hz': sensors.accel_filter_hz,

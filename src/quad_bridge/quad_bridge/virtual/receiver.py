@@ -1,8 +1,8 @@
 """The pilot's receiver: nine channels that follow a script of timed events. No I/O.
 
 Sticks are -1..1 in body FLU terms (positive roll: right side down, positive pitch: nose down,
-positive yaw: to the left), the throttle 0..1; channel 5 (aux 1) is the kill switch, channel 7
-(aux 3) that of the height mode.
+positive yaw: to the left), the throttle 0..1; channel 5 (aux 1) is the kill switch, channel 8
+(aux 4) that of the height mode.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class Channels:
 
     @property
     def hold(self) -> bool:
-        """Switch of the height mode (aux 3) thrown."""
-        return self.aux[2] > 0.5
+        """Switch of the height mode (aux 4) thrown."""
+        return self.aux[3] > 0.5
 
     def axes(self, trim: float) -> tuple[float, ...]:
         """The nine values in the contract's order, throttle 0..1."""
