@@ -31,6 +31,7 @@ def answer(stored, capsys, monkeypatch):
     return told
 
 
+@pytest.mark.usefixtures('few_draws')
 def test_table_and_file_tell_the_same(stored, tmp_path, capsys):
     """One refused axis is not a failure."""
     file = tmp_path / 'gains.json'
@@ -50,6 +51,7 @@ def test_table_and_file_tell_the_same(stored, tmp_path, capsys):
     assert float(row[-3]) > float(row[-2])
 
 
+@pytest.mark.usefixtures('few_draws')
 def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(
     stored, answer, tmp_path, capsys
 ):

@@ -24,7 +24,7 @@ from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NoSuchAttributeError
 from quad_sysid.identified import Identified
-from quad_sysid.model import AxisModel, Designer, EffectEstimate
+from quad_sysid.model import BEFORE, AxisModel, Designer, EffectEstimate
 from quad_sysid.record import Record
 
 if TYPE_CHECKING:
@@ -216,11 +216,9 @@ class Result:
         """The designed gains of all axes by the contract's names; none of refused axes."""
         return {name: value for _, gains, _ in self._proposed() for name, value in gains.items()}
 
-    def predictions(self) -> str:
-        """The designs' predictions for the watch in flight, as JSON for /gains/update."""
-        return json.dumps({f'{axis}.{name}': round(figures[name], 6)
-                           for axis, _, figures in self._proposed()
-                           for name in PROMISES if name in figures})
+    def sent_with(self) -> dict[str, str]:
+        """What goes with the gains in /gains/update; see `sent_with`."""
+        return sent_with({axis: figures for axis, _, figures in self._proposed()})
 
     def refusals(self) -> dict[str, str]:
         """Axis → why there are no gains."""
@@ -232,6 +230,20 @@ class Result:
         for axis, answer in self.answers.items():
             if answer.proposal is not None and answer.proposal.gains is not None:
                 yield axis, answer.proposal.gains, answer.proposal.figures
+
+
+def sent_with(figures: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
+    """What goes with designed gains in /gains/update, each as JSON; `figures` of designs by axis.
+
+    `predicted` is for the watch in flight; `flown` are the gains that the design improves, which
+    the aircraft must have.
+    """
+    predicted = {f'{axis}.{name}': round(said[name], 6)
+                 for axis, said in figures.items() for name in PROMISES if name in said}
+    flown = {name.removesuffix(BEFORE): value
+             for axis, said in figures.items() for name, value in said.items()
+             if name.startswith(f'{axis}.') and name.endswith(BEFORE)}
+    return {'predicted': json.dumps(predicted), 'flown': json.dumps(flown)}
 
 
 def identify(

@@ -55,7 +55,8 @@ TEXT = 'std_msgs/msg/String'
 COLUMNS = {
     IMU: (*(f'orientation.{axis}' for axis in 'xyzw'), 'orientation_covariance[0]',
           *(f'angular_velocity.{axis}' for axis in 'xyz'),
-          *(f'linear_acceleration.{axis}' for axis in 'xyz')),
+          *(f'linear_acceleration.{axis}' for axis in 'xyz'),
+          'angular_velocity_covariance[0]', 'linear_acceleration_covariance[0]'),
     WRENCH: tuple(f'wrench.{part}.{axis}' for part in ('force', 'torque') for axis in 'xyz'),
     VECTOR: ('vector.x', 'vector.y', 'vector.z'),
     BATTERY: ('voltage',),

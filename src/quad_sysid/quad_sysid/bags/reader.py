@@ -21,7 +21,7 @@ from quad_sysid.bags.events import (
     segments_from,
 )
 from quad_sysid.bags.odometry import BARO, ODOM, moving
-from quad_sysid.bags.orientation import euler_angles
+from quad_sysid.bags.orientation import UNMEASURED, euler_angles
 from quad_sysid.bags.stamps import Grid, uniform_grid
 from quad_sysid.bags.storage import Storage
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
@@ -86,6 +86,8 @@ def read_bag(path: str | Path) -> Record:
     warnings = [*content.warnings, *grid.warnings]
     placed = np.full((grid.n, WIDTH[TOPIC_TYPES[IMU_TOPIC]]), np.nan)
     placed[grid.cells] = imu.values[grid.rows]
+    placed[placed[:, 11] == UNMEASURED, 5:8] = np.nan
+    placed[placed[:, 12] == UNMEASURED, 8:11] = np.nan
     rates = _finite(placed[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
     arrays = {name: _array(name, content, grid, warnings) for name in OPTIONAL}
     wrench, motors = arrays['wrench'], arrays['motors']

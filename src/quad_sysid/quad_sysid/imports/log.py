@@ -204,21 +204,3 @@ class Reading:
         """Whether the motors are the input, not what the controller asked for."""
         return motors is not None and (
             asked is None or motors.rate_hz >= FAST_ENOUGH * self.streams['rates'].rate_hz)
-
-
-def gains_of(
-    known: Mapping[str, float], axes: Mapping[str, tuple[float, Sequence[tuple[str, str, float]]]]
-) -> dict[str, float]:
-    """The contract's gains from the firmware's parameters.
-
-    By axis: the limit of the controller's output, and rows of the contract's name, the
-    parameter's name and a factor. Limits and filters of 0 are none.
-    """
-    out: dict[str, float] = {}
-    for axis, (limit, rows) in axes.items():
-        for ours, theirs, factor in rows:
-            if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
-                out[f'{axis}.{ours}'] = float(known[theirs] * factor)
-        if f'{axis}.rate.kp' in out:
-            out[f'{axis}.rate.output_limit'] = float(limit)
-    return out

@@ -65,7 +65,7 @@ def central(
 
 def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
     """(n,) acceleration per unit of a wandering effect's coefficient, rad/s²."""
-    one = replace(s, hidden=np.ones((1, s.rate.size)))
+    one = s.but(hidden=np.ones((1, s.rate.size)))
     return required(part.effect.torque(one, p, part.settings))
 
 
@@ -228,7 +228,7 @@ class Flight:
             return s
         seen = effect.seen_along(s, self.followed)
         begun = effect.begun(data, p, part.settings)
-        return replace(s, hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
+        return s.but(hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
 
     def followed(self, rate: FloatArray) -> FloatArray:
         """A rate (n,) that is the measured one in all that is slower than FOLLOWED_S.
@@ -348,6 +348,8 @@ class Flight:
     ) -> Prediction:
         """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
         n, p, rate = self.data.rate.size, structure.natural(theta), self.rate
+        if all(part.effect.moves_command for part in structure.parts):
+            sweeps = 1  # the physics is linear in the rate
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
@@ -454,6 +456,13 @@ class Flight:
 
         rounds: as in Plant.
         """
+        return self.run(structure, theta, windows, prediction=prediction, rounds=rounds).errors
+
+    def run(
+        self, structure: Structure, theta: FloatArray, windows: Windows, *,
+        prediction: Prediction | None = None, rounds: int = 1,
+    ) -> Run:
+        """The same with what the plant went through."""
         dt, p = self.data.dt, structure.natural(theta)
         prediction = prediction or self.predict(structure, theta)
         found = prediction.filter
@@ -478,16 +487,27 @@ class Flight:
             if part.effect.states else None for part, values in plant.pushing
         ))
         lag, delay = lag_and_delay(p)
+        rates = np.empty_like(out)
+        angles = None if angle is None else np.empty_like(out)
+        hidden = tuple(None if x is None else np.empty((x.shape[0], *out.shape))
+                       for x in turning.hidden)
         for i, measured in enumerate(self._around(windows)):
             k = windows.starts + i
+            if angles is not None:
+                angles[:, i] = turning.angle
+            for kept, x in zip(hidden, turning.hidden, strict=True):
+                if kept is not None:
+                    kept[:, :, i] = x
             out[:, i] = (turning.seen[0] if self.sensor.noisy else turning.rate) \
                 - self.data.rate[k]
             if not self.sensor.derived:
                 out[:, i] += v.real.sum(axis=1)
-            around = replace(measured, lag=lag, delay=delay)
+            around = measured.but(lag=lag, delay=delay)
+            begun = turning.rate
             turning = plant.turn(turning, around, halves[:, k], states[:, k], hold * d, step)
+            rates[:, i] = 0.5 * (begun + turning.rate)
             d, v = d * fade, v * turn
-        return out
+        return Run(out, rates, angles, hidden)
 
     def _around(self, windows: Windows) -> list[Signals]:
         """What was measured in each cycle of the windows, all but the axis' own motion."""
@@ -519,6 +539,19 @@ class _Inputs(NamedTuple):
             np.zeros((columns.shape[1], found.gain.size + found.move.size)),
             wander, np.zeros((n, w, 2)), np.zeros((n, w, 2, 2)), np.zeros(w, np.int64),
         )
+
+
+class Run(NamedTuple):
+    """Free runs from the starts of windows."""
+
+    errors: FloatArray
+    """(windows, length) of the rate, rad/s."""
+    rate: FloatArray
+    """(windows, length) at the middle of each cycle, rad/s."""
+    angle: FloatArray | None
+    """(windows, length) at its start, rad."""
+    hidden: tuple[FloatArray | None, ...]
+    """(states, windows, length) of each effect that adds a torque, at its start."""
 
 
 @dataclass(frozen=True)
