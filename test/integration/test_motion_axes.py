@@ -21,7 +21,7 @@ from quad_sysid.record import GainChange, Record, Segment
 HEIGHT, RADIUS = 0.6, 0.35
 GROUND = Effects(ground_effect=GroundEffect(enabled=True, radius_m=RADIUS, height_m=HEIGHT))
 DRAG = Effects(air_drag=AirDrag(enabled=True))
-PARTS = (('train', 2.0, 26.0), ('validation', 29.0, 15.0))
+PARTS = (('train', 2.0, 34.0), ('validation', 37.0, 18.0))
 
 
 def levels(seconds, shortest, longest, seed):
@@ -44,7 +44,7 @@ def flown(effects, axis, seed=1):
                  axis='climb' if climbs else 'pitch', role=role,
                  injection='control' if climbs else 'attitude')
          for k, (role, start, length) in enumerate(PARTS)],
-        46.0, seed,
+        56.0, seed,
     )  # fmt: skip
     rng, n = np.random.default_rng(seed), flight.time_s.size
     yaw, (x, y, z) = flight.true_angles[:, 2], flight.velocity_m_s.T
