@@ -36,7 +36,7 @@ FloatArray = npt.NDArray[np.float64]
 ARMED, INJECTION, ADDED, STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW = 0, 1, 2, 5, 6, 7, 8
 INPUTS = 9
 """Columns of what reaches a cycle from outside: armed 0/1, injection 0..4 (none, attitude, rate,
-control, collective), excitation (3), sticks -1..1, throttle 0..1."""
+control, thrust), excitation (3), sticks -1..1, throttle 0..1."""
 LARGEST_DELAY = 4
 HOLD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
 NORMALS_PER_STEP = 9

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-INJECTIONS = ('none', 'attitude', 'rate', 'control', 'collective')
+INJECTIONS = ('none', 'attitude', 'rate', 'control', 'thrust')
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
         stop = min(count, start + part.samples.size)
         climbs = part.axis == 'climb'
         given[start:stop, INJECTION] = INJECTIONS.index(
-            'collective' if climbs else part.injection)
+            'thrust' if climbs else part.injection)
         column = 2 if climbs else AXES.index(part.axis)
         given[start:stop, ADDED + column] = part.samples[: stop - start]
     return given

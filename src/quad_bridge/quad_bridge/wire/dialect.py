@@ -393,8 +393,8 @@ QUAD_INJECTION_RATE = 2
 enums["QUAD_INJECTION"][2] = EnumEntry("QUAD_INJECTION_RATE", """To the rate reference, rad/s.""")
 QUAD_INJECTION_CONTROL = 3
 enums["QUAD_INJECTION"][3] = EnumEntry("QUAD_INJECTION_CONTROL", """To U2..U4 before the mixer, normalised command.""")
-QUAD_INJECTION_COLLECTIVE = 4
-enums["QUAD_INJECTION"][4] = EnumEntry("QUAD_INJECTION_COLLECTIVE", """The third value to U1 before the mixer, normalised command; FRD, so negative is up.""")
+QUAD_INJECTION_THRUST = 4
+enums["QUAD_INJECTION"][4] = EnumEntry("QUAD_INJECTION_THRUST", """The third value, downwards, to U1 before the mixer, normalised command.""")
 QUAD_INJECTION_ENUM_END = 5
 enums["QUAD_INJECTION"][5] = EnumEntry("QUAD_INJECTION_ENUM_END", """""")
 

@@ -40,7 +40,7 @@ class Injection(IntEnum):
     ATTITUDE = 1
     RATE = 2
     CONTROL = 3
-    COLLECTIVE = 4
+    THRUST = 4
 
 
 class GainsAction(IntEnum):
