@@ -45,7 +45,8 @@ def test_bags_and_logs_are_found_with_their_aircraft(folder, tmp_path, refusal):
     (tmp_path / 'logs').mkdir()
     for name in ('b.ULG', 'a.bbl.gz', 'c.csv'):
         (tmp_path / 'logs' / name).write_text('a log')
-    assert [job.name for job in bag.jobs(tmp_path / 'logs', tmp_path / 'out')] == ['a.bbl.gz', 'b.ULG']
+    named = [job.name for job in bag.jobs(tmp_path / 'logs', tmp_path / 'out')]
+    assert named == ['a.bbl.gz', 'b.ULG']
     assert 'is not a folder' in refusal(bag.jobs, folder / 'nowhere', tmp_path)
     shutil.rmtree(tmp_path / 'logs')
     assert 'holds no bag' in refusal(bag.jobs, tmp_path, tmp_path)
