@@ -24,6 +24,8 @@ def test_a_change_within_the_limit_is_one_step_and_a_larger_one_several():
     ki = 0.01 * math.degrees(1.0) / 1000.0
     path = steps({'roll.rate.ki': 0.02}, {'roll.rate.ki': ki}, DEFAULT_BOUNDS)
     assert len(path) == 4
+    # whatever a user allows, no step is larger than the table's
+    assert bound_from('roll.angle.kp', [0.3, 15.0, 50.0, 0.0]).max_factor == 2.0
     with pytest.raises(RefusedError, match='more than 16 steps'):
         steps({'roll.angle.kp': 14.0}, ACTIVE, {'roll.angle.kp': Bound(0.3, 15.0, 1.05)})
 

@@ -24,7 +24,7 @@ import threading
 from dataclasses import replace
 
 import pytest
-from flight_controller import INDEX, STILL, ZERO, Store, clone, explore
+from flight_controller import STILL, ZERO, Store, clone, explore
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains import history, protocol, update
@@ -35,7 +35,7 @@ from quad_bridge.gains.update import GainSettings, GainUpdates, State
 from quad_bridge.gains.watch import GainWatch
 from quad_bridge.wire import frames as f
 
-KP, RATE = 'ROLL_RATE_KP', INDEX['LOOP_RATE_HZ']
+KP = 'ROLL_RATE_KP'
 BOUND = DEFAULT_BOUNDS['roll.rate.kp']
 NOW_US, STEP_S, OLDEST_S = 10_000_000, 1.0, 2.5
 HELD = object()

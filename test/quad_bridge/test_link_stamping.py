@@ -85,7 +85,7 @@ class Story(Line):
         ]  # fmt: skip
 
 
-DEAF, HEARS = {'unanswered': (f.TimeSync,)}, {'unanswered': ()}
+DEAF = {'unanswered': (f.TimeSync,)}
 NEW_CLOCK = (1, 250)
 """Cycles held back: told by the first round trip, then eight for the new clock, a tick each."""
 
