@@ -16,10 +16,6 @@ BEAM = 3
 """Explanations that are extended at each level: two effects may mask each other."""
 REFITS = 12
 """Explanations with one more effect that are fitted at each level, each by its best variant."""
-EXCHANGES = 3
-"""Explanations that are fitted in the place of each effect of the best structure."""
-PROMISING = 0.25
-"""Share of what an effect gains that another's linear score must promise to take its place."""
 MOST_EFFECTS = 4
 """A minute of flight hardly determines more."""
 SEARCHED, BLOCKS = 15_000, 6

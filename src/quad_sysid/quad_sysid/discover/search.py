@@ -19,7 +19,6 @@ from quad_sysid.discover.base import (
     best_base,
     both_orders,
     contest,
-    fit_without,
     fitted_from,
     most_probable,
     shares,
@@ -29,12 +28,10 @@ from quad_sysid.discover.constants import (
     BLOCKS,
     BRIEF,
     BRIEF_BLOCK_S,
-    EXCHANGES,
     EXPECTED,
     HOPELESS,
     MOST_EFFECTS,
     NEGLIGIBLE,
-    PROMISING,
     REFITS,
     SEARCHED,
 )
@@ -179,22 +176,18 @@ class _Search:
         }
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
         self.tried: set[frozenset[str]] = set()
-        self.exchanged: set[frozenset[str]] = set()
-        """What was left of the best structures without one of their effects."""
         self.screens: dict[frozenset[str], list[Score]] = {}
 
-    def build_on(self, parents: Sequence[Scored], refits: int,
-                 promise: float = HOPELESS, *, whole: bool = True) -> list[Scored]:
+    def build_on(self, parents: Sequence[Scored]) -> list[Scored]:
         """Fitted structures with one more effect, whose linear score may reach the best parent's.
 
-        Of each explanation the variant with the best score, of those that promise so many nats.
-        parents: best first. Where nothing does beside the best, the others are not scored. whole:
-        as of `scores`, for the best.
+        Of each explanation the variant with the best score. parents: best first. Where nothing may
+        reach that beside the best, the others are not scored.
         """
-        least = parents[0].score + promise
+        least = parents[0].score + HOPELESS
         ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
         for parent in parents:
-            for one in self.scores(parent.fit, whole=whole and parent is parents[0]):
+            for one in self.scores(parent.fit, whole=parent is parents[0]):
                 effect, own = one.part.effect, parent.fit.structure.labels
                 labels, kind = (frozenset((*own, x)) for x in (effect.label, explanation(effect)))
                 score = parent.score + one.nats + self.prices[effect.label]
@@ -207,7 +200,7 @@ class _Search:
         for found in sorted(ahead.values(), key=lambda one: -one[0]):
             _, fit, one = found
             unlike.setdefault(frozenset((*fit.structure.labels, one.part.effect.label)), found)
-        hopeful = [*unlike.values()][:refits]
+        hopeful = [*unlike.values()][:REFITS]
         if self.halt():
             return []
         self.tried |= {frozenset((*fit.structure.labels, one.part.effect.label))
@@ -269,22 +262,6 @@ class _Search:
         small = min(NEGLIGIBLE**2 * motion, noise_of(more).measured_rms ** 2)
         return change < max(NEGLIGIBLE * missed, small)
 
-    def exchange(self) -> bool:
-        """Exchange each effect of the best structure for others; whether one was better."""
-        best = self.best()
-        count = len(best.fit.structure.parts)
-        for index in range(count if count > 1 else 0):
-            rest = frozenset(best.fit.structure.minus(index).labels)
-            if rest in self.exchanged:
-                continue
-            self.exchanged.add(rest)
-            if rest not in self.known and (fit := fit_without(self.problem, best.fit, index)):
-                self.keep(fit)
-            if parent := self.known.get(rest):
-                self.build_on([parent], EXCHANGES, PROMISING * (best.score - parent.score),
-                              whole=False)
-        return self.best() is not best
-
 
 def leading(fits: Iterable[Scored]) -> list[Scored]:
     """The best of each explanation, best first, BEAM at most: its variants lead the same way."""
@@ -300,8 +277,7 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     """The structures that the training segments support.
 
     A beam search adds one effect at a time until no score beside the best structure promises more,
-    or the evidence falls; then each effect of the best is exchanged for alternatives until none is
-    better.
+    the evidence falls, or the effect changes next to nothing.
 
     Of a long flight it sees SEARCHED rows; only the structures that lead there are fitted on all.
 
@@ -389,14 +365,11 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit, halt: Callab
     beam = leading(found.known.values())
     for _ in range(MOST_EFFECTS):
         before, top = beam[0].fit, beam[0].score
-        beam = leading(found.build_on(beam, REFITS))
+        beam = leading(found.build_on(beam))
         if beam:
             beam[0] = found.keep(both_orders(problem, beam[0].fit))
             found.screens.pop(frozenset(beam[0].fit.structure.labels), None)
         if (not beam or beam[0].score <= top or found.hardly(before, beam[0].fit)
                 or halt()):
-            break
-    for _ in range(MOST_EFFECTS):
-        if halt() or not found.exchange():
             break
     return found

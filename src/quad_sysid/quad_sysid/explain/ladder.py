@@ -169,7 +169,8 @@ def _first_of_two(projection: Projection, model: Projected, curve: Projected,
                   parts: Sequence[Part]) -> Projected | None:
     """The model with the first of two named laws that stand before the curve; None: no two do.
 
-    What two causes do may look like one curve. The second law halves what one may leave.
+    What two causes do may look like one curve: a drag and a spring that the gyro integrates look
+    like one over the rate and its past. The second law halves what one may leave.
     """
     enough = curve.total + 0.5 * (1.0 - NAMED_FIRST) * (model.total - curve.total)
     for first in _with_named(projection, model, parts):
