@@ -27,7 +27,7 @@ SECONDS = 1.2
 STEP_RAD, STEP_RAD_S = 0.2, 1.0
 """The step of the angle's reference; of the rate's, where the flight held no angle."""
 STICK_S = 0.02
-"""Time in which a rate set-point with feed-forward of its slope takes its step, as a stick does."""
+"""Time in which a rate set-point with feed-forward takes its step, as that of a stick does."""
 STYLE = """.tryout label{display:flex;flex-wrap:wrap;gap:4px 12px;align-items:center}
 .tryout input{flex:1 1 140px;min-width:0}.tryout output{min-width:8em}
 .tryout svg{width:100%;max-width:640px}"""
