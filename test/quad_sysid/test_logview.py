@@ -186,6 +186,15 @@ def test_nothing_is_stated_of_a_rate_that_does_not_follow(seen):
     assert one.loop is None
 
 
+def test_set_points_of_a_damaged_log_that_nothing_can_follow_are_dropped(seen):
+    flown = seen.flown
+    broken = flown.rate_setpoint[:, 0].copy()
+    broken[[500, 900]] = 1e25, -1e30
+    found = look(record(broken, flown.control[:, 1], flown.rates[:, 0]))
+    assert found.whole.axes['roll'].tracking[0].setpoint_rms < 70.0
+    assert any('from 2 samples' in one for one in found.flown.warnings)
+
+
 def test_the_command_prints_the_answer_first_and_writes_a_page(
     flight, tmp_path, capsys, monkeypatch
 ):
@@ -197,6 +206,9 @@ def test_the_command_prints_the_answer_first_and_writes_a_page(
     text = (tmp_path / 'flight_look.html').read_text()
     assert len(text.encode()) < 2_000_000
     assert not re.search(r'(?:src|href)="(?!data:|#)', text)
+    assert cli.main(['look', 'flight', 'flight', '--out', 'both.html']) == 0
+    assert re.search(r'roll +flight \(2\) +\d', capsys.readouterr().out)
+    assert (tmp_path / 'both.html').stat().st_size < 2_000_000
     assert cli.main(['look', 'flight', '--json', '--no-page']) == 0
     tree = json.loads(capsys.readouterr().out)
     assert tree['axes']['roll']['steps'][0]['rise_time_s'] == pytest.approx(

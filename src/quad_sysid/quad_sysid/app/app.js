@@ -44,6 +44,7 @@ const start = (kind, given) => guarded(async () => {
 });
 async function listJobs() {
   const jobs = await (await ask('/jobs')).json(), list = $('jobs'); list.replaceChildren();
+  if (!shown && jobs.length) shown = jobs[0].number; // a new tab begins with the latest
   for (const job of jobs) {
     const item = document.createElement('li'), open = document.createElement('button');
     open.textContent = job.title; open.onclick = () => { shown = job.number; known = ''; listJobs(); };

@@ -115,7 +115,7 @@ class App:
 
     async def _home(self, _: Request) -> Response:
         page = (HERE / 'app.html').read_text(encoding='utf-8')
-        return HTMLResponse(page.replace('FOLDER', escape(str(self.folder.resolve()))))
+        return HTMLResponse(page.replace('FOLDER', escape(self.folder.resolve().name)))
 
     async def _script(self, _: Request) -> Response:
         return FileResponse(HERE / 'app.js', media_type='text/javascript')

@@ -17,6 +17,7 @@ from quad_sysid.imports.columns import read_columns
 from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.guess import guesses
 from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.stretches import airborne
 from quad_sysid.imports.table import head_of, is_bag, open_table
 from quad_sysid.imports.to_bag import record_of
@@ -31,6 +32,8 @@ STILL = 1e-9
 """Spread of a rate below which its axis was not measured."""
 SAME_GRID = 0.9
 """Share of the rates' rate from which the raw gyro is put on their grid."""
+MOST_TURNS = 200.0
+"""Largest set-point of an angle, rad: some thirty turns of yaw."""
 LACKING = {
     'rate_setpoint': 'rate set-point: no step response of the rate, no loop, no tracking error',
     'motors': 'motors: no balance, no limits', 'speeds': 'rotor speeds: no orders, no motor delay',
@@ -176,8 +179,23 @@ def _without_commands(log: ForeignLog, why: str) -> Flown:
         warnings=(f'it cannot be identified: {why}',))
 
 
+def _possible(found: Flown) -> Flown:
+    """Without set-points that no aircraft can follow, as damaged logs hold."""
+    lost, clean = 0, {}
+    for name, largest in (('rate_setpoint', FASTEST_RAD_S), ('attitude_setpoint', MOST_TURNS)):
+        values = getattr(found, name)
+        if values is not None and (wrong := np.abs(values) > largest).any():
+            lost += int(wrong.any(axis=1).sum())
+            clean[name] = np.where(wrong, np.nan, values)
+    if not clean:
+        return found
+    said = f'set-points beyond what an aircraft can follow were dropped from {lost} samples'
+    return replace(found, warnings=(*found.warnings, said), **clean)
+
+
 def _complete(found: Flown) -> Flown:
-    """What the log lacks, in words."""
+    """Without what cannot be, and what the log lacks, in words."""
+    found = _possible(found)
     if not found.axes:
         raise BadInputError(found.source, 'shows no axis that turns',
                             remedy='give the log of a flight')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -58,8 +59,9 @@ def header(look: Measured) -> str:
     """What was looked at."""
     flown = look.flown
     gaps = '' if not flown.gaps else f', {len(flown.gaps)} gaps'
-    return (f'{flown.source}: {flown.kind}, {flown.length_s:.1f} s at {1.0 / flown.dt:.5g} Hz'
-            f'{gaps}, {look.whole.flown_s:.1f} s of it in the air')
+    name, rate = PurePath(flown.source).name, 1.0 / flown.dt
+    return (f'{name}: {flown.kind}, {flown.length_s:.1f} s at {rate:.5g} Hz{gaps}, '
+            f'{look.whole.flown_s:.1f} s of it in the air')
 
 
 def _axis_sentence(look: Measured, one: AxisLook) -> str:

@@ -91,7 +91,8 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
         'effect_shape', 'The effect against the data',
         'Line: the fitted effect, its band 95 %. Points, where a single number can be read off '
         'the data: what they require when this effect alone is removed and the rest of the model '
-        'stays; bars are 99 % of the mean.', figure,
+        'stays; bars are 99 % of the mean. Beside a jump they lie nearer to zero than the line: '
+        'the measured rate is noisy and filtered, so both sides of the jump mix there.', figure,
     )
 
 

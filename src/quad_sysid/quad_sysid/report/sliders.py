@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import TUNED, CascadeGains, frequency_grid
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import NEAR_REST, WIDE, ComplexArray, loops_of
@@ -36,10 +37,13 @@ NAMES = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
 
 def sliders(model: AxisModel, designed: Mapping[str, float]) -> str:
     """The element of an axis, '' where the gains that flew are not known."""
-    data = loop_data(model, designed)
+    try:
+        data = loop_data(model, designed)
+        text = json.dumps(data, separators=(',', ':'), allow_nan=False).replace('<', '\\u003c')
+    except (QuadSysidError, ArithmeticError, ValueError) as error:  # the rest of the page stands
+        return f'<p class="small">Not drawn: {escape(str(error))}</p>'
     if data is None:
         return ''
-    text = json.dumps(data, separators=(',', ':'), allow_nan=False).replace('<', '\\u003c')
     return (f'<div class="tryout" role="group" aria-label="gains of {escape(model.axis)} to try">'
             f'<script type="application/json">{text}</script></div>'
             '<p class="small">The found model, linear at wide motion, with the limits of the '
