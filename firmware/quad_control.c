@@ -287,7 +287,9 @@ void quad_control_cycle(quad_control *c, const quad_ranges *ranges, const quad_s
         memset(r->control, 0, sizeof r->control);
     }
     r->control[0] = armed ? sticks->throttle : 0.0f;
-    r->control[0] -= in_flight ? added(r, QUAD_INJECTION_THRUST, 2) : 0.0f;
+    if (in_flight) { /* FRD: the third value points down */
+        r->control[0] = fmaxf(0.0f, r->control[0] - added(r, QUAD_INJECTION_THRUST, 2));
+    }
     float given[4];
     if (!armed) {
         memset(r->motors, 0, sizeof r->motors);

@@ -19,7 +19,6 @@ from probe import PATIENCE_S
 
 pytest.importorskip('starlette', reason="the extra is not installed: pip install '…[app]'")
 pytest.importorskip('uvicorn', reason="the extra is not installed: pip install '…[app]'")
-pytestmark = pytest.mark.xdist_group('app')
 BROWSER = next((name for name in ('chromium', 'chromium-browser', 'google-chrome')
                 if shutil.which(name)), '')
 MOST_MB = 1
@@ -204,6 +203,7 @@ class Chromium:
         self.process.wait(PATIENCE_S)
 
 
+@pytest.mark.browser
 @pytest.mark.skipif(not BROWSER, reason='no Chromium here (apt-get install chromium)')
 def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, tmp_path):
     log = tmp_path / 'dropped.csv'

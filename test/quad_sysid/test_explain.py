@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from quad_sysid.discover.accept import p_value
 from quad_sysid.discover.search import Found, Scored
-from quad_sysid.explain.ladder import explain, values_of
+from quad_sysid.explain.ladder import explain
 
 
 def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
@@ -23,29 +23,6 @@ def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
     assert effect.p_value < 0.05
     assert told.verdict.after < 0.7 * told.verdict.before
     assert told.verdict.rungs[1] == pytest.approx(told.verdict.after)
-
-
-def test_where_nothing_is_missing_the_base_is_the_answer(plain_answer):
-    told = plain_answer.findings
-    assert len(told.ladder.rungs) == 1
-    assert plain_answer.verdict == 'not_searched'
-    assert plain_answer.model.effects == plain_answer.model.rungs == ()
-
-
-def test_a_projection_ends_at_the_reference_from_far_away(rubbed_answer):
-    """The reference's own structure from twice the friction and other poles: its parameters."""
-    told = rubbed_answer.findings
-    projection = told.ladder.projection
-    reference = projection.reference
-    start = reference.theta.copy()
-    start[0] *= 1.3
-    start[1] += 0.3
-    start[5] *= 2.0
-    model = projection.project(reference.structure, start)
-    assert model.total < 1e-4 * told.ladder.rungs[0].model.total
-    found, truth = values_of(model), reference.values
-    assert found[:2] == pytest.approx(truth[:2], rel=0.01)
-    assert found[5] == pytest.approx(truth[5], rel=0.05)
 
 
 def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):

@@ -57,7 +57,9 @@ class ExcitationRelay:
             level, text = WARN, 'the STM32 dropped a stale set-point'
         elif Flag.EXCITATION_REFUSED in flags:
             why = self._aircraft.cannot(Ability.EXCITE)
-            level, text = WARN, why or 'the STM32 refuses the excitation'
+            level, text = WARN, why or 'the STM32 refuses the excitation' + (
+                ' of U1: its firmware may be older than the axis climb'
+                if self._injection is Injection.THRUST else '')
         elif disabled:
             text = f'disabled: {disabled}'
         return Status('excitation', level, text, values)

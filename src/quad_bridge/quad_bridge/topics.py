@@ -18,6 +18,7 @@ TOPIC_TYPES = {
     '/battery': 'sensor_msgs/msg/BatteryState',
     '/imu/mag': 'sensor_msgs/msg/MagneticField',
     '/baro': 'sensor_msgs/msg/FluidPressure',
+    '/odom': 'nav_msgs/msg/Odometry',
     '/excitation/setpoint': 'geometry_msgs/msg/Vector3Stamped',
     '/excitation/applied': 'geometry_msgs/msg/Vector3Stamped',
     '/excitation/segment': 'rcl_interfaces/msg/ParameterEvent',

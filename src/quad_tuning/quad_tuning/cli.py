@@ -27,7 +27,7 @@ from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import write_whole
 from quad_sysid.loop.from_model import not_in_the_loop
-from quad_sysid.model import AxisModel
+from quad_sysid.model import BEFORE, AxisModel
 from quad_sysid.report.model_file import load_models, pick
 from quad_sysid.report.tables import Table, figure_rows, wrapped
 from quad_sysid.report.words import left_out, number
@@ -139,7 +139,7 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
         return f'{axis} ({method}): no gains: {answer["refused_because"]}\n'
     figures = answer['figures']
     rows = [
-        [name, number(figures.get(f'{name}_before'), 4), number(value, 4),
+        [name, number(figures.get(f'{name}{BEFORE}'), 4), number(value, 4),
          _unit(name.partition('.')[2])]
         for name, value in (answer.get('target') or answer['gains']).items()
     ]

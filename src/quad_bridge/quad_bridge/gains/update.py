@@ -255,6 +255,7 @@ class GainUpdates:
             self._end_check()
 
     def _admit(self, asked: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
+        gate.check_flown(asked, self.active)
         path = gate.steps(asked.gains, self.active, self._settings.bounds)
         if now_s - self._cycle_s > QUIET_S:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
@@ -281,8 +282,7 @@ class GainUpdates:
         return self._period_s > 1.2 / LEAST_HZ
 
     def _slow_words(self) -> str:
-        hz = 1.0 / self._period_s
-        return f'the link brings {hz:.0f} cycles per second: the watch needs {LEAST_HZ:g}'
+        return f'the link brings {1.0 / self._period_s:.0f} cycles/s: the watch needs {LEAST_HZ:g}'
 
     def _known_rate(self) -> None:
         if self._slow:

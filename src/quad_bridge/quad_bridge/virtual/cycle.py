@@ -36,7 +36,7 @@ FloatArray = npt.NDArray[np.float64]
 ARMED, INJECTION, ADDED = 0, 1, 2
 STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW, HOLD = 5, 6, 7, 8, 9
 INPUTS = 10
-"""Columns of what reaches a cycle from outside: armed 0/1, injection 0..3 (none, attitude, rate,
+"""Columns of what reaches a cycle from outside: armed 0/1, injection 0..4 (none, attitude, rate,
 control, thrust), excitation (3), sticks -1..1, throttle 0..1, height mode 0/1."""
 LARGEST_DELAY = 4
 MOST_HELD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
@@ -59,12 +59,13 @@ COLUMNS: dict[str, slice] = {
     'throttle': slice(30, 31),
     'true_rates': slice(31, 34),
     'true_angles': slice(34, 37),
-    'altitude_m': slice(37, 38),
-    'height_m': slice(38, 39),
-    'climb_m_s': slice(39, 40),
+    'position_m': slice(37, 40),
+    'velocity_m_s': slice(40, 43),
+    'height_m': slice(43, 44),
+    'climb_m_s': slice(44, 45),
 }
 """Columns of a log row, by name."""
-WIDTH = 40
+WIDTH = 45
 TOLD = 25  # numbers that the firmware writes (boards/linux/library.c)
 OBSERVED = 12
 
@@ -134,8 +135,8 @@ def begin(
     )  # fmt: skip
     for i in range(23):
         log[1 + i] = told[i]
-    log[38] = told[23]
-    log[39] = told[24]
+    log[43] = told[23]
+    log[44] = told[24]
     sensed[TAKEN] = 0.0
     delayed(machine, cycle, log[20:24])
     log[0] = state[TIME]
@@ -146,7 +147,9 @@ def begin(
     log[28] = sensed[PRESSURE]
     log[30] = used[THROTTLE]
     euler_from_quaternion(state[QUAT : QUAT + 4], log[34:37])
-    log[37] = state[POSITION + 2]
+    for i in range(3):
+        log[37 + i] = state[POSITION + i]
+        log[40 + i] = state[VELOCITY + i]
 
 
 @kernel

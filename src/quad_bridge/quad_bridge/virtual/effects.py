@@ -200,6 +200,23 @@ class Vibration(Effect):
 
 
 @dataclass(frozen=True)
+class AirDrag(Effect):
+    """Force -coefficient v |v| of the body in the air, by body axis; in hover only."""
+
+    coefficient_n_s2_m2: Vector = (0.25, 0.25, 0.4)
+
+
+@dataclass(frozen=True)
+class RotorDrag(Effect):
+    """Force -coefficient v of each rotor in its plane, proportional to its speed; in hover only.
+
+    The coefficient is that at full speed.
+    """
+
+    coefficient_n_s_m: float = 0.15
+
+
+@dataclass(frozen=True)
 class Effects:
     """All effects; `Effects()` has none."""
 
@@ -222,3 +239,5 @@ class Effects:
     step_event: StepEvent = field(default_factory=StepEvent)
     ground: Ground = field(default_factory=Ground)
     vibration: Vibration = field(default_factory=Vibration)
+    air_drag: AirDrag = field(default_factory=AirDrag)
+    rotor_drag: RotorDrag = field(default_factory=RotorDrag)

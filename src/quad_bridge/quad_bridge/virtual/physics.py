@@ -18,7 +18,12 @@ import numpy.typing as npt
 from quad_bridge.virtual.airframe import GRAVITY_M_S2
 from quad_bridge.virtual.compiled import kernel
 from quad_bridge.virtual.plant import Plant
-from quad_bridge.virtual.rotation import euler_from_quaternion, quaternion_rate, up_in_world
+from quad_bridge.virtual.rotation import (
+    body_from_world,
+    euler_from_quaternion,
+    quaternion_rate,
+    world_from_body,
+)
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -150,6 +155,21 @@ def body_torque(state: FloatArray, plant: Plant, time_s: float, torque: FloatArr
 
 
 @kernel
+def air_force(state: FloatArray, plant: Plant, thrusts: FloatArray, out: FloatArray) -> None:
+    """Write all but the weight (3,) over the mass, m/s², body axes: thrust and drags."""
+    lift, turning, speed = 0.0, 0.0, np.empty(3)
+    for i in range(4):
+        lift += thrusts[i]
+        turning += math.sqrt(max(0.0, float(state[ROTORS + i])))
+    body_from_world(state[QUAT : QUAT + 4], state[VELOCITY : VELOCITY + 3], speed)
+    for i in range(3):
+        blades = plant.rotor_drag * turning if i < 2 else 0.0
+        force = blades * speed[i] + plant.air_drag[i] * speed[i] * abs(speed[i])
+        out[i] = -plant.linear_drag * speed[i] - force / plant.mass
+    out[2] += lift / plant.mass
+
+
+@kernel
 def derivative(
     state: FloatArray,
     plant: Plant,
@@ -160,7 +180,8 @@ def derivative(
     out: FloatArray,
 ) -> None:
     """Write d(state)/dt of the RK4 states; `outside` (3,) N m is held over the step."""
-    thrusts, drive, torque, up = np.empty(4), np.empty(3), np.empty(3), np.empty(3)
+    thrusts, drive, torque = np.empty(4), np.empty(3), np.empty(3)
+    force, pushed = np.empty(3), np.empty(3)
     motor_thrusts(state, plant, voltage, thrusts)
     drive_torque(thrusts, plant, time_s, drive)
     w = plant.mode_rad_s
@@ -176,13 +197,12 @@ def derivative(
     quaternion_rate(state[QUAT : QUAT + 4], state[RATES : RATES + 3], out[QUAT : QUAT + 4])
     for i in range(4):
         out[ROTORS + i] = (command[i] - state[ROTORS + i]) / plant.lag[i]
-    up_in_world(state[QUAT : QUAT + 4], up)
-    lift = (thrusts[0] + thrusts[1] + thrusts[2] + thrusts[3]) / plant.mass
+    air_force(state, plant, thrusts, force)
+    world_from_body(state[QUAT : QUAT + 4], force, pushed)
     for i in range(3):
         weight = GRAVITY_M_S2 if i == 2 else 0.0
-        speed = state[VELOCITY + i]
-        out[POSITION + i] = plant.moves * speed
-        out[VELOCITY + i] = plant.moves * (up[i] * lift - weight - plant.linear_drag * speed)
+        out[POSITION + i] = plant.moves * state[VELOCITY + i]
+        out[VELOCITY + i] = plant.moves * (pushed[i] - weight)
 
 
 @kernel

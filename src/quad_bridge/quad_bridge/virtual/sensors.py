@@ -22,7 +22,7 @@ from quad_bridge.virtual.physics import (
     QUAT,
     RATES,
     TIME,
-    VELOCITY,
+    air_force,
     battery_voltage,
     motor_thrusts,
     stands,
@@ -141,14 +141,10 @@ def specific_force(state: FloatArray, plant: Plant, out: FloatArray) -> None:
         drag[2] = GRAVITY_M_S2
         body_from_world(state[QUAT : QUAT + 4], drag, out)
         return
-    for i in range(3):
-        drag[i] = -plant.linear_drag * state[VELOCITY + i]
-    body_from_world(state[QUAT : QUAT + 4], drag, out)
     motor_thrusts(state, plant, battery_voltage(state, plant), thrusts)
-    lift = (thrusts[0] + thrusts[1] + thrusts[2] + thrusts[3]) / plant.mass
+    air_force(state, plant, thrusts, out)
     if stands(state, plant):
-        lift = max(lift, GRAVITY_M_S2)
-    out[2] += lift
+        out[2] = max(out[2], GRAVITY_M_S2)
 
 
 @kernel

@@ -74,7 +74,8 @@ class Flight:
     limits: FloatArray
     true_rates: FloatArray
     true_angles: FloatArray
-    altitude_m: FloatArray
+    position_m: FloatArray
+    velocity_m_s: FloatArray
     height_m: FloatArray  # as the firmware estimates it, with its climb
     climb_m_s: FloatArray
 
@@ -137,6 +138,9 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
     for part in schedule:
         start = round(part.start_s / aircraft.cycle_s)
         stop = min(count, start + part.samples.size)
-        given[start:stop, INJECTION] = INJECTIONS.index(part.injection)
-        given[start:stop, ADDED + AXES.index(part.axis)] = part.samples[: stop - start]
+        climbs = part.axis == 'climb'
+        given[start:stop, INJECTION] = INJECTIONS.index(
+            'thrust' if climbs else part.injection)
+        column = 2 if climbs else AXES.index(part.axis)
+        given[start:stop, ADDED + column] = part.samples[: stop - start]
     return given

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from quad_sysid.axes import EVERY
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
@@ -71,7 +72,7 @@ def identify(records: Sequence[Record], options: Options,
 def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
     """The axes that any segment trains; where no segment says, all."""
     named = {s.axis for r in records for s in r.segments if s.role == 'train'}
-    return tuple(axis for axis in AXES if axis in named) or AXES
+    return tuple(axis for axis in EVERY if axis in named) or AXES
 
 
 def identify_axis(records: Sequence[Record], axis: str, options: Options,
@@ -79,8 +80,9 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     """Fit, find what is missing, judge, design: one axis."""
     segments = tuple(
         s for r in records for s in r.segments
-        if s.axis == axis or (s.role == 'idle' and 'because' not in s.parameters)
+        if s.excites(axis) or (s.role == 'idle' and 'because' not in s.parameters)
     )
+    records = [record.for_axis(axis) for record in records]
     rate = 1.0 / records[0].dt
     try:
         data = axis_data(records, axis)
@@ -106,15 +108,19 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     if not searched and verdict != 'cannot_tell':
         verdict = 'not_searched'
     model = assemble.axis_model(
-        told, _gains_of(records), assemble.band_of(data), options.effects
+        told, _gains_of(records), assemble.band_of(data), options.effects,
+        records[0].units or EVERY[axis].units
     )
+    turns = EVERY[axis].turns
     answer = AxisAnswer(
         axis, rate, segments, verdict, reason, findings=told, model=model,
         train=blackbox_part.io_data(data, data.train),
         outside=assemble.outside_of(model, data, data.validation),
         warnings=_warnings(records),
-        attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
-        rate_reference=_joined([r.rate_setpoint for r in records], data.index),
+        attitude_reference=_joined([r.attitude_setpoint for r in records], data.index)
+        if turns else None,
+        rate_reference=_joined([r.rate_setpoint for r in records], data.index)
+        if turns else None,
     )
     swapped = next((line for line in map(refusal, records) if line), '')
     known: AxisAnswer
@@ -253,6 +259,8 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
         return GainProposal(None, refused_because)
     if not answer.answered or answer.model is None:
         return GainProposal(None, answer.reason)
+    if not EVERY[answer.axis].turns:
+        return GainProposal(None, 'gains are designed for the attitude only')
     if options.designer is None:
         return GainProposal(None, options.no_designer_because)
     try:
