@@ -17,7 +17,7 @@ ARGS ?=
 # cache of bytecode, also where the shell has it switched off; they begin in the order of test/conftest.py
 PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup --no-loadscope-reorder
 
-.PHONY: build-test build-lint build-docs help demo flight qemu pictures test test-qemu test-browser test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-mixer bench-link bench-effects-speed bench-likelihood bench-outside bench-twice bench-results wheel docs lock shell clean
+.PHONY: build-test build-lint build-docs help demo flight qemu pictures test test-qemu test-browser test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-mixer bench-link bench-effects-speed bench-peers bench-likelihood bench-outside bench-twice bench-results wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

@@ -10,19 +10,28 @@ import numpy as np
 import pytest
 
 import quad_sysid as qs
+from quad_bridge.virtual.aircraft import Aircraft
+from quad_bridge.virtual.cycle import THROTTLE
 from quad_bridge.virtual.effects import AirDrag, Effects, Ground
-from quad_bridge.virtual.profile import load_profile
-from quad_bridge.virtual.simulation import Excited, fly
+from quad_bridge.virtual.physics import POSITION, VELOCITY
+from quad_bridge.virtual.profile import Pilot, load_profile
+from quad_bridge.virtual.simulation import Excited, fly, inputs
 from quad_sysid.bags import read_bag, write_bag
 from quad_sysid.contract import control_from_motors
-from quad_sysid.motion import lean
+from quad_sysid.craft import from_urdf
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.simulation import simulate_cascade
+from quad_sysid.motion import altitude_of, lean, over_level, vertical_motion
 from quad_sysid.record import GainChange, Record, Segment
+from quad_sysid.whole import whole_of
 
 HEIGHT, RADIUS, STANDING = 0.6, 0.35, 0.2
 GROUND = Effects(ground=Ground(enabled=True, rotor_radius_m=RADIUS, rotor_height_m=STANDING,
                                height_m=STANDING - HEIGHT))
 DRAG = Effects(air_drag=AirDrag(enabled=True))
-PARTS = (('train', 2.0, 26.0), ('validation', 29.0, 15.0))
+BODY = load_profile('plain').airframe
+PARTS = (('train', 2.0, 34.0), ('validation', 37.0, 18.0))
 
 
 def levels(seconds, shortest, longest, seed):
@@ -45,7 +54,7 @@ def flown(effects, axis, seed=1):
                  axis='climb' if climbs else 'pitch', role=role,
                  injection='control' if climbs else 'attitude')
          for k, (role, start, length) in enumerate(PARTS)],
-        46.0, seed,
+        56.0, seed,
     )  # fmt: skip
     rng, n = np.random.default_rng(seed), flight.time_s.size
     yaw, (x, y, z) = flight.true_angles[:, 2], flight.velocity_m_s.T
@@ -73,13 +82,19 @@ def answer(effects, axis):
     return qs.identify(flown(effects, axis)[0], axes=axis)
 
 
-def test_climb_without_a_ground_lacks_nothing():
+@pytest.fixture(scope='module')
+def climbed():
+    """A flight without a ground: its record, what was flown, and the answer."""
+    record, flight = flown(Effects(), 'climb')
+    return record, flight, qs.identify(record, axes='climb', mass=BODY.mass_kg)
+
+
+def test_climb_without_a_ground_lacks_nothing(climbed):
     """Thrust over mass to 1 %, gravity to 1 %, the declared drag of 0.3 1/s to 3 %."""
-    found = answer(Effects(), 'climb')
+    found = climbed[2]
     tree = found.report['axes']['climb']
     assert (tree['verdict'], tree['error']['unit']) == ('no_missing_effect', 'm/s')
-    body = load_profile('plain').airframe
-    thrust = 4.0 * body.motors.full_thrust_n / body.mass_kg
+    thrust = 4.0 * BODY.motors.full_thrust_n / BODY.mass_kg
     assert found.answer.model.value('gain') == pytest.approx(thrust, rel=0.01)
     assert found.answer.model.value('bias') == pytest.approx(-9.81, rel=0.01)
     assert found.answer.model.value('damping') == pytest.approx(0.3, rel=0.03)
@@ -106,8 +121,7 @@ def test_surge_names_the_drag():
     tree = answer(DRAG, 'surge').report['axes']['surge']
     assert [effect['name'] for effect in tree['effects']] == ['quadratic_drag']
     (drag,) = tree['effects'][0]['parameters']
-    mass = load_profile('plain').airframe.mass_kg
-    assert drag['value'] == pytest.approx(0.25 / mass, rel=0.1)
+    assert drag['value'] == pytest.approx(0.25 / BODY.mass_kg, rel=0.1)
     assert drag['unit'] == 'm/s² per (m/s)²'
 
 
@@ -122,31 +136,58 @@ def test_a_bag_holds_what_a_record_says_of_the_motion(tmp_path):
     assert not np.isfinite(back.velocity[~seen]).any()
 
 
-def test_barometer_and_accelerometer_give_the_climb():
+def test_barometer_and_accelerometer_give_the_climb(climbed):
     """Without /odom: the vertical speed to 6 cm/s RMS of the true one."""
-    from quad_sysid.motion import altitude_of, over_level, vertical_motion
-
-    record, flight = flown(Effects(), 'climb')
+    record, flight, _ = climbed
     force = over_level(record.acceleration, record.angles)[:, 2]
     speed, altitude = vertical_motion(altitude_of(flight.pressure_pa), force, record.dt)
     assert np.std(speed - flight.velocity_m_s[:, 2]) < 0.06
     assert np.std(altitude - flight.position_m[:, 2]) < 0.15
 
 
-def test_the_aircraft_as_a_whole():
-    """Thrust by the mass, mass by the thrust and the throttle of the hover to 1 %; a URDF."""
-    from quad_sysid.craft import from_urdf
-    from quad_sysid.whole import whole_of
+def test_the_excitation_of_the_climb_is_added_to_the_throttle(climbed):
+    _, flight, _ = climbed
+    added = np.zeros(flight.time_s.size)
+    for part in flight.schedule:
+        start = round(part.start_s / flight.dt)
+        added[start : start + part.samples.size] = part.samples
+    assert flight.wrench[:, 0] - flight.throttle == pytest.approx(added, abs=1e-6)
 
-    record, _ = flown(Effects(), 'climb')
-    body = load_profile('plain').airframe
-    full = 4.0 * body.motors.full_thrust_n
-    found = qs.identify(record, axes='climb', effects=(), mass=body.mass_kg)
+
+def test_the_aircraft_as_a_whole(climbed):
+    """Thrust by the mass, mass by the thrust and the throttle of the hover to 1 %; a URDF."""
+    record, _, found = climbed
+    full = 4.0 * BODY.motors.full_thrust_n
     facts = {fact.name: fact for fact in found.whole.facts}
     assert facts['full_thrust'].value == pytest.approx(full, rel=0.01)
-    assert facts['hover_throttle'].value == pytest.approx(body.mass_kg * 9.81 / full, rel=0.01)
+    assert facts['hover_throttle'].value == pytest.approx(BODY.mass_kg * 9.81 / full, rel=0.01)
     assert abs(facts['centre_of_mass_x'].value) < 1.0
-    models = {'climb': found.answer.model}
-    turned = whole_of(models, [record], thrust_n=full)
-    assert turned.facts[0].value == pytest.approx(body.mass_kg, rel=0.01)
+    turned = whole_of({'climb': found.answer.model}, [record], thrust_n=full)
+    assert turned.facts[0].value == pytest.approx(BODY.mass_kg, rel=0.01)
     assert from_urdf(found.report['aircraft']['urdf']).count == 4
+
+
+def test_a_hold_of_the_altitude_flies_as_with_the_found_model(climbed):
+    """A step of 0.5 m and a gust of 0.4 m/s under one cascade: to 10 % of the step."""
+    gains = CascadeGains(1.5, 0.12, 0.06, 0.0, output_limit=0.25, rate_limit=1.0)
+    plant = loop_plant(climbed[2].answer.model)
+    every, n = round(plant.dt * 250.0), round(10.0 / plant.dt)
+    wanted, gust = np.where(np.arange(n) * plant.dt < 1.0, 0.0, 0.5), round(6.0 / plant.dt)
+    push = np.zeros(n)
+    push[gust] = 0.4 / plant.dt
+    said = simulate_cascade(plant, gains, wanted, plant.dt, disturbance=push - plant.held)
+
+    profile = replace(load_profile('plain'), mount='hover', pilot=Pilot(0.0, 0.0))
+    aircraft = Aircraft(profile, seed=7)
+    state, given = aircraft.machine.state, inputs(aircraft, [], every)
+    height, integral = np.zeros(n), 0.0
+    for k in range(n):
+        state[VELOCITY + 2] += 0.4 * (k == gust)
+        height[k], climb = state[POSITION + 2], state[VELOCITY + 2]
+        error = float(np.clip(gains.angle_kp * (wanted[k] - height[k]), -1.0, 1.0)) - climb
+        integral += gains.rate_ki * plant.dt * error
+        given[:, THROTTLE] = aircraft.hover_throttle + np.clip(
+            gains.rate_kp * error + integral, -0.25, 0.25)
+        aircraft.run(given)
+    assert np.sqrt(np.mean((said.angle - height) ** 2)) < 0.1 * 0.5
+    assert np.abs(said.angle - height).max() < 0.1

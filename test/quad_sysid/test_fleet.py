@@ -45,7 +45,8 @@ def test_bags_and_logs_are_found_with_their_aircraft(folder, tmp_path, refusal):
     (tmp_path / 'logs').mkdir()
     for name in ('b.ULG', 'a.bbl.gz', 'c.csv'):
         (tmp_path / 'logs' / name).write_text('a log')
-    assert [job.name for job in bag.jobs(tmp_path / 'logs', tmp_path)] == ['a.bbl.gz', 'b.ULG']
+    jobs = bag.jobs(tmp_path / 'logs', tmp_path / 'out')
+    assert [job.name for job in jobs] == ['a.bbl.gz', 'b.ULG']
     assert 'is not a folder' in refusal(bag.jobs, folder / 'nowhere', tmp_path)
     shutil.rmtree(tmp_path / 'logs')
     assert 'holds no bag' in refusal(bag.jobs, tmp_path, tmp_path)
@@ -93,7 +94,7 @@ def test_a_fleet_through_the_command_and_on_from_there(folder, results, tmp_path
     shown = capsys.readouterr().out
     assert '2 answered, 1 failed' in shown
     assert max(len(line) for line in shown.splitlines()[:-1]) <= 80
-    assert '3 bags, 1 to do' in (tmp_path / 'out' / 'fleet.log').read_text().splitlines()[-2]
+    assert '3 bags, 1 to do' in (tmp_path / 'out' / 'fleet.log').read_text().splitlines()[-3]
     shutil.rmtree(moved / 'one')
     shutil.copytree(moved / 'two' / 'flight', moved / 'one' / 'flight')
     assert main(again) == 2
@@ -107,6 +108,7 @@ def test_a_cluster_gives_the_same_rows_and_outlives_what_goes_wrong(folder, resu
 
     flights = tmp_path / 'flights'
     shutil.copytree(folder, flights)
+    shutil.rmtree(flights / 'two' / 'flight')
     for name in ('poison', 'hung', 'unlucky', *'abcdef'):
         (flights / f'{name}.mcap').touch()
     every = bag.jobs(flights, tmp_path / 'out', search_effects=False, limit_s=30.0)
@@ -130,10 +132,8 @@ def test_a_cluster_gives_the_same_rows_and_outlives_what_goes_wrong(folder, resu
     assert [row['bag'] for row in once_more if row['bag'] in failed] == failed
     assert all(row['status'] == 'answered' for row in once_more)
     # to the last digit what the processes of this machine say
-    own = {row['bag']: row for row in engine.known(
-        bag.jobs(folder, results, search_effects=False)).values()}
-    names = ('one/flight', 'two/flight')
-    assert same(by_name[name] for name in names) == same(own[name] for name in names)
+    own = engine.known(bag.jobs(folder, results, search_effects=False))
+    assert same([by_name['one/flight']]) == same([own['one/flight']])
 
 
 def test_a_cluster_that_differs_is_refused_before_the_first_bag(folder, tmp_path, monkeypatch,
@@ -186,35 +186,33 @@ def test_another_question_has_no_answer_yet(folder, tmp_path):
     assert (done(), done('roll'), done(search_effects=False), done(effects='x')) == (3, 0, 0, 0)
 
 
-def test_bags_and_results_of_a_store(folder, tmp_path):
+def test_bags_and_results_of_a_store(folder, results):
     """In memory, which is one process' own; the work is done here."""
     fsspec = pytest.importorskip('fsspec')
     store = fsspec.filesystem('memory')
     store.put(str(folder), '/bucket/flights', recursive=True)
     try:
         every = bag.jobs('memory://bucket/flights', 'memory://bucket/out', search_effects=False)
-        here = bag.jobs(folder, f'file://{tmp_path}/out', search_effects=False)
+        here = bag.jobs(folder, f'file://{results}', search_effects=False)
         assert [job.name for job in every] == [job.name for job in here]
-        rows = [bag.keep(job, bag.look(job)) for job in every]
-        local = [bag.keep(job, bag.look(job)) for job in here]
-        ignored = {'stamp', 'asked', 'content'}
-        assert [{k: v for k, v in row.items() if k not in ignored} for row in same(rows)] == [
-            {k: v for k, v in row.items() if k not in ignored} for row in same(local)]
-        assert all(a.get('content') == b.get('content') for a, b in zip(rows, local, strict=True))
-        assert engine.run(every[:2]) == rows[:2]  # they are done
-        write(rows, Place('memory://bucket/out'))
+        row = bag.keep(every[0], bag.look(every[0]))
+        own = engine.known(here)[row['bag']]
+        assert {**row, 'stamp': own['stamp']}.items() >= {
+            key: value for key, value in own.items() if key not in MEASURED}.items()
+        assert engine.run(every[:1]) == [row]  # it is done
+        write([row], Place('memory://bucket/out'))
         table = list(csv.DictReader(io.StringIO(store.cat('/bucket/out/fleet.csv').decode())))
-        assert [row['bag'] for row in table] == [job.name for job in every]
+        assert [row['bag'] for row in table] == ['one/flight']
         assert store.exists('/bucket/out/bags/one/flight/model.json')
     finally:
         store.rm('/bucket', recursive=True)
 
 
 def test_records_are_a_fleet_too(refusal):
-    records = [fly(Axis(), seed, PLAN) for seed in (1, 2)]
-    fleet = qs.fleet(records, aircraft=['a', 'b'], search_effects=False)
+    records = [fly(Axis(), 1, PLAN)]
+    fleet = qs.fleet(records, aircraft=['a'], search_effects=False)
     assert [(row['bag'], row['aircraft'], row['status']) for row in fleet.rows] == [
-        ('a/flight 1', 'a', 'answered'), ('b/flight 2', 'b', 'answered')]
+        ('a/flight 1', 'a', 'answered')]
     assert {(q.axis, q.name) for q in fleet.quantities} >= {('roll', 'gain'), ('roll', 'lag')}
-    assert 'one for each' in refusal(qs.fleet, records, aircraft=['a'])
+    assert 'one for each' in refusal(qs.fleet, records, aircraft=['a', 'b'])
     assert 'neither a day' in refusal(qs.fleet, records, since='yesterday')

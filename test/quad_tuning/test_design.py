@@ -28,6 +28,7 @@ from quad_tuning.bounds import (
     check_bounds,
     check_finite,
     check_polarity,
+    flown_gains,
     reachable,
 )
 from quad_tuning.designer import design
@@ -231,12 +232,24 @@ def test_it_is_found_as_a_designer_where_the_package_is_installed():
         *((check_bounds, gains, 'must lie in') for gains in (
             {'roll.angle.kp': 16.0}, {'roll.rate.kp': -0.01}, {'roll.rate.kd': 0.03})),
         (check_bounds, {'roll.rate.output_limit': 0.3}, 'roll.rate.output_limit'),
-        (lambda _: reachable('angle_kp', 40.0), {}, 'further than'),
+        (lambda given: check_bounds(given, {'roll.rate.ki': 1.3}), {'roll.rate.ki': 1.4},
+         'must lie in'),
     ],
 )
 def test_what_must_never_reach_an_aircraft_is_refused_by_name(check, gains, said):
     with pytest.raises(DesignRefusedError, match=said):
         check(gains)
+
+
+def test_a_gain_that_flies_on_other_firmware_is_a_start_though_beyond_our_bounds(model, changed):
+    flown = model()
+    beyond = {**flown.active_gains, 'roll.rate.ki': 1.12}  # Betaflight's default of 80
+    with pytest.raises(DesignRefusedError, match='must lie in'):
+        flown_gains(changed(flown, active_gains=beyond))
+    gains = flown_gains(changed(flown, active_gains={**beyond, 'roll.rate.tpa_kp': 1.0}))
+    low, high = reachable('rate_ki', gains.rate_ki)
+    assert gains.rate_ki == pytest.approx(high) == pytest.approx(1.12)
+    assert low < 1.0
 
 
 def test_an_axis_driven_by_another_ones_command_is_refused(model):

@@ -76,7 +76,7 @@ class ExcitationRelay:
             return None
         running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
-        if parameters.get('axis') == 'climb':
+        if parameters.get('axis') == 'climb':  # of the three values it is the third
             wanted = Injection.THRUST if wanted is Injection.CONTROL else None
         before, self._lost = self._injection, False
         self._injection = wanted if running and wanted is not None else Injection.NONE

@@ -9,6 +9,7 @@ import itertools
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -182,7 +183,8 @@ class Record:
         found = self.motion(name)
         if role not in (None, *ROLES):
             raise BadInputError('Record.axis', f'role must be of {", ".join(ROLES)}', repr(role))
-        y, u, r = found.rate, found.command, self.external(name)
+        u = found.control[:, EVERY[name].index + 1]
+        y, r = found.rate, self.external(name)
         if role is None:
             spans: list[tuple[int, int]] = [(0, self.n)]
         else:
@@ -301,7 +303,7 @@ class Record:
         def cells(values: FloatArray) -> FloatArray:
             return values[phase : phase + n * count].reshape(n, count, *values.shape[1:])
 
-        arrays: dict[str, FloatArray] = {}
+        arrays: dict[str, Any] = {}
         for array in WIDTHS:
             values = getattr(self, array)
             if values is None:
@@ -362,7 +364,7 @@ def _joined(values: FloatArray, most: float) -> FloatArray:
         after = np.clip(np.searchsorted(known, rows), 1, known.size - 1)
         near = (known[after] - known[after - 1] <= most) & (rows >= known[0]) & (rows <= known[-1])
         column[near] = np.interp(rows[near], known, column[known])
-    return out.reshape(values.shape)
+    return np.asarray(out.reshape(values.shape))
 
 
 def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:

@@ -77,7 +77,7 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
         way = way_to(found.gains, active, loops)
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
-    check_bounds(told(found.gains, model.axis, known))
+    check_bounds(told(found.gains, model.axis, known), known)
     return GainProposal(
         gains={**told(way.told, model.axis, known), **chosen},
         figures={**_figures(model, found, known, loops.draws),

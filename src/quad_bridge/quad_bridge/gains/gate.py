@@ -143,13 +143,6 @@ def check_source(source: str, allowed: Sequence[str]) -> None:
         raise RefusedError(f'the source is not allowed; parameter sources has {known}')
 
 
-def refuse_climb(wanted: Mapping[str, float], flags: int, *, flying: bool) -> None:
-    """Raise RefusedError for gains of the height mode while the pilot has the throttle."""
-    climbs = any(name.startswith(f'{CLIMB}.') for name in wanted)
-    if climbs and flying and not flags & Flag.HOLD:
-        raise RefusedError('climb gains are tried in the height mode: switch it on first')
-
-
 def check_flown(request: GainRequest, active: Mapping[str, float]) -> None:
     """Raise RefusedError where the aircraft flies other gains than the design began from.
 
@@ -165,6 +158,13 @@ def check_flown(request: GainRequest, active: Mapping[str, float]) -> None:
                 f'{name}: the design began from {before:.4g}, and the aircraft has {now:.4g}: it '
                 'is of another aircraft or of older gains; fly, identify and design again'
             )
+
+
+def refuse_climb(wanted: Mapping[str, float], flags: int, *, flying: bool) -> None:
+    """Raise RefusedError for gains of the height mode while the pilot has the throttle."""
+    climbs = any(name.startswith(f'{CLIMB}.') for name in wanted)
+    if climbs and flying and not flags & Flag.HOLD:
+        raise RefusedError('climb gains are tried in the height mode: switch it on first')
 
 
 def steps(

@@ -45,8 +45,8 @@ def best_base(problem: Problem) -> Fit:
     ]))
     if base is None:
         raise FloatingPointError('no start of the base holds')
-    refined = fitted_from(problem, base.structure, base.theta, rate=base.rate)
-    base = _beside(problem, refined or base)
+    ended = fitted_from(problem, base.structure, base.theta, rate=base.rate)
+    base = _beside(problem, ended or base)
     if problem.flight.sensor.noisy:
         averaged = replace(base.structure, averaged=True)
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))

@@ -125,11 +125,15 @@ def noises(parent: Fit) -> list[FloatArray]:
 
 
 def extensions(parent: Fit, one: Score) -> list[Try]:
-    """A structure with one more effect, from each start of the noise."""
+    """A structure with one more effect, from each start of the noise; beside others from one.
+
+    Of a base that lacks an effect nobody knows how much of its noise is the effect's.
+    """
     structure = parent.structure.plus(one.part)
+    begun = noises(parent)[-1 if parent.structure.parts else 0 :]
     own = parent.theta[: -len(parent.structure.noise)]
     return [Try(structure, [np.r_[own, start, noise] for start in one.starts], parent.rate)
-            for noise in noises(parent)]
+            for noise in begun]
 
 
 def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
@@ -153,12 +157,12 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
         ], problem.flight.rate)
         for part in parts if part.effect.term == 'response' and not part.effect.motors
     ]
-    known = brief and fitted_from(brief, base.structure, base.theta, rate=base.rate[brief.index])
+    known = None if brief is None else fitted_from(brief, base.structure, base.theta,
+                                                   rate=base.rate[brief.index])
     if brief is not None and known is not None:
-        there = [replace(one, rate=brief.flight.rate) for one in tries]
+        there = begun_fits(brief, [replace(one, rate=brief.flight.rate) for one in tries])
         tries = [Try(one.structure, (one.theta,), problem.flight.rate)
-                 for one in begun_fits(brief, there)
-                 if one.evidence > known.evidence + ANEW / BRIEF]
+                 for one in there if one.evidence > known.evidence + ANEW / BRIEF]
     return contest(problem, tries, base.evidence)
 
 
@@ -180,16 +184,17 @@ class _Search:
         self.screens: dict[frozenset[str], list[Score]] = {}
 
     def build_on(self, parents: Sequence[Scored], refits: int,
-                 promise: float = HOPELESS) -> list[Scored]:
+                 promise: float = HOPELESS, *, whole: bool = True) -> list[Scored]:
         """Fitted structures with one more effect, whose linear score may reach the best parent's.
 
         Of each explanation the variant with the best score, of those that promise so many nats.
-        parents: best first. Where nothing does beside the best, the others are not scored.
+        parents: best first. Where nothing does beside the best, the others are not scored. whole:
+        as of `scores`, for the best.
         """
         least = parents[0].score + promise
         ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
         for parent in parents:
-            for one in self.scores(parent.fit, whole=parent is parents[0]):
+            for one in self.scores(parent.fit, whole=whole and parent is parents[0]):
                 effect, own = one.part.effect, parent.fit.structure.labels
                 labels, kind = (frozenset((*own, x)) for x in (effect.label, explanation(effect)))
                 score = parent.score + one.nats + self.prices[effect.label]
@@ -199,8 +204,9 @@ class _Search:
             if not ahead:
                 break
         unlike: dict[frozenset[str], tuple[float, Fit, Score]] = {}
-        for one in sorted(ahead.values(), key=lambda one: -one[0]):
-            unlike.setdefault(frozenset((*one[1].structure.labels, one[2].part.effect.label)), one)
+        for found in sorted(ahead.values(), key=lambda one: -one[0]):
+            _, fit, one = found
+            unlike.setdefault(frozenset((*fit.structure.labels, one.part.effect.label)), found)
         hopeful = [*unlike.values()][:refits]
         if self.halt():
             return []
@@ -275,7 +281,8 @@ class _Search:
             if rest not in self.known and (fit := fit_without(self.problem, best.fit, index)):
                 self.keep(fit)
             if parent := self.known.get(rest):
-                self.build_on([parent], EXCHANGES, PROMISING * (best.score - parent.score))
+                self.build_on([parent], EXCHANGES, PROMISING * (best.score - parent.score),
+                              whole=False)
         return self.best() is not best
 
 
@@ -330,19 +337,23 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
 
 
 def settled(problem: Problem, found: Found) -> Found:
-    """The same with those that may be chosen brought to convergence, as far as they come."""
-    near = [one.fit for one in found.all if one.score > found.all[0].score - NEAR]
-    fits = side_by_side([
-        partial(fitted_from, problem, one.structure, one.theta, rate=one.rate)
-        for one in near if not one.converged
-    ])
-    better = {one.structure.labels: scored(one, found.prices) for one in fits if one is not None}
-    known = (better.get(one.fit.structure.labels, one) for one in found.all)
-    return replace(found, all=tuple(sorted(known, key=lambda one: -one.score)))
+    """The same with those that may be chosen brought to convergence; what does not get there goes.
+
+    It stays where nothing near it converges either.
+    """
+    best = found.all[0].score
+    near = [one.fit for one in found.all if one.score > best - NEAR and not one.fit.converged]
+    fits = side_by_side([partial(fitted_from, problem, one.structure, one.theta, rate=one.rate)
+                         for one in near])
+    ended = {one.structure.labels: scored(one, found.prices) for one in fits if one is not None}
+    known = [ended.get(one.fit.structure.labels, one) for one in found.all]
+    kept = [one for one in known if one.fit.converged or one.score <= best - NEAR]
+    able = kept if any(one.score > best - NEAR for one in kept) else known
+    return replace(found, all=tuple(sorted(able, key=lambda one: -one.score)))
 
 
 def _brief(problem: Problem, base: Fit) -> Problem | None:
-    """A short part of the rows, with the base's priors there; None: it is no shorter."""
+    """A short part of the rows, with the priors that the base has there; None: there is none."""
     rows = problem.rows.size // BRIEF
     blocks = int(np.clip(rows * problem.data.dt / BRIEF_BLOCK_S, 2, BLOCKS))
     brief = problem.shortened(rows, blocks)

@@ -124,7 +124,7 @@ def _log(out: Place, name: str, options: argparse.Namespace, shown: bool
         stamp = datetime.now(timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
         with path.open('a', encoding='utf-8') as stream:
             stream.write(f'{stamp} {part}{line}\n')
-        if shown and 'bags took' in line and not (options.quiet or options.json):
+        if shown and not line.startswith('bag ') and not (options.quiet or options.json):
             print(line)
 
     return log

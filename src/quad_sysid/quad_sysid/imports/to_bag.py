@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -264,7 +265,7 @@ def _drawn(stream: Stream | None, laid: Cycles) -> FloatArray | None:
     return draw(stream, laid.times, LONGEST_PAUSE / stream.rate_hz)
 
 
-def _moved(log: ForeignLog, laid: Cycles, angles: FloatArray | None) -> dict[str, FloatArray]:
+def _moved(log: ForeignLog, laid: Cycles, angles: FloatArray | None) -> dict[str, Any]:
     """Speed along the heading and altitude, in the cycles in which they were logged."""
     seen, place = log.velocity, log.position
     if seen is None and place is not None and len(place.time_s) > 2:

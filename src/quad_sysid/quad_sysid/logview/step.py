@@ -110,7 +110,7 @@ class _Windows:
     @property
     def rows(self) -> int:
         """Samples of a window."""
-        return self.output.shape[1]
+        return int(self.output.shape[1])
 
     def full(self, inside: npt.NDArray[np.bool_]) -> FloatArray:
         """(m, m) products of the lags, summed over windows.

@@ -494,10 +494,10 @@ class Flight:
         for i, measured in enumerate(self._around(windows)):
             k = windows.starts + i
             if angles is not None:
-                angles[:, i] = turning.angle
-            for kept, x in zip(hidden, turning.hidden, strict=True):
-                if kept is not None:
-                    kept[:, :, i] = x
+                angles[:, i] = required(turning.angle)
+            for whole, state in zip(hidden, turning.hidden, strict=True):
+                if whole is not None:
+                    whole[:, :, i] = state
             out[:, i] = (turning.seen[0] if self.sensor.noisy else turning.rate) \
                 - self.data.rate[k]
             if not self.sensor.derived:

@@ -13,7 +13,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import Windows
-from quad_sysid.model.effect import Signals
+from quad_sysid.model.effect import Signals, required
 from quad_sysid.model.flight import Flight, Prediction, Run
 from quad_sysid.model.plant import SLOPE_STEP, Plant, lag_and_delay, with_torques
 from quad_sysid.model.structure import Structure
@@ -44,7 +44,6 @@ class Sensitivity:
         self.angle = None if run.angle is None else \
             run.angle.ravel() + 0.5 * self.dt * self.middle
         self.pushing = [one for one in structure.placed() if not one[0].effect.moves_command]
-        self.states = [x.shape[0] for x in run.hidden if x is not None]
         self.hidden = [x.reshape(x.shape[0], -1) for x in run.hidden if x is not None]
         self.around = flight.commanded(np.zeros(3)).at(self.cells)
 
@@ -53,7 +52,7 @@ class Sensitivity:
         dt, structure, turns = self.dt, self.structure, self.angle is not None
         p = structure.natural(self.theta)
         own, first, n = steps.size, int(turns), self.middle.size
-        size = first + sum(self.states)
+        size = first + sum(x.shape[0] for x in self.hidden)
         here = self._passed(p)
         force, ahead = self._forces(here, p)
         by_state, by_rate = np.zeros((n, size)), np.zeros((n, size))
@@ -70,7 +69,7 @@ class Sensitivity:
         slope, by_rate[:, first:] = 0.5 * (slope + back), 0.5 * (moves + moved)
         if turns:
             by_state[:, 0], onward[:, first:, 0] = slopes(
-                here.signals.but(angle=self.angle + SLOPE_STEP), SLOPE_STEP)
+                here.signals.but(angle=required(self.angle) + SLOPE_STEP), SLOPE_STEP)
             slope = slope + 0.5 * dt * by_state[:, 0]
             by_rate[:, first:] += 0.5 * dt * onward[:, first:, 0]
             by_rate[:, 0], onward[:, 0, 0] = dt, 1.0
@@ -144,6 +143,6 @@ class Sensitivity:
                 continue
             if along is None:
                 along = flight.signals(p, *flight.driven(self.structure, p), self.prediction.rate)
-            known = flight.hidden(part, along, p[at]).hidden
+            known = required(flight.hidden(part, along, p[at]).hidden)
             out.append(known[: part.effect.states, self.windows.starts])
         return np.concatenate(out) if out else np.zeros((0, self.windows.count))

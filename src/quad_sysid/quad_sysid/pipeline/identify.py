@@ -87,7 +87,8 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     try:
         data = axis_data(records, axis)
         check_usable(data, records)
-        drawn = max(drawn_hz(record.control[:, 1:], record.dt) for record in records)
+        drawn = max((drawn_hz(own, record.dt) for record in records
+                     for own in _commands(record, axis)), default=0.0)
         if drawn:
             options = replace(options, effects=())
         told = found_effects(data, options, progress)
@@ -127,6 +128,13 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     known, proposal = side_by_side([partial(_compared, answer, told, data, records, progress),
                                     partial(_proposal, answer, options, swapped, progress)])
     return replace(known, proposal=proposal)
+
+
+def _commands(record: Record, axis: str) -> tuple[FloatArray, ...]:
+    """The commands (n, k) that drive an axis; of surge and sway it is the lean, which is none."""
+    if EVERY[axis].turns:
+        return (record.control[:, 1:],)
+    return (record.control[:, :1],) if EVERY[axis].index < 0 else ()
 
 
 def _compared(answer: AxisAnswer, told: Findings, data: AxisData, records: Sequence[Record],

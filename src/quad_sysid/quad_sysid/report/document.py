@@ -89,7 +89,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         return [_parameter(p, inertia) for p in some]
 
     units = answer.units
-    return _worded(units, {
+    tree: dict[str, Any] = _worded(units, {
         'sample_rate_hz': answer.sample_rate_hz,
         'segments': [
             {'role': s.role, 'signal': s.signal, 'start_s': s.start_s, 'end_s': s.end_s,
@@ -120,6 +120,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         **_selection(answer.selection),
         **_gains(answer.proposal),
     })
+    return tree
 
 
 def _worded(units: Units | None, tree: Any, key: str = '') -> Any:

@@ -31,7 +31,7 @@ class Tryout {
   }
   controller(gains) {
     const k = this.d.constants, [akp, kp, ki, kd] = gains;
-    const m = {target: 0, error: 0, integral: 0, d: 0, last: 0, out: 0, n0: 0, n1: 0};
+    const m = {target: 0, error: 0, integral: 0, d: 0, last: 0, out: 0, n0: 0, n1: 0, was: 0};
     const low = (key, x, w) => { if (w >= 1) return x; m[key] += w * (x - m[key]); return m[key]; };
     const clip = (x, l) => Math.min(Math.max(x, -l), l);
     return (reference, angle, rate, added) => {
@@ -44,7 +44,8 @@ class Tryout {
         m.n0 = k.notch_turn * (now - seen) + m.n1; m.n1 = k.notch * now - k.notch_keep * seen; now = seen;
       }
       m.d += k.d_weight * ((now - m.last) / k.dt - m.d); m.last = now;
-      return clip(low('out', kp * error + m.integral - kd * m.d + k.kff * target, k.output_weight), k.output_limit);
+      const forward = k.kff * target + k.kff_slope * (target - m.was) / k.dt; m.was = target;
+      return clip(low('out', kp * error + m.integral - kd * m.d + forward, k.output_weight), k.output_limit);
     };
   }
   step(gains) {
@@ -54,7 +55,7 @@ class Tryout {
       let rate = 0, angle = 0;
       for (let j = 0; j < n; j++) { rate += c[0][j] * x[j]; angle += c[1][j] * x[j]; }
       out[k] = (held ? angle : rate) / d.size;
-      const u = act(held ? d.size : 0, angle, rate, held ? 0 : d.size);
+      const u = act(held ? d.size : 0, angle, rate, held ? 0 : d.size * Math.min(1, (k + 1) * d.dt / d.rise_s));
       for (let i = 0; i < n; i++) { let s = b[i] * u; const row = a[i]; for (let j = 0; j < n; j++) s += row[j] * x[j]; y[i] = s; }
       [x, y] = [y, x];
     }

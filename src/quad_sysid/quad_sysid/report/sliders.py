@@ -18,7 +18,7 @@ import numpy as np
 
 from quad_sysid.loop.cascade import TUNED, CascadeGains, frequency_grid
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.linear import NEAR_REST, WIDE, loops_of
+from quad_sysid.loop.linear import NEAR_REST, WIDE, ComplexArray, loops_of
 from quad_sysid.model import AxisModel
 
 SCRIPT = Path(__file__).with_name('sliders.js')
@@ -26,6 +26,8 @@ POINTS = 200
 SECONDS = 1.2
 STEP_RAD, STEP_RAD_S = 0.2, 1.0
 """The step of the angle's reference; of the rate's, where the flight held no angle."""
+STICK_S = 0.02
+"""Time in which a rate set-point with feed-forward takes its step, as a stick does."""
 STYLE = """.tryout label{display:flex;flex-wrap:wrap;gap:4px 12px;align-items:center}
 .tryout input{flex:1 1 140px;min-width:0}.tryout output{min-width:8em}
 .tryout svg{width:100%;max-width:640px}"""
@@ -61,7 +63,7 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
     rate, angle = loops.response(omega)
     none = replace(flown, angle_kp=0.0, rate_kp=0.0, rate_ki=0.0, rate_kd=0.0, kff=0.0)
 
-    def part(**gains: float) -> np.ndarray[Any, Any]:
+    def part(**gains: Any) -> ComplexArray:
         return replace(none, **gains).response(omega, model.dt)
 
     error = part(rate_kp=1.0)[0]
@@ -72,7 +74,9 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
         'flown': [float(getattr(flown, field)) for field in TUNED],
         'designed': [float(designed.get(f'{axis}.{name}', getattr(flown, field)))
                      for name, field in zip(NAMES, TUNED, strict=True)] if designed else None,
-        'constants': _finite(flown.constants(model.dt)._asdict()),
+        'constants': {**_finite(flown.constants(model.dt)._asdict()),
+                      'kff_slope': active.get(f'{axis}.rate.kff_slope', 0.0)},
+        'rise_s': STICK_S if f'{axis}.rate.kff_slope' in active else 1e-9,
         'a': _numbers(loops.a[0], 10), 'b': _numbers(loops.b[0], 10),
         'c': _numbers(loops.c[0], 10),
         'omega': _numbers(omega), 'rate': _complex(rate), 'angle': _complex(angle),
