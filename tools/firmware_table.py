@@ -109,8 +109,7 @@ def table(build: Path) -> str:
 
 if __name__ == '__main__':
     begin, end = '<!-- make firmware-table -->\n', '<!-- end -->'
-    page = PAGE.read_text(encoding='utf-8')
-    head, rest = page.split(begin)
     measured = table(Path(sys.argv[1]))
+    head, rest = PAGE.read_text(encoding='utf-8').split(begin)
     PAGE.write_text(f'{head}{begin}{measured}\n{end}{rest.split(end)[1]}', encoding='utf-8')
     sys.stdout.write(measured + '\n')

@@ -30,6 +30,18 @@ static const uint32_t kinds[] = {
     MAVLINK_MSG_ID_QUAD_CYCLE,      MAVLINK_MSG_ID_STATUSTEXT,
 };
 
+/* Mostly a number as it might be; any float at times. */
+static float number(float middle, float spread)
+{
+    if (draw(200) != 0) {
+        return middle + spread * ((float)draw(2001) / 1000.0f - 1.0f);
+    }
+    const uint32_t bits = (draw(1u << 16) << 16) | draw(1u << 16);
+    float any;
+    memcpy(&any, &bits, sizeof any);
+    return any;
+}
+
 /* Mostly what makes sense, so that the depths are reached; the rest is any byte. */
 static void fill(mavlink_message_t *m, uint32_t kind)
 {
@@ -49,6 +61,13 @@ static void fill(mavlink_message_t *m, uint32_t kind)
         g.checksum = quad_gains_checksum(draw(2) ? open_one.endpoint.gains.copy
                                                  : open_one.endpoint.gains.active);
         memcpy(_MAV_PAYLOAD_NON_CONST(m), &g, MAVLINK_MSG_ID_QUAD_GAINS_LEN);
+    } else if (kind == MAVLINK_MSG_ID_COMMAND_LONG && draw(4) != 0) { /* arm, or spin a motor */
+        mavlink_command_long_t c = {.command = (uint16_t)(draw(2) == 0 ? 400 : 209)};
+        c.param1 = (float)draw(c.command == 400 ? 3 : 6);
+        c.param3 = (float)draw(40);
+        c.param4 = number(0.5f, 1.0f);
+        c.param5 = (float)draw(3);
+        memcpy(_MAV_PAYLOAD_NON_CONST(m), &c, MAVLINK_MSG_ID_COMMAND_LONG_LEN);
     } else if (kind == MAVLINK_MSG_ID_QUAD_EXCITATION && draw(4) != 0) {
         mavlink_quad_excitation_t x = {.valid_ms = (uint16_t)draw(2000)};
         x.injection = (uint8_t)(draw(2) == 0 ? 0 : draw(5)); /* 0 ends a refusal */
@@ -118,18 +137,6 @@ static const char *broken(const quad_firmware *f)
     return e->waiting > QUAD_OUTBOX || e->first >= QUAD_OUTBOX ? "the outbox overflows" : NULL;
 }
 
-/* Mostly a number as it might be; any float at times. */
-static float number(float middle, float spread)
-{
-    if (draw(200) != 0) {
-        return middle + spread * ((float)draw(2001) / 1000.0f - 1.0f);
-    }
-    const uint32_t bits = (draw(1u << 16) << 16) | draw(1u << 16);
-    float any;
-    memcpy(&any, &bits, sizeof any);
-    return any;
-}
-
 static void measure(quad_inputs *inputs)
 {
     quad_sensors *s = &inputs->sensors;
@@ -193,7 +200,7 @@ int main(int count, char **given)
     settings.endpoint.key = key;
     settings.endpoint.signing_time = 1000;
     quad_firmware_init(&locked, &settings);
-    uint64_t fed = 0, now_us = 0, excited = 0, reverted = 0;
+    uint64_t fed = 0, now_us = 0, excited = 0, reverted = 0, tested = 0;
     while (fed < wanted) {
         uint8_t bytes[300];
         size_t size = draw(3) == 0 ? draw(64) : 0;
@@ -212,6 +219,7 @@ int main(int count, char **given)
             cycle(&open_one, now_us, &inputs);
             reverted += before != 0 && quad_gains_phase(&open_one.endpoint.gains) == 0;
             excited += (open_one.record.flags & QUAD_FLAG_EXCITATION) != 0;
+            tested += (open_one.record.flags & QUAD_FLAG_MOTOR_TEST) != 0;
             cycle(&locked, now_us, &inputs);
             if (draw(20) == 0) {
                 beat_line();
@@ -227,8 +235,8 @@ int main(int count, char **given)
         }
     }
     printf("%" PRIu64 " bytes, %u frames used, %u bad, %" PRIu64 " cycles excited, %" PRIu64
-           " reverts; locked: %u unsigned, %u forged, %u replayed\n",
-           fed, open_one.endpoint.counts.frames, open_one.endpoint.counts.bad, excited, reverted,
+           " reverts, %" PRIu64 " cycles with a motor's test; locked: %u unsigned, %u forged, %u replayed\n",
+           fed, open_one.endpoint.counts.frames, open_one.endpoint.counts.bad, excited, reverted, tested,
            locked.endpoint.counts.unsigned_frames, locked.endpoint.counts.forged, locked.endpoint.counts.replayed);
     return 0;
 }

@@ -47,7 +47,7 @@ class Watch:
     def __init__(self):
         self.bad = self.begun = False
 
-    good, before, known = False, [], None
+    good, climbs, before, known = False, False, [], None
 
     def step(self, *_):
         pass
