@@ -210,6 +210,25 @@ def test_nanobench_gets_an_honest_verdict(nanobench):
     assert 0.0 < low < high < np.pi * axis['sample_rate_hz']
 
 
+def test_a_crazyflie_surges_and_sways_by_gravity(tmp_path: Path):
+    """The gain over the lean is gravity, to 3 %; the model errs by a sixth of the held speed."""
+    file = measured('nanobench/B7_oval_fast_rep1.csv.gz')
+    motors = [f'motor_motor_m{i}' for i in range(1, 5)]
+    units = [word for name in motors for word in ('--unit', f'{name}=pwm16')]
+    assert not cli.main([
+        'import', str(file), '--axis', 'all', '--time', 't', '--motors', ','.join(motors),
+        '--mixer', MIXER, '--rate', 'imu_gyro_x,imu_gyro_y,imu_gyro_z', *units,
+        '--angle', 'roll,pitch,yaw', '--velocity', 'vx,vy,vz', '--position', 'px,py,pz',
+        '--out', str(tmp_path / 'bag'),
+    ])  # fmt: skip
+    found = quad_sysid.identify(tmp_path / 'bag', axes=('surge', 'sway'), effects=())
+    for axis in found:
+        model, error = found[axis].answer.model, found[axis].errors
+        assert model.value('gain') == pytest.approx(9.81, rel=0.03)
+        assert 0.2 < model.value('damping') < 0.6
+        assert error['before'] < error['hold_last_value'] / 6.0
+
+
 def crazypad(folder: Path, flight: str) -> Record:
     """One of those flights, imported and split for roll."""
     axes = ('roll', 'pitch', 'yaw')

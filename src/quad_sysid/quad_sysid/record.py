@@ -57,8 +57,14 @@ class Segment:
     parameters: Mapping[str, float | int | str | bool] = field(default_factory=dict)
 
     def excites(self, axis: str) -> bool:
-        """Whether it is on this axis, or on the one whose experiment is also this one's."""
-        return self.axis in {axis, EVERY[axis].excited_as}
+        """Whether it is on this axis, or on the one whose experiment is also this one's.
+
+        Without an experiment the segments of all axes are the same: roll's stand for the climb.
+        """
+        own = EVERY[axis]
+        if not own.turns and not own.excited_as and self.injection not in INJECTIONS:
+            return self.axis in {axis, AXES[0]}
+        return self.axis in {axis, own.excited_as}
 
 
 @dataclass(frozen=True)
