@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -14,12 +15,12 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
+import numpy as np
 import pytest
 from probe import PATIENCE_S
 
 pytest.importorskip('starlette', reason="the extra is not installed: pip install '…[app]'")
 pytest.importorskip('uvicorn', reason="the extra is not installed: pip install '…[app]'")
-pytestmark = pytest.mark.xdist_group('app')
 BROWSER = next((name for name in ('chromium', 'chromium-browser', 'google-chrome')
                 if shutil.which(name)), '')
 MOST_MB = 1
@@ -96,7 +97,10 @@ def test_no_name_leads_out_of_the_folder(server):
         assert 'file' in text
     for asked in ({'kind': 'rm'}, {'kind': 'identify', 'axis': '--help'},
                   {'kind': 'identify', 'train': '1:2 --out /'}, {'kind': 'compare'},
-                  {'kind': 'export', 'to': 'px4'}):
+                  {'kind': 'export', 'to': 'px4'}, {'kind': 'schedule'},
+                  {'kind': 'import', 'columns': [['p', '--out', '']]},
+                  {'kind': 'import', 'columns': [['p', 'rate, roll', 'rad/s --out /']]},
+                  {'kind': 'import', 'columns': [['t', 'time', '']]}):
         assert server.job(files=['my_flight'], **asked)[0] == 400, asked
     assert server.ask('/jobs', b'[]')[0] == 400
     assert server.ask('/jobs/1/%2e%2e/%2e%2e/secret.csv')[0] in (400, 404)
@@ -133,6 +137,24 @@ def test_a_running_job_is_stopped_and_the_next_one_runs(server):
     assert 'usable for' in server.ask(f'/jobs/{second["number"]}/text')[1]
 
 
+def test_menus_become_options_and_earlier_jobs_say_how_long_one_takes(tmp_path):
+    from quad_sysid.app.commands import named_columns
+    from quad_sysid.app.jobs import TOOK, Job, expected
+
+    chosen = [['t', 'time', 'ms'], ['-p', 'rate, roll', ''], ['x', '', ''],
+              ['b', 'motor 2', ''], ['a', 'motor 1', ''], ['q', 'angle, yaw', '']]
+    assert named_columns(chosen) == [
+        '--axis', 'roll', '--time', 't', '--rate=-p', '--motors', 'a,b', '--mixer', 'auto',
+        '--unit=t=ms']
+    (tmp_path / 'flight.csv').write_bytes(bytes(1000))
+    for number, seconds in ((1, 2.0), (2, 4.0), (3, 30.0)):
+        (tmp_path / f'{number}').mkdir()
+        (tmp_path / f'{number}' / TOOK).write_text(json.dumps(['look', 500, seconds]))
+    job = Job(4, '', 'quad-sysid', ('look', str(tmp_path / 'flight.csv')), tmp_path / '4')
+    assert expected(job) == pytest.approx(8.0)
+    assert job.left() is None
+
+
 class Chromium:
     """A headless browser over the pipe of its DevTools protocol."""
 
@@ -153,6 +175,16 @@ class Chromium:
                       if t['type'] == 'page')
         self.session = self.send('Target.attachToTarget', targetId=target['targetId'],
                                  flatten=True)['sessionId']
+        for domain in ('Page', 'Runtime', 'DOM', 'Log'):
+            self.send(f'{domain}.enable')
+
+    def other_tab(self, url):
+        """Go on in a new tab."""
+        self.session, own = None, self.session
+        target = self.send('Target.createTarget', url=url)['targetId']
+        self.session = self.send('Target.attachToTarget', targetId=target,
+                                 flatten=True)['sessionId']
+        assert self.session != own
         for domain in ('Page', 'Runtime', 'DOM', 'Log'):
             self.send(f'{domain}.enable')
 
@@ -197,6 +229,11 @@ class Chromium:
             self.send('Input.dispatchMouseEvent', type=kind, x=at, y=y, clickCount=1,
                       button='left', buttons=0 if kind == 'mouseReleased' else 1)
 
+    def key(self, name, code):
+        for kind in ('keyDown', 'keyUp'):
+            self.send('Input.dispatchKeyEvent', type=kind, key=name, windowsVirtualKeyCode=code,
+                      text='\r' if name == 'Enter' and kind == 'keyDown' else '')
+
     def close(self):
         with contextlib.suppress(OSError):
             os.close(self._out)
@@ -204,10 +241,21 @@ class Chromium:
         self.process.wait(PATIENCE_S)
 
 
+def _flown_table():
+    """Rows of an axis each that answers its torque, 20 s at 100 Hz."""
+    random = np.random.default_rng(1)
+    torque = np.repeat(0.1 * random.choice([-1.0, 1.0], (250, 3)), 8, axis=0)
+    rate = np.zeros(3)
+    for k, u in enumerate(torque):
+        rate = rate + 0.01 * (60.0 * u - 3.0 * rate)
+        yield ','.join(f'{x:.5g}' for x in (0.01 * k, *u, *(rate + 0.01 * random.normal(size=3))))
+
+
+@pytest.mark.browser
 @pytest.mark.skipif(not BROWSER, reason='no Chromium here (apt-get install chromium)')
 def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, tmp_path):
     log = tmp_path / 'dropped.csv'
-    log.write_text('t,u\n' + ''.join(f'{0.01 * k:.2f},{k % 7}\n' for k in range(300)))
+    log.write_text('\n'.join(['t,tau_x,tau_y,tau_z,wobble,gy,gz', *_flown_table()]))
     browser = Chromium(tmp_path / 'profile')
     try:
         browser.send('Page.navigate', url=server.address)
@@ -237,6 +285,30 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, t
         assert browser.run("""(() => { try { document.getElementById('frame').contentDocument.body;
             return document.getElementById('frame').contentDocument === null; }
             catch (e) { return true; } })()""")
+        # a column that no guess knows is corrected by its menu, with the keyboard alone
+        reached = set()
+        for _ in range(60):
+            browser.key('Tab', 9)
+            reached.add(browser.run('document.activeElement.id'))
+        assert {'file', 'look', 'columns', 'identify', 'export', 'train', 'axis'} <= reached
+        browser.run("""document.querySelectorAll('#files input').forEach(box => {
+            box.checked = box.parentElement.innerText.includes('dropped'); box.onchange(); });
+            document.getElementById('columns').focus();""")
+        browser.key('Enter', 13)
+        browser.until("!document.getElementById('menus').hidden")
+        browser.run("""(() => {
+            const one = document.querySelector('tr[data-column=wobble] select');
+            one.value = 'rate, roll'; one.onchange();
+            document.getElementById('take').focus(); })()""")
+        browser.key('Enter', 13)
+        browser.until("document.getElementById('files').innerText.includes('dropped_bag')")
+        # a second tab sees the same jobs
+        browser.other_tab(server.base + '/')
+        browser.until("document.getElementById('jobs').innerText.includes('import dropped')")
+        browser.send('Emulation.setEmulatedMedia',
+                     features=[{'name': 'prefers-color-scheme', 'value': 'dark'}])
+        paper = browser.run('getComputedStyle(document.body).backgroundColor')
+        assert max(int(v) for v in re.findall(r'\d+', paper)[:3]) < 60
         for width in (1280, 390):
             browser.send('Emulation.setDeviceMetricsOverride', width=width, height=900,
                          deviceScaleFactor=1, mobile=False)

@@ -111,7 +111,7 @@ def test_a_cluster_gives_the_same_rows_and_outlives_what_goes_wrong(folder, resu
     shutil.rmtree(flights / 'two' / 'flight')
     for name in ('poison', 'hung', 'unlucky', *'abcdef'):
         (flights / f'{name}.mcap').touch()
-    every = bag.jobs(flights, tmp_path / 'out', search_effects=False, limit_s=30.0)
+    every = bag.jobs(flights, tmp_path / 'out', search_effects=False)
     every = [bag.replace(job, limit_s=1.0) if job.name == 'hung.mcap' else job for job in every]
     told = []
     with dask.config.set(engine.SETTINGS), distributed.LocalCluster(

@@ -28,6 +28,7 @@ from quad_tuning.bounds import (
     check_bounds,
     check_finite,
     check_polarity,
+    flown_gains,
     reachable,
 )
 from quad_tuning.designer import design
@@ -37,8 +38,8 @@ from quad_tuning.way import way_to
 ACTIVE = CascadeGains.default('roll')
 
 
-def loops_of(m, seed=7, count=ensembles.DRAWS):
-    return ensembles.build(m, np.random.default_rng(seed), count)
+def loops_of(m, seed=7, **count):
+    return ensembles.build(m, np.random.default_rng(seed), **count)
 
 
 def problem_of(m, **needs):
@@ -67,9 +68,9 @@ SLOW = {'gain': 350.0, 'lag': 0.075, 'delay': 0.004}
 
 @pytest.mark.parametrize(
     ('axis', 'values'),
-    [('yaw', {'gain': 45.0, 'stds': {'gain': 1.0}}), ('roll', SLOW),
-     *(pytest.param('roll', values, marks=pytest.mark.long)
-       for values in ({}, {'gain': 850.0, 'lag': 0.07}, {'gain': 250.0}))],
+    [('roll', SLOW), *(pytest.param(axis, values, marks=pytest.mark.long) for axis, values in (
+        ('yaw', {'gain': 45.0, 'stds': {'gain': 1.0}}), ('roll', {}),
+        ('roll', {'gain': 850.0, 'lag': 0.07}), ('roll', {'gain': 250.0})))],
 )
 def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, values):
     """Judged by draws of another seed than the design's, and by the nonlinear simulation.
@@ -81,7 +82,7 @@ def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, 
     said, steps = proposal.figures, steps_of(m, proposal)
     assert proposal.refused_because == ''
     assert not any('.sag.' in name for name in proposal.gains)
-    loops, gains = loops_of(m, 99, 300), steps[-1]
+    loops, gains = loops_of(m, 99, count=300), steps[-1]
     needs = Requirements(44.0, 7.8, 1.84)  # fresh draws go a little further than the design's
     assert meets(loops.margins(gains), needs).mean() > 0.99
     assert not any(loops.unstable(step).any() for step in steps)
@@ -104,6 +105,7 @@ def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, 
     assert said['disturbance_rms_rad'] < said['disturbance_rms_rad_before']
 
 
+@pytest.mark.usefixtures('few_draws')
 def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
     """Stiction that drops with speed, in no list of ours: RMS falls, at rest the axis rests.
 
@@ -128,6 +130,7 @@ def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
 # ---- the optimum
 
 
+@pytest.mark.usefixtures('few_draws')
 def test_every_search_ends_at_the_same_gains(model):
     """Starts from five points of the grid that lie apart."""
     first = pid.retune(loop_plant(model()), ACTIVE, loops_of(model()))
@@ -148,7 +151,7 @@ def test_a_way_through_instability_is_refused(model):
 def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
     """The same gusts under both sets; the same gains promise no change."""
     m, rng = model(), np.random.default_rng(3)
-    loops = loops_of(m, 0, 8)
+    loops = loops_of(m, 0, count=8)
     new = dataclasses.replace(ACTIVE, rate_kp=1.5 * ACTIVE.rate_kp, angle_kp=6.0)
     said = promise(loops, ACTIVE, new, 0.043)
     gusts, state = np.empty(50_000), 0.0
@@ -205,6 +208,7 @@ def with_stds(*variances):
         (lambda m: with_base(m, 'delay', 0.08), 'gains that flew are unstable'),
     ],
 )
+@pytest.mark.usefixtures('few_draws')
 def test_a_model_that_allows_no_design_is_refused_with_the_reason(model, change, said):
     proposal = design(change(model()))
     assert proposal.gains is None
@@ -228,12 +232,24 @@ def test_it_is_found_as_a_designer_where_the_package_is_installed():
         *((check_bounds, gains, 'must lie in') for gains in (
             {'roll.angle.kp': 16.0}, {'roll.rate.kp': -0.01}, {'roll.rate.kd': 0.03})),
         (check_bounds, {'roll.rate.output_limit': 0.3}, 'roll.rate.output_limit'),
-        (lambda _: reachable('angle_kp', 40.0), {}, 'further than'),
+        (lambda given: check_bounds(given, {'roll.rate.ki': 1.3}), {'roll.rate.ki': 1.4},
+         'must lie in'),
     ],
 )
 def test_what_must_never_reach_an_aircraft_is_refused_by_name(check, gains, said):
     with pytest.raises(DesignRefusedError, match=said):
         check(gains)
+
+
+def test_a_gain_that_flies_on_other_firmware_is_a_start_though_beyond_our_bounds(model, changed):
+    flown = model()
+    beyond = {**flown.active_gains, 'roll.rate.ki': 1.12}  # Betaflight's default of 80
+    with pytest.raises(DesignRefusedError, match='must lie in'):
+        flown_gains(changed(flown, active_gains=beyond))
+    gains = flown_gains(changed(flown, active_gains={**beyond, 'roll.rate.tpa_kp': 1.0}))
+    low, high = reachable('rate_ki', gains.rate_ki)
+    assert gains.rate_ki == pytest.approx(high) == pytest.approx(1.12)
+    assert low < 1.0
 
 
 def test_an_axis_driven_by_another_ones_command_is_refused(model):

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.loop.cascade import CONTRACT_NAMES, TUNED, CascadeGains
+from quad_sysid.loop.cascade import CONTRACT_NAMES, ELSEWHERE, TUNED, CascadeGains
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
 from quad_tuning.errors import DesignRefusedError
@@ -39,14 +39,19 @@ def check_finite(gains: Mapping[str, float]) -> None:
             raise DesignRefusedError(f'{name}: must be finite: found {value}')
 
 
-def check_bounds(gains: Mapping[str, float]) -> None:
-    """Raise DesignRefusedError naming the first gain outside its hard bounds or unknown."""
+def check_bounds(gains: Mapping[str, float], flown: Mapping[str, float] | None = None) -> None:
+    """Raise DesignRefusedError naming the first gain outside its hard bounds or unknown.
+
+    A gain of `flown`, and all between it and the bounds, is admissible: it flies.
+    """
     check_finite(gains)
+    known = flown or {}
     for name, value in gains.items():
         bound = BOUNDS.get(name.partition('.')[2])
         if bound is None:
             raise DesignRefusedError(f'{name}: is not a gain that a designer may change')
-        if not bound.lower <= value <= bound.upper:
+        low, high = _with_flown(bound, known.get(name, bound.lower))
+        if not low <= value <= high:
             raise DesignRefusedError(
                 f'{name}: must lie in {bound.lower:g} .. {bound.upper:g} '
                 f'{ROWS[name.partition(".")[2]].unit}: found {value:g}'
@@ -56,14 +61,13 @@ def check_bounds(gains: Mapping[str, float]) -> None:
 def reachable(field: str, active: float) -> tuple[float, float]:
     """Lowest and highest value of one gain (field of CascadeGains) that one update may set."""
     bound = BOUNDS[CONTRACT_NAMES[field]]
-    low, high = bound.one_step(active)
-    low, high = max(low, bound.lower), min(high, bound.upper)
-    if low > high:
-        raise DesignRefusedError(
-            f'{CONTRACT_NAMES[field]}: the active value {active:g} is further than '
-            f'one step outside {bound.lower:g} .. {bound.upper:g}; bring it there by hand'
-        )
-    return low, high
+    (low, high), (least, most) = bound.one_step(active), _with_flown(bound, active)
+    return max(low, least), min(high, most)
+
+
+def _with_flown(bound: Bound, flown: float) -> tuple[float, float]:
+    """The hard bounds, and what flies. Of our firmware none flies outside: see `flown_gains`."""
+    return min(bound.lower, flown), max(bound.upper, flown)
 
 
 def told(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[str, float]:
@@ -193,8 +197,15 @@ def flown_gains(model: AxisModel) -> CascadeGains:
             f"{model.axis}: the flight's gains are not known ({missing[0]} missing); "
             'record /gains/active'
         )
-    check_bounds({name: model.active_gains[name] for name in names})
+    flown = {name: model.active_gains[name] for name in names}
+    check_bounds(flown, flown if _foreign(model) else None)
     return CascadeGains.from_mapping(model.active_gains, model.axis)
+
+
+def _foreign(model: AxisModel) -> bool:
+    """Whether other firmware flew, whose own bounds its gains had to keep."""
+    return any(f'{model.axis}.{name}' in model.active_gains
+               for name in (*ELSEWHERE.values(), 'rate.tpa_kp'))
 
 
 def check_band(model: AxisModel, crossover_rad_s: float) -> None:

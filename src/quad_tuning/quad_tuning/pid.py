@@ -34,7 +34,7 @@ from quad_tuning.assess import (
     reference_square,
     tracking,
 )
-from quad_tuning.bounds import BOUNDS, DESIGNED, check_bounds
+from quad_tuning.bounds import BOUNDS, DESIGNED, check_finite
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 
@@ -145,7 +145,7 @@ def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Require
 
     `fixed` are fields of CascadeGains that do not change.
     """
-    check_bounds({f'flown.{CONTRACT_NAMES[f]}': getattr(active, f) for f in DESIGNED})
+    check_finite({f'flown.{CONTRACT_NAMES[f]}': getattr(active, f) for f in DESIGNED})
     low, high = [], []
     for field in DESIGNED:
         bound, value = BOUNDS[CONTRACT_NAMES[field]], getattr(active, field)
@@ -154,8 +154,8 @@ def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Require
             high.append(value)
             continue
         free = field in POWERS
-        low.append(bound.lower if free else max(bound.lower, value / REACH))
-        high.append(bound.upper if free else min(bound.upper, value * REACH))
+        low.append(min(value, bound.lower if free else max(bound.lower, value / REACH)))
+        high.append(max(value, bound.upper if free else min(bound.upper, value * REACH)))
     reference = reference_square(plant.dt)
     nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
     scale = (tracking(plant, active, reference)[0], disturbance(plant, active),

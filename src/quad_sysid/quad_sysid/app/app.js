@@ -35,8 +35,9 @@ const upload = guarded(async picked => {
   }
   await listFiles();
 });
-const start = kind => guarded(async () => {
+const start = (kind, given) => guarded(async () => {
   const body = {kind, files: [...chosen], axis: $('axis').value, to: $('to').value};
+  if (given) body.columns = given();
   if (kind === 'identify') { body.train = $('train').value.trim(); body.validate = $('validate').value.trim(); }
   const job = await (await ask('/jobs', {method: 'POST', body: JSON.stringify(body)})).json();
   shown = job.number; known = ''; say(job.title + ' was put into the queue'); await listJobs();
@@ -48,6 +49,7 @@ async function listJobs() {
     open.textContent = job.title; open.onclick = () => { shown = job.number; known = ''; listJobs(); };
     const state = document.createElement('span'); state.className = 'small';
     state.textContent = ' ' + job.state + (job.seconds ? ', ' + job.seconds.toFixed(0) + ' s' : '')
+      + (job.left === null ? '' : job.left > 0 ? ', about ' + job.left.toFixed(0) + ' s left' : ', longer than usual')
       + (job.doing && job.state !== 'done' ? ': ' + job.doing : '');
     item.append(open, state);
     if (job.state === 'running' || job.state === 'waiting') {
@@ -55,7 +57,11 @@ async function listJobs() {
       stop.setAttribute('aria-label', 'stop ' + job.title);
       stop.onclick = guarded(async () => { await ask('/jobs/' + job.number + '/stop', {method: 'POST'}); await listJobs(); });
       item.append(' ', stop);
-      if (job.state === 'running') item.append(document.createElement('progress'));
+      if (job.state === 'running') {
+        const bar = document.createElement('progress'); bar.setAttribute('aria-label', 'progress of ' + job.title);
+        if (job.left > 0) bar.value = job.seconds / (job.seconds + job.left);
+        item.append(bar);
+      }
     }
     list.append(item);
     if (job.number === shown) await show(job);
@@ -67,7 +73,9 @@ async function show(job) {
   known = key; $('title').textContent = job.title;
   const tabs = $('tabs'); tabs.replaceChildren();
   const view = guarded(async page => {
-    $('frame').hidden = !page; $('text').hidden = !!page;
+    const table = !page && job.kind === 'import' && job.state === 'done' && await columns(job);
+    $('frame').hidden = !page; $('text').hidden = !!page || table; $('menus').hidden = !table;
+    if (table) return;
     if (page) $('frame').src = '/jobs/' + job.number + '/' + page;
     else $('text').querySelector('pre').textContent = await (await ask('/jobs/' + job.number + '/text')).text();
   });
@@ -78,6 +86,35 @@ async function show(job) {
   if (job.state === 'done' || job.state === 'failed' || job.state === 'stopped') {
     await view(job.state === 'done' ? job.pages[0] || '' : ''); await listFiles();
   }
+}
+async function columns(job) { // the menus of a table whose columns were listed
+  const text = await (await ask('/jobs/' + job.number + '/text')).text();
+  let found; try { found = JSON.parse(text); } catch (e) { return false; }
+  const axes = ['roll', 'pitch', 'yaw'], roles = [['', '']];
+  for (const option of Object.keys(found.units)) {
+    if (option === 'motors') for (let k = 1; k <= 8; k++) roles.push(['motor ' + k, option]);
+    else if (['time', 'thrust', 'battery'].includes(option)) roles.push([option, option]);
+    else if (option !== 'acceleration') axes.forEach(axis => roles.push([option + ', ' + axis, option]));
+  }
+  const body = $('menus').querySelector('tbody'); body.replaceChildren();
+  const menu = (values, value, label) => {
+    const one = document.createElement('select'); one.setAttribute('aria-label', label);
+    values.forEach(v => one.append(new Option(v.replace('_', ' ') || '–', v))); one.value = value; return one;
+  };
+  for (const column of found.columns) {
+    const row = body.insertRow(); row.dataset.column = column.name;
+    for (const text of [column.name, column.lowest, column.highest]) row.insertCell().textContent = text;
+    const role = menu(roles.map(r => r[0]), column.role, 'what ' + column.name + ' is');
+    const cell = row.insertCell(); cell.append(role); const where = row.insertCell();
+    const unit = value => {
+      const option = roles.find(r => r[0] === role.value)[1];
+      where.replaceChildren(menu(['', ...(found.units[option] || [])], value, 'unit of ' + column.name));
+    };
+    unit(column.unit); role.onchange = () => unit('');
+  }
+  if (found.refused) say('as guessed the import refuses it: ' + found.refused);
+  $('take').onclick = start('import', () => [...body.rows].map(row => [row.dataset.column, ...[...row.querySelectorAll('select')].map(s => s.value)]));
+  return true;
 }
 const span = id => { const m = /^\s*([\d.]+)\s*:\s*([\d.]+)\s*$/.exec($(id).value); return m && [+m[1], +m[2]]; };
 function tell() {
@@ -103,7 +140,7 @@ for (const name of ['dragover', 'dragleave', 'drop']) addEventListener(name, e =
   e.preventDefault(); drop.classList.toggle('over', name === 'dragover');
   if (name === 'drop' && e.dataTransfer.files.length) upload([...e.dataTransfer.files]);
 });
-for (const kind of ['look', 'inspect', 'import', 'identify', 'compare', 'export']) $(kind).onclick = start(kind);
+for (const kind of ['look', 'columns', 'inspect', 'import', 'schedule', 'identify', 'compare', 'export']) $(kind).onclick = start(kind);
 $('copy').onclick = () => {
   getSelection().selectAllChildren($('text').querySelector('pre')); document.execCommand('copy'); say('copied');
 };

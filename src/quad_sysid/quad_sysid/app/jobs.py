@@ -6,10 +6,12 @@ prints goes to a file. No HTTP here.
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import re
 import signal
+import statistics
 import subprocess
 import sys
 import threading
@@ -22,6 +24,8 @@ from pathlib import Path
 MOST_JOBS = 200
 """Jobs that are remembered; the oldest finished ones are forgotten."""
 MOST_WAITING = 20
+TOOK = 'took.json'
+"""Kind, size and time of a finished job, in its folder: what the time left is judged by."""
 STOP_S = 5.0
 """Time for a process to end by itself before it is killed."""
 MOST_TEXT = 200_000
@@ -47,6 +51,22 @@ class Job:
     begun: float = 0.0
     ended: float = 0.0
     process: subprocess.Popen[bytes] | None = field(default=None, repr=False)
+    expected: float = 0.0
+    """Time that it will take by earlier jobs, s; 0 where none is known."""
+
+    def left(self) -> float | None:
+        """Time that is left, s, by earlier jobs of its kind; None where nothing says so."""
+        if self.state != 'running' or not self.expected:
+            return None
+        return max(0.0, self.expected - self.seconds)
+
+    @property
+    def size(self) -> int:
+        """What it works on: bytes of its files, times axes."""
+        found = [Path(a) for a in self.arguments if a.startswith('/') and Path(a).exists()]
+        files = [f for one in found for f in (one.iterdir() if one.is_dir() else [one])
+                 if f.is_file() and self.folder not in f.parents]
+        return sum(f.stat().st_size for f in files) * (3 if 'all' in self.arguments else 1)
 
     @property
     def seconds(self) -> float:
@@ -133,6 +153,7 @@ class Queue:
                     return
                 job = min(waiting, key=lambda j: j.number)
                 job.state, job.begun = 'running', time.monotonic()
+                job.expected = expected(job)
                 ours, theirs = pty.openpty()
                 try:
                     with (job.folder / 'output.txt').open('wb') as out:
@@ -149,6 +170,21 @@ class Queue:
                 job.ended = time.monotonic()
                 if job.state == 'running':
                     job.state = 'done' if status == 0 else 'failed'
+            if job.state == 'done':
+                with suppress(OSError):
+                    (job.folder / TOOK).write_text(json.dumps(
+                        [job.arguments[0], job.size, job.seconds]))
+
+
+def expected(job: Job) -> float:
+    """Time that a job will take, by the earlier ones of its kind: their median per byte."""
+    per_byte = []
+    for path in sorted(job.folder.parent.glob(f'*/{TOOK}'))[-MOST_JOBS:]:
+        with suppress(OSError, ValueError, TypeError):
+            kind, size, seconds = json.loads(path.read_text())
+            if kind == job.arguments[0] and size > 0:
+                per_byte.append(seconds / size)
+    return statistics.median(per_byte) * job.size if per_byte else 0.0
 
 
 def _begin(job: Job, out: int, terminal: int) -> subprocess.Popen[bytes]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hmac
 import json
 import secrets
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import asdict
 from html import escape
@@ -28,10 +28,9 @@ from starlette.responses import (
 )
 from starlette.routing import Route
 
-from quad_sysid.app.folder import RESULTS, RefusedError, entries, inside, new_file, receive
+from quad_sysid.app.commands import command
+from quad_sysid.app.folder import RESULTS, RefusedError, entries, new_file, receive
 from quad_sysid.app.jobs import Job, Queue
-from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError
 from quad_sysid.report.style import SHEET
 
 COOKIE = 'quad_sysid_token'
@@ -45,8 +44,6 @@ REPORT_POLICY = ("sandbox allow-scripts; default-src 'none'; script-src 'unsafe-
                  "style-src 'unsafe-inline'; img-src data:")
 """What a report may do: run its own scripts, in an origin of its own, and load nothing."""
 SHOWN = {'look.html': 'text/html', 'result/report.html': 'text/html'}
-FIRMWARES = ('px4', 'ardupilot', 'betaflight', 'inav')
-AXIS_NAMES = (*AXES, 'all')
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -187,73 +184,11 @@ class App:
         return answer
 
 
-def command(folder: Path, asked: Mapping[str, Any]) -> tuple[str, str, list[str]]:
-    """Title, program and arguments of what the page asks for. Raises RefusedError.
-
-    Only what stands here can be started; @ is the job's own folder.
-    """
-    kind = asked.get('kind')
-    names = asked.get('files')
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-        raise RefusedError('choose a file first')
-    paths = [str(inside(folder, name)) for name in names]
-    first = Path(paths[0]).name
-    if kind == 'look':
-        return f'look at {first}', 'quad-sysid', ['look', paths[0], '--out', '@look.html']
-    if kind == 'inspect':
-        return f'inspect {first}', 'quad-sysid', ['inspect', paths[0]]
-    if kind == 'import':
-        return f'import {first}', 'quad-sysid', ['import', paths[0], '--out', _new_bag(
-            folder.resolve(), first.partition('.')[0] or 'log')]
-    if kind == 'identify':
-        return _identify(first, paths, asked)
-    if kind == 'compare':
-        if len(paths) < 2:
-            raise RefusedError('choose two or more bags or models to compare')
-        return f'compare {len(paths)} flights', 'quad-sysid', ['compare', *paths]
-    if kind == 'export':
-        return _export(paths[0], asked.get('to'))
-    raise RefusedError('no such command')
-
-
-def _new_bag(root: Path, stem: str) -> str:
-    numbers = ('', *(f'_{k}' for k in range(2, 1000)))
-    free = (root / f'{stem}_bag{k}' for k in numbers)
-    return str(next(path for path in free if not path.exists()))
-
-
-def _export(model: str, to: object) -> tuple[str, str, list[str]]:
-    report = Path(model).with_name('report.json')
-    if to not in FIRMWARES or Path(model).name != 'model.json' or not report.is_file():
-        raise RefusedError('choose the model of a result, and a firmware')
-    more = [f for axis in AXES for f in ('--scale', f'{axis}=1')] if to in FIRMWARES[:2] \
-        else ['--flown', model]
-    return f'gains for {to}', 'quad-tune', ['export', str(report), '--to', str(to), *more]
-
-
-def _identify(first: str, paths: list[str],
-              asked: Mapping[str, Any]) -> tuple[str, str, list[str]]:
-    from quad_sysid.bags import parse_span  # slow to import
-
-    axis = asked.get('axis', 'all')
-    if axis not in AXIS_NAMES:
-        raise RefusedError(f'axis must be one of {", ".join(AXIS_NAMES)}')
-    arguments = ['identify', *paths, '--axis', str(axis), '--out', '@result']
-    for option in ('train', 'validate'):
-        span = asked.get(option)
-        if span:
-            try:
-                a, b = parse_span(str(span), f'--{option}')
-            except BadInputError as error:
-                raise RefusedError(str(error)) from error
-            arguments += [f'--{option}', f'{a:.4f}:{b:.4f}']
-    return f'identify {axis} of {first}', 'quad-sysid', arguments
-
-
 def _shown(job: Job) -> dict[str, Any]:
     pages = [name for name in SHOWN if (job.folder / name).is_file()]
     return {'number': job.number, 'title': job.title, 'state': job.state, 'doing': job.doing,
-            'seconds': round(job.seconds, 1), 'pages': pages}
+            'seconds': round(job.seconds, 1), 'left': job.left(), 'pages': pages,
+            'kind': job.arguments[0]}
 
 
 def _sealed(answer: Response) -> Response:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -50,6 +51,8 @@ def add(commands: Commands) -> None:
                         help='checkout with the .msg files of a bag that holds no definitions, '
                         'such as px4_msgs')
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+    parser.add_argument('--json', action='store_true',
+                        help='list the columns of a table and their guesses as JSON')
     table = parser.add_argument_group(
         'for a table', 'COLS are columns separated by commas, one for each axis of --axis'
     )
@@ -110,7 +113,7 @@ def _log(options: argparse.Namespace, known: Format) -> int:
 
 def _table(options: argparse.Namespace, columns: list[str]) -> int:
     from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
-    from quad_sysid.imports.guess import lines
+    from quad_sysid.imports.guess import described, lines
     from quad_sysid.imports.table import is_ours, open_table
 
     if not columns:
@@ -118,7 +121,8 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
             raise BadInputError(f'{options.file}', 'is a bag of this project already',
                                 remedy=f'use quad-sysid inspect {options.file}')
         content = open_table(options.file, messages=options.messages)
-        print('\n'.join(lines(content, options.file)))
+        print(json.dumps(described(content, options.file)) if options.json
+              else '\n'.join(lines(content, options.file)))
         if options.out is None:
             return 0
         raise BadInputError(f'{options.file}', 'is a table, whose columns need names',

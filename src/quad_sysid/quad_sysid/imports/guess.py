@@ -23,7 +23,7 @@ from quad_sysid.imports.likely import likely_units, one_sided
 from quad_sysid.imports.plausible import time_unit
 from quad_sysid.imports.table import Table
 from quad_sysid.imports.to_bag import record_of
-from quad_sysid.imports.units import OPTIONS, as_typed, bare, flag, header_unit, unit_of
+from quad_sysid.imports.units import OPTIONS, UNITS, as_typed, bare, flag, header_unit, unit_of
 from quad_sysid.report.tables import Table as Text
 from quad_sysid.report.tables import wrapped
 from quad_sysid.report.words import number
@@ -298,6 +298,23 @@ def lines(table: Table, file: Path) -> Iterator[str]:
                 f'{", ".join(guessed.axes)} has such a column; to use it, import '
                 f'{" and ".join(axes)} alone:', '')
             yield str(guessed.command(file, axes))
+
+
+def described(table: Table, file: Path) -> dict[str, Any]:
+    """The columns with their guesses, and what may be chosen instead, for a page's menus."""
+    guessed, refused = _tried(table, file)
+    roles = {name: f'{option}, {AXES[at]}' if OPTIONS[option].per_axis else
+             f'motor {at + 1}' if option == 'motors' else option
+             for option, names in guessed.columns.items() if option != 'acceleration'
+             for at, name in enumerate(names) if name}
+    return {
+        'columns': [{'name': name, 'lowest': number(np.nanmin(values), 4),
+                     'highest': number(np.nanmax(values), 4), 'role': roles.get(name, ''),
+                     'unit': guessed.units.get(name, '')}
+                    for name, values in table.columns.items()],
+        'units': {option: list(UNITS[one.role]) for option, one in OPTIONS.items()},
+        'refused': refused,
+    }
 
 
 def _tried(table: Table, file: Path) -> tuple[Guess, str]:

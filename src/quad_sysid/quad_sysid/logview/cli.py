@@ -18,8 +18,8 @@ def add(commands: Commands) -> None:
         'delays, motors, tracking. Seconds, no identification.',
         'quad-sysid look LOG00001.BFL --out look.html', reads='file', writes='file',
     )
-    parser.add_argument('file', metavar='FILE', help='a log of PX4, ArduPilot, Betaflight or '
-                        'INAV, a table, or a bag')
+    parser.add_argument('file', metavar='FILE', nargs='+', help='a log of PX4, ArduPilot, '
+                        'Betaflight or INAV, a table, or a bag; several are laid over one another')
     parser.add_argument('--out', metavar='HTML', help='the page to write (default: FILE_look.html '
                         'in this folder; an older one of look is replaced)')
     parser.add_argument('--log', metavar='N', type=int, default=1,
@@ -27,31 +27,39 @@ def add(commands: Commands) -> None:
     parser.add_argument('--messages', metavar='FOLDER', type=Path,
                         help='checkout with the .msg files of a bag that holds no definitions')
     parser.add_argument('--no-page', action='store_true', help='write no page')
-    quiet_and_json(parser, 'one JSON object')
+    quiet_and_json(parser, 'one JSON object, of several files a list')
 
 
 def _run(options: argparse.Namespace) -> int:
     from quad_sysid.files import write_whole
+    from quad_sysid.logview import several
     from quad_sysid.logview.read import look
 
+    if len(options.file) > several.MOST:
+        raise BadInputError('look', f'takes {several.MOST} files at most', len(options.file))
     show = progress(quiet=options.quiet)
-    show(f'reading {options.file}')
-    found = look(options.file, log=options.log, messages=options.messages)
+    looks = []
+    for file in options.file:
+        show(f'reading {file}')
+        looks.append(look(file, log=options.log, messages=options.messages))
+    found = looks[0] if len(looks) == 1 else None
     out = None
     if not options.no_page:
         from quad_sysid.logview.page import MARK, page
 
-        out = Path(options.out or f'{_stem(Path(options.file))}_look.html')
+        stem = _stem(Path(options.file[0])) if found else 'several'
+        out = Path(options.out or f'{stem}_look.html')
         if out.exists() and MARK not in out.read_text(encoding='utf-8', errors='replace')[:2000]:
             raise BadInputError(str(out), 'exists, and is no page of quad-sysid look',
                                 remedy='name another with --out')
         show('drawing')
-        write_whole(out, page(found))
+        write_whole(out, page(found) if found else several.page(looks))
     show('')
     if options.json:
-        print(json.dumps(found.tree(), indent=1))
+        trees = [one.tree() for one in looks]
+        print(json.dumps(trees[0] if found else trees, indent=1))
     elif not options.quiet:
-        print(found)
+        print(found or '\n'.join(several.figures(looks).text()))
         if out is not None:
             print(f'\npictures in {out}')
     return 0

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+from collections.abc import Callable
+from functools import partial
 from html import escape
 from pathlib import PurePath
 
+from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES
 from quad_sysid.logview.measure import Measured
-from quad_sysid.logview.pictures import pictures
+from quad_sysid.logview.pictures import makers
 from quad_sysid.logview.words import header, part_tables, sentences, tables
 from quad_sysid.report import zoom
-from quad_sysid.report.canvas import svg
+from quad_sysid.report.canvas import Picture, svg
 from quad_sysid.report.style import SHEET
 
 DEG = math.degrees(1.0)
@@ -24,9 +28,8 @@ def page(look: Measured) -> str:
     """The page as text, at most 2 MB."""
     name = escape(PurePath(look.flown.source).name)
     said = ''.join(f'<p>{escape(text)}</p>' for text in sentences(look))
-    figures = ''.join(
-        f'<figure id="{one.name}"><h4>{escape(one.title)}</h4>{svg(one, one.name)}'
-        f'<figcaption>{escape(one.caption)}</figcaption></figure>' for one in pictures(look))
+    importlib.import_module('matplotlib.backends.backend_svg')  # once, before processes divide
+    figures = ''.join(side_by_side([partial(_figure, make, look) for make in makers()]))
     stretches = ''.join(
         f'<h3>{part.stretch.start_s:.1f} to {part.stretch.end_s:.1f} s</h3>'
         + ''.join(table.html() for table in part_tables(part)) for part in look.parts)
@@ -46,6 +49,13 @@ def page(look: Measured) -> str:
         '<h2>Notes</h2><ul class="small">' + ''.join(f'<li>{escape(n)}</li>' for n in notes)
         + '</ul>' if notes else '',
         zoom.script(), '</body></html>\n'])
+
+
+def _figure(make: Callable[[Measured], Picture | None], look: Measured) -> str:
+    one = make(look)
+    return '' if one is None else (
+        f'<figure id="{one.name}"><h4>{escape(one.title)}</h4>{svg(one, one.name)}'
+        f'<figcaption>{escape(one.caption)}</figcaption></figure>')
 
 
 def traces(look: Measured, budget: int = zoom.BUDGET) -> str:

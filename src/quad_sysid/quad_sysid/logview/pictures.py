@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,7 @@ from quad_sysid.report.canvas import (
     Picture,
     legend,
     panels,
+    plain_logarithms,
 )
 
 if TYPE_CHECKING:
@@ -38,9 +40,13 @@ RANGE_DB = 50.0
 
 def pictures(look: Measured) -> tuple[Picture, ...]:
     """All that the log allows, in the order of reading."""
-    return tuple(one for one in (
-        steps(look, 'rate'), steps(look, 'angle'), by_gains(look), spectra(look),
-        throttle_map(look), time_map(look), orders(look), loop(look)) if one is not None)
+    return tuple(one for make in makers() if (one := make(look)) is not None)
+
+
+def makers() -> tuple[Callable[[Measured], Picture | None], ...]:
+    """What draws a picture each, or none where the log does not allow it."""
+    return (partial(steps, quantity='rate'), partial(steps, quantity='angle'), by_gains, spectra,
+            throttle_map, time_map, orders, loop)
 
 
 def draw(look: Measured, name: str) -> Picture:
@@ -121,6 +127,7 @@ def spectra(look: Measured) -> Picture | None:
         drawn[-1].set_ylabel('motors, ‰/√Hz')
         legend(drawn[-1])
     drawn[-1].set_xlabel('frequency, Hz')
+    plain_logarithms(drawn)
     legend(drawn[0], 3)
     return Picture('spectra', 'Spectra of gyro, D part and motors',
                    'Amplitude density in the air: mean power of Hann windows of 0.5 s.', figure)
@@ -215,6 +222,7 @@ def orders(look: Measured) -> Picture | None:
             one.semilogy(centres, DEG * np.sqrt(m), color=colour, label=axis)
     one.set_xlabel("frequency over the rotors' mean frequency")
     one.set_ylabel('deg/s/√Hz')
+    plain_logarithms([one])
     legend(one)
     return Picture('orders', 'Gyro spectrum in orders of the rotors',
                    'Whole orders are imbalance and blades; what stands between them is not driven '
@@ -242,6 +250,7 @@ def loop(look: Measured) -> Picture | None:
         axes.set_ylabel(label)
     drawn[2].set_ylim(0.0, 1.05)
     drawn[-1].set_xlabel('frequency, Hz')
+    plain_logarithms(drawn)
     legend(drawn[0])
     return Picture('loop', 'Rate loop over frequency',
                    'Rate over set-point where both are coherent' + (

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.fft import next_fast_len
+from scipy.signal import fftconvolve
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.figures import StepFigures, step_figures
@@ -86,17 +88,47 @@ class Response:
 
 @dataclass(frozen=True)
 class _Windows:
-    """Normal equations of each window, about its means."""
+    """What each window says, about its means. Lag j of row t is the set-point at t - j."""
 
-    gram: FloatArray
-    """(k, m, m)"""
+    past: FloatArray
+    """(k, m - 1 + rows) the set-point, from m - 1 samples before the window on."""
+    output: FloatArray
+    """(k, rows), less its mean."""
+    first: FloatArray
+    """(k, m) sum over the rows of the set-point and itself at each lag, means included."""
     cross: FloatArray
-    """(k, m)"""
-    power: FloatArray
-    """(k,)"""
-    rows: int
+    """(k, m) the same with the output."""
+    sums: FloatArray
+    """(k, m) sum over the rows of each lag."""
+    coarse: FloatArray
+    """(k, rows, c) sums of neighbouring lags, less their means."""
+    gram: FloatArray
+    """(k, c, c) their products."""
     largest: FloatArray
-    """(k,)"""
+    """(k,) largest set-point."""
+
+    @property
+    def rows(self) -> int:
+        """Samples of a window."""
+        return int(self.output.shape[1])
+
+    def full(self, inside: npt.NDArray[np.bool_]) -> FloatArray:
+        """(m, m) products of the lags, summed over windows.
+
+        One lag further both factors move back by a sample: one product enters, one leaves.
+        """
+        m = self.first.shape[1]
+        enter, leave = self.past[inside, m - 2::-1], self.past[inside, :-m - 1:-1]
+        enter = np.column_stack([enter, np.zeros(len(enter))])  # the last lag goes no further
+        change = enter.T @ enter - leave.T @ leave
+        out = np.empty((m, m))
+        out[0] = self.first[inside].sum(axis=0)
+        for i in range(m - 1):
+            out[i + 1, i + 1:] = out[i, i:-1] + change[i, i:-1]
+        below = np.tril_indices(m, -1)
+        out[below] = out.T[below]
+        sums = self.sums[inside]
+        return np.asarray(out - sums.T @ sums / self.rows)
 
 
 def responses(setpoint: FloatArray, output: FloatArray, good: npt.NDArray[np.bool_], dt: float,
@@ -134,45 +166,40 @@ def _thinned(x: FloatArray, every: int) -> FloatArray:
 
 
 def _windows(runs: Sequence[tuple[FloatArray, FloatArray]], m: int, rows: int) -> _Windows | None:
-    """Normal equations from running sums of the products at each lag."""
-    length = sum(len(r) for r, _ in runs)
-    hop = max(1, round(HOP * rows), length // MOST_WINDOWS)
-    starts = [np.arange(m, len(r) - rows + 1, hop) for r, _ in runs]
-    count = sum(len(s) for s in starts)
-    if not count:
+    """Cut the runs of set-point and output into windows that overlap."""
+    hop = max(1, round(HOP * rows), sum(len(r) for r, _ in runs) // MOST_WINDOWS)
+    cuts = [(r, y, np.arange(m, len(r) - rows + 1, hop)[:, None]) for r, y in runs]
+    cuts = [one for one in cuts if len(one[2])]
+    if not cuts:
         return None
-    gram, cross = np.empty((count, m, m)), np.empty((count, m))
-    power, largest = np.empty(count), np.empty(count)
-    lags, at = np.arange(m), 0
-    for (r, y), begin in zip(runs, starts, strict=True):
-        if not len(begin):
-            continue
-        here, end = slice(at, at + len(begin)), begin + rows
-        at += len(begin)
-        sums = np.concatenate(([0.0], np.cumsum(r)))
-        shifted = sums[end[:, None] - lags] - sums[begin[:, None] - lags]
-        y_sums, y2 = (np.concatenate(([0.0], np.cumsum(v))) for v in (y, y * y))
-        total = y_sums[end] - y_sums[begin]
-        power[here] = y2[end] - y2[begin] - total**2 / rows
-        for d in range(m):
-            own = np.concatenate((np.zeros(d + 1), np.cumsum(r[d:] * r[:len(r) - d])))
-            first = lags[:m - d]
-            part = own[end[:, None] - first] - own[begin[:, None] - first]
-            gram[here, first, first + d] = part
-            gram[here, first + d, first] = part
-            both = np.concatenate((np.zeros(d + 1), np.cumsum(y[d:] * r[:len(r) - d])))
-            cross[here, d] = both[end] - both[begin]
-        gram[here] -= shifted[:, :, None] * shifted[:, None, :] / rows
-        cross[here] -= shifted * total[:, None] / rows
-        level = np.abs(r)
-        largest[here] = [float(level[b:e].max()) for b, e in zip(begin, end, strict=True)]
-    return _Windows(gram, cross, power, rows, largest)
+    past = np.concatenate([r[at + np.arange(1 - m, rows)] for r, _, at in cuts])
+    output = np.concatenate([y[at + np.arange(rows)] for _, y, at in cuts])
+    output -= output.mean(axis=1, keepdims=True)
+    here = past[:, m - 1:]
+    total = np.cumsum(np.pad(past, ((0, 0), (1, 0))), axis=1)
+    width = max(1, m // COARSE)
+    edges = np.minimum(np.arange(0, m + width, width), m)
+    edges = edges[:np.searchsorted(edges, m) + 1]
+    at = m + np.arange(rows)[:, None]
+    coarse = total[:, at - edges[:-1]] - total[:, at - edges[1:]]
+    coarse -= coarse.mean(axis=1, keepdims=True)
+    return _Windows(
+        past, output, _correlation(here, past, m), _correlation(output, past, m),
+        total[:, m - 1 + rows - np.arange(m)] - total[:, m - 1 - np.arange(m)],
+        coarse, coarse.transpose(0, 2, 1) @ coarse, np.abs(here).max(axis=1))
+
+
+def _correlation(signal: FloatArray, past: FloatArray, m: int) -> FloatArray:
+    """(k, m) sums over the rows of a signal (k, rows) and the set-point at each lag."""
+    size = next_fast_len(past.shape[1], real=True)
+    product = np.conj(np.fft.rfft(signal, size)) * np.fft.rfft(past, size)
+    return np.asarray(np.fft.irfft(product, size)[:, m - 1::-1])
 
 
 def _response(held: _Windows, inside: npt.NDArray[np.bool_], step: float, quantity: str,
               name: str) -> Response | None:
-    gram, cross = held.gram[inside].sum(axis=0), held.cross[inside].sum(axis=0)
-    power, rows = float(held.power[inside].sum()), held.rows * int(inside.sum())
+    gram, cross, output = held.full(inside), held.cross[inside].sum(axis=0), held.output[inside]
+    power, rows = float(np.sum(output**2)), output.size
     if power <= 0.0:
         return None
     m = len(cross)
@@ -184,10 +211,10 @@ def _response(held: _Windows, inside: npt.NDArray[np.bool_], step: float, quanti
     figures = step_figures(mean, step)
     if not (fit >= LEAST_FIT and figures.final_error_pct <= 100.0 * (1.0 - LEAST_END)):
         return None
-    left = (held.cross[inside] - held.gram[inside] @ impulse) @ group
-    coarse = group.T @ held.gram[inside] @ group
+    left = output - fftconvolve(held.past[inside], impulse[None], mode='valid', axes=1)
+    left = (left[:, None, :] @ held.coarse[inside])[:, 0]
     prior = noise * _precision(group.shape[1], m, share, size)[0]
-    apart = np.linalg.solve(coarse + prior, left[:, :, None])[:, :, 0] @ group.T
+    apart = np.linalg.solve(held.gram[inside] + prior, left[:, :, None])[:, :, 0] @ group.T
     low, high = np.percentile(mean + np.cumsum(apart, axis=1), SPREAD, axis=0)
     half = int(np.argmax(mean >= 0.5))
     reached = bool(mean[half] >= 0.5)

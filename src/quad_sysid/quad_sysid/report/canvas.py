@@ -95,6 +95,21 @@ def legend(axes: Axes, columns: int = 4) -> None:
                     handletextpad=0.4, frameon=False, fontsize=8.0)
 
 
+def plain_logarithms(axes: Sequence[Axes]) -> None:
+    """Logarithmic scales with plain numbers, 1, 2, 5 where these fit."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    for one in axes:
+        for scale in (one.xaxis, one.yaxis):
+            if scale.get_scale() == 'log':
+                low, high = sorted(scale.get_view_interval())
+                few = high / max(low, 1e-300) < (1e4 if scale is one.xaxis else 50.0)
+                scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,),
+                                                   numticks=12))
+                scale.set_major_formatter(FuncFormatter(lambda value, _: f'{value:g}'))
+                scale.set_minor_locator(NullLocator())
+
+
 def finish(axes: Sequence[Axes], x: str, *ys: str) -> None:
     """Label the panels, whose x is one, and put a legend over the first."""
     for one, label in zip(axes, ys, strict=True):

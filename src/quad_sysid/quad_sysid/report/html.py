@@ -9,12 +9,13 @@ from typing import Any
 
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.report import tables, words, zoom
+from quad_sysid.report import sliders, tables, words, zoom
 from quad_sysid.report.canvas import Picture, embedded, svg
 from quad_sysid.report.next_flight import next_flight
 from quad_sysid.report.plots import Gallery, draw, gallery
 from quad_sysid.report.plots_data import zooming
 from quad_sysid.report.style import SHEET
+from quad_sysid.whole import URDF
 
 DATA = ('coherence',)
 MODELS = ('bode',)
@@ -47,8 +48,12 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
     parts = ['<!doctype html><html lang="en"><head><meta charset="utf-8">',
              '<meta name="viewport" content="width=device-width,initial-scale=1">',
              f'<title>Identification of {escape(bags)}</title>',
-             f'<style>{SHEET}{zoom.STYLE}</style></head><body>',
+             f'<style>{SHEET}{zoom.STYLE}{sliders.STYLE}</style></head><body>',
              f'<h1>Identification of {escape(bags)}</h1>']
+    if report.get('aircraft', {}).get('facts'):
+        parts += [tables.aircraft(report).html(),
+                  (f'<details><summary>URDF of it ({URDF})</summary><pre>'
+                   f'{escape(report["aircraft"]["urdf"])}</pre></details>')]
     if len(axes) > 1:
         links = ''.join(
             f'<a href="#{a}"><span class="axis">{escape(a)}</span> in detail</a>' for a in axes
@@ -63,7 +68,7 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
         'ones were opened once. Numbers in full: report.json; the model: model.json. '
         f'Source: {sources}</p>'
     )
-    return '\n'.join([*parts, zoom.script(), COPY, '</body></html>\n'])
+    return '\n'.join([*parts, zoom.script(), sliders.script(), COPY, '</body></html>\n'])
 
 
 def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: str) -> str:
@@ -177,6 +182,7 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
         ('Advice', _notes(tree.get('advice', ()))),
         ('Loop and gains', tables.gains(tree, axis, active).html()
          + copied(gain_lines(tree.get('gains') or active)) + figures(LOOP)),
+        ('Gains to try', '' if model is None else sliders.sliders(model, tree.get('gains') or {})),
         ('Warnings', _notes([
             *tree.get('warnings', []),
             *(f'picture {name} could not be drawn: {why}' for name, why in drawn.failed),

@@ -1,0 +1,178 @@
+"""What the page may start: each kind of request becomes a command line, after all is checked."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from quad_sysid.app.folder import RefusedError, inside
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+
+SYSID = 'quad-sysid'
+FIRMWARES = ('px4', 'ardupilot', 'betaflight', 'inav')
+AXIS_NAMES = (*AXES, 'all')
+MOST_MOTORS = 8
+UNIT = re.compile(r'[A-Za-z0-9/_.:+-]{0,24}')
+
+Command = tuple[str, str, list[str]]
+"""Title, program, arguments."""
+
+
+def command(folder: Path, asked: Mapping[str, Any]) -> Command:
+    """Title, program and arguments of what the page asks for. Raises RefusedError.
+
+    Only what stands here can be started; @ is the job's own folder.
+    """
+    kind, names = asked.get('kind'), asked.get('files')
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise RefusedError('choose a file first')
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise RefusedError('no such command')
+    paths = [inside(folder, name) for name in names]
+    return KINDS[kind](folder.resolve(), paths, asked)
+
+
+def _look(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
+    title = paths[0].name if len(paths) == 1 else f'{len(paths)} flights'
+    return f'look at {title}', SYSID, ['look', *map(str, paths), '--out', '@look.html']
+
+
+def _inspect(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
+    return f'inspect {paths[0].name}', SYSID, ['inspect', str(paths[0])]
+
+
+def _columns(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
+    return f'columns of {paths[0].name}', SYSID, ['import', str(paths[0]), '--json']
+
+
+def _import(root: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
+    first = paths[0].name
+    bag = _free(root, f"{first.partition('.')[0] or 'log'}_bag")
+    return f'import {first}', SYSID, [
+        'import', str(paths[0]), *named_columns(asked.get('columns')), '--out', bag]
+
+
+def _compare(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
+    if len(paths) < 2:
+        raise RefusedError('choose two or more bags or models to compare')
+    return f'compare {len(paths)} flights', SYSID, ['compare', *map(str, paths)]
+
+
+def _export(_: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
+    model, to = paths[0], asked.get('to')
+    report = model.with_name('report.json')
+    if to not in FIRMWARES or model.name != 'model.json' or not report.is_file():
+        raise RefusedError('choose the model of a result, and a firmware')
+    more = [f for axis in AXES for f in ('--scale', f'{axis}=1')] if to in FIRMWARES[:2] \
+        else ['--flown', str(model)]
+    return f'gains for {to}', 'quad-tune', ['export', str(report), '--to', str(to), *more]
+
+
+def _identify(_: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
+    from quad_sysid.bags import parse_span  # slow to import
+
+    axis = asked.get('axis', 'all')
+    if axis not in AXIS_NAMES:
+        raise RefusedError(f'axis must be one of {", ".join(AXIS_NAMES)}')
+    arguments = ['identify', *map(str, paths), '--axis', str(axis), '--out', '@result']
+    for option in ('train', 'validate'):
+        span = asked.get(option)
+        if span:
+            try:
+                a, b = parse_span(str(span), f'--{option}')
+            except BadInputError as error:
+                raise RefusedError(str(error)) from error
+            arguments += [f'--{option}', f'{a:.4f}:{b:.4f}']
+    return f'identify {axis} of {paths[0].name}', SYSID, arguments
+
+
+def _schedule(root: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
+    """The next flight that the report of a result proposes, as a schedule in the folder."""
+    from quad_sysid.report.next_flight import next_flight
+
+    model, axis = paths[0], asked.get('axis')
+    try:
+        axes = json.loads(model.with_name('report.json').read_text(encoding='utf-8'))['axes']
+    except (OSError, ValueError, KeyError) as error:
+        raise RefusedError('choose the model of a result') from error
+    axis = axis if axis in axes else next(iter(axes))
+    planned = [one.command for one in next_flight(str(axis), axes[axis]) if one.command]
+    if not planned:
+        raise RefusedError(f'nothing is left to fly for {axis}')
+    places = {'model.json': str(model), 'next.yaml': _free(root, f'next_flight_{axis}', '.yaml')}
+    return f'next flight of {axis}', SYSID, [
+        places.get(word, word) for word in shlex.split(planned[0])[1:]]
+
+
+KINDS: dict[str, Callable[[Path, Sequence[Path], Mapping[str, Any]], Command]] = {
+    'look': _look, 'inspect': _inspect, 'columns': _columns, 'import': _import,
+    'identify': _identify, 'compare': _compare, 'export': _export, 'schedule': _schedule,
+}
+
+
+def _free(root: Path, stem: str, ending: str = '') -> str:
+    numbers = ('', *(f'_{k}' for k in range(2, 1000)))
+    free = (root / f'{stem}{k}{ending}' for k in numbers)
+    return str(next(path for path in free if not path.exists()))
+
+
+def named_columns(given: object) -> list[str]:
+    """Options of the import for columns, each [name, role, unit]. Raises RefusedError.
+
+    Roles are those of imports/guess.py: `time`, `rate, roll`, `motor 2`; '' for none.
+    """
+    from quad_sysid.imports.units import OPTIONS, as_typed
+
+    if given is None:
+        return []
+    found: dict[str, dict[int, str]] = {}
+    units = []
+    for name, role, unit in _checked(given):
+        option, at = _place(role)
+        if option and at in found.setdefault(option, {}):
+            raise RefusedError(f'{role}: two columns have this role')
+        if option:
+            found[option][at] = name
+            units += [f'--unit={name}={unit}'] if unit else []
+    measured, driven = found.get('rate') or found.get('angle') or {}, found.get('control', {})
+    axes = [i for i in range(len(AXES)) if i in measured and (i in driven or 'motors' in found)]
+    if not axes:
+        raise RefusedError('choose a rate (or angle) and a command, or the motors, of an axis')
+    out = ['--axis', ','.join(AXES[i] for i in axes)]
+    for option, own in found.items():
+        wanted = axes if OPTIONS[option].per_axis else sorted(own)
+        if all(at in own for at in wanted):
+            out += as_typed(option, [own[at] for at in wanted])
+    return [*out, *(['--mixer', 'auto'] if 'motors' in found else []), *units]
+
+
+def _checked(given: object) -> list[list[str]]:
+    rows: list[Any] = given if isinstance(given, list) else [None]
+    for row in rows:
+        if not (isinstance(row, list) and len(row) == 3
+                and all(isinstance(part, str) for part in row) and UNIT.fullmatch(row[2])):
+            raise RefusedError('a column needs its name, a role of the menu and a unit')
+    return rows
+
+
+def _place(role: str) -> tuple[str, int]:
+    """The option and the place in it of a role; ('', 0) for none. Raises RefusedError."""
+    from quad_sysid.imports.units import OPTIONS
+
+    option, _, axis = role.partition(', ')
+    number = role.removeprefix('motor ')
+    if not role:
+        return '', 0
+    if role.startswith('motor ') and number.isdecimal() and 1 <= int(number) <= MOST_MOTORS:
+        return 'motors', int(number) - 1
+    known = OPTIONS.get(option)
+    if known is not None and known.per_axis and axis in AXES:
+        return option, AXES.index(axis)
+    if known is not None and not (known.per_axis or known.several or axis):
+        return option, 0
+    raise RefusedError(f'{role}: is no role of the menu')

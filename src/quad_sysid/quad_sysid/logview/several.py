@@ -1,0 +1,148 @@
+"""Several logs over one another: what was measured of each, as one table and one page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import PurePath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.logview.measure import AxisLook, Measured
+from quad_sysid.logview.page import MARK
+from quad_sysid.report import zoom
+from quad_sysid.report.canvas import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PINK,
+    SKY,
+    THEMED,
+    Picture,
+    finish,
+    panels,
+    plain_logarithms,
+    svg,
+)
+from quad_sysid.report.style import SHEET
+from quad_sysid.report.tables import Table
+from quad_sysid.report.words import number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, INK, MUTED)
+MOST = len(COLOURS)
+DEG = math.degrees(1.0)
+
+
+def names(looks: Sequence[Measured]) -> list[str]:
+    """A short name for each log, with a number where two have the same."""
+    short = [PurePath(one.flown.source).name for one in looks]
+    return [f'{name} ({k + 1})' if short.count(name) > 1 else name for k, name in enumerate(short)]
+
+
+def figures(looks: Sequence[Measured]) -> Table:
+    """A row for each axis and log."""
+    rows = []
+    for axis in _axes(looks):
+        for name, look in zip(names(looks), looks, strict=True):
+            one = look.whole.axes.get(axis)
+            if one is not None:
+                rows.append([axis, name, *_row(one)])
+    return Table(['axis', 'flight', 'rise, ms', 'overshoot, %', 'settling, ms', 'crossover, Hz',
+                  'phase margin, °', 'noise, deg/s'], rows, range(2, 8))
+
+
+def _row(one: AxisLook) -> list[str]:
+    step, loop = one.rate_step, one.loop
+    values = [math.nan] * 5
+    if step is not None:
+        f = step.figures
+        values[:3] = [1e3 * f.rise_time_s, f.overshoot_pct, 1e3 * f.settling_time_s]
+    if loop is not None:
+        values[3:] = [loop.crossover_hz, loop.phase_margin_deg]
+    noise = one.noise_rms
+    values.append(math.nan if noise is None else DEG * noise)
+    return [number(value if math.isfinite(value) else None) for value in values]
+
+
+def page(looks: Sequence[Measured]) -> str:
+    """The page as text: the table, traces from the take-off on, pictures."""
+    title = escape(', '.join(names(looks)))
+    drawn = ''.join(
+        f'<figure id="{one.name}"><h4>{escape(one.title)}</h4>{svg(one, one.name)}'
+        f'<figcaption>{escape(one.caption)}</figcaption></figure>' for one in pictures(looks))
+    return '\n'.join([
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">', MARK,
+        '<meta name="viewport" content="width=device-width,initial-scale=1">',
+        f'<title>Look at {title}</title><style>{SHEET}{zoom.STYLE}</style></head><body>',
+        f'<h1>Look at {len(looks)} flights</h1><p class="small">{title}</p>',
+        figures(looks).html(), f'<h2>Traces</h2>{_traces(looks)}',
+        f'<h2>Pictures</h2><div class="figures">{drawn}</div>', zoom.script(),
+        '</body></html>\n'])
+
+
+def pictures(looks: Sequence[Measured]) -> list[Picture]:
+    """Step responses, gyro spectra and tracking, a line for each log."""
+    def step(axes: Axes, one: AxisLook, colour: str, name: str) -> None:
+        if one.rate_step is not None:
+            axes.plot(one.rate_step.time_s, one.rate_step.mean, color=colour, label=name)
+
+    def spectrum(axes: Axes, one: AxisLook, colour: str, name: str) -> None:
+        if one.gyro is not None:
+            axes.loglog(one.gyro.frequency_hz[1:], DEG * np.sqrt(np.maximum(
+                one.gyro.mean[1:], 1e-30)), color=colour, label=name)
+
+    def tracking(axes: Axes, one: AxisLook, colour: str, name: str) -> None:
+        if one.loop is not None and np.isfinite(one.loop.tracking).any():
+            axes.loglog(one.loop.frequency_hz, np.abs(one.loop.tracking), color=colour, label=name)
+
+    return [
+        _picture(looks, 'step_rate', 'Step response of the rate', 'time after the step, s', '1',
+                 step),
+        _picture(looks, 'spectra', 'Gyro spectra', 'frequency, Hz', 'deg/s/√Hz', spectrum),
+        _picture(looks, 'tracking', 'Rate over set-point', 'frequency, Hz', '1', tracking),
+    ]
+
+
+def _picture(looks: Sequence[Measured], name: str, title: str, x: str, unit: str,
+             draw: Callable[[Axes, AxisLook, str, str], None]) -> Picture:
+    axes = _axes(looks)
+    figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
+    for one, axis in zip(drawn, axes, strict=True):
+        for look, colour, label in zip(looks, COLOURS, names(looks), strict=False):
+            if axis in look.whole.axes:
+                draw(one, look.whole.axes[axis], colour, label)
+    finish(drawn, x, *(f'{axis}, {unit}' for axis in axes))
+    plain_logarithms(drawn)
+    return Picture(name, title, 'One line for each flight.', figure)
+
+
+def _axes(looks: Sequence[Measured]) -> list[str]:
+    return [axis for axis in AXES if any(axis in one.whole.axes for one in looks)]
+
+
+def _traces(looks: Sequence[Measured]) -> str:
+    """The rates of each axis from the take-off on, on the slowest grid."""
+    dt = max(one.flown.dt for one in looks)
+    begun = [int(np.argmax(one.flown.flying)) for one in looks]
+    length = max((one.flown.n - a) * one.flown.dt for one, a in zip(looks, begun, strict=True))
+    times = np.arange(math.ceil(length / dt)) * dt
+
+    def drawn(look: Measured, first: int, i: int) -> FloatArray:
+        rates = look.flown.rates[first:, i]
+        at = np.rint(times / look.flown.dt).astype(np.int64)
+        inside = at < len(rates)
+        return np.where(inside, DEG * rates[np.where(inside, at, 0)], np.nan)
+
+    rows = [zoom.Row(f'{axis}, deg/s', [
+        zoom.Line(name, drawn(look, first, AXES.index(axis)), f'--{THEMED[colour]}')
+        for look, first, colour, name in zip(looks, begun, COLOURS, names(looks), strict=False)])
+        for axis in _axes(looks)]
+    return zoom.group(rows, dt)

@@ -1,0 +1,101 @@
+"""Gains to try in the page: what sliders.js needs to redraw an axis' step, margins and noise.
+
+The plant is sent as the linear one at the amplitudes of loop/linear.py, in wide motion and near
+rest; of the controller, its parts over frequency, whose sum by the gains is the loop. The page
+simulates a step of the wide plant with the controller's filters and limits.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quad_sysid.loop.cascade import TUNED, CascadeGains, frequency_grid
+from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.linear import NEAR_REST, WIDE, ComplexArray, loops_of
+from quad_sysid.model import AxisModel
+
+SCRIPT = Path(__file__).with_name('sliders.js')
+POINTS = 200
+SECONDS = 1.2
+STEP_RAD, STEP_RAD_S = 0.2, 1.0
+"""The step of the angle's reference; of the rate's, where the flight held no angle."""
+STICK_S = 0.02
+"""Time in which a rate set-point with feed-forward takes its step, as a stick does."""
+STYLE = """.tryout label{display:flex;flex-wrap:wrap;gap:4px 12px;align-items:center}
+.tryout input{flex:1 1 140px;min-width:0}.tryout output{min-width:8em}
+.tryout svg{width:100%;max-width:640px}"""
+NAMES = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
+
+
+def sliders(model: AxisModel, designed: Mapping[str, float]) -> str:
+    """The element of an axis, '' where the gains that flew are not known."""
+    data = loop_data(model, designed)
+    if data is None:
+        return ''
+    text = json.dumps(data, separators=(',', ':'), allow_nan=False).replace('<', '\\u003c')
+    return (f'<div class="tryout" role="group" aria-label="gains of {escape(model.axis)} to try">'
+            f'<script type="application/json">{text}</script></div>'
+            '<p class="small">The found model, linear at wide motion, with the limits of the '
+            'flight; margins are the smaller ones of wide motion and near rest. Noise: what of '
+            'the gyro reaches the command, beside the gains that flew.</p>')
+
+
+def script() -> str:
+    """The element with sliders.js, to stand behind the last group."""
+    return f'<script>{SCRIPT.read_text(encoding="utf-8")}</script>'
+
+
+def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any] | None:
+    """What the page computes with; None where the gains that flew are not known."""
+    axis, active = model.axis, model.active_gains
+    if not active.get(f'{axis}.rate.kp', 0.0) > 0.0:
+        return None
+    flown = CascadeGains.from_mapping({f'{axis}.angle.kp': 0.0, **active}, axis)
+    plant, omega = loop_plant(model), frequency_grid(model.dt, POINTS, 0.5)
+    loops = loops_of([(plant, WIDE), (plant, NEAR_REST)])
+    rate, angle = loops.response(omega)
+    none = replace(flown, angle_kp=0.0, rate_kp=0.0, rate_ki=0.0, rate_kd=0.0, kff=0.0)
+
+    def part(**gains: Any) -> ComplexArray:
+        return replace(none, **gains).response(omega, model.dt)
+
+    error = part(rate_kp=1.0)[0]
+    return {
+        'axis': axis, 'dt': model.dt, 'steps': round(SECONDS / model.dt),
+        'size': STEP_RAD if flown.angle_kp else STEP_RAD_S,
+        'names': [f'{axis}.{name}' for name in NAMES],
+        'flown': [float(getattr(flown, field)) for field in TUNED],
+        'designed': [float(designed.get(f'{axis}.{name}', getattr(flown, field)))
+                     for name, field in zip(NAMES, TUNED, strict=True)] if designed else None,
+        'constants': {**_finite(flown.constants(model.dt)._asdict()),
+                      'kff_slope': active.get(f'{axis}.rate.kff_slope', 0.0)},
+        'rise_s': STICK_S if f'{axis}.rate.kff_slope' in active else 1e-9,
+        'a': _numbers(loops.a[0], 10), 'b': _numbers(loops.b[0], 10),
+        'c': _numbers(loops.c[0], 10),
+        'omega': _numbers(omega), 'rate': _complex(rate), 'angle': _complex(angle),
+        'parts': _complex(np.stack([error, part(rate_ki=1.0)[0], part(rate_kd=1.0)[0]])),
+        'target': _complex(part(angle_kp=1.0, rate_kp=1.0)[1] / error),
+        'forward': _complex(part(angle_kp=1.0, kff=1.0)[1]),
+    }
+
+
+def _finite(constants: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(np.clip(value, -1e300, 1e300)) for name, value in constants.items()}
+
+
+def _numbers(values: Any, digits: int = 6) -> Any:
+    """Nested lists of so many significant digits."""
+    if np.ndim(values):
+        return [_numbers(one, digits) for one in values]
+    return float(f'{values:.{digits}g}')
+
+
+def _complex(values: Any) -> dict[str, Any]:
+    return {'re': _numbers(np.real(values)), 'im': _numbers(np.imag(values))}
