@@ -153,7 +153,7 @@ def _by_dask(todo: Sequence[Job], workers: int, work: Work, cluster: str) -> Ite
         names = [f'{job.name} {time.monotonic_ns()}' for job in todo]
         futures = client.map(partial(alone, work=work), todo, key=names, pure=False)
         of_future = dict(zip(names, todo, strict=True))
-        coming = as_completed(futures)
+        coming = as_completed(futures, loop=client.loop)
         del futures  # each is let go when its row is there
         for future in coming:
             job, error = of_future.pop(future.key), future.exception()
@@ -174,7 +174,7 @@ def _client(cluster: str, workers: int) -> Iterator[Any]:
                             remedy="pip install 'quad_sysid[cluster]'") from error
     if cluster == 'local':
         with (dask.config.set(SETTINGS),
-              LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None,
+              LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=':0',
                            memory_limit=0, silence_logs='ERROR') as own,
               Client(own, set_as_default=False) as client):
             yield client
