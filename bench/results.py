@@ -89,6 +89,7 @@ def twice(rows: Sequence[Row]) -> str:
     claims = [[[name for name, *_ in one['claims']] for one in r['flights']] for r in rows]
     spoke = [both for both in claims if any(both)]
     return table(['', 'flights'], [
+        ['aircraft; those of which a flight claims something', f'{len(rows)}; {len(spoke)}'],
         ['the main cause is the same', share([a[:1] == b[:1] for a, b in spoke])],
         ['an effect that one flight claims is claimed in the other',
          share([name in b for pair in spoke for a, b in (pair, pair[::-1]) for name in a])],
@@ -128,9 +129,9 @@ def main() -> int:
     page = PAGE.read_text('utf-8')
     for name, (files, made) in TABLES.items():
         rows = rows_of(files)
-        between = re.compile(f'(<!-- {name} -->\n).*?(\n<!-- end -->)', re.DOTALL)
+        between = re.compile(f'(<!-- {name} -->\n).*?(<!-- end -->)', re.DOTALL)
         if rows:
-            page = between.sub(partial(_filled, made(rows)), page)
+            page = between.sub(partial(_filled, made(rows) + '\n'), page)
     PAGE.write_text(page, 'utf-8')
     return 0
 
