@@ -14,10 +14,10 @@ RUN := . tools/workspace.bash;
 SOURCES := $(wildcard src test tools bench)
 ARGS ?=
 # two workers more than there are cores: tests of nodes wait more than they compute; all share one
-# cache of bytecode, also where the shell has it switched off
-PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup
+# cache of bytecode, also where the shell has it switched off; they begin in the order of test/conftest.py
+PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup --no-loadscope-reorder
 
-.PHONY: build-test build-lint build-docs help demo flight qemu pictures app-picture test test-qemu test-browser test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-link bench-effects-speed bench-likelihood bench-outside bench-twice bench-results wheel docs lock shell clean
+.PHONY: build-test build-lint build-docs help demo flight qemu pictures app-picture test test-qemu test-browser test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-mixer bench-link bench-effects-speed bench-peers bench-likelihood bench-outside bench-twice bench-results wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -82,6 +82,9 @@ bench-effects: build  ## planted effects against named ones (half an hour; ARGS=
 bench-effects-speed: build  ## a likelihood beside plain and other filters, a whole axis (a minute; ARGS="--peers PYTHON")
 	@$(RUN) exec python bench/effects_speed.py $(ARGS)
 
+bench-peers: build  ## one axis from arrays by other packages, beside ours (20 minutes; ARGS="--peers PYTHON")
+	@$(RUN) exec python bench/array_peers.py $(ARGS)
+
 bench-likelihood: build  ## the fit against the Cramer-Rao bound, the evidence against the truth (15 minutes)
 	@$(RUN) OPENBLAS_NUM_THREADS=1 python bench/accuracy.py; exec python bench/evidence.py
 
@@ -99,6 +102,9 @@ bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; A
 
 bench-watch: build  ## good and bad updates in flight on 100 airframes (20 minutes; ARGS='--count 12')
 	@$(RUN) exec python bench/watch.py $(ARGS)
+
+bench-mixer: build  ## the firmware's mixer beside plain clipping at hard manoeuvres (a minute)
+	@$(RUN) exec python bench/mixer.py $(ARGS)
 
 bench-link: build  ## decoder fuzzed, clock studied, link under load (15 minutes; ARGS='--seconds 250=60')
 	@$(RUN) python bench/link_fuzz.py; python bench/link_clock.py; exec python bench/link_load.py $(ARGS)

@@ -20,13 +20,14 @@ float quad_wrapped(float angle)
 void quad_attitude_init(quad_attitude *attitude)
 {
     memset(attitude, 0, sizeof *attitude);
+    attitude->turn[0][0] = attitude->turn[1][1] = attitude->turn[2][2] = 1.0f;
 }
 
-void quad_to_body(const int8_t axes[3], const float chip[3], float body[3])
+void quad_to_board(const int8_t axes[3], const float chip[3], float board[3])
 {
     for (size_t i = 0; i < 3; i++) {
         const int axis = axes[i];
-        body[i] = axis > 0 ? chip[(axis - 1) % 3] : -chip[(-axis - 1) % 3];
+        board[i] = axis > 0 ? chip[(axis - 1) % 3] : -chip[(-axis - 1) % 3];
     }
 }
 
@@ -77,19 +78,45 @@ static void hold(quad_attitude *a, const quad_mounting *m, const float mag[3], f
     a->angle[2] = quad_wrapped(a->angle[2]);
 }
 
-static void take(quad_attitude *a, const quad_mounting *m, const float chip_gyro[3],
+/* The board in the body: yaw, then pitch, then roll. */
+static void tune_turn(quad_attitude *a, const float *gains)
+{
+    const float *angle = &gains[QUAD_BOARD_ROLL];
+    if (memcmp(a->turned, angle, sizeof a->turned) == 0) {
+        return;
+    }
+    memcpy(a->turned, angle, sizeof a->turned);
+    const float sr = sinf(angle[0]), cr = cosf(angle[0]), sp = sinf(angle[1]), cp = cosf(angle[1]);
+    const float sy = sinf(angle[2]), cy = cosf(angle[2]);
+    const float matrix[3][3] = {{cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr},
+                                {sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr},
+                                {-sp, cp * sr, cp * cr}};
+    memcpy(a->turn, matrix, sizeof matrix);
+}
+
+static void to_body(const quad_attitude *a, const float board[3], float body[3])
+{
+    for (size_t i = 0; i < 3; i++) {
+        body[i] = a->turn[i][0] * board[0] + a->turn[i][1] * board[1] + a->turn[i][2] * board[2];
+    }
+}
+
+static void take(quad_attitude *a, const quad_mounting *m, const float *gains, const float chip_gyro[3],
                  const float chip_accel[3])
 {
-    float gyro[3], accel[3];
+    float gyro[3], accel[3], turning[3], force[3];
     if (!within(chip_gyro, LARGEST_GYRO) || !within(chip_accel, LARGEST_ACCEL)) {
         return;
     }
     a->silent = 0;
-    quad_to_body(m->axes, chip_gyro, gyro);
-    quad_to_body(m->axes, chip_accel, accel);
+    quad_to_board(m->axes, chip_gyro, turning);
+    quad_to_board(m->axes, chip_accel, force);
     for (size_t i = 0; i < 3; i++) {
-        gyro[i] -= m->gyro_bias[i];
+        turning[i] -= m->gyro_bias[i];
+        force[i] = (force[i] - gains[QUAD_ACCEL_OFFSET_X + i]) * gains[QUAD_ACCEL_SCALE_X + i];
     }
+    to_body(a, turning, gyro);
+    to_body(a, force, accel);
     if (!a->settled) {
         quad_notch_settle(&a->notches[0], gyro);
         quad_notch_settle(&a->notches[1], gyro);
@@ -109,6 +136,7 @@ void quad_attitude_cycle(quad_attitude *a, const quad_mounting *m, const quad_se
                          float angle[3])
 {
     float mag[3];
+    tune_turn(a, gains);
     quad_low_pass_tune(&a->gyro, gains[QUAD_SENSOR_GYRO_FILTER_HZ], m->sample_s);
     quad_low_pass_tune(&a->accel, gains[QUAD_SENSOR_ACCEL_FILTER_HZ], m->sample_s);
     quad_notch_tune(&a->notches[0], gains[QUAD_SENSOR_NOTCH_1_HZ],
@@ -117,20 +145,24 @@ void quad_attitude_cycle(quad_attitude *a, const quad_mounting *m, const quad_se
                     gains[QUAD_SENSOR_NOTCH_2_BANDWIDTH_HZ], m->sample_s);
     a->silent++;
     for (size_t i = 0; i < s->samples && i < QUAD_MOST_SAMPLES; i++) {
-        take(a, m, s->gyro[i], s->accel[i]);
+        take(a, m, gains, s->gyro[i], s->accel[i]);
     }
     if ((float)a->silent * period_s > QUAD_BLIND_S) { /* the last rate says nothing any more */
         a->settled = a->started = false;
     }
-    quad_to_body(m->axes, s->slow.mag_gauss, mag);
+    quad_to_board(m->axes, s->slow.mag_gauss, mag);
+    for (size_t i = 0; i < 3; i++) {
+        mag[i] -= gains[QUAD_COMPASS_OFFSET_X + i];
+    }
+    to_body(a, mag, a->mag);
     if (a->settled && !a->started) {
         level(a->accel.out, &a->angle[0], &a->angle[1]);
-        a->angle[2] = within(mag, LARGEST_MAG) ? heading(mag, a->angle[0], a->angle[1], m->declination) : 0.0f;
+        a->angle[2] = within(a->mag, LARGEST_MAG) ? heading(a->mag, a->angle[0], a->angle[1], m->declination) : 0.0f;
         a->angle[2] = quad_wrapped(a->angle[2]);
         a->started = true;
     } else if (a->started) {
         turn(a->angle, a->gyro.out, period_s);
-        hold(a, m, mag, period_s / m->complementary_s);
+        hold(a, m, a->mag, period_s / m->complementary_s);
     }
     memcpy(gyro, a->gyro.out, sizeof a->gyro.out);
     memcpy(accel, a->accel.out, sizeof a->accel.out);

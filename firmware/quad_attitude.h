@@ -1,5 +1,7 @@
-/* From sensor samples to rates, specific force and attitude: axes, low-pass filters, complementary
- * filter. Body FRD, earth NED, SI. No frames and no control here. */
+/* From sensor samples to rates, specific force and attitude: axes, calibration, low-pass filters, complementary
+ * filter. Body FRD, earth NED, SI. No frames and no control here.
+ *
+ *     chip -> axes -> board (x forward, y right, z down of the board) -> offsets, scale -> turn -> body */
 #ifndef QUAD_ATTITUDE_H
 #define QUAD_ATTITUDE_H
 
@@ -14,7 +16,7 @@
 
 /* What changes slowly; NaN where it is not measured. */
 typedef struct {
-    float battery_v;
+    float battery_v; /* of the pack; what a board hands over is at its pin, behind BAT_DIVIDER */
     float mag_gauss[3]; /* chip axes */
     float pressure_hpa;
     float temperature_c;
@@ -30,8 +32,8 @@ typedef struct {
 } quad_sensors;
 
 typedef struct {
-    int8_t axes[3];         /* body x, y, z as +-1, +-2, +-3: that axis of the chip, with its sign */
-    float gyro_bias[3];     /* rad/s, body axes, as measured at rest */
+    int8_t axes[3];         /* the board's x, y, z as +-1, +-2, +-3: that axis of the chip, with its sign */
+    float gyro_bias[3];     /* rad/s, axes of the board, as measured at rest */
     float sample_s;         /* between two samples */
     float complementary_s;  /* time after which gravity and north outweigh the gyro */
     float declination;      /* rad, magnetic north east of true north */
@@ -40,6 +42,9 @@ typedef struct {
 typedef struct {
     quad_low_pass gyro, accel;
     quad_notch notches[2]; /* of the gyro */
+    float turned[3];       /* BOARD_ROLL, BOARD_PITCH, BOARD_YAW of `turn` */
+    float turn[3][3];      /* from the board's axes to the body's */
+    float mag[3];          /* gauss, body axes, less its offset; NaN where not measured */
     float angle[3]; /* roll, pitch, yaw */
     bool settled, started; /* a first sample has come; the attitude has begun */
     uint32_t silent;       /* cycles since a good sample */
@@ -54,8 +59,8 @@ void quad_attitude_cycle(quad_attitude *attitude, const quad_mounting *mounting,
                          const quad_sensors *sensors, const float *gains, float period_s,
                          float gyro[3], float accel[3], float angle[3]);
 
-/* A vector (3) of the chips' axes in body axes. */
-void quad_to_body(const int8_t axes[3], const float chip[3], float body[3]);
+/* A vector (3) of the chips' axes in those of the board. */
+void quad_to_board(const int8_t axes[3], const float chip[3], float board[3]);
 
 /* `angle` in rad, brought into -pi..pi; it must not lie beyond some thousand turns. */
 float quad_wrapped(float angle);

@@ -252,7 +252,8 @@ bool quad_mix(const float control[4], float idle, float motors[4], float given[4
 static bool flies(quad_control *c, const quad_cycle *r, const quad_sticks *sticks)
 {
     const bool armed = (r->flags & QUAD_FLAG_ARMED) != 0;
-    c->airborne = armed && (c->airborne || sticks->throttle >= QUAD_AIRBORNE_THROTTLE);
+    const bool landed = (r->flags & QUAD_FLAG_LANDED) != 0;
+    c->airborne = armed && !landed && (c->airborne || sticks->throttle >= QUAD_AIRBORNE_THROTTLE);
     const bool stays = c->airborne && r->gains[QUAD_MIXER_AIRMODE] >= 0.5f;
     return armed && (stays || sticks->throttle >= QUAD_LOW_THROTTLE);
 }
@@ -286,6 +287,9 @@ void quad_control_cycle(quad_control *c, const quad_ranges *ranges, const quad_s
         memset(r->control, 0, sizeof r->control);
     }
     r->control[0] = armed ? sticks->throttle : 0.0f;
+    if (in_flight) { /* FRD: the third value points down */
+        r->control[0] = fmaxf(0.0f, r->control[0] - added(r, QUAD_INJECTION_THRUST, 2));
+    }
     float given[4];
     if (!armed) {
         memset(r->motors, 0, sizeof r->motors);

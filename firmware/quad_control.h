@@ -3,7 +3,7 @@
  * C1: rate reference = kp (angle reference - angle), limited. C2: u = kp e + ki int(e dt) -
  * kd d(rate)/dt with e = rate reference - rate; the derivative of the measured rate behind a
  * first-order filter (backward Euler), the integral clamped, u limited. Excitation is added to the
- * angle reference, behind C1's limit to the rate reference, or behind C2's limit to U2..U4.
+ * angle reference, behind C1's limit to the rate reference, behind C2's limit to U2..U4, or, up, to U1.
  *
  * An axis flies LQR_SHARE of a state feedback and the rest of the cascade; 0 is the cascade alone.
  * Its model of the axis is
@@ -17,7 +17,7 @@
  *
  * Below QUAD_LOW_THROTTLE no torque is commanded and all begins anew with the next cycle: standing on the ground,
  * nothing answers, and what is added up there would act at take-off. With AIRMODE that ends once the throttle has
- * been at QUAD_AIRBORNE_THROTTLE, until it is disarmed.
+ * been at QUAD_AIRBORNE_THROTTLE, until it has landed or is disarmed.
  *
  * Where the motors cannot give all four commands, yaw is given up first, then throttle, roll and pitch last
  * (quad_mix); an integrator does not run further towards what was not given.

@@ -1,12 +1,15 @@
 /* See quad_endpoint.h. The cycle and what is due when; frames in: quad_inbox.c, out: quad_outbox.c. */
 #include "quad_endpoint.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "quad_outbox.h"
+#include "quad_setup.h"
 
 #define LOWEST_RATE_HZ 50
 #define BATTERY_LAG_S 0.5f /* a motor that starts does not empty the battery */
+#define STILL_RAD_S 0.5f /* rates of an aircraft that stands */
 #define LIST_PER_CYCLE 2 /* parameters, so that a list does not delay the cycles */
 
 static void start_signing(quad_endpoint *e, const quad_settings *settings)
@@ -59,6 +62,24 @@ static void keep_time(quad_endpoint *e, uint64_t now_us)
     }
 }
 
+/* Whether a motor's test goes on in this cycle. */
+static bool tests(quad_endpoint *e, uint64_t now_us, const quad_pilot *pilot)
+{
+    const bool stopped = e->armed || pilot->kill || pilot->failsafe || !pilot->throttle_low || e->tilted ||
+                         e->test.until_us == 0 || now_us > e->test.until_us;
+    if (stopped) {
+        e->test.until_us = 0;
+    }
+    return !stopped;
+}
+
+void quad_endpoint_test_motor(const quad_endpoint *e, quad_cycle *record)
+{
+    if ((record->flags & QUAD_FLAG_MOTOR_TEST) != 0) {
+        record->motors[e->test.motor] = e->test.throttle;
+    }
+}
+
 static uint16_t late(const quad_endpoint *e, uint64_t now_us)
 {
     const uint64_t period_us = 1000000u / e->settings.rate_hz;
@@ -81,13 +102,14 @@ void quad_endpoint_begin_cycle(quad_endpoint *e, uint64_t now_us, const quad_pil
                                quad_cycle *record)
 {
     keep_time(e, now_us);
-    revert_where_due(e, now_us, e->armed && !pilot->throttle_low);
+    revert_where_due(e, now_us, e->armed && !pilot->idle);
     memcpy(e->in_force, e->gains.active, sizeof e->in_force);
     e->armed = e->armed && !pilot->kill; /* nothing starts again by the switch's going back */
-    const bool allowed = e->armed && !pilot->throttle_low && !pilot->failsafe && !e->low_battery && !e->tilted;
+    const bool allowed = e->armed && !pilot->idle && !pilot->failsafe && !e->low_battery && !e->tilted;
     memset(record, 0, sizeof *record);
     record->flags = quad_excitation_tick(&e->excitation, allowed, now_us);
     record->flags |= e->armed ? QUAD_FLAG_ARMED : 0u;
+    record->flags |= tests(e, now_us, pilot) ? QUAD_FLAG_MOTOR_TEST : 0u;
     record->flags |= pilot->kill ? QUAD_FLAG_RC_KILL : 0u;
     record->flags |= pilot->failsafe ? QUAD_FLAG_RC_FAILSAFE : 0u;
     record->flags |= late(e, now_us);
@@ -132,6 +154,25 @@ static bool battery_is_low(quad_endpoint *e, float volts)
     return e->volts < e->settings.low_battery_v;
 }
 
+/* When it was last in motion. */
+static void keep_still(quad_endpoint *e, const quad_cycle *r)
+{
+    const bool turns = !(fabsf(r->gyro[0]) + fabsf(r->gyro[1]) + fabsf(r->gyro[2]) < STILL_RAD_S);
+    if (e->armed || (turns && e->test.until_us == 0)) {
+        e->flew_us = r->time_us + 1;
+    }
+}
+
+/* Whether this is a set-up with which something may arm; tells why not, once. */
+static void check_setup(quad_endpoint *e, const quad_cycle *r)
+{
+    const char *fault = quad_setup_fault(r->gains);
+    if (fault != NULL && !e->unfit) {
+        quad_put_text(e, 3, fault);
+    }
+    e->unfit = fault != NULL;
+}
+
 static bool due(const quad_endpoint *e, uint32_t cycle, uint32_t per_second)
 {
     return cycle % (e->settings.rate_hz / per_second) == 0;
@@ -146,6 +187,8 @@ void quad_endpoint_end_cycle(quad_endpoint *e, const quad_cycle *record, const q
     e->low_battery = low_battery;
     e->throttle_low = pilot->throttle_low;
     e->tilted = (record->flags & QUAD_FLAG_ANGLE_LIMIT) != 0;
+    keep_still(e, record);
+    check_setup(e, record);
     if (due(e, record->cycle, 1)) {
         quad_put_heartbeat(e);
         quad_put_gains_state(e, QUAD_GAINS_ACTION_QUERY, QUAD_GAINS_RESULT_OK);

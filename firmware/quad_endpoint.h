@@ -27,6 +27,7 @@
 #define QUAD_OUTBOX 2048 /* bytes: five cycles at 921600 baud and 250 Hz */
 #define QUAD_RC_CHANNELS 18
 #define QUAD_LOW_THROTTLE 0.05f /* below it nothing but itself is commanded, and only there something arms */
+#define QUAD_TEST_THROTTLE 0.25f /* most of a motor that is tested */
 #define QUAD_MOST_VOLTS 100.0f  /* a measurement beyond is none */
 #define QUAD_BRIDGE_SYSTEM 1       /* who the bridge is: its frames alone say that it is there */
 #define QUAD_BRIDGE_COMPONENT 191
@@ -49,7 +50,8 @@ typedef struct {
     uint16_t pulse_us[QUAD_RC_CHANNELS];
     uint8_t count;
     bool failsafe, kill; /* kill disarms */
-    bool throttle_low;   /* below QUAD_LOW_THROTTLE */
+    bool throttle_low;   /* below QUAD_LOW_THROTTLE: the stick */
+    bool idle;           /* the same of the throttle that is commanded */
 } quad_pilot;
 
 /* All that one control cycle knew. begin_cycle fills what is marked (e), the control law the rest
@@ -84,6 +86,13 @@ typedef struct {
     quad_excitation excitation;
     float in_force[QUAD_PARAMETERS];
     bool armed, low_battery, tilted;
+    bool unfit; /* the set-up has a fault */
+    struct {
+        size_t motor;
+        float throttle;
+        uint64_t until_us; /* 0: none */
+    } test;
+    uint64_t flew_us; /* when it was last armed, or turned */
     bool throttle_low; /* in the last cycle */
     bool blind; /* no gyro, as at first: the control loop says so; nothing arms */
     float volts; /* low-passed; QUAD_MOST_VOLTS before the first measurement */
@@ -112,6 +121,12 @@ void quad_endpoint_begin_cycle(quad_endpoint *e, uint64_t now_us, const quad_pil
 /* End it: queues the cycle's frame and what is due beside it. */
 void quad_endpoint_end_cycle(quad_endpoint *e, const quad_cycle *record, const quad_pilot *pilot,
                              const quad_slow *slow);
+
+/* The motors of a cycle in which none flies: one that is tested. */
+void quad_endpoint_test_motor(const quad_endpoint *e, quad_cycle *record);
+
+/* Whether nothing forbids to begin a motor's test: at rest on the ground, disarmed, the pilot's switches heard. */
+bool quad_endpoint_may_test_now(const quad_endpoint *e);
 
 /* Whether the last cycle knew of nothing that forbids arming. */
 bool quad_endpoint_may_arm_now(const quad_endpoint *e);

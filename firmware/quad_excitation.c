@@ -20,6 +20,7 @@ static float limit_of(uint8_t injection)
     case QUAD_INJECTION_RATE:
         return QUAD_LIMIT_RATE;
     case QUAD_INJECTION_CONTROL:
+    case QUAD_INJECTION_THRUST:
         return QUAD_LIMIT_CONTROL;
     default:
         return -1.0f; /* unknown: nothing fits */

@@ -10,7 +10,7 @@
 #define LONGEST_US 2200.0f
 #define SWITCHED_US 1750.0f
 
-enum { ROLL, PITCH, THROTTLE, YAW, KILL };
+enum { ROLL, PITCH, THROTTLE, YAW, KILL, ARM, FREE, HOLD };
 
 quad_firmware_settings quad_firmware_defaults(void)
 {
@@ -18,7 +18,6 @@ quad_firmware_settings quad_firmware_defaults(void)
         .endpoint = {.system = 1, .component = 1, .rate_hz = 250, .low_battery_v = 9.9f},
         .mounting = {.axes = {1, -2, -3}, .sample_s = 0.001f, .complementary_s = 5.0f},
         .ranges = {.angle = 0.52359878f, .yaw_rate = 1.5707963f, .angle_limit = 0.52359878f},
-        .arm_channel = 6,
         .failsafe_off_us = 3000000,
     };
     return settings;
@@ -33,14 +32,20 @@ void quad_firmware_init(quad_firmware *f, const quad_firmware_settings *settings
     quad_endpoint_init(&f->endpoint, &settings->endpoint);
     quad_attitude_init(&f->attitude);
     quad_control_init(&f->control);
+    quad_height_init(&f->height);
     f->period_s = 1.0f / (float)f->endpoint.settings.rate_hz;
     f->arm_switch = true; /* it must be seen off before it arms */
+    const float *set = f->endpoint.gains.active;
+    const size_t sticks[3] = {QUAD_RECEIVER_ROLL_CHANNEL, QUAD_RECEIVER_PITCH_CHANNEL, QUAD_RECEIVER_YAW_CHANNEL};
     for (size_t i = 0; i < QUAD_CHANNELS; i++) {
-        f->receiver.pulse_us[i] = i == ROLL || i == PITCH || i == YAW ? 1500.0f : 1000.0f;
+        f->receiver.pulse_us[i] = 1000.0f;
     }
-    const uint8_t channel = settings->arm_channel;
-    if (channel > 0 && channel <= QUAD_CHANNELS) { /* not heard yet is not off */
-        f->receiver.pulse_us[channel - 1] = LONGEST_US;
+    for (size_t i = 0; i < 3; i++) {
+        f->receiver.pulse_us[quad_setup_channel(set, sticks[i]) - 1] = 1500.0f;
+    }
+    f->arm_channel = quad_setup_channel(set, QUAD_RECEIVER_ARM_CHANNEL);
+    if (f->arm_channel > 0) { /* not heard yet is not off */
+        f->receiver.pulse_us[f->arm_channel - 1] = LONGEST_US;
     }
 }
 
@@ -59,7 +64,8 @@ static void hear_receiver(quad_firmware *f, const quad_receiver *now, uint64_t n
     f->receiver.failsafe = now->failsafe;
     for (size_t i = 0; i < QUAD_CHANNELS; i++) {
         const float pulse = now->pulse_us[i];
-        if (pulse >= SHORTEST_US && pulse <= LONGEST_US && !(now->failsafe && i == THROTTLE)) {
+        const size_t throttle = quad_setup_channel(f->endpoint.gains.active, QUAD_RECEIVER_THROTTLE_CHANNEL);
+        if (pulse >= SHORTEST_US && pulse <= LONGEST_US && !(now->failsafe && i + 1 == throttle)) {
             f->receiver.pulse_us[i] = pulse;
         }
     }
@@ -77,9 +83,13 @@ static void hear_receiver(quad_firmware *f, const quad_receiver *now, uint64_t n
 /* The pilot's switch: on arms where the throttle is low, off always disarms. */
 static void heed_switch(quad_firmware *f)
 {
-    const uint8_t channel = f->settings.arm_channel;
-    if (channel == 0 || channel > QUAD_CHANNELS || f->in_failsafe) {
+    const size_t channel = quad_setup_channel(f->endpoint.gains.active, QUAD_RECEIVER_ARM_CHANNEL);
+    if (channel == 0 || f->in_failsafe) {
         return;
+    }
+    if (channel != f->arm_channel) { /* of another switch is not known that it was off */
+        f->arm_channel = channel;
+        f->arm_switch = true;
     }
     const bool on = f->receiver.pulse_us[channel - 1] > SWITCHED_US;
     if (on && !f->arm_switch) {
@@ -118,15 +128,35 @@ static quad_sticks sticks_of(const quad_receiver *r)
     return s;
 }
 
-static quad_pilot pilot_of(const quad_receiver *r, const quad_sticks *sticks)
+/* Channels as they are meant, behind them as they came. */
+static quad_pilot pilot_of(const quad_firmware *f, const quad_receiver *meant, float throttle)
 {
-    quad_pilot pilot = {.count = QUAD_CHANNELS, .failsafe = r->failsafe};
-    pilot.throttle_low = sticks->throttle < QUAD_LOW_THROTTLE;
+    const bool holds = f->height.holding;
+    quad_pilot pilot = {.count = 2 * QUAD_CHANNELS, .failsafe = meant->failsafe};
+    pilot.throttle_low = throttle < QUAD_LOW_THROTTLE;
+    pilot.idle = holds ? f->height.throttle < QUAD_LOW_THROTTLE : pilot.throttle_low;
     for (size_t i = 0; i < QUAD_CHANNELS; i++) {
-        pilot.pulse_us[i] = (uint16_t)(r->pulse_us[i] + 0.5f);
+        pilot.pulse_us[i] = (uint16_t)(fmaxf(0.0f, meant->pulse_us[i]) + 0.5f);
+        pilot.pulse_us[QUAD_CHANNELS + i] = (uint16_t)(f->receiver.pulse_us[i] + 0.5f);
     }
-    pilot.kill = r->pulse_us[KILL] > SWITCHED_US;
+    pilot.kill = meant->pulse_us[KILL] > SWITCHED_US;
     return pilot;
+}
+
+/* The height mode has the throttle where the pilot's switch says so. */
+static void heed_height(quad_firmware *f, const quad_receiver *meant, quad_sticks *sticks, float hpa)
+{
+    quad_cycle *r = &f->record;
+    const bool armed = (r->flags & QUAD_FLAG_ARMED) != 0, lost = f->height.lost;
+    quad_height_measure(&f->height, r->gains, r->accel, r->attitude, hpa, armed, f->period_s);
+    sticks->throttle =
+        quad_height_throttle(&f->height, r->gains, r->attitude, sticks->throttle, meant->failsafe,
+                             meant->pulse_us[HOLD] > SWITCHED_US, armed, f->period_s);
+    if (f->height.lost && !lost) {
+        quad_put_text(&f->endpoint, 2, "barometer lost: the height is not held");
+    }
+    r->flags |= f->height.holding ? QUAD_FLAG_HOLD : 0u;
+    r->flags |= f->height.landed ? QUAD_FLAG_LANDED : 0u;
 }
 
 void quad_firmware_cycle(quad_firmware *f, uint64_t start_us, const quad_inputs *inputs,
@@ -134,19 +164,25 @@ void quad_firmware_cycle(quad_firmware *f, uint64_t start_us, const quad_inputs 
 {
     quad_cycle *r = &f->record;
     quad_slow slow = inputs->sensors.slow;
-    quad_to_body(f->settings.mounting.axes, inputs->sensors.slow.mag_gauss, slow.mag_gauss);
+    quad_receiver meant;
     hear_receiver(f, &inputs->receiver, start_us);
     heed_switch(f);
-    const quad_sticks sticks = sticks_of(&f->receiver);
-    const quad_pilot pilot = pilot_of(&f->receiver, &sticks);
+    meant.failsafe = f->receiver.failsafe;
+    quad_setup_pulses(f->endpoint.gains.active, f->receiver.pulse_us, meant.pulse_us);
+    quad_sticks sticks = sticks_of(&meant);
+    const quad_pilot pilot = pilot_of(f, &meant, sticks.throttle);
     quad_endpoint_begin_cycle(&f->endpoint, start_us, &pilot, r);
+    slow.battery_v *= r->gains[QUAD_BATTERY_DIVIDER];
     quad_attitude_cycle(&f->attitude, &f->settings.mounting, &inputs->sensors, r->gains,
                         f->period_s, r->gyro, r->accel, r->attitude);
+    memcpy(slow.mag_gauss, f->attitude.mag, sizeof slow.mag_gauss);
     heed_gyro(f);
+    heed_height(f, &meant, &sticks, slow.pressure_hpa);
     quad_control_cycle(&f->control, &f->settings.ranges, &sticks, slow.battery_v, f->period_s,
                        r);
+    quad_endpoint_test_motor(&f->endpoint, r);
     quad_endpoint_end_cycle(&f->endpoint, r, &pilot, &slow);
-    memcpy(motors, r->motors, sizeof r->motors);
+    quad_setup_outputs(r->gains, r->motors, motors);
 }
 
 void quad_firmware_timed(quad_firmware *f, uint64_t due_us, uint64_t began_us, uint64_t ended_us)

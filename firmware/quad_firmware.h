@@ -12,23 +12,15 @@
 #define QUAD_FIRMWARE_H
 
 #include "quad_control.h"
-
-#define QUAD_CHANNELS 9 /* of the receiver: roll, pitch, throttle, yaw, aux 1 (kill) .. aux 5 */
+#include "quad_height.h"
+#include "quad_setup.h"
 
 typedef struct {
     quad_settings endpoint;
     quad_mounting mounting;
     quad_ranges ranges;
-    uint8_t arm_channel;      /* 1..9: armed by this channel's switch while the throttle is low; 0: none */
     uint32_t failsafe_off_us; /* motors stop after so long without the receiver; 0: never */
 } quad_firmware_settings;
-
-/* The receiver. Pulses are us, 1000..2000; a pitch pulse above the middle is nose down, a yaw pulse
- * above it nose to the left. A pulse outside 800..2200 is none: the last good one holds. */
-typedef struct {
-    float pulse_us[QUAD_CHANNELS];
-    bool failsafe;
-} quad_receiver;
 
 typedef struct {
     quad_sensors sensors;
@@ -48,11 +40,13 @@ typedef struct {
     quad_endpoint endpoint;
     quad_attitude attitude;
     quad_control control;
-    quad_receiver receiver; /* last good pulses */
+    quad_height height;
+    quad_receiver receiver; /* last good pulses, as they came */
     quad_timing timing;
     quad_cycle record; /* of the last cycle */
     float period_s;
     uint64_t failsafe_since_us;
+    size_t arm_channel; /* of which `arm_switch` tells */
     bool in_failsafe, arm_switch;
 } quad_firmware;
 
@@ -65,7 +59,7 @@ void quad_firmware_init(quad_firmware *f, const quad_firmware_settings *settings
 /* Take bytes that arrived at now_us; what answers them waits for quad_firmware_send. */
 void quad_firmware_receive(quad_firmware *f, const uint8_t *bytes, size_t count, uint64_t now_us);
 
-/* Run the control cycle that starts at start_us; writes the motors, 0..1. */
+/* Run the control cycle that starts at start_us; writes what the board's outputs give, 0..1. */
 void quad_firmware_cycle(quad_firmware *f, uint64_t start_us, const quad_inputs *inputs,
                          float motors[4]);
 

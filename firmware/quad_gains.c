@@ -49,6 +49,12 @@ void quad_gains_write(quad_gains *gains, size_t index, float value)
     }
 }
 
+bool quad_gains_sets_up(const quad_gains *gains)
+{
+    const float *set = gains->staging ? gains->copy : gains->active;
+    return memcmp(&set[QUAD_SET_UP], &gains->good[QUAD_SET_UP], (QUAD_PARAMETERS - QUAD_SET_UP) * sizeof(float)) != 0;
+}
+
 float quad_gains_shown(const quad_gains *gains, size_t index)
 {
     return gains->staging ? gains->copy[index] : gains->active[index];
@@ -151,15 +157,18 @@ uint8_t quad_gains_phase(const quad_gains *gains)
 
 uint32_t quad_gains_checksum(const float set[QUAD_PARAMETERS])
 {
+    /* of four bits; bit by bit it would be most of the longest cycle */
+    static const uint32_t nibble[16] = {
+        0x00000000u, 0x1DB71064u, 0x3B6E20C8u, 0x26D930ACu, 0x76DC4190u, 0x6B6B51F4u, 0x4DB26158u, 0x5005713Cu,
+        0xEDB88320u, 0xF00F9344u, 0xD6D6A3E8u, 0xCB61B38Cu, 0x9B64C2B0u, 0x86D3D2D4u, 0xA00AE278u, 0xBDBDF21Cu};
     uint32_t crc = 0xFFFFFFFFu;
     for (size_t i = 0; i < QUAD_PARAMETERS; i++) {
         uint32_t bits;
         memcpy(&bits, &set[i], sizeof bits);
         for (unsigned shift = 0; shift < 32; shift += 8) { /* little endian on any machine */
             crc ^= (bits >> shift) & 0xFFu;
-            for (int bit = 0; bit < 8; bit++) {
-                crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
-            }
+            crc = (crc >> 4) ^ nibble[crc & 15u];
+            crc = (crc >> 4) ^ nibble[crc & 15u];
         }
     }
     return ~crc;

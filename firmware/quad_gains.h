@@ -41,6 +41,9 @@ void quad_gains_heard(quad_gains *gains, uint64_t now_us);
 /* PARAM_SET: into the copy, or into force where none is open; nothing where it does not fit. */
 void quad_gains_write(quad_gains *gains, size_t index, float value);
 
+/* Whether the copy, or what is on trial, changes how the aircraft is built (QUAD_SET_UP). */
+bool quad_gains_sets_up(const quad_gains *gains);
+
 /* What PARAM_VALUE says. */
 float quad_gains_shown(const quad_gains *gains, size_t index);
 

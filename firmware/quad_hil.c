@@ -73,7 +73,6 @@ static bool take_boot(place p, quad_hil_boot *boot)
 {
     quad_firmware_settings *s = &boot->settings;
     *s = quad_firmware_defaults();
-    s->arm_channel = 0;
     s->failsafe_off_us = 0;
     s->endpoint.aircraft = take_number(&p, 8);
     s->endpoint.rate_hz = (uint16_t)take_number(&p, 2);

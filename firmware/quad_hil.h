@@ -10,7 +10,7 @@
 
 #include "quad_firmware.h"
 
-#define QUAD_HIL_LARGEST 560 /* bytes of a whole frame: sensors with all samples */
+#define QUAD_HIL_LARGEST 640 /* bytes of a whole frame, settings or all samples */
 #define QUAD_HIL_MOTORS 42   /* bytes of a frame with motors */
 
 typedef struct {

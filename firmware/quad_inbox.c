@@ -1,9 +1,13 @@
 /* The endpoint's ear: bytes to frames, who may speak, and what each frame does. */
+#include <math.h>
 #include <string.h>
 
 #include "quad_outbox.h"
 
 #define ARM_DISARM 400 /* MAV_CMD_COMPONENT_ARM_DISARM */
+#define MOTOR_TEST 209 /* MAV_CMD_DO_MOTOR_TEST: motor from 1, type, throttle, s, count */
+#define PERCENT 0.0f   /* MOTOR_TEST_THROTTLE_PERCENT */
+#define STANDS_US 2000000u /* since it was in motion: what fell has reached the ground */
 
 enum { ACCEPTED = 0, NOT_NOW = 1, DENIED = 2, UNSUPPORTED = 3 }; /* MAV_RESULT */
 
@@ -30,8 +34,10 @@ static void take_gains(quad_endpoint *e, uint64_t now_us)
     mavlink_msg_quad_gains_decode(&e->rx, &m);
     if (for_us(e, m.target_system, m.target_component)) {
         const quad_gains_request request = {m.action, m.transaction, m.watch_ms, m.checksum};
-        uint8_t action;
-        const uint8_t result = quad_gains_act(&e->gains, &request, now_us, &action);
+        uint8_t action = m.action, result = QUAD_GAINS_RESULT_ARMED;
+        if (m.action != QUAD_GAINS_ACTION_COMMIT || !e->armed || !quad_gains_sets_up(&e->gains)) {
+            result = quad_gains_act(&e->gains, &request, now_us, &action);
+        }
         quad_put_gains_state(e, action, result);
     }
 }
@@ -68,7 +74,7 @@ static void take_set(quad_endpoint *e)
     mavlink_msg_param_set_decode(&e->rx, &m);
     if (for_us(e, m.target_system, m.target_component)) {
         const int index = quad_parameter_index(m.param_id);
-        if (index >= 0) {
+        if (index >= 0 && (index < QUAD_SET_UP || !e->armed)) {
             quad_gains_write(&e->gains, (size_t)index, m.param_value);
         }
         answer_parameter(e, m.param_id);
@@ -87,7 +93,34 @@ static void take_list(quad_endpoint *e)
 bool quad_endpoint_may_arm_now(const quad_endpoint *e)
 {
     const uint16_t unsafe = QUAD_FLAG_RC_KILL | QUAD_FLAG_RC_FAILSAFE | QUAD_FLAG_ANGLE_LIMIT;
-    return e->throttle_low && !e->low_battery && !e->blind && (e->last_flags & unsafe) == 0;
+    return e->throttle_low && !e->low_battery && !e->blind && !e->unfit && (e->last_flags & unsafe) == 0 &&
+           e->test.until_us == 0 && !quad_gains_sets_up(&e->gains);
+}
+
+bool quad_endpoint_may_test_now(const quad_endpoint *e)
+{
+    const uint16_t unsafe = QUAD_FLAG_RC_KILL | QUAD_FLAG_RC_FAILSAFE | QUAD_FLAG_ANGLE_LIMIT | QUAD_FLAG_ARMED;
+    return !e->armed && e->throttle_low && !e->blind && !e->unfit && (e->last_flags & unsafe) == 0 &&
+           e->began_us >= e->flew_us + STANDS_US;
+}
+
+/* One motor, slowly, and no longer than an excitation may go on without being asked for again. */
+static uint8_t test_motor(quad_endpoint *e, const mavlink_command_long_t *m, uint64_t now_us)
+{
+    const float throttle = 0.01f * m->param3;
+    const bool one = m->param1 == 1.0f || m->param1 == 2.0f || m->param1 == 3.0f || m->param1 == 4.0f;
+    if (!one || m->param2 != PERCENT || !(throttle >= 0.0f && throttle <= QUAD_TEST_THROTTLE) ||
+        !(m->param4 >= 0.0f) || !(m->param5 <= 1.0f)) {
+        return DENIED;
+    }
+    if (!quad_endpoint_may_test_now(e)) {
+        return NOT_NOW;
+    }
+    const float long_us = fminf(1e6f * m->param4, (float)QUAD_DEAD_MAN_US);
+    e->test.motor = (size_t)m->param1 - 1;
+    e->test.throttle = throttle;
+    e->test.until_us = throttle > 0.0f && long_us >= 1.0f ? now_us + (uint64_t)long_us : 0;
+    return ACCEPTED;
 }
 
 static uint8_t arm(quad_endpoint *e, float wanted)
@@ -109,12 +142,17 @@ static uint8_t arm(quad_endpoint *e, float wanted)
     return ACCEPTED;
 }
 
-static void take_command(quad_endpoint *e)
+static void take_command(quad_endpoint *e, uint64_t now_us)
 {
     mavlink_command_long_t m;
     mavlink_msg_command_long_decode(&e->rx, &m);
     if (for_us(e, m.target_system, m.target_component)) {
-        const uint8_t result = m.command == ARM_DISARM ? arm(e, m.param1) : UNSUPPORTED;
+        uint8_t result = UNSUPPORTED;
+        if (m.command == ARM_DISARM) {
+            result = arm(e, m.param1);
+        } else if (m.command == MOTOR_TEST) {
+            result = test_motor(e, &m, now_us);
+        }
         quad_put_ack(e, m.command, result);
     }
 }
@@ -158,7 +196,7 @@ static void use(quad_endpoint *e, uint64_t now_us)
         take_set(e);
         break;
     case MAVLINK_MSG_ID_COMMAND_LONG:
-        take_command(e);
+        take_command(e, now_us);
         break;
     default: /* HEARTBEAT and others: a sign of life */
         break;

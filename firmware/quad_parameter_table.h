@@ -28,7 +28,8 @@ enum {
     QUAD_OF_AXIS
 };
 
-/* In a set: first group of each axis, shared, rest of each axis, mixer and notches. */
+/* In a set: first group of each axis, shared, rest of each axis, mixer and notches,
+ * height, set-up. */
 enum {
     QUAD_SENSOR_GYRO_FILTER_HZ = 3 * QUAD_PER_AXIS, /* cut-off of the gyro (2nd order), Hz */
     QUAD_SENSOR_ACCEL_FILTER_HZ, /* cut-off of the accelerometer, Hz */
@@ -43,6 +44,55 @@ enum {
     QUAD_SENSOR_NOTCH_2_BANDWIDTH_HZ, /* its width at -3 dB, Hz */
     QUAD_RATE_D_NOTCH_HZ, /* notch before rate.kd of all axes, off at 0, Hz */
     QUAD_RATE_D_NOTCH_BANDWIDTH_HZ, /* its width at -3 dB, Hz */
+    QUAD_CLIMB_HEIGHT_KP, /* climb reference per height error, 1/s */
+    QUAD_CLIMB_HEIGHT_RATE_LIMIT, /* largest climb reference, m/s */
+    QUAD_CLIMB_HEIGHT_CEILING, /* largest height above the take-off, m */
+    QUAD_CLIMB_RATE_KP, /* command per error of the climb, s/m */
+    QUAD_CLIMB_RATE_KI, /* command per integral of that error, 1/m */
+    QUAD_CLIMB_RATE_KD, /* command per measured vertical acceleration, s^2/m */
+    QUAD_CLIMB_RATE_INTEGRATOR_LIMIT, /* largest command of the integral */
+    QUAD_CLIMB_RATE_OUTPUT_LIMIT, /* largest command beside the trim */
+    QUAD_CLIMB_HOVER, /* throttle that carries the aircraft, at take-off */
+    QUAD_CLIMB_FILTER_S, /* time in which the barometer holds the height, s */
+    QUAD_SET_UP, /* from here on: how the aircraft is built */
+    QUAD_RECEIVER_ROLL_CHANNEL = QUAD_SET_UP, /* the receiver's channel of it */
+    QUAD_RECEIVER_PITCH_CHANNEL, /* the receiver's channel of it */
+    QUAD_RECEIVER_THROTTLE_CHANNEL, /* the receiver's channel of it */
+    QUAD_RECEIVER_YAW_CHANNEL, /* the receiver's channel of it */
+    QUAD_RECEIVER_KILL_CHANNEL, /* the receiver's channel of it */
+    QUAD_RECEIVER_ARM_CHANNEL, /* the receiver's channel of it, 0: none */
+    QUAD_RECEIVER_HOLD_CHANNEL, /* the receiver's channel of it, 0: none */
+    QUAD_RECEIVER_ROLL_MIN_US, /* its pulse at minimum, us */
+    QUAD_RECEIVER_ROLL_CENTRE_US, /* its pulse in the middle, us */
+    QUAD_RECEIVER_ROLL_MAX_US, /* its pulse at maximum, us */
+    QUAD_RECEIVER_PITCH_MIN_US, /* its pulse at minimum, us */
+    QUAD_RECEIVER_PITCH_CENTRE_US, /* its pulse in the middle, us */
+    QUAD_RECEIVER_PITCH_MAX_US, /* its pulse at maximum, us */
+    QUAD_RECEIVER_THROTTLE_MIN_US, /* its pulse at minimum, us */
+    QUAD_RECEIVER_THROTTLE_MAX_US, /* its pulse at maximum, us */
+    QUAD_RECEIVER_YAW_MIN_US, /* its pulse at minimum, us */
+    QUAD_RECEIVER_YAW_CENTRE_US, /* its pulse in the middle, us */
+    QUAD_RECEIVER_YAW_MAX_US, /* its pulse at maximum, us */
+    QUAD_RECEIVER_DEADBAND_US, /* around the middle, without effect, us */
+    QUAD_MOTORS_OUTPUT_1, /* the output that drives this motor */
+    QUAD_MOTORS_OUTPUT_2, /* the output that drives this motor */
+    QUAD_MOTORS_OUTPUT_3, /* the output that drives this motor */
+    QUAD_MOTORS_OUTPUT_4, /* the output that drives this motor */
+    QUAD_MOTORS_PULSE_MIN_US, /* pulse of a motor that stands, us */
+    QUAD_MOTORS_PULSE_MAX_US, /* pulse of full throttle, us */
+    QUAD_BOARD_ROLL, /* how the board is turned in the body, yaw first, rad */
+    QUAD_BOARD_PITCH, /* how the board is turned in the body, yaw first, rad */
+    QUAD_BOARD_YAW, /* how the board is turned in the body, yaw first, rad */
+    QUAD_ACCEL_OFFSET_X, /* what it shows at none, axis of the board, m/s^2 */
+    QUAD_ACCEL_OFFSET_Y, /* what it shows at none, axis of the board, m/s^2 */
+    QUAD_ACCEL_OFFSET_Z, /* what it shows at none, axis of the board, m/s^2 */
+    QUAD_ACCEL_SCALE_X, /* factor behind that */
+    QUAD_ACCEL_SCALE_Y, /* factor behind that */
+    QUAD_ACCEL_SCALE_Z, /* factor behind that */
+    QUAD_COMPASS_OFFSET_X, /* what it shows of no field, axis of the board, gauss */
+    QUAD_COMPASS_OFFSET_Y, /* what it shows of no field, axis of the board, gauss */
+    QUAD_COMPASS_OFFSET_Z, /* what it shows of no field, axis of the board, gauss */
+    QUAD_BATTERY_DIVIDER, /* pack voltage over that at the pin */
     QUAD_PARAMETERS
 };
 
@@ -118,6 +168,54 @@ enum {
     {"NOTCH_2_HZ", 0.0f, 400.0f, 0.0f}, \
     {"NOTCH_2_BW", 1.0f, 200.0f, 20.0f}, \
     {"D_NOTCH_HZ", 0.0f, 110.0f, 0.0f}, \
-    {"D_NOTCH_BW", 1.0f, 100.0f, 20.0f}
+    {"D_NOTCH_BW", 1.0f, 100.0f, 20.0f}, \
+    {"CLIMB_HGT_KP", 0.0f, 5.0f, 1.0f}, \
+    {"CLIMB_HGT_VLIM", 0.1f, 5.0f, 1.0f}, \
+    {"CLIMB_HGT_CEIL", 1.0f, 500.0f, 30.0f}, \
+    {"CLIMB_RATE_KP", 0.0f, 1.0f, 0.1f}, \
+    {"CLIMB_RATE_KI", 0.0f, 1.0f, 0.05f}, \
+    {"CLIMB_RATE_KD", 0.0f, 0.2f, 0.01f}, \
+    {"CLIMB_RATE_ILIM", 0.0f, 0.5f, 0.2f}, \
+    {"CLIMB_RATE_ULIM", 0.01f, 0.6f, 0.3f}, \
+    {"CLIMB_HOVER", 0.1f, 0.8f, 0.35f}, \
+    {"CLIMB_FILTER_S", 0.3f, 10.0f, 2.0f}, \
+    {"RC_ROLL_CH", 1.0f, 9.0f, 1.0f}, \
+    {"RC_PITCH_CH", 1.0f, 9.0f, 2.0f}, \
+    {"RC_THROT_CH", 1.0f, 9.0f, 3.0f}, \
+    {"RC_YAW_CH", 1.0f, 9.0f, 4.0f}, \
+    {"RC_KILL_CH", 1.0f, 9.0f, 5.0f}, \
+    {"RC_ARM_CH", 0.0f, 9.0f, 6.0f}, \
+    {"RC_HOLD_CH", 0.0f, 9.0f, 0.0f}, \
+    {"RC_ROLL_MIN", 800.0f, 2200.0f, 1000.0f}, \
+    {"RC_ROLL_CEN", 800.0f, 2200.0f, 1500.0f}, \
+    {"RC_ROLL_MAX", 800.0f, 2200.0f, 2000.0f}, \
+    {"RC_PITCH_MIN", 800.0f, 2200.0f, 1000.0f}, \
+    {"RC_PITCH_CEN", 800.0f, 2200.0f, 1500.0f}, \
+    {"RC_PITCH_MAX", 800.0f, 2200.0f, 2000.0f}, \
+    {"RC_THROT_MIN", 800.0f, 2200.0f, 1000.0f}, \
+    {"RC_THROT_MAX", 800.0f, 2200.0f, 2000.0f}, \
+    {"RC_YAW_MIN", 800.0f, 2200.0f, 1000.0f}, \
+    {"RC_YAW_CEN", 800.0f, 2200.0f, 1500.0f}, \
+    {"RC_YAW_MAX", 800.0f, 2200.0f, 2000.0f}, \
+    {"RC_DEADBAND", 0.0f, 100.0f, 0.0f}, \
+    {"MOT_OUTPUT_1", 1.0f, 4.0f, 1.0f}, \
+    {"MOT_OUTPUT_2", 1.0f, 4.0f, 2.0f}, \
+    {"MOT_OUTPUT_3", 1.0f, 4.0f, 3.0f}, \
+    {"MOT_OUTPUT_4", 1.0f, 4.0f, 4.0f}, \
+    {"MOT_PULSE_MIN", 800.0f, 2200.0f, 1000.0f}, \
+    {"MOT_PULSE_MAX", 800.0f, 2200.0f, 2000.0f}, \
+    {"BOARD_ROLL", -3.1416f, 3.1416f, 0.0f}, \
+    {"BOARD_PITCH", -3.1416f, 3.1416f, 0.0f}, \
+    {"BOARD_YAW", -3.1416f, 3.1416f, 0.0f}, \
+    {"ACC_OFF_X", -5.0f, 5.0f, 0.0f}, \
+    {"ACC_OFF_Y", -5.0f, 5.0f, 0.0f}, \
+    {"ACC_OFF_Z", -5.0f, 5.0f, 0.0f}, \
+    {"ACC_SCALE_X", 0.8f, 1.2f, 1.0f}, \
+    {"ACC_SCALE_Y", 0.8f, 1.2f, 1.0f}, \
+    {"ACC_SCALE_Z", 0.8f, 1.2f, 1.0f}, \
+    {"MAG_OFF_X", -5.0f, 5.0f, 0.0f}, \
+    {"MAG_OFF_Y", -5.0f, 5.0f, 0.0f}, \
+    {"MAG_OFF_Z", -5.0f, 5.0f, 0.0f}, \
+    {"BAT_DIVIDER", 1.0f, 40.0f, 11.0f}
 
 #endif

@@ -1,5 +1,7 @@
 """A flight campaign in lockstep, in a process of its own; its outcome is a file of JSON.
 
+`Turns` is for a test that leads one step by step instead.
+
 `python campaign.py FOLDER` reads FOLDER/wanted.json and writes FOLDER/outcome.json: the bag, the
 report, the gains before and after, or why it failed, and what became of the processes.
 """
@@ -10,12 +12,53 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 TIMEOUT_S = 1500.0
 """A bound that no busy machine reaches; measures nothing."""
+
+
+class Turns:
+    """Simulated time of a crew: it stands still while a test acts, and passes while it waits.
+
+    Between two looks little passes, so that nothing that lasts is over before the test sees it,
+    however slow the test is beside the aircraft.
+    """
+
+    def __init__(self, crew: Any, probe: Any, turn_s: float = 0.4) -> None:
+        self.crew, self.probe, self.turn_s = crew, probe, turn_s
+        crew.clock.hold()
+
+    def rest(self, seconds: float) -> None:
+        """Let simulated time pass."""
+        clock = self.crew.clock
+        end_s = clock.now_s() + seconds
+        clock.release()
+        self.probe.until(
+            lambda: self.crew.check('wait') or clock.now_s() >= end_s, 'time', pause_s=0.001
+        )
+        clock.hold()
+        self.probe.nodes()  # it has heard what there was to hear
+
+    def until(self, condition: Callable[[], object], what: object) -> None:
+        def met() -> object:
+            found = condition()
+            if not found:
+                self.rest(self.turn_s)
+            return found
+
+        self.probe.until(met, what)
+
+    def call(self, service: str, *kind: str, **request: Any) -> Any:
+        """Call a service; time passes where it needs some for its answer."""
+        return self.answer(self.probe.ask(service, *kind, **request))
+
+    def answer(self, answer: Any) -> Any:
+        self.until(answer.done, answer.words)
+        return answer.result()
 
 
 def campaign(folder: Path, **wanted: Any) -> Any:

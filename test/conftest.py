@@ -31,9 +31,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, lambda *_: None)
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest first, so that none begins when the others are done."""
-    items.sort(key=lambda item: item.get_closest_marker('timeout') is None)
+    """The longest first, so that none begins when the others are done: loops, then searches.
+
+    What a module's fixture makes is made once: tests that share one stay with one worker.
+    """
+    searches = ('quad_sysid', 'quad_tuning')
+    items.sort(key=lambda item: (item.get_closest_marker('timeout') is None,
+                                 item.path.parent.name not in searches))
+    for item in items:
+        definitions = item._fixtureinfo.name2fixturedefs.values()
+        if any(made[-1].scope == 'module' for made in definitions):
+            item.add_marker(pytest.mark.xdist_group(item.path.name))
 
 
 @pytest.fixture

@@ -63,13 +63,6 @@ def reference_study() -> Study:
     return Study(truth)
 
 
-def table3_study() -> Study:
-    """Build the paper's ARX 10 10 5 (Table 3) with the sign of B turned, in its own loop."""
-    a = [1, -0.579, -0.115, -0.571, -0.010, 0.0728, 0.035, -0.012, 0.075, 0.052, 0.055]
-    b = [0.005, 0.004, 0.004, 0.003, 0.002, 0.002, 0.0017, 0.0008, 0.0007, 0.0007]
-    return Study(polynomial_model([0.0] * 5 + b, A=a, dt=0.004, noise_variance=0.25))
-
-
 def prbs_bits(bits: int, state: int) -> FloatArray:
     """One period, 2^bits - 1 entries of ±1, of the maximal shift register from `state`."""
     taps = {5: 3, 6: 5, 7: 6, 9: 5, 10: 7, 11: 9}[bits]

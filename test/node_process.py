@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -32,8 +33,9 @@ MODULES = {
     'excitation': 'quad_sysid.excitation_node',
     'identification': 'quad_sysid.identification_node',
     'virtual_stm32': 'quad_bridge.virtual.process',
+    'main': 'quad_tuning.update_node',
 }
-"""What they import first."""
+"""What they import first; `main` is that of `quad-tune`."""
 GRACE_S = 30.0
 """So long may a process take to end before it is killed; measures nothing."""
 
@@ -92,16 +94,17 @@ class Started:
         """`nursery`: forks it where it is one of our programs."""
         self._out, self._err = files.with_suffix('.out'), files.with_suffix('.err')
         words = [str(word) for word in command]
-        name = next((n for n in MODULES if f' import {n} as start' in ' '.join(words[2:3])), '')
+        begun = re.search(r' import (\w+) as start', ' '.join(words[2:3]))
+        module = MODULES.get(begun[1]) if begun else None
         none = Path(os.devnull)
         with self._out.open('w') as out, self._err.open('w') as err, none.open() as given:
-            if nursery is None or not name or words[:2] != [sys.executable, '-c']:
+            if nursery is None or module is None or words[:2] != [sys.executable, '-c']:
                 options = {'stdout': out, 'stderr': err, **options}
                 self.process: Any = subprocess.Popen(words, **options)
             else:
                 streams = [given.fileno(), options.pop('stdout', out.fileno()),
                            options.pop('stderr', err.fileno())]
-                self.process = nursery.fork([MODULES[name]], *words[2:3], words[3:], streams,
+                self.process = nursery.fork([module], *words[2:3], words[3:], streams,
                                             **options)
         self.pid = self.process.pid
 

@@ -368,6 +368,8 @@ class Server:
 
     def opened(self, node: str) -> dict[str, list[str]]:
         own = self.node
+        if node not in own.get_node_names():  # nobody has heard of it yet
+            return {'publishes': [], 'hears': [], 'offers': [], 'calls': []}
         found = {
             'publishes': own.get_publisher_names_and_types_by_node(node, '/'),
             'hears': own.get_subscriber_names_and_types_by_node(node, '/'),

@@ -12,11 +12,13 @@ import numpy as np
 
 from quad_bridge.gains.table import (
     AXES,
+    CLIMB,
     DEFAULT_BOUNDS,
     OF_AIRCRAFT,
     OPTIONAL,
     PER_AXIS,
     ROWS,
+    SET_UP,
     SHARED,
     Gain,
 )
@@ -43,14 +45,18 @@ def header() -> str:
         '    QUAD_OF_AXIS',
         '};',
         '',
-        '/* In a set: first group of each axis, shared, rest of each axis, mixer and notches. */',
+        '/* In a set: first group of each axis, shared, rest of each axis, mixer and notches,',
+        ' * height, set-up. */',
         'enum {',
         f'    {_enumerator(first)} = 3 * QUAD_PER_AXIS, /* {_told(first)} */',
         *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in others),
         '    QUAD_OPTIONAL,',
         '    QUAD_BEFORE_MIXER = QUAD_OPTIONAL + 3 * (QUAD_OF_AXIS - QUAD_PER_AXIS) - 1,',
         f'    {_enumerator(OF_AIRCRAFT[0])}, /* {_told(OF_AIRCRAFT[0])} */',
-        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in OF_AIRCRAFT[1:]),
+        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in (*OF_AIRCRAFT[1:], *CLIMB)),
+        '    QUAD_SET_UP, /* from here on: how the aircraft is built */',
+        f'    {_enumerator(SET_UP[0])} = QUAD_SET_UP, /* {_told(SET_UP[0])} */',
+        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in SET_UP[1:]),
         '    QUAD_PARAMETERS',
         '};',
         '',
@@ -59,7 +65,7 @@ def header() -> str:
         *(f'    {_entry(row, axis)}, \\' for axis in range(3) for row in PER_AXIS),
         *(f'    {_entry(row)}, \\' for row in SHARED),
         *(f'    {_entry(row, axis)}, \\' for axis in range(3) for row in OPTIONAL),
-        *(f'    {_entry(row)}, \\' for row in OF_AIRCRAFT),
+        *(f'    {_entry(row)}, \\' for row in (*OF_AIRCRAFT, *CLIMB, *SET_UP)),
         '',
         '#endif',
     ]
@@ -73,7 +79,7 @@ def _enumerator(row: Gain) -> str:
 
 
 def _told(row: Gain) -> str:
-    unit = '' if row.unit == '1' else f', {row.unit.replace("²", "^2")}'
+    unit = '' if row.unit == '1' else f', {row.unit.replace("²", "^2").replace("µ", "u")}'
     return f'{row.meaning}{unit}' + (', read only' if row.limits is None else '')
 
 
@@ -107,6 +113,8 @@ def page() -> str:
         ('Of the aircraft', SHARED),
         ('Of each axis, where a firmware has them (off at 0)', OPTIONAL),
         ('Of the aircraft, where a firmware has them', OF_AIRCRAFT),
+        ('Of the height mode', CLIMB),
+        ('Set-up: by `setup` only, disarmed', SET_UP),
     ):
         lines += ['', f'## {title}', '', '| gain | wire | unit | meaning | limits | bound |',
                   '|---|---|---|---|---|---|']  # fmt: skip

@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ USAGE = (
     'ros2: without ROS 2 installed there is only: ros2 run PACKAGE EXECUTABLE [ARGS …] and '
     'ros2 service call NAME TYPE [YAML]'
 )
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 def run(package: str, executable: str, arguments: list[str]) -> str:
@@ -65,15 +66,17 @@ def call(name: str, kind: str, text: str) -> str:
     try:
         node = rclpy.create_node('service_call')
         client = node.create_client(offered, name)
-        if not client.wait_for_service(PATIENCE_S):
+        begun_s = time.monotonic()
+        while not client.wait_for_service(1.0):  # a node takes its time to start
             full = node.resolve_service_name(name)
             kinds = dict(node.get_service_names_and_types()).get(full, [])
             others = ', '.join(one for one in kinds if one != kind)  # the client's own is there
             if others:
                 return f'ros2 service call: {name} is a {others}'
-            return f'ros2 service call: nobody offers {name} within {PATIENCE_S:g} s'
+            if time.monotonic() - begun_s > PATIENCE_S:
+                return f'ros2 service call: nobody offers {name} within {PATIENCE_S:g} s'
         answer = client.call_async(request)
-        rclpy.spin_until_future_complete(node, answer, timeout_sec=6.0 * PATIENCE_S)
+        rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE_S)
         if not answer.done():
             return f'ros2 service call: {name} gave no answer'
         sys.stdout.write(f'response:\n{answer.result()!r}\n')

@@ -4,13 +4,15 @@
 
 #include <stdint.h>
 
+#define ESC_LEAST_US 1000.0f /* of one that stands, and of full throttle, where the set-up does not say */
+#define ESC_MOST_US 2000.0f
 #define ESC_PERIOD_US 2500u /* 400 Hz; SimonK takes a pulse in every period */
 
-/* Pulse in us, 1000 (stopped) to 2000, of a command 0..1; 1000 for what is no number. */
-static inline uint16_t esc_pulse_us(float command)
+/* Pulse in us, `least_us` (stopped) to `most_us`, of a command 0..1; the least for what is no number. */
+static inline uint16_t esc_pulse_us(float command, float least_us, float most_us)
 {
     const float bounded = command > 0.0f ? (command < 1.0f ? command : 1.0f) : 0.0f;
-    return (uint16_t)(1000.5f + 1000.0f * bounded);
+    return (uint16_t)(least_us + 0.5f + (most_us - least_us) * bounded);
 }
 
 #endif

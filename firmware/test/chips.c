@@ -326,7 +326,7 @@ static void test_arming(void)
     quad_inputs in;
     float motors[4];
     memset(&in, 0, sizeof in);
-    in.sensors.slow.battery_v = 12.0f;
+    in.sensors.slow.battery_v = 12.0f / 11.0f;
     in.sensors.samples = 1;
     in.sensors.accel[0][2] = 9.81f;
     for (size_t i = 0; i < QUAD_CHANNELS; i++) {
@@ -374,8 +374,9 @@ int main(void)
     float motors[4], given[4];
     const float none[4] = {0.5f, NAN, 0.0f, 0.0f};
     check(quad_mix(none, 0.05f, motors, given) && motors[0] == 0.0f && motors[1] == 0.0f, "no number, no thrust");
-    check(esc_pulse_us(0) == 1000 && esc_pulse_us(1) == 2000 && esc_pulse_us(0.5f) == 1500, "ESC");
-    check(esc_pulse_us(-1) == 1000 && esc_pulse_us(NAN) == 1000 && esc_pulse_us(9) == 2000, "limits");
+    check(esc_pulse_us(0, 1000, 2000) == 1000 && esc_pulse_us(1, 1000, 2000) == 2000, "ESC");
+    check(esc_pulse_us(0.5f, 1000, 1900) == 1450 && esc_pulse_us(-1, 1100, 1900) == 1100, "its own range");
+    check(esc_pulse_us(NAN, 1000, 2000) == 1000 && esc_pulse_us(9, 1000, 2000) == 2000, "limits");
     printf("%d checks, %d failed\n", checks, failures);
     return failures > 0;
 }

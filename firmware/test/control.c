@@ -1,10 +1,12 @@
-/* The control law on records in memory: what is held back where the motors cannot give it, airmode, notches. */
+/* The control law on records in memory: what is held back where the motors cannot give it, airmode, notches; the
+ * height mode on a point mass, with the barometer lost in the midst. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "quad_attitude.h"
 #include "quad_control.h"
+#include "quad_height.h"
 #include "quad_parameters.h"
 
 #define PERIOD_S 0.004f
@@ -103,11 +105,71 @@ static void test_notch(void)
     check(passed(&notch, 80.0f) > 0.99f, "off beyond what the samples tell");
 }
 
+/* A mass that one unit of throttle accelerates by 30 m/s^2, on a ground. */
+typedef struct {
+    quad_height mode;
+    double height, climb, force; /* m, m/s, m/s^2 */
+    float highest, tilt;
+} mass;
+
+static void lift(mass *m, float stick, bool wanted, bool barometer, size_t cycles)
+{
+    const float attitude[3] = {m->tilt, 0.0f, 0.0f};
+    for (size_t k = 0; k < cycles; k++) {
+        const double noise = 0.15 * sin(1.7 * (double)k) + 0.1 * sin(0.31 * (double)k);
+        const float hpa = (float)(1000.0 * pow(1.0 - (m->height + noise) / 44330.77, 5.2559));
+        const float up = (float)m->force;
+        const float accel[3] = {0.0f, -sinf(m->tilt) * up, -cosf(m->tilt) * up};
+        quad_height_measure(&m->mode, gains, accel, attitude, barometer ? hpa : NAN, true, PERIOD_S);
+        const float throttle =
+            quad_height_throttle(&m->mode, gains, attitude, stick, false, wanted, true, PERIOD_S);
+        check(throttle >= 0.0f && throttle <= 1.0f, "a throttle");
+        const double pull = 30.0 * (double)(throttle * cosf(m->tilt));
+        m->force = m->height <= 0.0 ? fmax(pull, 9.80665) : pull;
+        m->climb += (double)PERIOD_S * (m->force - 9.80665);
+        m->height = fmax(0.0, m->height + (double)PERIOD_S * m->climb);
+        m->climb = m->height <= 0.0 ? fmax(0.0, m->climb) : m->climb;
+        m->highest = fmaxf(m->highest, (float)m->height);
+    }
+}
+
+static void test_height(void)
+{
+    mass m = {.force = 9.80665};
+    begin();
+    gains[QUAD_CLIMB_HEIGHT_CEILING] = 3.0f;
+    quad_height_init(&m.mode);
+    lift(&m, 0.0f, true, true, 500);
+    check(m.mode.landed && m.mode.holding && m.height <= 0.0, "on the ground it waits");
+    lift(&m, 1.0f, true, true, 2500);
+    check(!m.mode.landed && fabs(m.height - 3.0) < 0.3 && m.highest < 3.6f, "up to the ceiling, not beyond");
+    m.tilt = 0.4f;
+    lift(&m, 0.5f, true, true, 2000);
+    check(fabs(m.height - (double)m.mode.reference) < 0.3, "the stick in its middle holds it, tilted too");
+    m.tilt = 0.0f;
+    lift(&m, 0.5f, true, true, 500);
+    const double before = m.height;
+    lift(&m, 0.5f, true, false, 750);
+    check(m.mode.lost && fabs(m.height - before) < 1.5, "without the barometer the throttle stays");
+    const float held = m.mode.throttle;
+    lift(&m, 0.6f, true, false, 1);
+    check(m.mode.throttle > held, "and the stick has it");
+    lift(&m, 0.33f, false, true, 250);
+    check(!m.mode.holding && m.mode.throttle == 0.33f, "until the pilot leaves the mode");
+    lift(&m, 0.33f, true, true, 250);
+    check(m.mode.holding && m.mode.known, "the barometer is back");
+    lift(&m, 0.0f, true, true, 3500);
+    check(m.mode.landed && m.mode.throttle == 0.0f && m.height <= 0.0, "it sinks and has landed");
+    lift(&m, 0.33f, true, true, 250);
+    check(m.mode.landed && m.mode.throttle == 0.0f, "and stays there");
+}
+
 int main(void)
 {
     test_no_integral_of_what_is_not_given();
     test_airmode();
     test_notch();
+    test_height();
     printf("%d checks, %d failed\n", checks, failures);
     return failures > 0;
 }

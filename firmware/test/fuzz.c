@@ -34,7 +34,8 @@ static const uint32_t kinds[] = {
 static void fill(mavlink_message_t *m, uint32_t kind)
 {
     if (kind == MAVLINK_MSG_ID_PARAM_SET && draw(4) != 0) {
-        const quad_parameter *p = &quad_parameters[draw(QUAD_PARAMETERS)];
+        /* seldom one of the set-up: few of them fit together */
+        const quad_parameter *p = &quad_parameters[draw(draw(50) == 0 ? QUAD_PARAMETERS : QUAD_SET_UP)];
         float value = p->lowest + (p->highest - p->lowest) * (float)draw(1000) / 800.0f;
         mavlink_param_set_t set = {.target_system = 1, .target_component = 1};
         memcpy(set.param_id, p->name, sizeof set.param_id);
@@ -102,13 +103,15 @@ static const char *broken(const quad_firmware *f)
               e->excitation.value[i] <= QUAD_LIMIT_RATE)) {
             return "an excitation is beyond its limits";
         }
-        if (!isfinite(f->record.gyro[i] + f->record.attitude[i] + f->record.control[i + 1])) {
+        if (!isfinite(f->record.gyro[i] + f->record.attitude[i] + f->record.control[i + 1] + f->height.height +
+                      f->record.control[0])) {
             return "a number is not finite";
         }
     }
     for (int i = 0; i < 4; i++) {
-        const bool stopped = (f->record.flags & QUAD_FLAG_ARMED) == 0;
-        if (!(f->record.motors[i] >= 0.0f && f->record.motors[i] <= (stopped ? 0.0f : 1.0f))) {
+        const float tested = (f->record.flags & QUAD_FLAG_MOTOR_TEST) != 0 ? QUAD_TEST_THROTTLE : 0.0f;
+        const float most = (f->record.flags & QUAD_FLAG_ARMED) != 0 ? 1.0f : tested;
+        if (!(f->record.motors[i] >= 0.0f && f->record.motors[i] <= most)) {
             return "a motor is beyond its limits";
         }
     }
@@ -137,7 +140,7 @@ static void measure(quad_inputs *inputs)
             s->accel[i][k] = number(k == 2 ? 9.81f : 0.0f, 0.5f);
         }
     }
-    s->slow.battery_v = draw(50) == 0 ? 9.0f : number(12.0f, 0.5f);
+    s->slow.battery_v = draw(50) == 0 ? 0.8f : number(1.1f, 0.05f);
     for (size_t k = 0; k < 3; k++) {
         s->slow.mag_gauss[k] = number(0.2f, 0.2f);
     }

@@ -1,5 +1,5 @@
-/* Receivers on a serial line: golden frames, flags, and frames under damage and noise.
- *     serial_radio [bytes]    of noise and damaged frames for each kind */
+/* Receivers on a serial line: golden frames, flags, and frames under damage and noise; pulses under the same.
+ *     serial_radio [bytes]    of noise and damaged frames for each kind, an edge of a pulse counted as one */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -196,6 +196,70 @@ static void test_damage(serial_kind kind, long bytes)
     check(wrong == 0, "damage and noise are no frame");
 }
 
+static void edge(radio *r, uint8_t wire, bool high, uint32_t after_us)
+{
+    now_us += after_us;
+    const radio_edge one = {(uint16_t)now_us, wire, high};
+    radio_take(r, one, now_us);
+}
+
+static void pulse(radio *r, uint8_t wire, uint32_t width_us)
+{
+    edge(r, wire, true, 20);
+    edge(r, wire, false, width_us);
+}
+
+/* Rising edges of a PPM frame with so many channels, and the gap before it. */
+static void ppm_frame(radio *r, size_t channels)
+{
+    edge(r, 0, true, 6000);
+    for (size_t i = 0; i < channels; i++) {
+        edge(r, 0, true, 1100 + 100 * (uint32_t)i);
+    }
+}
+
+/* Glitches, lost edges and frames with an edge too many: none of them is a frame or a pulse. */
+static void test_pulses(bool ppm, long edges)
+{
+    radio r;
+    radio_start(&r, ppm);
+    long sent = 0, wrong = 0;
+    size_t channels = 7;
+    while (sent < edges) {
+        const uint64_t since_us = now_us;
+        for (uint32_t burst = draw(40); burst > 0; burst--) {
+            if (ppm && draw(2) == 0) { /* an edge lost, or one too many; never two alike in a row */
+                channels = 16 - channels;
+                ppm_frame(&r, channels);
+            }
+            for (uint32_t k = draw(12); k > 0; k--) {
+                pulse(&r, (uint8_t)(ppm ? 0 : draw(12)), draw(2) == 0 ? 1 + draw(700) : 2300 + draw(300));
+            }
+            now_us += 3000 + draw(3000); /* a gap: shorter ones would be channels by chance */
+            sent += 30;
+        }
+        const bool long_ago = now_us - since_us > RADIO_LOST_US + 20000;
+        wrong += long_ago && !radio_now(&r, now_us).failsafe;
+        for (int again = 0; again < 4; again++) {
+            if (ppm) {
+                ppm_frame(&r, 8);
+            }
+            for (uint8_t wire = 0; wire < 6 && !ppm; wire++) {
+                pulse(&r, wire, 1100 + 100u * wire);
+            }
+        }
+        if (ppm) {
+            edge(&r, 0, true, 6000);
+        }
+        const quad_receiver now = radio_now(&r, now_us);
+        check(!now.failsafe, "whole frames end a failsafe");
+        for (size_t i = 0; i < 6; i++) {
+            check(now.pulse_us[i] == (float)(1100 + 100 * i), "with their channels");
+        }
+    }
+    check(wrong == 0, "glitches are no frame");
+}
+
 int main(int count, char **arguments)
 {
     const long bytes = count > 1 ? strtol(arguments[1], NULL, 10) : 1000000;
@@ -203,6 +267,8 @@ int main(int count, char **arguments)
         test_golden((serial_kind)kind);
         test_damage((serial_kind)kind, bytes);
     }
+    test_pulses(true, bytes);
+    test_pulses(false, bytes);
     test_sbus_flags();
     test_crsf_link();
     printf("%ld checks, %d failed\n", checks, failures);

@@ -40,6 +40,7 @@ setup(
             'monitor = quad_bridge.start:monitor',
             'sensors = quad_bridge.start:sensors',
             'make_key = quad_bridge.start:make_key',
+            'setup = quad_bridge.start:setup',
             'bag_logger = quad_bridge.start:bag_logger',
             'serial_bridge = quad_bridge.start:serial_bridge',
             'virtual_stm32 = quad_bridge.start:virtual_stm32',

@@ -46,6 +46,7 @@ setup(
         'blackbox': ['orangebox<0.5'],  # GPL-3; 0.5 cannot be installed by pip
         'export': ['control'],
         'app': ['starlette', 'uvicorn'],
+        'cluster': ['distributed', 'fsspec', 'pyarrow'],
         'shell': ['argcomplete'],
         'test': ['pytest', 'hypothesis', 'jsonschema'],
     },

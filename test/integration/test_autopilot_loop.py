@@ -1,7 +1,9 @@
 """The loop on PX4 and ArduPilot through processes: excite, log, fetch, identify, send, watch.
 
 The stand-ins of flying_autopilot.py fly in lockstep behind a pseudo-terminal; nodes, services and
-topics are the real ones. Faults and refusals are test_autopilots.py's.
+topics are the real ones. Faults and refusals are test_autopilots.py's. A trial lasts some seconds,
+and a second call to disarm must come within two of simulated time: it passes only while the test
+waits (campaign.Turns).
 """
 
 import json
@@ -9,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from campaign import Turns
 
 from quad_sysid.bags import read_bag
 from quad_tuning.demo.processes import Crew
@@ -44,13 +47,13 @@ TRUTH = {'gain': 2 * 9.218 * 0.225 * 2**0.5 / 0.0135, 'lag': 0.045}
 """Of the virtual aircraft about roll: rad/s² per U2, s."""
 
 
-@pytest.mark.long  # minutes each, and not yet sure beside other work
+@pytest.mark.long  # minutes each
 @pytest.mark.parametrize('name', SCHEDULES)
 def test_the_loop_closes(name, tmp_path, ros_domain, probe):
     (tmp_path / 'schedule.yaml').write_text(SCHEDULES[name])
     told = probe.listen('/diagnostics')
     with Crew(tmp_path, ros_domain, lockstep=True) as crew:
-        port = tmp_path / 'tty'
+        port, turns = tmp_path / 'tty', Turns(crew, probe)
         crew.start('autopilot', [sys.executable, STAND_IN, name, '--link', port, '--lockstep',
                                  crew.socket, '--hz', '125'])  # fmt: skip
         probe.until(lambda: crew.check('start') or port.exists(), 'the stand-in')
@@ -69,7 +72,7 @@ def test_the_loop_closes(name, tmp_path, ros_domain, probe):
                 told[:-40] = []
                 return words in probe.diagnostics(node, key)
 
-            probe.until(there, f'{node}: {words}')
+            turns.until(there, f'{node}: {words}')
 
         def killed(node):
             """What it has begun ends without it."""
@@ -78,27 +81,27 @@ def test_the_loop_closes(name, tmp_path, ros_domain, probe):
             crew.children[node].ended = True
 
         def fly(up):
-            answer = probe.call('/serial_bridge/arm', SET_BOOL, data=up)
+            answer = turns.call('/serial_bridge/arm', SET_BOOL, data=up)
             if not up:
-                answer = probe.call('/serial_bridge/arm', SET_BOOL, data=up)  # it flies: again
+                answer = turns.call('/serial_bridge/arm', SET_BOOL, data=up)  # it flies: again
             assert answer.success, answer.message
 
         until('serial_bridge: gains', 'it is not armed')
         fly(True)
-        assert probe.call('/bag_logger/start').success
+        assert turns.call('/bag_logger/start').success
         until('serial_bridge: gains', 'read back')
         if name == 'px4':  # in OFFBOARD nobody excites any more: the pilot's mode is given back
-            assert probe.call('/excitation/start').success
+            assert turns.call('/excitation/start').success
             until('serial_bridge: excitation', 'running')
             killed('excitation')
             until('serial_bridge: excitation', 'schedule has been silent')
             crew.start_node('quad_sysid', 'excitation', schedule)
             until('excitation: schedule', 'ready', 'state')
             until('serial_bridge: gains', 'read back')
-        probe.until(lambda: probe.call('/excitation/start').success, 'its first /imu/data')
+        turns.until(lambda: turns.call('/excitation/start').success, 'its first /imu/data')
         until('excitation: schedule', 'done', 'state')
         fly(False)
-        assert probe.call('/bag_logger/stop').success
+        assert turns.call('/bag_logger/stop').success
         until('identification: identification', 'done', 'state')
         report = Path(probe.diagnostics('identification: identification', 'report'))
         tree = json.loads(report.read_text())
@@ -121,9 +124,10 @@ def test_the_loop_closes(name, tmp_path, ros_domain, probe):
             until('serial_bridge: gains', 'found a trial of an earlier bridge')
             trial = json.loads(history.with_name('trial.json').read_text())
             assert 'trial' not in trial
-        answer = probe.answer(probe.set_gains(gains)).result
+        answer = turns.answer(probe.set_gains(gains)).result
         while 'does not hover' in answer.reason:  # a bridge that has begun wants 2 s of calm
-            answer = probe.answer(probe.set_gains(gains)).result
+            turns.rest(0.4)
+            answer = turns.answer(probe.set_gains(gains)).result
         assert answer.successful or 'on trial' in answer.reason, answer.reason
-        probe.until(lambda: crew.check('watch') or '"confirmed"' in history.read_text(), 'watch')
+        turns.until(lambda: '"confirmed"' in history.read_text(), 'watch')
         fly(False)

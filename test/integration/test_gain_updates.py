@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from campaign import Turns
 from probe import Probe, content, event
 
 from quad_tuning.demo.processes import Crew
@@ -22,16 +23,13 @@ from quad_tuning.demo.stages import Aircraft
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.usefixtures('workspace')]
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
 OLD = {KP: 0.0744845, ANGLE: 3.0}
-TURN_S = 0.4
-"""So much simulated time passes between two looks of a test that waits."""
 
 
-class Bench:
+class Bench(Turns):
     """The aircraft's process and the bridge's, and the probe that wants gains."""
 
     def __init__(self, crew: Crew, probe: Probe):
-        self.crew, self.probe = crew, probe
-        crew.clock.hold()
+        super().__init__(crew, probe)
         self.told = probe.listen('/diagnostics')
         self.heard = probe.listen('/gains/active')
         probe.advertise('/gains/update')
@@ -51,26 +49,6 @@ class Bench:
         self.said('read back')
         self.until(lambda: self.probe.listeners('/gains/update'), 'a bridge')
         self.rest(2.5)
-
-    def rest(self, seconds):
-        """Let simulated time pass."""
-        clock = self.crew.clock
-        end_s = clock.now_s() + seconds
-        clock.release()
-        self.probe.until(
-            lambda: self.crew.check('bench') or clock.now_s() >= end_s, 'time', pause_s=0.001
-        )
-        clock.hold()
-        self.probe.listeners('/gains/update')  # it has heard what there was to hear
-
-    def until(self, condition, what):
-        def met():
-            found = condition()
-            if not found:
-                self.rest(TURN_S)
-            return found
-
-        self.probe.until(met, what)
 
     def said(self, words):
         """Wait for words about gains in the diagnostics since the last request."""
@@ -110,9 +88,7 @@ class Bench:
 
     def set(self, name, value):
         """What the bridge's service answers."""
-        answer = self.probe.set_gains({name: value})
-        self.until(answer.done, 'the answer')
-        return answer.result().result
+        return self.answer(self.probe.set_gains({name: value})).result
 
     def history(self):
         lines = (self.state / 'test' / 'gains.jsonl').read_text().splitlines()
@@ -129,9 +105,8 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bench.start(polarity='manual', sources=['test', 'a flood', '~/set_gains'])
     bench.ask({KP: 0.1})
     bench.said('call ~/check_polarity')
-    answer = bench.probe.ask('/serial_bridge/check_polarity')
-    bench.until(answer.done, 'the check')
-    assert answer.result().message == 'roll right; pitch silent; yaw silent'
+    answer = bench.call('/serial_bridge/check_polarity')
+    assert answer.message == 'roll right; pitch silent; yaw silent'
     bench.rest(1.0)
 
     bench.ask({KP: 0.1}, source='a stranger')

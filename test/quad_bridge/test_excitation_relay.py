@@ -80,3 +80,12 @@ def test_set_points_follow_the_segment():
     assert end.injection == Injection.NONE
     assert relay.setpoint(0.1, 0.0, 0.0) is None
     assert (relay.forwarded, relay.dropped) == (2, 2 + len(unfit))
+
+
+def test_a_segment_of_the_climb_is_for_the_third_value_at_the_control_alone():
+    relay = ExcitationRelay(100, OperatorEnable(required=False))
+    relay.segment({**TRAIN, 'axis': 'climb', 'injection': 'control'})
+    frame = relay.setpoint(0.0, 0.0, 0.05, 1.0)
+    assert (frame.injection, frame.value[2]) == (Injection.THRUST, -0.05)
+    relay.segment({**TRAIN, 'axis': 'climb'})  # no rate of it is known
+    assert relay.setpoint(0.0, 0.0, 0.05, 1.0) is None

@@ -18,7 +18,7 @@ from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.signing import Signing
 
 CYCLE_US = 4000
-KEY = bytes(range(32))
+KEY, DIVIDER = bytes(range(32)), 11.0
 NAMES = tuple(WIRE_NAMES.values())
 COUNTS = ('frames', 'bad', 'unsigned', 'forged', 'replayed', 'dropped')
 LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, 9.81)
@@ -52,7 +52,7 @@ class Board:
         roll, pitch, yaw = (1500.0 + 500.0 * stick for stick in sticks)
         pulses = (roll, pitch, 1000.0 + 1000.0 * throttle, yaw, 2000.0 if kill else 1000.0,
                   *(1000.0,) * 4)  # fmt: skip
-        slow, out = (battery_v, 0.0, 0.24, -0.38, 1013.25, math.nan), []
+        slow, out = (battery_v / DIVIDER, 0.0, 0.24, -0.38, 1013.25, math.nan), []
         for _ in range(cycles):
             gyro = np.array([sample] * samples, dtype=float).reshape(-1, 6)
             frame = hil.sensors(self.cycle * CYCLE_US, pulses, failsafe, slow, gyro)
@@ -97,13 +97,13 @@ def texts(frames):
 
 def test_all_parameters_are_listed_and_read_by_name_and_by_index(board):
     made = board()
-    frames = made.tell(f.ParamRequestList(1, 1)) + made.run(40)  # spread over the cycles
+    frames = made.tell(f.ParamRequestList(1, 1)) + made.run(60)  # spread over the cycles
     values = of(f.ParamValue, frames)
     assert [(v.name, v.index, v.count) for v in values] == [
         (name, k, len(NAMES)) for k, name in enumerate(NAMES)
     ]
     assert [v.value for v in values] == [made.value(name) for name in NAMES]
-    assert len(of(f.Cycle, frames)) == 40
+    assert len(of(f.Cycle, frames)) == 60
     by_index = f.ParamRequestRead('', NAMES.index('GYRO_FILT_HZ'))
     assert made.tell(by_index) == made.tell(f.ParamRequestRead('GYRO_FILT_HZ'))
     assert made.value('GYRO_FILT_HZ') == 42.0

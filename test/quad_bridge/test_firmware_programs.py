@@ -35,6 +35,12 @@ def test_it_ends_well(firmware, target, says, least):
     assert int(re.search(rf'(\d+) {says}', said(firmware(target)))[1]) > least
 
 
+@pytest.mark.long
+def test_no_receiver_takes_noise_for_its_pilot(firmware):
+    """10^8 bytes, or edges, of noise and damage into each: SBUS, CRSF, IBUS, PPM, PWM."""
+    assert ', 0 failed' in said(firmware('serial_radio'), '100000000')
+
+
 @pytest.mark.parametrize(
     ('seed', 'number', 'least'),
     [(3, 1_000_000, 10), pytest.param(1, 100_000_000, 1000, marks=pytest.mark.long)],

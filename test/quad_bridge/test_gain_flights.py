@@ -69,6 +69,7 @@ BAD_UPDATES = [
     ({'aircraft': 'A'}, 'aircraft A: connected is'),
     ({'predicted': '{"roll.peak": NaN}'}, 'roll.peak must be finite'),
     ({'predicted': '{"roll.colour": 1}'}, 'roll.colour is not known'),
+    ({'flown': '{"roll.rate.kp": 0.2}'}, 'the design began from 0.2, and the aircraft has 0.07'),
     ({'rollback': 'false'}, "rollback: must be true or false: found 'false'"),
     ({'model': 3.0}, r'model: must be a text: found 3\.0'),
     ({'roll_angle_kp': None}, 'must be a number'),
@@ -179,3 +180,19 @@ def test_without_a_history_no_gains_come_in_and_those_on_trial_can_go_back(bench
     made.ask(rollback=True)
     made.fly_until('rolled back')
     assert made.gain(KP) == pytest.approx(OLD_KP)
+
+
+def test_climb_gains_are_tried_in_the_height_mode_and_go_back_where_it_swings(bench):
+    """By the accelerometer alone: the vertical speed of the swing is more than it was before."""
+    names = ('climb.rate.kp', 'climb.rate.ki', 'climb.height.kp')
+    made = bench(mount='hover', profile='hover', events=[Event(6.0, 'aux4', 1.0)],
+                 bounds={name: Bound(0.005, 5.0, 20.0) for name in names})  # fmt: skip
+    with pytest.raises(RefusedError, match='tried in the height mode'):
+        made.ask(climb_rate_kp=0.12)
+    made.fly(8.0)
+    made.ask(climb_rate_kp=0.12)
+    made.fly_until('confirmed')
+    made.ask(climb_rate_kp=0.02, climb_rate_ki=0.2, climb_height_kp=3.0)
+    made.fly_until('climb: vertical speed')
+    made.fly(1.0)
+    assert made.gain('climb.rate.kp') == made.told['climb.rate.kp'] == pytest.approx(0.12)

@@ -105,10 +105,13 @@ def test_a_check_whose_link_is_cut_ends_and_is_not_gone_on_with_later(bench):
 @pytest.mark.parametrize('rate_hz', [50.0, 250.0, 1000.0])
 @pytest.mark.parametrize(('sign', 'verdict'), [(1.0, 'right'), (-1.0, 'wrong')])
 def test_pulses_last_as_long_at_every_rate_of_the_loop(rate_hz, sign, verdict):
-    run, rate, added, cycles = PulseRun(['roll'], rate_hz), 0.0, (0.0, 0.0, 0.0), 0
+    run, rate, added, cycles, rates = PulseRun(['roll'], rate_hz), 0.0, (0.0, 0.0, 0.0), 0, []
     while not run.finished:
         rate += sign * 40.0 * added[0] / rate_hz
         added, cycles = run.step((rate, 0.0, 0.0)), cycles + 1
+        rates.append(rate)
+    # each of the two pulses takes back what it gave: half-way, and in the end, it turns no more
+    assert max(abs(rates[cycles // 2]), abs(rates[-1])) < 0.1 * max(map(abs, rates))
     assert judge_axes(run.answers) == {'roll': verdict}
     assert judge_axes({'roll': np.array([0.1 * sign, 0.2, 0.0])}) == {'roll': 'crossed'}
     assert cycles / rate_hz == pytest.approx(1.52, abs=0.05)

@@ -26,18 +26,6 @@ def taken(fence, callback):
         fence.passed()
 
 
-def test_a_fault_is_one_line_with_its_place_and_every_one_is_counted_and_told_on():
-    lines, told = [], []
-    fence = Fence(lines.append, lambda fault: (told.append(fault), failing()))  # it fails too
-    for _ in range(10):
-        taken(fence, failing)
-        taken(fence, lambda: None)
-    (line,) = lines
-    assert 'OverflowError: int too large to convert (test_nodes_fence.py:' in line
-    assert told == 10 * ['a callback failed: OverflowError: int too large to convert']
-    assert fence.failed == 10
-
-
 def test_ros_that_fails_without_end_is_not_kept_though_another_thread_goes_on():
     fence = Fence(lambda _line: None)
     for _ in range(3):

@@ -178,6 +178,7 @@ def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
         known = {*NODES['serial_bridge'].hears, *own}
         probe.until(lambda: probe.opened('serial_bridge')[what] & known == {*names}, what)
 
+    probe.until(lambda: '/serial_bridge' in probe.nodes())
     opens('offers')
     silent_after(CONFIGURE)
     opens('offers', *(f'/serial_bridge/{name}' for name in NODES['serial_bridge'].offers))

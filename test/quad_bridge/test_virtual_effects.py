@@ -18,6 +18,7 @@ from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.simulation import Excited, fly
 
 NAMES = [field.name for field in fields(Effects)]
+OF_AIR = ('air_drag', 'rotor_drag')
 
 
 def enabled(name: str, **values) -> Effects:
@@ -59,7 +60,8 @@ def plain():
 def test_every_effect_of_the_table_can_be_switched_on_and_changes_the_flight(plain, name):
     values = {'step_event': {'time_s': 1.0}, 'saturation': {'lower': 0.3, 'upper': 0.36}}
     with_it = excited_flight(enabled(name, **values.get(name, {})))
-    column = COLUMNS['rates' if name == 'vibration' else 'true_rates']
+    seen = {'vibration': 'rates'} | dict.fromkeys(OF_AIR, 'velocity_m_s')
+    column = COLUMNS[seen.get(name, 'true_rates')]
     assert np.isfinite(with_it).all()
     assert np.abs(with_it[:, column] - plain[:, column]).max() > 2e-3
 

@@ -158,7 +158,7 @@ def test_values_that_cannot_be_are_not_handed_out():
         replace(CYCLE, gyro=(nan, 0.0, 0.0)), replace(CYCLE, motors=(0.0, 0.0, 0.0, inf)),
         replace(CYCLE, accel=(0.0, nan, 0.0)), replace(CYCLE, motors=(-0.01, 0.0, 0.0, 0.0)),
         replace(CYCLE, attitude=(0.0, 6.31, 0.0)), replace(CYCLE, injection=9),
-        *(replace(FRAMES[9], **{name: 6}) for name in ('phase', 'result', 'action')),
+        *(replace(FRAMES[9], **{name: 7}) for name in ('phase', 'result', 'action')),
         replace(FRAMES[8], action=5), f.ParamValue('ROLL_RATE_KP', nan, 1, 0),
     ]  # fmt: skip
     decoder = Decoder(own=(1, 191))

@@ -21,7 +21,6 @@ from probe import PATIENCE_S
 
 pytest.importorskip('starlette', reason="the extra is not installed: pip install '…[app]'")
 pytest.importorskip('uvicorn', reason="the extra is not installed: pip install '…[app]'")
-pytestmark = pytest.mark.xdist_group('app')
 BROWSER = next((name for name in ('chromium', 'chromium-browser', 'google-chrome')
                 if shutil.which(name)), '')
 MOST_MB = 1

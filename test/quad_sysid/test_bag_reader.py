@@ -53,8 +53,8 @@ def make_record(n: int = N, dt: float = 0.004) -> Record:
 
 
 def imu_stream(stamps: np.ndarray, seed: int = 3) -> Stamped:
-    values = np.random.default_rng(seed).standard_normal((len(stamps), 11))
-    values[:, 4] = 0.0
+    values = np.random.default_rng(seed).standard_normal((len(stamps), 13))
+    values[:, [4, 11, 12]] = 0.0
     return Stamped(stamps.astype(np.int64), values)
 
 
@@ -190,13 +190,17 @@ def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     assert '/setpoint/attitude' in got.missing
 
 
-def test_nan_samples_are_kept_as_gaps_with_a_warning(tmp_path):
+def test_samples_that_were_not_measured_are_gaps_with_a_warning(tmp_path):
+    """NaN, and what a covariance of -1 marks (REP-145)."""
     imu = imu_stream(regular(100))
-    imu.values[40, 5], imu.values[41, 6] = np.nan, np.inf
+    imu.values[40, 5], imu.values[41, 6], imu.values[60, 11] = np.nan, np.inf, -1.0
+    imu.values[:, 12] = -1.0
     got = read_bag(write_imu(tmp_path / 'bag', regular(100), imu))
-    assert np.isnan([got.rates[40, 0], got.rates[41, 1]]).all()
-    assert '2 samples of angular_velocity' in ' '.join(got.warnings)
-    assert got.axis('roll').segments == ((0, 40), (41, 100))
+    assert np.isnan([got.rates[40, 0], got.rates[41, 1], *got.rates[60]]).all()
+    assert '3 samples of angular_velocity' in ' '.join(got.warnings)
+    assert got.axis('roll').segments == ((0, 40), (41, 60), (61, 100))
+    assert got.acceleration is None
+    assert read_bag(write_bag(got, tmp_path / 'again')).acceleration is None
 
 
 @pytest.mark.parametrize(('volts', 'there'), [(np.nan, False), (0.004, False), (11.1, True)])

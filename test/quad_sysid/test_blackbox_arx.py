@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from known_plants import reference_study
 
+from quad_sysid.axes import EVERY
 from quad_sysid.blackbox import (
     Model,
     armax,
@@ -136,7 +137,7 @@ def reference(z: IOData, r: np.ndarray) -> IOData:
         (lambda z: IOData(z.u, z.y, z.dt, segments=[(300, 600), (0, 301)]), 'must not overlap'),
         (lambda z: IOData(z.u, z.y, z.dt, segments=[(0, 2001)]), 'must lie in 0..2000'),
         *((lambda _, call=call, name=name: getattr(STILL, call)(name),
-           f'Record.{call}: axis must be one of roll, pitch, yaw: found {name!r}')
+           f'Record.{call}: axis must be one of {", ".join(EVERY)}: found {name!r}')
           for call in ('axis', 'external') for name in ('x', '', None, 0)),
     ],
 )

@@ -17,7 +17,6 @@ from quad_sysid.blackbox import (
     compare,
     indirect,
     iv4,
-    joint,
     oe,
     polynomial_model,
     search_arx,
@@ -96,15 +95,6 @@ def test_iv4_with_the_reference_is_right_where_least_squares_is_biased():
         least.append(arx(z, 1, 2, 1).parameters[0] + 0.9)
     assert covered >= 33
     assert abs(np.mean(least)) > 5 * abs(np.mean([x[0] for x in off]))
-
-
-def test_joint_finds_the_plant(study, refusal):
-    """Free-run fit within 0.3 points of the truth's."""
-    z, validation = flight(study, 12), flight(study, 1000)
-    one = joint(z, lambda data: bj(data, 2, 2, 2, 2, 3))
-    assert one.approach == 'joint'
-    assert compare(validation, one)[0] > compare(validation, study.truth)[0] - 0.3
-    assert 'reference r' in refusal(joint, IOData(z.u, z.y, z.dt), lambda d: bj(d, 2, 2, 2, 2, 3))
 
 
 @pytest.mark.parametrize('segments', [(), ((2000, 8000), (9000, 15000))])

@@ -21,7 +21,6 @@ from quad_sysid.report import document, text
 from quad_sysid.signals.waveforms import prbs
 
 DT, TRIM, NOISE = 0.004, 0.013, 0.01
-pytestmark = pytest.mark.xdist_group('black-box pipeline')
 SECONDS = 38.0
 SPANS = (('train', 'prbs', 0.0, 22.0), ('validation', 'prbs', 23.0, 30.0),
          ('validation', 'square', 31.0, SECONDS))

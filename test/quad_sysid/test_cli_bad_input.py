@@ -41,7 +41,8 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        ('--axis sideways', "axis: must be one of roll, pitch, yaw, all: found 'sideways'"),
+        ('--axis sideways',
+         "must be one of roll, pitch, yaw, surge, sway, climb, all, every: found 'sideways'"),
         ('--train 0:20 --validate 10:30', 'training and validation overlap'),
         ('--train 100:130', '--train starts after the end'),
         *((f'--inertia {three}', '--inertia: needs three positive numbers')

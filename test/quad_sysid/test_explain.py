@@ -7,8 +7,13 @@ import pytest
 from scipy.signal import lfilter
 
 from quad_sysid.discover.accept import p_value
+from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Found, Scored
-from quad_sysid.explain.ladder import explain, values_of
+from quad_sysid.effects import EFFECTS
+from quad_sysid.estimate.fit import derivative_steps, fit
+from quad_sysid.explain.ladder import explain
+from quad_sysid.model.sensitivity import Sensitivity
+from quad_sysid.model.structure import Structure, coordinates
 
 
 def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
@@ -25,29 +30,6 @@ def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
     assert told.verdict.rungs[1] == pytest.approx(told.verdict.after)
 
 
-def test_where_nothing_is_missing_the_base_is_the_answer(plain_answer):
-    told = plain_answer.findings
-    assert len(told.ladder.rungs) == 1
-    assert plain_answer.verdict == 'not_searched'
-    assert plain_answer.model.effects == plain_answer.model.rungs == ()
-
-
-def test_a_projection_ends_at_the_reference_from_far_away(rubbed_answer):
-    """The reference's own structure from twice the friction and other poles: its parameters."""
-    told = rubbed_answer.findings
-    projection = told.ladder.projection
-    reference = projection.reference
-    start = reference.theta.copy()
-    start[0] *= 1.3
-    start[1] += 0.3
-    start[5] *= 2.0
-    model = projection.project(reference.structure, start)
-    assert model.total < 1e-4 * told.ladder.rungs[0].model.total
-    found, truth = values_of(model), reference.values
-    assert found[:2] == pytest.approx(truth[:2], rel=0.01)
-    assert found[5] == pytest.approx(truth[5], rel=0.05)
-
-
 def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
     """The reference is a smooth curve over the rate; the named law stands before it."""
     told = rubbed_answer.findings
@@ -61,6 +43,36 @@ def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
     assert ladder.rungs[1].labels == ('coulomb_friction',)
     assert ladder.rungs[1].explains_pct > 90.0
     assert ladder.answer == 1
+
+
+def test_the_derivatives_of_free_runs_are_their_differences(rubbed_answer):
+    """By all parameters at once along one run: springs, drags, motors, memories; to 2 %."""
+    problem = rubbed_answer.findings.problem.shortened(2000, 2)
+    base = rubbed_answer.findings.found.base
+    reference = fit(problem, base.structure, base.theta)
+    problem.measure(reference)
+    windows, flight = problem.data.windows(problem.spans), problem.flight
+    wanted = ('pendulum_stiffness', 'quadratic_drag', 'motor_lag', 'mode:hysteresis',
+              'mode:swinging', 'mode:yielding/turning', 'shape:gain:rate/smooth', 'backlash')
+    for part in candidates(problem, [e for e in EFFECTS if e.label in wanted])[0]:
+        own = coordinates(part.effect.parameters,
+                          part.effect.starts(problem.data, part.settings)[0])
+        own = np.where(own == 0.0, 0.3 * problem.sizes_of(part), own)
+        structure = Structure((part,))
+        theta = np.concatenate([reference.theta[:5], own, reference.theta[-4:]])
+        steps = derivative_steps(problem.sizes(structure))[:-4]
+        prediction = flight.predict(structure, theta, sweeps=3)
+        run = flight.run(structure, theta, windows, prediction=prediction)
+        found = Sensitivity(flight, structure, theta, windows, prediction, run).derivatives(steps)
+
+        def moved(at, j, structure=structure, prediction=prediction, theta=theta):
+            return flight.free_run(structure, theta + at * np.eye(theta.size)[j], windows,
+                                   prediction=prediction).ravel()
+
+        for j, step in enumerate(steps):
+            ahead = (moved(0.3 * step, j) - moved(-0.3 * step, j)) / (0.6 * step)
+            assert np.linalg.norm(found[:, j] - ahead) <= 0.02 * np.linalg.norm(ahead) + 1e-9, (
+                part.effect.label, j)
 
 
 @pytest.mark.parametrize('memory', [0.0, 0.5, 0.8])

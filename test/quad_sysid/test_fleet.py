@@ -1,43 +1,69 @@
-"""A fleet loses nothing: bad bags and dead processes are rows, a second call does the rest."""
+"""A fleet loses nothing: bad bags, dead processes, dead workers; a second call does the rest."""
 
 from __future__ import annotations
 
 import csv
+import io
 import json
-import os
+import shutil
 
-import numpy as np
 import pytest
+from fleet_work import answer, trouble
 from flown_axis import Axis, Plan, fly
 
-from quad_sysid import fleets as fleet
+import quad_sysid as qs
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
+from quad_sysid.fleets import bag, engine
+from quad_sysid.fleets.place import Place
+from quad_sysid.fleets.table import write
+
+MEASURED = ('seconds', 'cpu_s', 'peak_mb', 'kept_bytes', 'source')
+PLAN = Plan(26.0, (('train', 'prbs', 0.0, 15.0), ('validation', 'prbs', 15.0, 26.0)))
+pytestmark = pytest.mark.xdist_group('fleet')  # one folder for all
 
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory):
     """Two aircraft with a flight each, and two things that are no flights."""
-    plan = Plan(26.0, (('train', 'prbs', 0.0, 15.0), ('validation', 'prbs', 15.0, 26.0)))
     root = tmp_path_factory.mktemp('fleet')
     for number, (craft, gain) in enumerate((('one', 450.0), ('two', 500.0))):
-        write_bag(fly(Axis(gain=gain), number, plan), root / craft / 'flight')
+        write_bag(fly(Axis(gain=gain), number, PLAN), root / craft / 'flight')
     (root / 'two' / 'torn').mkdir()
     (root / 'two' / 'torn' / 'torn_0.mcap').write_bytes(b'noise')
     (root / 'notes.txt').write_text('no bag')
     return root
 
 
-def test_bags_are_found_with_their_aircraft(folder, tmp_path, refusal):
-    found = [(job.name, job.aircraft) for job in fleet.jobs(folder, tmp_path)]
+def same(rows):
+    return [{key: value for key, value in row.items() if key not in MEASURED} for row in rows]
+
+
+def test_bags_and_logs_are_found_with_their_aircraft(folder, tmp_path, refusal):
+    found = [(job.name, job.aircraft) for job in bag.jobs(folder, tmp_path)]
     assert found == [('one/flight', 'one'), ('two/flight', 'two'), ('two/torn', 'two')]
-    assert 'is not a folder' in refusal(fleet.jobs, folder / 'nowhere', tmp_path)
-    assert 'holds no bag' in refusal(fleet.jobs, tmp_path, tmp_path)
+    (tmp_path / 'logs').mkdir()
+    for name in ('b.ULG', 'a.bbl.gz', 'c.csv'):
+        (tmp_path / 'logs' / name).write_text('a log')
+    jobs = bag.jobs(tmp_path / 'logs', tmp_path / 'out')
+    assert [job.name for job in jobs] == ['a.bbl.gz', 'b.ULG']
+    assert 'is not a folder' in refusal(bag.jobs, folder / 'nowhere', tmp_path)
+    shutil.rmtree(tmp_path / 'logs')
+    assert 'holds no bag' in refusal(bag.jobs, tmp_path, tmp_path)
 
 
-def test_a_fleet_through_the_command_and_on_from_there(folder, tmp_path, capsys):
-    out = tmp_path / 'out'
-    arguments = ['fleet', str(folder), '--out', str(out), '--no-effects', '--workers', '2']
+@pytest.fixture(scope='module')
+def results(folder, tmp_path_factory):
+    """Of the command, and what it printed."""
+    out = tmp_path_factory.mktemp('results') / 'out'
+    assert main(['fleet', str(folder), '--out', str(out), '--no-effects', '--workers', '2',
+                 '--quiet']) == 0
+    return out
+
+
+def test_a_fleet_through_the_command_and_on_from_there(folder, results, tmp_path, capsys):
+    arguments = ['fleet', str(folder), '--out', str(results), '--no-effects']
+    before = {path: path.stat().st_mtime_ns for path in results.rglob('*flight.json')}
     assert main([*arguments, '--json']) == 0
     rows = {row['bag']: row for row in json.loads(capsys.readouterr().out)}
     assert [rows[b]['status'] for b in ('one/flight', 'two/flight', 'two/torn')] == [
@@ -47,63 +73,146 @@ def test_a_fleet_through_the_command_and_on_from_there(folder, tmp_path, capsys)
     assert rows['one/flight']['roll_gain'] == pytest.approx(450.0, rel=0.04)
     assert rows['two/flight']['roll_gain'] == pytest.approx(500.0, rel=0.04)
     assert 'neither mcap nor sqlite3' in rows['two/torn']['reason']
-    with (out / 'fleet.csv').open() as stream:
+    with (results / 'fleet.csv').open() as stream:
         told = {row['bag']: row['roll_gain'] for row in csv.DictReader(stream)}
     assert told == {name: str(row.get('roll_gain', '')) for name, row in rows.items()}
-    assert (out / 'bags' / 'two' / 'flight' / 'report.json').exists()
-    # a second call tries the failed bag alone, and prints the table within 80 columns
-    before = {path: path.stat().st_mtime_ns for path in out.rglob('row.json')}
-    assert main(arguments) == 0
-    shown = capsys.readouterr().out
-    assert before == {path: path.stat().st_mtime_ns for path in out.rglob('row.json')}
+    assert (results / 'bags' / 'two' / 'flight' / 'report.json').exists()
+    assert '<h2>Without an answer</h2>' in (results / 'fleet.html').read_text()
+    # this second call tried the failed bag alone; the log says so, and what it all costs
     assert len(before) == 2
-    assert max(len(line) for line in shown.splitlines()[:-1]) <= 80
+    assert before == {path: path.stat().st_mtime_ns for path in results.rglob('*flight.json')}
+    log = (results / 'fleet.log').read_text()
+    assert '3 bags, 3 to do' in log
+    assert '3 bags, 1 to do' in log
+    assert 's of CPU each' in log
+    # bags and results are known wherever they are moved, and by no other flights
+    moved = tmp_path / 'elsewhere'
+    shutil.copytree(folder, moved, copy_function=shutil.copyfile)
+    shutil.copytree(results, tmp_path / 'out')
+    again = ['fleet', str(moved), '--out', str(tmp_path / 'out'), '--no-effects']
+    assert main(again) == 0
+    shown = capsys.readouterr().out
     assert '2 answered, 1 failed' in shown
+    assert max(len(line) for line in shown.splitlines()[:-1]) <= 80
+    assert '3 bags, 1 to do' in (tmp_path / 'out' / 'fleet.log').read_text().splitlines()[-3]
+    shutil.rmtree(moved / 'one')
+    shutil.copytree(moved / 'two' / 'flight', moved / 'one' / 'flight')
+    assert main(again) == 2
+    assert 'holds the results of another bag' in capsys.readouterr().err
 
 
-def test_a_dead_process_is_a_row_and_the_rest_go_on(folder, tmp_path, monkeypatch):
-    (tmp_path / 'deadly.py').write_text(
-        'import os\ndef work(job):\n'
-        "    return os._exit(1) if 'torn' in job.name else {'bag': job.name, 'status': 'answered'}"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    from deadly import work
+def test_a_cluster_gives_the_same_rows_and_outlives_what_goes_wrong(folder, results, tmp_path):
+    """A real scheduler and two workers, one of which is killed; one bag kills, one hangs."""
+    distributed = pytest.importorskip('distributed')
+    import dask
 
-    rows = fleet.run(fleet.jobs(folder, tmp_path), work=work)
-    assert [row['status'] for row in rows] == ['answered', 'answered', 'failed']
-    assert rows[2]['reason'] == 'its process died'
+    flights = tmp_path / 'flights'
+    shutil.copytree(folder, flights)
+    shutil.rmtree(flights / 'two' / 'flight')
+    for name in ('poison', 'hung', 'unlucky', *'abcdef'):
+        (flights / f'{name}.mcap').touch()
+    every = bag.jobs(flights, tmp_path / 'out', search_effects=False, limit_s=30.0)
+    every = [bag.replace(job, limit_s=1.0) if job.name == 'hung.mcap' else job for job in every]
+    told = []
+    with dask.config.set(engine.SETTINGS), distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit=0,
+            silence_logs='CRITICAL') as cluster:
+        rows = engine.run(every, cluster=cluster.scheduler_address, work=trouble, log=told.append)
+    by_name = {row['bag']: row for row in rows}
+    assert by_name['poison.mcap']['reason'] == 'its process died (status 7), 2 times'
+    assert by_name['hung.mcap']['reason'] == 'took longer than 1 s'
+    assert (tmp_path / 'out' / 'once').exists()  # a worker was killed, and its bag was done
+    failed = [row['bag'] for row in rows if row['status'] == 'failed']
+    assert failed == ['hung.mcap', 'poison.mcap', 'two/torn']
+    assert len(told) == 1 + len(every) + 1
+    # what is done is done: on this machine the rest is tried again, and nothing else
+    kept = engine.known(every)
+    assert len(kept) == len(every)
+    once_more = engine.run(every, 2, work=answer)
+    assert [row['bag'] for row in once_more if row['bag'] in failed] == failed
+    assert all(row['status'] == 'answered' for row in once_more)
+    # to the last digit what the processes of this machine say
+    own = engine.known(bag.jobs(folder, results, search_effects=False))
+    assert same([by_name['one/flight']]) == same([own['one/flight']])
 
 
-def fresh(job):
-    """A row as a process would make it."""
-    return {'bag': job.name, 'status': 'fresh'}
+def test_a_cluster_that_differs_is_refused_before_the_first_bag(folder, tmp_path, monkeypatch,
+                                                               refusal):
+    class Client:
+        def wait_for_workers(self, *_, **__):
+            pass
+
+        def run(self, *_, **__):
+            return {'tcp://there:1': {**engine.about_here(job, ''), 'numpy': '1.0'}}
+
+    job = bag.jobs(folder, tmp_path)[0]
+    assert 'tcp://there:1: its numpy is not as here: found 1.0' in refusal(
+        engine._compare, Client(), job)
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(engine, 'PATIENCE_S', 0.2)
+    assert 'cannot be reached' in refusal(
+        engine.run, [job], cluster='tcp://127.0.0.1:1')
 
 
-def test_what_waits_is_what_is_new_or_changed(folder, tmp_path):
-    def waiting(*axes, effects=True):
-        every = fleet.jobs(folder, tmp_path, axes, search_effects=effects)
-        return [row['bag'] for row in fleet.run(every, work=fresh) if 'status' in row]
+def test_shards_are_all_of_it_and_meet_in_one_table(tmp_path, capsys, refusal):
+    for number in range(40):
+        (tmp_path / 'flights' / f'craft{number % 4}').mkdir(parents=True, exist_ok=True)
+        (tmp_path / 'flights' / f'craft{number % 4}' / f'{number}.mcap').touch()
+    every = bag.jobs(tmp_path / 'flights', tmp_path / 'out')
+    shards = [engine.shard_of(every, f'{i}/3') for i in (1, 2, 3)]
+    assert sorted(job.name for shard in shards for job in shard) == [job.name for job in every]
+    assert 'must be i/n' in refusal(engine.shard_of, every, '4/3')
+    for shard in shards[:2]:
+        engine.run(shard, work=answer)
+    merge = ['fleet', str(tmp_path / 'flights'), '--out', str(tmp_path / 'out'), '--merge']
+    assert main(merge) == 0
+    assert f'{len(shards[2])} bags are not done yet' in capsys.readouterr().out
+    dataset = pytest.importorskip('pyarrow.dataset')
+    table = dataset.dataset(tmp_path / 'out' / 'fleet.parquet', partitioning='hive').to_table()
+    with (tmp_path / 'out' / 'fleet.csv').open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(shards[0]) + len(shards[1])
+    assert sorted(zip(*(table[name].to_pylist() for name in ('bag', 'aircraft')), strict=True)
+                  ) == sorted((row['bag'], row['aircraft']) for row in rows)
 
-    every = fleet.jobs(folder, tmp_path)
-    for job in every[:2]:
-        job.row.parent.mkdir(parents=True)
-        job.row.write_text(json.dumps({'bag': job.name, 'asked': job.asked}))
-    os.utime(tmp_path / 'bags' / 'one' / 'flight' / 'row.json', (0, 0))
-    assert waiting() == ['one/flight', 'two/torn']
-    # another question has no answer yet
-    assert len(waiting('roll')) == len(waiting(effects=False)) == len(every)
+
+def test_another_question_has_no_answer_yet(folder, tmp_path):
+    def done(*axes, **more):
+        every = bag.jobs(folder, tmp_path, axes=axes, **more)
+        return sum(engine._done(job, engine.known(every).get(job.name)) for job in every)
+
+    assert done() == 0
+    engine.run(bag.jobs(folder, tmp_path), work=answer)
+    assert (done(), done('roll'), done(search_effects=False), done(effects='x')) == (3, 0, 0, 0)
 
 
-def test_lacks_and_outliers_are_found_and_only_where_they_are():
-    rng = np.random.default_rng(1)
-    rows = [
-        {'bag': f'{craft}/{k}', 'aircraft': craft, 'status': 'answered',
-         'roll_verdict': 'effects_added', 'roll_effects': effects,
-         'roll_lag': 0.04 + 2e-4 * float(rng.standard_normal())}
-        for craft, effects in (('a', 'coulomb_friction'), ('b', '')) for k in range(12)
-    ]
-    rows[-1]['roll_lag'] = 0.06
-    shown = [line.split() for line in fleet.lines(rows)]
-    assert ['a', 'roll', 'coulomb_friction', '12', '12'] in shown
-    assert [words for words in shown if words[-1:] == ['b/11']] == [['roll', 'lag', 'b/11']]
-    assert len([words for words in shown if len(words) > 2 and '/' in words[-1]]) == 1
+def test_bags_and_results_of_a_store(folder, results):
+    """In memory, which is one process' own; the work is done here."""
+    fsspec = pytest.importorskip('fsspec')
+    store = fsspec.filesystem('memory')
+    store.put(str(folder), '/bucket/flights', recursive=True)
+    try:
+        every = bag.jobs('memory://bucket/flights', 'memory://bucket/out', search_effects=False)
+        here = bag.jobs(folder, f'file://{results}', search_effects=False)
+        assert [job.name for job in every] == [job.name for job in here]
+        row = bag.keep(every[0], bag.look(every[0]))
+        own = engine.known(here)[row['bag']]
+        assert {**row, 'stamp': own['stamp']}.items() >= {
+            key: value for key, value in own.items() if key not in MEASURED}.items()
+        assert engine.run(every[:1]) == [row]  # it is done
+        write([row], Place('memory://bucket/out'))
+        table = list(csv.DictReader(io.StringIO(store.cat('/bucket/out/fleet.csv').decode())))
+        assert [row['bag'] for row in table] == ['one/flight']
+        assert store.exists('/bucket/out/bags/one/flight/model.json')
+    finally:
+        store.rm('/bucket', recursive=True)
+
+
+def test_records_are_a_fleet_too(refusal):
+    records = [fly(Axis(), 1, PLAN)]
+    fleet = qs.fleet(records, aircraft=['a'], search_effects=False)
+    assert [(row['bag'], row['aircraft'], row['status']) for row in fleet.rows] == [
+        ('a/flight 1', 'a', 'answered')]
+    assert {(q.axis, q.name) for q in fleet.quantities} >= {('roll', 'gain'), ('roll', 'lag')}
+    assert 'one for each' in refusal(qs.fleet, records, aircraft=['a', 'b'])
+    assert 'neither a day' in refusal(qs.fleet, records, since='yesterday')

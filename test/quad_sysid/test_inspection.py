@@ -89,6 +89,7 @@ def held(record):
     return replace(record, rates=rates, control=control, motors=control @ MIXER.T, segments=())
 
 
+@pytest.mark.usefixtures('no_blackbox')
 def test_an_axis_that_is_held_is_refused_as_by_identify(held, tmp_path, capsys):
     """Its feedback makes noise coherent with itself, and the motors explain its change."""
     path = write_bag(held, tmp_path / 'bag')

@@ -8,14 +8,13 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
-from quad_sysid.discover.accept import Unseen, _posterior, judge, p_value
+from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.base import best_base
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
@@ -108,33 +107,6 @@ def rubbed():
     return data, *based(data)
 
 
-@pytest.fixture(scope='module')
-def climb():
-    """Data, problem and what is found of three torques."""
-    data = climbing()
-    problem = Problem(data, data.train)
-    return data, problem, search(problem, TORQUES)
-
-
-def climbing():
-    """Thrust 25 m/s² per unit of U1 against 9.81, and drag of 0.15 1/m."""
-    rng = np.random.default_rng(4)
-    throttle = 9.81 / 25.0 + np.repeat(rng.choice([-0.12, 0.12], 120), 80)
-    speed = moved(25.0, 0.06, 0.1, 0.15, -9.81, throttle, 0.15)[1]
-    return axis('climb', 0, speed + 0.02 * rng.standard_normal(speed.size), throttle)
-
-
-def test_the_climb_over_the_throttle_is_another_instance_of_the_model(climb):
-    """The drag is found and named."""
-    verdict = judged(*climb)
-    base = values_of(climb[1], verdict)
-    assert [part.effect.name for part in verdict.chosen.structure.parts] == ['quadratic_drag']
-    assert verdict.chosen.value('quadratic_drag.coefficient') == pytest.approx(0.15, rel=0.2)
-    for name, truth in (('gain', 25.0), ('lag', 0.06), ('bias', -9.81)):
-        assert base[name].value == pytest.approx(truth, rel=0.1)
-        assert abs(base[name].value - truth) < 4.0 * base[name].std
-
-
 def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
     """A position to 20 µm, its slope over 50 ms to either side: no effect is made up of that."""
     rng = np.random.default_rng(5)
@@ -194,20 +166,6 @@ def test_an_effect_of_an_installed_package_is_one_of_ours(tmp_path):
     assert 'acme_cogging' in done.stdout.split(), done.stderr
 
 
-def test_noise_that_stood_for_what_was_missing_gives_way_to_an_effect():
-    """A base that attributes all to torques and vibration leaves the gyro no noise, where nothing
-    has a slope; beside it an effect is fitted as well as beside the base with moderate noise."""
-    flight = fly(Axis(torque=friction, gyro_filter_hz=42.0), 1, SHORT)
-    data = axis_data([replace(flight, gains=CUT_OFF)], 'roll')
-    problem, base = based(data)
-    score = score_of(problem, base, 'coulomb_friction')
-    theta = np.r_[base.theta, np.log([1.6e6, 20.0, 0.1])]
-    theta[base.structure.names.index('noise.white')] = np.log(2e7)
-    extreme = replace(base, theta=theta, structure=replace(base.structure, lines=1))
-    fits = [extended(problem, parent, score) for parent in (base, extreme)]
-    assert fits[1].log_posterior > fits[0].log_posterior - 0.5
-
-
 def test_noise_of_a_filter_that_was_computed_once_a_cycle_is_no_vibration():
     """Such a filter leaves nothing of the noise near half the sample rate. The innovations are
     white, the noise has its size, and no line of vibration is needed."""
@@ -224,37 +182,6 @@ def test_noise_of_a_filter_that_was_computed_once_a_cycle_is_no_vibration():
     for lag in (1, 2, 3):
         assert abs(e[lag:] @ e[:-lag]) < 0.06 * (e @ e)
     assert noise_of(base).measured_rms == pytest.approx(np.std(noise), rel=0.1)
-
-
-def test_a_part_of_the_noise_that_vanishes_does_not_hold_up_a_fit():
-    """Gusts of 0.3 s without white torque noise, from a start 10 % and 20 % away: three steps;
-    six where its curvature is not known."""
-    keep = np.exp(-0.001 / 0.3)
-    white = np.random.default_rng(0).standard_normal(60_000)
-    gusts = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white).tolist()
-    flight = fly(Axis(gyro_filter_hz=42.0, torque_noise=0.0,
-                      torque=lambda t, _rate, _angle: gusts[int(1000.0 * t)]), 1, SHORT)
-    data = axis_data([replace(flight, gains=CUT_OFF)], 'roll')
-    problem = Problem(data, data.train)
-    base = best_base(problem)
-    start = base.theta.copy()
-    start[0] *= 1.1
-    start[1] += 0.2
-    again = fit(problem, base.structure, start, rate=base.rate, most_steps=4)
-    assert again.converged
-    assert again.log_posterior > base.log_posterior - 0.1
-
-
-def test_what_pays_one_step_ahead_only_is_no_effect():
-    """Beside a base with twice the noise an idle effect gains in every block, but not in a free
-    run."""
-    data = axis_data([fly(Axis(), 1, SHORT)], 'roll')
-    problem, base = based(data)
-    idle = extended(problem, base, score_of(problem, base, 'cubic_stiffness'))
-    loose = replace(base, tail=replace(base.tail, scale=2.0 * base.tail.scale))
-    verdict = judged(data, problem, Found(loose, (Scored(idle, 9.0), Scored(loose, 0.0)), {}))
-    assert p_value(Unseen(data, data.validation).balance(idle, loose)) < 0.01
-    assert not verdict.claims
 
 
 def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept(rubbed):
@@ -275,18 +202,6 @@ def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept(ru
     assert verdict.chosen.structure.labels == labels[:1]
     assert verdict.after < 0.7 * verdict.before
     assert verdict.probabilities[0] > 0.9
-
-
-def test_an_effect_counts_that_foresees_the_free_run_though_the_noise_was_taken_for_smaller(
-    rubbed,
-):
-    """The validation's noise may be of another size than the training's; that is no effect's
-    fault."""
-    data, problem, _ = rubbed
-    found = search(problem, [e for e in EFFECTS if e.label == 'coulomb_friction'])
-    tight = replace(found.best, tail=replace(found.best.tail, scale=0.4 * found.best.tail.scale))
-    told = replace(found, all=(Scored(tight, 9.0), Scored(found.base, 0.0)))
-    assert judged(data, problem, told).chosen is tight
 
 
 def test_a_gust_at_an_angle_is_no_coupling_and_its_twin_is():
@@ -321,28 +236,6 @@ def test_a_gust_at_an_angle_is_no_coupling_and_its_twin_is():
     assert found(3.0, 0.0, SHORT)[0] == {'gyroscopic_coupling'}
 
 
-def scored(score, *effects):
-    """A structure with these effects, as if it had been fitted."""
-    return Scored(SimpleNamespace(structure=Structure(tuple(map(Part, effects)))), score)
-
-
-@pytest.mark.parametrize('again', [0.5, 0.9, 1.0])
-def test_the_probabilities_of_an_effect_and_its_rivals_sum_to_one(again):
-    """By the search's evidence; of a law that it did not fit, by how often it comes again."""
-    friction, drag = (next(e for e in EFFECTS if e.name == name)
-                      for name in ('coulomb_friction', 'quadratic_drag'))
-    best = scored(0.0, friction)
-    ladder = SimpleNamespace(reproducible={'coulomb_friction': again})
-    found = Found(None, (best, scored(-1.0, drag), scored(-2.0)), {})
-    (own,), (rivals,) = _posterior(found, best.fit, ladder)
-    assert own + sum(p for _, p in rivals) == pytest.approx(1.0, abs=1e-9)
-    assert own == pytest.approx(found.probabilities()[0], abs=0.005)
-    other = Found(None, (scored(0.0, drag), scored(-2.0)), {})
-    (own,), (rivals,) = _posterior(other, best.fit, ladder)
-    assert own == again
-    assert own + sum(p for _, p in rivals) == pytest.approx(1.0, abs=1e-9)
-
-
 def test_of_a_long_flight_a_search_sees_blocks_and_what_leads_is_fitted_on_all(
     rubbed, monkeypatch
 ):
@@ -356,27 +249,6 @@ def test_of_a_long_flight_a_search_sees_blocks_and_what_leads_is_fitted_on_all(
     assert found.best.structure.labels == ('coulomb_friction',)
     assert found.best.rate.size == problem.data.rate.size
     assert found.base.log_posterior == pytest.approx(base.log_posterior, abs=0.1)
-
-
-def test_what_single_motors_add_is_the_same_in_any_order_and_adds_up():
-    flown = fly(Axis(
-        throttle=lambda t: 0.5 + 0.1 * np.sin(0.8 * t),
-        other_commands=lambda t: (0.05 * np.sin(3.0 * t), 0.04 * np.sin(5.0 * t + 1.0)),
-    ), 4, SHORT)
-    flight = Flight(axis_data([flown], 'roll'), ((0, flown.n),))
-
-    def driven(*of_effects: tuple[str, float]):
-        effects = [next(e for e in EFFECTS if e.label == label) for label, _ in of_effects]
-        parts = tuple(Part(e, {'throttle': 0.5}) for e in effects)
-        p = np.array([450.0, 0.04, 0.01, 0.4, 0.0, *(value for _, value in of_effects)])
-        return flight.driven(Structure(parts), p)[0]
-
-    slow, slower = ('motor_lag/motor 1', 0.1), ('motor_lag/motor 3', 0.2)
-    uneven, curve = ('shape:lag:direction/motor 2', 0.4), ('thrust_curve', 0.5)
-    plain, alone = driven(), [driven(one) - driven() for one in (slow, slower, uneven)]
-    assert min(np.std(one) for one in alone) > 0.01 * np.std(plain)
-    np.testing.assert_allclose(driven(slow, slower, uneven), plain + sum(alone), atol=1e-12)
-    np.testing.assert_allclose(driven(curve, slow), driven(slow, curve), atol=1e-12)
 
 
 def test_a_delay_by_another_clock_is_the_same_in_segments_that_are_joined():

@@ -60,11 +60,10 @@ def test_every_layout_is_found(layout):
     assert share_of(opposite, rates[:, 0], motors, DT) < 0.1 * found[0].share
 
 
-@pytest.mark.parametrize('seed', range(3))
-def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path, seed):
+def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path):
     """As long in the hand as in flight, then a second in which it hits things, its motors jump."""
-    rng = np.random.default_rng(seed)
-    rates, motors = flown(LAYOUTS['another order'], seed + 1)
+    rng = np.random.default_rng(0)
+    rates, motors = flown(LAYOUTS['another order'])
     crash = slice(N - 250, N)
     rates[crash] = np.cumsum(2.0 * rng.standard_normal((250, 3)), axis=0)
     motors[crash] = rng.choice([0.0, 1.0], (250, 4))
@@ -95,7 +94,7 @@ def test_the_motion_says_what_a_log_does_not(layout, wanted):
 
 
 @pytest.mark.parametrize('motors', [4, 8])
-@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('seed', range(2))
 def test_nothing_is_certain_where_nothing_turns_the_axes(seed, motors):
     """Motors and rates that have nothing to do with each other, as noise and as slow motions."""
     rng = np.random.default_rng(seed)
@@ -127,7 +126,7 @@ def test_on_a_rig_that_hangs_the_angle_shows_it():
         ('flights/crazyflie_1khz_roll_pitch.csv', 'gx,gy,gz', 'm1,m2,m3,m4'),
         *((f'nanobench/{name}_rep1.csv.gz', 'imu_gyro_x,imu_gyro_y,imu_gyro_z',
            ','.join(f'motor_motor_m{i}' for i in range(1, 5)))
-          for name in ('B2_circle_fast', 'B3_figure8_fast', 'B7_oval_fast', 'B10_lissajous_fast')),
+          for name in ('B2_circle_fast', 'B10_lissajous_fast')),
     ],
 )
 def test_a_crazyflies_motors_stand_as_its_makers_say(file, rates, motors):

@@ -16,6 +16,8 @@ from quad_sysid.pipeline.usable import refusal, swapped_motors
 from quad_sysid.record import Record
 from quad_tuning.designer import design
 
+pytestmark = pytest.mark.usefixtures('no_blackbox')
+
 
 @cache
 def flight(plan: Plan = SHORT) -> Record:

@@ -124,7 +124,7 @@ def test_a_position_without_its_measurement_is_said():
 
 def test_an_experiment_stays_within_its_limits_and_tells_more(true_model):
     model = qs.Identified(**vars(true_model))
-    design = qs.design_experiment(model, amplitude=0.05, rate=3.0, angle=2.0, seconds=8.0)
+    design = qs.design_experiment(model, amplitude=0.05, rate=3.0, angle=2.0, seconds=3.0)
     assert np.abs(design.u).max() <= 0.05
     assert design.largest_rate <= 3.0
     assert design.largest_angle <= 2.0
@@ -133,8 +133,6 @@ def test_an_experiment_stays_within_its_limits_and_tells_more(true_model):
     for name, now in design.std_now.items():
         if now is not None:
             assert design.std_expected[name] <= now * (1.0 + 1e-9)
-    least = qs.design_experiment(model, amplitude=0.05, seconds=8.0, criterion='A').ranking
-    assert least[0][1] <= least[-1][1]
     for wrong in ({'amplitude': 0.0}, {'amplitude': 1.0, 'criterion': 'C'}):
         with pytest.raises(qs.BadInputError):
             qs.design_experiment(model, **wrong)

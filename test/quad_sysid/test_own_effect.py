@@ -36,7 +36,6 @@ class Cogging(qs.Effect):
         return -p[0] * np.sin(12.0 * s.angle)
 
 
-pytestmark = pytest.mark.xdist_group('own effect')
 TRUTH = 4.0
 AXIS = Axis(torque=lambda _t, _rate, angle: -TRUTH * math.sin(12.0 * angle))
 OWN = (*qs.EFFECTS[:8], Cogging())
@@ -44,8 +43,9 @@ OWN = (*qs.EFFECTS[:8], Cogging())
 
 
 @pytest.fixture(scope='module')
-def result():
-    return qs.identify(fly(AXIS, 5, SHORT), axes='roll', effects=OWN)
+def result(without_blackbox):
+    with without_blackbox():
+        return qs.identify(fly(AXIS, 5, SHORT), axes='roll', effects=OWN)
 
 
 def test_it_is_fitted_chosen_and_reported(result):
@@ -97,6 +97,7 @@ class Unmeasured(Cogging):
         return 'nobody measured it'
 
 
+@pytest.mark.usefixtures('no_blackbox')
 def test_one_that_loses_is_reported_with_its_evidence(plain_flight):
     """Also where the search does not fit it; and one that was not tested."""
     result = qs.identify(plain_flight, 'roll', effects=(Cogging(), Unmeasured()))

@@ -17,7 +17,6 @@ from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
 from quad_sysid.report.words import causes
 
-pytestmark = pytest.mark.xdist_group('report page')
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
 )

@@ -31,7 +31,6 @@ from quad_sysid.separation.measure import judged
 from quad_sysid.signals.schedule import parse_schedule
 
 SECONDS = 20.0
-pytestmark = pytest.mark.xdist_group('separation')
 
 
 FLOWN = {

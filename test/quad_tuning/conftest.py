@@ -1,12 +1,14 @@
 """An identified model of the paper's aircraft, as identification would hand it on."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.model import AxisModel, NoiseEstimate, Parameter
+from quad_tuning import ensemble
 
 NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 VALUES = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.1}
@@ -37,3 +39,10 @@ def model():
 @pytest.fixture(scope='session')
 def changed():
     return dataclasses.replace
+
+
+@pytest.fixture
+def few_draws(monkeypatch):
+    """A design over a quarter of its draws, where their number is not the matter."""
+    few = partial(ensemble.build, count=ensemble.DRAWS // 4)
+    monkeypatch.setattr(ensemble, 'build', few)

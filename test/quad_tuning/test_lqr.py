@@ -19,7 +19,7 @@ def loops_of(m, seed=3):
     return ensembles.build(m, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize('values', [{}, {'delay': 0.0016}, {'lag': 0.09, 'delay': 0.016}])
+@pytest.mark.parametrize('values', [{}, {'lag': 0.09, 'delay': 0.016}])
 def test_margins_hold_over_fresh_draws(model, values):
     m = model(**values)
     found = propose_lqr(m)

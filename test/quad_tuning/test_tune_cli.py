@@ -3,8 +3,11 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from quad_sysid.bags import write_bag
+from quad_sysid.record import Record
 from quad_sysid.report.model_file import save_models
 from quad_tuning.cli import main, ros2
 
@@ -14,6 +17,21 @@ def stored(tmp_path, model):
     path = tmp_path / 'model.json'
     save_models({'roll': model(), 'pitch': model('pitch', gain=-400.0)}, path)
     return str(path)
+
+
+@pytest.fixture
+def shaken(tmp_path):
+    """A bag of a flight in which the frame shakes at 70 Hz."""
+    t = np.arange(2500) * 0.004
+    rates = 0.02 * np.random.default_rng(1).standard_normal((t.size, 3))
+    rates[:, 0] += 0.8 * np.sin(2.0 * np.pi * 70.0 * t)
+    still, hover = np.zeros_like(rates), np.full((t.size, 4), 0.4)
+    return str(write_bag(Record(
+        source='shaken', dt=0.004, t0_ns=1_750_000_000_000_000_000, rates=rates,
+        control=hover * (1.0, 0.0, 0.0, 0.0), angles=still, motors=hover, wrench=None,
+        attitude_setpoint=still, rate_setpoint=still, acceleration=None, excitation=None,
+        battery_v=None, segments=(), gains=(),
+    ), tmp_path / 'shaken'))  # fmt: skip
 
 
 @pytest.fixture
@@ -31,11 +49,15 @@ def answer(stored, capsys, monkeypatch):
     return told
 
 
-def test_table_and_file_tell_the_same(stored, tmp_path, capsys):
-    """One refused axis is not a failure."""
+@pytest.mark.usefixtures('few_draws')
+def test_table_and_file_tell_the_same(stored, shaken, tmp_path, capsys):
+    """One refused axis is not a failure; a flight that shakes gets its notch beside the gains."""
     file = tmp_path / 'gains.json'
-    assert main(['design', stored, '--out', str(file)]) == 0
-    roll = json.loads(file.read_text())['axes']['roll']
+    assert main(['design', stored, '--flight', shaken, '--out', str(file)]) == 0
+    tree = json.loads(file.read_text())
+    roll, (notch,) = tree['axes']['roll'], tree['notches']
+    assert notch['frequency_hz'] == pytest.approx(70.0, abs=1.0)
+    assert f'{notch["place"]}_hz' in notch['gains']
     assert roll['gains']['roll.angle.kp'] > 3.0
     assert roll['steps'][-1] == roll['target'] == roll['gains']
     assert len(roll['steps']) >= 2
@@ -50,6 +72,7 @@ def test_table_and_file_tell_the_same(stored, tmp_path, capsys):
     assert float(row[-3]) > float(row[-2])
 
 
+@pytest.mark.usefixtures('few_draws')
 def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(
     stored, answer, tmp_path, capsys
 ):

@@ -8,7 +8,7 @@ import pytest
 from quad_bridge.gains.update import WATCH_S
 from quad_bridge.lockstep import VARIABLE
 
-QUAD_TUNE = 'import sys; from quad_tuning.cli import main; sys.exit(main())'
+QUAD_TUNE = 'import sys; from quad_tuning.cli import main as start; sys.exit(start())'
 KIND = 'rcl_interfaces/srv/SetParametersAtomically'
 
 
@@ -50,7 +50,7 @@ def test_only_the_bridge_of_its_namespace_is_asked_and_what_it_answers_is_the_en
         assert process.said == f'quad-tune: {reason}\n'
     (wanted,) = asked['left']
     assert told(wanted) == {
-        'roll.rate.kp': 0.08, 'source': 'quad-tune send', 'predicted': '{}',
+        'roll.rate.kp': 0.08, 'source': 'quad-tune send', 'predicted': '{}', 'flown': '{}',
     }  # fmt: skip
     assert asked['right'] == []
 

@@ -24,7 +24,6 @@ from quad_tuning import cli as tuning
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md')), ROOT / 'CONTRIBUTING.md']
 PLAN = Plan(20.0, (('train', 'prbs', 1.0, 13.0), ('validation', 'prbs', 13.5, 20.0)))
-pytestmark = pytest.mark.xdist_group('commands')  # one flight for all
 
 PROGRAMS = {'quad-sysid': sysid.main, 'quad-tune': tuning.main}
 STARTED_ELSEWHERE = {

@@ -39,6 +39,8 @@ import math
 import numpy as np
 import quad_sysid as qs
 from flown_axis import SHORT, Axis, fly
+from quad_sysid.pipeline import identify
+identify._compared = lambda answer, *_: answer  # no black-box models
 assert {!r} in qs.__file__
 flight = fly(Axis(), 5, SHORT)
 """

@@ -23,7 +23,7 @@ int quad_library_cycle(simulated *s, const uint8_t *frame, size_t count,
 void quad_library_gains(const simulated *s, float out[QUAD_PARAMETERS]);
 void quad_library_counts(const simulated *s, uint32_t out[6]);
 void quad_library_arm(simulated *s, int armed, int may_arm);
-double quad_library_fly(simulated *s, const float *gains, const double *given, double volts,
+double quad_library_fly(simulated *s, const float *gains, const double *given, double volts, double pascal,
                         const double *mag, const double *samples, int64_t count, double *out);
 
 size_t quad_library_size(void)
@@ -110,17 +110,17 @@ static void turned_attitude(const float in[3], double out[3])
 }
 
 /* One cycle of the control loop alone, whatever the endpoint would say: for flights as arrays, in
- * FLU and ENU. `given` (9): armed, injection, excitation (3), sticks roll, pitch, throttle, yaw;
+ * FLU and ENU. `given` (10): armed, injection, excitation (3), sticks roll, pitch, throttle, yaw, height mode;
  * `mag` (3) T; `samples` (count, 6) gyro and accelerometer. Writes rates, acceleration, angles,
- * angle and rate references (3 each), U1..U4, motors; returns 1 for a cut motor and 2 beyond the
- * angle limit. */
-double quad_library_fly(simulated *s, const float *gains, const double *given, double volts,
+ * angle and rate references (3 each), U1..U4, motors, height and climb; returns 1 for a cut motor, 2 beyond the
+ * angle limit, 4 on the ground. */
+double quad_library_fly(simulated *s, const float *gains, const double *given, double volts, double pascal,
                         const double *mag, const double *samples, int64_t count, double *out)
 {
     quad_firmware *f = &s->firmware;
     quad_sensors *sensors = &s->inputs.sensors;
     quad_cycle r = {.gains = gains, .flags = given[0] > 0.5 ? QUAD_FLAG_ARMED : 0u};
-    const quad_sticks sticks = {(float)given[5], -(float)given[6], -(float)given[8],
+    quad_sticks sticks = {(float)given[5], -(float)given[6], -(float)given[8],
                                 (float)given[7]};
     sensors->samples = (size_t)count;
     for (size_t i = 0; i < 3; i++) {
@@ -136,6 +136,11 @@ double quad_library_fly(simulated *s, const float *gains, const double *given, d
     r.excitation[2] = -(float)given[4];
     quad_attitude_cycle(&f->attitude, &f->settings.mounting, sensors, gains, f->period_s, r.gyro,
                         r.accel, r.attitude);
+    const bool armed = given[0] > 0.5;
+    quad_height_measure(&f->height, gains, r.accel, r.attitude, (float)(0.01 * pascal), armed, f->period_s);
+    sticks.throttle = quad_height_throttle(&f->height, gains, r.attitude, sticks.throttle, false, given[9] > 0.5,
+                                           armed, f->period_s);
+    r.flags |= f->height.landed ? QUAD_FLAG_LANDED : 0u;
     quad_control_cycle(&f->control, &f->settings.ranges, &sticks, (float)volts, f->period_s, &r);
     turned(r.gyro, out);
     turned(r.accel, &out[3]);
@@ -147,6 +152,8 @@ double quad_library_fly(simulated *s, const float *gains, const double *given, d
     for (size_t i = 0; i < 4; i++) {
         out[19 + i] = (double)r.motors[i];
     }
+    out[23] = (double)f->height.height;
+    out[24] = (double)f->height.climb;
     return ((r.flags & QUAD_FLAG_SATURATED) != 0 ? 1.0 : 0.0) +
-           ((r.flags & QUAD_FLAG_ANGLE_LIMIT) != 0 ? 2.0 : 0.0);
+           ((r.flags & QUAD_FLAG_ANGLE_LIMIT) != 0 ? 2.0 : 0.0) + ((r.flags & QUAD_FLAG_LANDED) != 0 ? 4.0 : 0.0);
 }

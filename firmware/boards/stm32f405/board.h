@@ -53,8 +53,8 @@ void i2c_start(void);
 /* Receiver, motors, battery. Edges wait in a ring, false where there is none. */
 void pulses_start(void);
 bool pulses_edge(radio_edge *edge);
-void pulses_motors(const float motors[4]);
-float battery_v(void);
+void pulses_motors(const float motors[4], float least_us, float most_us);
+float battery_pin_v(void); /* behind the divider */
 void receiver_4_interrupt(void);
 void receiver_5_interrupt(void);
 

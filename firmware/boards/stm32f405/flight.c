@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "board.h"
+#include "esc.h"
 #include "hmc5883.h"
 #include "mpu6050.h"
 #include "ms5611.h"
@@ -105,7 +106,7 @@ static void measure(uint64_t now_us)
         ms5611_cycle(&flight.barometer, &board_bus, now_us, &s->slow.pressure_hpa,
                      &s->slow.temperature_c);
     }
-    s->slow.battery_v = battery_v();
+    s->slow.battery_v = battery_pin_v();
 }
 
 static void hear_pilot(uint64_t now_us)
@@ -127,7 +128,7 @@ static void tell_pilot(uint32_t cycle)
     uint8_t bytes[SERIAL_LONGEST];
     if (RECEIVER == CRSF && cycle % TELEMETRY == 0) {
         const bool battery = cycle / TELEMETRY % 2 == 0;
-        receiver_tell(bytes, battery ? serial_radio_battery(flight.inputs.sensors.slow.battery_v, bytes)
+        receiver_tell(bytes, battery ? serial_radio_battery(flight.firmware.control.volts, bytes)
                                      : serial_radio_attitude(flight.firmware.record.attitude, bytes));
     }
 }
@@ -156,7 +157,7 @@ static void take_rest(void)
             mean[i] = flight.rest.sum[i] / (float)REST_SAMPLES;
         }
         quad_mounting *mounting = &flight.firmware.settings.mounting;
-        quad_to_body(mounting->axes, mean, mounting->gyro_bias);
+        quad_to_board(mounting->axes, mean, mounting->gyro_bias);
         flight.rested = true;
         quad_put_text(&flight.firmware.endpoint, 6, "gyro at rest: its bias is measured");
     }
@@ -172,7 +173,10 @@ static void run_cycle(uint64_t due_us)
         take_rest();
     }
     quad_firmware_cycle(&flight.firmware, due_us, &flight.inputs, motors);
-    pulses_motors(motors);
+    const float *set = flight.firmware.record.gains;
+    const bool usual = quad_setup_fault(set) != NULL;
+    pulses_motors(motors, usual ? ESC_LEAST_US : set[QUAD_MOTORS_PULSE_MIN_US],
+                  usual ? ESC_MOST_US : set[QUAD_MOTORS_PULSE_MAX_US]);
     tell_pilot(flight.firmware.timing.cycles);
     quad_firmware_timed(&flight.firmware, due_us, began_us, board_now_us());
     const quad_timing *t = &flight.firmware.timing;

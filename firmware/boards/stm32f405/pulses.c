@@ -5,7 +5,7 @@
 
 #define TIMERS_MHZ 84u
 #define EDGES 64u /* a power of two */
-#define BATTERY_V_PER_LSB (3.3f * 11.0f / 4095.0f) /* divider 10 k over 1 k */
+#define V_PER_LSB (3.3f / 4095.0f)
 
 static radio_edge edges[EDGES];
 static volatile uint32_t head; /* written, by interrupt; counts on */
@@ -29,7 +29,7 @@ static void start_motors(void)
 {
     TIM3->PSC = TIMERS_MHZ - 1u;
     TIM3->ARR = ESC_PERIOD_US - 1u;
-    TIM3->CCR1 = TIM3->CCR2 = TIM3->CCR3 = TIM3->CCR4 = esc_pulse_us(0.0f);
+    TIM3->CCR1 = TIM3->CCR2 = TIM3->CCR3 = TIM3->CCR4 = (uint16_t)ESC_LEAST_US;
     TIM3->CCMR1 = 0x6868u; /* PWM mode 1, a new pulse from the next period on */
     TIM3->CCMR2 = 0x6868u;
     TIM3->EGR = 1;
@@ -114,15 +114,15 @@ bool pulses_edge(radio_edge *edge)
     return true;
 }
 
-void pulses_motors(const float motors[4])
+void pulses_motors(const float motors[4], float least_us, float most_us)
 {
     reg *pulse = &TIM3->CCR1;
     for (size_t i = 0; i < 4; i++) {
-        pulse[i] = esc_pulse_us(motors[i]);
+        pulse[i] = esc_pulse_us(motors[i], least_us, most_us);
     }
 }
 
-float battery_v(void)
+float battery_pin_v(void)
 {
-    return BATTERY_V_PER_LSB * (float)(ADC1->DR & 0xFFFu);
+    return V_PER_LSB * (float)(ADC1->DR & 0xFFFu);
 }

@@ -30,6 +30,7 @@ class Ability(Enum):
     SET_POINTS = 'set-points'
     GAINS = 'gains'
     PULSES = 'test pulses'
+    MOTORS = 'motor tests'
 
 
 class Gains(Protocol):
@@ -152,6 +153,8 @@ class Quad(Aircraft):
             return ''
         if ability is Ability.EXCITE:
             return f'{name} has no QUAD_EXCITATION: no excitation of it'
+        if ability is Ability.MOTORS:
+            return f'{name} has a motor test of its own, in its ground station'
         return f'{name} has no QUAD_GAINS: no gains or pulses for it'
 
     def excite(self, value: f.Vector3, injection: f.Injection, valid_ms: int) -> f.Frame:

@@ -48,11 +48,15 @@ class OperatorEnable:
         self._held_s = max(self._held_s, now_s - max(age_s, 0.0))
         self.required = True
 
+    def held(self, now_s: float) -> bool:
+        """Whether somebody holds it, required or not."""
+        return now_s - self._held_s <= HELD_S
+
     def fault(self, now_s: float) -> str:
         """Why excitation and arming are refused now; empty if they are allowed."""
         if not self.required:
             return ''
-        if now_s - self._held_s <= HELD_S:
+        if self.held(now_s):
             return ''
         if self.reason:
             return f'/operator/enable: {self.reason}'

@@ -57,7 +57,9 @@ class ExcitationRelay:
             level, text = WARN, 'the STM32 dropped a stale set-point'
         elif Flag.EXCITATION_REFUSED in flags:
             why = self._aircraft.cannot(Ability.EXCITE)
-            level, text = WARN, why or 'the STM32 refuses the excitation'
+            level, text = WARN, why or 'the STM32 refuses the excitation' + (
+                ' of U1: its firmware may be older than the axis climb'
+                if self._injection is Injection.THRUST else '')
         elif disabled:
             text = f'disabled: {disabled}'
         return Status('excitation', level, text, values)
@@ -74,6 +76,8 @@ class ExcitationRelay:
             return None
         running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
+        if parameters.get('axis') == 'climb':  # of the three values it is the third
+            wanted = Injection.THRUST if wanted is Injection.CONTROL else None
         before, self._lost = self._injection, False
         self._injection = wanted if running and wanted is not None else Injection.NONE
         end = self._aircraft.abort() if Injection.NONE in {before, self._injection} else None

@@ -109,6 +109,11 @@ def sensors() -> int:
     return _command('sensors', 'quad_bridge.sensors.command')
 
 
+def setup() -> int:
+    """`ros2 run quad_bridge setup`."""
+    return _command('setup', 'quad_bridge.setup.wizard')
+
+
 def make_key() -> int:
     """`ros2 run quad_bridge make_key`."""
     return _command('make_key', 'quad_bridge.key_file')

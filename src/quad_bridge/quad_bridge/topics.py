@@ -18,6 +18,7 @@ TOPIC_TYPES = {
     '/battery': 'sensor_msgs/msg/BatteryState',
     '/imu/mag': 'sensor_msgs/msg/MagneticField',
     '/baro': 'sensor_msgs/msg/FluidPressure',
+    '/odom': 'nav_msgs/msg/Odometry',
     '/excitation/setpoint': 'geometry_msgs/msg/Vector3Stamped',
     '/excitation/applied': 'geometry_msgs/msg/Vector3Stamped',
     '/excitation/segment': 'rcl_interfaces/msg/ParameterEvent',
@@ -64,7 +65,10 @@ NODES = {
             '/excitation/setpoint', '/excitation/segment', '/gains/update', '/operator/enable',
             '/logger/bag', '/robot_description',
         ),
-        ('arm', 'calibrate_at_rest', 'check_polarity', 'fetch_log', 'find_motors', 'set_gains'),
+        (
+            'arm', 'calibrate_at_rest', 'check_polarity', 'fetch_log', 'find_motors', 'motor_test',
+            'set_gains',
+        ),
         managed=True,
     ),
     'bag_logger': Opens(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from quad_sysid.blackbox import FrequencyResponse, Model
     from quad_sysid.contract import FloatArray
+    from quad_sysid.fleets.summary import Fleet
     from quad_sysid.inspection.content import Content
     from quad_sysid.model import GainProposal
 
@@ -118,16 +120,30 @@ def inspect(flight: AnyFlight) -> Content:
     return content.of_record(split_segments(flight), content.Topics((), (), ()), split=not named)
 
 
-def fleet(folder: str | Path, out: str | Path, axes: Sequence[str] = (), *, workers: int = 1,
-          search_effects: bool = True) -> list[dict[str, Any]]:
-    """Identify every bag below a folder, each in a process of its own: a row each (fleets.py).
+def fleet(flights: str | Path | Sequence[Record], out: str | Path = '',
+          axes: Sequence[str] = (), *, aircraft: Sequence[str] = (), workers: int = 1,
+          cluster: str = '', search_effects: bool = True, limit_s: float = 3600.0,
+          group_by: str = 'aircraft', since: str = '') -> Fleet:
+    """Identify every bag and log below a folder, or every record: rows, and what they say.
 
-    A second call with the same `out` continues. Raises BadInputError where there is no bag.
+    A second call with the same `out` continues; records need none. `aircraft`: that of each
+    record. `cluster`: a Dask scheduler (docs/fleet.md). `limit_s`: longest time for a bag.
+    `group_by`: what is one aircraft, `aircraft` (the first folder), `folder` or `none`. `since`: a
+    day, such as 2026-05-31 or 90d. Raises BadInputError where there is no bag.
     """
-    from quad_sysid import fleets
+    from quad_sysid.fleets import bag, engine
+    from quad_sysid.fleets.summary import Fleet
 
-    every = fleets.jobs(Path(folder), Path(out), tuple(axes), search_effects=search_effects)
-    return fleets.run(every, workers)
+    asked: dict[str, Any] = {'axes': tuple(axes), 'search_effects': search_effects,
+                             'limit_s': limit_s}
+    fleet = Fleet([], group_by, since)
+    if isinstance(flights, str | Path):
+        if not out:
+            raise BadInputError('fleet: out', 'is missing', remedy='name a folder for the results')
+        every = bag.jobs(flights, out, **asked)
+    else:
+        every = bag.of_records(flights, aircraft, str(out), **asked)
+    return replace(fleet, rows=engine.run(every, workers, cluster))
 
 
 def import_log(path: str | Path, out: str | Path) -> Record:

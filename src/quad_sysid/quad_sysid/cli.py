@@ -16,7 +16,7 @@ from pathlib import Path
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # a process of one thread may fork: beside.py
 
-from quad_sysid import comparison, exports, fleets
+from quad_sysid import comparison, exports
 from quad_sysid.app import cli as app
 from quad_sysid.arguments import (
     NOT_ANSWERED,
@@ -30,9 +30,11 @@ from quad_sysid.arguments import (
     quiet_and_json,
     run_command,
 )
+from quad_sysid.axes import EVERY, units_of
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.files import check_new, write_whole
+from quad_sysid.fleets import cli as fleets
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
 from quad_sysid.logview import cli as look
@@ -82,8 +84,9 @@ def _identify_parser(commands: Commands) -> None:
         'quad-sysid identify flight/ --axis roll --out report/', reads='bags',
     )
     parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--axis', metavar='AXES', help='roll, pitch or yaw, several with commas '
-                        'between, or all (default: the axes that the bag says were excited)')
+    parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, '
+                        'several with commas between; all (of the attitude) or every one '
+                        '(default: the axes that the bag says were excited)')
     parser.add_argument('--train', metavar='A:B', help='seconds from the first /imu/data stamp')
     parser.add_argument('--validate', metavar='A:B', help='seconds from the first stamp')
     parser.add_argument('--out', metavar='DIR', type=Path, help='folder of the report, which '
@@ -91,6 +94,10 @@ def _identify_parser(commands: Commands) -> None:
                         'where that exists)')
     parser.add_argument('--inertia', metavar='IX,IY,IZ',
                         help='kg m²; the report then gives torques in N m as well')
+    parser.add_argument('--mass', type=float, metavar='KG', help='of the aircraft: thrust, drag '
+                        'and inertia then follow')
+    parser.add_argument('--thrust', type=float, metavar='N',
+                        help='of all motors at full command, where the mass is not known')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
     effects_option(parser)
     quiet_and_json(parser, 'report.json')
@@ -103,7 +110,7 @@ def _evaluate_parser(commands: Commands) -> None:
     parser.add_argument('model', metavar='MODEL.json',
                         help='written by quad-sysid identify, or its folder')
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
+    parser.add_argument('--axis', choices=EVERY, help='default: every axis of the model')
     parser.add_argument('--validate', metavar='A:B',
                         help='seconds; default: all but the idle segments')
     effects_option(parser)
@@ -146,7 +153,7 @@ def _identify(options: argparse.Namespace) -> int:
     wanted = session.asked(
         () if options.axis is None else options.axis.split(','), options.train or '',
         options.validate or '', options.inertia or '',
-    ) | {'effects': candidates(options)}
+    ) | {'effects': candidates(options), 'mass': options.mass, 'thrust': options.thrust}
     show = progress(quiet=options.quiet)
     outcome = session.run(options.bags, options.out, wanted, show)
     if options.json:
@@ -191,7 +198,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     if not found:
         return NOT_ANSWERED
     axes = {
-        e.axis: {'error': {'metric': document.METRIC, 'unit': 'rad/s', 'data': 'unseen',
+        e.axis: {'error': {'metric': document.METRIC, 'data': 'unseen',
+                           'unit': getattr(units_of(e.axis), 'rate', 'rad/s'),
                            'before': e.before, 'after': e.after,
                            'reference': e.after if e.reference is None else e.reference,
                            'one_step_before': e.one_step_before,

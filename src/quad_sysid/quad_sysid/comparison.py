@@ -169,12 +169,11 @@ def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Cha
 
 def _held(found: Sequence[Change]) -> tuple[Change, ...]:
     """Mark the changes at LEVEL for all of them together."""
-    tested = sorted((c.p_value, i) for i, c in enumerate(found) if c.p_value is not None)
-    marked = set()
-    for rank, (p, i) in enumerate(tested):
-        if p * (len(tested) - rank) > LEVEL:
-            break
-        marked.add(i)
+    from quad_sysid.fleets.drift import holm  # slow to import
+
+    tested = [(i, c.p_value) for i, c in enumerate(found) if c.p_value is not None]
+    marks = holm([p for _, p in tested], LEVEL)
+    marked = {i for (i, _), mark in zip(tested, marks, strict=True) if mark}
     return tuple(replace(c, changed=i in marked) for i, c in enumerate(found))
 
 

@@ -14,6 +14,7 @@ TOPIC_TYPES = {
     '/control/wrench': 'geometry_msgs/msg/WrenchStamped',
     '/setpoint/attitude': 'geometry_msgs/msg/Vector3Stamped',
     '/setpoint/rates': 'geometry_msgs/msg/Vector3Stamped',
+    '/odom': 'nav_msgs/msg/Odometry',
     '/rc/in': 'sensor_msgs/msg/Joy',
     '/battery': 'sensor_msgs/msg/BatteryState',
     '/imu/mag': 'sensor_msgs/msg/MagneticField',

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quad_sysid.arguments import Commands, command, effects_option, own_effects
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, write_whole
 
@@ -90,7 +91,7 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
         lines += [
             '', (f'# {axis}: normalised command to rate (rad/s) and angle (rad), held over '
             f'{found["dt_s"]:g} s,'), f'# the delay of {found["delay_s"]:.6g} s as states',
-            f'# command = {model.craft.inverse[1 + AXES.index(axis)].tolist()} @ motors',
+            f'# command = {model.craft.inverse[1 + EVERY[axis].index].tolist()} @ motors',
             *(f'# {p.name} = {p.value:.6g} {p.unit}' for p in model.base),
             *(f'# not in the matrices: {e.name}.{p.name} = {p.value:.6g} {p.unit}'
               for e in model.effects for p in e.parameters),
@@ -163,7 +164,7 @@ def add(commands: Commands) -> None:
                         help='written by quad-sysid identify, or its folder')
     parser.add_argument('--to', required=True, choices=['control', 'mat'],
                         help='control: a Python file; mat: MATLAB')
-    parser.add_argument('--axis', choices=AXES, help='default: every axis of the model')
+    parser.add_argument('--axis', choices=EVERY, help='default: every axis of the model')
     parser.add_argument('--out', metavar='FILE', type=Path,
                         help='default: beside the model, with the suffix of the format')
     effects_option(parser)

@@ -244,7 +244,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
             return f'not sent: {why}'
         told: dict[str, float | str] = {
             **wanted, 'source': f'identification of {bag}', 'bag': bag,
-            'model': f'{outcome.folder}/model.json', 'predicted': outcome.predictions(),
+            'model': f'{outcome.folder}/model.json', **outcome.sent_with(),
         }  # fmt: skip
         event = event_message(told, '/identification', 0)
         request = SetParametersAtomically.Request(parameters=event.changed_parameters)

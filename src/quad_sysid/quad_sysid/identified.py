@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.record import IOData, Record
@@ -241,6 +242,8 @@ class Identified(AxisModel):
         if not isinstance(flight, Record | IOData):
             raise BadInputError('flight', 'must be a Record, IOData or the path of a bag',
                                 type(flight).__name__, 'make one with from_arrays(u=…, y=…, dt=…)')
+        if isinstance(flight, Record):
+            flight = flight.for_axis(self.axis, self.dt)
         if not same_rate(flight.dt, self.dt):
             raise BadInputError('flight', "sample rate must be the model's",
                                 f'{1 / flight.dt:.6g} Hz, model {1 / self.dt:.6g} Hz')
@@ -254,7 +257,7 @@ class Identified(AxisModel):
         data = axis_alone(u, y, self.dt, spans, self.gyro_filter_hz)
         control = np.zeros((y.size, 4))
         control[:, 0] = self.mean_throttle or 0.0
-        control[:, 1 + AXES.index(self.axis)] = u
+        control[:, 1 + EVERY[self.axis].index] = u
         return replace(data, axis=self.axis, control=control), spans
 
 

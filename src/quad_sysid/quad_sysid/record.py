@@ -9,20 +9,32 @@ import itertools
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from quad_sysid.axes import EVERY, axis_of
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError, NotInformativeError
+from quad_sysid.motion import Motion, lean, steady_heading, upright
 from quad_sysid.units import Units
 
 ROLES = ('train', 'validation', 'idle')
 WIDTHS = {
     'rates': 3, 'control': 4, 'angles': 3, 'acceleration': 3, 'motors': None, 'speeds': None,
     'wrench': 4, 'attitude_setpoint': 3, 'rate_setpoint': 3, 'excitation': 3, 'battery_v': 0,
+    'velocity': 3, 'altitude': 0, 'lean': 2,
 }
 """Array of a Record → its columns: 0 for one without (n,), None for any number."""
+ACTING = ('control', 'motors', 'wrench', 'angles', 'lean')
+SPARSE = ('velocity', 'altitude', 'lean')
+"""Arrays that act over a whole cycle, and those that may come more rarely."""
+SPEED_DT_S = (0.01, 0.05)
+"""Shortest and longest interval, s, at which a speed is looked at: its motors have a lag of some
+40 ms, and errors are those of half a second."""
+SPEED_GAP_S = 0.25
+"""A speed is known between samples this close."""
 INJECTIONS = ('attitude', 'rate', 'control')
 SHORT_GAP_S = 0.05
 """A gap up to this long, some motors' lag, does not end a segment: the filter predicts through it,
@@ -43,6 +55,10 @@ class Segment:
     start_s: float
     end_s: float
     parameters: Mapping[str, float | int | str | bool] = field(default_factory=dict)
+
+    def excites(self, axis: str) -> bool:
+        """Whether it is on this axis, or on the one whose experiment is also this one's."""
+        return self.axis in {axis, EVERY[axis].excited_as}
 
 
 @dataclass(frozen=True)
@@ -102,6 +118,16 @@ class Record:
     """(n, 3) excitation as applied by the STM32, in the unit of the segment's injection."""
     battery_v: FloatArray | None = None
     """(n,) battery voltage, V."""
+    velocity: FloatArray | None = None
+    """(n, 3) m/s over the level and along the heading: forward, left, up; NaN where not measured,
+    as between the samples of a slower topic."""
+    altitude: FloatArray | None = None
+    """(n,) m above where the estimate began; NaN alike."""
+    lean: FloatArray | None = None
+    """(n, 2) horizontal thrust per vertical one, forward and left, by the attitude of the same
+    source; NaN alike. None: that of the angles, which an acceleration deceives."""
+    speed_filter_hz: float | None = None
+    """Cut-off of the filter of the measured speed, Hz; None: it has none, or it is not known."""
     segments: tuple[Segment, ...] = ()
     gains: tuple[GainChange, ...] = ()
     missing: tuple[str, ...] = ()
@@ -154,16 +180,15 @@ class Record:
         r is `external(name)` where that is known throughout, else None. Raises BadInputError for
         another axis or role and NotInformativeError where nothing is left.
         """
-        index = axis_index('Record.axis', name)
+        found = self.motion(name)
         if role not in (None, *ROLES):
             raise BadInputError('Record.axis', f'role must be of {", ".join(ROLES)}', repr(role))
-        y = self.rates[:, index]
-        u = self.control[:, index + 1]
-        r = self.external(name)
+        u = found.control[:, EVERY[name].index + 1]
+        y, r = found.rate, self.external(name)
         if role is None:
             spans: list[tuple[int, int]] = [(0, self.n)]
         else:
-            spans = [self.span(s) for s in self.segments if s.role == role and s.axis == name]
+            spans = [self.span(s) for s in self.segments if s.role == role and s.excites(name)]
         good = np.isfinite(y) & np.isfinite(u)
         runs = [run for span in spans for run in finite_runs(good, span)]
         if not runs:
@@ -175,15 +200,45 @@ class Record:
             r = None
         return IOData(u=u, y=y, dt=self.dt, r=r, segments=tuple(runs))
 
+    def motion(self, name: str) -> Motion:
+        """What drives an axis and how it moves.
+
+        Raises BadInputError for another name, NotInformativeError where the bag lacks the speed
+        or the attitude.
+        """
+        axis, angles = axis_of('Record.axis', name), self.angles
+        i, control = axis.index, self.control
+        if axis.turns:
+            return Motion(self.rates[:, i], None if angles is None else angles[:, i], control,
+                          self.motors, np.ones(self.n))
+        if self.velocity is None or not np.isfinite(self.velocity[:, i]).any():
+            raise NotInformativeError(
+                f'{self.source}: {name} needs the {"vertical" if i < 0 else "horizontal"} speed; '
+                'record /odom' + (', or /baro beside /imu/data with its acceleration'
+                                  if i < 0 else ''))
+        if i < 0:  # where it leans, less of the thrust points up
+            share = np.ones(self.n) if angles is None else upright(angles)
+            return Motion(self.velocity[:, 2], self.altitude, share[:, None] * control,
+                          None if self.motors is None else share[:, None] * self.motors, share)
+        if angles is None:
+            raise NotInformativeError(f'{self.source}: {name} needs the lean; record the '
+                                      'orientation of /imu/data')
+        leaning = steady_heading(lean(angles) if self.lean is None else self.lean, angles[:, 2])
+        driven = np.column_stack([control[:, 0], leaning, control[:, 3]])
+        along = steady_heading(self.velocity[:, :2], angles[:, 2])
+        return Motion(along[:, i], None, driven, np.zeros((self.n, 0)), np.ones(self.n))
+
     def external(self, name: str) -> FloatArray | None:
         """(n,) external reference of an axis' loop; None where the bag does not hold it.
 
         The attitude set-point (rad), which contains an excitation of the attitude; where the axis
         is excited after C1 or C2 instead, that excitation as applied (rad/s or normalised). It is
         of one unit, that of the training: NaN in segments that are excited elsewhere, and None
-        where the training's are of several.
+        where the training's are of several. Of an axis that moves it is not known.
         """
-        index = axis_index('Record.external', name)
+        if not axis_of('Record.external', name).turns:
+            return None
+        index = AXES.index(name)
         at = self.injected_at(name)
         if len(at) > 1:
             return None
@@ -225,6 +280,43 @@ class Record:
             gains=tuple(replace(g, time_s=g.time_s * ratio) for g in self.gains),
         )
 
+    def for_axis(self, name: str, dt: float | None = None) -> Record:
+        """The record at the interval at which this axis is looked at, or of about dt s.
+
+        A speed is slow, and comes more rarely than the control cycle: its axes go from one of its
+        samples to the next, with the mean of the commands between them.
+        """
+        axis = axis_of('Record.axis', name)
+        if axis.turns or self.velocity is None:
+            return self
+        seen = np.flatnonzero(np.isfinite(self.velocity[:, axis.index]))
+        if seen.size < 2:
+            return self
+        own = float(np.median(np.diff(seen))) * self.dt
+        count = round(min(max(own, SPEED_DT_S[0]), SPEED_DT_S[1]) / self.dt if dt is None
+                      else dt / self.dt)
+        if count < 2:
+            return self
+        phase = int(np.bincount(seen % count).argmax())
+        n = (self.n - phase) // count
+
+        def cells(values: FloatArray) -> FloatArray:
+            return values[phase : phase + n * count].reshape(n, count, *values.shape[1:])
+
+        arrays: dict[str, Any] = {}
+        for array in WIDTHS:
+            values = getattr(self, array)
+            if values is None:
+                continue
+            known = _joined(values, SPEED_GAP_S / self.dt) if array in SPARSE else values
+            arrays[array] = cells(known).mean(axis=1) if array in ACTING else cells(known)[:, 0]
+        away = phase * self.dt
+        return replace(
+            self, dt=count * self.dt, t0_ns=self.t0_ns + round(1e9 * away), **arrays,
+            segments=tuple(replace(s, start_s=max(0.0, s.start_s - away), end_s=s.end_s - away)
+                           for s in self.segments if s.end_s > away),
+            gains=tuple(replace(g, time_s=max(0.0, g.time_s - away)) for g in self.gains))
+
     def gains_at(self, time_s: float) -> Mapping[str, float]:
         """The gains active at `time_s`; empty where the bag does not say.
 
@@ -260,6 +352,19 @@ def _unwrapped(setpoint: FloatArray, yaw: FloatArray | None) -> FloatArray:
     out = setpoint.copy()
     out[known, 2] += turn * whole
     return np.asarray(out)
+
+
+def _joined(values: FloatArray, most: float) -> FloatArray:
+    """(n,) or (n, k) with straight lines between known samples at most so many rows apart."""
+    out, rows = values.reshape(values.shape[0], -1).copy(), np.arange(values.shape[0])
+    for column in out.T:
+        known = np.flatnonzero(np.isfinite(column))
+        if known.size < 2:
+            continue
+        after = np.clip(np.searchsorted(known, rows), 1, known.size - 1)
+        near = (known[after] - known[after - 1] <= most) & (rows >= known[0]) & (rows <= known[-1])
+        column[near] = np.interp(rows[near], known, column[known])
+    return np.asarray(out.reshape(values.shape))
 
 
 def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:
@@ -329,13 +434,6 @@ class IOData:
     def inside(self, signal: FloatArray) -> FloatArray:
         """The samples of a signal (n,) within the segments, one after the other."""
         return np.concatenate([signal[start:stop] for start, stop in self.segments])
-
-
-def axis_index(where: str, name: str) -> int:
-    """0, 1, 2 for roll, pitch, yaw; else BadInputError, naming `where`."""
-    if name not in AXES:
-        raise BadInputError(where, f'axis must be one of {", ".join(AXES)}', repr(name))
-    return AXES.index(name)
 
 
 def _signal(name: str, given: object, where: str = 'IOData') -> FloatArray:

@@ -19,13 +19,13 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from quad_sysid.axes import axis_of
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NoSuchAttributeError
 from quad_sysid.identified import Identified
-from quad_sysid.model import AxisModel, Designer, EffectEstimate
+from quad_sysid.model import BEFORE, AxisModel, Designer, EffectEstimate
 from quad_sysid.record import Record
-from quad_sysid.units import Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from quad_sysid.pipeline.evaluate import Evaluation
     from quad_sysid.record import IOData
     from quad_sysid.separation.design import Separation
+    from quad_sysid.whole import Whole
 
 PROMISES = ('rate_rms_ratio', 'oscillation_ratio', 'peak')
 """Predictions of a design with which the bridge's watch compares the flight."""
@@ -59,6 +60,8 @@ class Result:
     """Sources of the flights."""
     inertia: Mapping[str, float] | None = None
     """Axis → kg m², to report torques in N m too."""
+    whole: Whole | None = None
+    """The aircraft as a whole; None where the flights are arrays."""
     folder: Path | None = None
     """Folder of the report, once it is saved."""
 
@@ -82,7 +85,7 @@ class Result:
         """The tree of report.json (contract)."""
         from quad_sysid.report.document import document
 
-        return document(self.answers, self.flights, self.inertia)
+        return document(self.answers, self.flights, self.inertia, self.whole)
 
     @property
     def answer(self) -> AxisAnswer:
@@ -191,7 +194,8 @@ class Result:
         place = Path(folder) if folder else store.free_folder(
             Path(f'{Path(self.flights[0]).resolve().stem}_identified')
         )
-        store.write(place, self.report, self.answers, html=html, pictures=pictures)
+        store.write(place, self.report, self.answers, html=html, pictures=pictures,
+                    urdf=self.whole.craft.to_urdf() if self.whole else '')
         return replace(self, folder=place)
 
     @property
@@ -212,11 +216,9 @@ class Result:
         """The designed gains of all axes by the contract's names; none of refused axes."""
         return {name: value for _, gains, _ in self._proposed() for name, value in gains.items()}
 
-    def predictions(self) -> str:
-        """The designs' predictions for the watch in flight, as JSON for /gains/update."""
-        return json.dumps({f'{axis}.{name}': round(figures[name], 6)
-                           for axis, _, figures in self._proposed()
-                           for name in PROMISES if name in figures})
+    def sent_with(self) -> dict[str, str]:
+        """What goes with the gains in /gains/update; see `sent_with`."""
+        return sent_with({axis: figures for axis, _, figures in self._proposed()})
 
     def refusals(self) -> dict[str, str]:
         """Axis → why there are no gains."""
@@ -230,6 +232,20 @@ class Result:
                 yield axis, answer.proposal.gains, answer.proposal.figures
 
 
+def sent_with(figures: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
+    """What goes with designed gains in /gains/update, each as JSON; `figures` of designs by axis.
+
+    `predicted` is for the watch in flight; `flown` are the gains that the design improves, which
+    the aircraft must have.
+    """
+    predicted = {f'{axis}.{name}': round(said[name], 6)
+                 for axis, said in figures.items() for name in PROMISES if name in said}
+    flown = {name.removesuffix(BEFORE): value
+             for axis, said in figures.items() for name, value in said.items()
+             if name.startswith(f'{axis}.') and name.endswith(BEFORE)}
+    return {'predicted': json.dumps(predicted), 'flown': json.dumps(flown)}
+
+
 def identify(
     flights: Flights | None = None, axes: str | Sequence[str] = (), *,
     u: Samples | None = None, y: Samples | None = None, dt: float | Sequence[float] | None = None,
@@ -238,6 +254,7 @@ def identify(
     train: Parts | None = None, validate: Parts | None = None,
     effects: Sequence[Effect] | None = None, extra_effects: Sequence[Effect] = (),
     designer: Designer | None = None, inertia: Mapping[str, float] | None = None,
+    mass: float | None = None, thrust: float | None = None,
     progress: Callable[[str], object] = lambda _: None, seconds: float | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Result:
@@ -245,10 +262,12 @@ def identify(
 
     `flights`: records or paths of bags, or a frame, a response, IOData with what `u`, `y` and so
     on say of it; arrays alone need no `flights` (from_arrays has their shapes, units, errors; a
-    list has one for each experiment). `axes`: `roll`, `pitch`, `yaw`; default: those that the
+    list has one for each experiment). `axes`: `roll`, `pitch`, `yaw`, `surge`,
+    `sway`, `climb`; default: those that the
     flights excite; of arrays the one that they are called, `roll`. `train`, `validate`: Parts, or
     (start, end), s from the first sample; default: the bag's segments, else 60 and 40 %.
     `effects`: the candidates; default `EFFECTS`, `()` for none; `extra_effects` join them.
+    `mass` (kg) or `thrust` (N, of all motors at full command): of the aircraft as a whole.
     `designer`: designs gains for a model; default: that of quad_tuning, where installed.
     `progress`: called with a line of text, or a tqdm; `seconds`: after which the search adds
     nothing more, as where `stop()` is true; the report says what was not tried. Raises
@@ -259,11 +278,14 @@ def identify(
     from quad_sysid.model.checked import checked
     from quad_sysid.pipeline.identify import Options
     from quad_sysid.pipeline.identify import identify as answers_of
+    from quad_sysid.whole import whole_of
 
     wanted = (axes,) if isinstance(axes, str) else tuple(axes)
     for axis in wanted:
-        if axis not in AXES:
-            raise BadInputError('identify', f'axes must be among {", ".join(AXES)}', repr(axis))
+        axis_of('identify', axis)
+    for name, value in (('mass', mass), ('thrust', thrust)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise BadInputError('identify', f'{name} must be a positive number', value)
     chosen = EFFECTS if effects is None else effects
     candidates = EFFECTS if effects is None and not extra_effects else checked(
         (*chosen, *extra_effects) if isinstance(chosen, list | tuple) else chosen,
@@ -288,10 +310,12 @@ def identify(
                 halt=limit),
         show,
     )
-    if records[0].units is not None:
-        answers = {axis: _with_units(answer, records[0].units)
-                   for axis, answer in answers.items()}
-    return Result(answers, tuple(record.source for record in records), inertia)
+    whole = None
+    if records[0].units is None:
+        models = {axis: one.model for axis, one in answers.items()
+                  if one.model is not None and one.answered}
+        whole = whole_of(models, records, mass, thrust)
+    return Result(answers, tuple(record.source for record in records), inertia, whole)
 
 
 def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,
@@ -319,14 +343,6 @@ def _is_span(part: object) -> bool:
     """Whether it is (start, end) in s, or nothing."""
     return part is None or (isinstance(part, tuple) and len(part) == 2
                             and not any(isinstance(one, slice) for one in part))
-
-
-def _with_units(answer: AxisAnswer, units: Units) -> AxisAnswer:
-    model = answer.model
-    if model is None:
-        return answer
-    reference = None if model.reference is None else replace(model.reference, units=units)
-    return replace(answer, model=replace(model, units=units, reference=reference))
 
 
 def _listener(progress: Any) -> Callable[[str], None]:

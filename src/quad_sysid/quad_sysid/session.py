@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from quad_sysid.axes import ALL_WORDS, EVERY
 from quad_sysid.bags import parse_span
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
@@ -21,14 +22,15 @@ def asked(axes: Sequence[str] = (), train: str = '', validate: str = '',
           inertia: str = '') -> dict[str, Any]:
     """Keywords of `identify` from typed arguments; empty ones mean its defaults.
 
-    `axes`: names, or `all`; `train`, `validate`: `A:B`, s; `inertia`: `IX,IY,IZ`, kg m². Raises
-    BadInputError naming the option.
+    `axes`: names, `all` of the attitude, or `every` one; `train`, `validate`: `A:B`, s;
+    `inertia`: `IX,IY,IZ`, kg m². Raises BadInputError naming the option.
     """
     for name in axes:
-        if name not in (*AXES, 'all'):
-            raise BadInputError('axis', f'must be one of {", ".join(AXES)}, all', repr(name),
-                                'several stand with commas between, as in roll,pitch')
-    return {'axes': AXES if 'all' in axes else tuple(dict.fromkeys(axes)),
+        if name not in (*EVERY, *ALL_WORDS):
+            raise BadInputError('axis', f'must be one of {", ".join((*EVERY, *ALL_WORDS))}',
+                                repr(name), 'several stand with commas between, as in roll,pitch')
+    return {'axes': tuple(dict.fromkeys(one for name in axes
+                                        for one in ALL_WORDS.get(name, (name,)))),
             'train': parse_span(train, '--train') if train else None,
             'validate': parse_span(validate, '--validate') if validate else None,
             'inertia': _inertia(inertia) if inertia else None}

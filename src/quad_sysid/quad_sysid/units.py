@@ -13,6 +13,17 @@ from quad_sysid.contract import FloatArray
 POWERS = {'': 1, '²': 2, '³': 3}
 RAD = re.compile(r'\(rad/s[²]?\)([²³]?)|rad([²³]?)(?=/|$)')
 """A motion in the unit of a parameter, and its power."""
+LENGTHS = ('m', 'cm', 'mm')
+SAID = tuple((re.compile(pattern), word) for pattern, word in (
+    (r'(torque|friction) / inertia', 'acceleration'), (r'\brate\b', 'speed'),
+    (r'[Aa]ngular acceleration', 'acceleration'),
+    (r'\brates\b', 'speeds'), (r'\bangle\b', 'position'), (r'\btorque\b', 'force'),
+    (r'\bthe gyro\b', 'the sensor'), (r'\bgyro\b', 'sensor'), (r'\bturns?\b', 'moves'),
+))
+"""What a rotation's words are of a motion in metres."""
+OF_MOTION = re.compile(r'(?<!frequency, )(?<!phase, )\brad\b')
+"""The unit in a label, but for a frequency or a phase."""
+
 
 
 @dataclass(frozen=True)
@@ -56,3 +67,23 @@ class Units:
             if self.command != Units.command:
                 name = name.replace(word, self.command)
         return name, factor / self.per_motion**powers
+
+
+def unit_in(units: Units | None, unit: str) -> str:
+    """The SI unit of a number of an axis that moves in these units, from that of a rotation."""
+    if units is None or units.motion not in LENGTHS:
+        return unit
+    named = unit.replace('rad', 'm')
+    own = units.per_command == 1.0 and units.command != Units.command
+    return named.replace('unit command', units.command) if own else named
+
+
+def spoken(units: Units | None, text: str, *, label: bool = False) -> str:
+    """A text about an axis in the words of its motion, of a label its unit too."""
+    if units is None or units.motion not in LENGTHS:
+        return text
+    if label:
+        text = OF_MOTION.sub('m', text)
+    for pattern, word in SAID:
+        text = pattern.sub(word, text)
+    return text

@@ -27,7 +27,7 @@ from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import write_whole
 from quad_sysid.loop.from_model import not_in_the_loop
-from quad_sysid.model import AxisModel
+from quad_sysid.model import BEFORE, AxisModel
 from quad_sysid.report.model_file import load_models, pick
 from quad_sysid.report.tables import Table, figure_rows, wrapped
 from quad_sysid.report.words import left_out, number
@@ -67,6 +67,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
                         help='pid: the cascade of angle and rate (default); lqr: state feedback')
     parser.add_argument('--axis', choices=(*AXES, 'all'), default='all',
                         help='default: every axis of the model')
+    parser.add_argument('--flight', metavar='BAG',
+                        help='a flight, of which notches are proposed where the frame shakes')
     effects_option(parser)
     quiet_and_json(parser, 'JSON')
     parser.add_argument('--out', type=Path, metavar='FILE',
@@ -88,6 +90,8 @@ def _run(arguments: argparse.Namespace) -> int:
         models = pick(models, arguments.axis, arguments.model)
     answers = {axis: _answer(model, arguments) for axis, model in models.items()}
     tree = {'schema': exports.DESIGN, 'method': arguments.method, 'axes': answers}
+    if arguments.flight is not None:
+        tree['notches'] = _notches(models, answers, arguments.flight)
     text = json.dumps(tree, indent=1, allow_nan=False)
     if arguments.out is not None:
         write_whole(arguments.out, text + '\n')
@@ -96,6 +100,8 @@ def _run(arguments: argparse.Namespace) -> int:
     elif not arguments.quiet:
         for axis, answer in answers.items():
             print(_table(axis, arguments.method, answer))
+        if 'notches' in tree:
+            print(_notch_table(tree['notches']))
     refusals = [a['refused_because'] for a in answers.values() if a['refused_because']]
     if len(refusals) == len(answers):
         print(f'quad-tune: no gains: {" | ".join(refusals)}', file=sys.stderr)
@@ -133,7 +139,7 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
         return f'{axis} ({method}): no gains: {answer["refused_because"]}\n'
     figures = answer['figures']
     rows = [
-        [name, number(figures.get(f'{name}_before'), 4), number(value, 4),
+        [name, number(figures.get(f'{name}{BEFORE}'), 4), number(value, 4),
          _unit(name.partition('.')[2])]
         for name, value in (answer.get('target') or answer['gains']).items()
     ]
@@ -150,6 +156,38 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
         )
     lines += wrapped(left_out(answer['left_out']))
     return '\n'.join(lines) + '\n'
+
+
+def _notches(models: Mapping[str, AxisModel], answers: Mapping[str, Mapping[str, Any]],
+             flight: str) -> list[dict[str, Any]]:
+    """The notches that a flight asks for, with the gains of the design where there are such."""
+    from quad_sysid.logview.read import look
+    from quad_tuning.notches import propose_notches
+
+    gains: dict[str, float] = {}
+    crossover = {}
+    for axis, model in models.items():
+        answer = answers[axis]
+        gains |= {**model.active_gains, **(answer.get('target') or answer['gains'] or {})}
+        if 'crossover_rad_s' in answer['figures']:
+            crossover[axis] = answer['figures']['crossover_rad_s']
+    seen = look(flight).whole.axes
+    peaks = {axis: one.gyro.peaks() for axis, one in seen.items() if one.gyro is not None}
+    dt = next(iter(models.values())).dt
+    return [{**vars(one), 'gains': one.gains}
+            for one in propose_notches(peaks, gains, crossover, dt)]
+
+
+def _notch_table(notches: Sequence[Mapping[str, Any]]) -> str:
+    if not notches:
+        return 'notches: none; no shaking of the frame reaches the motors\n'
+    rows = [[n['place'], n['axis'], number(n['frequency_hz'], 4), number(n['width_hz'], 3),
+             number(100.0 * n['command_rms'], 2), number(100.0 * n['command_rms_after'], 2),
+             number(n['phase_deg'], 2)] for n in notches]  # fmt: skip
+    head = ['notch', 'axis', 'Hz', 'width', 'command %', 'behind it', 'phase, deg']
+    gains = {name: value for n in notches for name, value in n['gains'].items()}
+    return '\n'.join([*Table(head, rows, (2, 3, 4, 5, 6)).text(),
+                      f'  send them by themselves: {_short(gains)}']) + '\n'
 
 
 def _unit(name: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.from_model import loop_plant, not_in_the_loop
-from quad_sysid.model import AxisModel, GainProposal
+from quad_sysid.model import BEFORE, AxisModel, GainProposal
 from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import Requirements, assess, promise
 from quad_tuning.bounds import (
@@ -112,7 +112,7 @@ def _check_worth(found: PidDesign, needs: Requirements) -> None:
 def _figures(model: AxisModel, found: PidDesign, known: Mapping[str, float],
              draws: int) -> dict[str, float]:
     before = {**found.before.named(model.noise_rms), **known}
-    values = found.figures.named(model.noise_rms) | {f'{name}_before': value for name,
+    values = found.figures.named(model.noise_rms) | {f'{name}{BEFORE}': value for name,
                                                      value in before.items()} | {
         'draws': draws, 'searches_that_agree': found.agreeing, 'searches': found.searches,
         'disturbance_kept': found.disturbance_kept,

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.arguments import Commands, command
+from quad_sysid.autopilot_table import ARDUPILOT, D_FILTER, PX4, Table
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, read_json, write_whole
@@ -32,7 +33,6 @@ from quad_sysid.imports.betaflight_gains import (
     PTERM,
     YAW_I,
 )
-from quad_tuning.autopilot_table import ARDUPILOT, D_FILTER, PX4, Table
 from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
 
 DESIGN = 'quad_tuning/design/1'

@@ -19,7 +19,7 @@ from typing import Any
 from quad_sysid.arguments import NOT_ANSWERED, command
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table
-from quad_sysid.result import PROMISES
+from quad_sysid.result import sent_with
 from quad_tuning.exports import finite, read_axes, read_gains
 
 SCHEMA = 'quad_tuning/history/1'
@@ -233,9 +233,8 @@ def go_back(arguments: argparse.Namespace) -> int:
 
 def send(arguments: argparse.Namespace) -> int:
     """`quad-tune send`. Raises QuadSysidError for bad input."""
-    gains, predicted = read_design(arguments.design)
-    refusal = _publish('send')(gains, SENDER, predicted=json.dumps(predicted),
-                               namespace=arguments.namespace)
+    gains, beside = read_design(arguments.design)
+    refusal = _publish('send')(gains, SENDER, beside=beside, namespace=arguments.namespace)
     return _told(refusal, f'active: {_words(gains)}; the bridge watches them for 10 s of '
                  'flight and takes them back if they fly badly: see quad-tune history')
 
@@ -259,15 +258,14 @@ def _told(refusal: str, success: str) -> int:
     return 0
 
 
-def read_design(path: Path) -> tuple[dict[str, float], dict[str, float]]:
-    """Gains and predictions of all axes in a design's file. Raises BadInputError."""
+def read_design(path: Path) -> tuple[dict[str, float], dict[str, str]]:
+    """Gains of all axes in a design's file, and what is sent with them. Raises BadInputError."""
     gains = read_gains(path, bounded=False)
-    predicted = {f'{axis}.{name}': finite(said[name], f'{path}: axes.{axis}.figures.{name}')
-                 for axis, one in read_axes(path).items()
-                 for said in [one.get('figures')]
-                 for name in PROMISES
-                 if isinstance(said, Mapping) and name in said}
-    return gains, predicted
+    figures = {axis: {name: finite(value, f'{path}: axes.{axis}.figures.{name}')
+                      for name, value in said.items()}
+               for axis, one in read_axes(path).items()
+               for said in [one.get('figures')] if isinstance(said, Mapping)}
+    return gains, sent_with(figures)
 
 
 def _file(arguments: argparse.Namespace) -> Path:

@@ -21,10 +21,10 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, loops_of
 from quad_sysid.loop.plant import Flying
-from quad_sysid.model import AxisModel
+from quad_sysid.model import BEFORE, AxisModel
 from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import Requirements, assess, meets, promise
-from quad_tuning.bounds import BOUNDS, check_band, check_inside, check_model, flown_gains
+from quad_tuning.bounds import BOUNDS, check_band, check_inside, check_model, flown_gains, told
 from quad_tuning.designer import LARGEST_LOSS_PCT, SEED
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
@@ -104,7 +104,9 @@ def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal
         )
     figures = {
         **after.named(model.noise_rms),
-        **{f'{name}_before': value for name, value in before.named(model.noise_rms).items()},
+        **{f'{name}{BEFORE}': value for name, value in (
+            before.named(model.noise_rms) | told(active, model.axis, model.active_gains)
+        ).items()},
         **promise(loops, active, found, model.value('lag')), 'draws': float(loops.draws),
         'control_weight': factor,
     }

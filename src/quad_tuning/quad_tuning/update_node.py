@@ -26,13 +26,14 @@ SERVICE = 'serial_bridge/set_gains'
 
 
 def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
-            predicted: str = '', namespace: str = '', aircraft: str = '') -> str:
+            beside: Mapping[str, str] | None = None, namespace: str = '',
+            aircraft: str = '') -> str:
     """Send `gains` (contract names, SI) to the bridge; `rollback`: or revert those in flight.
 
-    `predicted` is JSON for the bridge's watch, `namespace` the bridge's, `aircraft` the name of
-    the one they are for, if that is known. Returns '' once the aircraft has read them back, else
-    the reason why not. Raises BadInputError for an invalid namespace or a bridge that is not there
-    or does not answer, KeyboardInterrupt on SIGINT. Call it in the main thread.
+    `beside` is what a design sends with its gains, `namespace` the bridge's, `aircraft` the name
+    of the one they are for, if that is known. Returns '' once the aircraft has read them back,
+    else the reason why not. Raises BadInputError for an invalid namespace or a bridge that is
+    not there or does not answer, KeyboardInterrupt on SIGINT. Call it in the main thread.
     """
     try:
         validate_namespace(f'/{namespace.strip("/")}')
@@ -66,7 +67,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
             raise BadInputError(client.srv_name, f'no bridge has been heard for {LISTEN_S:.0f} s',
                                 remedy='start serial_bridge, or give its --namespace')
         told: dict[str, bool | float | str] = {**gains, 'source': source,
-                                               **({'predicted': predicted} if predicted else {}),
+                                               **(beside or {}),
                                                **({'aircraft': aircraft} if aircraft else {}),
                                                **({'rollback': True} if rollback else {})}
         wanted = event_message(told, '/quad_tune', 0).changed_parameters

@@ -66,6 +66,8 @@ class AutopilotAircraft(Aircraft):
         name = self.kind.name
         if ability is Ability.PULSES:
             return f'{name} takes no test pulses: that it flies shows its signs'
+        if ability is Ability.MOTORS:
+            return f'{name} has a motor test of its own, in its ground station'
         if ability is Ability.SET_POINTS:
             return 'it is flown by its pilot: it takes no set-points from the bridge'
         if not self._allow[ability]:

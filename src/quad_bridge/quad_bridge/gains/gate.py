@@ -23,11 +23,13 @@ from quad_bridge.gains.table import (
     Bound,
     switch_of,
 )
-from quad_bridge.gains.watch import Predicted
+from quad_bridge.gains.watch import CLIMB, Predicted
+from quad_bridge.wire.frames import Flag
 
 FLOAT32_MAX = 3.4028234663852886e38  # nothing larger goes over the wire, and no bound is
 USUAL_HZ = 250.0  # control cycles per second, where the STM32 has not said it
 LONGEST_NAME, LONGEST_TEXT = 60, 4096  # characters of a name in a message; of a text
+SAME = 0.02  # relative difference up to which a gain is the one that a design began from
 MOST_STEPS = 16  # more than that from one update is taken as a mistake: 2 to the 16 is 65536
 _LIMITS = {'rate_rms_ratio': (0.5, 3.0), 'oscillation_ratio': (0.5, 3.0), 'peak': (1.0, 2.5)}
 """Limits of a prediction's effect on the watch's bounds."""
@@ -54,6 +56,7 @@ class GainRequest:
     aircraft: str = ''  # for which they are; empty: for the connected one
     rollback: bool = False  # take back what is in flight; else `gains` are an update
     predicted: Mapping[str, Predicted] = field(default_factory=dict)  # by axis
+    flown: Mapping[str, float] = field(default_factory=dict)  # contract names: designed upon them
 
 
 def read_request(parameters: Mapping[str, object]) -> GainRequest:
@@ -68,8 +71,27 @@ def read_request(parameters: Mapping[str, object]) -> GainRequest:
     rollback = rest.pop('rollback', False)
     if not isinstance(rollback, bool):
         raise RefusedError(f'rollback: must be true or false: found {reprlib.repr(rollback)}')
-    predicted = _predictions(_text('predicted', rest.pop('predicted', '{}')))
-    return GainRequest(gains=numbers(rest), rollback=rollback, predicted=predicted, **texts)
+    predicted = _predictions(_object('predicted', rest))
+    flown = _object('flown', rest)
+    return GainRequest(
+        gains=numbers(rest), rollback=rollback, predicted=predicted, flown=flown, **texts
+    )
+
+
+def _object(name: str, rest: dict[str, object]) -> dict[str, float]:
+    """Remove a parameter that is JSON such as `{"roll.peak": 1.2}`; its numbers, all finite."""
+    text = _text(name, rest.pop(name, '{}'))
+    try:
+        said = json.loads(text)
+        found = numbers(said) if isinstance(said, dict) else None
+    except (ValueError, RecursionError) as error:
+        raise RefusedError(f'{name}: must be a JSON object of numbers: {error}') from error
+    if found is None:
+        raise RefusedError(f'{name}: must be a JSON object: found {shorten(text)}')
+    for key, value in found.items():
+        if not math.isfinite(value):
+            raise RefusedError(f'{name}: {shorten(key)} must be finite: found {value}')
+    return found
 
 
 def _text(name: str, text: object) -> str:
@@ -81,15 +103,8 @@ def _text(name: str, text: object) -> str:
     return text
 
 
-def _predictions(text: str) -> dict[str, Predicted]:
-    """What JSON such as `{"roll.peak": 1.2, "roll.rate_rms_ratio": 0.9}` says of each axis."""
-    try:
-        said = json.loads(text)
-        pairs = numbers(said) if isinstance(said, dict) else None
-    except (ValueError, RecursionError) as error:
-        raise RefusedError(f'predicted: must be a JSON object of numbers: {error}') from error
-    if pairs is None:
-        raise RefusedError(f'predicted: must be a JSON object: found {shorten(text)}')
+def _predictions(pairs: Mapping[str, float]) -> dict[str, Predicted]:
+    """What `{"roll.peak": 1.2, "roll.rate_rms_ratio": 0.9}` says of each axis."""
     values: dict[str, dict[str, float]] = {}
     known = {f.name for f in fields(Predicted)}
     for name, value in pairs.items():
@@ -97,8 +112,6 @@ def _predictions(text: str) -> dict[str, Predicted]:
         if axis not in AXES or figure not in known:
             words = f'{shorten(name)} is not known; known are {", ".join(sorted(known))}'
             raise RefusedError(f'predicted: {words}')
-        if not math.isfinite(value):
-            raise RefusedError(f'predicted: {name} must be finite: found {value}')
         low, high = _LIMITS[figure]
         values.setdefault(axis, {})[figure] = min(max(value, low), high)
     return {axis: Predicted(**figures) for axis, figures in values.items()}
@@ -128,6 +141,30 @@ def check_source(source: str, allowed: Sequence[str]) -> None:
     if not any(fnmatchcase(source, pattern) for pattern in allowed):
         known = ', '.join(allowed) or 'none'
         raise RefusedError(f'the source is not allowed; parameter sources has {known}')
+
+
+def check_flown(request: GainRequest, active: Mapping[str, float]) -> None:
+    """Raise RefusedError where the aircraft flies other gains than the design began from.
+
+    Then the design is of another aircraft, in another unit of the commands, or it is old. On the
+    way from those gains to the new ones is where an update that was taken back has left it.
+    """
+    for name, before in request.flown.items():
+        now = active.get(name)
+        low, high = sorted((before, request.gains.get(name, before)))
+        slack = SAME * max(abs(low), abs(high))
+        if now is not None and not low - slack <= now <= high + slack:
+            raise RefusedError(
+                f'{name}: the design began from {before:.4g}, and the aircraft has {now:.4g}: it '
+                'is of another aircraft or of older gains; fly, identify and design again'
+            )
+
+
+def refuse_climb(wanted: Mapping[str, float], flags: int, *, flying: bool) -> None:
+    """Raise RefusedError for gains of the height mode while the pilot has the throttle."""
+    climbs = any(name.startswith(f'{CLIMB}.') for name in wanted)
+    if climbs and flying and not flags & Flag.HOLD:
+        raise RefusedError('climb gains are tried in the height mode: switch it on first')
 
 
 def steps(

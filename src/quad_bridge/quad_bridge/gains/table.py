@@ -141,11 +141,99 @@ OF_AIRCRAFT = (
 """Of the aircraft as a whole, where a firmware has them. A firmware with the first one gives up
 yaw before throttle and throttle before roll and pitch; one without it clips each motor."""
 
+CLIMB = (
+    Gain('climb.height.kp', 'CLIMB_HGT_KP', '1/s', 'climb reference per height error', (0.0, 5.0),
+         (1.0,), Bound(0.1, 3.0)),
+    Gain('climb.height.rate_limit', 'CLIMB_HGT_VLIM', 'm/s', 'largest climb reference',
+         (0.1, 5.0), (1.0,)),
+    Gain('climb.height.ceiling', 'CLIMB_HGT_CEIL', 'm', 'largest height above the take-off',
+         (1.0, 500.0), (30.0,)),
+    Gain('climb.rate.kp', 'CLIMB_RATE_KP', 's/m', 'command per error of the climb', (0.0, 1.0),
+         (0.1,), Bound(0.005, 0.5)),
+    Gain('climb.rate.ki', 'CLIMB_RATE_KI', '1/m', 'command per integral of that error',
+         (0.0, 1.0), (0.05,), Bound(0.0, 0.5, small_step=0.01)),
+    Gain('climb.rate.kd', 'CLIMB_RATE_KD', 's²/m', 'command per measured vertical acceleration',
+         (0.0, 0.2), (0.01,), Bound(0.0, 0.1, small_step=0.005)),
+    Gain('climb.rate.integrator_limit', 'CLIMB_RATE_ILIM', '1', 'largest command of the integral',
+         (0.0, 0.5), (0.2,)),
+    Gain('climb.rate.output_limit', 'CLIMB_RATE_ULIM', '1', 'largest command beside the trim',
+         (0.01, 0.6), (0.3,)),
+    Gain('climb.hover', 'CLIMB_HOVER', '1', 'throttle that carries the aircraft, at take-off',
+         (0.1, 0.8), (0.35,)),
+    Gain('climb.filter_s', 'CLIMB_FILTER_S', 's', 'time in which the barometer holds the height',
+         (0.3, 10.0), (2.0,)),
+)  # fmt: skip
+"""The height mode, where a firmware has one: C1 from height to climb, C2 from climb to U1."""
+
+STICKS = ('roll', 'pitch', 'throttle', 'yaw')
+PULSE_US = (800.0, 2200.0)
+"""What counts as a pulse of a receiver, or for a speed controller."""
+
+
+def _channel(name: str, wire: str, number: int, *, needed: bool) -> Gain:
+    none = '' if needed else ', 0: none'
+    words = f"the receiver's channel of it{none}"
+    return Gain(f'receiver.{name}_channel', f'RC_{wire}_CH', '1', words,
+                (float(needed), 9.0), (float(number),))  # fmt: skip
+
+
+def _ends(stick: str) -> tuple[Gain, ...]:
+    """A stick's pulses; the throttle has no middle."""
+    names = [('min', 1000.0), ('centre', 1500.0), ('max', 2000.0)]
+    if stick == 'throttle':
+        names.pop(1)
+    return tuple(
+        Gain(f'receiver.{stick}_{end}_us', f'RC_{stick[:5].upper()}_{end[:3].upper()}', 'µs',
+             'its pulse ' + ('in the middle' if end == 'centre' else f'at {end[:3]}imum'),
+             PULSE_US, (start,))
+        for end, start in names
+    )  # fmt: skip
+
+
+def _three(name: str, wire: str, unit: str, meaning: str, limits: tuple[float, float],
+           start: float = 0.0) -> tuple[Gain, ...]:  # fmt: skip
+    return tuple(
+        Gain(f'{name}_{axis}', f'{wire}_{axis.upper()}', unit, meaning, limits, (start,))
+        for axis in 'xyz'
+    )
+
+
+SET_UP = (
+    _channel('roll', 'ROLL', 1, needed=True),
+    _channel('pitch', 'PITCH', 2, needed=True),
+    _channel('throttle', 'THROT', 3, needed=True),
+    _channel('yaw', 'YAW', 4, needed=True),
+    _channel('kill', 'KILL', 5, needed=True),
+    _channel('arm', 'ARM', 6, needed=False),
+    _channel('hold', 'HOLD', 0, needed=False),
+    *(row for stick in STICKS for row in _ends(stick)),
+    Gain('receiver.deadband_us', 'RC_DEADBAND', 'µs', 'around the middle, without effect',
+         (0.0, 100.0)),
+    *(Gain(f'motors.output_{k}', f'MOT_OUTPUT_{k}', '1', 'the output that drives this motor',
+           (1.0, 4.0), (float(k),)) for k in range(1, 5)),
+    Gain('motors.pulse_min_us', 'MOT_PULSE_MIN', 'µs', 'pulse of a motor that stands', PULSE_US,
+         (1000.0,)),
+    Gain('motors.pulse_max_us', 'MOT_PULSE_MAX', 'µs', 'pulse of full throttle', PULSE_US,
+         (2000.0,)),
+    *(Gain(f'board.{axis}', f'BOARD_{axis.upper()}', 'rad',
+           'how the board is turned in the body, yaw first', (-3.1416, 3.1416)) for axis in AXES),
+    *_three('accel.offset', 'ACC_OFF', 'm/s²', 'what it shows at none, axis of the board',
+            (-5.0, 5.0)),
+    *_three('accel.scale', 'ACC_SCALE', '1', 'factor behind that', (0.8, 1.2), 1.0),
+    *_three('compass.offset', 'MAG_OFF', 'gauss', 'what it shows of no field, axis of the board',
+            (-5.0, 5.0)),
+    Gain('battery.divider', 'BAT_DIVIDER', '1', 'pack voltage over that at the pin', (1.0, 40.0),
+         (11.0,)),
+)  # fmt: skip
+"""Of the aircraft as it is built, where a firmware has them: `setup` asks for them. They have no
+bound, so no update of gains changes them, and the firmware takes none while it is armed."""
+
 
 def _all() -> dict[str, tuple[str, Gain]]:
     """Contract name to wire name and row, in the order of the index on the wire."""
     found = {}
-    for rows, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES), (OF_AIRCRAFT, ('',))):
+    whole = (*OF_AIRCRAFT, *CLIMB, *SET_UP)
+    for rows, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES), (whole, ('',))):
         for axis in axes:
             for row in rows:
                 name = f'{axis}.{row.name}' if axis else row.name

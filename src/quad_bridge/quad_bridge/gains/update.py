@@ -27,7 +27,7 @@ from quad_bridge.gains.table import AXES, DEFAULT_BOUNDS, Bound
 from quad_bridge.gains.watch import GainWatch
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.axes import flip_attitude, flip_body
+from quad_bridge.wire.axes import flip_attitude, flip_body, upwards
 
 STEP_WATCH_S, WATCH_S = 3.0, 10.0  # between the steps of a larger change, and after the last
 STM32_WATCH_MS = 15_000
@@ -255,6 +255,7 @@ class GainUpdates:
             self._end_check()
 
     def _admit(self, asked: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
+        gate.check_flown(asked, self.active)
         path = gate.steps(asked.gains, self.active, self._settings.bounds)
         if now_s - self._cycle_s > QUIET_S:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
@@ -265,6 +266,7 @@ class GainUpdates:
             raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
         if now_s - self._excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs: send them when it is idle')
+        gate.refuse_climb(asked.gains, self._flags, flying=self._flying_s is not None)
         if self._flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE):
             raise RefusedError("the pilot's kill switch or the receiver's failsafe is on")
         self._known_rate()
@@ -280,17 +282,14 @@ class GainUpdates:
         return self._period_s > 1.2 / LEAST_HZ
 
     def _slow_words(self) -> str:
-        found = f'{1.0 / self._period_s:.0f} cycles per second'
-        return f'the link brings {found}: the watch needs {LEAST_HZ:g}'
+        return f'the link brings {1.0 / self._period_s:.0f} cycles/s: the watch needs {LEAST_HZ:g}'
 
     def _known_rate(self) -> None:
         if self._slow:
             raise RefusedError(self._slow_words())
         if not LEAST_HZ <= self.rate_hz <= MOST_HZ:
-            raise RefusedError(
-                f'loop.rate_hz: the watch works at {LEAST_HZ:g} to {MOST_HZ:g} Hz: '
-                f'found {self.rate_hz:g}'
-            )
+            words = f'the watch works at {LEAST_HZ:g} to {MOST_HZ:g} Hz: found {self.rate_hz:g}'
+            raise RefusedError(f'loop.rate_hz: {words}')
 
     def _begin(
         self, asked: gate.GainRequest, path: list[dict[str, float]], told: Told | None
@@ -301,7 +300,7 @@ class GainUpdates:
         # what flies from the commit on, seen some time before its answer, is not "before"
         touched = {name.partition('.')[0] for name in asked.gains}
         if not touched <= set(AXES) or self.protocol.in_common & set(asked.gains):
-            touched = set(AXES)
+            touched |= set(AXES)
         self.watch.begin(asked.predicted, touched)
 
     def _write_step(self, update: _Update) -> None:
@@ -342,17 +341,18 @@ class GainUpdates:
         since_s, self._cycle_s, self._flags = now_s - self._cycle_s, now_s, frame.flags
         self._measure_rate(frame.time_us)
         flies = self._flies(frame, now_s)
-        if flies and self.state is State.WATCHING:
-            self._left_s -= min(since_s, LINK_S)
+        if flies and self.state is State.WATCHING:  # climb gains fly in the height mode only
+            held = frame.flags & f.Flag.HOLD or not self.watch.climbs
+            self._left_s -= min(since_s, LINK_S) if held else 0.0
         injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
         elif frame.injection == f.Injection.CONTROL:
             injected = flip_body(frame.excitation) / self._rate_kp
-        attitude = flip_attitude(frame.attitude)
-        reference = flip_attitude(frame.attitude_setpoint)
+        attitude, reference = map(flip_attitude, (frame.attitude, frame.attitude_setpoint))
         if flies:
-            self.watch.step(flip_body(frame.gyro), attitude, reference, injected)
+            self.watch.step(flip_body(frame.gyro), attitude, reference, injected,
+                            upwards(frame.accel, frame.attitude))  # fmt: skip
         if self.state is State.CHECKING:
             pulse = self.polarity.step(frame)
             if not self.polarity.running:

@@ -40,6 +40,7 @@ BEFORE_S, BLOCK_S = 10.0, 0.5
 MOST_HZ = 125.0
 """A faster loop is watched by the means of so many of its cycles that no more remain: twice what
 the fastest band needs, and half the work of every cycle."""
+GRAVITY_M_S2 = 9.80665
 UPRIGHT_S = 2.0  # after take-off within which it may still be on its way to its reference
 SETTLE_S = 1.0  # of data before the first figures count
 
@@ -53,6 +54,57 @@ class Predicted:
     peak: float = PEAK  # largest complementary sensitivity of the new loop
 
 
+CLIMB = 'climb'
+"""The axis of the height mode's gains."""
+CLIMB_LEAK_S, CLIMB_MEAN_S, CLIMB_AVERAGE_S = 1.5, 10.0, 1.5
+CLIMB_FLOOR_M_S, CLIMB_PATIENCE_S = 0.5, 0.5
+"""RMS of the vertical motion that is of no concern; what a pilot's climbs make of it too."""
+
+
+class ClimbWatch:
+    """The same for the height mode's gains: RMS of the vertical speed, by the accelerometer.
+
+    The specific force along the vertical beyond its own mean, integrated with a leak: what swings
+    with periods of some seconds and faster. Not the firmware's estimate, which may be at fault.
+    """
+
+    def __init__(self) -> None:
+        self._mean = self._speed = self._energy = self._over_s = 0.0
+        self._bound: float | None = None
+        self._started = False
+
+    def step(self, up: float, dt: float) -> None:
+        """Take one cycle's vertical specific force, m/s², dt s after the one before."""
+        if not self._started:
+            self._mean, self._started = up, True
+        self._mean += dt / CLIMB_MEAN_S * (up - self._mean)
+        self._speed += dt * (up - self._mean - self._speed / CLIMB_LEAK_S)
+        self._energy += dt / CLIMB_AVERAGE_S * (self._speed**2 - self._energy)
+        over = self._bound is not None and self._energy > self._bound
+        self._over_s = self._over_s + dt if over else 0.0
+
+    def begin(self) -> None:
+        """From now on compare with the motion before this call."""
+        self._bound = max(MARGIN**2 * self._energy, CLIMB_FLOOR_M_S**2)
+        self._over_s = 0.0
+
+    @property
+    def watches(self) -> bool:
+        """Whether it compares."""
+        return self._bound is not None
+
+    def end(self) -> None:
+        """Stop comparing."""
+        self._bound = None
+
+    def alarm(self) -> str | None:
+        """Whether it has moved beyond its bound for too long."""
+        if self._bound is None or self._over_s < CLIMB_PATIENCE_S:
+            return None
+        now, most = math.sqrt(self._energy), math.sqrt(self._bound)
+        return f'climb: vertical speed {now:.2f} m/s RMS, bound {most:.2f}'
+
+
 class GainWatch:
     """Takes each cycle by `step`; after `begin`, `alarm` says whether the gains must go back."""
 
@@ -60,7 +112,7 @@ class GainWatch:
         """`rate_hz` control cycles per second, 50 or more."""
         self._every = max(1, round(rate_hz / MOST_HZ))
         self._held: list[tuple[Sequence[float], ...]] = []
-        self._dt = self._every / rate_hz
+        self._dt, self._climb = self._every / rate_hz, ClimbWatch()
         centres = np.array(CENTRES_RAD_S)
         self._b, self._a = _bank(centres, self._dt)
         periods = 2.0 * math.pi / np.append(centres, RMS_CUT_RAD_S)
@@ -108,6 +160,11 @@ class GainWatch:
         return [[float(v) for v in row] for row in self._before()]
 
     @property
+    def climbs(self) -> bool:
+        """Whether the height mode's gains are on trial, which fly in that mode only."""
+        return self._climb.watches
+
+    @property
     def good(self) -> bool:
         """Whether this flight has gone well for ten seconds, by what a sound aircraft may do."""
         whole = len(self._blocks) == self._blocks.maxlen
@@ -129,11 +186,14 @@ class GainWatch:
         attitude: Sequence[float],
         reference: Sequence[float],
         injected: Sequence[float],
+        up: float = GRAVITY_M_S2,
     ) -> None:
         """Take one cycle: `rates` (3,) rad/s, `attitude` and its `reference` (3,) rad.
 
-        `injected` (3,) is the excitation inside the loop as a rate reference, rad/s.
+        `injected` (3,) is the excitation inside the loop as a rate reference, rad/s; `up` the
+        specific force along the vertical, m/s².
         """
+        self._climb.step(up, self._dt / self._every)
         self._held.append((rates, injected, attitude, reference))
         if len(self._held) == self._every:
             rows = np.array(self._held)
@@ -175,6 +235,8 @@ class GainWatch:
         Only `axes` are looked at: what gains have not changed, they have not spoilt.
         """
         self._watched = np.array([axis in axes for axis in AXES])
+        if CLIMB in axes:
+            self._climb.begin()
         said = [(predicted or {}).get(axis, Predicted()) for axis in AXES]
         ratio = np.ones_like(self._worst)
         ratio[:-1] = [p.oscillation_ratio**2 for p in said]
@@ -189,6 +251,7 @@ class GainWatch:
     def end(self) -> None:
         """Stop comparing and collect new figures of before."""
         self._bound = None
+        self._climb.end()
         self._blocks.clear()
         self._worst[:] = 0.0
         self._allowed_before[:] = 0.0
@@ -197,6 +260,9 @@ class GainWatch:
         """The worst axis and band beyond its bound for too long; None: no alarm."""
         if self._bound is None:
             return None
+        swings = self._climb.alarm()
+        if swings is not None:
+            return swings
         if (self._far_s > FAR_PATIENCE_S).any():
             i = int(np.argmax(self._far_s))
             found, limit = np.degrees((self._distance[i], self._limit()[i]))

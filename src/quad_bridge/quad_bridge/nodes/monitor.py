@@ -120,7 +120,7 @@ class Monitor(Node):  # type: ignore[misc]
             self._pairs.clear()
             self._state.coverage, self._said = None, ''
             self._state.trained_s = self._state.validated_s = 0.0
-        if self._axis not in AXES:
+        if self._axis not in AXES or axis not in AXES:
             self._role = ''
         self._state.segment = values
 

@@ -18,11 +18,12 @@ from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from quad_bridge.aircraft import ACCEPTED, Aircraft
+from quad_bridge.aircraft import ACCEPTED, Ability, Aircraft
 from quad_bridge.arming import Arming, OperatorEnable, SecondCall
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.update import Told
 from quad_bridge.lockstep import clock
+from quad_bridge.motor_test import MotorTest
 from quad_bridge.nodes import conversion
 from quad_bridge.nodes.managed_node import answered
 from quad_bridge.nodes.qos import HEARD
@@ -93,7 +94,7 @@ class GainServices:
 
 
 class OperatorServices:
-    """Topic operator/enable and service `~/arm`, which answers with what the aircraft said.
+    """Topic operator/enable, services `~/arm` and `~/motor_test`, which answer with what became.
 
     `send` puts a frame on the wire. `armed` says whether the aircraft is armed, as heard just now;
     None where it is not heard; `flies` whether it may be in the air; `name` what messages call it.
@@ -113,12 +114,15 @@ class OperatorServices:
         self._node, self._enable, self._send, self._armed = node, enable, send, armed
         self._name, self._flies = name, flies
         self._second = SecondCall()
-        self._arming = Arming(aircraft)
+        self._arming, self._test = Arming(aircraft), MotorTest(enable)
+        self._aircraft = aircraft
         self._late = ''
 
     def configure(self) -> None:
-        """Create the service."""
-        self._node.service(SetBool, '~/arm', self._on_arm, ReentrantCallbackGroup())
+        """Create the services."""
+        group = ReentrantCallbackGroup()
+        self._node.service(SetBool, '~/arm', self._on_arm, group)
+        self._node.service(SetParametersAtomically, '~/motor_test', self._on_test, group)
 
     def activate(self) -> None:
         """Listen to the operator."""
@@ -129,13 +133,15 @@ class OperatorServices:
     def acknowledged(self, ack: CommandAck) -> None:
         """The STM32 has answered a command."""
         self._arming.acknowledged(ack, clock().now_s())
+        self._test.acknowledged(ack)
 
     def tick(self) -> None:
         """Send again, or give up waiting, where no answer has come."""
         now_s, armed = clock().now_s(), self._armed()
         command = self._arming.tick(now_s, armed=bool(armed))
-        if command is not None:
-            self._send(command)
+        for frame in (command, self._test.tick(now_s)):
+            if frame is not None:
+                self._send(frame)
         late = self._arming.late(now_s, armed=bool(armed))
         if late:
             self._node.get_logger().error(late)
@@ -153,6 +159,9 @@ class OperatorServices:
     def end(self) -> None:
         """End requests before the port is closed."""
         self._arming.end('no answer before the node was deactivated')
+        stop = self._test.end('the node was deactivated')
+        if stop is not None:
+            self._send(stop)
 
     def _on_enable(self, message: Header) -> None:
         now_ns = self._node.get_clock().now().nanoseconds
@@ -183,6 +192,24 @@ class OperatorServices:
             return answered(response, False, str(error))
         answer = await done
         return answered(response, answer == ACCEPTED, f'{self._name()}: {answer}')
+
+    async def _on_test(self, request: Any, response: Any) -> Any:
+        """Answer once the motor has spun, or with the reason why it does not."""
+        done = Future()
+        try:
+            self._node.refuse_unless_active()
+            words = self._aircraft.cannot(Ability.MOTORS)
+            if words:
+                raise RefusedError(words)  # noqa: TRY301
+            self._send(self._test.ask(
+                conversion.values_of(request.parameters),
+                lambda good, why: _settle(done, (good, why)), clock().now_s(), armed=self._armed(),
+            ))  # fmt: skip
+        except RefusedError as error:
+            _settle(done, (False, str(error)))
+        good, why = await done
+        response.result = SetParametersResult(successful=good, reason=why)
+        return response
 
 
 class SensorServices:

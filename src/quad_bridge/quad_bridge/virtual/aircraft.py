@@ -78,6 +78,7 @@ class Aircraft:
             phases=phases[1:],
         )
         self.hover_throttle = hover_throttle(profile.airframe, plant)
+        self._divider = profile.sensors.battery_divider
         self._turning = firmware.auto_arm
         running = self.hover_throttle if firmware.auto_arm else 0.0
         bias = profile.sensors.gyro_calibration_error_rad_s * self._rng.standard_normal(3)
@@ -128,14 +129,19 @@ class Aircraft:
         seen = np.empty(2)
         measure_cycle(machine, self._cycle, trim, self._normals[:NORMALS_PER_CYCLE], seen)
         throttle, volts = map(float, seen)
-        if channels.throttle is None and not self._turning:
+        if channels.hold:
+            throttle = trim
+        elif channels.throttle is None and not self._turning:
             throttle = WAITING_THROTTLE
         pulses = [
             1000.0 + 1000.0 * value if i == 2 else 1500.0 + 500.0 * value
             for i, value in enumerate(channels.axes(throttle))
         ]
         sensed = machine.sensed
-        slow = (volts, *(1e4 * sensed[MAG : MAG + 3]), sensed[PRESSURE] / 100.0, math.nan)
+        slow = (
+            volts / self._divider, *(1e4 * sensed[MAG : MAG + 3]), sensed[PRESSURE] / 100.0,
+            math.nan,
+        )  # fmt: skip
         samples = machine.samples[: int(sensed[TAKEN])]
         return hil.sensors(self.time_us, pulses, channels.failsafe, slow, samples)
 
@@ -192,6 +198,8 @@ def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:
     """The settings with which the firmware flies this profile."""
     firmware, sensors = profile.firmware, profile.sensors
     wanted = {
+        'receiver.arm_channel': 0.0,  # it is armed by the bridge, or from the start
+        'receiver.hold_channel': 8.0,
         **firmware.gains,
         'sensor.gyro_filter_hz': sensors.gyro_filter_hz,
         'sensor.accel_filter_hz': sensors.accel_filter_hz,

@@ -33,12 +33,13 @@ from quad_bridge.virtual.sensors import MAG, PRESSURE, TAKEN, Chips, sense_cycle
 
 FloatArray = npt.NDArray[np.float64]
 
-ARMED, INJECTION, ADDED, STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW = 0, 1, 2, 5, 6, 7, 8
-INPUTS = 9
-"""Columns of what reaches a cycle from outside: armed 0/1, injection 0..3 (none, attitude, rate,
-control), excitation (3), sticks -1..1, throttle 0..1."""
+ARMED, INJECTION, ADDED = 0, 1, 2
+STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW, HOLD = 5, 6, 7, 8, 9
+INPUTS = 10
+"""Columns of what reaches a cycle from outside: armed 0/1, injection 0..4 (none, attitude, rate,
+control, thrust), excitation (3), sticks -1..1, throttle 0..1, height mode 0/1."""
 LARGEST_DELAY = 4
-HOLD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
+MOST_HELD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
 NORMALS_PER_STEP = 9
 NORMALS_PER_CYCLE = 7
 
@@ -58,10 +59,14 @@ COLUMNS: dict[str, slice] = {
     'throttle': slice(30, 31),
     'true_rates': slice(31, 34),
     'true_angles': slice(34, 37),
-    'altitude_m': slice(37, 38),
+    'position_m': slice(37, 40),
+    'velocity_m_s': slice(40, 43),
+    'height_m': slice(43, 44),
+    'climb_m_s': slice(44, 45),
 }
 """Columns of a log row, by name."""
-WIDTH = 38
+WIDTH = 45
+TOLD = 25  # numbers that the firmware writes (boards/linux/library.c)
 OBSERVED = 12
 
 
@@ -69,7 +74,7 @@ library()  # its symbols are there for what numba compiles
 _number: Any = types.float64
 _fly: Any = types.ExternalFunction(
     'quad_library_fly',
-    _number(*[types.intp] * 3, _number, *[types.intp] * 2, types.int64, types.intp),
+    _number(*[types.intp] * 3, _number, _number, *[types.intp] * 2, types.int64, types.intp),
 )
 """The firmware's control cycle (boards/linux/library.c); arrays go as their addresses."""
 
@@ -97,7 +102,7 @@ def held_throttle(machine: Machine, throttle: float) -> float:
     """What the pilot makes of a trim to hold the height."""
     state = machine.state
     hold = -machine.climb_kp * state[POSITION + 2] - machine.climb_kd * state[VELOCITY + 2]
-    return float(min(1.0, max(0.0, throttle + min(HOLD, max(-HOLD, hold)))))
+    return float(min(1.0, max(0.0, throttle + min(MOST_HELD, max(-MOST_HELD, hold)))))
 
 
 @kernel
@@ -117,16 +122,21 @@ def begin(
     """The firmware's part of a cycle; fills the log row and `acting`."""
     state, sensed = machine.state, machine.sensed
     sense_cycle(sensed, state, machine.chips, normals, cycle)
-    used = np.empty(INPUTS)
+    used, told = np.empty(INPUTS), np.empty(TOLD)
     for i in range(INPUTS):
         used[i] = given[i]
-    used[THROTTLE] = held_throttle(machine, given[THROTTLE])
+    if given[HOLD] < 0.5:
+        used[THROTTLE] = held_throttle(machine, given[THROTTLE])
     volts = battery_voltage(state, machine.plant)
     log[29] = _fly(
         machine.firmware.ctypes.data, machine.gains.ctypes.data, used.ctypes.data, volts,
-        sensed[MAG : MAG + 3].ctypes.data, machine.samples.ctypes.data, int(sensed[TAKEN]),
-        log[1:24].ctypes.data,
+        sensed[PRESSURE], sensed[MAG : MAG + 3].ctypes.data, machine.samples.ctypes.data,
+        int(sensed[TAKEN]), told.ctypes.data,
     )  # fmt: skip
+    for i in range(23):
+        log[1 + i] = told[i]
+    log[43] = told[23]
+    log[44] = told[24]
     sensed[TAKEN] = 0.0
     delayed(machine, cycle, log[20:24])
     log[0] = state[TIME]
@@ -137,7 +147,9 @@ def begin(
     log[28] = sensed[PRESSURE]
     log[30] = used[THROTTLE]
     euler_from_quaternion(state[QUAT : QUAT + 4], log[34:37])
-    log[37] = state[POSITION + 2]
+    for i in range(3):
+        log[37 + i] = state[POSITION + i]
+        log[40 + i] = state[VELOCITY + i]
 
 
 @kernel

@@ -165,6 +165,26 @@ class StepEvent(Effect):
 
 
 @dataclass(frozen=True)
+class Ground(Effect):
+    """A ground to take off from and to land on, and its cushion of air; in hover only.
+
+    Thrust is multiplied by 1 / (1 - (radius / 4 height)^2) (Cheeseman and Bennett, 1955) with the
+    rotors' height; radius 0: no cushion. What stands on it does not turn.
+    """
+
+    height_m: float = 0.0
+    """Of the ground in the world; the flight begins at 0."""
+    rotor_radius_m: float = 0.127
+    rotor_height_m: float = 0.12  # above the ground, standing
+
+    def __post_init__(self) -> None:
+        """Check bounds."""
+        require(self.height_m <= 0.0, f'height_m must not be above the start: {self.height_m}')
+        require(0.0 <= self.rotor_radius_m < 2.0 * self.rotor_height_m,
+                'rotor_radius_m must lie in 0..2 rotor_height_m')  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Vibration(Effect):
     """Lines in the gyro before its filter, rad/s each."""
 
@@ -177,6 +197,23 @@ class Vibration(Effect):
             len(self.frequency_hz) == len(self.amplitude_rad_s),
             'frequency_hz and amplitude_rad_s need one length',
         )
+
+
+@dataclass(frozen=True)
+class AirDrag(Effect):
+    """Force -coefficient v |v| of the body in the air, by body axis; in hover only."""
+
+    coefficient_n_s2_m2: Vector = (0.25, 0.25, 0.4)
+
+
+@dataclass(frozen=True)
+class RotorDrag(Effect):
+    """Force -coefficient v of each rotor in its plane, proportional to its speed; in hover only.
+
+    The coefficient is that at full speed.
+    """
+
+    coefficient_n_s_m: float = 0.15
 
 
 @dataclass(frozen=True)
@@ -200,4 +237,7 @@ class Effects:
     resonance: Resonance = field(default_factory=Resonance)
     periodic_disturbance: PeriodicDisturbance = field(default_factory=PeriodicDisturbance)
     step_event: StepEvent = field(default_factory=StepEvent)
+    ground: Ground = field(default_factory=Ground)
     vibration: Vibration = field(default_factory=Vibration)
+    air_drag: AirDrag = field(default_factory=AirDrag)
+    rotor_drag: RotorDrag = field(default_factory=RotorDrag)

@@ -5,7 +5,7 @@ lever l sqrt(2)/2, yaw by the rotors' reaction torques, Omega = -w1 + w2 - w3 + 
 spin vectors that point up (1 and 3 turn clockwise), gyroscopic torque -(J Omega) q about roll and
 +(J Omega) p about pitch. Body FLU, world ENU, SI. Constants come as a `Plant`; no sensors here.
 Dry friction acts as an impulse after each step (it can hold the axis still, and never reverses
-it); everything else goes through RK4.
+it), so does the ground; everything else goes through RK4.
 """
 
 from __future__ import annotations
@@ -18,7 +18,12 @@ import numpy.typing as npt
 from quad_bridge.virtual.airframe import GRAVITY_M_S2
 from quad_bridge.virtual.compiled import kernel
 from quad_bridge.virtual.plant import Plant
-from quad_bridge.virtual.rotation import euler_from_quaternion, quaternion_rate, up_in_world
+from quad_bridge.virtual.rotation import (
+    body_from_world,
+    euler_from_quaternion,
+    quaternion_rate,
+    world_from_body,
+)
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -67,6 +72,9 @@ def motor_thrusts(state: FloatArray, plant: Plant, voltage: float, thrusts: Floa
     scale = plant.full_thrust
     if plant.sag_exponent != 0.0:
         scale *= (voltage / plant.sag_reference_v) ** plant.sag_exponent
+    if plant.ground:
+        above = plant.rotor_height + max(0.0, state[POSITION + 2] - plant.ground_m)
+        scale /= 1.0 - (0.25 * plant.rotor_radius / above) ** 2
     c = plant.curvature
     for i in range(4):
         n = state[ROTORS + i]
@@ -147,6 +155,21 @@ def body_torque(state: FloatArray, plant: Plant, time_s: float, torque: FloatArr
 
 
 @kernel
+def air_force(state: FloatArray, plant: Plant, thrusts: FloatArray, out: FloatArray) -> None:
+    """Write all but the weight (3,) over the mass, m/s², body axes: thrust and drags."""
+    lift, turning, speed = 0.0, 0.0, np.empty(3)
+    for i in range(4):
+        lift += thrusts[i]
+        turning += math.sqrt(max(0.0, float(state[ROTORS + i])))
+    body_from_world(state[QUAT : QUAT + 4], state[VELOCITY : VELOCITY + 3], speed)
+    for i in range(3):
+        blades = plant.rotor_drag * turning if i < 2 else 0.0
+        force = blades * speed[i] + plant.air_drag[i] * speed[i] * abs(speed[i])
+        out[i] = -plant.linear_drag * speed[i] - force / plant.mass
+    out[2] += lift / plant.mass
+
+
+@kernel
 def derivative(
     state: FloatArray,
     plant: Plant,
@@ -157,7 +180,8 @@ def derivative(
     out: FloatArray,
 ) -> None:
     """Write d(state)/dt of the RK4 states; `outside` (3,) N m is held over the step."""
-    thrusts, drive, torque, up = np.empty(4), np.empty(3), np.empty(3), np.empty(3)
+    thrusts, drive, torque = np.empty(4), np.empty(3), np.empty(3)
+    force, pushed = np.empty(3), np.empty(3)
     motor_thrusts(state, plant, voltage, thrusts)
     drive_torque(thrusts, plant, time_s, drive)
     w = plant.mode_rad_s
@@ -173,13 +197,12 @@ def derivative(
     quaternion_rate(state[QUAT : QUAT + 4], state[RATES : RATES + 3], out[QUAT : QUAT + 4])
     for i in range(4):
         out[ROTORS + i] = (command[i] - state[ROTORS + i]) / plant.lag[i]
-    up_in_world(state[QUAT : QUAT + 4], up)
-    lift = (thrusts[0] + thrusts[1] + thrusts[2] + thrusts[3]) / plant.mass
+    air_force(state, plant, thrusts, force)
+    world_from_body(state[QUAT : QUAT + 4], force, pushed)
     for i in range(3):
         weight = GRAVITY_M_S2 if i == 2 else 0.0
-        speed = state[VELOCITY + i]
-        out[POSITION + i] = plant.moves * speed
-        out[VELOCITY + i] = plant.moves * (up[i] * lift - weight - plant.linear_drag * speed)
+        out[POSITION + i] = plant.moves * state[VELOCITY + i]
+        out[VELOCITY + i] = plant.moves * (pushed[i] - weight)
 
 
 @kernel
@@ -193,6 +216,29 @@ def dry_friction(state: FloatArray, plant: Plant) -> None:
         torque = low + extra * math.exp(-((rate / plant.dry_speed) ** 2))
         loss = torque / plant.inertia[i] * plant.step_s
         state[RATES + i] = max(0.0, rate - loss) + min(0.0, rate + loss)
+
+
+@kernel
+def stands(state: FloatArray, plant: Plant) -> bool:
+    """Whether the ground carries it."""
+    return plant.ground and state[POSITION + 2] <= plant.ground_m
+
+
+@kernel
+def touch_ground(state: FloatArray, plant: Plant) -> None:
+    """Nothing sinks into the ground; what stands on it is level and neither slides nor turns."""
+    if not stands(state, plant) or state[VELOCITY + 2] > 0.0:
+        return
+    state[POSITION + 2] = plant.ground_m
+    heading = math.hypot(state[QUAT], state[QUAT + 3])
+    for i in range(3):
+        state[VELOCITY + i] = 0.0
+        state[RATES + i] = 0.0
+    if heading > 0.0:
+        state[QUAT] /= heading
+        state[QUAT + 1] = 0.0
+        state[QUAT + 2] = 0.0
+        state[QUAT + 3] /= heading
 
 
 @kernel
@@ -224,6 +270,7 @@ def physics_step(
             h / 6.0 * (stages[0, i] + 2.0 * stages[1, i] + 2.0 * stages[2, i] + stages[3, i])
         )
     dry_friction(state, plant)
+    touch_ground(state, plant)
     norm = 0.0
     for i in range(4):
         norm += state[QUAT + i] ** 2

@@ -41,6 +41,8 @@ class Plant(NamedTuple):
     full_thrust: float
     lag: Quad
     linear_drag: float
+    air_drag: Triple  # of the body's axes, N s²/m²
+    rotor_drag: float  # of a rotor at full speed, N s/m
     damping: Triple  # n m s/rad
     bias_torque: Triple
     noise: Triple  # n m/sqrt(Hz), one-sided
@@ -82,6 +84,10 @@ class Plant(NamedTuple):
     event_time_s: float
     event_gain: Triple
     event_torque: Triple
+    ground: bool
+    ground_m: float
+    rotor_radius: float
+    rotor_height: float
 
 
 def torque_map(airframe: Airframe) -> FloatArray:
@@ -107,6 +113,8 @@ STRENGTHS = {
     'periodic_torque': ('periodic_disturbance', 'amplitude_nm'),
     'event_gain': ('step_event', 'gain_change'),
     'event_torque': ('step_event', 'torque_nm'),
+    'air_drag': ('air_drag', 'coefficient_n_s2_m2'),
+    'rotor_drag': ('rotor_drag', 'coefficient_n_s_m'),
 }
 """Constant of the plant to the effect and its field that it is where the effect is on; else 0."""
 
@@ -165,6 +173,10 @@ def build_plant(
         'periodic_rad_s': 2.0 * math.pi * effects.periodic_disturbance.frequency_hz,
         'periodic_phase': phase,
         'event_time_s': effects.step_event.time_s,
+        'ground': hovers and effects.ground.enabled,
+        'ground_m': effects.ground.height_m,
+        'rotor_radius': effects.ground.rotor_radius_m,
+        'rotor_height': effects.ground.rotor_height_m,
     }
     for name, (effect, strength) in STRENGTHS.items():
         one = getattr(effects, effect)
@@ -174,8 +186,10 @@ def build_plant(
 
 def _frozen(value: Any) -> Any:
     """Arrays as nested tuples, anything else as it is."""
-    if not isinstance(value, np.ndarray):
+    if not isinstance(value, np.ndarray | np.generic):
         return value
+    if not value.ndim:
+        return value.item()
     return tuple(tuple(row) if isinstance(row, list) else row for row in value.tolist())
 
 

@@ -1,7 +1,8 @@
 """The pilot's receiver: nine channels that follow a script of timed events. No I/O.
 
 Sticks are -1..1 in body FLU terms (positive roll: right side down, positive pitch: nose down,
-positive yaw: to the left), the throttle 0..1; channel 5 (aux 1) is the kill switch.
+positive yaw: to the left), the throttle 0..1; channel 5 (aux 1) is the kill switch, channel 8
+(aux 4) that of the height mode.
 """
 
 from __future__ import annotations
@@ -51,6 +52,11 @@ class Channels:
     def kill(self) -> bool:
         """Kill switch (aux 1) thrown."""
         return self.aux[0] > 0.5
+
+    @property
+    def hold(self) -> bool:
+        """Switch of the height mode (aux 4) thrown."""
+        return self.aux[3] > 0.5
 
     def axes(self, trim: float) -> tuple[float, ...]:
         """The nine values in the contract's order, throttle 0..1."""

@@ -46,9 +46,10 @@ def body_from_world(quat: FloatArray, vector: FloatArray, out: FloatArray) -> No
 
 
 @kernel
-def up_in_world(quat: FloatArray, out: FloatArray) -> None:
-    """Write body z (3,) in world axes: the thrust's direction of eqs. (1) to (3)."""
+def world_from_body(quat: FloatArray, vector: FloatArray, out: FloatArray) -> None:
+    """Write the body vector (3,) in world axes; of body z, the thrust of eqs. (1) to (3)."""
     w, x, y, z = quat[0], quat[1], quat[2], quat[3]
-    out[0] = 2 * (x * z + w * y)
-    out[1] = 2 * (y * z - w * x)
-    out[2] = 1 - 2 * (x * x + y * y)
+    a, b, c = vector[0], vector[1], vector[2]
+    out[0] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
+    out[1] = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
+    out[2] = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c

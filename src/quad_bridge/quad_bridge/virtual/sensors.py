@@ -22,9 +22,10 @@ from quad_bridge.virtual.physics import (
     QUAT,
     RATES,
     TIME,
-    VELOCITY,
+    air_force,
     battery_voltage,
     motor_thrusts,
+    stands,
 )
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import body_from_world
@@ -56,6 +57,7 @@ class Sensors:
     mag_noise_t: float = 3.0e-7
     pressure_pa: float = 101325.0
     pressure_noise_pa: float = 2.0
+    battery_divider: float = 11.0  # of the board, in front of its pin
     slow_divider: int = 5  # magnetometer and barometer are read every so many cycles
     quantisation: bool = True
 
@@ -139,11 +141,10 @@ def specific_force(state: FloatArray, plant: Plant, out: FloatArray) -> None:
         drag[2] = GRAVITY_M_S2
         body_from_world(state[QUAT : QUAT + 4], drag, out)
         return
-    for i in range(3):
-        drag[i] = -plant.linear_drag * state[VELOCITY + i]
-    body_from_world(state[QUAT : QUAT + 4], drag, out)
     motor_thrusts(state, plant, battery_voltage(state, plant), thrusts)
-    out[2] += (thrusts[0] + thrusts[1] + thrusts[2] + thrusts[3]) / plant.mass
+    air_force(state, plant, thrusts, out)
+    if stands(state, plant):
+        out[2] = max(out[2], GRAVITY_M_S2)
 
 
 @kernel

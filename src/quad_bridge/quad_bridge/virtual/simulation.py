@@ -18,6 +18,7 @@ from quad_bridge.virtual.cycle import (
     ADDED,
     ARMED,
     COLUMNS,
+    HOLD,
     INJECTION,
     INPUTS,
     STICK_PITCH,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-INJECTIONS = ('none', 'attitude', 'rate', 'control')
+INJECTIONS = ('none', 'attitude', 'rate', 'control', 'thrust')
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,10 @@ class Flight:
     limits: FloatArray
     true_rates: FloatArray
     true_angles: FloatArray
-    altitude_m: FloatArray
+    position_m: FloatArray
+    velocity_m_s: FloatArray
+    height_m: FloatArray  # as the firmware estimates it, with its climb
+    climb_m_s: FloatArray
 
     @property
     def dt(self) -> float:
@@ -127,12 +131,16 @@ def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> Float
         given[rows, ARMED] = float(armed)
         throttle = channels.throttle
         given[rows, THROTTLE] = aircraft.hover_throttle if throttle is None else throttle
+        given[rows, HOLD] = float(channels.hold)
         sticks = (channels.roll, channels.pitch, channels.yaw)
         for column, stick in zip((STICK_ROLL, STICK_PITCH, STICK_YAW), sticks, strict=True):
             given[rows, column] = 0.0 if channels.failsafe else stick
     for part in schedule:
         start = round(part.start_s / aircraft.cycle_s)
         stop = min(count, start + part.samples.size)
-        given[start:stop, INJECTION] = INJECTIONS.index(part.injection)
-        given[start:stop, ADDED + AXES.index(part.axis)] = part.samples[: stop - start]
+        climbs = part.axis == 'climb'
+        given[start:stop, INJECTION] = INJECTIONS.index(
+            'thrust' if climbs else part.injection)
+        column = 2 if climbs else AXES.index(part.axis)
+        given[start:stop, ADDED + column] = part.samples[: stop - start]
     return given

@@ -25,6 +25,12 @@ def flip_attitude(rpy: Vector3) -> Vector3:
     return rpy[0], -rpy[1], yaw
 
 
+def upwards(accel: Vector3, rpy: Vector3) -> float:
+    """Specific force along the vertical, up, of that in FRD at this attitude against NED."""
+    (sr, cr), (sp, cp) = ((math.sin(a), math.cos(a)) for a in rpy[:2])
+    return sp * accel[0] - cp * (sr * accel[1] + cr * accel[2])
+
+
 def flip_control(u: Vector4) -> Vector4:
     """U1..U4: the collective stays, the torques about y and z are turned."""
     return u[0], u[1], -u[2], -u[3]

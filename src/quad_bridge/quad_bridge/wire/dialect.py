@@ -379,8 +379,14 @@ QUAD_FLAG_ANGLE_LIMIT = 128
 enums["QUAD_FLAG"][128] = EnumEntry("QUAD_FLAG_ANGLE_LIMIT", """The rig's stop or the angle limit was reached.""")
 QUAD_FLAG_OVERRUN = 256
 enums["QUAD_FLAG"][256] = EnumEntry("QUAD_FLAG_OVERRUN", """The cycle before this one took longer than its period.""")
-QUAD_FLAG_ENUM_END = 257
-enums["QUAD_FLAG"][257] = EnumEntry("QUAD_FLAG_ENUM_END", """""")
+QUAD_FLAG_MOTOR_TEST = 512
+enums["QUAD_FLAG"][512] = EnumEntry("QUAD_FLAG_MOTOR_TEST", """One motor is being tested (MAV_CMD_DO_MOTOR_TEST), disarmed.""")
+QUAD_FLAG_HOLD = 1024
+enums["QUAD_FLAG"][1024] = EnumEntry("QUAD_FLAG_HOLD", """The height mode has the throttle.""")
+QUAD_FLAG_LANDED = 2048
+enums["QUAD_FLAG"][2048] = EnumEntry("QUAD_FLAG_LANDED", """It stands on the ground.""")
+QUAD_FLAG_ENUM_END = 2049
+enums["QUAD_FLAG"][2049] = EnumEntry("QUAD_FLAG_ENUM_END", """""")
 
 # QUAD_INJECTION
 enums["QUAD_INJECTION"] = Enum()
@@ -393,8 +399,10 @@ QUAD_INJECTION_RATE = 2
 enums["QUAD_INJECTION"][2] = EnumEntry("QUAD_INJECTION_RATE", """To the rate reference, rad/s.""")
 QUAD_INJECTION_CONTROL = 3
 enums["QUAD_INJECTION"][3] = EnumEntry("QUAD_INJECTION_CONTROL", """To U2..U4 before the mixer, normalised command.""")
-QUAD_INJECTION_ENUM_END = 4
-enums["QUAD_INJECTION"][4] = EnumEntry("QUAD_INJECTION_ENUM_END", """""")
+QUAD_INJECTION_THRUST = 4
+enums["QUAD_INJECTION"][4] = EnumEntry("QUAD_INJECTION_THRUST", """The third value, downwards, to U1 before the mixer, normalised command.""")
+QUAD_INJECTION_ENUM_END = 5
+enums["QUAD_INJECTION"][5] = EnumEntry("QUAD_INJECTION_ENUM_END", """""")
 
 # QUAD_GAINS_ACTION
 enums["QUAD_GAINS_ACTION"] = Enum()
@@ -439,8 +447,10 @@ QUAD_GAINS_RESULT_NOT_CONFIRMED = 4
 enums["QUAD_GAINS_RESULT"][4] = EnumEntry("QUAD_GAINS_RESULT_NOT_CONFIRMED", """Unasked: reverted by itself, no CONFIRM came in time.""")
 QUAD_GAINS_RESULT_NOT_FLOWN = 5
 enums["QUAD_GAINS_RESULT"][5] = EnumEntry("QUAD_GAINS_RESULT_NOT_FLOWN", """Not confirmed: the set has not flown for half of its watch.""")
-QUAD_GAINS_RESULT_ENUM_END = 6
-enums["QUAD_GAINS_RESULT"][6] = EnumEntry("QUAD_GAINS_RESULT_ENUM_END", """""")
+QUAD_GAINS_RESULT_ARMED = 6
+enums["QUAD_GAINS_RESULT"][6] = EnumEntry("QUAD_GAINS_RESULT_ARMED", """Not committed: it changes how the aircraft is built, which is for one that is disarmed.""")
+QUAD_GAINS_RESULT_ENUM_END = 7
+enums["QUAD_GAINS_RESULT"][7] = EnumEntry("QUAD_GAINS_RESULT_ENUM_END", """""")
 
 # message IDs
 MAVLINK_MSG_ID_BAD_DATA = -1

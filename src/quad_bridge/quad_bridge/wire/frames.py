@@ -27,6 +27,9 @@ class Flag(IntFlag):
     EXCITATION_REFUSED = 64
     ANGLE_LIMIT = 128
     OVERRUN = 256
+    MOTOR_TEST = 512
+    HOLD = 1024
+    LANDED = 2048
 
     def __rand__(self, bits: int) -> int:  # type: ignore[override]
         """Bits of a frame as a plain number: an enum of them takes microseconds each cycle."""
@@ -40,6 +43,7 @@ class Injection(IntEnum):
     ATTITUDE = 1
     RATE = 2
     CONTROL = 3
+    THRUST = 4
 
 
 class GainsAction(IntEnum):
@@ -69,6 +73,7 @@ class GainsResult(IntEnum):
     LINK_LOST = 3
     NOT_CONFIRMED = 4
     NOT_FLOWN = 5
+    ARMED = 6
 
 
 @dataclass(frozen=True)

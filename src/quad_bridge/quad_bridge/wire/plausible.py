@@ -33,6 +33,9 @@ def plausible(frame: f.Frame) -> f.Frame | None:
     return frame if check is None or check(frame) else None
 
 
+LARGEST_INJECTION = int(max(f.Injection))
+
+
 def _cycle(frame: f.Cycle) -> bool:
     angles = frame.attitude + frame.attitude_setpoint
     return (
@@ -43,7 +46,7 @@ def _cycle(frame: f.Cycle) -> bool:
         and min(frame.motors) >= 0.0
         and max(frame.motors) < _ABOVE_ONE
         and frame.flags <= LARGEST_FLAGS
-        and frame.injection <= f.Injection.CONTROL
+        and frame.injection <= LARGEST_INJECTION
     )
 
 

@@ -152,7 +152,7 @@ def named_columns(given: object) -> list[str]:
 
 
 def _checked(given: object) -> list[list[str]]:
-    rows = given if isinstance(given, list) else [None]
+    rows: list[Any] = given if isinstance(given, list) else [None]
     for row in rows:
         if not (isinstance(row, list) and len(row) == 3
                 and all(isinstance(part, str) for part in row) and UNIT.fullmatch(row[2])):

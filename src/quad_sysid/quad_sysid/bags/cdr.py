@@ -48,15 +48,22 @@ JOINTS = 'sensor_msgs/msg/JointState'
 WRENCH = 'geometry_msgs/msg/WrenchStamped'
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 BATTERY = 'sensor_msgs/msg/BatteryState'
+ODOMETRY = 'nav_msgs/msg/Odometry'
+PRESSURE = 'sensor_msgs/msg/FluidPressure'
 TEXT = 'std_msgs/msg/String'
 
 COLUMNS = {
     IMU: (*(f'orientation.{axis}' for axis in 'xyzw'), 'orientation_covariance[0]',
           *(f'angular_velocity.{axis}' for axis in 'xyz'),
-          *(f'linear_acceleration.{axis}' for axis in 'xyz')),
+          *(f'linear_acceleration.{axis}' for axis in 'xyz'),
+          'angular_velocity_covariance[0]', 'linear_acceleration_covariance[0]'),
     WRENCH: tuple(f'wrench.{part}.{axis}' for part in ('force', 'torque') for axis in 'xyz'),
     VECTOR: ('vector.x', 'vector.y', 'vector.z'),
     BATTERY: ('voltage',),
+    PRESSURE: ('fluid_pressure',),
+    ODOMETRY: (*(f'pose.pose.position.{axis}' for axis in 'xyz'),
+               *(f'pose.pose.orientation.{axis}' for axis in 'xyzw'),
+               *(f'twist.twist.linear.{axis}' for axis in 'xyz')),
 }
 """Which fields of a type are read, in the order of the columns; of JOINTS those of Joints."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from quad_sysid.axes import EVERY
 from quad_sysid.bags.cdr import blank, typestore
 from quad_sysid.contract import AXES, IDLE
 from quad_sysid.record import GainChange, Segment
@@ -91,15 +92,15 @@ def segments_from(events: Sequence[Event], seconds: Callable[[int], float],
         axis = str(values.pop('axis', ''))
         signal = str(values.pop('signal', 'unknown'))
         injection = str(values.pop('injection', 'unknown'))
-        if role not in ROLES or (role != 'idle' and axis not in AXES):
+        if role not in ROLES or (role != 'idle' and axis not in EVERY):
             warnings.append(
                 f'/excitation/segment: found segment {role!r}, axis {axis!r} at {start:.2f} s; '
-                f'counted as idle (roles {", ".join(ROLES)}; axes {", ".join(AXES)})'
+                f'counted as idle (roles {", ".join(ROLES)}; axes {", ".join(EVERY)})'
             )
             role = 'idle'
         if stop > start:
-            axis = axis if axis in AXES else AXES[0]
-            axes = [a for a in str(values.pop('axes', axis)).split(',') if a in AXES] or [axis]
+            axis = axis if axis in EVERY else AXES[0]
+            axes = [a for a in str(values.pop('axes', axis)).split(',') if a in EVERY] or [axis]
             segments += [
                 Segment(role, signal, one, injection, start, stop, values) for one in axes
             ]

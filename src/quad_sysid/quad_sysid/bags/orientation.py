@@ -6,6 +6,9 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 
+UNMEASURED = -1.0
+"""First number of a covariance whose quantity is not measured (REP-145)."""
+
 
 def quaternions(angles: FloatArray) -> FloatArray:
     """(n, 4) x y z w from roll, pitch, yaw (n, 3), rad."""
@@ -25,7 +28,7 @@ def euler_angles(orientation: FloatArray) -> FloatArray:
     """
     quaternion, covariance = orientation[:, :4], orientation[:, 4]
     norm = np.linalg.norm(quaternion, axis=1)
-    known = np.isfinite(norm) & (norm > 0.5) & (covariance != -1.0)
+    known = np.isfinite(norm) & (norm > 0.5) & (covariance != UNMEASURED)
     angles = np.full((len(orientation), 3), np.nan)
     angles[known] = euler_from_quaternion(quaternion[known] / norm[known, None])
     angles[known, 2] = np.unwrap(angles[known, 2])

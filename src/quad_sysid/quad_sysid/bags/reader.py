@@ -20,7 +20,8 @@ from quad_sysid.bags.events import (
     idle_from,
     segments_from,
 )
-from quad_sysid.bags.orientation import euler_angles
+from quad_sysid.bags.odometry import BARO, ODOM, moving
+from quad_sysid.bags.orientation import UNMEASURED, euler_angles
 from quad_sysid.bags.stamps import Grid, uniform_grid
 from quad_sysid.bags.storage import Storage
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
@@ -31,6 +32,7 @@ from quad_sysid.record import Record
 IMU_TOPIC = '/imu/data'
 MOTORS, CONTROL = '/motors/command', '/control/wrench'
 SPEEDS, DESCRIPTION = '/motors/state', '/robot_description'
+ACCEL_HZ = 'sensor.accel_filter_hz'
 SEGMENT, GAINS = '/excitation/segment', '/gains/active'
 OPTIONAL = {
     'wrench': CONTROL,
@@ -39,7 +41,8 @@ OPTIONAL = {
     'rate_setpoint': '/setpoint/rates',
     'excitation': '/excitation/applied',
 }
-TOPICS = (IMU_TOPIC, *OPTIONAL.values(), SPEEDS, DESCRIPTION, '/battery', SEGMENT, GAINS)
+TOPICS = (IMU_TOPIC, *OPTIONAL.values(), SPEEDS, DESCRIPTION, '/battery', ODOM, BARO,
+          SEGMENT, GAINS)
 
 PLAUSIBLE_PACK_V = (2.0, 100.0)
 BATTERY_GAP_S = 2.0
@@ -83,6 +86,8 @@ def read_bag(path: str | Path) -> Record:
     warnings = [*content.warnings, *grid.warnings]
     placed = np.full((grid.n, WIDTH[TOPIC_TYPES[IMU_TOPIC]]), np.nan)
     placed[grid.cells] = imu.values[grid.rows]
+    placed[placed[:, 11] == UNMEASURED, 5:8] = np.nan
+    placed[placed[:, 12] == UNMEASURED, 8:11] = np.nan
     rates = _finite(placed[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
     arrays = {name: _array(name, content, grid, warnings) for name in OPTIONAL}
     wrench, motors = arrays['wrench'], arrays['motors']
@@ -112,16 +117,23 @@ def read_bag(path: str | Path) -> Record:
     segments, told = segments_from(segment_events, seconds, grid.n * grid.dt)
     if spoiled + spoiled_gains:
         told.append(f'{spoiled + spoiled_gains} parameter events cannot be read')
+    angles = _angles(placed[:, :5])
     acceleration = placed[:, 8:11] if np.isfinite(placed[:, 8:11]).any() else None
+    gains = gains_from(gain_events, seconds)
+    moved = moving(content.streams, grid, angles, acceleration, warnings)
+    accel_hz = next((change.values.get(ACCEL_HZ) for change in gains), None)
     return Record(source=source, dt=grid.dt, rates=_frozen(rates), control=_frozen(control),
-                  angles=_optional(_angles(placed[:, :5])), acceleration=_optional(acceleration),
+                  angles=_optional(angles), acceleration=_optional(acceleration),
                   motors=_optional(motors), wrench=_optional(wrench),
                   speeds=_optional(_speeds(content, grid, craft, warnings)), craft=craft,
                   desaturation=desaturation,
                   attitude_setpoint=_optional(arrays['attitude_setpoint']),
                   rate_setpoint=_optional(arrays['rate_setpoint']),
                   excitation=_optional(arrays['excitation']), battery_v=_optional(battery),
-                  segments=segments, gains=gains_from(gain_events, seconds),
+                  velocity=_optional(moved.velocity), altitude=_optional(moved.altitude),
+                  lean=_optional(moved.lean),
+                  speed_filter_hz=accel_hz if moved.by_force else None,
+                  segments=segments, gains=gains,
                   missing=_missing(content, arrays, battery), warnings=(*warnings, *told),
                   t0_ns=grid.t0_ns)
 

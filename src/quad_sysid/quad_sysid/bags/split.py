@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import Record, Segment
@@ -48,7 +49,7 @@ def split_segments(record: Record, train: Span | None = None, validate: Span | N
             return record
         train = (0.0, TRAIN_SHARE * record.n * record.dt)
     if axes is None:
-        axes = tuple(axis for axis in AXES if axis in {s.axis for s in known}) or AXES
+        axes = tuple(axis for axis in EVERY if axis in {s.axis for s in known}) or AXES
     train, told = clip_span(train, record, '--train')
     validate, more = clip_span(validate, record, '--validate')
     segments: list[Segment] = []

@@ -28,6 +28,7 @@ from quad_sysid.bags.cdr import (
     IMU,
     JOINTS,
     TEXT,
+    WIDTH,
     Joints,
     Stamped,
     blank,
@@ -35,7 +36,8 @@ from quad_sysid.bags.cdr import (
     typestore,
 )
 from quad_sysid.bags.events import DESATURATION, DESATURATIONS, EVENT, Event, encode_event
-from quad_sysid.bags.orientation import quaternions
+from quad_sysid.bags.odometry import ODOM, odometry_of
+from quad_sysid.bags.orientation import UNMEASURED, quaternions
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import X
 from quad_sysid.errors import BadInputError
@@ -49,7 +51,7 @@ NODE_NAMES = {'/excitation/segment': '/excitation', '/gains/active': '/serial_br
 BATTERY_PERIOD_S = 0.1
 BLOCK = 20_000
 """Messages of a topic that are encoded at once."""
-UNMEASURED = ('temperature', 'current', 'charge', 'capacity', 'design_capacity', 'percentage')
+UNKNOWN = ('temperature', 'current', 'charge', 'capacity', 'design_capacity', 'percentage')
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,9 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
             streams[topic] = _stream(stamps, array)
     if battery is not None:
         streams['/battery'] = _stream(stamps[::step], battery[::step, None])
+    moved = odometry_of(record, stamps)
+    if moved is not None:
+        streams[ODOM] = moved
     return write_streams(path, streams, _events(record), options,
                          '' if record.craft == X else record.craft.to_urdf())
 
@@ -153,8 +158,7 @@ def _in_order(
         kind = TOPIC_TYPES[topic]
         joints = Joints(stream.values.shape[1],
                         'velocity' if topic == '/motors/state' else 'effort')
-        measured = kind != IMU or not (stream.values[:, 4] == -1.0).all()
-        pattern = template(kind, joints, measured_orientation=measured)
+        pattern = template(kind, joints)
         order = np.argsort(stream.stamps, kind='stable')
         sources.append((topic, kind, joints, pattern, stream, order))
         stamps.append(stream.stamps[order])
@@ -185,14 +189,17 @@ def _stream(stamps: np.ndarray, values: FloatArray) -> Stamped:
 
 
 def _imu(record: Record, stamps: np.ndarray) -> Stamped:
-    values = np.full((record.n, 11), np.nan)
-    values[:, 0:5] = (0.0, 0.0, 0.0, 1.0, 0.0)
+    values = np.zeros((record.n, WIDTH[IMU]))
+    values[:, 3] = 1.0
     if record.angles is None:
-        values[:, 4] = -1.0
+        values[:, 4] = UNMEASURED
     else:
         values[:, 0:4] = quaternions(record.angles)
     values[:, 5:8] = record.rates
-    values[:, 8:11] = 0.0 if record.acceleration is None else record.acceleration
+    if record.acceleration is None:
+        values[:, 12] = UNMEASURED
+    else:
+        values[:, 8:11] = record.acceleration
     seen = np.isfinite(record.rates).any(axis=1)
     return Stamped(stamps[seen], values[seen])
 
@@ -232,20 +239,17 @@ def _qos(msgtype: str) -> Qos:
 
 
 @lru_cache(maxsize=8)
-def template(
-    msgtype: str, joints: Joints = FOUR, *, measured_orientation: bool = True
-) -> bytes:
-    """CDR of one message. Without measured orientation its covariance[0] is -1 (REP-145)."""
+def template(msgtype: str, joints: Joints = FOUR) -> bytes:
+    """CDR of one message."""
     message = blank(msgtype)
     message.header.frame_id = 'base_link'
     if msgtype == IMU:
         message.orientation.w = 1.0
-        message.orientation_covariance[0] = 0.0 if measured_orientation else -1.0
     elif msgtype == JOINTS:
         message.name = list(joints.names)
         setattr(message, joints.field, np.zeros(joints.count))
     elif msgtype == BATTERY:
         message.present = True
-        for name in UNMEASURED:
+        for name in UNKNOWN:
             setattr(message, name, float('nan'))
     return bytes(typestore().serialize_cdr(message, msgtype))

@@ -330,7 +330,8 @@ class _Models:
             able = [one for one in fits if one is not None]
             if not able:
                 raise FloatingPointError(f'{" and ".join(labels) or "the base"} diverges')
-            self.known[labels] = min(able, key=self._trained)
+            self.known[labels] = min([one for one in able if one.converged] or able,
+                                     key=self._trained)
         return self.known[labels]
 
     def _trained(self, fitted: Fit) -> float:

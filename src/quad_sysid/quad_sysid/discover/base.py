@@ -12,7 +12,7 @@ import numpy as np
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.constants import BEAM, EXPECTED
+from quad_sysid.discover.constants import BEAM, BRIEF, EXPECTED
 from quad_sysid.discover.screen import vibration_line
 from quad_sysid.estimate.fit import Fit, Problem, fit, start_of
 from quad_sysid.model.data import other_axis
@@ -23,6 +23,8 @@ BEGUN_STEPS = 6
 """Steps of each fit before the best ones go on."""
 FAR_BEHIND = 30.0
 """Nats by which a fit that was begun may lag behind and still be brought to convergence."""
+ROUGH_NATS = 0.3
+"""A step that gains less ends the fits of a contest; what is chosen goes on (search.settled)."""
 MOST_LINES = 3
 """Most vibration lines in the noise."""
 
@@ -43,7 +45,8 @@ def best_base(problem: Problem) -> Fit:
     ]))
     if base is None:
         raise FloatingPointError('no start of the base holds')
-    base = _beside(problem, base)
+    ended = fitted_from(problem, base.structure, base.theta, rate=base.rate)
+    base = _beside(problem, ended or base)
     if problem.flight.sensor.noisy:
         averaged = replace(base.structure, averaged=True)
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))
@@ -87,24 +90,53 @@ class Try:
 
 
 def contest(problem: Problem, tries: Sequence[Try], least: float = -math.inf) -> list[Fit]:
-    """Fits of structures; only those that do not fall behind are brought to convergence.
+    """Fits of structures; only those that do not fall behind are brought near convergence.
 
     After a few steps of each, what has an evidence FAR_BEHIND the best one, or below `least`, is
-    dropped; the BEAM best ones stay.
+    dropped; the BEAM best ones stay. Many are first compared in this way on a short part.
     """
-    begun = [one for one in side_by_side([
-        partial(fitted_from, problem, one.structure, *one.starts, most_steps=BEGUN_STEPS,
-                rate=one.rate) for one in tries
-    ]) if one is not None]
-    begun.sort(key=lambda one: -one.evidence)
-    enough = begun[0].evidence - FAR_BEHIND if begun else least
-    ahead = [one for i, one in enumerate(begun)
-             if one.evidence >= least and (i < BEAM or one.evidence >= enough)]
+    if problem.brief is not None and len(tries) > BEAM:
+        tries = _ahead_on(problem.brief, tries)
+    begun = begun_fits(problem, tries)
+    ahead = [one for one in _leading(begun) if one.evidence >= least]
     ended = side_by_side([
-        partial(fitted_from, problem, one.structure, one.theta, rate=one.rate)
+        partial(fitted_from, problem, one.structure, one.theta, rate=one.rate, enough=ROUGH_NATS)
         for one in ahead if not one.converged
     ])
     return [*(one for one in ahead if one.converged), *(one for one in ended if one is not None)]
+
+
+def begun_fits(problem: Problem, tries: Sequence[Try]) -> list[Fit]:
+    """A few steps of each; best first."""
+    fits = side_by_side([
+        partial(fitted_from, problem, one.structure, *one.starts, most_steps=BEGUN_STEPS,
+                rate=one.rate) for one in tries
+    ])
+    return sorted((one for one in fits if one is not None), key=lambda one: -one.evidence)
+
+
+def _leading(begun: Sequence[Fit], behind: float = FAR_BEHIND) -> list[Fit]:
+    """Those not so far behind the first, nats, but BEAM at least."""
+    return [one for i, one in enumerate(begun)
+            if i < BEAM or one.evidence >= begun[0].evidence - behind]
+
+
+def _ahead_on(brief: Problem, tries: Sequence[Try]) -> list[Try]:
+    """Tries that do not fall behind on a part of the rows, each from where it got to there.
+
+    It would miss events, which stay as they are.
+    """
+    local = [one for one in tries
+             if any(part.effect.kind == 'event' for part in one.structure.parts)]
+    apart = [one for one in tries if one not in local]
+    given = {one.structure.labels: one for one in apart[::-1]}
+    best: dict[frozenset[str], Fit] = {}
+    for one in begun_fits(brief, [replace(one, rate=one.rate[brief.index]) for one in apart]):
+        best.setdefault(frozenset(one.structure.labels), one)
+    ahead = _leading([*best.values()], FAR_BEHIND / BRIEF)
+    whole = (given[one.structure.labels] for one in ahead)
+    return [*local, *(replace(first, starts=(one.theta, *first.starts))
+                      for one, first in zip(ahead, whole, strict=True))]
 
 
 def _beside(problem: Problem, base: Fit) -> Fit:

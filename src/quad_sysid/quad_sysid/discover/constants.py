@@ -18,10 +18,19 @@ REFITS = 12
 """Explanations with one more effect that are fitted at each level, each by its best variant."""
 EXCHANGES = 3
 """Explanations that are fitted in the place of each effect of the best structure."""
+PROMISING = 0.25
+"""Share of what an effect gains that another's linear score must promise to take its place."""
 MOST_EFFECTS = 4
 """A minute of flight hardly determines more."""
 SEARCHED, BLOCKS = 15_000, 6
 """Rows of the training that a search sees, a minute at 250 Hz, and the blocks they are cut in."""
+BRIEF = 3
+"""Part of those rows on which many starts and structures are tried before the best go on: one of
+three."""
+BRIEF_BLOCK_S = 3.0
+"""Least length of the blocks they are cut in, for each begins with a lead."""
+FEW_STARTS = 2
+"""Starts of a candidate that are scored on all rows."""
 HOPELESS = -8.0
 """Linear score relative to the best, nats, below which a candidate is not fitted: about where it
 would improve nothing even without its prior."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -18,8 +18,8 @@ from scipy.signal import fftconvolve, find_peaks, lfilter
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.constants import PER_NONLINEAR
-from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.discover.constants import FEW_STARTS, PER_NONLINEAR
+from quad_sysid.estimate.fit import Fit, Problem, derivative_steps
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
@@ -171,9 +171,21 @@ class _Beside(Along):
         self.left = weighted - self.q @ (self.q.T @ weighted)
 
     def best(self, part: Part) -> Score | None:
-        """The best start and score of a candidate; None where none is physical."""
-        linear = linear_of(part)
-        starts, scores = self.starts(part), []
+        """The best start and score of a candidate; None where none is physical.
+
+        Of many starts those are scored that lead on the short part of the flight. It would miss
+        events.
+        """
+        starts = self.starts(part)
+        if self.brief is not None and len(starts) > FEW_STARTS and part.effect.kind != 'event':
+            nats = [-math.inf if s is None else s.nats for s in self.brief.scored(part, starts)]
+            starts = [starts[i] for i in np.argsort(nats)[: -FEW_STARTS - 1 : -1]]
+        scores = (s for s in self.scored(part, starts) if s is not None)
+        return max(scores, key=lambda s: s.nats, default=None)
+
+    def scored(self, part: Part, starts: Sequence[FloatArray]) -> list[Score | None]:
+        """The score of each start."""
+        linear, scores = linear_of(part), []
         for at in range(0, len(starts), AT_ONCE):
             some = starts[at : at + AT_ONCE]
             inputs = np.vstack([self.columns(part, linear, p) for p in some]) + FAINT
@@ -184,7 +196,19 @@ class _Beside(Along):
                 self.score(part, linear, p, psi)
                 for p, psi in zip(some, np.split(found, len(some), axis=1), strict=True)
             ]
-        return max((s for s in scores if s is not None), key=lambda s: s.nats, default=None)
+        return scores
+
+    @cached_property
+    def brief(self) -> _Beside | None:
+        """The same on the short part of the flight."""
+        brief = self.problem.brief
+        if brief is None:
+            return None
+        one, brief.flight.rate = self.fitted, self.fitted.rate[brief.index]
+        prediction = brief.flight.predict(one.structure, one.theta,
+                                          steps=derivative_steps(brief.sizes(one.structure)))
+        return None if prediction.jacobian is None else \
+            _Beside(brief, replace(one, prediction=prediction))
 
     def starts(self, part: Part) -> list[FloatArray]:
         """Start values of a candidate, each (q,) coordinates, the linear parameters at zero."""
@@ -299,6 +323,7 @@ def candidates(
     """
     count = max(problem.data.motors.shape[1], FEWEST_MOTORS)
     prepared = [(effect, effect.prepare(problem.data)) for effect in effects
-                if max(effect.motors, default=0) < count]
+                if max(effect.motors, default=0) < count
+                and (not effect.axes or problem.data.axis in effect.axes)]
     parts = [Part(effect, found) for effect, found in prepared if not isinstance(found, str)]
     return parts, {effect.label: found for effect, found in prepared if isinstance(found, str)}

@@ -6,14 +6,16 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
+from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import (
     FAR_BEHIND,
     Try,
+    begun_fits,
     best_base,
     both_orders,
     contest,
@@ -25,11 +27,14 @@ from quad_sysid.discover.base import (
 from quad_sysid.discover.constants import (
     BEAM,
     BLOCKS,
+    BRIEF,
+    BRIEF_BLOCK_S,
     EXCHANGES,
     EXPECTED,
     HOPELESS,
     MOST_EFFECTS,
     NEGLIGIBLE,
+    PROMISING,
     REFITS,
     SEARCHED,
 )
@@ -43,6 +48,8 @@ SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""
 ANEW = 20.0
 """Nats by which a response that is fitted anew must beat the base; another is fitted from it."""
+NEAR = 5.0
+"""Nats behind the best structure within which another may be chosen."""
 SHARED = (
     'what disturbs this axis disturbs the other one as well, so that its command and rate answer '
     'to the same gusts; fly in calm air, or excite that axis by itself'
@@ -118,11 +125,15 @@ def noises(parent: Fit) -> list[FloatArray]:
 
 
 def extensions(parent: Fit, one: Score) -> list[Try]:
-    """A structure with one more effect, from each start of the noise."""
+    """A structure with one more effect, from each start of the noise; beside others from one.
+
+    Of a base that lacks an effect nobody knows how much of its noise is the effect's.
+    """
     structure = parent.structure.plus(one.part)
+    begun = noises(parent)[-1 if parent.structure.parts else 0 :]
     own = parent.theta[: -len(parent.structure.noise)]
     return [Try(structure, [np.r_[own, start, noise] for start in one.starts], parent.rate)
-            for noise in noises(parent)]
+            for noise in begun]
 
 
 def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
@@ -137,15 +148,22 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
     negative gain, that no step leads back from there once the response is added. Few steps show
     whether such a response is there: only what is beyond the base by then is fitted to its end.
     """
-    begun = start_of(problem)
+    begun, brief = start_of(problem), problem.brief
     count = begun.size - len(Structure().noise)
-    return contest(problem, [
+    tries = [
         Try(Structure((part,)), [
             np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
             for start in part.effect.starts(problem.data, part.settings)
         ], problem.flight.rate)
         for part in parts if part.effect.term == 'response' and not part.effect.motors
-    ], base.evidence)
+    ]
+    known = None if brief is None else fitted_from(brief, base.structure, base.theta,
+                                                   rate=base.rate[brief.index])
+    if brief is not None and known is not None:
+        there = begun_fits(brief, [replace(one, rate=brief.flight.rate) for one in tries])
+        tries = [Try(one.structure, (one.theta,), problem.flight.rate)
+                 for one in there if one.evidence > known.evidence + ANEW / BRIEF]
+    return contest(problem, tries, base.evidence)
 
 
 class _Search:
@@ -161,18 +179,22 @@ class _Search:
         }
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
         self.tried: set[frozenset[str]] = set()
+        self.exchanged: set[frozenset[str]] = set()
+        """What was left of the best structures without one of their effects."""
         self.screens: dict[frozenset[str], list[Score]] = {}
 
-    def build_on(self, parents: Sequence[Scored], refits: int) -> list[Scored]:
+    def build_on(self, parents: Sequence[Scored], refits: int,
+                 promise: float = HOPELESS, *, whole: bool = True) -> list[Scored]:
         """Fitted structures with one more effect, whose linear score may reach the best parent's.
 
-        Of each explanation the variant with the best score. parents: best first. Where nothing may
-        reach that beside the best, the others are not scored.
+        Of each explanation the variant with the best score, of those that promise so many nats.
+        parents: best first. Where nothing does beside the best, the others are not scored. whole:
+        as of `scores`, for the best.
         """
-        least = parents[0].score + HOPELESS
+        least = parents[0].score + promise
         ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
         for parent in parents:
-            for one in self.scores(parent.fit, whole=parent is parents[0]):
+            for one in self.scores(parent.fit, whole=whole and parent is parents[0]):
                 effect, own = one.part.effect, parent.fit.structure.labels
                 labels, kind = (frozenset((*own, x)) for x in (effect.label, explanation(effect)))
                 score = parent.score + one.nats + self.prices[effect.label]
@@ -181,7 +203,11 @@ class _Search:
                     ahead[kind] = score, parent.fit, one
             if not ahead:
                 break
-        hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:refits]
+        unlike: dict[frozenset[str], tuple[float, Fit, Score]] = {}
+        for found in sorted(ahead.values(), key=lambda one: -one[0]):
+            _, fit, one = found
+            unlike.setdefault(frozenset((*fit.structure.labels, one.part.effect.label)), found)
+        hopeful = [*unlike.values()][:refits]
         if self.halt():
             return []
         self.tried |= {frozenset((*fit.structure.labels, one.part.effect.label))
@@ -249,10 +275,14 @@ class _Search:
         count = len(best.fit.structure.parts)
         for index in range(count if count > 1 else 0):
             rest = frozenset(best.fit.structure.minus(index).labels)
+            if rest in self.exchanged:
+                continue
+            self.exchanged.add(rest)
             if rest not in self.known and (fit := fit_without(self.problem, best.fit, index)):
                 self.keep(fit)
             if parent := self.known.get(rest):
-                self.build_on([parent], EXCHANGES)
+                self.build_on([parent], EXCHANGES, PROMISING * (best.score - parent.score),
+                              whole=False)
         return self.best() is not best
 
 
@@ -285,6 +315,7 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     parts, reasons = candidates(problem, effects)
     base = best_base(problem)
     problem.measure(base)
+    problem.brief = _brief(problem, base)
     while True:
         found = _structures(problem, parts, base, halt, listen)
         best = found.best().fit
@@ -300,7 +331,39 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
                     for p in parts if p.effect.label not in fitted}
     ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
     leading_ones = Found(base, ordered, reasons, found.prices)
-    return leading_ones if problem is whole else _on_all(whole, leading_ones)
+    if problem is not whole:
+        problem, leading_ones = whole, _on_all(whole, leading_ones)
+    return settled(problem, leading_ones)
+
+
+def settled(problem: Problem, found: Found) -> Found:
+    """The same with those that may be chosen brought to convergence; what does not get there goes.
+
+    It stays where nothing near it converges either.
+    """
+    best = found.all[0].score
+    near = [one.fit for one in found.all if one.score > best - NEAR and not one.fit.converged]
+    fits = side_by_side([partial(fitted_from, problem, one.structure, one.theta, rate=one.rate)
+                         for one in near])
+    ended = {one.structure.labels: scored(one, found.prices) for one in fits if one is not None}
+    known = [ended.get(one.fit.structure.labels, one) for one in found.all]
+    kept = [one for one in known if one.fit.converged or one.score <= best - NEAR]
+    able = kept if any(one.score > best - NEAR for one in kept) else known
+    return replace(found, all=tuple(sorted(able, key=lambda one: -one.score)))
+
+
+def _brief(problem: Problem, base: Fit) -> Problem | None:
+    """A short part of the rows, with the priors that the base has there; None: there is none."""
+    rows = problem.rows.size // BRIEF
+    blocks = int(np.clip(rows * problem.data.dt / BRIEF_BLOCK_S, 2, BLOCKS))
+    brief = problem.shortened(rows, blocks)
+    if 2 * brief.data.rate.size > problem.data.rate.size:
+        return None
+    fitted = fitted_from(brief, base.structure, base.theta, rate=base.rate[brief.index])
+    if fitted is None:
+        return None
+    brief.measure(fitted)
+    return brief
 
 
 def _on_all(problem: Problem, found: Found) -> Found:

@@ -6,12 +6,12 @@ Those of rate and angle, then the couplings from the other two axes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import (
     TRANSITION,
@@ -57,6 +57,10 @@ class Torque(Row):
 
 
 DRY = (Spec('torque', 'rad/s²', positive=True), TRANSITION)
+LEAST_CLIMB_M = 0.1
+"""Altitudes that change by less show no ground."""
+LEAST_HEIGHT = 0.5
+"""Below this share of the least height that was trained on it grows no more."""
 REVERSALS = 'slow and fast motion with many reversals: a PRBS or a slow square wave'
 
 
@@ -65,7 +69,47 @@ def _stribeck(s: Signals, p: FloatArray) -> FloatArray:
     return (p[0] + p[2] * near) * per_unit('friction', s, p[1])
 
 
+class GroundEffect(Effect):
+    """Thrust that grows near the ground, 1 + (R / 4 z)² of what it is far from it."""
+
+    name = 'ground_effect'
+    signals = ('angle',)
+    term = 'gain'
+    axes = ('climb',)
+    parameters = (
+        Spec('strength', 'm²', positive=True),
+        Spec('clearance', 'm', spread=1.0, centre=math.log(0.3), log=True,
+             starts=(0.1, 0.3, 0.8)),
+    )
+    physics = ('thrust 1 + (R / 4 z)² at the height z over the ground, R of all rotors together; '
+               'clearance: the least z of the training (Cheeseman, Bennett 1955)')
+    excite = 'climbing and sinking near the ground, at one to four times the radius'
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        found = data.signal('angle')
+        if isinstance(found, str):
+            return 'the bag holds no altitude'
+        flown = data.training(found)
+        if np.ptp(flown) < LEAST_CLIMB_M:
+            return f'the altitude changes by {np.ptp(flown):.2g} m only during training'
+        return {'lowest': float(np.min(flown))}
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        height = required(s.angle) - settings['lowest'] + p[1]
+        return p[0] * s.drive / np.maximum(height, LEAST_HEIGHT * p[1]) ** 2
+
+    def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
+        return {'radius': (4.0 * math.copysign(math.sqrt(abs(p[0])), p[0]), 'm'),
+                'ground': (float(settings['lowest'] - p[1]), 'm')}
+
+    def fitted(self, values: Mapping[str, float], settings: Settings) -> FloatArray:
+        radius = values['radius']
+        return np.array([math.copysign((0.25 * radius) ** 2, radius),
+                         settings['lowest'] - values['ground']])
+
+
 TORQUES: tuple[Effect, ...] = (
+    GroundEffect(),
     Torque(
         'coulomb_friction', ('rate',), DRY, lambda s, p: p[0] * per_unit('friction', s, p[1]),
         physics='-T sign(rate): dry friction of a bearing (Coulomb 1785)', excite=REVERSALS,
@@ -92,7 +136,7 @@ TORQUES: tuple[Effect, ...] = (
     Torque(
         'pendulum_stiffness', ('angle',), (Spec('stiffness', 'rad/s² per rad'),),
         lambda s, p: -p[0] * np.sin(required(s.angle)),
-        physics='-k sin(angle): centre of mass below (k > 0) or above the axis',
+        axes=AXES, physics='-k sin(angle): centre of mass below (k > 0) or above the axis',
         excite='large slow angles: a square wave of long period, a slow chirp',
     ),
     Torque(
@@ -152,7 +196,7 @@ def _gyroscopic(which: int) -> Effect:
     return Coupled(
         'gyroscopic_coupling', ('other rate',), (Spec('coefficient', '1/s'),),
         lambda s, p: p[0] * required(s.other_rates)[which],
-        others=(which,), variant=f'other axis {which + 1}',
+        others=(which,), variant=f'other axis {which + 1}', axes=AXES,
         physics="h times another axis' rate: spinning rotors (paper, eqs. 4 and 5)",
         excite='hover with all axes moving',
     )
@@ -163,7 +207,7 @@ COUPLINGS: tuple[Effect, ...] = (
     Coupled(
         'inertia_coupling', ('product of other rates',), (Spec('coefficient', '1'),),
         lambda s, p: p[0] * required(s.other_rates)[0] * required(s.other_rates)[1],
-        others=(0, 1),
+        others=(0, 1), axes=AXES,
         physics='c times the product of the other two rates (Euler; paper, eqs. 4 to 6)',
         excite='hover with all axes moving fast',
     ),

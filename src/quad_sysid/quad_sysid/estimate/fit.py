@@ -105,11 +105,17 @@ class Problem:
     """Typical acceleration of the axis, rad/s², to which priors are relative."""
     rows: NDArray[np.int64]
     """(rows,) samples whose innovations count."""
+    index: NDArray[np.int64]
+    """(n,) where the samples that were kept stood before."""
+    brief: Problem | None = None
+    """A short part of it, on which a search tries first what it has many of."""
 
     def __init__(self, data: AxisData, spans: Sequence[Span], *, whole: bool = False) -> None:
         self.data, self.spans = data, tuple(spans)
+        self.index = np.arange(data.rate.size)
         if not whole:
             passes = passes_of(data, spans)
+            self.index = np.concatenate([np.arange(a, b) for a, b in passes])
             self.data, self.spans = part_of(data, passes), moved(sorted(spans), passes)
         self.flight = Flight(self.data, self.spans)
         self._sizes: dict[str, FloatArray] = {}
@@ -217,6 +223,11 @@ class Fit:
         return float(self.values[self.structure.names.index(name)])
 
 
+def derivative_steps(sizes: FloatArray) -> FloatArray:
+    """(p,) steps of numerical derivatives by parameters of these prior sizes."""
+    return np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
+
+
 def start_of(problem: Problem) -> FloatArray:
     """(p,) start values of the base from the priors alone."""
     theta = problem.centres(Structure())
@@ -227,11 +238,12 @@ def start_of(problem: Problem) -> FloatArray:
 
 def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     problem: Problem, structure: Structure, *starts: FloatArray, most_steps: int = MOST_STEPS,
-    rate: FloatArray | None = None, still: tuple[int, ...] = (),
+    rate: FloatArray | None = None, still: tuple[int, ...] = (), enough: float = SMALL_NATS,
 ) -> Fit:
     """The most probable parameters from the best of `starts` (coordinates of the fit).
 
-    By Gauss-Newton; parameters in `still` are held where they start. Raises FloatingPointError
+    By Gauss-Newton, until a step gains no more than `enough` nats; parameters in `still` are held
+    where they start. Raises FloatingPointError
     where the fit diverges.
     """
     flight = problem.flight
@@ -242,7 +254,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     centres = problem.centres(structure)
     positive = np.array([s.positive and not s.log for s in structure.specs])
     logs = np.array([s.log for s in structure.specs])
-    steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
+    steps = derivative_steps(sizes)
 
     def evaluated(
         at: FloatArray, begun: FloatArray, sweeps: int, *, by: FloatArray | None = None
@@ -282,7 +294,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         a, b = factor[:, :-1], factor[:, -1]
         moving = np.delete(b, list(still)) if still else b
         converged = 0.5 * float(moving @ moving) < SMALL_NATS
-        if converged:
+        if 0.5 * float(moving @ moving) < enough:
             break
         scale = np.sqrt(np.sum(a**2, axis=0))
         for _ in range(12):
@@ -291,20 +303,16 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
             step[list(still)] = 0.0
             trial = theta + step
             trial = np.where(positive, np.maximum(trial, 0.0), trial)
-            _, new, _ = evaluated(trial, found.rate, 2)
+            ahead, new, tail_ahead = evaluated(trial, found.rate, 2, by=steps)
             if new > value - 1e-9:
                 break
             damping = max(damping * 8.0, 1e-4)
         else:
             break
-        ahead, value_ahead, tail_ahead = evaluated(trial, flight.rate, 1, by=steps)
-        if ahead is None:  # the noise is at the edge of what has a filter
-            break
-        if ahead.jacobian is None:
-            raise FloatingPointError('the fit runs away')
-        converged = new - value < SMALL_NATS
-        found, theta, value, tail = ahead, trial, value_ahead, tail_ahead
-        if converged:
+        gained = new - value
+        converged = gained < SMALL_NATS
+        found, theta, value, tail = required(ahead), trial, new, tail_ahead
+        if gained < enough:
             break
         damping *= 0.15
     flight.rate = found.rate

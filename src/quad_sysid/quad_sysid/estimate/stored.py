@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import FloatArray
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Fit, Problem, Tail, covariance, shift_by_form
@@ -187,7 +188,7 @@ def plant_of(model: AxisModel) -> Plant:
     return Plant(
         stored.structure, stored.structure.natural(stored.theta), model.dt,
         sensor_of(model.gyro_filter_hz, None, model.dt),
-        model.craft, AXES.index(model.axis),
+        model.craft, EVERY[model.axis].index,
     )
 
 

@@ -15,11 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.estimate.fit import Fit, Problem, derivative_steps
 from quad_sysid.model.data import Windows
 from quad_sysid.model.effect import Part
-from quad_sysid.model.flight import Prediction
+from quad_sysid.model.flight import Prediction, Run
+from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
+from quad_sysid.qr import upper
 
 MOST_STEPS = 20
 MOST_DAMPED = 1e4
@@ -70,10 +72,20 @@ class Projection:
 
     def run(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """(windows, length) runs from the reference's states, less the measured rate, rad/s."""
+        return self._run(structure, theta).errors
+
+    def _run(self, structure: Structure, theta: FloatArray) -> Run:
         with np.errstate(all='ignore'):
-            errors = self.flight.free_run(structure, theta, self.windows,
-                                          prediction=self._from(structure))
-        return np.clip(np.nan_to_num(errors, nan=HUGE), -HUGE, HUGE)
+            run = self.flight.run(structure, theta, self.windows,
+                                  prediction=self._from(structure))
+        return run._replace(errors=np.clip(np.nan_to_num(run.errors, nan=HUGE), -HUGE, HUGE))
+
+    def _along(self, structure: Structure, theta: FloatArray, run: Run,
+               steps: FloatArray) -> FloatArray:
+        """(rows, own) derivatives of a run by the coordinates of base and effects."""
+        with np.errstate(all='ignore'):
+            return Sensitivity(self.flight, structure, theta, self.windows,
+                               self._from(structure), run).derivatives(steps)
 
     def _from(self, structure: Structure) -> Prediction:
         """The reference's states, without coefficients that the structure lacks."""
@@ -111,52 +123,38 @@ class Projection:
         steps = self.steps(structure, theta)
         enough = ROUGHLY if coarse else ENOUGH
 
-        def away(at: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """(windows, length) difference to the reference; (rows,) with the prior's rows."""
-            difference = self.run(structure, at) - self.goal
-            return difference, np.r_[difference.ravel(), root @ (at[:own] - centres)]
+        def away(at: FloatArray) -> tuple[Run, FloatArray]:
+            """The run; (rows,) difference to the reference, and the prior's rows."""
+            run = self._run(structure, at)
+            return run, np.r_[(run.errors - self.goal).ravel(), root @ (at[:own] - centres)]
 
-        def derivatives(at: FloatArray, rows: FloatArray) -> FloatArray:
-            out = np.empty((rows.size, own))
-            for j in range(own):
-                moved = at.copy()
-                moved[j] += steps[j]
-                out[:, j] = (away(moved)[1] - rows) / steps[j]
-            return out
-
-        difference, rows = away(theta)
-        value, damping, converged, fresh = float(rows @ rows), 1e-3, False, True
-        columns = derivatives(theta, rows)
+        run, rows = away(theta)
+        value, damping, converged = float(rows @ rows), 1e-3, False
         for _ in range(MOST_STEPS // 2 if coarse else MOST_STEPS):
-            scale = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-9)
-            damped = np.vstack([columns, math.sqrt(damping) * np.diag(scale)])
-            step = -np.linalg.lstsq(damped, np.r_[rows, np.zeros(own)], rcond=None)[0]
-            trial = theta.copy()
-            trial[:own] += np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
-            trial[:own] = np.where(positive, np.maximum(trial[:own], 0.0), trial[:own])
-            trial[:own] = np.where(logs, np.clip(trial[:own], *RANGE), trial[:own])
-            there, ahead = away(trial)
-            new, moved = float(ahead @ ahead), trial[:own] - theta[:own]
-            if new < value:  # Broyden's update: a run for each parameter costs most of the time
-                by_scale = scale**2 * moved
-                columns = columns + np.outer(
-                    ahead - rows - columns @ moved, by_scale / max(float(by_scale @ moved), 1e-30)
-                )
-                small = value - new < enough * value
-                theta, difference, rows, value, damping = trial, there, ahead, new, 0.2 * damping
-                if not small:
-                    fresh = False
-                    continue
-                converged = True
-                if fresh or coarse or value <= 0.0:
+            columns = np.vstack([self._along(structure, theta, run, steps), root])
+            factor = upper(np.column_stack([columns, rows]))[:own]
+            a, b = factor[:, :-1], factor[:, -1]
+            scale = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-9)
+            while damping < MOST_DAMPED:
+                damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
+                step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(own)], rcond=None)[0]
+                trial = theta.copy()
+                trial[:own] += np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
+                trial[:own] = np.where(positive, np.maximum(trial[:own], 0.0), trial[:own])
+                trial[:own] = np.where(logs, np.clip(trial[:own], *RANGE), trial[:own])
+                there, ahead = away(trial)
+                new = float(ahead @ ahead)
+                if new < value:
                     break
-            elif fresh:
                 damping = 8.0 * max(damping, 1e-4)
-                if damping > MOST_DAMPED:
-                    converged = True  # no step leads further
-                    break
-                continue
-            columns, fresh, converged = derivatives(theta, rows), True, False
+            else:
+                converged = True  # no step leads further
+                break
+            converged = value - new < enough * value
+            theta, run, rows, value, damping = trial, there, ahead, new, 0.2 * damping
+            if converged or value <= 0.0:
+                break
+        difference = run.errors - self.goal
         return Projected(structure, theta, np.sum(difference**2, axis=1), converged)
 
     def covariance(self, model: Projected, of_reference: FloatArray) -> FloatArray:
@@ -181,21 +179,14 @@ class Projection:
 
     def _derivatives(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """(rows, own) derivatives of the runs by the coordinates of base and effects."""
-        own = theta.size - self.noise.size
-        here = self.run(structure, theta).ravel()
-        steps = self.steps(structure, theta)
-        columns = np.empty((here.size, own))
-        for j in range(own):
-            moved = theta.copy()
-            moved[j] += steps[j]
-            columns[:, j] = (self.run(structure, moved).ravel() - here) / steps[j]
-        return columns
+        return self._along(structure, theta, self._run(structure, theta),
+                           self.steps(structure, theta))
 
     def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """(own,) steps of numerical derivatives."""
         sizes, own = self.problem.sizes(structure), theta.size - self.noise.size
         logs = np.array([spec.log for spec in structure.specs])[:own]
-        steps = np.where(sizes > 1.0, 1e-4 * sizes, np.where(sizes < 1e-2, 1e-3 * sizes, 1e-4))
+        steps = derivative_steps(sizes)
         return np.maximum(steps[:own], 1e-3 * np.abs(np.where(logs, 0.0, theta[:own])))
 
     @property

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from quad_sysid.autopilot_table import ARDUPILOT, ardupilot_units
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, ardupilot_channels, of_ardupilot
 from quad_sysid.errors import BadInputError
@@ -29,14 +30,13 @@ from quad_sysid.imports.log import (
     Reading,
     Stream,
     Wanted,
-    gains_of,
 )
-from quad_sysid.imports.mixers import MIRROR, angles_from_ned, mirrored
+from quad_sysid.imports.mixers import MIRROR, angles_from_ned, enu, mirrored
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, text_lines
 
-FIRST_INSTANCE = ('IMU', 'BAT')
-INSTANCE = ('I', 'Instance', 'Inst')
+FIRST_INSTANCE = ('IMU', 'BAT', 'XKF1')
+INSTANCE = ('I', 'Instance', 'Inst', 'C')
 QUAD = 4
 """Number of motors where the parameters do not say it."""
 OLD_CHANNEL = re.compile(r'^Ch(an)?(?=\d)')
@@ -79,12 +79,18 @@ WANTED = (
            'to rad/s, pitch and yaw turned', _mirrored_degrees),
     Wanted('acceleration', _of('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
            mirrored),
+    Wanted('velocity', _of('XKF1', 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
+    Wanted('position', _of('XKF1', 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu),
     Wanted('battery', _of('BAT', 'Volt'), 'V', 'as it is'),
 )
 OUTPUTS = Wanted('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
                  'as they are, pitch and yaw turned; U is in the unit of these outputs',
                  lambda values: values * [1.0, *MIRROR])
-MESSAGES = ('RATE', 'ATT', 'IMU', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD', 'SIDS')
+MESSAGES = ('RATE', 'ATT', 'IMU', 'XKF1', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD', 'SIDS')
+NO_GAINS = ("ArduPilot's gains are not carried over: {}, so nobody knows what its outputs do to "
+            'the motors')
+AT_HOVER = ("ArduPilot's gains are stated for the thrust of hover: between its outputs and the "
+            'pulses stands a thrust curve (MOT_THST_EXPO, MOT_THST_HOVER)')
 INJECTED: Mapping[int, tuple[str, str, float]] = {
     **{first + i: (axis, 'attitude', DEGREE) for first in (1, 4) for i, axis in enumerate(AXES)},
     **{7 + i: (axis, 'rate', DEGREE) for i, axis in enumerate(AXES)},
@@ -209,17 +215,17 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         reading.take(Wanted('motors', pulses, 'µs', f'(pulse - {low:g}) / {high - low:g}; {how}',
                             lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
         _speeds(reading, channels)
-        return (craft,) if isinstance(craft, Craft) else (), {}, [
-            ("ArduPilot's gains are not carried over: between its outputs and the pulses stands a "
-            'thrust curve (MOT_THST_EXPO)')
-        ]
+        if not isinstance(craft, Craft):
+            return (), {}, [NO_GAINS.format(craft)]
+        units = ardupilot_units(craft.mixer, table.header)
+        return (craft,), ARDUPILOT.gains(table.header, units), [AT_HOVER]
     reading.take(OUTPUTS)
     if 'control' not in reading.streams:
         raise BadInputError(
             table.source, 'holds no RCOU and no RATE messages', table.messages,
             'set LOG_BITMASK to log fast attitude (bit 0) or RC output (bit 10) and log again',
         )
-    return (), _gains(table), [ASKED_FOR]
+    return (), ARDUPILOT.gains(table.header, (1.0, 1.0, 1.0)), [ASKED_FOR]
 
 
 def _speeds(reading: Reading, channels: tuple[int, ...]) -> None:
@@ -237,17 +243,3 @@ def _speeds(reading: Reading, channels: tuple[int, ...]) -> None:
         values[mine, motor] = rpm[mine] * RPM
     reading.put(Wanted('speeds', ('ESC.RPM',), 'rpm', 'to rad/s'),
                 Stream(table.times['ESC.RPM'], values))
-
-
-def _gains(table: Table) -> dict[str, float]:
-    """The contract's names. ArduPilot differentiates the error, ours the rate: D is alike."""
-    return gains_of(table.header, {
-        axis: (1.0, (
-            ('angle.kp', f'ATC_ANG_{name}_P', 1.0), ('rate.kp', f'ATC_RAT_{name}_P', 1.0),
-            ('rate.ki', f'ATC_RAT_{name}_I', 1.0), ('rate.kd', f'ATC_RAT_{name}_D', 1.0),
-            ('rate.integrator_limit', f'ATC_RAT_{name}_IMAX', 1.0),
-            ('rate.d_filter_hz', f'ATC_RAT_{name}_FLTD', 1.0),
-            ('angle.rate_limit', f'ATC_RATE_{name[0]}_MAX', DEGREE),
-        ))
-        for axis, name in zip(AXES, ('RLL', 'PIT', 'YAW'), strict=True)
-    })

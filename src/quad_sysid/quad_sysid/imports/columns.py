@@ -68,6 +68,8 @@ class ColumnOptions:
     rate_reference: tuple[str, ...] = ()
     battery: str | None = None
     acceleration: tuple[str, ...] = ()
+    velocity: tuple[str, ...] = ()
+    position: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     sample_rate_hz: float | None = None
     """The rate of the rows where no column has their time."""
@@ -146,6 +148,7 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
             table, units, (*options.control, *options.names('thrust')), OPTIONS['control']),
             found['control']),
         motors=found['motors'], acceleration=found['acceleration'],
+        velocity=found['velocity'], position=found['position'],
         crafts=() if not options.motors or options.mixer == 'auto'
         else (mixer_of(options.mixer, options.motors),),
         battery=found['battery'], mapped=_mapped(options, units, found), checks=tuple(odd),
@@ -359,9 +362,10 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:  # noqa: C901 - one check
     if options.motors and not 2 <= len(options.motors) <= 8:
         raise BadInputError('--motors', 'needs the columns of all motors, 4, 6 or 8',
                             ','.join(options.motors), 'separate them by commas')
-    if options.acceleration and len(options.acceleration) != len(AXES):
-        raise BadInputError('--acceleration', 'needs three columns: x, y, z',
-                            ','.join(options.acceleration), 'separate them by commas')
+    for option in ('acceleration', 'velocity', 'position'):
+        if len(options.names(option)) not in (0, len(AXES)):
+            raise BadInputError(f'--{option}', 'needs three columns: x, y, z',
+                                ','.join(options.names(option)), 'separate them by commas')
     if not options.rate and not options.angle:
         raise BadInputError('import', 'needs --rate or --angle', remedy='name what was measured')
     roles: dict[str, Role] = {}

@@ -27,7 +27,8 @@ TOPICS = {
     'rates': '/imu/data angular_velocity', 'angles': '/imu/data orientation',
     'acceleration': '/imu/data linear_acceleration', 'attitude_setpoint': '/setpoint/attitude',
     'rate_setpoint': '/setpoint/rates', 'battery': '/battery', 'control': '/control/wrench',
-    'motors': '/motors/command', 'speeds': '/motors/state',
+    'motors': '/motors/command', 'speeds': '/motors/state', 'velocity': '/odom twist',
+    'position': '/odom pose',
     'rates_before': 'quad-sysid look', 'd_term': 'quad-sysid look',
 }
 """Topic of each stream of ForeignLog, or who alone reads it."""
@@ -36,6 +37,7 @@ LACKING = {
     'attitude_setpoint': 'no indirect approach, no closed loop',
     'rate_setpoint': 'the pictures lack the rate reference',
     'battery': 'no battery sag',
+    'velocity': 'no surge and sway; the climb needs it too',
 }
 """What cannot be done without a stream."""
 NO_GAINS = "the controller's gains: no closed loop, no gain design"
@@ -115,6 +117,10 @@ class ForeignLog:
     """(n, 3) roll, pitch, yaw, rad, FLU in ENU."""
     acceleration: Stream | None = None
     """(n, 3) m/s², FLU."""
+    velocity: Stream | None = None
+    """(n, 3) m/s over the ground, ENU."""
+    position: Stream | None = None
+    """(n, 3) m, ENU; its slope is the velocity where that is not logged."""
     attitude_setpoint: Stream | None = None
     """(n, 3) rad."""
     rate_setpoint: Stream | None = None
@@ -198,21 +204,3 @@ class Reading:
         """Whether the motors are the input, not what the controller asked for."""
         return motors is not None and (
             asked is None or motors.rate_hz >= FAST_ENOUGH * self.streams['rates'].rate_hz)
-
-
-def gains_of(
-    known: Mapping[str, float], axes: Mapping[str, tuple[float, Sequence[tuple[str, str, float]]]]
-) -> dict[str, float]:
-    """The contract's gains from the firmware's parameters.
-
-    By axis: the limit of the controller's output, and rows of the contract's name, the
-    parameter's name and a factor. Limits and filters of 0 are none.
-    """
-    out: dict[str, float] = {}
-    for axis, (limit, rows) in axes.items():
-        for ours, theirs, factor in rows:
-            if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
-                out[f'{axis}.{ours}'] = float(known[theirs] * factor)
-        if f'{axis}.rate.kp' in out:
-            out[f'{axis}.rate.output_limit'] = float(limit)
-    return out

@@ -25,7 +25,8 @@ from quad_sysid.record import GainChange, Record
 
 STREAMS = (
     'rates', 'control', 'motors', 'speeds', 'armed', 'angles', 'acceleration',
-    'attitude_setpoint', 'rate_setpoint', 'battery', 'rates_before', 'd_term',
+    'attitude_setpoint', 'rate_setpoint', 'battery', 'velocity', 'position', 'rates_before',
+    'd_term',
 )
 """Fields of a ForeignLog that are streams."""
 LEAST_S = 5.0

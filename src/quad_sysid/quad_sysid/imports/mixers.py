@@ -128,6 +128,11 @@ def mirrored(values: FloatArray) -> FloatArray:
     return values * MIRROR
 
 
+def enu(values: FloatArray) -> FloatArray:
+    """(n, 3) east, north, up of north, east, down."""
+    return np.asarray(values[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
+
+
 def ned_angles(wxyz: FloatArray) -> FloatArray:
     """Roll, pitch, yaw (n, 3), rad, of FLU in ENU; from w x y z (n, 4) of FRD in NED."""
     return angles_from_ned(euler_from_quaternion(np.roll(wxyz, -1, axis=1)))

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.autopilot_table import PX4, Units
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import LAYOUTS, Craft, of_px4
 from quad_sysid.errors import BadInputError
@@ -26,9 +27,8 @@ from quad_sysid.imports.log import (
     Reading,
     Stream,
     Wanted,
-    gains_of,
 )
-from quad_sysid.imports.mixers import MIRROR, mirrored, ned_angles
+from quad_sysid.imports.mixers import MIRROR, enu, mirrored, ned_angles
 from quad_sysid.imports.rosbag import read_messages, topics_of
 from quad_sysid.imports.table import Table
 
@@ -73,6 +73,8 @@ WANTED = (
            'FRD in NED to FLU in ENU', ned_angles),
     Wanted('rate_setpoint', _of('vehicle_rates_setpoint', *AXES), 'rad/s',
            'pitch and yaw turned', mirrored),
+    Wanted('velocity', _of('vehicle_local_position', 'vx', 'vy', 'vz'), 'm/s', 'NED to ENU', enu),
+    Wanted('position', _of('vehicle_local_position', 'x', 'y', 'z'), 'm', 'NED to ENU', enu),
     Wanted('battery', _of('battery_status', 'voltage_v'), 'V', 'as it is'),
 )
 TOPICS = (
@@ -198,7 +200,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         )
         told = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')
-        return (crafts, _gains(table, scale) if scale else _gyro_filter(table),
+        return (crafts, _gains(table, scale),
                 [] if scale else [told])
     if torque is None:
         raise BadInputError(
@@ -253,7 +255,7 @@ def _speeds(reading: Reading, count: int) -> None:
                 Stream(rpm.time_s, values))
 
 
-def _scale(control: Stream, torque: Stream) -> tuple[float, ...] | None:
+def _scale(control: Stream, torque: Stream) -> Units | None:
     """U2..U4 per PX4's torque, from the log itself; None where they are not proportional."""
     at = np.clip(np.searchsorted(torque.time_s, control.time_s), 0, len(torque.time_s) - 1)
     x, y = torque.values[at, 1:], control.values[:, 1:]
@@ -264,32 +266,16 @@ def _scale(control: Stream, torque: Stream) -> tuple[float, ...] | None:
         return None
     slope = (x * y).sum(axis=0) / power
     left = ((y - slope * x) ** 2).sum(axis=0)
-    return tuple(map(float, slope)) if (1.0 - left / total >= LINEAR).all() else None
+    roll, pitch, yaw = slope.tolist()
+    return (roll, pitch, yaw) if (1.0 - left / total >= LINEAR).all() else None
 
 
-def _gains(table: Table, scale: tuple[float, ...]) -> dict[str, float]:
-    """The contract's names; PX4's rate loop has their form: K (P e + I ∫e - D d(rate)/dt)."""
-    known = table.header
-    axes = {}
-    for axis, unit in zip(AXES, scale, strict=True):
-        name = axis.upper()
-        factor = unit * known.get(f'MC_{name}RATE_K', 1.0)
-        axes[axis] = unit, (
-            ('angle.kp', f'MC_{name}_P', 1.0), ('rate.kp', f'MC_{name}RATE_P', factor),
-            ('rate.ki', f'MC_{name}RATE_I', factor), ('rate.kd', f'MC_{name}RATE_D', factor),
-            ('angle.rate_limit', f'MC_{name}RATE_MAX', np.pi / 180.0),
-            ('rate.integrator_limit', f'MC_{name[0]}R_INT_LIM', unit),
-            ('rate.d_filter_hz', 'IMU_DGYRO_CUTOFF', 1.0),
-        )
-    return gains_of(known, axes) | _gyro_filter(table)
-
-
-def _gyro_filter(table: Table) -> dict[str, float]:
-    """What the rates have passed, whether or not the gains can be stated."""
-    cut = table.header.get('IMU_GYRO_CUTOFF')
-    if not cut or 'vehicle_angular_velocity.xyz[0]' not in table.columns:
-        return {}
-    return {'sensor.gyro_filter_hz': float(cut)}
+def _gains(table: Table, units: Units | None) -> dict[str, float]:
+    """The contract's names; only the filters of the rates where nobody knows the `units`."""
+    found = PX4.gains(table.header, units or (1.0, 1.0, 1.0))
+    filtered = 'vehicle_angular_velocity.xyz[0]' in table.columns
+    return {name: value for name, value in found.items()
+            if (filtered if name.startswith('sensor.') else units is not None)}
 
 
 def _vehicle(table: Table) -> tuple[str, ...]:

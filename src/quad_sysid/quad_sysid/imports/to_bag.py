@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -131,7 +132,7 @@ def record_of(
         acceleration=_drawn(log.acceleration, laid),
         attitude_setpoint=_maybe_held(log.attitude_setpoint, laid),
         rate_setpoint=_maybe_held(log.rate_setpoint, laid),
-        battery_v=_volts(log.battery, laid.times),
+        battery_v=_volts(log.battery, laid.times), **_moved(log, laid, angles),
         gains=(GainChange(0.0, gains),) if gains else (),
     )
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
@@ -262,6 +263,33 @@ def _drawn(stream: Stream | None, laid: Cycles) -> FloatArray | None:
     if stream is None or len(stream.time_s) < 2:
         return None
     return draw(stream, laid.times, LONGEST_PAUSE / stream.rate_hz)
+
+
+def _moved(log: ForeignLog, laid: Cycles, angles: FloatArray | None) -> dict[str, Any]:
+    """Speed along the heading and altitude, in the cycles in which they were logged."""
+    seen, place = log.velocity, log.position
+    if seen is None and place is not None and len(place.time_s) > 2:
+        slope = np.gradient(place.values, place.time_s, axis=0)
+        seen = Stream(place.time_s, np.asarray(slope))
+    if seen is None or angles is None or len(seen.time_s) < 2:
+        return {}
+    world = _in_cells(seen, laid)
+    x, y = world[:, 0], world[:, 1]
+    c, s = np.cos(angles[:, 2]), np.sin(angles[:, 2])
+    out = {'velocity': np.column_stack([c * x + s * y, c * y - s * x, world[:, 2]])}
+    if place is not None:
+        out['altitude'] = _in_cells(place, laid)[:, 2]
+    return out
+
+
+def _in_cells(stream: Stream, laid: Cycles) -> FloatArray:
+    """(n, k) each sample in the cycle that is nearest; NaN in the others."""
+    out = np.full((laid.times.size, stream.values.shape[1]), np.nan)
+    cells = np.rint(np.interp(stream.time_s, laid.times, np.arange(laid.times.size))).astype(int)
+    inside = (stream.time_s >= laid.times[0] - laid.dt) & (
+        stream.time_s <= laid.times[-1] + laid.dt)
+    out[cells[inside]] = stream.values[inside]
+    return out
 
 
 def _volts(stream: Stream | None, times: FloatArray) -> FloatArray | None:

@@ -17,7 +17,8 @@ from typing import Literal
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 
-Role = Literal['time', 'control', 'motor', 'thrust', 'rate', 'angle', 'battery', 'acceleration']
+Role = Literal['time', 'control', 'motor', 'thrust', 'rate', 'angle', 'battery', 'acceleration',
+               'speed', 'place']
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,9 @@ OPTIONS = {
     'battery': Option('battery', help='voltage of the pack, V'),
     'acceleration': Option('acceleration', 'X,Y,Z', 'specific force, m/s², of the body: it tells '
                            'whether z points up', several=True),
+    'velocity': Option('speed', 'X,Y,Z', 'speed over the ground, m/s, ENU', several=True),
+    'position': Option('place', 'X,Y,Z', 'place of the aircraft, m, ENU; without --velocity its '
+                       'slope is the speed', several=True),
 }
 """By the option's name, the time first."""
 
@@ -98,6 +102,8 @@ UNITS: dict[Role, dict[str, tuple[float, float]]] = {
     },
     'angle': {'rad': (1.0, 0.0), 'deg': (DEGREE, 0.0), 'm': (1.0, 0.0), 'mm': (1e-3, 0.0)},
     'battery': {'V': (1.0, 0.0), 'mV': (1e-3, 0.0)},
+    'speed': {'m/s': (1.0, 0.0), 'mm/s': (1e-3, 0.0)},
+    'place': {'m': (1.0, 0.0), 'mm': (1e-3, 0.0)},
     'acceleration': {'m/s2': (1.0, 0.0), 'g': (ONE_G, 0.0), 'mg': (1e-3 * ONE_G, 0.0)},
 }
 """(factor, offset). The first unit of each role holds where none is named. `pulse_us` is a servo

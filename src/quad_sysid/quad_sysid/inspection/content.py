@@ -326,10 +326,11 @@ def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
 def _axis(record: Record, axis: str) -> AxisContent:
     lengths = {
         role: sum(s.end_s - s.start_s for s in record.segments
-                  if s.role == role and s.axis == axis)
+                  if s.role == role and s.excites(axis))
         for role in ('train', 'validation')
     }
     try:
+        record = record.for_axis(axis)
         data = axis_data([record], axis)
     except NotInformativeError as error:
         refused = Use(f'identify {axis}', possible=False,

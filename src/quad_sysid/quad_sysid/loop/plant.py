@@ -11,7 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.effect import Signals
@@ -75,7 +76,7 @@ def plant_like(
     if gyro_filter_hz is not None and not (np.isfinite(gyro_filter_hz) and gyro_filter_hz > 0):
         raise BadInputError('plant', 'gyro_filter_hz must be positive or None', gyro_filter_hz)
     plant = Plant(structure or Structure(), p, dt, sensor_of(gyro_filter_hz, None, dt), craft,
-                  AXES.index(axis))
+                  EVERY[axis].index)
     return Flying(plant, around(*at))
 
 

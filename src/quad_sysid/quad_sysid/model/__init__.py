@@ -1,6 +1,7 @@
 """The model of one axis: data, physics, noise, the compiled recursion, and the stored result."""
 
 from quad_sysid.model.identified import (
+    BEFORE,
     AxisModel,
     Designer,
     EffectEstimate,
@@ -11,5 +12,5 @@ from quad_sysid.model.identified import (
     RungModel,
 )
 
-__all__ = ['AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate', 'Outside',
-           'Parameter', 'RungModel']
+__all__ = ['BEFORE', 'AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate',
+           'Outside', 'Parameter', 'RungModel']

@@ -10,10 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import NotInformativeError
-from quad_sysid.record import SHORT_GAP_S, Record, RotorLag, finite_runs, joined_runs
+from quad_sysid.record import (
+    SHORT_GAP_S,
+    SPEED_GAP_S,
+    Record,
+    RotorLag,
+    finite_runs,
+    joined_runs,
+)
 
 Span = tuple[int, int]
 
@@ -105,8 +113,8 @@ class AxisData:
 
     @property
     def index(self) -> int:
-        """0 roll, 1 pitch, 2 yaw; -1 for no axis of rotation, such as the climb over U1."""
-        return AXES.index(self.axis) if self.axis in AXES else -1
+        """0 roll or surge, 1 pitch or sway, 2 yaw; -1 climb."""
+        return EVERY[self.axis].index
 
     @property
     def share(self) -> FloatArray:
@@ -115,13 +123,13 @@ class AxisData:
 
     @property
     def command(self) -> FloatArray:
-        """(n,) this axis' input U2, U3 or U4, normalised; U1 where `index` is -1."""
+        """(n,) this axis' input: U2, U3, U4, or U1 of the climb, normalised; a lean, rad."""
         return np.ascontiguousarray(self.control[:, self.index + 1])
 
     @property
     def other_axes(self) -> tuple[str, ...]:
         """Names of the other two axes, in the order of `other_rates`."""
-        return tuple(name for name in AXES if name != self.axis)[:2]
+        return EVERY[self.axis].others
 
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
         """Windows in `spans`, by default of the contract's length, end to end, no partial ones.
@@ -178,7 +186,7 @@ class AxisData:
             lean = self.other_angles
             return f'the bag holds no {MISSING["angle"]}' if lean is None else lean[:, which]
         if name == 'other command':
-            signal = self.control[:, AXES.index(axis) + 1]
+            signal = self.control[:, EVERY[axis].index + 1]
             least = LEAST_SHARE * np.std(self.training(self.command))
             if not np.std(self.training(signal)) >= least:
                 return f'the command of {axis} hardly moves during training; excite it as well'
@@ -278,7 +286,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
             ((a + begin, b + begin), segment.signal)
             for record, (begin, _) in zip(records, flights, strict=True)
             for segment in record.segments
-            if segment.role == role and (segment.axis == axis or role == 'idle')
+            if segment.role == role and (segment.excites(axis) or role == 'idle')
             for a, b in finite_runs(good[begin:], record.span(segment))
         ]
 
@@ -291,8 +299,9 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         joined['reference'] = None
     for role in ('train', 'validation', 'idle'):
         joined[role] = tuple(span for span, _ in pieces(role))
-    known_gains = records[0].gains_at(np.inf)
-    filters = [record.gains_at(np.inf).get('sensor.gyro_filter_hz') or None for record in records]
+    known_gains = records[0].gains_at(np.inf) if EVERY[axis].turns else {}
+    filters = [(record.gains_at(np.inf).get('sensor.gyro_filter_hz') if EVERY[axis].turns
+                else record.speed_filter_hz) or None for record in records]
     usual = next((hz for hz in filters if hz is not None), None)
     own = [(hz or usual, b - a) for hz, (a, b) in zip(filters, flights, strict=True)]
     return AxisData(
@@ -310,33 +319,43 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
 
 def _prepare(record: Record, axis: str) -> dict[str, Any]:
     """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
-    index, n = AXES.index(axis), record.n
-    rate, control = record.rates[:, index], record.control
-    motors = record.motors
+    n, own, found = record.n, EVERY[axis], record.motion(axis)
+    rate, control, motors = found.rate, found.control, found.motors
     if motors is None:
         motors = np.zeros((n, 0)) if record.desaturation == 'none' else \
-            record.craft.commands(control)
-    good = np.isfinite(rate) & np.isfinite(control[:, index + 1])
+            found.share[:, None] * record.craft.commands(record.control)
+    good = np.isfinite(rate) & np.isfinite(control[:, own.index + 1])
     if not good.any():
         raise NotInformativeError(
             f'{record.source}: {axis} has no sample with both rate and command; '
             'record /imu/data with /motors/command or /control/wrench'
         )
-    angles = np.full((n, 3), np.nan) if record.angles is None else record.angles
     nothing, external = np.full(n, np.nan), record.external(axis)
-    others = [i for i in range(3) if i != index]
+    gap = SHORT_GAP_S if own.turns else SPEED_GAP_S
+    beside = [_seen(record, name) for name in own.others]
     out: dict[str, Any] = {
-        'rate': across_short_gaps(np.where(good, rate, np.nan), record.dt),
+        'rate': across_short_gaps(np.where(good, rate, np.nan), record.dt, gap),
         'lost': ~good,
-        'angle': angles[:, index],
-        'other_angles': angles[:, others],
+        'angle': nothing if found.position is None else found.position,
+        'other_angles': np.column_stack([position for _, position in beside]),
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
-        'other_rates': across_short_gaps(record.rates[:, others], record.dt),
+        'other_rates': across_short_gaps(np.column_stack([rate for rate, _ in beside]),
+                                         record.dt, gap),
         'battery_v': nothing if record.battery_v is None else record.battery_v,
         'reference': nothing if external is None else external,
     }
     return out
+
+
+def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
+    """(n,) rate and position of another axis; NaN where the record does not hold them."""
+    nothing = np.full(record.n, np.nan)
+    try:
+        found = record.motion(axis)
+    except NotInformativeError:
+        return nothing, nothing
+    return found.rate, nothing if found.position is None else found.position
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
@@ -344,16 +363,16 @@ def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
     return joined_runs(runs, dt, BRIDGED_S)
 
 
-def across_short_gaps(values: FloatArray, dt: float) -> FloatArray:
-    """(n,) or (n, k) with unknown samples interpolated in gaps of at most SHORT_GAP_S."""
+def across_short_gaps(values: FloatArray, dt: float, gap_s: float = SHORT_GAP_S) -> FloatArray:
+    """(n,) or (n, k) with unknown samples interpolated in gaps of at most gap_s."""
     if values.ndim > 1:
-        return np.column_stack([across_short_gaps(column, dt) for column in values.T])
+        return np.column_stack([across_short_gaps(column, dt, gap_s) for column in values.T])
     known = np.asarray(np.isfinite(values))
     if known.all() or not known.any():
         return values
     out = np.full_like(values, np.nan)
     line = filled(values)
-    for start, stop in joined_runs(finite_runs(known, (0, known.size)), dt, SHORT_GAP_S):
+    for start, stop in joined_runs(finite_runs(known, (0, known.size)), dt, gap_s):
         out[start:stop] = line[start:stop]
     return out
 

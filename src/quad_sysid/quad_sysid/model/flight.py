@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
@@ -64,7 +65,7 @@ def central(
 
 def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
     """(n,) acceleration per unit of a wandering effect's coefficient, rad/s²."""
-    one = replace(s, hidden=np.ones((1, s.rate.size)))
+    one = s.but(hidden=np.ones((1, s.rate.size)))
     return required(part.effect.torque(one, p, part.settings))
 
 
@@ -127,7 +128,7 @@ class Flight:
         self.others: list[FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
             self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
-        columns = [AXES.index(name) + 1 for name in data.other_axes]
+        columns = [EVERY[name].index + 1 for name in data.other_axes]
         self.share = data.share
         self._known: dict[str, Any] = {
             'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
@@ -227,7 +228,7 @@ class Flight:
             return s
         seen = effect.seen_along(s, self.followed)
         begun = effect.begun(data, p, part.settings)
-        return replace(s, hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
+        return s.but(hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
 
     def followed(self, rate: FloatArray) -> FloatArray:
         """A rate (n,) that is the measured one in all that is slower than FOLLOWED_S.
@@ -347,6 +348,8 @@ class Flight:
     ) -> Prediction:
         """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
         n, p, rate = self.data.rate.size, structure.natural(theta), self.rate
+        if all(part.effect.moves_command for part in structure.parts):
+            sweeps = 1  # the physics is linear in the rate
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
@@ -453,6 +456,13 @@ class Flight:
 
         rounds: as in Plant.
         """
+        return self.run(structure, theta, windows, prediction=prediction, rounds=rounds).errors
+
+    def run(
+        self, structure: Structure, theta: FloatArray, windows: Windows, *,
+        prediction: Prediction | None = None, rounds: int = 1,
+    ) -> Run:
+        """The same with what the plant went through."""
         dt, p = self.data.dt, structure.natural(theta)
         prediction = prediction or self.predict(structure, theta)
         found = prediction.filter
@@ -477,16 +487,27 @@ class Flight:
             if part.effect.states else None for part, values in plant.pushing
         ))
         lag, delay = lag_and_delay(p)
+        rates = np.empty_like(out)
+        angles = None if angle is None else np.empty_like(out)
+        hidden = tuple(None if x is None else np.empty((x.shape[0], *out.shape))
+                       for x in turning.hidden)
         for i, measured in enumerate(self._around(windows)):
             k = windows.starts + i
+            if angles is not None:
+                angles[:, i] = required(turning.angle)
+            for whole, state in zip(hidden, turning.hidden, strict=True):
+                if whole is not None:
+                    whole[:, :, i] = state
             out[:, i] = (turning.seen[0] if self.sensor.noisy else turning.rate) \
                 - self.data.rate[k]
             if not self.sensor.derived:
                 out[:, i] += v.real.sum(axis=1)
-            around = replace(measured, lag=lag, delay=delay)
+            around = measured.but(lag=lag, delay=delay)
+            begun = turning.rate
             turning = plant.turn(turning, around, halves[:, k], states[:, k], hold * d, step)
+            rates[:, i] = 0.5 * (begun + turning.rate)
             d, v = d * fade, v * turn
-        return out
+        return Run(out, rates, angles, hidden)
 
     def _around(self, windows: Windows) -> list[Signals]:
         """What was measured in each cycle of the windows, all but the axis' own motion."""
@@ -518,6 +539,19 @@ class _Inputs(NamedTuple):
             np.zeros((columns.shape[1], found.gain.size + found.move.size)),
             wander, np.zeros((n, w, 2)), np.zeros((n, w, 2, 2)), np.zeros(w, np.int64),
         )
+
+
+class Run(NamedTuple):
+    """Free runs from the starts of windows."""
+
+    errors: FloatArray
+    """(windows, length) of the rate, rad/s."""
+    rate: FloatArray
+    """(windows, length) at the middle of each cycle, rad/s."""
+    angle: FloatArray | None
+    """(windows, length) at its start, rad."""
+    hidden: tuple[FloatArray | None, ...]
+    """(states, windows, length) of each effect that adds a torque, at its start."""
 
 
 @dataclass(frozen=True)

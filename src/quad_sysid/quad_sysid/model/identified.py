@@ -200,6 +200,10 @@ class AxisModel:
                             f'it has {", ".join(known for known, _ in self._named)}')
 
 
+BEFORE = '_before'
+"""Ends the name of a figure of the gains that flew."""
+
+
 @dataclass(frozen=True)
 class GainProposal:
     """A designer's answer: gains of one axis by the contract's names, or why there are none."""
@@ -209,7 +213,7 @@ class GainProposal:
     refused_because: str = ''
     figures: Mapping[str, float] = field(default_factory=dict)
     """Predicted figures: phase_margin_deg, rise_time_s, …; those of the old gains end in
-    `_before`."""
+    BEFORE, and so do these gains themselves."""
     left_out: Mapping[str, str] = field(default_factory=dict)
     """Effects that the margins do not hold, and why."""
     steps: tuple[Mapping[str, float], ...] = ()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -47,7 +47,7 @@ def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
     for part, p, s in acting:
         if 'rate' in part.effect.signals:
             ahead, back = (
-                with_torques(np.zeros(1), [(part, p, replace(s, rate=s.rate + step))])
+                with_torques(np.zeros(1), [(part, p, s.but(rate=s.rate + step))])
                 for step in (SLOPE_STEP, -SLOPE_STEP)
             )
             start = start + (ahead - back) / (2.0 * SLOPE_STEP)
@@ -67,9 +67,9 @@ def sent_on(
     """
     seen = []
     for i, (part, p) in enumerate(sending):
-        s = replace(s, hidden=remembered(i, s))
+        s = s.but(hidden=remembered(i, s))
         seen.append(s)
-        s = replace(s, sent=part.effect.command(s, p, part.settings))
+        s = s.but(sent=part.effect.command(s, p, part.settings))
     sent = required(s.sent)
     drive = Drive(sent[None], np.ones(1), np.full((1, *sent.shape), s.lag))
     drive = drive.behind(np.full(sent.shape, s.delay / s.dt))
@@ -123,7 +123,7 @@ class Plant:
     craft: Craft
     """Where its motors are."""
     index: int
-    """0 roll, 1 pitch, 2 yaw; -1: the climb."""
+    """0 roll or surge, 1 pitch or sway, 2 yaw; -1 climb."""
     rounds: int = 3
     """Rounds of Newton's method in a cycle; one is enough where torques hardly bend in it."""
 
@@ -143,14 +143,18 @@ class Plant:
         """The same with what the plant knows itself."""
         lag, delay = lag_and_delay(self.p)
         share = self.craft.inverse[self.index + 1]
-        return replace(s, lag=lag, delay=delay, dt=self.dt, share=share)
+        return s.but(lag=lag, delay=delay, dt=self.dt, share=share)
 
     def with_motors(self, s: Signals) -> Signals:
         """The signals (w,) with what s.sent and the other axes' commands are to each motor."""
+        own = required(s.sent)
         given = [s.throttle, *s.other_commands]
-        given.insert(self.index + 1, required(s.sent))
+        if self.index < 0:  # of the climb the throttle is its own command
+            given = [own, *s.other_commands, np.zeros_like(own)]
+        else:
+            given.insert(self.index + 1, own)
         motors = self.craft.commands(np.stack(given, axis=-1))
-        return replace(s, motors=tuple(motors[..., i] for i in range(motors.shape[-1])))
+        return s.but(motors=tuple(motors[..., i] for i in range(motors.shape[-1])))
 
     def begin(
         self, s: Signals, rate: FloatArray, angle: FloatArray | None, *, settled: bool = False
@@ -171,7 +175,7 @@ class Plant:
         longest = s.delay + sum(part.effect.longest_s(p) for part, p in self.sending)
         line = np.repeat(drive.commands[None], 3 + math.ceil(longest / self.dt), axis=0)
         lagged = np.tensordot(drive.row, drive.commands, 1)
-        moved = replace(s, rate=rate, angle=angle, drive=self.p[0] * lagged, lagged=lagged,
+        moved = s.but(rate=rate, angle=angle, drive=self.p[0] * lagged, lagged=lagged,
                         command=self.p[0] * lagged, change=np.zeros_like(lagged))
         hidden = tuple(
             None if not part.effect.states else
@@ -212,6 +216,13 @@ class Plant:
             for known, own, (part, p) in zip(hidden, seen, self.sending, strict=True)
         )
 
+    def driven(self, s: Signals, halves: FloatArray, states: FloatArray) -> Signals:
+        """The signals with the drive, as Flight.driven gives it, at unit gain."""
+        drive, command = self.p[0] * halves, self.p[0] * states[1]
+        return s.but(drive=0.5 * (drive[0] + drive[1]), command=command,
+                     lagged=0.5 * (halves[0] + halves[1]),
+                     change=(command - self.p[0] * states[0]) / max(self.p[1], 0.25 * self.dt))
+
     def turn(
         self, x: Turning, s: Signals, halves: FloatArray, states: FloatArray,
         push: FloatArray | float, step: FloatArray,
@@ -221,21 +232,19 @@ class Plant:
         push: more acceleration, rad/s². step (2, 5) or (2, 5, w): of the gyro's filter.
         """
         p, dt, h, r = self.p, self.dt, 0.5 * self.dt, x.rate
-        drive, command = p[0] * halves, p[0] * states[1]
-        mean = 0.5 * (drive[0] + drive[1])
-        s = replace(s, drive=mean, command=command, lagged=0.5 * (halves[0] + halves[1]),
-                    change=(command - p[0] * states[0]) / max(float(p[1]), 0.25 * dt))
+        drive, s = p[0] * halves, self.driven(s, halves, states)
+        mean = s.drive
         middle = r + h * mean  # where physics is evaluated, then corrected by its slope
         for _ in range(self.rounds):
-            s = replace(s, rate=middle, angle=None if x.angle is None else x.angle + h * middle)
-            now = [(part, own, s if known is None else replace(s, hidden=known))
+            s = s.but(rate=middle, angle=None if x.angle is None else x.angle + h * middle)
+            now = [(part, own, s if known is None else s.but(hidden=known))
                    for (part, own), known in zip(self.pushing, x.hidden, strict=True)]
             force = with_torques(p[4] - p[3] * middle, now)
             slope = with_slopes(np.full(middle.size, -p[3]), now)
             a = h * slope
             new = ((1.0 + a) * r + dt * (mean + force - slope * middle + push)) / (1.0 - a)
             middle = 0.5 * (r + new)
-        s = replace(s, rate=middle, angle=None if x.angle is None else x.angle + h * middle)
+        s = s.but(rate=middle, angle=None if x.angle is None else x.angle + h * middle)
         hidden = tuple(
             None if known is None else part.effect.advance(known, s, own, part.settings)
             for known, (part, own) in zip(x.hidden, self.pushing, strict=True)

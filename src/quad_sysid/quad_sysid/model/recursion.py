@@ -79,6 +79,29 @@ def sent(commands, k, age, start):
     return new + (age - whole) * (commands[max(k - int(whole) - 1, start)] - new)
 
 
+@inner
+def motor_along(commands, weight, tau, older, newer, fraction, dt, start, stop, halves, states):
+    """What one motor of a constant lag and delay adds to the arrays of `motors`.
+
+    With both commands of a cycle held, all that motor_ahead solves is linear in w and these two.
+    """
+    known, out, by = np.zeros((3, 3)), np.zeros(4), np.empty((5, 3))
+    for i in range(3):  # w, the newer command and the older one
+        by[4, i] = motor_ahead(1.0 * (i == 0), 1.0 * (i == 1), 1.0 * (i == 2), tau, False,
+                               np.zeros((2, 1)), fraction, dt, known, out)
+        for j in range(4):
+            by[j, i] = weight * out[j]
+    keep, into, past = by[4, 0], by[4, 1], by[4, 2]
+    w = commands[start]
+    for k in range(start, stop):
+        new, before = sent(commands, k, newer, start), sent(commands, k, older, start)
+        halves[0, k] += by[0, 0] * w + by[0, 1] * new + by[0, 2] * before
+        halves[1, k] += by[1, 0] * w + by[1, 1] * new + by[1, 2] * before
+        states[0, k] += by[2, 0] * w + by[2, 1] * new + by[2, 2] * before
+        states[1, k] += by[3, 0] * w + by[3, 1] * new + by[3, 2] * before
+        w = keep * w + into * new + past * before
+
+
 @kernel(TABLE, LINE, TABLE, BLOCK, TABLE, LINE, NUMBER, WHOLE, WHOLE, TABLE, TABLE)
 def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves, states):
     """Drive of one axis: each command after its delay and lag, mixed by `row`.
@@ -95,6 +118,14 @@ def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves,
             continue
         for i in range(factors.shape[2]):
             uneven = uneven or factors[c, 1, i] != 0.0
+        even = not uneven
+        for k in range(start + 1, stop):
+            even = even and lag[c, k] == lag[c, start] and fraction[k] == fraction[start] \
+                and ages[0, k] == ages[0, start] and ages[1, k] == ages[1, start]
+        if even:
+            motor_along(commands[c], weight, lag[c, start], ages[0, start], ages[1, start],
+                        fraction[start], dt, start, stop, halves, states)
+            continue
         w, known = commands[c, start], np.zeros((3, 3))
         for k in range(start, stop):
             w = motor_ahead(
@@ -152,67 +183,78 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
     after the cycle, by_pursuit (n, w, 2, 2) their derivatives by its two parameters, whose
     columns begin at place (w,). rate (n,) receives the rate at half cycle, states
     (n, 4 + 2 v + w) the prediction before the innovation, innovation (n,) and jacobian (n, m)
-    what the name says.
+    what the name says. Each array of m numbers is one of its own and each loop over them plain, so
+    that the compiler handles several at once.
     """
     m, wanders, first = columns.shape[1], wander.shape[1], gain.size
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
     g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
     c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
-    fade, hold = move[0], move[1]
-    n, t, lines = np.empty((4, m)), np.empty((2, m)), first // 2 - 2
-    # each line is one complex state, which turns
-    into, turn = np.empty(lines, np.complex128), np.empty(lines, np.complex128)
-    by_into = np.empty((m, lines), np.complex128)
-    by_turn = np.empty((m, lines), np.complex128)
+    fade, hold, lines = move[0], move[1], first // 2 - 2
+    n0, n1, n2, n3 = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+    t0, t1 = np.empty(m), np.empty(m)
+    into, turn = np.empty((lines, 2)), np.empty((lines, 2))
+    by_into, by_turn = np.empty((lines, 2, m)), np.empty((lines, 2, m))
     for j in range(m):
-        n[0, j], n[1, j], n[2, j], n[3, j] = (
-            filters[j, 0], filters[j, 1], filters[j, 2], filters[j, 3])
-        t[0, j], t[1, j] = filters[j, first], filters[j, first + 1]
+        n0[j], n1[j], n2[j], n3[j] = filters[j, 0], filters[j, 1], filters[j, 2], filters[j, 3]
+        t0[j], t1[j] = filters[j, first], filters[j, first + 1]
     for i in range(lines):
-        into[i] = complex(gain[4 + 2 * i], gain[5 + 2 * i])
-        turn[i] = complex(move[2 + 2 * i], move[3 + 2 * i])
-        for j in range(m):
-            by_into[j, i] = complex(filters[j, 4 + 2 * i], filters[j, 5 + 2 * i])
-            at = first + 2 + 2 * i
-            by_turn[j, i] = complex(filters[j, at], filters[j, at + 1])
+        for h in range(2):
+            into[i, h], turn[i, h] = gain[4 + 2 * i + h], move[2 + 2 * i + h]
+            for j in range(m):
+                by_into[i, h, j] = filters[j, 4 + 2 * i + h]
+                by_turn[i, h, j] = filters[j, first + 2 + 2 * i + h]
     r, d, g, q = begin, 0.0, y[start], 0.0
-    v, x = np.zeros(lines, np.complex128), np.zeros(wanders)
-    s, sv, sx = np.zeros((4, m)), np.zeros((lines, m), np.complex128), np.zeros((wanders, m))
+    v, x = np.zeros((lines, 2)), np.zeros(wanders)
+    s0, s1, s2, s3 = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m)
+    sv, sx = np.zeros((lines, 2, m)), np.zeros((wanders, m))
+    z, pushed = np.empty(m), np.empty(m)
     for k in range(start, stop):
         states[k, 0], states[k, 1], states[k, 2], states[k, 3] = r, d, g, q
         e = y[k] - (g if behind else r)
-        for j in range(m):
-            jacobian[k, j] = -(s[2, j] if behind else s[0, j])
-        for i in range(lines):
-            states[k, 4 + 2 * i] = v[i].real
-            states[k, 5 + 2 * i] = v[i].imag
-            e -= v[i].real
+        if behind:
             for j in range(m):
-                jacobian[k, j] -= sv[i, j].real
+                z[j] = -s2[j]
+        else:
+            for j in range(m):
+                z[j] = -s0[j]
+        for i in range(lines):
+            states[k, 4 + 2 * i], states[k, 5 + 2 * i] = v[i, 0], v[i, 1]
+            e -= v[i, 0]
+            for j in range(m):
+                z[j] -= sv[i, 0, j]
         innovation[k] = e
         if not np.isfinite(y[k]):
             e = 0.0
             for j in range(m):
-                jacobian[k, j] = 0.0
+                z[j] = 0.0
+        for j in range(m):
+            jacobian[k, j] = z[j]
+            pushed[j] = columns[k, j]
         r += c0 * e
         d += c1 * e
         g += c2 * e
         q += c3 * e
         for i in range(lines):
-            v[i] += into[i] * e
+            a, b, c, s = into[i, 0], into[i, 1], turn[i, 0], turn[i, 1]
+            v0, v1 = v[i, 0] + a * e, v[i, 1] + b * e
             for j in range(m):
-                corrected = sv[i, j] + into[i] * jacobian[k, j] + by_into[j, i] * e
-                sv[i, j] = turn[i] * corrected + by_turn[j, i] * v[i]
-            v[i] *= turn[i]
+                x0 = sv[i, 0, j] + a * z[j] + by_into[i, 0, j] * e
+                x1 = sv[i, 1, j] + b * z[j] + by_into[i, 1, j] * e
+                sv[i, 0, j] = c * x0 - s * x1 + by_turn[i, 0, j] * v0 - by_turn[i, 1, j] * v1
+                sv[i, 1, j] = c * x1 + s * x0 + by_turn[i, 0, j] * v1 + by_turn[i, 1, j] * v0
+            v[i, 0], v[i, 1] = c * v0 - s * v1, c * v1 + s * v0
         moved = 0.0
         for i in range(wanders):
             states[k, first + i] = x[i]
             x[i] += pursuit[k, i, 0] * e
             moved += wander[k, i] * x[i]
             for j in range(m):
-                sx[i, j] += pursuit[k, i, 0] * jacobian[k, j]
+                sx[i, j] += pursuit[k, i, 0] * z[j]
             for j in range(min(m, 2)):
                 sx[i, place[i] + j] += by_pursuit[k, i, 0, j] * e
+            for j in range(m):
+                pushed[j] += wander[k, i] * sx[i, j]
         a = 0.5 * dt * slope[k]
         ahead = (1.0 + a) / (1.0 - a)
         push = dt / (1.0 - a)
@@ -222,20 +264,16 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
         rate[k] = middle
         curved = middle + 0.25 * dt * (known[0, k] - known[1, k])
         for j in range(m):
-            z = jacobian[k, j]
-            x0 = s[0, j] + c0 * z + n[0, j] * e
-            x1 = s[1, j] + c1 * z + n[1, j] * e
-            x2 = s[2, j] + c2 * z + n[2, j] * e
-            x3 = s[3, j] + c3 * z + n[3, j] * e
-            pushed = columns[k, j] + hold * x1 + t[1, j] * d
-            for i in range(wanders):
-                pushed += wander[k, i] * sx[i, j]
-            x4 = ahead * x0 + push * pushed
+            x0 = s0[j] + c0 * z[j] + n0[j] * e
+            x1 = s1[j] + c1 * z[j] + n1[j] * e
+            x2 = s2[j] + c2 * z[j] + n2[j] * e
+            x3 = s3[j] + c3 * z[j] + n3[j] * e
+            x4 = ahead * x0 + push * (pushed[j] + hold * x1 + t1[j] * d)
             mid = 0.5 * (x0 + x4)
-            s[0, j] = x4
-            s[1, j] = fade * x1 + t[0, j] * d
-            s[2, j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
-            s[3, j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
+            s0[j] = x4
+            s1[j] = fade * x1 + t0[j] * d
+            s2[j] = g00 * x2 + g01 * x3 + g02 * x0 + g03 * mid + g04 * x4
+            s3[j] = g10 * x2 + g11 * x3 + g12 * x0 + g13 * mid + g14 * x4
         for i in range(wanders):
             for j in range(m):
                 sx[i, j] *= pursuit[k, i, 1]
@@ -243,12 +281,59 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
                 sx[i, place[i] + j] += by_pursuit[k, i, 1, j] * x[i]
             x[i] *= pursuit[k, i, 1]
         for j in range(bends.shape[1]):
-            s[2, bent[j]] += g03 * 0.5 * dt * bends[k, j]
-            s[3, bent[j]] += g13 * 0.5 * dt * bends[k, j]
+            s2[bent[j]] += g03 * 0.5 * dt * bends[k, j]
+            s3[bent[j]] += g13 * 0.5 * dt * bends[k, j]
         g, q = (g00 * g + g01 * q + g02 * r + g03 * curved + g04 * new,
                 g10 * g + g11 * q + g12 * r + g13 * curved + g14 * new)
         r = new
         d *= fade
+
+
+@kernel(LINE, TABLE, TABLE, BLOCK, TABLE, TABLE, BLOCK, BLOCK, BLOCK, FLAG, NUMBER, WHOLE, TABLE)
+def freely(slope, by_state, by_rate, onward, columns, bends, forward, begun, gyro, noisy, dt,
+           length, out):
+    """Derivatives of free runs, in windows of `length` cycles one behind the other.
+
+    In each cycle an acceleration has its slope (n,) over the rate, by_state (n, m) over m hidden
+    states, and columns (n, p) over the parameters; bends as in `predict`, for all of them. States
+    move by by_rate (n, m) with the rate, onward (n, m, m) with each other and forward (n, m, p)
+    with the parameters, and begin with begun (windows, m, p). gyro (windows, 2, 5): as in
+    noise.Sensor.step. out (n, p) receives what the rate moves by, behind the gyro if noisy.
+    """
+    m, p = by_state.shape[1], columns.shape[1]
+    r, g, q, mid = np.empty(p), np.empty(p), np.empty(p), np.empty(p)
+    x, new = np.empty((m, p)), np.empty((m, p))
+    for i in range(begun.shape[0]):
+        for j in range(p):
+            r[j] = g[j] = q[j] = 0.0
+            for s in range(m):
+                x[s, j] = begun[i, s, j]
+        for k in range(i * length, (i + 1) * length):
+            a = 0.5 * dt * slope[k]
+            ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
+            for j in range(p):
+                out[k, j] = g[j] if noisy else r[j]
+                mid[j] = columns[k, j]
+            for s in range(m):
+                for j in range(p):
+                    mid[j] += by_state[k, s] * x[s, j]
+            for j in range(p):
+                end = ahead * r[j] + push * mid[j]
+                mid[j] = 0.5 * (r[j] + end)
+                bent = mid[j] + 0.5 * dt * bends[k, j]
+                g0, q0 = g[j], q[j]
+                g[j] = gyro[i, 0, 0] * g0 + gyro[i, 0, 1] * q0 + gyro[i, 0, 2] * r[j] \
+                    + gyro[i, 0, 3] * bent + gyro[i, 0, 4] * end
+                q[j] = gyro[i, 1, 0] * g0 + gyro[i, 1, 1] * q0 + gyro[i, 1, 2] * r[j] \
+                    + gyro[i, 1, 3] * bent + gyro[i, 1, 4] * end
+                r[j] = end
+            for s in range(m):
+                for j in range(p):
+                    new[s, j] = by_rate[k, s] * mid[j] + forward[k, s, j]
+                for h in range(m):
+                    for j in range(p):
+                        new[s, j] += onward[k, s, h] * x[h, j]
+            x, new = new, x
 
 
 @kernel(LINE, NUMBER, NUMBER, WHOLE, WHOLE, TABLE)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from quad_sysid.axes import units_of
 from quad_sysid.blackbox import ResidualTest, StepARow
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Verdict
@@ -16,6 +17,7 @@ from quad_sysid.explain import Ladder
 from quad_sysid.model import AxisModel, GainProposal, Outside
 from quad_sysid.model.data import AxisData
 from quad_sysid.record import IOData, Segment
+from quad_sysid.units import Units
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,11 @@ class AxisAnswer:
     """Where the held-out segments leave the range of the training."""
     residuals: Mapping[str, Residual] = field(default_factory=dict)
     """One-step errors on the held-out segments of `before`, `after`, `blackbox`."""
+
+    @property
+    def units(self) -> Units | None:
+        """Of an axis that moves, or of the arrays that it came from; None: of a rotation."""
+        return units_of(self.axis) if self.model is None else self.model.units
 
     @property
     def answered(self) -> bool:

@@ -19,6 +19,7 @@ from quad_sysid.model.effect import Effect, Part
 from quad_sysid.pipeline.answer import Findings
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.record import IOData, finite_runs
+from quad_sysid.units import Units
 
 COHERENT = 0.6
 CONFIDENT = 2.576
@@ -29,7 +30,7 @@ HALF_POWER = 0.41
 
 
 def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,
-               candidates: Sequence[Effect] = EFFECTS) -> AxisModel:
+               candidates: Sequence[Effect] = EFFECTS, units: Units | None = None) -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, problem = findings.data, findings.verdict, findings.problem
     ladder, reference = findings.ladder, findings.found.best
@@ -66,7 +67,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         mean_throttle=float(np.mean(data.training(data.control[:, 0]))),
         ranges=ranges_of(data, (*reference.structure.parts, *chosen.structure.parts)),
         noise=stored.noise_of(reference), trusted_band_rad_s=band,
-        craft=data.craft,
+        craft=data.craft, units=units,
         own_effects=tuple(effect for effect in candidates if effect not in EFFECTS),
     )
     explained = zip(ladder.rungs[1:], verdict.rung_fits[1:], verdict.rungs[1:], strict=True)

@@ -83,6 +83,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     suit the model, NotInformativeError where there is no window of 0.5 s, motors or gyro are at
     their limits, or the rate does not move.
     """
+    record = record.for_axis(model.axis, model.dt)
     if not same_rate(record.dt, model.dt):
         raise BadInputError(record.source, "sample rate must be the model's",
                             f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz',

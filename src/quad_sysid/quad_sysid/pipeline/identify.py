@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from quad_sysid.axes import EVERY
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
@@ -71,7 +72,7 @@ def identify(records: Sequence[Record], options: Options,
 def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
     """The axes that any segment trains; where no segment says, all."""
     named = {s.axis for r in records for s in r.segments if s.role == 'train'}
-    return tuple(axis for axis in AXES if axis in named) or AXES
+    return tuple(axis for axis in EVERY if axis in named) or AXES
 
 
 def identify_axis(records: Sequence[Record], axis: str, options: Options,
@@ -79,13 +80,15 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     """Fit, find what is missing, judge, design: one axis."""
     segments = tuple(
         s for r in records for s in r.segments
-        if s.axis == axis or (s.role == 'idle' and 'because' not in s.parameters)
+        if s.excites(axis) or (s.role == 'idle' and 'because' not in s.parameters)
     )
+    records = [record.for_axis(axis) for record in records]
     rate = 1.0 / records[0].dt
     try:
         data = axis_data(records, axis)
         check_usable(data, records)
-        drawn = max(drawn_hz(record.control[:, 1:], record.dt) for record in records)
+        drawn = max((drawn_hz(own, record.dt) for record in records
+                     for own in _commands(record, axis)), default=0.0)
         if drawn:
             options = replace(options, effects=())
         told = found_effects(data, options, progress)
@@ -106,21 +109,32 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     if not searched and verdict != 'cannot_tell':
         verdict = 'not_searched'
     model = assemble.axis_model(
-        told, _gains_of(records), assemble.band_of(data), options.effects
+        told, _gains_of(records), assemble.band_of(data), options.effects,
+        records[0].units or EVERY[axis].units
     )
+    turns = EVERY[axis].turns
     answer = AxisAnswer(
         axis, rate, segments, verdict, reason, findings=told, model=model,
         train=blackbox_part.io_data(data, data.train),
         outside=assemble.outside_of(model, data, data.validation),
         warnings=_warnings(records),
-        attitude_reference=_joined([r.attitude_setpoint for r in records], data.index),
-        rate_reference=_joined([r.rate_setpoint for r in records], data.index),
+        attitude_reference=_joined([r.attitude_setpoint for r in records], data.index)
+        if turns else None,
+        rate_reference=_joined([r.rate_setpoint for r in records], data.index)
+        if turns else None,
     )
     swapped = next((line for line in map(refusal, records) if line), '')
     known: AxisAnswer
     known, proposal = side_by_side([partial(_compared, answer, told, data, records, progress),
                                     partial(_proposal, answer, options, swapped, progress)])
     return replace(known, proposal=proposal)
+
+
+def _commands(record: Record, axis: str) -> tuple[FloatArray, ...]:
+    """The commands (n, k) that drive an axis; of surge and sway it is the lean, which is none."""
+    if EVERY[axis].turns:
+        return (record.control[:, 1:],)
+    return (record.control[:, :1],) if EVERY[axis].index < 0 else ()
 
 
 def _compared(answer: AxisAnswer, told: Findings, data: AxisData, records: Sequence[Record],
@@ -253,6 +267,8 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
         return GainProposal(None, refused_because)
     if not answer.answered or answer.model is None:
         return GainProposal(None, answer.reason)
+    if not EVERY[answer.axis].turns:
+        return GainProposal(None, 'gains are designed for the attitude only')
     if options.designer is None:
         return GainProposal(None, options.no_designer_because)
     try:

@@ -174,7 +174,7 @@ def feedback(z: IOData, model: Model, gains: CascadeGains | None, *, behind_atti
 def through_controller(records: Sequence[Record], axis: str) -> bool:
     """Whether training was excited in front of C1 or C2, so that a controller passed it on."""
     return any(s.injection in ('attitude', 'rate') and s.signal not in ('none', 'unknown')
-               for r in records for s in r.segments if s.role == 'train' and s.axis == axis)
+               for r in records for s in r.segments if s.role == 'train' and s.excites(axis))
 
 
 def _few_levels(z: IOData) -> bool:
@@ -220,7 +220,7 @@ def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record])
         cascade = CascadeGains.from_mapping(gains, data.axis) if known else None
         behind = not any(  # what drives the loop from outside is the attitude set-point
             s.injection in ('rate', 'control') for r in records for s in r.segments
-            if s.axis == data.axis
+            if s.excites(data.axis)
         )
         closed = feedback(z, fits.search.model, cascade, behind_attitude=behind,
                           through=through_controller(records, data.axis))
@@ -259,7 +259,7 @@ def _box_jenkins(rows: Sequence[ModelRow]) -> Model | None:
 def _one_loop(records: Sequence[Record], axis: str) -> bool:
     """Whether all training segments were flown with one set of gains, as far as is known."""
     flown = {tuple(sorted(step_b.gains_of_axis(r, axis, s.start_s).items()))
-             for r in records for s in r.segments if s.role == 'train' and s.axis == axis}
+             for r in records for s in r.segments if s.role == 'train' and s.excites(axis)}
     return len(flown) <= 1
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from quad_sysid.axes import EVERY
 from quad_sysid.blackbox import Model, fit_percent
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import rms
@@ -65,6 +66,8 @@ def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
 
     Compared are the validation segments; of a flight without any, all but its idle ones.
     """
+    if not EVERY[axis].turns:
+        return 'the loop around a speed is not in the bag'
     found: list[Flown] = []
     reasons: list[str] = []
     trained: Mapping[str, float] | None = None

@@ -12,7 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from quad_sysid.contract import AXES, IDLE, FloatArray
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import IDLE, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
@@ -159,10 +160,10 @@ def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:
     """What the axis lacks of a role: the segments, or their length."""
     name = 'training' if role == 'train' else role
     flown = {s.axis for record in records for s in record.segments if s.role == role}
-    if data.axis in flown:
+    if flown & {data.axis, EVERY[data.axis].excited_as}:
         longest = max((b - a for a, b in vars(data)[role]), default=0) * data.dt
         flown_s = max((s.end_s - s.start_s for record in records for s in record.segments
-                       if s.role == role and s.axis == data.axis), default=0.0)
+                       if s.role == role and s.excites(data.axis)), default=0.0)
         remedy = 'fly longer'
         if flown_s >= SETTLE_S + WINDOW_S:
             remedy = (f'the log has gaps of more than {1e3 * SHORT_GAP_S:.0f} ms: log fewer '
@@ -170,7 +171,7 @@ def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:
         return (f'the longest unbroken {name} segment lasts {longest:.2g} s, '
                 f'{SETTLE_S + WINDOW_S:g} s are needed; {remedy}')
     if flown:
-        others = ', '.join(axis for axis in AXES if axis in flown)
+        others = ', '.join(axis for axis in EVERY if axis in flown)
         return f'no {name} segment is on this axis (on {others} only); excite it'
     option = '--train' if role == 'train' else '--validate'
     return f'the bag holds no {name} segment; name one with {option}'

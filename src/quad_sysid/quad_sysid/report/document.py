@@ -22,22 +22,28 @@ from quad_sysid.pipeline.answer import (
     Selection,
 )
 from quad_sysid.record import Segment
+from quad_sysid.units import Units, spoken, unit_in
+from quad_sysid.whole import Whole
 
 SCHEMA = 'quad_sysid/report/1'
 MOST_TRIED = 40
 MOST_PEAKS = 6
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
 RESIDUALS = ('before', 'after', 'blackbox')
+SAID = ('metric', 'reason', 'advice', 'because')
+"""Fields of an axis that hold sentences."""
 ERRORS = ('before', 'after', 'reference', 'blackbox', 'noise_floor', 'one_step_before',
           'one_step_after',
           'closed_loop_before', 'closed_loop_after')
 
 
 def document(answers: Mapping[str, AxisAnswer], bags: Sequence[str],
-             inertia: Mapping[str, float] | None = None) -> dict[str, Any]:
+             inertia: Mapping[str, float] | None = None,
+             whole: Whole | None = None) -> dict[str, Any]:
     """The tree of report.json; `inertia` in kg m² by axis adds torques in N m."""
     axes = {axis: _axis(answer, (inertia or {}).get(axis)) for axis, answer in answers.items()}
-    tree: dict[str, Any] = plain({'schema': SCHEMA, 'bags': bags, 'axes': axes})
+    tree: dict[str, Any] = plain({'schema': SCHEMA, 'bags': bags, 'axes': axes,
+                                  **({'aircraft': whole.tree} if whole else {})})
     return tree
 
 
@@ -82,7 +88,8 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
     def parameters(some: Sequence[Parameter]) -> list[dict[str, Any]]:
         return [_parameter(p, inertia) for p in some]
 
-    return {
+    units = answer.units
+    tree: dict[str, Any] = _worded(units, {
         'sample_rate_hz': answer.sample_rate_hz,
         'segments': [
             {'role': s.role, 'signal': s.signal, 'start_s': s.start_s, 'end_s': s.end_s,
@@ -112,7 +119,19 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'warnings': answer.warnings,
         **_selection(answer.selection),
         **_gains(answer.proposal),
-    }
+    })
+    return tree
+
+
+def _worded(units: Units | None, tree: Any, key: str = '') -> Any:
+    """The tree with the units and words of an axis that moves."""
+    if isinstance(tree, Mapping):
+        return {name: _worded(units, one, name) for name, one in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [_worded(units, one, key) for one in tree]
+    if isinstance(tree, str) and key in {'unit', *SAID}:
+        return unit_in(units, tree) if key == 'unit' else spoken(units, tree)
+    return tree
 
 
 def _effect(effect: EffectEstimate, inertia: float | None) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from quad_sysid.report.next_flight import next_flight
 from quad_sysid.report.plots import Gallery, draw, gallery
 from quad_sysid.report.plots_data import zooming
 from quad_sysid.report.style import SHEET
+from quad_sysid.whole import URDF
 
 DATA = ('coherence',)
 MODELS = ('bode',)
@@ -49,6 +50,10 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
              f'<title>Identification of {escape(bags)}</title>',
              f'<style>{SHEET}{zoom.STYLE}{sliders.STYLE}</style></head><body>',
              f'<h1>Identification of {escape(bags)}</h1>']
+    if report.get('aircraft', {}).get('facts'):
+        parts += [tables.aircraft(report).html(),
+                  (f'<details><summary>URDF of it ({URDF})</summary><pre>'
+                   f'{escape(report["aircraft"]["urdf"])}</pre></details>')]
     if len(axes) > 1:
         links = ''.join(
             f'<a href="#{a}"><span class="axis">{escape(a)}</span> in detail</a>' for a in axes

@@ -18,8 +18,9 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
+from quad_sysid.axes import axis_of
 from quad_sysid.blackbox import Model, polynomial_model
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_json, write_whole
 from quad_sysid.model import AxisModel
@@ -100,8 +101,7 @@ def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> di
         raise BadInputError(f'{path}: axes', 'must be an object with at least one axis', axes,
                             REMEDY)
     for axis in axes:
-        if axis not in AXES:
-            raise BadInputError(f'{path}: axes', f'must be one of {", ".join(AXES)}', axis)
+        axis_of(f'{path}: axes', axis)
     models = {axis: _model(axis, tree, f'{path}: axes.{axis}') for axis, tree in axes.items()}
     own = tuple(own_effects)
     return {

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from quad_sysid.axes import EVERY
+
 RIVAL = 0.05
 """Probability from which a rival is one to be told apart."""
 MOST_REASONS = 6
@@ -33,7 +35,7 @@ def _rivals(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
                 f"{effect['name']} ({effect['probability']:.2f}) or {rival['name']} "
                 f"({rival['probability']:.2f}): fly the excitation that tells them apart",
                 f"quad-sysid design-excitation --model model.json --axis {axis} --separate "
-                f"{effect['name']} {rival['name']} --out next.yaml")
+                f"{effect['name']} {rival['name']} --out next.yaml" if EVERY[axis].turns else '')
 
 
 def _open(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
@@ -46,6 +48,8 @@ def _open(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
 
 
 def _prbs(axis: str) -> str:
+    if not EVERY[axis].turns:
+        return 'ros2 launch quad_sysid excitation.launch.py schedule:=schedule_motion'
     return f'quad-sysid design-excitation --band 1:30 --axis {axis} --out next.yaml'
 
 

@@ -6,16 +6,18 @@ To add a picture, add one entry here. The plots_*.py files draw, canvas.py has t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.text import Text
 
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.files import make_folder, write_whole
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import plots_data, plots_effects, plots_loop, plots_models
 from quad_sysid.report.canvas import Picture, png
+from quad_sysid.units import spoken
 
 PICTURES: tuple[tuple[str, Callable[[AxisAnswer], Picture | None]], ...] = (
     ('signals', plots_data.signals),
@@ -51,7 +53,12 @@ def draw(answer: AxisAnswer, name: str) -> Picture | None:
         names = ', '.join(dict(PICTURES))
         raise BadInputError('plot', 'no such picture', name, f'there are {names}')
     with np.errstate(all='ignore'):
-        return build(answer)
+        picture = build(answer)
+    if picture is None or answer.units is None:
+        return picture
+    for text in picture.figure.findobj(Text):
+        text.set_text(spoken(answer.units, text.get_text(), label=True))
+    return replace(picture, title=spoken(answer.units, picture.title))
 
 
 def gallery(answer: AxisAnswer) -> Gallery:

@@ -27,6 +27,7 @@ from quad_sysid.report.canvas import (
     panels,
     shade,
 )
+from quad_sysid.units import spoken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +67,8 @@ def zooming(answer: AxisAnswer) -> str:
         lines = [zoom.Line('measured' if measured is not data.command else 'command', measured,
                            '--ink')] if measured is not None else []
         lines += [zoom.Line('reference', reference, '--green')] if reference is not None else []
-        rows += [zoom.Row(label, lines)] if lines else []
+        said = spoken(answer.units, label, label=True)
+        rows += [zoom.Row(said, lines)] if lines else []
     marks = [zoom.Mark(a * data.dt, b * data.dt, colour)
              for spans, colour in ((data.train, '--blue'), (data.validation, '--orange'))
              for a, b in bridged(sorted(spans), data.dt)]

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from quad_sysid.axes import EVERY
 from quad_sysid.beside import side_by_side
-from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_own, check_place, make_folder, unfinished, write_whole
 from quad_sysid.interrupt import held
@@ -18,6 +18,7 @@ from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import plots
 from quad_sysid.report.html import page
 from quad_sysid.report.model_file import save_models, tree_of
+from quad_sysid.whole import URDF
 
 
 def free_folder(wanted: Path) -> Path:
@@ -36,8 +37,8 @@ def clear(folder: Path) -> None:
     Raises BadInputError where a file cannot be removed.
     """
     drawn = folder / 'pictures'
-    files = [folder / name for name in ('report.json', 'model.json', 'report.html')]
-    files += [drawn / f'{axis}_{name}.png' for axis in AXES for name, _ in plots.PICTURES]
+    files = [folder / name for name in ('report.json', 'model.json', 'report.html', URDF)]
+    files += [drawn / f'{axis}_{name}.png' for axis in EVERY for name, _ in plots.PICTURES]
     try:
         for file in files:
             file.unlink(missing_ok=True)
@@ -49,7 +50,7 @@ def clear(folder: Path) -> None:
 
 
 def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], *,
-          html: bool = True, pictures: bool = True) -> None:
+          html: bool = True, pictures: bool = True, urdf: str = '') -> None:
     """Write all files of a report, report.json last, so that the others exist once it does.
 
     Those of an earlier report there are replaced once all are written. Raises BadInputError where
@@ -61,6 +62,8 @@ def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAns
     check_own(folder)
     with unfinished(check_place(folder)) as room:
         _write(room, report, answers, html=html, pictures=pictures)
+        if urdf:
+            write_whole(room / URDF, urdf)
         with held():
             make_folder(folder)
             clear(folder)

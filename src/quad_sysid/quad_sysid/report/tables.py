@@ -82,8 +82,18 @@ def overview(report: Tree) -> Table:
          'proposed' if tree.get('gains') else 'none']
         for axis, tree in report['axes'].items()
     ]
-    return Table(['axis', 'verdict', 'effects', 'before, rad/s', 'after, rad/s', 'gains'], rows,
-                 (3, 4))
+    units = dict.fromkeys(tree['error']['unit'] for tree in report['axes'].values())
+    unit = ' or '.join(units) or 'rad/s'
+    return Table(['axis', 'verdict', 'effects', f'before, {unit}', f'after, {unit}', 'gains'],
+                 rows, (3, 4))
+
+
+def aircraft(report: Tree) -> Table:
+    """The aircraft as a whole."""
+    rows = [[fact['name'].replace('_', ' '), _value(fact) if fact['std'] is not None
+             else number(fact['value'], 4), '' if fact['unit'] == '1' else fact['unit'],
+             fact['how']] for fact in report.get('aircraft', {}).get('facts', ())]
+    return Table(['aircraft', 'value', 'unit', 'how'], rows, (1,))
 
 
 def errors(tree: Tree) -> Table:
@@ -116,7 +126,8 @@ def horizons(tree: Tree) -> Table:
         names.pop('after')
     rows = [[f'{h["horizon_s"]:g}', *(number(h[c], 4) for c in names)] for h in listed]
     return Table(['after, s', *names.values()], rows, range(len(names) + 1),
-                 caption='RMS error so long after the start of a free run, rad/s')
+                 caption='RMS error so long after the start of a free run, '
+                 f'{tree["error"]["unit"]}')
 
 
 def models(tree: Tree) -> Table:
@@ -186,7 +197,8 @@ def explanation(tree: Tree) -> Table:
         rows.append([str(i + 1), ' and '.join(new or rung['effects']),
                      f'{rung["explains_pct"]:.0f} %', number(rung['error'], 4)])
         above, answer = rung['effects'], i if rung.get('answer') else answer
-    return Table(['rung', 'adds', 'explains', 'error, rad/s'], rows, (0, 2, 3), answer,
+    unit = tree['error']['unit']
+    return Table(['rung', 'adds', 'explains', f'error, {unit}'], rows, (0, 2, 3), answer,
                  'Share of what the base misses of the best predictor; the error is of '
                  f'{tree["error"]["data"]} data. What stands below the marked rung is finer, and '
                  'not claimed as a cause.')
@@ -285,7 +297,7 @@ def approaches(tree: Tree) -> Table:
 
 def residuals(tree: Tree) -> Table:
     """The tests of each model's one-step errors on the held-out data."""
-    rows = []
+    rows, unit = [], tree['error']['unit']
     for key, name in MODELS:
         found = (tree.get('residual') or {}).get(key)
         if not found or (key == 'after' and not tree['effects']):
@@ -298,8 +310,8 @@ def residuals(tree: Tree) -> Table:
             *(number(torque[part]) if torque else '' for part in ('rms', 'expected_rms')),
         ])
     return Table(
-        ['model', 'RMS, rad/s', 'white', 'free of past commands', 'peaks',
-         'torque, rad/s²', 'expected'], rows, (1, 5, 6),
+        ['model', f'RMS, {unit}', 'white', 'free of past commands', 'peaks',
+         f'{"torque" if unit == "rad/s" else "force"}, {unit}²', 'expected'], rows, (1, 5, 6),
         caption='One-step errors on held-out data, tests at 99 %. Torque: RMS of the disturbance '
         "that the model's filter sees; expected: what its own noise model says.",
     )

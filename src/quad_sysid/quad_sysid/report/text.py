@@ -16,7 +16,7 @@ from quad_sysid.report.tables import wrapped
 
 def lines(report: Mapping[str, Any]) -> list[str]:
     """The text that `quad-sysid identify` prints of a report's tree."""
-    out: list[str] = []
+    out: list[str] = tables.aircraft(report).text((0, 1, 2))
     for axis, tree in report['axes'].items():
         parts = [_verdict(tree), tables.errors(tree).text((0, 1, 2)), growth(tree),
                  _details(tree), _gains(axis, tree)]

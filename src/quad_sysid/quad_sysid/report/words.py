@@ -13,7 +13,8 @@ CLEARLY = 2.0
 """Factor by which a model must beat holding the last value to count as useful."""
 
 PLAIN = {
-    'coulomb_friction': 'dry friction', 'quadratic_drag': 'drag that grows with rate squared',
+    'ground_effect': 'thrust that grows near the ground',
+    'coulomb_friction': 'dry friction', 'quadratic_drag': 'drag that grows with speed squared',
     'pendulum_stiffness': 'a centre of mass off the axis (pendulum)',
     'cubic_stiffness': 'a spring that hardens with the angle',
     'battery_sag': 'thrust that falls with the battery voltage',

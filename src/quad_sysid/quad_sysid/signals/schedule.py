@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, shortened
 from quad_sysid.signals.waveforms import Silence, Waveform, parameter_names, waveform
@@ -29,6 +30,7 @@ AMPLITUDES: dict[str, tuple[str, float, float, float]] = {
 }
 """Injection → key of the amplitude, its unit in SI, default and limit (paper: 20° at most)."""
 
+CLIMB = 'climb'
 PART_KEYS = ('segment', 'duration_s', 'signal', 'axis', 'injection', 'ramp_s')
 
 
@@ -105,12 +107,16 @@ class Schedule:
         return replace(self, parts=parts)
 
     def sample(self, time_s: float) -> tuple[float, float, float]:
-        """Excitation of roll, pitch, yaw at `time_s`, in the unit of the running part."""
+        """Excitation of roll, pitch, yaw at `time_s`, in the unit of the running part.
+
+        Of the climb it is the third value, as the contract has it.
+        """
         out = [0.0, 0.0, 0.0]
         index = self.index(time_s)
         if index is not None:
             part = self.parts[index]
-            out[AXES.index(part.axis)] = part.at(time_s - self.starts_s[index])
+            column = 2 if part.axis == CLIMB else AXES.index(part.axis)
+            out[column] = part.at(time_s - self.starts_s[index])
         return out[0], out[1], out[2]
 
 
@@ -127,7 +133,9 @@ def parse_schedule(content: object, source: str) -> Schedule:
     parts = [_part(entry, f'{source}, segment {number}', ramp_s)
              for number, entry in enumerate(listed, 1)]
     for number, (before, part) in enumerate(pairwise(parts), 2):
-        if 'idle' not in {before.role, part.role} and before.injection != part.injection:
+        same = before.injection == part.injection and (before.axis == CLIMB) == (
+            part.axis == CLIMB)
+        if 'idle' not in {before.role, part.role} and not same:
             # set-points and announcements travel apart: a late one would be taken in a wrong unit
             raise BadInputError(f'{source}, segment {number}',
                                 f'follows one of injection {before.injection}', part.injection,
@@ -141,8 +149,12 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
         raise BadInputError(where, 'must be a mapping of keys', repr(entry))
     role = _choice(entry, 'segment', '', ROLES, where)
     signal = str(entry.get('signal', 'none'))
-    axis = _choice(entry, 'axis', 'roll', AXES, where)
-    injection = _choice(entry, 'injection', 'attitude', tuple(AMPLITUDES), where)
+    asked = _choice(entry, 'axis', 'roll', tuple(EVERY), where)
+    axis = EVERY[asked].excited_as or asked
+    climbs, moves = axis == CLIMB, axis != asked
+    injection = _choice(entry, 'injection', 'control' if climbs else 'attitude',
+                        ('control',) if climbs else ('attitude',) if moves else tuple(AMPLITUDES),
+                        where)
     if (role == 'idle') != (signal == 'none'):
         raise BadInputError(
             where, f'segment {role} with signal {signal}',

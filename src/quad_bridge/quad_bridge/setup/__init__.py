@@ -1,0 +1,1 @@
+"""How an aircraft is built, measured and written to its firmware: the wizard `setup`."""

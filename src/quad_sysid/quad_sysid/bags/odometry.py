@@ -1,0 +1,172 @@
+"""Speed over the ground and altitude on the grid: of /odom, or of barometer and accelerometer.
+
+Messages to arrays and back; what they mean is in motion.py. REP-105 and REP-103: the pose is in a
+world ENU, the twist in the body's FLU; a source that writes the twist in the world is recognised
+by its positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.bags.cdr import Stamped
+from quad_sysid.bags.orientation import euler_from_quaternion, quaternions
+from quad_sysid.bags.stamps import Grid
+from quad_sysid.contract import FloatArray
+from quad_sysid.motion import altitude_of, in_body, lean, over_level, vertical_motion
+from quad_sysid.record import Record
+
+ODOM, BARO = '/odom', '/baro'
+LEAST = 10
+"""Messages of a topic that is used."""
+MOVES_M = 0.05
+"""Positions that spread less say nothing of how fast the aircraft is."""
+SLOWEST_BARO_S = 0.5
+
+
+@dataclass(frozen=True)
+class Moving:
+    """What a bag says of the motion over the ground; None: nothing."""
+
+    velocity: FloatArray | None = None
+    """(n, 3) m/s forward, left, up; NaN where not measured."""
+    altitude: FloatArray | None = None
+    """(n,) m."""
+    lean: FloatArray | None = None
+    """(n, 2) as Record.lean."""
+    by_force: bool = False
+    """Whether the vertical speed is that of barometer and accelerometer."""
+
+
+def moving(streams: Mapping[str, Stamped], grid: Grid, angles: FloatArray | None,
+           acceleration: FloatArray | None, warnings: list[str]) -> Moving:
+    """Motion by /odom where the bag has it, else the vertical one by /baro and accelerometer."""
+    found = _odometry(streams.get(ODOM), grid, angles, warnings)
+    if found.velocity is not None or acceleration is None or angles is None:
+        return found
+    return _vertical(streams.get(BARO), grid, angles, acceleration)
+
+
+def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
+              warnings: list[str]) -> Moving:
+    if stream is None:
+        return Moving()
+    stamps, rows = np.unique(stream.stamps, return_index=True)
+    upward = not np.isfinite(stream.values[:, 7:9]).any()  # no horizontal speed is known
+    needed = [*range(7), 9] if upward else slice(None)
+    rows = rows[np.isfinite(stream.values[rows][:, needed]).all(axis=1)]
+    if rows.size < LEAST:
+        warnings.append(f'{ODOM}: {rows.size} messages whose numbers are finite; not used')
+        return Moving()
+    stamps, values = stream.stamps[rows], stream.values[rows]
+    position, quaternion, twist = values[:, :3], values[:, 3:7], values[:, 7:]
+    leans: FloatArray | None = None
+    norm = np.linalg.norm(quaternion, axis=1)
+    if (norm > 0.5).all() and np.abs(quaternion[:, :3]).max() > 1e-9:
+        attitude = euler_from_quaternion(quaternion / norm[:, None])
+        leans = grid.place(stamps, lean(attitude))
+    elif angles is not None:  # positions only: the attitude is that of /imu/data
+        known = np.flatnonzero(np.isfinite(angles).all(axis=1))
+        attitude = np.column_stack([np.interp(grid.position(stamps), known, a[known])
+                                    for a in angles.T])
+    else:
+        warnings.append(f'{ODOM} and /imu/data hold no attitude; not used')
+        return Moving()
+    level = twist if upward else _along_heading(position, twist, attitude, stamps, warnings)
+    if level is None:
+        return Moving()
+    return Moving(grid.place(stamps, level), grid.place(stamps, position[:, 2:])[:, 0], leans)
+
+
+def _along_heading(position: FloatArray, twist: FloatArray, attitude: FloatArray,
+                   stamps: np.ndarray, warnings: list[str]) -> FloatArray | None:
+    """(m, 3) speed forward, left, up: the reading of the twist that the positions agree with."""
+    time = 1e-9 * (stamps - stamps[0]).astype(float)
+    yaw = attitude[:, 2]
+    c, s = np.cos(yaw), np.sin(yaw)
+
+    def heading(world: FloatArray) -> FloatArray:
+        x, y, z = world.T
+        return np.column_stack([c * x + s * y, c * y - s * x, z])
+
+    body, world = over_level(twist, attitude), heading(twist)
+    if np.ptp(position, axis=0).max() < MOVES_M:
+        return body if np.ptp(twist, axis=0).max() > 0.0 else None
+    derived = heading(np.gradient(position, time, axis=0))
+    if not np.ptp(twist, axis=0).max() > 0.0:
+        warnings.append(f'{ODOM}: its twist is not filled in; the speed is the slope of its '
+                        'positions')
+        return derived
+    wide = max(1, round(0.2 / float(np.median(np.diff(time)))))
+
+    def apart(one: FloatArray) -> float:
+        kernel = np.full(wide, 1.0 / wide)
+        return float(sum(np.mean(np.convolve(column, kernel, 'valid')**2)
+                         for column in (one - derived).T))
+
+    if apart(world) < 0.5 * apart(body):
+        warnings.append(f'{ODOM}: its twist is in the frame of the world, by its positions')
+        return world
+    return body
+
+
+def _vertical(stream: Stamped | None, grid: Grid, angles: FloatArray,
+              acceleration: FloatArray) -> Moving:
+    """Vertical speed and altitude where barometer and accelerometer overlap."""
+    if stream is None:
+        return Moving()
+    stamps, rows = np.unique(stream.stamps, return_index=True)
+    pressure = stream.values[rows, 0]
+    good = np.isfinite(pressure) & (pressure > 1e4) & (pressure < 1.2e5)
+    stamps, pressure = stamps[good], pressure[good]
+    if pressure.size < LEAST or not np.ptp(pressure) > 0.0 \
+            or np.median(np.diff(stamps)) > 1e9 * SLOWEST_BARO_S:
+        return Moving()
+    places = grid.position(stamps)
+    force = over_level(acceleration, angles)[:, 2]
+    known = np.flatnonzero(np.isfinite(force))
+    first, last = (int(np.clip(k, 0, grid.n - 1)) for k in (np.ceil(places[0]), places[-1]))
+    cells = np.arange(first, last + 1)
+    if known.size < LEAST or cells.size < LEAST:
+        return Moving()
+    speed, altitude = vertical_motion(
+        np.interp(cells, places, altitude_of(pressure)), np.interp(cells, known, force[known]),
+        grid.dt)
+    velocity, height = np.full((grid.n, 3), np.nan), np.full(grid.n, np.nan)
+    velocity[cells, 2], height[cells] = speed, altitude
+    velocity[~np.isfinite(force), 2] = np.nan
+    return Moving(velocity, height, by_force=True)
+
+
+def odometry_of(record: Record, stamps: np.ndarray) -> Stamped | None:
+    """The messages of /odom that say of the motion what a record does; None: it says nothing.
+
+    Their orientation is that of the record's lean where it has one. The place is the integral of
+    the speed from the first sample on. Without horizontal speeds the twist is the vertical one.
+    """
+    velocity, angles = record.velocity, record.angles
+    if velocity is None or angles is None or record.speed_filter_hz is not None:
+        return None
+    seen = np.flatnonzero(np.isfinite(velocity[:, 2]) & np.isfinite(angles).all(axis=1))
+    if seen.size < LEAST:
+        return None
+    attitude = angles[seen].copy()
+    if record.lean is not None:
+        forward, left = record.lean[seen].T
+        tilted = np.isfinite(forward) & np.isfinite(left)
+        pitch = np.arctan(forward[tilted])
+        attitude[tilted, 0] = -np.arctan(left[tilted] * np.cos(pitch))
+        attitude[tilted, 1] = pitch
+    speed, time, yaw = velocity[seen], seen * record.dt, attitude[:, 2]
+    flat = np.nan_to_num(speed[:, :2])
+    c, s = np.cos(yaw), np.sin(yaw)
+    world = np.column_stack([c * flat[:, 0] - s * flat[:, 1], s * flat[:, 0] + c * flat[:, 1]])
+    steps = 0.5 * (world[1:] + world[:-1]) * np.diff(time)[:, None]
+    place = np.zeros((seen.size, 3))
+    place[1:, :2] = np.cumsum(steps, axis=0)
+    place[:, 2] = 0.0 if record.altitude is None else np.nan_to_num(record.altitude[seen])
+    twist = in_body(speed, attitude) if np.isfinite(speed).all() else speed
+    return Stamped(stamps[seen], np.column_stack([place, quaternions(attitude), twist]))

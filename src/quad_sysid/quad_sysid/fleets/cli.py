@@ -1,0 +1,130 @@
+"""`quad-sysid fleet`: arguments and wiring."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable
+from datetime import datetime, timezone
+from pathlib import Path
+
+from quad_sysid.arguments import (
+    NOT_ANSWERED,
+    Commands,
+    command,
+    effects_option,
+    own_effects,
+    positive,
+    progress,
+    quiet_and_json,
+)
+from quad_sysid.contract import AXES
+from quad_sysid.errors import BadInputError
+from quad_sysid.files import check_place, make_folder
+from quad_sysid.fleets.bag import ANSWERED, LIMIT_S, jobs
+from quad_sysid.fleets.place import Place
+
+PAGE, LOG = 'fleet.html', 'fleet.log'
+
+
+def add(commands: Commands) -> None:
+    """Register the command."""
+    parser = command(
+        commands, 'fleet', _run,
+        'Identify every bag and log below a folder: one row per bag in a table, and one page that '
+        'says what the aircraft lack, what drifts, and which flights are odd. Called again, it '
+        'continues.',
+        'quad-sysid fleet flights/ --out fleet/',
+    )
+    parser.add_argument('folder', metavar='FOLDER', help='bags and logs, best in one folder per '
+                        'aircraft; a path, or an address such as s3://bucket/flights')
+    parser.add_argument('--out', metavar='DIR', help='results, path or address (default: '
+                        'FOLDER_fleet here)')
+    parser.add_argument('--axis', choices=[*AXES, 'all'],
+                        help='default: the axes that each bag says were excited')
+    parser.add_argument('--workers', metavar='N', type=int, default=os.cpu_count() or 1,
+                        help='bags at a time on this machine (default: one per core)')
+    parser.add_argument('--cluster', metavar='ADDRESS|FILE', default='',
+                        help='a Dask scheduler (tcp://host:8786), its file, or local, for one of '
+                        'this machine')
+    parser.add_argument('--shard', metavar='i/n', default='',
+                        help='part i of n of the bags, for a queue of jobs; --merge follows')
+    parser.add_argument('--merge', action='store_true',
+                        help='identify nothing: table and page of the results that are there')
+    parser.add_argument('--plan', action='store_true',
+                        help='identify ten bags and say what all would cost')
+    parser.add_argument('--limit', metavar='S', type=float, default=LIMIT_S,
+                        help='longest time for a bag, s (default %(default)g)')
+    parser.add_argument('--since', metavar='DAY', default='', help='text and page of flights from '
+                        'this day on: 2026-05-31, or 90d for the last 90 days')
+    parser.add_argument('--group-by', choices=('aircraft', 'folder', 'none'), default='aircraft',
+                        help='what is one aircraft: the first folder below FOLDER (default), the '
+                        'whole folder of a bag, or all flights')
+    parser.add_argument('--no-effects', action='store_true', help='fit the models only')
+    effects_option(parser)
+    quiet_and_json(parser, 'the rows')
+
+
+def _run(options: argparse.Namespace) -> int:
+    from quad_sysid.fleets.engine import known, run, shard_of
+    from quad_sysid.fleets.summary import Fleet
+    from quad_sysid.fleets.table import CSV, write
+
+    name = options.folder.rstrip('/').rpartition('/')[2] if '://' in options.folder else (
+        Path(options.folder).resolve().name)
+    out = Place(options.out or f'{name}_fleet')
+    if options.workers < 1:
+        raise BadInputError('--workers', 'must be at least 1', options.workers)
+    if out.store is None:
+        check_place(out.path)
+    Fleet([], options.group_by, options.since)  # refused before the work
+    axes = AXES if options.axis == 'all' else (options.axis,) if options.axis else ()
+    own_effects(options.effects)
+    text = Path(options.effects).read_text(encoding='utf-8') if options.effects else ''
+    every = jobs(options.folder, out.address, axes=axes, effects=text,
+                 search_effects=not options.no_effects, limit_s=positive('--limit', options.limit))
+    if options.shard:
+        every = shard_of(every, options.shard)
+    if options.merge:
+        kept = known(every)
+        rows = [kept[job.name] for job in every if job.name in kept]
+    else:
+        rows = run(every, options.workers, options.cluster, show=progress(quiet=options.quiet),
+                   log=_log(out, name, options, options.plan), sample=options.plan)
+    fleet = Fleet(rows, options.group_by, options.since, name)
+    partial = bool(options.shard or options.plan)
+    written = [] if partial else write(rows, out)
+    if not partial:
+        out.write(PAGE, fleet.page())
+        written.append(PAGE)
+    if options.json:
+        print(json.dumps(rows, indent=1))
+    elif not options.quiet and not options.plan:
+        print(fleet)
+        if len(rows) < len(every):
+            print(f'\n{len(every) - len(rows)} bags are not done yet')
+        print('\n' + (f'{", ".join(written)} in {out.address}' if written else
+                      f'rows in {out.address}/rows; --merge makes the table of all'))
+    if every and not any(row['status'] == ANSWERED for row in rows):
+        print(f'quad-sysid: {options.folder}: no bag could be answered; the reasons are in '
+              f'{out.address}/{CSV if written else "rows"}', file=sys.stderr)
+        return NOT_ANSWERED
+    return 0
+
+
+def _log(out: Place, name: str, options: argparse.Namespace, shown: bool
+         ) -> Callable[[str], None]:
+    """What appends lines to the log: among the results, or here where these are on a store."""
+    path = make_folder(out.path) / LOG if out.store is None else Path(f'{name}_{LOG}')
+    part = f'{options.shard} ' if options.shard else ''
+
+    def log(line: str) -> None:
+        stamp = datetime.now(timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
+        with path.open('a', encoding='utf-8') as stream:
+            stream.write(f'{stamp} {part}{line}\n')
+        if shown and not line.startswith('bag ') and not (options.quiet or options.json):
+            print(line)
+
+    return log

@@ -1,0 +1,59 @@
+"""The rows as tables: CSV, and where pyarrow is installed Parquet, a folder for each aircraft."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import Any
+from urllib.parse import quote
+
+from quad_sysid.contract import AXES
+from quad_sysid.fleets.bag import OF_AXIS, Row
+from quad_sysid.fleets.place import Place
+
+CSV, PARQUET = 'fleet.csv', 'fleet.parquet'
+UNNAMED = '__HIVE_DEFAULT_PARTITION__'
+"""What Hive, Spark and all that read its folders call a value that is missing."""
+COLUMNS = ('bag', 'aircraft', 'status', 'reason', 'start_ns', 'length_s', 'sample_rate_hz',
+           'warnings', 'seconds', 'cpu_s', 'peak_mb', 'bytes',
+           *(f'{axis}_{name}' for axis in AXES for name in OF_AXIS))
+TEXT = ('bag', 'aircraft', 'status', 'reason', *(
+    f'{axis}_{name}' for axis in AXES
+    for name in ('verdict', 'effects', 'effect_parameters', 'gains')))
+WHOLE = ('start_ns', 'warnings', 'bytes')
+
+
+def write(rows: Sequence[Row], out: Place) -> list[str]:
+    """Write all rows with fixed columns, empty where there is no value; names of the tables."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, COLUMNS, extrasaction='ignore', lineterminator='\n')
+    table.writeheader()
+    table.writerows(rows)
+    out.write(CSV, text.getvalue())
+    try:
+        import pyarrow as pa
+    except ImportError:
+        return [CSV]
+    out.remove(PARQUET, whole=True)
+    by_aircraft: dict[str, list[Row]] = {}
+    for row in rows:
+        by_aircraft.setdefault(row['aircraft'], []).append(row)
+    for aircraft, some in by_aircraft.items():
+        folder = quote(aircraft, safe=' ') if aircraft else UNNAMED
+        out.write(f'{PARQUET}/aircraft={folder}/rows.parquet', _parquet(some, pa))
+    return [CSV, PARQUET]
+
+
+def _parquet(rows: Sequence[Row], pa: Any) -> bytes:
+    """One aircraft's rows; its name is that of the folder."""
+    from pyarrow import parquet
+
+    kinds = {True: pa.string(), False: pa.float64()}
+    schema = pa.schema([
+        (name, pa.int64() if name in WHOLE else kinds[name in TEXT])
+        for name in COLUMNS if name != 'aircraft'])
+    content = {name: [row.get(name) for row in rows] for name in schema.names}
+    sink = pa.BufferOutputStream()
+    parquet.write_table(pa.table(content, schema=schema), sink)
+    return bytes(sink.getvalue().to_pybytes())

@@ -1,0 +1,148 @@
+"""Derivatives of free runs by all parameters at once.
+
+A run for each parameter costs a loop over its cycles in Python. Here the physics of all cycles is
+differentiated along a run that was made, in whole arrays; the rest is linear, and compiled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.contract import FloatArray
+from quad_sysid.model import recursion
+from quad_sysid.model.data import Windows
+from quad_sysid.model.effect import Signals, required
+from quad_sysid.model.flight import Flight, Prediction, Run
+from quad_sysid.model.plant import SLOPE_STEP, Plant, lag_and_delay, with_torques
+from quad_sysid.model.structure import Structure
+
+STATE_STEP = 1e-4
+"""Step of a hidden state relative to its RMS."""
+
+
+@dataclass(frozen=True, eq=False)
+class Passed:
+    """What the cycles of all windows saw, one window behind the other."""
+
+    halves: FloatArray
+    """(2, n) acceleration by the drive over the halves of each cycle, rad/s²."""
+    signals: Signals
+    """(n,) each."""
+
+
+class Sensitivity:
+    """How the runs of a structure from a reference's states move with its parameters."""
+
+    def __init__(self, flight: Flight, structure: Structure, theta: FloatArray,
+                 windows: Windows, prediction: Prediction, run: Run) -> None:
+        self.flight, self.structure, self.theta, self.windows = flight, structure, theta, windows
+        self.prediction, self.run, self.dt = prediction, run, flight.data.dt
+        self.cells = (windows.starts[:, None] + np.arange(windows.length)).ravel()
+        self.middle = run.rate.ravel()
+        self.angle = None if run.angle is None else \
+            run.angle.ravel() + 0.5 * self.dt * self.middle
+        self.pushing = [one for one in structure.placed() if not one[0].effect.moves_command]
+        self.hidden = [x.reshape(x.shape[0], -1) for x in run.hidden if x is not None]
+        self.around = flight.commanded(np.zeros(3)).at(self.cells)
+
+    def derivatives(self, steps: FloatArray) -> FloatArray:
+        """(windows * length, len(steps)) by the first coordinates of the fit."""
+        dt, structure, turns = self.dt, self.structure, self.angle is not None
+        p = structure.natural(self.theta)
+        own, first, n = steps.size, int(turns), self.middle.size
+        size = first + sum(x.shape[0] for x in self.hidden)
+        here = self._passed(p)
+        force, ahead = self._forces(here, p)
+        by_state, by_rate = np.zeros((n, size)), np.zeros((n, size))
+        onward = np.zeros((n, size, size))
+
+        def slopes(signals: Signals, step: float) -> tuple[FloatArray, FloatArray]:
+            there, moved = self._forces(Passed(here.halves, signals), p)
+            return (there - force) / step, (moved - ahead).T / step
+
+        (slope, moves), (back, moved) = (
+            slopes(here.signals.but(rate=self.middle + step), step)
+            for step in (SLOPE_STEP, -SLOPE_STEP)
+        )
+        slope, by_rate[:, first:] = 0.5 * (slope + back), 0.5 * (moves + moved)
+        if turns:
+            by_state[:, 0], onward[:, first:, 0] = slopes(
+                here.signals.but(angle=required(self.angle) + SLOPE_STEP), SLOPE_STEP)
+            slope = slope + 0.5 * dt * by_state[:, 0]
+            by_rate[:, first:] += 0.5 * dt * onward[:, first:, 0]
+            by_rate[:, 0], onward[:, 0, 0] = dt, 1.0
+        k = first
+        for x in self.hidden:
+            for i, kept in enumerate(x.copy()):
+                step = STATE_STEP * float(np.sqrt(np.mean(kept**2))) or 1e-9
+                x[i] = kept + step
+                by_state[:, k], onward[:, first:, k] = slopes(here.signals, step)
+                x[i] = kept
+                k += 1
+        columns, bends = np.empty((n, own)), np.zeros((n, own))
+        forward, begun = np.zeros((n, size, own)), np.zeros((self.windows.count, size, own))
+        bent = [*range(3), *(j for part, at in structure.placed() if part.effect.moves_command
+                             for j in range(at.start, at.stop))]
+        started = self._begun(p, range(own), bent)
+        for j, step in enumerate(steps):
+            moved = self.theta.copy()
+            moved[j] += step
+            q = structure.natural(moved)
+            there = self._passed(q) if j in bent else here
+            more, later = self._forces(there, q)
+            columns[:, j], forward[:, first:, j] = (more - force) / step, (later - ahead).T / step
+            begun[:, first:, j] = ((self._begun(q, [j], bent) - started) / step).T
+            if j in bent:
+                away = (there.halves - here.halves) / step
+                bends[:, j] = 0.5 * (away[0] - away[1])
+        if turns:
+            forward[:, 0] = dt * dt / 3.0 * bends
+        out = np.empty((n, own))
+        passes = [start for start, _ in self.flight.passes]
+        which = np.searchsorted(passes, self.windows.starts, side='right') - 1
+        gyro = np.stack([self.flight.sensors[max(i, 0)].step for i in which])
+        recursion.freely(
+            slope, by_state, by_rate, onward, columns, bends, forward, begun, gyro,
+            self.flight.sensor.noisy, dt, self.windows.length, out,
+        )
+        return np.nan_to_num(out, nan=0.0, posinf=0.0, neginf=0.0)
+
+    def _passed(self, p: FloatArray) -> Passed:
+        """What the cycles see at parameters p in their units, along the run."""
+        flight = self.flight
+        plant = Plant(self.structure, p, self.dt, flight.sensor, flight.data.craft,
+                      flight.data.index)
+        halves, states = (x[:, self.cells] for x in flight.driven(self.structure, p))
+        lag, delay = lag_and_delay(p)
+        s = plant.driven(self.around.but(lag=lag, delay=delay), halves, states)
+        return Passed(p[0] * halves, s.but(rate=self.middle, angle=self.angle))
+
+    def _forces(self, passed: Passed, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) acceleration; (states, n) all hidden states a cycle later."""
+        s, hidden, own, ahead = passed.signals, iter(self.hidden), [], []
+        for (part, at), kept in zip(self.pushing, self.run.hidden, strict=True):
+            known = None if kept is None else next(hidden)
+            own.append((part, p[at], s if known is None else s.but(hidden=known)))
+            if known is not None:
+                ahead.append(part.effect.advance(known, s, p[at], part.settings))
+        force = with_torques(np.mean(passed.halves, axis=0) + p[4] - p[3] * s.rate, own)
+        return force, np.concatenate(ahead) if ahead else np.zeros((0, s.rate.size))
+
+    def _begun(self, p: FloatArray, which: range | list[int], bent: list[int]) -> FloatArray:
+        """(states, windows) hidden states at the starts, as far as these parameters move them."""
+        flight, out, along = self.flight, [], None
+        for (part, at), x in zip(self.pushing, self.run.hidden, strict=True):
+            if x is None:
+                continue
+            moves = any(at.start <= j < at.stop or (j in bent and 'command' in part.effect.signals)
+                        for j in which)
+            if part.effect.wanders or not moves:
+                out.append(x[:, :, 0])
+                continue
+            if along is None:
+                along = flight.signals(p, *flight.driven(self.structure, p), self.prediction.rate)
+            known = required(flight.hidden(part, along, p[at]).hidden)
+            out.append(known[: part.effect.states, self.windows.starts])
+        return np.concatenate(out) if out else np.zeros((0, self.windows.count))

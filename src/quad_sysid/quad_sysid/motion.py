@@ -1,0 +1,106 @@
+"""What an aircraft's motion over the ground is made of: lean, heading, vertical speed.
+
+Equations (1) to (3) of the paper, seen along the heading: thrust of which the lean points a share
+forward or left, and its upright share against gravity. Array maths only; what of it an axis takes
+is record.Record.motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from quad_sysid.contract import FloatArray
+
+GRAVITY = 9.80665
+SEA_LEVEL_PA, PER_METRE, POWER = 101325.0, 2.25577e-5, 5.25588
+"""International standard atmosphere."""
+CROSSOVER_HZ = 0.15
+"""Below it the barometer says how high the aircraft is, above it the accelerometer."""
+DRIFT = 3
+"""Degree of the polynomial that an accelerometer's bias leaves in the altitude, and its change."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One axis of a record, arrays of n rows; NaN where not measured."""
+
+    rate: FloatArray
+    """(n,) rad/s, or m/s."""
+    position: FloatArray | None
+    """(n,) rad, or m."""
+    control: FloatArray
+    """(n, 4) in column index + 1 what drives the axis."""
+    motors: FloatArray | None
+    """(n, k) commands 0..1; None: what single motors do to the axis is not known."""
+    share: FloatArray
+    """(n,) of the motors' commands that acts along the axis."""
+
+
+def lean(angles: FloatArray) -> FloatArray:
+    """(n, 2) horizontal thrust per vertical one, forward and left, of roll, pitch, yaw (n, 3) rad.
+
+    Gravity times this is the acceleration of an aircraft that holds its altitude; for small
+    angles pitch and -roll.
+    """
+    roll, pitch = angles[:, 0], angles[:, 1]
+    return np.column_stack([np.tan(pitch), -np.tan(roll) / np.cos(pitch)])
+
+
+def upright(angles: FloatArray) -> FloatArray:
+    """(n,) share of the thrust that points up."""
+    return np.asarray(np.cos(angles[:, 0]) * np.cos(angles[:, 1]))
+
+
+def steady_heading(forward_left: FloatArray, yaw: FloatArray) -> FloatArray:
+    """(n, 2) what is along a heading that turns, along the mean heading.
+
+    There no turn of the aircraft accelerates it.
+    """
+    away = yaw - np.angle(np.nanmean(np.exp(1j * yaw)))
+    c, s = np.cos(away), np.sin(away)
+    x, y = forward_left.T
+    return np.column_stack([c * x - s * y, s * x + c * y])
+
+
+def over_level(body: FloatArray, angles: FloatArray) -> FloatArray:
+    """(n, 3) body FLU vectors over the level and along the heading: forward, left, up."""
+    (cr, cp), (sr, sp) = np.cos(angles[:, :2]).T, np.sin(angles[:, :2]).T
+    x, y, z = body.T
+    down = sr * y + cr * z
+    return np.column_stack([cp * x + sp * down, cr * y - sr * z, cp * down - sp * x])
+
+
+def in_body(level: FloatArray, angles: FloatArray) -> FloatArray:
+    """(n, 3) the inverse of over_level."""
+    (cr, cp), (sr, sp) = np.cos(angles[:, :2]).T, np.sin(angles[:, :2]).T
+    x, y, z = level.T
+    down = sp * x + cp * z
+    return np.column_stack([cp * x - sp * z, cr * y + sr * down, cr * down - sr * y])
+
+
+def altitude_of(pressure_pa: FloatArray) -> FloatArray:
+    """(n,) m above the first known of these pressures, by the standard atmosphere."""
+    height = (1.0 - (pressure_pa / SEA_LEVEL_PA) ** (1.0 / POWER)) / PER_METRE
+    known = height[np.isfinite(height)]
+    return np.asarray(height - (known[: max(1, known.size // 100)].mean() if known.size else 0.0))
+
+
+def vertical_motion(height: FloatArray, force: FloatArray,
+                    dt: float) -> tuple[FloatArray, FloatArray]:
+    """(n,) vertical speed, m/s, and altitude, m, of a height (n,), m, and a force (n,), m/s².
+
+    The vertical specific force is quick but biased; integrated twice it is right but for what
+    changes slowly, which the barometer's height gives. Both without gaps, dt in s.
+    """
+    quick_speed = np.cumsum(force - force.mean()) * dt
+    quick = np.cumsum(quick_speed) * dt
+    slow = height - quick
+    t = np.linspace(-1.0, 1.0, slow.size)
+    drift = np.polynomial.Polynomial.fit(t, slow, DRIFT)
+    sections = butter(2, CROSSOVER_HZ, fs=1.0 / dt, output='sos')
+    left = drift(t) + sosfiltfilt(sections, slow - drift(t),
+                                  padlen=min(slow.size - 1, round(3.0 / (CROSSOVER_HZ * dt))))
+    return quick_speed + np.gradient(left, dt), quick + left

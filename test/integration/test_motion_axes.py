@@ -1,0 +1,193 @@
+"""Climb and surge of the virtual aircraft: ground effect and drag by name, and twins with neither.
+
+The physics is quad_bridge.virtual's, which the analysis does not import; speed and altitude are
+measured as a motion capture does, 62.5 times a second with noise.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import quad_sysid as qs
+from quad_bridge.virtual.aircraft import Aircraft
+from quad_bridge.virtual.cycle import THROTTLE
+from quad_bridge.virtual.effects import AirDrag, Effects, Ground
+from quad_bridge.virtual.physics import POSITION, VELOCITY
+from quad_bridge.virtual.profile import Pilot, load_profile
+from quad_bridge.virtual.simulation import Excited, fly, inputs
+from quad_sysid.bags import read_bag, write_bag
+from quad_sysid.contract import control_from_motors
+from quad_sysid.craft import from_urdf
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.simulation import simulate_cascade
+from quad_sysid.motion import altitude_of, lean, over_level, vertical_motion
+from quad_sysid.record import GainChange, Record, Segment
+from quad_sysid.whole import whole_of
+
+HEIGHT, RADIUS, STANDING = 0.6, 0.35, 0.2
+GROUND = Effects(ground=Ground(enabled=True, rotor_radius_m=RADIUS, rotor_height_m=STANDING,
+                               height_m=STANDING - HEIGHT))
+DRAG = Effects(air_drag=AirDrag(enabled=True))
+BODY = load_profile('plain').airframe
+PARTS = (('train', 2.0, 34.0), ('validation', 37.0, 18.0))
+
+
+def levels(seconds, shortest, longest, seed):
+    """Steps of three sizes that hold for a random time."""
+    rng, out, k = np.random.default_rng(seed), np.zeros(round(250 * seconds)), 0
+    while k < out.size:
+        held = int(rng.integers(250 * shortest, 250 * longest))
+        out[k : k + held] = rng.choice([-1.0, -0.4, 0.4, 1.0])
+        k += held
+    return out
+
+
+def flown(effects, axis, seed=1):
+    """A flight in hover with this axis excited, as the analysis gets it from a bag."""
+    climbs = axis == 'climb'
+    size, times = (0.05, (0.1, 0.5)) if climbs else (0.2, (0.3, 1.5))
+    flight = fly(
+        replace(load_profile('plain'), mount='hover', effects=effects),
+        [Excited(start, size * levels(length, *times, 10 * seed + k),
+                 axis='climb' if climbs else 'pitch', role=role,
+                 injection='control' if climbs else 'attitude')
+         for k, (role, start, length) in enumerate(PARTS)],
+        56.0, seed,
+    )  # fmt: skip
+    rng, n = np.random.default_rng(seed), flight.time_s.size
+    yaw, (x, y, z) = flight.true_angles[:, 2], flight.velocity_m_s.T
+    velocity = np.column_stack([np.cos(yaw) * x + np.sin(yaw) * y,
+                                np.cos(yaw) * y - np.sin(yaw) * x, z])
+    seen = {
+        'velocity': velocity + 0.01 * rng.standard_normal((n, 3)),
+        'altitude': flight.position_m[:, 2] + 0.005 * rng.standard_normal(n),
+        'lean': lean(flight.true_angles + 0.002 * rng.standard_normal((n, 3))),
+    }
+    for values in seen.values():
+        values[np.arange(n) % 4 != 0] = np.nan
+    record = Record(
+        source='virtual', dt=flight.dt, t0_ns=10**18, rates=flight.rates, angles=flight.angles,
+        acceleration=flight.acceleration, motors=flight.motors,
+        control=control_from_motors(flight.motors),
+        segments=tuple(Segment(role, 'prbs', part.axis, part.injection, a, a + length)
+                       for part, (role, a, length) in zip(flight.schedule, PARTS, strict=True)),
+        gains=(GainChange(0.0, dict(flight.gains)),), **seen,
+    )  # fmt: skip
+    return record, flight
+
+
+def answer(effects, axis):
+    return qs.identify(flown(effects, axis)[0], axes=axis)
+
+
+@pytest.fixture(scope='module')
+def climbed():
+    """A flight without a ground: its record, what was flown, and the answer."""
+    record, flight = flown(Effects(), 'climb')
+    return record, flight, qs.identify(record, axes='climb', mass=BODY.mass_kg)
+
+
+def test_climb_without_a_ground_lacks_nothing(climbed):
+    """Thrust over mass to 1 %, gravity to 1 %, the declared drag of 0.3 1/s to 3 %."""
+    found = climbed[2]
+    tree = found.report['axes']['climb']
+    assert (tree['verdict'], tree['error']['unit']) == ('no_missing_effect', 'm/s')
+    thrust = 4.0 * BODY.motors.full_thrust_n / BODY.mass_kg
+    assert found.answer.model.value('gain') == pytest.approx(thrust, rel=0.01)
+    assert found.answer.model.value('bias') == pytest.approx(-9.81, rel=0.01)
+    assert found.answer.model.value('damping') == pytest.approx(0.3, rel=0.03)
+
+
+def test_climb_near_the_ground_names_it():
+    tree = answer(GROUND, 'climb').report['axes']['climb']
+    assert [effect['name'] for effect in tree['effects']] == ['ground_effect']
+    radius, ground = tree['effects'][0]['parameters']
+    assert (radius['unit'], ground['unit']) == ('m', 'm')
+    assert radius['value'] == pytest.approx(RADIUS, rel=0.1)
+    assert ground['value'] == pytest.approx(-HEIGHT, rel=0.1)
+
+
+def test_surge_without_drag_lacks_nothing():
+    """Gravity to 1.5 % and the linear drag to 3 %, from pitch segments alone."""
+    found = answer(Effects(), 'surge')
+    assert found.report['axes']['surge']['verdict'] == 'no_missing_effect'
+    assert found.answer.model.value('gain') == pytest.approx(9.81, rel=0.015)
+    assert found.answer.model.value('damping') == pytest.approx(0.3, rel=0.03)
+
+
+def test_surge_names_the_drag():
+    tree = answer(DRAG, 'surge').report['axes']['surge']
+    assert [effect['name'] for effect in tree['effects']] == ['quadratic_drag']
+    (drag,) = tree['effects'][0]['parameters']
+    assert drag['value'] == pytest.approx(0.25 / BODY.mass_kg, rel=0.1)
+    assert drag['unit'] == 'm/s² per (m/s)²'
+
+
+def test_a_bag_holds_what_a_record_says_of_the_motion(tmp_path):
+    """Speeds to 0.02 m/s between the samples of /odom, whose twist is in the body."""
+    record, _ = flown(Effects(), 'surge')
+    back = read_bag(write_bag(record, tmp_path / 'bag'))
+    seen = np.isfinite(record.velocity[:, 0])
+    assert back.velocity[seen] == pytest.approx(record.velocity[seen], abs=0.02)
+    assert back.altitude[seen] == pytest.approx(record.altitude[seen], abs=1e-6)
+    assert back.lean[seen] == pytest.approx(record.lean[seen], abs=0.02)
+    assert not np.isfinite(back.velocity[~seen]).any()
+
+
+def test_barometer_and_accelerometer_give_the_climb(climbed):
+    """Without /odom: the vertical speed to 6 cm/s RMS of the true one."""
+    record, flight, _ = climbed
+    force = over_level(record.acceleration, record.angles)[:, 2]
+    speed, altitude = vertical_motion(altitude_of(flight.pressure_pa), force, record.dt)
+    assert np.std(speed - flight.velocity_m_s[:, 2]) < 0.06
+    assert np.std(altitude - flight.position_m[:, 2]) < 0.15
+
+
+def test_the_excitation_of_the_climb_is_added_to_the_throttle(climbed):
+    _, flight, _ = climbed
+    added = np.zeros(flight.time_s.size)
+    for part in flight.schedule:
+        start = round(part.start_s / flight.dt)
+        added[start : start + part.samples.size] = part.samples
+    assert flight.wrench[:, 0] - flight.throttle == pytest.approx(added, abs=1e-6)
+
+
+def test_the_aircraft_as_a_whole(climbed):
+    """Thrust by the mass, mass by the thrust and the throttle of the hover to 1 %; a URDF."""
+    record, _, found = climbed
+    full = 4.0 * BODY.motors.full_thrust_n
+    facts = {fact.name: fact for fact in found.whole.facts}
+    assert facts['full_thrust'].value == pytest.approx(full, rel=0.01)
+    assert facts['hover_throttle'].value == pytest.approx(BODY.mass_kg * 9.81 / full, rel=0.01)
+    assert abs(facts['centre_of_mass_x'].value) < 1.0
+    turned = whole_of({'climb': found.answer.model}, [record], thrust_n=full)
+    assert turned.facts[0].value == pytest.approx(BODY.mass_kg, rel=0.01)
+    assert from_urdf(found.report['aircraft']['urdf']).count == 4
+
+
+def test_a_hold_of_the_altitude_flies_as_with_the_found_model(climbed):
+    """A step of 0.5 m and a gust of 0.4 m/s under one cascade: to 10 % of the step."""
+    gains = CascadeGains(1.5, 0.12, 0.06, 0.0, output_limit=0.25, rate_limit=1.0)
+    plant = loop_plant(climbed[2].answer.model)
+    every, n = round(plant.dt * 250.0), round(10.0 / plant.dt)
+    wanted, gust = np.where(np.arange(n) * plant.dt < 1.0, 0.0, 0.5), round(6.0 / plant.dt)
+    push = np.zeros(n)
+    push[gust] = 0.4 / plant.dt
+    said = simulate_cascade(plant, gains, wanted, plant.dt, disturbance=push - plant.held)
+
+    profile = replace(load_profile('plain'), mount='hover', pilot=Pilot(0.0, 0.0))
+    aircraft = Aircraft(profile, seed=7)
+    state, given = aircraft.machine.state, inputs(aircraft, [], every)
+    height, integral = np.zeros(n), 0.0
+    for k in range(n):
+        state[VELOCITY + 2] += 0.4 * (k == gust)
+        height[k], climb = state[POSITION + 2], state[VELOCITY + 2]
+        error = float(np.clip(gains.angle_kp * (wanted[k] - height[k]), -1.0, 1.0)) - climb
+        integral += gains.rate_ki * plant.dt * error
+        given[:, THROTTLE] = aircraft.hover_throttle + np.clip(
+            gains.rate_kp * error + integral, -0.25, 0.25)
+        aircraft.run(given)
+    assert np.sqrt(np.mean((said.angle - height) ** 2)) < 0.1 * 0.5
+    assert np.abs(said.angle - height).max() < 0.1
