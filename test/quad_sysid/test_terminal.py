@@ -17,7 +17,7 @@ from probe import PATIENCE_S
 from quad_sysid import compiled
 from quad_sysid.arguments import progress
 from quad_sysid.cli import main
-from quad_sysid.model.recursion import slew
+from quad_sysid.model.laws import slew
 
 COMMANDS = ('inspect', 'identify', 'evaluate', 'import', 'design-excitation', 'export', 'compare',
             'fleet', 'compile')
@@ -39,7 +39,7 @@ def test_every_command_is_listed_and_has_an_example_in_its_help(capsys):
 
 
 def test_a_first_use_says_once_that_it_compiles_and_a_second_does_not_compile(tmp_path):
-    use = ('import numpy as np; from quad_sysid.model.recursion import play, slew\n'
+    use = ('import numpy as np; from quad_sysid.model.laws import play, slew\n'
            'for f in (play, slew): f(np.ones(2), 1.0, 0, 2, np.ones(2))')
     said = [subprocess.run([sys.executable, '-c', use], check=True, capture_output=True, text=True,
                            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}).stderr

@@ -25,7 +25,7 @@ LINE, TABLE, BLOCK, BLOCKS = (
 WHOLES = WHOLE[::1]
 """Arrays of one to four dimensions, contiguous and writable: callers pass no others."""
 
-MODULES = ('model.recursion', 'blackbox.filters', 'loop.kernels')
+MODULES = ('model.recursion', 'model.laws', 'blackbox.filters', 'loop.kernels')
 """Where the kernels are."""
 _kernels: list[tuple[Any, tuple[Any, ...]]] = []
 """Each with the types of its arguments."""

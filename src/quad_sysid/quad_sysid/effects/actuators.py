@@ -20,7 +20,7 @@ from quad_sysid.effects.hidden import (
 )
 from quad_sysid.effects.maps import Following, Kept, Map, Steps, why_not
 from quad_sysid.effects.torques import Row
-from quad_sysid.model import recursion
+from quad_sysid.model import laws
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import (
     Drive,
@@ -97,7 +97,7 @@ MAPS = (
     ),
     Kept(
         'backlash', ('command', 'history'), HALF_WIDTH,
-        lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]), loop=recursion.play,
+        lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]), loop=laws.play,
         kept=lambda x, u, _, p: np.clip(x, u - p[0], u + p[0]),
         numbers=lambda _, p: (float(p[0]),),
         physics='play of +-w between command and torque',
@@ -118,7 +118,7 @@ SLOW_MAPS = (
                  starts=(0.5, 1.5, 4.0, 10.0)),
         ),
         lambda s, u, p: _slewed(s.hidden, u, s, p), kept=_slewed,
-        loop=recursion.slew, numbers=lambda s, p: (float(p[0]) * s.dt,),
+        loop=laws.slew, numbers=lambda s, p: (float(p[0]) * s.dt,),
         kind='shape', variant='slew limit', term='response',
         physics='the command of a motor changes by at most so much a second',
         excite='large steps of the command',
@@ -132,7 +132,7 @@ SLOW_MAPS = (
         ),
         lambda *_: None, kept=lambda x, u, _, p: np.where(
             np.abs(u - x) - 0.5 > p[2], np.floor(u + 0.5), x),
-        loop=recursion.in_steps, numbers=lambda _, p: (float(p[2]),),
+        loop=laws.in_steps, numbers=lambda _, p: (float(p[2]),),
         kind='shape', variant='steps',
         physics='motors take their command in whole steps, with hysteresis',
         excite='slow small commands',

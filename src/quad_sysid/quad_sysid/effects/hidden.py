@@ -16,7 +16,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import SLOW_MOVES, SMOOTH, Shape, Smooth, over_knots, signal_of
 from quad_sysid.effects.loads import LOADS, Load, Yielding, along
 from quad_sysid.effects.torques import Torque
-from quad_sysid.model import recursion
+from quad_sysid.model import laws
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import (
     UNITS,
@@ -83,7 +83,7 @@ def followed(
     """States of a step (a, b) into `out` (m, n), in each stretch from its first column on."""
     moving = np.ascontiguousarray(moving)
     for start, stop in stretches:
-        recursion.linear_states(moving, a, b, start, stop, out)
+        laws.linear_states(moving, a, b, start, stop, out)
 
 
 class Linear(Torque):
@@ -149,7 +149,7 @@ class Hysteresis(Effect):
         begun: FloatArray | None = None,
     ) -> FloatArray:
         share = s.dt / max(float(p[0]), 1e-4)
-        return along(stretches, s.rate, recursion.built_up, share)[None, :]
+        return along(stretches, s.rate, laws.built_up, share)[None, :]
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings

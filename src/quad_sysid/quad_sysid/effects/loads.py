@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model import recursion
+from quad_sysid.model import laws
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Effect, Settings, Signals, Spec, required, size_of_term
 from quad_sysid.model.traced import Traced, noted
@@ -39,7 +39,7 @@ def each_ahead(
     return out.reshape(results, *rows[0].shape)
 
 
-AHEAD = {'loose': recursion.all_loose_ahead, 'yielded': recursion.all_yielded}
+AHEAD = {'loose': laws.all_loose_ahead, 'yielded': laws.all_yielded}
 
 
 PULL = Spec('pull', '1/s²', spread=1.0, centre=math.log(60.0), log=True,
@@ -108,7 +108,7 @@ class Load(Effect):
         out = np.stack([np.zeros_like(moved), moved]) if begun is None else begun.copy()
         w = 2.0 * math.pi * float(p[0])
         for start, stop in stretches:
-            recursion.loose(pull, moved, w, float(p[1]), s.dt, start, stop, out)
+            laws.loose(pull, moved, w, float(p[1]), s.dt, start, stop, out)
         return np.vstack([out, self._ahead(out, s, p)[2:]])  # what pushed too, along a flight
 
     def _ahead(self, x: FloatArray, s: Signals, p: FloatArray) -> FloatArray:
@@ -187,7 +187,7 @@ class Yielding(Effect):
         begun: FloatArray | None = None,
     ) -> FloatArray:
         push, *law = self._flow(s, p)
-        return along(stretches, push, recursion.yielding, *law, s.dt)[None, :]
+        return along(stretches, push, laws.yielding, *law, s.dt)[None, :]
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings

@@ -14,7 +14,8 @@ from numba import types
 
 from quad_sysid.compiled import BLOCK, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.recursion import loose_ahead, motor_ahead, yielded
+from quad_sysid.model.laws import loose_ahead, yielded
+from quad_sysid.model.recursion import motor_ahead
 from quad_sysid.model.traced import CODES
 
 IntArray = npt.NDArray[np.int64]

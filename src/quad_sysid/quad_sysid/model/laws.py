@@ -1,0 +1,141 @@
+"""Compiled laws with a state of their own, row after row: play, steps, slew, loads, hysteresis.
+
+Each has its step for many states at once where a free run needs it. Only arithmetic on arrays, one
+by one as in recursion.py.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from quad_sysid.compiled import LINE, NUMBER, TABLE, WHOLE, inner, kernel
+
+
+@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
+def play(command, width, start, stop, out):
+    """What a backlash of +-width holds at the start of each cycle."""
+    held = command[start]
+    for k in range(start, stop):
+        out[k] = held
+        held = min(max(held, command[k] - width), command[k] + width)
+
+
+@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
+def in_steps(x, hysteresis, start, stop, out):
+    """The whole step of x at the start of each cycle, kept until x is 0.5 + hysteresis away."""
+    kept = math.floor(x[start] + 0.5)
+    for k in range(start, stop):
+        out[k] = kept
+        if abs(x[k] - kept) - 0.5 > hysteresis:
+            kept = math.floor(x[k] + 0.5)
+
+
+@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
+def slew(command, step, start, stop, out):
+    """At the start of each cycle the command, which changes by at most `step` per cycle."""
+    held = command[start]
+    for k in range(start, stop):
+        out[k] = held
+        held += min(max(command[k] - held, -step), step)
+
+
+@kernel(LINE, TABLE, LINE, WHOLE, WHOLE, TABLE)
+def linear_states(moving, a, b, start, stop, out):
+    """States x of x+ = a x + b moving, at the start of each cycle: (m, n) into `out`.
+
+    They begin as out[:, start].
+    """
+    m = b.size
+    x, new = np.empty(m), np.empty(m)
+    for i in range(m):
+        x[i] = out[i, start]
+    for k in range(start, stop - 1):
+        for i in range(m):
+            total = b[i] * moving[k]
+            for j in range(m):
+                total += a[i, j] * x[j]
+            new[i] = total
+            out[i, k + 1] = total
+        x, new = new, x
+
+
+@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
+def built_up(rate, share, start, stop, out):
+    """State (-1..1) of a friction that builds up over an angle, at the start of each cycle."""
+    x = 0.0
+    for k in range(start, stop):
+        out[k] = x
+        way = 1.0 if rate[k] > 0.0 else -1.0
+        x = way + (x - way) * math.exp(-abs(rate[k]) * share)
+
+
+@inner
+def loose_ahead(pull, moved, spring, damping, dt, z, q):
+    """A loose mass a cycle later: its place z and own speed q, and its acceleration f meanwhile.
+
+    z' = q - moved, q' = pull + f, f = -spring² z / (1 - z²) - damping z'; at |z| = 1 it stops
+    dead. By the trapezoidal rule in steps of about 1 ms.
+    """
+    parts = max(1, round(dt / 0.001))
+    h, before = dt / parts, q
+    for _ in range(parts):
+        stiff = spring**2 / max(1.0 - z * z, 0.02)
+        v, back = q - moved, 0.5 * h * damping + 0.25 * h * h * stiff
+        new = ((1.0 - back) * v + h * (pull - stiff * z)) / (1.0 + back)
+        z += 0.5 * h * (v + new)
+        if abs(z) > 1.0:
+            z, new = math.copysign(1.0, z), 0.0
+        q = new + moved
+    return z, q, (q - before) / dt - pull
+
+
+@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, WHOLE, WHOLE, TABLE)
+def loose(pull, moved, spring, damping, dt, start, stop, out):
+    """Such z and q at the start of each cycle, (2, n) into `out`, as they begin."""
+    z, q = out[0, start], out[1, start]
+    for k in range(start, stop):
+        out[0, k], out[1, k] = z, q
+        z, q, _ = loose_ahead(pull[k], moved[k], spring, damping, dt, z, q)
+
+
+@kernel(LINE, LINE, LINE, LINE, NUMBER, NUMBER, NUMBER, TABLE)
+def all_loose_ahead(pull, moved, z, q, spring, damping, dt, out):
+    """The same of many a cycle later, and f meanwhile, into `out` (3, w)."""
+    for i in range(pull.size):
+        out[0, i], out[1, i], out[2, i] = loose_ahead(
+            pull[i], moved[i], spring, damping, dt, z[i], q[i]
+        )
+
+
+@inner
+def yielded(x, push, slope, lean, flow, dt):
+    """A state x a cycle later: x' = push - flow (slope x + lean x² + x³).
+
+    The steps are of 1 ms; what draws x back is implicit, x³ by one step of Newton's method.
+    """
+    parts = max(1, round(dt / 0.001))
+    h = dt / parts
+    flows, back = h * flow, max(slope, 0.0)
+    for _ in range(parts):
+        cube = x * x * x
+        ahead = x + h * push - flows * ((slope - back) * x + lean * x * x - 2.0 * cube)
+        x = ahead / (1.0 + flows * (back + 3.0 * x * x))
+    return x
+
+
+@kernel(LINE, NUMBER, NUMBER, NUMBER, NUMBER, WHOLE, WHOLE, LINE)
+def yielding(push, slope, lean, flow, dt, start, stop, out):
+    """Such a state at the start of each cycle into `out` (n,), from zero."""
+    x = 0.0
+    for k in range(start, stop):
+        out[k] = x
+        x = yielded(x, push[k], slope, lean, flow, dt)
+
+
+@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, NUMBER, TABLE)
+def all_yielded(x, push, slope, lean, flow, dt, out):
+    """The states (w,) a cycle later, into `out` (1, w)."""
+    for i in range(x.size):
+        out[0, i] = yielded(x[i], push[i], slope, lean, flow, dt)
