@@ -69,7 +69,9 @@ def aeroid(train: Arrays, held: Arrays, dt: float) -> Answer:
         'u': np.concatenate([np.zeros(DELAY), one['u'][:-DELAY]]), 'rate': one['y'],
         'angle': one['angle'], 'drive': np.zeros(one['u'].size),
     }) for one in (train, held)]
-    found = peer.identify(model, data[0], list(starts), outputs=['rate'], bounds={
+    found = peer.identify(model, data[0], list(starts), outputs=['rate'],
+                          simulate_options={'method': 'LSODA', 'rtol': 1e-6, 'atol': 1e-8},
+                          bounds={
         'gain': (1.0, 5000.0), 'lag': (0.002, 0.5), 'damping': (0.0, 30.0),
         'friction': (0.0, 20.0), 'bias': (-20.0, 20.0)})
     fitted = peer.Model(states=['angle', 'rate', 'drive'], controls=['u'],
@@ -78,7 +80,7 @@ def aeroid(train: Arrays, held: Arrays, dt: float) -> Answer:
     run = fitted.simulate(data[1].time, {'u': data[1].channels['u']}, x0=start)
     return {'gain': [found.parameters['gain'], found.stderr['gain']],
             'lag': [found.parameters['lag'], found.stderr['lag']],
-            'says': 'nothing: the friction was given', 'rate': np.asarray(run.channels['rate'])}
+            'says': 'nothing: the friction was given', 'rate': run.states[:, 1]}
 
 
 def pysindy(train: Arrays, held: Arrays, dt: float) -> Answer:
@@ -89,7 +91,7 @@ def pysindy(train: Arrays, held: Arrays, dt: float) -> Answer:
         return np.concatenate([np.zeros(DELAY), u[:-DELAY]])[:, None]
 
     library = peer.ConcatLibrary([
-        peer.PolynomialLibrary(degree=2),
+        peer.PolynomialLibrary(degree=1),
         peer.CustomLibrary([lambda x: np.tanh(x / 0.05), lambda x: x * np.abs(x)],
                            [lambda x: f'tanh({x}/0.05)', lambda x: f'{x}|{x}|']),
     ])
@@ -97,8 +99,13 @@ def pysindy(train: Arrays, held: Arrays, dt: float) -> Answer:
                        differentiation_method=peer.SmoothedFiniteDifference())
     model.fit(train['y'][:, None], t=dt, u=late(train['u']), feature_names=['rate', 'u'])
     terms = dict(zip(model.get_feature_names(), model.coefficients()[0], strict=True))
-    run = model.simulate(held['y'][:1], dt * np.arange(held['u'].size), u=late(held['u']))
-    rate = np.r_[run[:, 0], np.full(held['u'].size - len(run), run[-1, 0])]
+    rate, u = held['y'].copy(), late(held['u'])
+    for k in range(rate.size - 1):  # its own `simulate` takes more than eight minutes
+        slope = model.predict(rate[k : k + 1, None], u=u[k : k + 1])
+        rate[k + 1] = rate[k] + dt * slope[0, 0]
+        if not abs(rate[k + 1]) < 1e3:  # it diverges
+            rate[k + 1 :] = np.nan
+            break
     return {'gain': [float(terms['u']), None], 'lag': None, 'rate': rate,
             'says': ' '.join(f'{v:+.3g} {n}' for n, v in terms.items() if v)}
 
