@@ -941,6 +941,7 @@ def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
 
 
 UNITS = {
+    'ground_effect.radius': 'm', 'ground_effect.ground': 'm',
     'coulomb_friction.torque': 'rad/s²', 'periodic_disturbance.amplitude': 'rad/s²',
     'quadratic_drag.coefficient': 'rad/s² per (rad/s)²',
     'pendulum_stiffness.stiffness': 'rad/s² per rad',
@@ -957,7 +958,7 @@ UNITS = {
 def read(effect) -> dict[str, str]:
     """What a report reads of an effect: name to unit."""
     count = len(effect.parameters)
-    settings = {'mean': (0.0,) * getattr(effect, 'count', count), 'unit': 1.0}
+    settings = {'mean': (0.0,) * getattr(effect, 'count', count), 'unit': 1.0, 'lowest': 0.0}
     told = effect.readable(np.ones(count), settings)
     return {name: unit for name, (_, unit) in told.items()}
 

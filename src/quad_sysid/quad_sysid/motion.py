@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from quad_sysid.contract import FloatArray
 
@@ -95,6 +94,8 @@ def vertical_motion(height: FloatArray, force: FloatArray,
     The vertical specific force is quick but biased; integrated twice it is right but for what
     changes slowly, which the barometer's height gives. Both without gaps, dt in s.
     """
+    from scipy.signal import butter, sosfiltfilt  # seconds, which other axes need not
+
     quick_speed = np.cumsum(force - force.mean()) * dt
     quick = np.cumsum(quick_speed) * dt
     slow = height - quick

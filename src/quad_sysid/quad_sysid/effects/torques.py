@@ -109,7 +109,6 @@ class GroundEffect(Effect):
 
 
 TORQUES: tuple[Effect, ...] = (
-    GroundEffect(),
     Torque(
         'coulomb_friction', ('rate',), DRY, lambda s, p: p[0] * per_unit('friction', s, p[1]),
         physics='-T sign(rate): dry friction of a bearing (Coulomb 1785)', excite=REVERSALS,
@@ -157,6 +156,7 @@ TORQUES: tuple[Effect, ...] = (
         physics='C cos(n angle) + S sin(n angle): wells at equal angles, as of magnets or teeth',
         excite='slow motion over a large range of angles',
     ),
+    GroundEffect(),
 )
 
 

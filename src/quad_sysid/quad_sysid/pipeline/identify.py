@@ -103,7 +103,7 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
     count = max(told.problem.data.motors.shape[1], FEWEST_MOTORS)
     searched = any(one.label not in told.found.reasons and max(one.motors, default=0) < count
-                   for one in options.effects)
+                   and (not one.axes or axis in one.axes) for one in options.effects)
     verdict, reason = told.verdict.verdict, _reason(
         told, DRAWN.format(drawn) if drawn else '' if searched else NOT_SEARCHED)
     if not searched and verdict != 'cannot_tell':

@@ -15,9 +15,10 @@ class Tryout {
       const button = document.createElement('button'); button.type = 'button'; button.textContent = label;
       button.onclick = () => { this.gains = values.slice(); this.show(); }; bar.append(button);
     }
-    this.svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-    this.svg.setAttribute('viewBox', '0 0 440 170'); this.svg.setAttribute('role', 'img');
-    this.svg.setAttribute('aria-label', 'simulated step: as flown and with the gains of the sliders');
+    const drawing = document.createElement('div');
+    drawing.innerHTML = '<svg viewBox="0 0 440 170" role="img" '
+      + 'aria-label="simulated step: as flown and with the gains of the sliders"></svg>';
+    this.svg = drawing.firstChild;
     this.say = document.createElement('p'); this.say.setAttribute('aria-live', 'polite');
     this.text = document.createElement('pre'); this.text.tabIndex = 0;
     box.append(bar, this.svg, this.say, this.text); this.show();
