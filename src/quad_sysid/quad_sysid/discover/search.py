@@ -19,6 +19,7 @@ from quad_sysid.discover.base import (
     best_base,
     both_orders,
     contest,
+    fit_without,
     fitted_from,
     most_probable,
     shares,
@@ -262,6 +263,16 @@ class _Search:
         small = min(NEGLIGIBLE**2 * motion, noise_of(more).measured_rms ** 2)
         return change < max(NEGLIGIBLE * missed, small)
 
+    def spare(self) -> bool:
+        """Leave out each effect of the best structure in turn; whether that was better."""
+        best = self.best()
+        count = len(best.fit.structure.parts)
+        for index in range(count if count > 1 else 0):
+            rest = frozenset(best.fit.structure.minus(index).labels)
+            if rest not in self.known and (fit := fit_without(self.problem, best.fit, index)):
+                self.keep(fit)
+        return self.best() is not best
+
 
 def leading(fits: Iterable[Scored]) -> list[Scored]:
     """The best of each explanation, best first, BEAM at most: its variants lead the same way."""
@@ -277,7 +288,8 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     """The structures that the training segments support.
 
     A beam search adds one effect at a time until no score beside the best structure promises more,
-    the evidence falls, or the effect changes next to nothing.
+    the evidence falls, or the effect changes next to nothing; then what a later effect has made
+    needless is left out.
 
     Of a long flight it sees SEARCHED rows; only the structures that lead there are fitted on all.
 
@@ -372,4 +384,6 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit, halt: Callab
         if (not beam or beam[0].score <= top or found.hardly(before, beam[0].fit)
                 or halt()):
             break
+    while not halt() and found.spare():
+        pass
     return found
