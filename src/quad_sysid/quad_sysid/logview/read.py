@@ -181,7 +181,8 @@ def _without_commands(log: ForeignLog, why: str) -> Flown:
 
 def _possible(found: Flown) -> Flown:
     """Without set-points that no aircraft can follow, as damaged logs hold."""
-    lost, clean = 0, {}
+    lost = 0
+    clean: dict[str, Any] = {}
     for name, largest in (('rate_setpoint', FASTEST_RAD_S), ('attitude_setpoint', MOST_TURNS)):
         values = getattr(found, name)
         if values is not None and (wrong := np.abs(values) > largest).any():
