@@ -9,7 +9,7 @@ from quad_bridge.gains.gate import GainRequest
 from quad_bridge.gains.history import History
 from quad_sysid.errors import BadInputError
 from quad_tuning.cli import main
-from quad_tuning.history import STORED, read_history, way_back
+from quad_tuning.history import STORED, read_design, read_history, way_back
 
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
 
@@ -114,3 +114,17 @@ def test_bad_input_is_one_line_and_status_2(folder, options, words, capsys):
     error = capsys.readouterr().err
     assert error.count('\n') == 1
     assert words in error
+
+
+@pytest.mark.parametrize(('schema', 'figures'), [
+    ('quad_tuning/design/1', 'figures'), ('quad_sysid/report/1', 'gain_figures'),
+])
+def test_what_is_sent_says_from_which_gains_the_design_began(tmp_path, schema, figures):
+    path = tmp_path / 'file.json'
+    said = {'peak': 1.2, f'{KP}_before': 0.07, 'rise_time_s': 0.1, 'rise_time_s_before': 0.2}
+    path.write_text(json.dumps(
+        {'schema': schema, 'axes': {'roll': {'gains': {KP: 0.1}, figures: said}}}))
+    wanted, beside = read_design(path)
+    assert wanted == {KP: 0.1}
+    assert json.loads(beside['predicted']) == {'roll.peak': 1.2}
+    assert json.loads(beside['flown']) == {KP: 0.07}

@@ -264,7 +264,8 @@ def read_design(path: Path) -> tuple[dict[str, float], dict[str, str]]:
     figures = {axis: {name: finite(value, f'{path}: axes.{axis}.figures.{name}')
                       for name, value in said.items()}
                for axis, one in read_axes(path).items()
-               for said in [one.get('figures')] if isinstance(said, Mapping)}
+               for said in [one.get('figures', one.get('gain_figures'))]
+               if isinstance(said, Mapping)}
     return gains, sent_with(figures)
 
 

@@ -266,10 +266,12 @@ class _Search:
     def spare(self) -> bool:
         """Leave out each effect of the best structure in turn; whether that was better."""
         best = self.best()
-        count = len(best.fit.structure.parts)
-        for index in range(count if count > 1 else 0):
-            rest = frozenset(best.fit.structure.minus(index).labels)
-            if rest not in self.known and (fit := fit_without(self.problem, best.fit, index)):
+        structure = best.fit.structure
+        new = [index for index in range(len(structure.parts))
+               if frozenset(structure.minus(index).labels) not in self.known]
+        for fit in side_by_side([partial(fit_without, self.problem, best.fit, index)
+                                 for index in new]):
+            if fit is not None:
                 self.keep(fit)
         return self.best() is not best
 

@@ -124,7 +124,8 @@ def jobs(folder: str | Path, out: str | Path, **asked: Any) -> list[Job]:
         by_folder.setdefault(PurePosixPath(name).parent.as_posix(), []).append(name)
     bags: dict[str, list[str]] = {}
     for here, names in sorted(by_folder.items()):
-        if any(bag in ('.', here) or here.startswith(f'{bag}/') for bag in _above(here, bags)):
+        path = PurePosixPath(here)
+        if any(above.as_posix() in bags for above in (path, *path.parents)):
             continue
         own = PurePosixPath(place.address if here == '.' else here).name
         stored = [name for name in names if name.endswith(STORAGE)]
@@ -159,12 +160,6 @@ def of_records(records: Sequence[Record], aircraft: Sequence[str] = (), out: str
         every[name] = Job(name, craft, stamp=told.hexdigest(), record=record,
                           out=Place(out).address if out else '', **asked)
     return list(every.values())
-
-
-def _above(here: str, bags: Mapping[str, object]) -> list[str]:
-    """The bags among a folder and those that it lies in."""
-    path = PurePosixPath(here)
-    return [p.as_posix() for p in (path, *path.parents) if p.as_posix() in bags]
 
 
 def _is_log(name: str) -> bool:

@@ -179,9 +179,13 @@ def _enough(one: Series) -> bool:
     return len(one.values) >= LEAST_FLIGHTS and float(np.ptp(one.days)) > 0.0
 
 
+def _least(values: FloatArray) -> float:
+    """Scatter below which these values are alike."""
+    return 1e-9 * float(np.max(np.abs(values))) + 1e-300
+
+
 def _weights(one: Series, tau: float) -> FloatArray:
-    least = 1e-9 * float(np.max(np.abs(one.values))) + 1e-300
-    return np.asarray(1.0 / (one.stds**2 + tau**2 + least**2))
+    return np.asarray(1.0 / (one.stds**2 + tau**2 + _least(one.values)**2))
 
 
 def _lines(x: FloatArray, y: FloatArray, w: FloatArray) -> tuple[FloatArray, ...]:
@@ -209,7 +213,7 @@ def _scale(series: Sequence[Series]) -> _Scale:
         x[row, :n], y[row, :n], stds[row, :n], there[row, :n] = (
             one.days - one.days.mean(), one.values, one.stds, 1.0)
     free = there.sum(axis=1) - 2.0
-    least = 1e-9 * float(np.max(np.abs(y))) + 1e-300
+    least = _least(y)
 
     def scatter(tau: float) -> FloatArray:
         w = there / (stds**2 + tau**2 + least**2)
