@@ -51,7 +51,7 @@ class Clock:
         return self.now_ns() * 1e-9
 
     def published(self, stream: str, stamp_ns: int) -> None:
-        """Note what was published; it is told with the next answer."""
+        """Note what was published; it is reported with the next answer."""
 
     def handled(self, stream: str, stamp_ns: int) -> None:
         """Note what was received and dealt with; from now on the stream is waited for."""
@@ -152,7 +152,7 @@ class Participant(Clock):
             self._timers.remove(timer)
 
     def step(self) -> None:
-        """Go through the times that were told, run what is due at each, answer."""
+        """Go through the times that were received, run what is due at each, answer."""
         try:
             while self._next():
                 for timer in self._due():

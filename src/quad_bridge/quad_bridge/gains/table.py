@@ -231,14 +231,14 @@ bound, so no update of gains changes them, and the firmware takes none while it 
 
 def _all() -> dict[str, tuple[str, Gain]]:
     """Contract name to wire name and row, in the order of the index on the wire."""
-    found = {}
+    rows = {}
     whole = (*OF_AIRCRAFT, *CLIMB, *SET_UP)
-    for rows, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES), (whole, ('',))):
+    for gains, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES), (whole, ('',))):
         for axis in axes:
-            for row in rows:
+            for row in gains:
                 name = f'{axis}.{row.name}' if axis else row.name
-                found[name] = (f'{axis.upper()}_{row.wire}' if axis else row.wire, row)
-    return found
+                rows[name] = (f'{axis.upper()}_{row.wire}' if axis else row.wire, row)
+    return rows
 
 
 ROWS: dict[str, Gain] = {name: row for name, (_, row) in _all().items()}

@@ -174,11 +174,11 @@ class GainWatch:
         """Take `before` of the aircraft's last good flight; what is none leaves none known."""
         self._sound = self._usual
         try:
-            told = np.array(before, dtype=float)
+            levels = np.array(before, dtype=float)
         except (TypeError, ValueError):
             return
-        if told.shape == self._usual.shape and (told >= 0.0).all():  # nor is one of them NaN
-            self._sound = np.minimum(told, self._usual)
+        if levels.shape == self._usual.shape and (levels >= 0.0).all():  # nor is one of them NaN
+            self._sound = np.minimum(levels, self._usual)
 
     def step(
         self,
@@ -265,8 +265,8 @@ class GainWatch:
             return swings
         if (self._far_s > FAR_PATIENCE_S).any():
             i = int(np.argmax(self._far_s))
-            found, limit = np.degrees((self._distance[i], self._limit()[i]))
-            return f'{AXES[i]}: away from its reference {found:.2f} deg, bound {limit:.2f}'
+            measured, limit = np.degrees((self._distance[i], self._limit()[i]))
+            return f'{AXES[i]}: away from its reference {measured:.2f} deg, bound {limit:.2f}'
         late = self._over_s > self._patience
         if not late.any():
             return None
@@ -276,17 +276,17 @@ class GainWatch:
         what = 'rate'
         if channel < len(CENTRES_RAD_S):
             what = f'oscillation near {CENTRES_RAD_S[channel]:.0f} rad/s:'
-        found, limit = np.sqrt((self._energy[0, channel, axis], bound[channel, axis]))
-        return f'{AXES[axis]}: {what} {found:.2f} rad/s RMS, bound {limit:.2f}'
+        measured, limit = np.sqrt((self._energy[0, channel, axis], bound[channel, axis]))
+        return f'{AXES[axis]}: {what} {measured:.2f} rad/s RMS, bound {limit:.2f}'
 
     def figures(self) -> dict[str, float]:
         """Rate RMS per axis now, and the bound while it is watched, rad/s."""
-        found = {'rate_rms': self._energy[0, -1]}
+        energies = {'rate_rms': self._energy[0, -1]}
         if self._bound is not None:
-            found['rate_rms_bound'] = self._bound[-1] + self._peak * self._explained[-1]
+            energies['rate_rms_bound'] = self._bound[-1] + self._peak * self._explained[-1]
         return {
             f'{axis}.{name}': math.sqrt(energy[i])
-            for name, energy in found.items()
+            for name, energy in energies.items()
             for i, axis in enumerate(AXES)
         }
 

@@ -165,7 +165,7 @@ class Link:
         self.tick(now_ns)
         if self._described or self.parameters is None or self.peer is None:
             return events
-        if self.parameters.settled:
+        if self.parameters.complete:
             self._described = True
             events.append(Described(self.peer, self.parameters.values))
         return events

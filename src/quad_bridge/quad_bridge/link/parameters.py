@@ -46,7 +46,7 @@ def encoded(value: float, kind: int, *, bytewise: bool) -> float:
 
 
 class Parameters:
-    """Asks for the parameters of one autopilot; `settled` once all have come or been given up."""
+    """Asks for the parameters of one autopilot; `complete` once all have come or been given up."""
 
     def __init__(self, peer: Heartbeat) -> None:
         self.values: dict[str, float] = {}
@@ -55,7 +55,7 @@ class Parameters:
         self._asked: dict[str, tuple[int, int]] = {}  # name to tries and when it is due again
 
     @property
-    def settled(self) -> bool:
+    def complete(self) -> bool:
         """Whether nothing more is asked for."""
         return not any(self._open(name) for name in self._names())
 

@@ -84,13 +84,13 @@ def coverage(
     every = max(1, int(2.0 * np.pi / (FINENESS * wanted[1] * dt)))
     for x, y in parts:
         seconds = x.size * dt
-        told = w * seconds >= 2.0 * np.pi * LEAST_PERIODS
-        if told.any() and x.size > 4 * every:
-            sums = _spectra(_thinned(x, every), _thinned(y, every), every * dt, w[told])
-            xx[told] += sums[0]
-            yy[told] += sums[1]
-            xy[told] += sums[2]
-            windows[told] += _windows(w[told], seconds)
+        covered = w * seconds >= 2.0 * np.pi * LEAST_PERIODS
+        if covered.any() and x.size > 4 * every:
+            sums = _spectra(_thinned(x, every), _thinned(y, every), every * dt, w[covered])
+            xx[covered] += sums[0]
+            yy[covered] += sums[1]
+            xy[covered] += sums[2]
+            windows[covered] += _windows(w[covered], seconds)
     squared = np.abs(xy) ** 2 / np.maximum(xx * yy, np.finfo(float).tiny)
     chance = 1.0 - CHANCE ** (1.0 / np.maximum(windows - 1.0, 1.0))
     return Coverage(wanted, w, (windows > 0.0) & (squared > np.maximum(COHERENT, chance)))

@@ -85,7 +85,7 @@ def declare(node: Any) -> BridgeSettings:
         require_enable=ros_node.declared(
             node, 'require_enable', over_network(port),
             'excite and arm only while /operator/enable is alive; default: over a network; '
-            'elsewhere once somebody has held it',
+            'on other links once somebody has held it',
         ),
         correct_sensors=ros_node.declared(
             node, 'correct_sensors', True,

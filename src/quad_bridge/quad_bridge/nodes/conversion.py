@@ -215,12 +215,12 @@ def age_s(stamp: Time, now_ns: int) -> float:
 
 def values_of(given: Sequence[Parameter]) -> dict[str, object]:
     """Parameters as a plain mapping; what is not set is None, arrays are tuples."""
-    found: dict[str, object] = {}
+    values: dict[str, object] = {}
     for parameter in given:
         field = _FIELDS.get(parameter.value.type, '')
         value: Any = getattr(parameter.value, field, None)
-        found[parameter.name] = tuple(value) if field.endswith('array_value') else value
-    return found
+        values[parameter.name] = tuple(value) if field.endswith('array_value') else value
+    return values
 
 
 _FIELDS = {

@@ -14,7 +14,7 @@ from typing import Any
 from quad_bridge.status import OK, WARN, Status
 
 MOST_IN_A_ROW = 1000  # failures without anything that works between them: ROS itself fails
-SETTLED_S = 0.5  # least time between two reports; one out of turn tells of the time before
+LEAST_REPORT_S = 0.5  # least time between two reports; one out of turn tells of the time before
 LONGEST = 500  # characters of a fault that are logged
 
 
@@ -51,7 +51,7 @@ class Fence:
     ) -> None:
         self.failed = 0  # callbacks that have raised
         self._log, self._then = log, then
-        self._reported_s = -SETTLED_S
+        self._reported_s = -LEAST_REPORT_S
         self._reported = self._before = 0  # failures at the last report and at the one before
         self._in_a_row: dict[int, int] = {}  # by thread: the port goes on while ROS fails
         self._limiter = LogLimiter()
@@ -78,7 +78,7 @@ class Fence:
     def entries(self) -> list[Status]:
         """The failures for /diagnostics, all and since the last report; empty without any."""
         now_s = time.monotonic()
-        if now_s - self._reported_s > SETTLED_S:
+        if now_s - self._reported_s > LEAST_REPORT_S:
             self._reported_s, self._before, self._reported = now_s, self._reported, self.failed
         if not self.failed:
             return []

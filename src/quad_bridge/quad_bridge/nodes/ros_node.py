@@ -218,8 +218,8 @@ def answering(callback: Callable[..., Any], fence: Fence) -> Callable[..., Any]:
 
     async def answer(request: Any, response: Any) -> Any:
         try:
-            found = callback(request, response)
-            return await found if inspect.isawaitable(found) else found
+            reply = callback(request, response)
+            return await reply if inspect.isawaitable(reply) else reply
         except Exception as error:  # noqa: BLE001  (whatever it is, it is answered)
             _fail(response, f'the service failed: {one_line(error)}', error)
             if not isinstance(response, ChangeState.Response):  # a transition that does not fit

@@ -32,7 +32,7 @@ from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
 from quad_bridge.gains.table import with_mixing
-from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, State, Told
+from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, Reply, State
 from quad_bridge.link.autopilot import (
     BATTERY,
     COMPASS,
@@ -91,7 +91,7 @@ class SerialBridge(ManagedNode):
         self._gains = GainUpdates(settings.gains, self._history, self._aircraft.gains)
         self._sensors = LiveSensors(correct=settings.correct_sensors)
         self._description = Description(self, settings.craft, self._on_craft)
-        self._motors: MotorOutputs | None = None  # of another autopilot, once it has told
+        self._motors: MotorOutputs | None = None  # of another autopilot, once it is known
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
         self._operator = OperatorServices(
             self, self._enable, self._aircraft, self._forward, self._armed, self._flies,
@@ -318,9 +318,9 @@ class SerialBridge(ManagedNode):
         if self._told_time is not None:
             self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
 
-    def _on_described(self, told: Described) -> None:
+    def _on_described(self, event: Described) -> None:
         self._motors = motor_outputs(
-            told.peer.autopilot, self._link.name, told.parameters, self._description.craft
+            event.peer.autopilot, self._link.name, event.parameters, self._description.craft
         )
         self._say_once(self._motors.words)
         if self._aircraft.autopilot is not None:
@@ -432,14 +432,14 @@ class SerialBridge(ManagedNode):
         return conversion.age_s(stamp, self.get_clock().now().nanoseconds)
 
     def _ask_gains(
-        self, parameters: Mapping[str, object], told: Told | None = None, *, age_s: float = 0.0
+        self, parameters: Mapping[str, object], reply: Reply | None = None, *, age_s: float = 0.0
     ) -> None:
         """Hand on an update; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
             if not parameters.get('rollback'):
                 self._refuse(Ability.GAINS)
-            words = self._gains.ask(parameters, clock().now_s(), told, age_s=age_s)
+            words = self._gains.ask(parameters, clock().now_s(), reply, age_s=age_s)
             self._poll_gains(clock().now_ns())
             self._flush()
         self.get_logger().info(words)
@@ -479,12 +479,12 @@ class SerialBridge(ManagedNode):
             low = last is not None and last.control[0] < LOW_THROTTLE
             return bool(self._link.armed_lately(clock().now_ns())) and not low
 
-    def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
+    def _ask_check(self, reply: Callable[[str], None], motors: bool) -> None:
         """Have the polarity or the motors checked; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
             self._refuse(Ability.PULSES)
-            self._gains.check(clock().now_s(), told, motors=motors)
+            self._gains.check(clock().now_s(), reply, motors=motors)
 
     def _on_report(self) -> None:
         self._keep_epoch()

@@ -54,21 +54,21 @@ class LiveSensors:
         """In force from the next stamp on: at first none, whatever another bridge subtracted."""
 
     @property
-    def settled(self) -> bool:
+    def idle(self) -> bool:
         """Whether the last change has reached a published stamp."""
         return self._fresh is None
 
     def status(self) -> Status:
         """Which bias is subtracted, from which stamp on, and what it was estimated from."""
-        values: dict[str, object] = dict(self.current.told())
-        found = self.rest
-        if found is not None:
+        values: dict[str, object] = dict(self.current.entry())
+        estimate = self.rest
+        if estimate is not None:
             values |= {
-                'gyro drift (rad/s per s)': ' '.join(f'{v:+.3g}' for v in found.gyro_drift),
-                'gyro noise (rad/s RMS)': ' '.join(f'{v:+.3g}' for v in found.gyro_noise),
-                'gravity measured off by (m/s²)': f'{found.acceleration_norm_error:+.4f}',
-                'level offset roll, pitch (rad)': ' '.join(f'{v:+.5f}' for v in found.level),
-                'stood (s)': f'{found.duration_s:.1f}',
+                'gyro drift (rad/s per s)': ' '.join(f'{v:+.3g}' for v in estimate.gyro_drift),
+                'gyro noise (rad/s RMS)': ' '.join(f'{v:+.3g}' for v in estimate.gyro_noise),
+                'gravity measured off by (m/s²)': f'{estimate.acceleration_norm_error:+.4f}',
+                'level offset roll, pitch (rad)': ' '.join(f'{v:+.5f}' for v in estimate.level),
+                'stood (s)': f'{estimate.duration_s:.1f}',
             }
         return Status(STATUS, WARN if self.warned else OK, self.words, values)
 
@@ -122,8 +122,8 @@ class LiveSensors:
 
     def wanted(self) -> Wanted | None:
         """What `want` has left, once."""
-        taken, self._wanted = self._wanted, None
-        return taken
+        wanted, self._wanted = self._wanted, None
+        return wanted
 
     def estimate(self, wanted: Wanted) -> str:
         """Estimate and apply; what to say. Raises RefusedError; an earlier estimate stays."""
@@ -132,17 +132,17 @@ class LiveSensors:
             if self._armed and not wanted.samples:
                 what = 'it is armed: disarm it first; biases are estimated with the motors off'
                 raise RefusedError(what)  # noqa: TRY301
-            found = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
+            estimate = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
         except RefusedError as why:
             self.warned = len(rows) > 0 and float(np.ptp(rows[:, 0])) >= LEAST_S
             earlier = '; the earlier one stays' if self.rest is not None else ''
             self.words = f'gyro bias not estimated ({wanted.why}): {why}{earlier}'
             raise RefusedError(self.words) from why
-        bias = ', '.join(f'{v:+.5f}' for v in found.gyro_bias)
+        bias = ', '.join(f'{v:+.5f}' for v in estimate.gyro_bias)
         now = datetime.now(timezone.utc)
         self.words = f'gyro bias {bias} rad/s at rest, {wanted.why} {now:%H:%M:%S} UTC'
-        self.warned, self.rest = False, found
+        self.warned, self.rest = False, estimate
         if self._correct:
             with self._lock:
-                self._fresh = Correction(found.gyro_bias)
+                self._fresh = Correction(estimate.gyro_bias)
         return self.words

@@ -115,15 +115,15 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
 
     Raises RefusedError where these are no six positions of one board.
     """
-    felt = np.array([raw[name] for name in FORCES])
+    force = np.array([raw[name] for name in FORCES])
     place = GRAVITY_M_S2 * np.array(list(FORCES.values()))
     # raw = offset + force_body @ A, A = turn / scale, by least squares
-    solved, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), place]), felt, rcond=None)
+    solved, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), place]), force, rcond=None)
     offset, shaped = solved[0], solved[1:]
     scale = 1.0 / np.maximum(np.linalg.norm(shaped, axis=0), 1e-6)
     left, _, right = np.linalg.svd(shaped * scale)
     rotation = left @ right
-    off = felt - offset - place @ (rotation / scale)
+    off = force - offset - place @ (rotation / scale)
     worst = int(np.argmax(np.linalg.norm(off, axis=1)))
     if np.linalg.det(rotation) < 0.0 or np.linalg.norm(off[worst]) > 0.35 * GRAVITY_M_S2:
         raise RefusedError(f'the six positions do not fit one board: {list(FORCES)[worst]!r} is '

@@ -85,17 +85,17 @@ class Wizard:
         """Do a step until it is good, or is left out."""
         while True:
             try:
-                found = step()
+                values = step()
             except RefusedError as error:
                 self._tell(f'  {error}')
                 if self._yes('  again'):
                     continue
                 return
-            for name, value in found.items():
+            for name, value in values.items():
                 self._tell(f'  {name:28s} {self._now(name):10.4g} -> {value:10.4g} '
                            f'{ROWS[name].unit}')  # fmt: skip
             if self._yes('  write these'):
-                changed = changed_by(found, self._talk.values)
+                changed = changed_by(values, self._talk.values)
                 if changed:
                     self._talk.write(changed)
                 self.written |= changed
@@ -126,38 +126,38 @@ class Wizard:
     def _receiver(self) -> dict[str, float]:
         self._ready('sticks in the middle, throttle down, all switches off')
         rest = self._talk.pulses()
-        found: dict[str, float] = {}
+        values: dict[str, float] = {}
         for name, less, more in _STICKS:
             pulses = []
             for where in (less, more):
                 self._ready(f'hold {name} {where}')
                 pulses.append(self._talk.pulses())
-            found |= measure.stick(name, rest, *pulses)
+            values |= measure.stick(name, rest, *pulses)
         self._ready('let the sticks go, throttle down')
         off = self._talk.pulses()
         for name, words in (('kill', 'kill switch'), ('arm', 'arming switch'),
                             ('hold', 'switch of the height mode')):  # fmt: skip
             if name != 'kill' and not self._yes(f'  is there a {words}'):
-                found[f'receiver.{name}_channel'] = 0.0
+                values[f'receiver.{name}_channel'] = 0.0
                 continue
             self._ready(f'{words} on')
-            found |= measure.switch(name, off, self._talk.pulses())
+            values |= measure.switch(name, off, self._talk.pulses())
             self._ready(f'{words} off again')
-        if len({value for name, value in found.items() if name.endswith('_channel') and value}
-               ) < sum(bool(value) for name, value in found.items() if name.endswith('_channel')):
+        if len({value for name, value in values.items() if name.endswith('_channel') and value}
+               ) < sum(bool(value) for name, value in values.items() if name.endswith('_channel')):
             raise RefusedError('two of them are on one channel')
         dead = self._now('receiver.deadband_us')
-        found['receiver.deadband_us'] = self._number('deadband, µs', dead, 0.0, 100.0)
-        return found
+        values['receiver.deadband_us'] = self._number('deadband, µs', dead, 0.0, 100.0)
+        return values
 
     def _pulses(self) -> dict[str, float]:
-        found = {}
+        values = {}
         for end, words in (('min', 'a motor that stands'), ('max', 'full throttle')):
             name = f'motors.pulse_{end}_us'
-            found[name] = self._number(f'pulse of {words}, µs', self._now(name), 800.0, 2200.0)
-        if not found['motors.pulse_max_us'] >= found['motors.pulse_min_us'] + 200.0:
+            values[name] = self._number(f'pulse of {words}, µs', self._now(name), 800.0, 2200.0)
+        if not values['motors.pulse_max_us'] >= values['motors.pulse_min_us'] + 200.0:
             raise RefusedError('full throttle must be at least 200 µs above standing')
-        return found
+        return values
 
     def _positions(self) -> dict[str, float]:
         raw = {}

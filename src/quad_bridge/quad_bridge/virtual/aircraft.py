@@ -1,7 +1,7 @@
 """One virtual aircraft in memory: its profile's numbers and its state, run cycle by cycle.
 
 The same seed and inputs give the same flight, in one call or cycle by cycle. No clock, no I/O. The
-firmware in its memory flies it (`run`), or one elsewhere (`measure`, `move`).
+firmware in its memory flies it (`run`), or another one (`measure`, `move`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from quad_bridge.virtual.physics import initial_state
 from quad_bridge.virtual.plant import build_plant, hover_throttle
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Channels
-from quad_bridge.virtual.sensors import MAG, PRESSURE, TAKEN, build_chips, initial_sensors
+from quad_bridge.virtual.sensors import MAG, PRESSURE, SAMPLES, build_chips, initial_sensors
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -142,7 +142,7 @@ class Aircraft:
             volts / self._divider, *(1e4 * sensed[MAG : MAG + 3]), sensed[PRESSURE] / 100.0,
             math.nan,
         )  # fmt: skip
-        samples = machine.samples[: int(sensed[TAKEN])]
+        samples = machine.samples[: int(sensed[SAMPLES])]
         return hil.sensors(self.time_us, pulses, channels.failsafe, slow, samples)
 
     def move(self, motors: hil.Motors) -> None:

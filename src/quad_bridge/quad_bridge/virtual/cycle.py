@@ -29,7 +29,7 @@ from quad_bridge.virtual.physics import (
 )
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import euler_from_quaternion
-from quad_bridge.virtual.sensors import MAG, PRESSURE, TAKEN, Chips, sense_cycle, sense_step
+from quad_bridge.virtual.sensors import MAG, PRESSURE, SAMPLES, Chips, sense_cycle, sense_step
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -66,7 +66,7 @@ COLUMNS: dict[str, slice] = {
 }
 """Columns of a log row, by name."""
 WIDTH = 45
-TOLD = 25  # numbers that the firmware writes (boards/linux/library.c)
+OUTPUTS = 25  # numbers that the firmware writes (boards/linux/library.c)
 OBSERVED = 12
 
 
@@ -122,7 +122,7 @@ def begin(
     """The firmware's part of a cycle; fills the log row and `acting`."""
     state, sensed = machine.state, machine.sensed
     sense_cycle(sensed, state, machine.chips, normals, cycle)
-    used, told = np.empty(INPUTS), np.empty(TOLD)
+    used, outputs = np.empty(INPUTS), np.empty(OUTPUTS)
     for i in range(INPUTS):
         used[i] = given[i]
     if given[HOLD] < 0.5:
@@ -131,13 +131,13 @@ def begin(
     log[29] = _fly(
         machine.firmware.ctypes.data, machine.gains.ctypes.data, used.ctypes.data, volts,
         sensed[PRESSURE], sensed[MAG : MAG + 3].ctypes.data, machine.samples.ctypes.data,
-        int(sensed[TAKEN]), told.ctypes.data,
+        int(sensed[SAMPLES]), outputs.ctypes.data,
     )  # fmt: skip
     for i in range(23):
-        log[1 + i] = told[i]
-    log[43] = told[23]
-    log[44] = told[24]
-    sensed[TAKEN] = 0.0
+        log[1 + i] = outputs[i]
+    log[43] = outputs[23]
+    log[44] = outputs[24]
+    sensed[SAMPLES] = 0.0
     delayed(machine, cycle, log[20:24])
     log[0] = state[TIME]
     log[24] = volts
@@ -214,7 +214,7 @@ def _entries(digest: str) -> tuple[Callable[..., None], ...]:
         """Put the commands under way and run the physics as far as `normals` go."""
         _ = digest
         extra = np.zeros(3)
-        machine.sensed[TAKEN] = 0.0
+        machine.sensed[SAMPLES] = 0.0
         delayed(machine, cycle, commands)
         for start in range(0, normals.size, NORMALS_PER_STEP):
             advance(machine, normals[start : start + NORMALS_PER_STEP], extra)

@@ -32,7 +32,7 @@ def _folders() -> Iterator[Path]:
     yield Path(__file__).resolve().parents[4] / 'firmware' / 'build'
 
 
-def find(name: str) -> Path:
+def built_file(name: str) -> Path:
     """The built file of this name; raises ConfigurationError where there is none."""
     looked = list(dict.fromkeys(_folders()))
     for folder in looked:
@@ -47,7 +47,7 @@ def find(name: str) -> Path:
 @functools.cache
 def library() -> ctypes.CDLL:
     """The firmware's library; its symbols are there for compiled code as well."""
-    loaded = ctypes.CDLL(str(find(LIBRARY)), mode=ctypes.RTLD_GLOBAL)
+    loaded = ctypes.CDLL(str(built_file(LIBRARY)), mode=ctypes.RTLD_GLOBAL)
     loaded.quad_library_size.restype = ctypes.c_size_t
     loaded.quad_library_send.restype = ctypes.c_size_t
     return loaded
@@ -85,9 +85,9 @@ class NativeFirmware:
 
     def send(self) -> bytes:
         """What waits for the bridge."""
-        room = ctypes.create_string_buffer(LARGEST_ANSWER)
-        count = self._library.quad_library_send(self._state, room, ctypes.c_size_t(len(room)))
-        return room.raw[:count]
+        buffer = ctypes.create_string_buffer(LARGEST_ANSWER)
+        count = self._library.quad_library_send(self._state, buffer, ctypes.c_size_t(len(buffer)))
+        return buffer.raw[:count]
 
     def gains(self) -> npt.NDArray[np.float32]:
         """(n,) parameters in force, in the order of their index."""

@@ -38,7 +38,7 @@ from quad_bridge.virtual.aircraft import Aircraft, EffectFunction, boot
 from quad_bridge.virtual.board import ELF, Board, EmulatedBoard, EndedError
 from quad_bridge.virtual.errors import ConfigurationError, RestartedError
 from quad_bridge.virtual.line import Line
-from quad_bridge.virtual.native import find
+from quad_bridge.virtual.native import built_file
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.receiver import Receiver, channels_at
 
@@ -241,7 +241,7 @@ def board_of(given: argparse.Namespace) -> Board:
     if given.qemu:
         if given.key is not None:
             raise ConfigurationError('--key', 'the emulated STM32 keeps no key')
-        emulated = EmulatedBoard(find(ELF), given.link)
+        emulated = EmulatedBoard(built_file(ELF), given.link)
         say(f'virtual STM32 on {emulated.path}\n')
         return emulated
     options: list[str | Path] = ['--key', given.key] if given.key is not None else []
