@@ -160,7 +160,7 @@ def commands_of(
         angle = None if angles is None else angles[:, i]
         if np.nanstd(commands[:, i]) > 0.0:
             found += _best_of({axis: tuple(_responses(rates[:, i], pair, dt, angle))}, idle=())
-    return told(tuple(replace(p, signs=p.signs[:1]) for p in found), rates, commands, dt)
+    return confirmed(tuple(replace(p, signs=p.signs[:1]) for p in found), rates, commands, dt)
 
 
 def _parts(values: FloatArray) -> FloatArray:
@@ -173,7 +173,7 @@ def _parts(values: FloatArray) -> FloatArray:
                            for row in (part[:size], gap)])
 
 
-def told(
+def confirmed(
     patterns: Sequence[Pattern], rates: FloatArray, drives: FloatArray, dt: float
 ) -> tuple[Pattern, ...]:
     """The patterns, certain only where the drives (n, k) tell the axis' rate (foresight.py).
