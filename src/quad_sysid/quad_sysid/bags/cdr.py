@@ -200,7 +200,7 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
                 break
             unread = np.zeros(len(rows), dtype=bool)
             if layout is None:
-                unread[0] = True  # of no layout to be read in bulk: one by one below
+                unread[0] = True  # without a layout it is read singly below
                 try:
                     layout = _LAST[key] = layout_of(msgtype, messages[int(rows[0])], joints)
                 except LayoutError:

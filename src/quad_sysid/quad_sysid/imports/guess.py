@@ -77,11 +77,11 @@ RATE = _named('gyro', 'gyr', 'rate', 'rates', 'omega', r'\bang (ular )?vel', r'\
 GYRO = _named('gyro', 'gyr', 'p', 'q', 'r', r'\bg ?[xyz]\b')
 ANGLE = _named('roll', 'pitch', 'yaw', 'phi', 'theta', 'psi', 'angle', 'attitude', 'euler')
 POSE = _named('pose')
-"""Of a table without angles: a rig's pose is one."""
+"""Angles of a table that has no others: a rig's pose is one."""
 TORQUE = _named('torque', 'tau', 'moment', 'control', 'cmd', 'output', 'u', r'\bu ?[234]\b',
                 'input')
 TURNING = _named('torque', 'tau', 'moment', 'control', 'controller', 'cmd', 'output', 'thrust')
-"""What no measured angle is called."""
+"""Words that no measured angle has in its name."""
 FORCE = _named('acc', 'accel', 'acceleration', r'\ba ?[xyz]\b')
 NO_FORCE = _named('ang', 'angular', 'gyro', 'bias', 'world', 'ned', 'enu', 'lin', 'linear')
 THRUST = _named('thrust', 'throttle', 'collective')

@@ -62,7 +62,7 @@ class Placed:
     def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
         """(n,) acceleration, rad/s², at the usual values `at`, all signals but `moved` at rest.
 
-        What it remembers is settled.
+        Its memory is in steady state.
         """
         s, settings = self.signals(at, n, **moved), self.part.settings
         if self.effect.states:
@@ -176,8 +176,8 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
 
 def not_in_the_loop(model: AxisModel) -> dict[str, str]:
     """The effects that the loop of one axis leaves out, and why."""
-    found = ((e.name, placed(model, e).why_outside) for e in model.effects)
-    return {name: why for name, why in found if why}
+    reasons = ((e.name, placed(model, e).why_outside) for e in model.effects)
+    return {name: why for name, why in reasons if why}
 
 
 def share_outside(model: AxisModel) -> dict[str, float]:
@@ -188,8 +188,8 @@ def share_outside(model: AxisModel) -> dict[str, float]:
     out: dict[str, float] = {}
     gain, command = model.value('gain'), np.abs(model.ranges.get('command', (0.0, 0.0))).max()
     at = usual_signals(model)
-    for found in model.effects:
-        one = placed(model, found)
+    for effect in model.effects:
+        one = placed(model, effect)
         if one.why_outside not in (OTHER_AXES, BY_ITSELF) or not gain * command > 0.0:
             continue
         moved: dict[str, Any] = {}
@@ -206,5 +206,5 @@ def share_outside(model: AxisModel) -> dict[str, float]:
         pushed = one.effect.torque(s, one.p, one.part.settings)
         if pushed is None:
             pushed = gain * one.effect.command(s, one.p, one.part.settings)
-        out[found.name] = float(np.abs(pushed).max() / (gain * command))
+        out[effect.name] = float(np.abs(pushed).max() / (gain * command))
     return out

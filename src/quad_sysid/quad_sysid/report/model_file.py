@@ -177,8 +177,8 @@ def _refuse_negative(model: AxisModel, where: str) -> None:
 
 
 def _polynomial(tree: object, where: str) -> Model:
-    found = _keys(tree, where, set(BLACKBOX), more=True)
-    read = _read_fields(Model, {name: found[name] for name in BLACKBOX}, where)
+    content = _keys(tree, where, set(BLACKBOX), more=True)
+    read = _read_fields(Model, {name: content[name] for name in BLACKBOX}, where)
     try:
         checked = polynomial_model(
             **{name: read[name] for name in (*POLYNOMIALS, 'dt', 'nk', 'noise_variance')}
