@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.loop.cascade import CONTRACT_NAMES, ELSEWHERE, TUNED, CascadeGains
+from quad_sysid.loop.cascade import CONTRACT_NAMES, FOREIGN_NAMES, TUNED, CascadeGains
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
 from quad_tuning.errors import DesignRefusedError
@@ -205,7 +205,7 @@ def flown_gains(model: AxisModel) -> CascadeGains:
 def _foreign(model: AxisModel) -> bool:
     """Whether other firmware flew, whose own bounds its gains had to keep."""
     return any(f'{model.axis}.{name}' in model.active_gains
-               for name in (*ELSEWHERE.values(), 'rate.tpa_kp'))
+               for name in (*FOREIGN_NAMES.values(), 'rate.tpa_kp'))
 
 
 def check_band(model: AxisModel, crossover_rad_s: float) -> None:
