@@ -21,8 +21,8 @@ from quad_bridge.wire.frames import CommandAck, Frame
 
 ANSWER_S = 1.0  # an answer is waited for so long; a late one may come for as long again
 LATE_S = 60.0  # so long a request may have lain on the way
-AGAIN_S = 0.2  # between two disarms that nothing has answered
-AGAIN_WITHIN_S = 2.0  # between two calls that disarm in flight
+AGAIN_S = 0.2  # interval at which an unanswered disarm is repeated
+AGAIN_WITHIN_S = 2.0  # longest time between two calls that disarm in flight
 HELD_S = 0.5  # after so long without a message the switch counts as let go
 
 
@@ -64,7 +64,7 @@ class OperatorEnable:
 
 
 class SecondCall:
-    """To disarm in flight lets it fall: that takes a second call, or the pilot's own switch."""
+    """Disarming in flight lets it fall, so it takes a second call or the pilot's own switch."""
 
     def __init__(self) -> None:
         self._first_s = -math.inf
@@ -151,7 +151,7 @@ class Arming:
                 self._end(answer, now_s)
 
     def late(self, now_s: float, *, armed: bool) -> str:
-        """What to say of an aircraft that armed after the request had been given up; once."""
+        """A warning, once, where the aircraft armed after the request had been given up."""
         with self._lock:
             passed_s = now_s - self._given_up_s
             if not armed or passed_s > LATE_S:

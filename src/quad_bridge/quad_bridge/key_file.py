@@ -84,9 +84,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog='make_key', description='Writes a new key for the link between bridge and STM32.'
     )
     parser.add_argument('file', type=Path, help='must not exist yet')
-    given = parser.parse_args(argv)
-    ended_in_one_line('make_key', lambda: write_key(given.file))
-    say(f'{given.file}: copy it to the other end, and nowhere else\n')
+    args = parser.parse_args(argv)
+    ended_in_one_line('make_key', lambda: write_key(args.file))
+    say(f'{args.file}: copy it to the other end, and nowhere else\n')
     return 0
 
 

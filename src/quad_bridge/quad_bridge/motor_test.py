@@ -31,16 +31,16 @@ def frame(motor: int, throttle: float, valid_s: float = VALID_S) -> Command:
 
 def read(wanted: Mapping[str, object]) -> tuple[int, float, float]:
     """Motor, throttle and seconds of a request. Raises RefusedError for a meaningless one."""
-    given = {'throttle': USUAL_THROTTLE, 'duration_s': USUAL_S, **wanted}
-    unknown = sorted(given.keys() - {'motor', 'throttle', 'duration_s'})
+    request = {'throttle': USUAL_THROTTLE, 'duration_s': USUAL_S, **wanted}
+    unknown = sorted(request.keys() - {'motor', 'throttle', 'duration_s'})
     if unknown:
         raise RefusedError(f'{unknown[0]} is not known; known are motor, throttle, duration_s')
-    motor = given.get('motor')
+    motor = request.get('motor')
     if isinstance(motor, bool) or not isinstance(motor, int) or not 1 <= motor <= MOTORS:
         raise RefusedError(f'motor: must be a whole number of 1 to {MOTORS}: found {motor!r}')
     numbers = []
     for name, most in (('throttle', MOST_THROTTLE), ('duration_s', MOST_S)):
-        value = given[name]
+        value = request[name]
         number = float(value) if isinstance(value, int | float) else math.nan
         if isinstance(value, bool) or not 0.0 < number <= most:
             raise RefusedError(f'{name}: must lie above 0 and up to {most:g}: found {value!r}')

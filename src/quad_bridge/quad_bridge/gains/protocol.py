@@ -90,7 +90,7 @@ class GainProtocol:
         self.keep: Keep = lambda _, done: done(True)  # nothing: the STM32 reverts by itself
         self._forget()
         self._number = 0
-        self._checksum = 0  # of what is in force, or is to be
+        self._checksum = 0  # that of the gains in force, or of those that are being written
         self._writes: dict[str, float] = {}
         self._queue: list[str] = []  # names that are still to be written, or to be read back
         self._watch_ms = 0
@@ -117,9 +117,9 @@ class GainProtocol:
         return self.state is State.READING
 
     def recall(self, record: object) -> None:
-        """Nothing is kept of a trial: the STM32 says itself whether one goes on."""
+        """Do nothing: the STM32 itself reports whether a trial goes on."""
 
-    # What is asked for.
+    # Requests.
 
     def write(self, writes: Mapping[str, float], watch_ms: int) -> None:
         """Begin to write a set (wire names) that gate.py has let through.
@@ -343,7 +343,7 @@ class GainProtocol:
     def _forget(self) -> None:
         self.active = {}
         self._queue = []
-        self._count = 0  # of the STM32's parameters; 0 while unknown
+        self._count = 0  # number of the STM32's parameters; 0 while unknown
         self._names: dict[int, str] = {}
         self._values: dict[str, float] = {}  # what is in force as far as it was read, wire names
 

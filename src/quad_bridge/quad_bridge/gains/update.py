@@ -33,12 +33,12 @@ STEP_WATCH_S, WATCH_S = 3.0, 10.0  # between the steps of a larger change, and a
 STM32_WATCH_MS = 15_000
 """Time after which the STM32 reverts an unconfirmed set: the watch, and time to confirm."""
 QUIET_S = 0.5
-"""Without excitation before gains may change; without a cycle after which a check ends."""
+"""Time without excitation before gains may change, and without a cycle before a check ends."""
 LOW_THROTTLE = 0.05  # below which the STM32 commands no torque (QUAD_LOW_THROTTLE)
-LINK_S = 1.0  # without a control cycle after which gains on trial are asked back
+LINK_S = 1.0  # time without a control cycle after which gains on trial are reverted
 RATE_SHARE = 0.01
-"""By which the rate at which cycles arrive follows the last one."""
-LOOK_S = 1.0  # between two looks at whether the gains in force fly well
+"""Weight of the last cycle in the average rate of arrival."""
+LOOK_S = 1.0  # interval at which the gains in force are judged
 LEAST_HZ, MOST_HZ = 50.0, 1000.0
 """Control cycles per second with which watch and pulses work."""
 GESTURE_END, GESTURE_ENDS, GESTURE_S = 0.8, 3, 2.0
@@ -81,7 +81,7 @@ class News:
 
 
 Reply = Callable[[bool, str], None]
-"""What is called once with whether the aircraft has read a set back, or why not."""
+"""A callback, called once: whether the aircraft has read a set back, and why not."""
 
 
 @dataclass
@@ -124,20 +124,20 @@ class GainUpdates:
         self._update: _Update | None = None
         self._pending: tuple[gate.GainRequest, Reply | None] | None = None
         """The update that waits for the check of its axes."""
-        self._going_back: list[Reply] = []  # who waits for the gains of before
+        self._going_back: list[Reply] = []  # callers that wait for the earlier gains
         self._checked: Callable[[str], None] | None = None
-        self._left_s = 0.0  # of flight until the next step, or the confirmation
+        self._left_s = 0.0  # time of flight until the next step, or the confirmation
         self._cycle_s = self._excited_s = float('-inf')
         self._flags = 0
         self._flying_s: float | None = None  # since when it is armed with the throttle up
-        self._period_s = 0.0  # between the cycles that arrive, about
-        self._time_us = 0  # of the last one
-        self._looked_s = float('-inf')  # at how it flies
+        self._period_s = 0.0  # average time between the cycles that arrive
+        self._time_us = 0  # device time of the last cycle
+        self._looked_s = float('-inf')  # time of the last judgement
         self._flown = False  # the gains in force have flown well, and the history says so
         self._rate_kp = np.ones(3)
 
     def use(self, protocol: Any) -> None:
-        """From now on the aircraft's sets of gains are these (aircraft.py, `Gains`)."""
+        """Use this protocol for the aircraft's sets of gains (aircraft.py, `Gains`)."""
         self.protocol = protocol
         protocol.keep = self._history.keep_trial
         if self._settings.aircraft and self._trial is not None:  # whose files are open already
@@ -185,7 +185,7 @@ class GainUpdates:
             return Status('gains', WARN, words, values)
         return Status('gains', OK, self.words, values)
 
-    # What is asked for.
+    # Requests.
 
     def ask(
         self, parameters: Mapping[str, object], now_s: float, reply: Reply | None = None,
@@ -309,7 +309,7 @@ class GainUpdates:
         self.protocol.write({names.get(n, n): v for n, v in step.items()}, STM32_WATCH_MS)
         self.state = State.WRITING
 
-    # What comes from the STM32.
+    # Messages of the STM32.
 
     def know(self, record: Mapping[str, Any]) -> None:
         """Set the stored polarity record of the connected aircraft."""

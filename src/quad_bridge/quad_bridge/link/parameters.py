@@ -65,7 +65,7 @@ class Parameters:
             self.values[value.name] = number(value, bytewise=self._bytewise)
 
     def due(self, now_ns: int) -> list[ParamRequestRead]:
-        """What to ask for now."""
+        """The requests to send now."""
         waiting = [name for name in self._names() if self._open(name)][:AT_ONCE]
         asked = []
         for name in waiting:
@@ -86,7 +86,7 @@ class Parameters:
 
 
 def px4_names(values: Mapping[str, float]) -> tuple[str, ...]:
-    """What is to be known of PX4's geometry, by what is known already."""
+    """Names of PX4's geometry parameters that are needed, by the values known so far."""
     count = min(max(int(values.get(_COUNT, 0)), 0), _PX4_MOST)
     if not count:
         return (_COUNT,)

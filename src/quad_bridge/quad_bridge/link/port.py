@@ -226,7 +226,7 @@ class SerialPort:
 
 
 def candidates(path: str) -> list[str]:
-    """What `path` may mean now: a URL and a plain name as they are, a pattern's matches sorted."""
+    """Devices that `path` may name now: a URL or name as it is, a pattern's matches sorted."""
     if '://' in path or not glob.has_magic(path):
         return [path]
     return sorted(glob.glob(path))  # noqa: PTH207  (Path.glob takes no absolute pattern)

@@ -48,7 +48,7 @@ class Contents:
     """Messages of the wanted topics in a bag."""
 
     messages: dict[str, list[Received]] = field(default_factory=lambda: defaultdict(list))
-    """By topic, in the order of recording."""
+    """Messages by topic, in the order of recording."""
     warnings: list[str] = field(default_factory=list)
     """A line for each missing or damaged part."""
 

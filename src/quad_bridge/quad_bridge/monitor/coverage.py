@@ -19,7 +19,7 @@ BAND = 0.1, 20.0  # rad/s, the default of the wanted band: its lowest period las
 SPARED = 0.63
 """Share of a training segment in which the lowest period must fit."""
 TAPERS = 5
-LEAST_PERIODS = 1.0  # of a frequency in a part, from which the part counts for it
+LEAST_PERIODS = 1.0  # a part counts for a frequency if it has so many periods of it
 SMOOTHING = 0.15  # half the width over which a frequency is averaged, as a share of it
 FINENESS = 8.0
 """Samples per period of the highest wanted frequency that are kept; more would only cost time."""
@@ -151,7 +151,7 @@ class Pairs:
         self._rates[stamp_ns] = value
 
     def excitation(self, stamp_ns: int, value: float) -> None:
-        """What the STM32 says it added in a cycle."""
+        """The excitation that the STM32 says it added in a cycle."""
         self._inputs[stamp_ns] = value
 
     def clear(self) -> None:

@@ -38,7 +38,7 @@ NUMBERS = {
 """Integer parameters: default, description, range."""
 MOST_TEXTS = description.MOST_TEXTS
 MOST_BYTES = description.MOST_BYTES
-"""Of a message: the largest of the contract, a description, may have that."""
+"""Largest message: a description, the largest of the contract, may have that size."""
 NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', description.PARAMETER, *NUMBERS)
 
 

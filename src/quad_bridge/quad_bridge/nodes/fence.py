@@ -22,7 +22,7 @@ class LogLimiter:
     """A rate limiter for the log: repeats and bursts are left out."""
 
     def __init__(self, *, repeat_s: float = 30.0, burst: int = 20, per_s: float = 60.0) -> None:
-        """The same line once in `repeat_s`; `burst` lines in `per_s` at most."""
+        """Log the same line once in `repeat_s`, and at most `burst` lines in `per_s`."""
         self._repeat_s, self._per_s = repeat_s, per_s
         self._said: dict[str, float] = {}
         self._times: deque[float] = deque(maxlen=burst)

@@ -33,7 +33,7 @@ from quad_bridge.wire.frames import CommandAck, Frame
 
 SOURCE = '~/set_gains'
 MOST_PARAMETERS = 500
-"""In one call: some times what there is to set."""
+"""Most parameters in one call, a few times the number that exists."""
 GAINS_S = 120.0  # the longest an update may take: a check of the polarity, and sixteen steps
 
 

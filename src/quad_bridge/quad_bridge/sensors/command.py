@@ -42,7 +42,7 @@ def at_rest(bag: Path, seconds: float, warnings: list[str]) -> RestEstimate:
     stamps = np.array([10**9 * stamp.sec + stamp.nanosec for stamp in headers], np.int64)
     age = np.array([one.time_ns for one in received], float) - stamps
     around = np.lib.stride_tricks.sliding_window_view(np.pad(age, USUAL // 2, 'edge'), USUAL)
-    usual = np.median(around, axis=1)  # of those around it: a system clock may have been set
+    usual = np.median(around, axis=1)  # of its neighbours: a system clock may have been set
     sound = np.flatnonzero(np.abs(age - usual) <= 1e9 * MOST_AGE_S)
     if len(sound) < len(stamps):
         count = len(stamps) - len(sound)
@@ -70,12 +70,12 @@ def _rows(vectors: Sequence[object]) -> FloatArray:
     return np.array([[getattr(v, axis) for axis in 'xyz'] for v in vectors], dtype=float)
 
 
-def _rest(given: argparse.Namespace) -> list[str]:
-    if given.seconds < LEAST_S:
-        raise BadInputError('--seconds', f'must be {LEAST_S:g} or more', f'{given.seconds:g}')
-    estimate = at_rest(given.bag, given.seconds, given.warnings)
-    if given.out is not None:
-        _write(given.out, estimate, given.bag)
+def _rest(args: argparse.Namespace) -> list[str]:
+    if args.seconds < LEAST_S:
+        raise BadInputError('--seconds', f'must be {LEAST_S:g} or more', f'{args.seconds:g}')
+    estimate = at_rest(args.bag, args.seconds, args.warnings)
+    if args.out is not None:
+        _write(args.out, estimate, args.bag)
     bias, drift = (
         ', '.join(f'{v:+.5f}' for v in row) for row in (estimate.gyro_bias, estimate.gyro_drift)
     )
@@ -113,9 +113,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         '--seconds', type=positive, default=np.inf, metavar='S',
         help=f'only the first so many, {LEAST_S:g} or more; default the whole bag',
     )  # fmt: skip
-    given = parser.parse_args(arguments, argparse.Namespace(warnings=[]))
+    args = parser.parse_args(arguments, argparse.Namespace(warnings=[]))
     try:
-        lines = ended_in_one_line('sensors', lambda: _rest(given))
+        lines = ended_in_one_line('sensors', lambda: _rest(args))
     finally:  # they may be why it was refused
-        sys.stderr.writelines(f'sensors: warning: {warning}\n' for warning in given.warnings)
+        sys.stderr.writelines(f'sensors: warning: {warning}\n' for warning in args.warnings)
     say('\n'.join(lines) + '\n')

@@ -22,8 +22,8 @@ from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag
 
-STANDING_S = LEAST_S + 1.0  # of cycles without armed motors are kept for an estimate
-MOST_SAMPLES = 8000  # of cycles, however fast they come
+STANDING_S = LEAST_S + 1.0  # duration of disarmed cycles that are kept for an estimate
+MOST_SAMPLES = 8000  # most cycles that are kept, at any rate
 NOT_YET = 'not estimated since the aircraft started'
 
 Sample = tuple[float, float, float, float, float, float, float]
@@ -51,7 +51,7 @@ class LiveSensors:
         self._armed = False
         self._wanted: Wanted | None = None
         self._fresh: Correction | None = self.current
-        """In force from the next stamp on: at first none, whatever another bridge subtracted."""
+        """Applies from the next stamp on; none at first, whatever another bridge subtracted."""
 
     @property
     def idle(self) -> bool:
@@ -72,7 +72,7 @@ class LiveSensors:
             }
         return Status(STATUS, WARN if self.warned else OK, self.words, values)
 
-    # In the port's thread.
+    # Called in the port's thread.
 
     def cycle(self, frame: Cycle) -> None:
         """Take one cycle; the one that arms requests an estimate."""
@@ -93,7 +93,7 @@ class LiveSensors:
                 standing.popleft()
 
     def stamped(self, stamp_ns: int) -> Correction:
-        """What to subtract from the message with this stamp."""
+        """The bias to subtract from the message with this stamp."""
         if self._fresh is not None:
             with self._lock:
                 self.current, self._fresh = replace(self._fresh, since_ns=stamp_ns), None
@@ -107,7 +107,7 @@ class LiveSensors:
             self.words, self.warned = NOT_YET, False
             self._fresh = Correction()
 
-    # In the executor's.
+    # Called in the executor's thread.
 
     def standing(self) -> tuple[Sample, ...]:
         """A copy of the latest samples at rest."""
@@ -121,7 +121,7 @@ class LiveSensors:
             self._wanted = Wanted(why, samples)
 
     def wanted(self) -> Wanted | None:
-        """What `want` has left, once."""
+        """The request that `want` has left, once."""
         wanted, self._wanted = self._wanted, None
         return wanted
 

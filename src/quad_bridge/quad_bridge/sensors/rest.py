@@ -27,7 +27,7 @@ MOST_NORM_ERROR = 0.8  # m/s²: by how much the measured gravity may be off
 
 @dataclass(frozen=True)
 class RestEstimate:
-    """Of the time in the middle; standard errors where they are known."""
+    """Estimates for the middle of the recording; standard errors where they are known."""
 
     duration_s: float
     gyro_bias: tuple[float, float, float]  # rad/s, body axes x y z

@@ -1,4 +1,4 @@
-"""What the wizard makes of what it measures: values of the table's SET_UP rows. Pure.
+"""The wizard's measurements as values of the table's SET_UP rows. Pure.
 
 Vectors are in the firmware's axes, FRD; `raw` is what the chips show in the axes of the board,
 before offsets, scales and the board's turn.
@@ -17,12 +17,12 @@ FloatArray = npt.NDArray[np.float64]
 Values = dict[str, float]
 
 GRAVITY_M_S2 = 9.80665
-LEAST_MOVE_US = 150.0  # of a stick or switch that was moved
+LEAST_MOVE_US = 150.0  # least travel of a stick or switch that was moved
 ON_US = 1750.0  # a switch is on above it (SWITCHED_US of the firmware)
 SNAP_RAD = np.radians(15.0)
 """A board that is turned by a quarter turn, within this, is meant to be turned by one."""
-LEAST_COVERED = 1.2  # of the compass' radius, in each axis: it has seen both ends
-ROUND_SHARE = 0.15  # of the radius: how far the field's points may lie from a sphere
+LEAST_COVERED = 1.2  # least span in each axis, in radii of the compass: both ends are seen
+ROUND_SHARE = 0.15  # largest distance of the field's points from a sphere, in radii
 
 FORCES = {
     'level, on its feet': (0.0, 0.0, -1.0),

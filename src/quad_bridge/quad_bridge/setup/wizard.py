@@ -40,7 +40,7 @@ _STICKS = (
     ('pitch', 'all the way back, towards you', 'all the way forward'),
     ('yaw', 'all the way right', 'all the way left'),
 )
-"""Which way is less and which is more, as /rc/in has it."""
+"""Words for the lower and the upper end of a stick, as in /rc/in."""
 
 Ask = Callable[[str], str]
 
@@ -51,7 +51,7 @@ class Wizard:
     def __init__(self, talk: Talk, ask: Ask, tell: Callable[[str], object]) -> None:
         self._talk, self._ask, self._tell = talk, ask, tell
         self.written: dict[str, float] = {}
-        """What has been changed, by name."""
+        """The changed values, by name."""
 
     def run(self, only: Sequence[str] = ()) -> dict[str, float]:
         """Ask for each step, or only for these; what has been changed."""
@@ -198,7 +198,7 @@ class Wizard:
 
 
 def changed_by(wanted: Mapping[str, float], now: Mapping[str, float]) -> dict[str, float]:
-    """What differs, inside the firmware's limits and as the wire carries it."""
+    """The values that differ, inside the firmware's limits and as the wire carries them."""
     bounded = {}
     for name, value in wanted.items():
         low, high = ROWS[name].limits or (value, value)
@@ -223,15 +223,15 @@ def load(path: Path) -> dict[str, float]:
     """The values of such a file. Raises BadInputError with file, name and value."""
     try:
         entry = yaml.safe_load(path.read_text(encoding='utf-8'))
-        given = dict(entry['set_up'])
+        stored = dict(entry['set_up'])
     except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError) as error:
         raise BadInputError(str(path), f'is no file of setup ({type(error).__name__})') from error
-    for name, value in given.items():
+    for name, value in stored.items():
         low, high = (ROWS[name].limits or (1.0, 0.0)) if name in NAMES else (1.0, 0.0)
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not number or not low <= value <= high:
             raise BadInputError(f'{path}: {name}', 'is no value of a set-up', repr(value))
-    return {name: float(np.float32(value)) for name, value in given.items()}
+    return {name: float(np.float32(value)) for name, value in stored.items()}
 
 
 def _ask(words: str) -> str:
@@ -288,28 +288,28 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="of the aircraft's files; default as the bridge's state_folder")
     parser.add_argument('--restore', type=Path, metavar='FILE',
                         help='write what such a file holds, instead of measuring')
-    given = parser.parse_args(argv)
+    args = parser.parse_args(argv)
     known = ('receiver', 'motors', 'board', 'compass', 'battery', 'outputs')
-    for name in given.only:
+    for name in args.only:
         if name not in known:
             parser.error(f'no step {name!r}: known are {", ".join(known)}')
-    return ended_in_one_line('setup', lambda: _set_up(given))
+    return ended_in_one_line('setup', lambda: _set_up(args))
 
 
-def _set_up(given: argparse.Namespace) -> int:
-    restored = load(given.restore) if given.restore is not None else None
-    line = _Line(given.port, given.baud)
-    talk = Talk(line.wait, time.monotonic, signing_from(given.key))
+def _set_up(args: argparse.Namespace) -> int:
+    restored = load(args.restore) if args.restore is not None else None
+    line = _Line(args.port, args.baud)
+    talk = Talk(line.wait, time.monotonic, signing_from(args.key))
     with contextlib.closing(line):
         if restored is None:
-            Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(given.only)
+            Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(args.only)
         else:
             talk.read()
             changed = changed_by(restored, talk.values)
             if changed:
                 talk.write(changed)
             say(f'{len(changed)} values written\n')
-        path = (given.folder or default_folder()) / talk.aircraft / FILE
+        path = (args.folder or default_folder()) / talk.aircraft / FILE
         save(path, talk.aircraft, talk.values)
         say(f'{path}\n')
     return 0

@@ -160,25 +160,25 @@ class Aircraft:
         """Device time of the coming cycle."""
         return round(self._cycle * self.cycle_s * 1e6)
 
-    def run(self, given: FloatArray) -> FloatArray:
-        """Fly the cycles whose inputs are `given` (n, INPUTS); returns the log (n, WIDTH)."""
-        log = np.zeros((given.shape[0], WIDTH))
+    def run(self, inputs: FloatArray) -> FloatArray:
+        """Fly the cycles with these inputs (n, INPUTS); returns the log (n, WIDTH)."""
+        log = np.zeros((inputs.shape[0], WIDTH))
         width = NORMALS_PER_CYCLE + self._steps * NORMALS_PER_STEP
-        for start in range(0, given.shape[0], BLOCK_CYCLES):
-            block = slice(start, min(start + BLOCK_CYCLES, given.shape[0]))
+        for start in range(0, inputs.shape[0], BLOCK_CYCLES):
+            block = slice(start, min(start + BLOCK_CYCLES, inputs.shape[0]))
             normals = self._rng.standard_normal((block.stop - start, width))
             if self._effect is None:
-                run_cycles(self.machine, self._cycle, given[block], normals, log[block])
+                run_cycles(self.machine, self._cycle, inputs[block], normals, log[block])
             else:
                 for row in range(block.stop - start):
-                    self._stepwise(row, given[block][row], normals[row], log[block][row])
+                    self._stepwise(row, inputs[block][row], normals[row], log[block][row])
             self._cycle += block.stop - start
         return log
 
-    def _stepwise(self, row: int, given: FloatArray, normals: FloatArray, log: FloatArray) -> None:
+    def _stepwise(self, row: int, inputs: FloatArray, noise: FloatArray, log: FloatArray) -> None:
         """One cycle with the Python effect called before every physics step."""
-        begin_cycle(self.machine, self._cycle + row, given, normals[:NORMALS_PER_CYCLE], log)
-        self._effect_steps(normals[NORMALS_PER_CYCLE:])
+        begin_cycle(self.machine, self._cycle + row, inputs, noise[:NORMALS_PER_CYCLE], log)
+        self._effect_steps(noise[NORMALS_PER_CYCLE:])
 
     def _effect_steps(self, normals: FloatArray) -> None:
         for start in range(0, normals.size, NORMALS_PER_STEP):

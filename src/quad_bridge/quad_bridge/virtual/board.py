@@ -49,7 +49,7 @@ class Board:
             raise EndedError from error
 
     def motors(self) -> hil.Motors:
-        """What it answers; EndedError where it has ended."""
+        """Its answer; raises EndedError where it has ended."""
         try:
             frame = self._line.recv(hil.MOTORS_BYTES, socket.MSG_WAITALL)
         except OSError as error:
@@ -100,8 +100,8 @@ class EmulatedBoard(Board):
                 line, _ = listener.accept()
             except OSError as error:
                 process.kill()
-                said = process.communicate()[0].decode(errors='replace')
-                raise ConfigurationError('--qemu', f'{EMULATOR} did not start: {said}') from error
+                text = process.communicate()[0].decode(errors='replace')
+                raise ConfigurationError('--qemu', f'{EMULATOR} did not start: {text}') from error
         line.settimeout(None)
         super().__init__(line, process)
         self.path, self._link = self._pseudo_terminal(), link
@@ -111,11 +111,11 @@ class EmulatedBoard(Board):
             fresh.replace(link)
 
     def _pseudo_terminal(self) -> str:
-        said = self._process.stdout.readline().decode() if self._process.stdout else ''
-        match = re.search(r'/dev/pts/\d+', said)
+        output = self._process.stdout.readline().decode() if self._process.stdout else ''
+        match = re.search(r'/dev/pts/\d+', output)
         if match is None:
             self._process.kill()
-            raise ConfigurationError('--qemu', f'{EMULATOR} names no port: {said}')
+            raise ConfigurationError('--qemu', f'{EMULATOR} names no port: {output}')
         return match[0]
 
     def close(self) -> int:

@@ -20,7 +20,7 @@ from quad_bridge.virtual.errors import ConfigurationError
 VARIABLE = 'QUAD_FIRMWARE'
 """The environment variable that names the folder of a build of one's own, which comes first."""
 PROGRAM, LIBRARY = 'quad_firmware', 'libquad_firmware.so'
-MOTORS_BYTES, LARGEST_ANSWER = 42, 2048  # of a motor frame; of what waits to be sent
+MOTORS_BYTES, LARGEST_ANSWER = 42, 2048  # size of a motor frame, of the frames to send
 
 
 def _folders() -> Iterator[Path]:
@@ -84,7 +84,7 @@ class NativeFirmware:
         return motors.raw
 
     def send(self) -> bytes:
-        """What waits for the bridge."""
+        """The bytes that wait for the bridge."""
         buffer = ctypes.create_string_buffer(LARGEST_ANSWER)
         count = self._library.quad_library_send(self._state, buffer, ctypes.c_size_t(len(buffer)))
         return buffer.raw[:count]
@@ -102,7 +102,7 @@ class NativeFirmware:
         return tuple(values)
 
     def arm(self, armed: bool, *, may_arm: bool = True) -> None:
-        """As the pilot's switch does; `may_arm`: by command of the bridge as well."""
+        """Arm as by the pilot's switch; `may_arm`: by command of the bridge as well."""
         self._library.quad_library_arm(self._state, int(armed), int(may_arm))
 
     @property

@@ -57,7 +57,7 @@ class Sensors:
     mag_noise_t: float = 3.0e-7
     pressure_pa: float = 101325.0
     pressure_noise_pa: float = 2.0
-    battery_divider: float = 11.0  # of the board, in front of its pin
+    battery_divider: float = 11.0  # ratio of the divider in front of the board's pin
     slow_divider: int = 5  # magnetometer and barometer are read every so many cycles
     quantisation: bool = True
 

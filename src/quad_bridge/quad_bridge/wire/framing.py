@@ -34,7 +34,7 @@ class Packet(NamedTuple):
 
 @dataclass
 class Counts:
-    """What a decoder has seen since its start; `replace` makes a copy that stays."""
+    """Counts of a decoder since its start; `replace` makes a copy that stays."""
 
     bytes: int = 0
     frames: int = 0  # frames handed out, `standard` included

@@ -52,13 +52,13 @@ _UNPACK: dict[bytes, Callable[[bytes], bytes]] = {
     b'zstd': zstd.decompress,
     b'lz4': lz4.frame.decompress,
 }
-"""By the compression's name as in MCAP."""
+"""Decompressors by the name of the compression in MCAP."""
 _UNPACK_PART: dict[bytes, Callable[[bytes], bytes]] = {
     b'': bytes,
     b'zstd': lambda packed: zstd.ZstdDecompressor().decompress(packed),
     b'lz4': lambda packed: lz4.frame.LZ4FrameDecompressor().decompress(packed),
 }
-"""The same where the end is missing."""
+"""Decompressors for content whose end is missing."""
 
 
 class Message(NamedTuple):
