@@ -18,6 +18,7 @@ from quad_sysid.report.canvas import (
     INK,
     MEASURED,
     MUTED,
+    Drawing,
     Picture,
     finish,
     panels,
@@ -160,3 +161,10 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
         f'Broken at the command; dots mark the crossover. {words[:1].upper()}{words[1:]}. For the '
         'model itself, in wide motion; the table has the worst of all draws too.', figure,
     )
+
+
+DRAWINGS = (
+    Drawing('closed_loop', 'Loop and gains', overlay),
+    Drawing('step', 'Loop and gains', step_response),
+    Drawing('margins', 'Loop and gains', open_loop_margins),
+)

@@ -25,6 +25,7 @@ from quad_sysid.report.canvas import (
     INK,
     MUTED,
     OTHER,
+    Drawing,
     Picture,
     finish,
     legend,
@@ -299,3 +300,13 @@ def torque(answer: AxisAnswer) -> Picture | None:
         "The torque disturbance that the model's Kalman filter sees on held-out data. The green "
         "band is what the last model's own noise predicts.", figure,
     )
+
+
+DRAWINGS = (
+    Drawing('free_run', 'Prediction on held-out data', free_run),
+    Drawing('horizon', 'Prediction on held-out data', horizon),
+    Drawing('bode', 'Black-box models', bode),
+    Drawing('correlations', 'What is left', correlations),
+    Drawing('residual_spectrum', 'What is left', spectrum),
+    Drawing('missing_torque', 'What is left', torque),
+)
