@@ -40,7 +40,7 @@ from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem, start_of
 from quad_sysid.estimate.stored import noise_of
 from quad_sysid.model.effect import Effect, Part, required
-from quad_sysid.model.structure import NOISE, VIBRATION, Structure, coordinates
+from quad_sysid.model.structure import NOISE, VIBRATION, coordinates
 
 SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""
@@ -147,9 +147,9 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
     whether such a response is there: only what is beyond the base by then is fitted to its end.
     """
     begun, brief = start_of(problem), problem.brief
-    count = begun.size - len(Structure().noise)
+    count = begun.size - len(problem.plain.noise)
     tries = [
-        Try(Structure((part,)), [
+        Try(problem.plain.plus(part), [
             np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
             for start in part.effect.starts(problem.data, part.settings)
         ], problem.flight.rate)

@@ -108,10 +108,9 @@ def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) 
         return Ladder(projection, (Rung(projection.ordered(reference.structure), 0.0),))
     plain = projection.structure(())
     if not projection.windows.count:  # too short for a free run
-        alone = Projected(plain, projection.start((), (), base.theta[:5]), np.zeros(0),
-                          converged=True)
+        alone = Projected(plain, projection.start((), (), base.theta), np.zeros(0), converged=True)
         return Ladder(projection, (Rung(alone, 0.0),))
-    starts = [projection.start((), (), own[:5]) for own in (reference.theta, base.theta)]
+    starts = [projection.start((), (), own) for own in (reference.theta, base.theta)]
     begun = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, begun.theta)
@@ -223,7 +222,7 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part], *,
     q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
     left = missing - q @ (q.T @ missing)
     theirs = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
-              for part, where in reference.structure.placed()
+              for part, where in reference.structure.effects()
               if part.effect.label not in have and (own or part.effect.kind == 'named')]
     theirs = sorted(theirs, key=lambda one: -one[0])[:PROJECTED]
     have |= {part.effect.label for _, part, _ in theirs}

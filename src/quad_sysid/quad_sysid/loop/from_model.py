@@ -19,7 +19,7 @@ from quad_sysid.estimate.stored import fitted_of, part_of, plant_of
 from quad_sysid.loop.plant import LATE_S, Flying, around, plant_like
 from quad_sysid.model import AxisModel, EffectEstimate
 from quad_sysid.model.effect import Effect, Part, Signals
-from quad_sysid.model.structure import BASE, Structure
+from quad_sysid.model.structure import Structure
 
 HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
         'direction'}
@@ -119,7 +119,8 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
     inside = _inside(model)
     flying = [one for one in inside
               if not one.effect.repeats_hz(one.p) and not one.effect.wanders]
-    p = np.array([model.value(spec.name) for spec in BASE])
+    law = model.law and Part(model.law)
+    p = np.array([model.value(name) for name in Structure(law=law).base_names])
     at = {**_usual(model, inside), **(moved or {})}
     p[0] *= schedule_factor(model, (moved or {}).get('battery'))
     p[2] = max(0.0, p[2]) + sum(
@@ -128,7 +129,7 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
     )
     return plant_like(
         model.axis, np.concatenate([p, *(one.p for one in flying)]), model.dt,
-        model.gyro_filter_hz, structure=Structure(tuple(one.part for one in flying)),
+        model.gyro_filter_hz, structure=Structure(tuple(one.part for one in flying), law=law),
         craft=model.craft, at=(at['throttle'], at['battery']),
     )
 

@@ -173,7 +173,7 @@ class Flight:
         acting = [one for one in structure.placed() if one[0].effect.moves_command]
         # what remembers the drive needs it from the start, all others from a pass to its end
         remembered = any({'command', 'history'} <= {*part.effect.signals}
-                         for part in structure.parts)
+                         for part, _ in structure.placed())
         key = p[1:3].tobytes() + bytes([remembered]) + b''.join(
             part.effect.label.encode() + p[where].tobytes() + repr(part.settings).encode()
             for part, where in acting
@@ -348,7 +348,7 @@ class Flight:
     ) -> Prediction:
         """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
         n, p, rate = self.data.rate.size, structure.natural(theta), self.rate
-        if all(part.effect.moves_command for part in structure.parts):
+        if all(part.effect.moves_command for part, _ in structure.placed()):
             sweeps = 1  # the physics is linear in the rate
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)

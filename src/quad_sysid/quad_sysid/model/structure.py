@@ -47,6 +47,13 @@ class Structure:
     filter is computed once a cycle by the bilinear transformation (Oppenheim, Schafer, 7.1)."""
     shared: tuple[int, ...] = ()
     """Which of the other two axes (0, 1) share their disturbance with this one."""
+    law: Part | None = None
+    """A law of the user's that the base has beside its built-in terms (own_base.py)."""
+
+    @property
+    def base(self) -> tuple[Spec, ...]:
+        """The base's parameters: the first ones of the vector."""
+        return BASE if self.law is None else BASE + self.law.effect.parameters
 
     @property
     def noise(self) -> tuple[Spec, ...]:
@@ -61,16 +68,24 @@ class Structure:
     @property
     def specs(self) -> tuple[Spec, ...]:
         """Specs in the order of the vector: base, effect by effect, noise."""
-        return BASE + tuple(s for part in self.parts for s in part.effect.parameters) + self.noise
+        own = tuple(s for part in self.parts for s in part.effect.parameters)
+        return self.base + own + self.noise
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names in that order: `gain`, …, `<effect>.<parameter>`, the noise."""
         return (
-            tuple(s.name for s in BASE)
+            self.base_names
             + tuple(f'{p.effect.name}.{s.name}' for p in self.parts for s in p.effect.parameters)
             + tuple(f'noise.{s.name}' for s in self.noise)
         )
+
+    @property
+    def base_names(self) -> tuple[str, ...]:
+        """Those of the base; a law's begin with its own, as an effect's do."""
+        built_in = tuple(s.name for s in BASE)
+        law = None if self.law is None else self.law.effect
+        return built_in + (tuple(f'{law.name}.{s.name}' for s in law.parameters) if law else ())
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -85,12 +100,17 @@ class Structure:
     def slices(self) -> list[slice]:
         """Each effect's slice of the vector."""
         counts = (len(part.effect.parameters) for part in self.parts)
-        ends = itertools.accumulate(counts, initial=len(BASE))
+        ends = itertools.accumulate(counts, initial=len(self.base))
         return [slice(begin, end) for begin, end in itertools.pairwise(ends)]
 
-    def placed(self) -> list[tuple[Part, slice]]:
+    def effects(self) -> list[tuple[Part, slice]]:
         """Each effect with its slice of the vector."""
         return list(zip(self.parts, self.slices(), strict=True))
+
+    def placed(self) -> list[tuple[Part, slice]]:
+        """The same with the law: all that acts beside the base's built-in terms."""
+        law = [] if self.law is None else [(self.law, slice(len(BASE), len(self.base)))]
+        return [*law, *self.effects()]
 
     def plus(self, part: Part) -> Structure:
         """The structure with one more effect."""

@@ -33,7 +33,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
                candidates: Sequence[Effect] = EFFECTS, units: Units | None = None) -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, problem = findings.data, findings.verdict, findings.problem
-    ladder, reference = findings.ladder, findings.found.best
+    ladder, reference, law = findings.ladder, findings.found.best, problem.plain.law
     whole = covariance(problem, reference)
     best = stored.readings(problem, reference, whole)
 
@@ -68,7 +68,8 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         ranges=ranges_of(data, (*reference.structure.parts, *chosen.structure.parts)),
         noise=stored.noise_of(reference), trusted_band_rad_s=band,
         craft=data.craft, units=units,
-        own_effects=tuple(effect for effect in candidates if effect not in EFFECTS),
+        own_effects=(*([] if law is None else [law.effect]),
+                     *(effect for effect in candidates if effect not in EFFECTS)),
     )
     explained = zip(ladder.rungs[1:], verdict.rung_fits[1:], verdict.rungs[1:], strict=True)
     # what predicts the held-out segments worse than the base is no reference for gains

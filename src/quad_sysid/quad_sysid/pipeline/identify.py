@@ -26,6 +26,7 @@ from quad_sysid.foresight import drawn_hz
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Effect
+from quad_sysid.own_base import Base, lacking
 from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, Residual
 from quad_sysid.pipeline.held_out import findings, of_black_box, of_grey_box
@@ -51,6 +52,8 @@ class Options:
     no_designer_because: str = 'no designer is installed (quad_tuning offers one)'
     effects: tuple[Effect, ...] = EFFECTS
     """The candidates for what is missing."""
+    base: Base | None = None
+    """The user's own; None: gain, lag, delay, damping and bias."""
     halt: Callable[[], str] = lambda: ''
     """Why the search may add nothing more; '' as long as it may."""
 
@@ -91,7 +94,8 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
                      for own in _commands(record, axis)), default=0.0)
         if drawn:
             options = replace(options, effects=())
-        told = found_effects(data, options, progress)
+        problem = None if options.base is None else options.base.problem(data, records[0].units)
+        told = found_effects(data, options, progress, problem)
     except NotInformativeError as error:
         warnings = _warnings(records)
         reason = '; '.join([str(error), *(w for w in warnings if 'cut off' in w)])
@@ -99,8 +103,11 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
             axis, rate, segments, 'cannot_tell', reason, proposal=GainProposal(None, reason),
             warnings=warnings,
         )
-    base = told.found.base
-    data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
+    base, warnings = told.found.base, _warnings(records)
+    if options.base is None:
+        data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
+    else:
+        warnings += lacking(options.base, told.problem, base)
     count = max(told.problem.data.motors.shape[1], FEWEST_MOTORS)
     searched = any(one.label not in told.found.reasons and max(one.motors, default=0) < count
                    and (not one.axes or axis in one.axes) for one in options.effects)
@@ -117,7 +124,7 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         axis, rate, segments, verdict, reason, findings=told, model=model,
         train=blackbox_part.io_data(data, data.train),
         outside=assemble.outside_of(model, data, data.validation),
-        warnings=_warnings(records),
+        warnings=warnings,
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index)
         if turns else None,
         rate_reference=_joined([r.rate_setpoint for r in records], data.index)
@@ -146,12 +153,15 @@ def _compared(answer: AxisAnswer, told: Findings, data: AxisData, records: Seque
     return replace(answer, closed_loop=closed_loop(answer, records, data))
 
 
-def found_effects(data: AxisData, options: Options,
-                  progress: Progress = lambda _: None) -> Findings:
-    """Search on the training segments, then the held-out ones. Raises NotInformativeError."""
+def found_effects(data: AxisData, options: Options, progress: Progress = lambda _: None,
+                  problem: Problem | None = None) -> Findings:
+    """Search on the training segments, then the held-out ones. Raises NotInformativeError.
+
+    problem: the training with a base of one's own.
+    """
     progress(f'{data.axis}: what is missing')
     try:
-        problem = Problem(data, data.train)
+        problem = problem or Problem(data, data.train)
         found = search(problem, options.effects, options.halt,
                        lambda line: progress(f'{data.axis}: {line}'))
         if not options.halt():
@@ -221,7 +231,7 @@ def _reason(told: Findings, not_searched: str) -> str:
             'the held-out segments or does not come again in resampled flights'
         )
     gain = verdict.chosen.value('gain')
-    if verdict.verdict != 'cannot_tell' and gain < 0.0:
+    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not told.problem.held:
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
             'the sign of the gyro before anything else'
@@ -269,8 +279,9 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
         return GainProposal(None, answer.reason)
     if not EVERY[answer.axis].turns:
         return GainProposal(None, 'gains are designed for the attitude only')
-    if options.designer is None:
-        return GainProposal(None, options.no_designer_because)
+    if options.designer is None or options.base is not None:
+        return GainProposal(None, options.no_designer_because if options.base is None
+                            else 'gains are designed for the built-in base only')
     try:
         return options.designer(answer.model.predicting)
     except QuadSysidError as error:
