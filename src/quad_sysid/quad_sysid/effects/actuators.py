@@ -10,26 +10,12 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import CurveBefore, placed_around_zero
-from quad_sysid.effects.hidden import (
-    RING,
-    System,
-    behind_lag,
-    followed,
-    ring,
-    step_of,
-)
+from quad_sysid.effects.hidden import RING, Linked, System, behind_lag, followed, ring, step_of
 from quad_sysid.effects.maps import Following, Kept, Map, Steps, why_not
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import laws
-from quad_sysid.model.data import AxisData, Span
-from quad_sysid.model.effect import (
-    Drive,
-    Effect,
-    Settings,
-    Signals,
-    Spec,
-    required,
-)
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec, required
 from quad_sysid.model.structure import BASE
 
 MOVES = 0.02
@@ -48,24 +34,6 @@ def over_cycle(x: FloatArray, u: FloatArray, tau: float, dt: float) -> FloatArra
     x: the lagged command at the start of the cycle.
     """
     return u + (x - u) * (tau / dt * -math.expm1(-dt / tau))
-
-
-def lagged(data: AxisData, command: FloatArray, tau: float) -> FloatArray:
-    """(n,) a held command after a first-order lag of `tau` s, mean over each cycle."""
-    return over_cycle(_behind(data.stretches, command, tau, data.dt), command, tau, data.dt)
-
-
-def _behind(
-    stretches: Sequence[Span], command: FloatArray, tau: float, dt: float
-) -> FloatArray:
-    """(n,) a held command after a first-order lag of `tau` s, at the start of each cycle."""
-    keep, out = math.exp(-dt / tau), command[None, :].copy()
-    followed(stretches, command, np.array([[keep]]), np.array([1.0 - keep]), out)
-    return out[0]
-
-
-def _late(p: FloatArray) -> float:
-    return max(float(p[0]), 1e-5)
 
 
 def _ringing(s: Signals, u: FloatArray, p: FloatArray) -> FloatArray:
@@ -143,8 +111,7 @@ SLOW_MAPS = (
             Spec('time_constant', 's', spread=1.0, centre=math.log(0.02), log=True,
                  starts=(0.01, 0.03, 0.1)),
         ),
-        lambda s, u, p: over_cycle(s.hidden, u, _late(p), s.dt), states=1,
-        system=lambda p, _: behind_lag(np.array([_late(p)])), output=lambda _: (np.ones(1), 0.0),
+        lambda s, u, p: over_cycle(s.hidden, u, p[0], s.dt), states=1,
         kind='mode', term='response',
         physics='a second first-order lag between command and torque',
         excite='a PRBS that reaches beyond 1 / lag',
@@ -157,8 +124,7 @@ SLOW_MAPS = (
             Spec('damping_ratio', '1', spread=0.4, centre=math.log(0.8), log=True, starts=(0.8,)),
             Spec('in_phase', '1', spread=0.3), Spec('quadrature', '1', spread=0.3),
         ),
-        _ringing, kind='mode', term='response', states=2, system=_mode,
-        output=lambda p: (p[2:], 1.0),
+        _ringing, kind='mode', term='response', states=2, system=lambda p, s: _mode(p, s.dt),
         physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command: motors under a "
         'speed controller',
         excite='a PRBS that reaches beyond the frequency',
@@ -174,7 +140,7 @@ SLOW_MAPS = (
             Spec('in_phase', '1', spread=0.06), Spec('quadrature', '1', spread=0.06),
         ),
         lambda s, u, p: _ringing(s, u, _lightly(p)), term='response', states=2,
-        system=lambda p, dt: _mode(_lightly(p), dt), output=lambda p: (p[2:], 1.0),
+        system=lambda p, s: _mode(_lightly(p), s.dt),
         physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command",
         excite='a chirp or PRBS through the mode',
     ),
@@ -207,11 +173,18 @@ class BatterySag(Effect):
         return {'battery': float(settings['reference_v'])}
 
 
-class Propellers(Effect):
+class Propellers(Linked):
     """The thrust of propellers is a curve of their motor's speed, a lagged command."""
 
     term = 'command'
     states = 1
+
+    def system(self, p: FloatArray, s: Signals) -> System:
+        """Of the base's lag."""
+        return behind_lag(s.lag)
+
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return [required(s.motors)[i] for i in of_motors(s, self.motors)]
 
     def bend(
         self, m: FloatArray, p: FloatArray, settings: Settings
@@ -223,19 +196,7 @@ class Propellers(Effect):
         raise NotImplementedError
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return np.stack([required(s.motors)[i] for i in of_motors(s, self.motors)])
-
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        u = self.begin(s, p, settings)
-        return u + (x - u) * math.exp(-s.dt / s.lag)
-
-    def trace(
-        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-        begun: FloatArray | None = None,
-    ) -> FloatArray:
-        return np.stack([_behind(stretches, u, s.lag, s.dt) for u in self.begin(s, p, settings)])
+        return np.stack(self.inputs(s, settings))
 
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         # f(m) of the lagged m follows the same lag where the command is f(m) + f'(m) (u - m)
@@ -472,7 +433,10 @@ class HasteCurve(CurveBefore):
 
     def prepare(self, data: AxisData) -> Settings | str:
         why, usual = why_not(data), math.exp(BASE[1].centre)
-        away = [data.training(m - lagged(data, m, usual)) for m in data.motors.T]
+        step, away = step_of(*behind_lag(usual), data.dt), []
+        for m in data.motors.T:
+            followed(data.stretches, m, *step, x := m[None].copy())
+            away.append(data.training(m - over_cycle(x[0], m, usual, data.dt)))
         # a motor that is late has further to go than by the usual lag
         return why or placed_around_zero(np.concatenate(away), self.count, reach=2.0)
 

@@ -61,6 +61,11 @@ def ring(frequency_hz: float, damping_ratio: float) -> System:
     return np.array([[0.0, w], [-w, -2.0 * damping_ratio * w]]), np.array([0.0, w])
 
 
+def behind_lag(lag_s: float) -> System:
+    """What the input lately was."""
+    return np.array([[-1.0 / lag_s]]), np.array([1.0 / lag_s])
+
+
 def step_of(a: FloatArray, b: FloatArray, dt: float) -> System:
     """The system's exact step over `dt` s with a held input."""
     return _step(a.tobytes(), b.tobytes(), dt)
@@ -86,34 +91,46 @@ def followed(
         laws.linear_states(moving, a, b, start, stop, out)
 
 
-class Linear(Torque):
-    """A torque of hidden states x' = A x + B input; the input is the rate."""
+class Linked(Effect):
+    """Hidden states x' = A x + B input of each of its inputs, by default behind a lag of p[0]."""
 
-    kind = 'mode'
-    system: Callable[[FloatArray], System]
-    """A and B from the parameters."""
-    per_rate: float = 1.0
-    """Size of the states beside the rate."""
+    def system(self, p: FloatArray, s: Signals) -> System:
+        """A and B from the parameters and what the signals say of base and cycle."""
+        return behind_lag(float(p[0]))
 
-    def driver(self, s: Signals, settings: Settings) -> FloatArray:
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
         """What drives the states."""
-        return s.rate
+        return (s.rate,)
+
+    def _step(self, s: Signals, p: FloatArray) -> System:
+        return step_of(*self.system(p, s), s.dt)
 
     def trace(
         self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
         begun: FloatArray | None = None,
     ) -> FloatArray:
-        out = np.zeros((self.states, s.time.size)) if begun is None else begun
-        for start, _ in stretches if begun is None else ():
-            out[:, start] = self.begin(s.at(start), p, settings)
-        followed(stretches, self.driver(s, settings), *step_of(*self.system(p), s.dt), out)
+        out, (a, b) = self.begin(s, p, settings) if begun is None else begun, self._step(s, p)
+        for one, own in zip(self.inputs(s, settings), out.reshape(-1, b.size, out.shape[1]),
+                            strict=True):
+            followed(stretches, one, a, b, own)
         return out
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        a, b = step_of(*self.system(p), s.dt)
-        return np.tensordot(a, x, 1) + np.multiply.outer(b, self.driver(s, settings))
+        a, b = self._step(s, p)
+        return np.concatenate([
+            np.tensordot(a, x[i * b.size : (i + 1) * b.size], 1) + np.multiply.outer(b, one)
+            for i, one in enumerate(self.inputs(s, settings))
+        ])
+
+
+class Linear(Linked, Torque):
+    """A torque of such states."""
+
+    kind = 'mode'
+    per_rate: float = 1.0
+    """Size of the states beside the rate."""
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return self.per_rate * s.rate
@@ -161,19 +178,14 @@ class Hysteresis(Effect):
         return -p[1] * required(s.hidden)[0]
 
 
-def behind_lag(p: FloatArray) -> System:
-    """What the input lately was: its first-order lag of p[0] s."""
-    return np.array([[-1.0 / p[0]]]), np.array([1.0 / p[0]])
-
-
 class Response(Linear):
     """A torque of hidden states that the drive moves."""
 
     free = True
     size = size_of_term
 
-    def driver(self, s: Signals, settings: Settings) -> FloatArray:
-        return s.drive
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return (s.drive,)
 
 
 class Memory(Shape, Linear):
@@ -184,7 +196,6 @@ class Memory(Shape, Linear):
     """
 
     states = 1
-    system = staticmethod(behind_lag)
 
     def __init__(self, term: str, signal: str) -> None:
         self.leans = 'angle' in signal
@@ -211,11 +222,11 @@ class Memory(Shape, Linear):
         rest = float(np.nanmean(used)) if self.leans else 0.0
         return {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
 
-    def driver(self, s: Signals, settings: Settings) -> FloatArray:
-        return self._push(signal_of(s, self.signal), settings)
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return (self._push(signal_of(s, self.signal), settings),)
 
     def settled(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.driver(s, settings)[None] if self.leans else np.ones((1, *s.time.shape))
+        return np.stack(self.inputs(s, settings)) if self.leans else np.ones((1, *s.time.shape))
 
     def factors(self, p: FloatArray, settings: Settings) -> FloatArray:
         """Factors on what it changes, cold and warm."""
@@ -238,7 +249,7 @@ class Memory(Shape, Linear):
             signal = lfilter([1.0 - keep], [1.0, -keep], signal)
         push = self._push(np.nan_to_num(signal), settings)
         out = np.zeros((1, push.size))
-        step = step_of(*self.system(p), data.dt)
+        step = step_of(*behind_lag(float(p[0])), data.dt)
         followed(whole.flights or ((0, push.size),), push, *step, out)
         return np.ascontiguousarray(out[:, here])
 
@@ -283,7 +294,7 @@ class MemoryCurve(Smooth, Memory):
         return curve * per_unit(self.term, s)
 
 
-class Shown(Shape):
+class Shown(Linked, Shape):
     """The gyro shows a curve of each motor's speed beside the rate; its change acts as a torque.
 
     Vibration that it rectifies grows with the speed of the motors, most with that of the worst
@@ -316,26 +327,11 @@ class Shown(Shape):
         middle, half = 0.5 * float(low + high), 0.5 * float(high - low)
         return {'middle': middle, 'half': half}
 
-    def _pushes(self, s: Signals, settings: Settings) -> FloatArray:
+    def inputs(self, s: Signals, settings: Settings) -> FloatArray:
         return (np.stack(required(s.motors)) - settings['middle']) / settings['half']
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self._pushes(s, settings)
-
-    def trace(
-        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-        begun: FloatArray | None = None,
-    ) -> FloatArray:
-        out = self._pushes(s, settings)
-        for one in out:
-            followed(stretches, one.copy(), *step_of(*behind_lag(p), s.dt), one[None, :])
-        return out
-
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        keep = math.exp(-s.dt / p[0])
-        return keep * x + (1.0 - keep) * self._pushes(s, settings)
+        return self.inputs(s, settings)
 
     @property
     def linear(self) -> list[int]:
@@ -366,11 +362,11 @@ REMEMBERED = {
 """Term → the signals whose past it may follow."""
 
 
-def _relaxing(p: FloatArray) -> System:
+def _relaxing(p: FloatArray, _: Signals) -> System:
     return np.array([[-1.0 / p[0]]]), np.array([1.0])
 
 
-def _laguerre(p: FloatArray) -> System:
+def _laguerre(p: FloatArray, _: Signals) -> System:
     """Orthogonal states; with eight of them they remember some 16 time constants (Wahlberg 1991).
 
     There are none of the rate, which would also describe a gyro's coloured noise.
@@ -414,7 +410,7 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('in_phase', '1/s'), Spec('quadrature', '1/s'),
         ),
         lambda s, p: p[2] * required(s.hidden)[0] + p[3] * required(s.hidden)[1],
-        system=lambda p: ring(float(p[0]), min(float(p[1]), 1.0)), states=2,
+        system=lambda p, _: ring(float(p[0]), min(float(p[1]), 1.0)), states=2,
         excite='a chirp or PRBS through the mode',
         physics=f"{RING} rate; torque in_phase z + quadrature z'/w",
     ),

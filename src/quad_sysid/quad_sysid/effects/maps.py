@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.hidden import System, followed, step_of
+from quad_sysid.effects.hidden import Linked
 from quad_sysid.effects.loads import along
 from quad_sysid.effects.torques import Row
 from quad_sysid.model.data import AxisData, Span
@@ -113,28 +113,12 @@ class Steps(Kept):
         return required(s.sent) + np.tensordot(required(s.share), mapped, 1)
 
 
-class Following(Map):
-    """A map with a linear memory x' = A x + B u of the command."""
+class Following(Linked, Map):
+    """A map with linear states that the command drives."""
 
-    system: Callable[[FloatArray, float], System]
-    """A and B from the parameters and the length of a cycle, s."""
-    output: Callable[[FloatArray], tuple[FloatArray, float]]
-    """What of its states and of the command goes on."""
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return (required(s.sent),)
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         sent = required(s.sent)
         return np.stack([sent, *[np.zeros_like(sent)] * (self.states - 1)])
-
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        a, b = step_of(*self.system(p, s.dt), s.dt)
-        return np.tensordot(a, x, 1) + np.multiply.outer(b, required(s.sent))
-
-    def trace(
-        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-        begun: FloatArray | None = None,
-    ) -> FloatArray:
-        x = self.begin(s, p, settings)
-        followed(stretches, required(s.sent), *step_of(*self.system(p, s.dt), s.dt), x)
-        return x

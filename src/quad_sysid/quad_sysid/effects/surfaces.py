@@ -14,7 +14,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import SLOW_MOVES, Shape, signal_of
-from quad_sysid.effects.hidden import DEGREE, FADES, Linear, behind_lag, polynomials
+from quad_sysid.effects.hidden import DEGREE, FADES, Linear, polynomials
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Settings, Signals, Spec, required
 
@@ -33,7 +33,6 @@ class Surface(Shape, Linear):
     """A torque as a smooth surface over two signals."""
 
     free = True
-    system = staticmethod(behind_lag)
 
     def __init__(self, first: str, second: str) -> None:
         self.shaped('torque', first, f'with {second}')
@@ -65,16 +64,16 @@ class Surface(Shape, Linear):
     ) -> Signals:
         return replace(s, rate=followed(s.rate)) if self.second == 'rate' else s
 
-    def driver(self, s: Signals, settings: Settings) -> FloatArray:
-        return _in_half_ranges(signal_of(s, self.second), settings['second'])
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return (_in_half_ranges(signal_of(s, self.second), settings['second']),)
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.driver(s, settings)[None] if self.states else np.zeros((0, *s.time.shape))
+        return np.stack(self.inputs(s, settings))
 
     def _polynomials(self, s: Signals, settings: Settings) -> tuple[FloatArray, FloatArray]:
         """(n, DEGREE + 1) of either signal."""
         first = _in_half_ranges(signal_of(s, self.signal), settings['first'])
-        second = required(s.hidden)[0] if self.states else self.driver(s, settings)
+        second = (required(s.hidden) if self.states else self.inputs(s, settings))[0]
         return polynomials(first), polynomials(second)
 
     def columns(
