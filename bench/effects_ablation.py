@@ -37,13 +37,13 @@ GROUPS = {
     'rough curves': r'rough',
     'curves of what a signal has lately been': r'memory curve',
     'surfaces over two signals': r'/with ',
-    'what wanders by itself, drifts': r'wandering|drift',
+    'damping, lag, delay, friction that wander; drifts': r'drift|(?<!gain:time)/wandering',
     'delays that repeat themselves, steps': r'shape:delay:time/(periodic|held)|/steps',
     'what the gyro shows of each motor': r'shown by the gyro',
     'motors that differ up and down, each or all': r'shape:lag:direction/(motor|axis)',
-    'curves over other axes, voltage, and of delay; friction over angle, command, time':
-        r'shape:(other_|battery|delay:(battery|throttle|time/(smooth|rough|drift))|lag:(battery|time)'
-        r'|damping:(angle|command|battery|time)|gain:angle|(angle|command|time)/\w+ friction)',
+    'curves over other axes and, but for the gain, voltage; gain over angle, friction over angle '
+    'and command': r'shape:(other_(rate|command)|other_angle/[sr]|battery|(damping|lag|delay):batt'
+    r'|gain:angle|(angle|command)/\w+ friction)',
 }
 """Name → its labels, as a regular expression."""
 FIRST_SEED, PERMUTED = 31_000, 5

@@ -17,7 +17,7 @@ from quad_sysid.model.effect import Effect
 
 GROUP = 'quad_sysid.effects'
 BUILT_IN: tuple[Effect, ...] = (
-    *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES, *SURFACES, *WANDERING,
+    *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES, *SURFACES, WANDERING,
     *CLOCKED, SHOWN,
 )
 EFFECTS: tuple[Effect, ...] = (

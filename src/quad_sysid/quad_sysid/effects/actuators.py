@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.curves import CurveBefore, placed_around_zero
+from quad_sysid.effects.curves import COUNT, Smooth, placed_around_zero
 from quad_sysid.effects.hidden import RING, Linked, System, behind_lag, followed, ring, step_of
 from quad_sysid.effects.maps import Following, Kept, Map, Steps, why_not
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import laws
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Drive, Effect, Settings, Signals, Spec, required
+from quad_sysid.model.effect import UNITS, Drive, Effect, Settings, Signals, Spec, required
 from quad_sysid.model.structure import BASE
 
 MOVES = 0.02
@@ -238,20 +238,18 @@ class ThrustCurve(Propellers):
         return bent * away**2, 2.0 * bent * away
 
 
-class MotorCurve(Propellers, CurveBefore):
+class MotorCurve(Propellers, Smooth):
     """The slope of thrust over command is a smooth curve, of all motors or of one."""
 
-    def __init__(self, smoothness: str, *motors: int) -> None:
-        super().__init__('gain', 'command', smoothness)
+    name = 'shape:gain:command'
+    signals = ('command', 'motors', 'throttle')
+    physics = 'thrust m + f(m) of a motor command m behind its lag; f has smooth slopes'
+    excite = 'throttle changes during the excitation, large commands on two axes at once'
+
+    def __init__(self, *motors: int) -> None:
         self.motors = motors
-        who = f'motor {motors[0] + 1}' if motors else 'motors'
-        self.term, self.variant = 'command', f'{smoothness}, {who}'
-        self.signals = ('command', 'motors', 'throttle')
-        self.parameters = tuple(
-            Spec(f'slope_{i}', '1', spread=0.3) for i in range(self.count)
-        )
-        self.physics = 'thrust m + f(m) of a motor command m behind its lag; f has smooth slopes'
-        self.excite = 'throttle changes during the excitation, large commands on two axes at once'
+        self.variant = f'smooth, motor {motors[0] + 1}' if motors else 'smooth, motors'
+        self.parameters = self.valued(Spec('slope_', '1', spread=0.3))
 
     def prepare(self, data: AxisData) -> Settings | str:
         why = why_not(data, single=len(self.motors) == 1)
@@ -259,10 +257,9 @@ class MotorCurve(Propellers, CurveBefore):
             return why
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         return {
-            'knots': tuple(np.linspace(low, high, self.count).tolist()),
-            'place': tuple(np.linspace(-1.0, 1.0, self.count).tolist()),
+            'knots': tuple(np.linspace(low, high, COUNT).tolist()),
             # of all motors the mean slope is the gain; one may be weaker than the others
-            'mean': (0.0 if self.motors else 1.0 / self.count,) * self.count,
+            'mean': (0.0 if self.motors else 1.0 / COUNT,) * COUNT,
             'throttle': float(np.mean(data.training(data.control[:, 0]))),
         }
 
@@ -372,64 +369,41 @@ def _slow_motor(motor: int) -> Effect:
     )
 
 
-def _slow_share(sign: float) -> Callable[[Signals, Drive, FloatArray], Drive]:
-    def shared(_: Signals, drive: Drive, p: FloatArray) -> Drive:
-        slow, share = np.maximum(p[0], drive.lag[:1]), sign * p[1]
-        return replace(
-            drive, commands=np.concatenate([drive.commands, drive.commands[:1]]),
-            row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
-            lag=np.concatenate([drive.lag, slow]),
-            factors=np.concatenate([drive.factors, drive.factors[:1]]),
-        )
+def _shared(drive: Drive, share: float, lag: FloatArray) -> Drive:
+    """A share of the axis' command behind a lag (1, n) of its own."""
+    return replace(
+        drive, commands=np.concatenate([drive.commands, drive.commands[:1]]),
+        row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
+        lag=np.concatenate([drive.lag, lag]),
+        factors=np.concatenate([drive.factors, drive.factors[:1]]),
+    )
 
-    return shared
+
+def _slow_share(sign: float) -> Callable[[Signals, Drive, FloatArray], Drive]:
+    return lambda _, drive, p: _shared(drive, sign * p[1], np.maximum(p[0], drive.lag[:1]))
 
 
 def _reaction(_: Signals, drive: Drive, p: FloatArray) -> Drive:
     """Torque T drive' beside the drive; as drive' = (u - drive) / lag, it is a share of u."""
     lag = drive.lag[:1]
-    share = float(p[0]) / float(lag[0, 0])
-    return replace(
-        drive, commands=np.concatenate([drive.commands, drive.commands[:1]]),
-        row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
-        lag=np.concatenate([drive.lag, np.full_like(lag, AT_ONCE_S)]),
-        factors=np.concatenate([drive.factors, drive.factors[:1]]),
-    )
+    return _shared(drive, float(p[0]) / float(lag[0, 0]), np.full_like(lag, AT_ONCE_S))
 
 
-def _asymmetric(variant: str, *motors: int, each: bool = True) -> Effect:
-    """Of these motors, of each one (none named), or of the axis' command."""
-
-    def uneven(s: Signals, drive: Drive, p: FloatArray) -> Drive:
-        factors = BOTH_WAYS, -float(p[0]) * np.sign(BOTH_WAYS)
-        if each:
-            return differing(s, drive, of_motors(s, motors), factors=factors)
-        whole = drive.factors.copy()
-        whole[0] = factors
-        return replace(drive, factors=whole)
-
-    return Motors(
-        'shape:lag:direction', ('command', 'direction', *(('motors',) if each else ())),
-        (Spec('asymmetry', '1', spread=0.5),), uneven, kind='shape', variant=variant,
-        motors=motors, excite='steps of the command up and down',
-        physics='a motor slows down with the lag times exp(a) and speeds up with the lag over '
-        'exp(a)',
-    )
-
-
-class HasteCurve(CurveBefore):
+class HasteCurve(Smooth):
     """The lag of all motors follows how far each has to go, its command less its speed.
 
     A smooth curve of the logarithm of a factor.
     """
 
+    name = 'shape:lag:direction'
+    variant = 'smooth, motors'
+    term = 'response'
+    signals = ('command', 'direction', 'motors')
+    physics = 'the lag of a motor follows how far it has to go, as a smooth curve'
+    excite = 'small and large steps of the command, up and down'
+
     def __init__(self) -> None:
-        super().__init__('lag', 'command', 'smooth')
-        self.name, self.variant, self.term = 'shape:lag:direction', 'smooth, motors', 'response'
-        self.signals = ('command', 'direction', 'motors')
-        self.parameters = tuple(replace(spec, spread=1.0) for spec in self.parameters)
-        self.physics = 'the lag of a motor follows how far it has to go, as a smooth curve'
-        self.excite = 'small and large steps of the command, up and down'
+        self.parameters = self.valued(Spec('y', UNITS['lag'], spread=1.0))
 
     def prepare(self, data: AxisData) -> Settings | str:
         why, usual = why_not(data), math.exp(BASE[1].centre)
@@ -438,22 +412,19 @@ class HasteCurve(CurveBefore):
             followed(data.stretches, m, *step, x := m[None].copy())
             away.append(data.training(m - over_cycle(x[0], m, usual, data.dt)))
         # a motor that is late has further to go than by the usual lag
-        return why or placed_around_zero(np.concatenate(away), self.count, reach=2.0)
+        return why or placed_around_zero(np.concatenate(away), reach=2.0)
 
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         knots, values = np.array(settings['knots']), p - float(np.dot(settings['mean'], p))
         return differing(s, drive, of_motors(s, ()), factors=(knots, values))
 
 
-BOTH_WAYS = np.array([-3.0, -2.0, -1e-9, 1e-9, 2.0, 3.0])
-"""Knots of a curve that only knows whether a motor slows down or speeds up."""
 SLOW = Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
             starts=(0.09, 0.15, 0.3))
 SHARE = Spec('share', '1', spread=0.3, positive=True)
 ACTUATORS: tuple[Effect, ...] = (
-    *MAPS, BatterySag(), ThrustCurve(), MotorCurve('smooth'), MotorCurve('rough'),
-    *(MotorCurve('smooth', i) for i in range(MOST_MOTORS)), Saturation('upper'),
-    Saturation('lower'),
+    *MAPS, BatterySag(), ThrustCurve(), MotorCurve(),
+    *(MotorCurve(i) for i in range(MOST_MOTORS)), Saturation('upper'), Saturation('lower'),
     Motors(
         'motor_lag', ('command',), (SLOW, SHARE), _slow_share(1.0),
         physics='a share of the motors answers with a longer lag than the others',
@@ -473,7 +444,5 @@ ACTUATORS: tuple[Effect, ...] = (
         'way, a true lead in yaw',
         excite='a PRBS that reaches beyond 1 / lag',
     ),
-    *(_slow_motor(i) for i in range(MOST_MOTORS)), _asymmetric('motors'),
-    _asymmetric('axis', each=False), HasteCurve(),
-    *(_asymmetric(f'motor {i + 1}', i) for i in range(MOST_MOTORS)), *SLOW_MAPS,
+    *(_slow_motor(i) for i in range(MOST_MOTORS)), HasteCurve(), *SLOW_MAPS,
 )

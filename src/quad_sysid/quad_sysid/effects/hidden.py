@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.curves import SLOW_MOVES, SMOOTH, Shape, Smooth, over_knots, signal_of
+from quad_sysid.effects.curves import COUNT, SLOW_MOVES, Shape, Smooth, over_knots, signal_of
 from quad_sysid.effects.loads import LOADS, Load, Yielding, along
 from quad_sysid.effects.torques import Torque
 from quad_sysid.model import laws
@@ -265,10 +265,7 @@ class MemoryCurve(Smooth, Memory):
 
     def __init__(self, term: str, signal: str) -> None:
         super().__init__(term, signal)
-        self.count, self.length = SMOOTH['smooth']
-        self.parameters = (
-            self.parameters[0], *(Spec(f'y{i}', UNITS[term]) for i in range(self.count)),
-        )
+        self.parameters = (self.parameters[0], *self.valued(Spec('y', UNITS[term])))
         self.physics = f'{self.physics.replace("change x", "y(x)")}; y is a smooth curve'
         self.shaped(term, signal, 'memory curve', 'history')
 
@@ -279,11 +276,10 @@ class MemoryCurve(Smooth, Memory):
         quick = np.array(self.parameters[0].starts[:1])
         seen = data.training(self.begun(data, quick, settings)[0])
         low, high = np.nanpercentile(seen, [0.5, 99.5])
-        rest, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, self.count)
+        rest, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, COUNT)
         return {
             **settings, 'knots': tuple(knots.tolist()),
-            'place': tuple(np.linspace(-1.0, 1.0, self.count).tolist()),
-            'mean': tuple(float(np.interp(rest, knots, hat)) for hat in np.eye(self.count)),
+            'mean': tuple(float(np.interp(rest, knots, hat)) for hat in np.eye(COUNT)),
         }
 
     def factors(self, p: FloatArray, settings: Settings) -> FloatArray:

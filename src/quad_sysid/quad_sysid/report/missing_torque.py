@@ -188,8 +188,7 @@ def drawn(along: Along, index: int) -> Drawn:
     if part.effect.wanders:
         inside = settled(along.problem.spans, along.problem.data.dt)
         x, y = variable(along, part)[inside], along.followed()[index][inside]
-        return Drawn('time, s', LABELS[part.effect.term].replace('factor', 'change'), x,
-                     part.settings['unit'] * y, np.zeros(x.size))
+        return Drawn('time, s', LABELS['gain'], x, y, np.zeros(x.size))
     evaluate, x, over = _picture(along, part)
 
     def at(moved: FloatArray) -> FloatArray:
