@@ -10,7 +10,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import COUNT, Smooth, placed_around_zero
-from quad_sysid.effects.hidden import RING, Linked, System, behind_lag, followed, ring, step_of
+from quad_sysid.effects.hidden import Linked, System, behind_lag, followed, ring, step_of
 from quad_sysid.effects.maps import Following, Kept, Map, Steps, why_not
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import laws
@@ -59,25 +59,12 @@ HALF_WIDTH = (
 MAPS = (
     Map(
         'dead_zone', ('command',), HALF_WIDTH,
-        lambda _, u, p: np.sign(u) * np.maximum(np.abs(u) - p[0], 0.0),
-        physics='sign(u) max(|u| - w, 0): the motors do not answer to small commands',
-        excite='small commands around zero: a multisine of small amplitude',
-    ),
+        lambda _, u, p: np.sign(u) * np.maximum(np.abs(u) - p[0], 0.0)),
     Kept(
         'backlash', ('command', 'history'), HALF_WIDTH,
-        lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]), loop=laws.play,
-        kept=lambda x, u, _, p: np.clip(x, u - p[0], u + p[0]),
-        numbers=lambda _, p: (float(p[0]),),
-        physics='play of +-w between command and torque',
-        excite='small slow reversals of the command',
-    ),
+        lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]),
+        loop=laws.play, numbers=lambda _, p: (float(p[0]),)),
 )
-
-
-def _slewed(x: FloatArray, u: FloatArray, s: Signals, p: FloatArray) -> FloatArray:
-    return x + np.clip(u - x, -p[0] * s.dt, p[0] * s.dt)
-
-
 SLOW_MAPS = (
     Kept(
         'shape:lag:command', ('command', 'motors', 'history'),
@@ -85,12 +72,9 @@ SLOW_MAPS = (
             Spec('slew', '1/s', spread=1.5, centre=math.log(3.0), log=True,
                  starts=(0.5, 1.5, 4.0, 10.0)),
         ),
-        lambda s, u, p: _slewed(s.hidden, u, s, p), kept=_slewed,
+        lambda s, u, p: s.hidden + np.clip(u - s.hidden, -p[0] * s.dt, p[0] * s.dt),
         loop=laws.slew, numbers=lambda s, p: (float(p[0]) * s.dt,),
-        kind='shape', variant='slew limit', term='response',
-        physics='the command of a motor changes by at most so much a second',
-        excite='large steps of the command',
-    ),
+        kind='shape', variant='slew limit', term='response'),
     Steps(
         'shape:gain:command', ('command', 'motors'),
         (
@@ -98,13 +82,8 @@ SLOW_MAPS = (
             Spec('level', '1', spread=0.3, starts=(0.0,)),
             Spec('hysteresis', '1', spread=0.3, positive=True, starts=(0.0, 0.25)),
         ),
-        lambda *_: None, kept=lambda x, u, _, p: np.where(
-            np.abs(u - x) - 0.5 > p[2], np.floor(u + 0.5), x),
-        loop=laws.in_steps, numbers=lambda _, p: (float(p[2]),),
-        kind='shape', variant='steps',
-        physics='motors take their command in whole steps, with hysteresis',
-        excite='slow small commands',
-    ),
+        lambda s, u, p: np.where(np.abs(u - s.hidden) - 0.5 > p[2], np.floor(u + 0.5), s.hidden),
+        loop=laws.in_steps, numbers=lambda _, p: (float(p[2]),), kind='shape', variant='steps'),
     Following(
         'mode:second_lag', ('command', 'history'),
         (
@@ -112,11 +91,8 @@ SLOW_MAPS = (
                  starts=(0.01, 0.03, 0.1)),
         ),
         lambda s, u, p: over_cycle(s.hidden, u, p[0], s.dt), states=1,
-        kind='mode', term='response',
-        physics='a second first-order lag between command and torque',
-        excite='a PRBS that reaches beyond 1 / lag',
-    ),
-    Following(
+        kind='mode', term='response'),
+    Following(  # motors under a speed controller
         'mode:second_order', ('command', 'history'),
         (
             Spec('frequency', 'Hz', spread=0.8, centre=math.log(3.0), log=True,
@@ -124,11 +100,7 @@ SLOW_MAPS = (
             Spec('damping_ratio', '1', spread=0.4, centre=math.log(0.8), log=True, starts=(0.8,)),
             Spec('in_phase', '1', spread=0.3), Spec('quadrature', '1', spread=0.3),
         ),
-        _ringing, kind='mode', term='response', states=2, system=lambda p, s: _mode(p, s.dt),
-        physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command: motors under a "
-        'speed controller',
-        excite='a PRBS that reaches beyond the frequency',
-    ),
+        _ringing, kind='mode', term='response', states=2, system=lambda p, s: _mode(p, s.dt)),
     Following(
         'resonance', ('command', 'history'),
         (
@@ -140,10 +112,7 @@ SLOW_MAPS = (
             Spec('in_phase', '1', spread=0.06), Spec('quadrature', '1', spread=0.06),
         ),
         lambda s, u, p: _ringing(s, u, _lightly(p)), term='response', states=2,
-        system=lambda p, s: _mode(_lightly(p), s.dt),
-        physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command",
-        excite='a chirp or PRBS through the mode',
-    ),
+        system=lambda p, s: _mode(_lightly(p), s.dt)),
 )
 
 
@@ -154,8 +123,6 @@ class BatterySag(Effect):
     signals = ('battery', 'command')
     term = 'gain'
     parameters = (Spec('exponent', '1', spread=1.5),)
-    physics = 'gain (V / V_ref)^n: thrust per command falls with the pack voltage'
-    excite = 'a long flight, or throttle changes, so that the voltage moves by 5 % or more'
 
     def prepare(self, data: AxisData) -> Settings | str:
         volts = data.signal('battery')
@@ -215,8 +182,6 @@ class ThrustCurve(Propellers):
     name = 'thrust_curve'
     signals = ('command', 'throttle', 'motors')
     parameters = (Spec('curvature', '1', spread=0.4),)
-    physics = 'thrust (1 - k) m + k m² of each motor command m'
-    excite = 'throttle changes during the excitation, or large commands on two axes at once'
 
     def prepare(self, data: AxisData) -> Settings | str:
         if why := why_not(data):
@@ -243,8 +208,6 @@ class MotorCurve(Propellers, Smooth):
 
     name = 'shape:gain:command'
     signals = ('command', 'motors', 'throttle')
-    physics = 'thrust m + f(m) of a motor command m behind its lag; f has smooth slopes'
-    excite = 'throttle changes during the excitation, large commands on two axes at once'
 
     def __init__(self, *motors: int) -> None:
         self.motors = motors
@@ -290,8 +253,6 @@ class Saturation(Map):
             'saturation', ('command', 'motors'),
             (Spec(side, '1', spread=0.3, centre=centre, starts=(centre,)),),  # not linear in it
             lambda _, motors, p: limit(motors, p[0]), variant=side,
-            physics='clip(m, lower, upper): the motors stop short of what is commanded',
-            excite='large commands: a square wave of large amplitude',
         )
 
     def prepare(self, data: AxisData) -> Settings | str:
@@ -363,10 +324,7 @@ def _slow_motor(motor: int) -> Effect:
     return Motors(
         'motor_lag', ('command', 'motors'), (replace(SLOW, starts=(0.07, 0.12, 0.25)),),
         lambda s, drive, p: differing(s, drive, [motor], slow_s=float(p[0])),
-        motors=(motor,), variant=f'motor {motor + 1}',
-        physics='one motor answers with a longer lag; the other axes then act here as well',
-        excite='hover with all axes moving',
-    )
+        motors=(motor,), variant=f'motor {motor + 1}')
 
 
 def _shared(drive: Drive, share: float, lag: FloatArray) -> Drive:
@@ -399,8 +357,6 @@ class HasteCurve(Smooth):
     variant = 'smooth, motors'
     term = 'response'
     signals = ('command', 'direction', 'motors')
-    physics = 'the lag of a motor follows how far it has to go, as a smooth curve'
-    excite = 'small and large steps of the command, up and down'
 
     def __init__(self) -> None:
         self.parameters = self.valued(Spec('y', UNITS['lag'], spread=1.0))
@@ -425,24 +381,12 @@ SHARE = Spec('share', '1', spread=0.3, positive=True)
 ACTUATORS: tuple[Effect, ...] = (
     *MAPS, BatterySag(), ThrustCurve(), MotorCurve(),
     *(MotorCurve(i) for i in range(MOST_MOTORS)), Saturation('upper'), Saturation('lower'),
-    Motors(
-        'motor_lag', ('command',), (SLOW, SHARE), _slow_share(1.0),
-        physics='a share of the motors answers with a longer lag than the others',
-        excite='a PRBS that reaches beyond 1 / lag',
-    ),
-    Motors(
-        'mode:lead', ('command',), (SLOW, SHARE), _slow_share(-1.0), kind='mode',
-        physics="the torque overshoots and falls back by a share: rotors' own reaction in yaw",
-        excite='a PRBS that reaches beyond 1 / lag',
-    ),
+    Motors('motor_lag', ('command',), (SLOW, SHARE), _slow_share(1.0)),
+    Motors('mode:lead', ('command',), (SLOW, SHARE), _slow_share(-1.0), kind='mode'),
     Motors(
         'mode:rotor_lead', ('command',),
         (Spec('lead_time', 's', spread=1.0, centre=math.log(0.1), log=True,
               starts=(0.03, 0.1, 0.3)),),
-        _reaction, kind='mode',
-        physics='T times the change of the drive: rotors that speed up push the body the other '
-        'way, a true lead in yaw',
-        excite='a PRBS that reaches beyond 1 / lag',
-    ),
+        _reaction, kind='mode'),
     *(_slow_motor(i) for i in range(MOST_MOTORS)), HasteCurve(), *SLOW_MAPS,
 )

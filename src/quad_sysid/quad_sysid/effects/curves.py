@@ -98,7 +98,6 @@ class Shape(Effect):
 class Smooth(Shape):
     """A shape whose parameters from `first` on are the values of a curve at its knots."""
 
-    free = True
     first = 0
 
     def valued(self, spec: Spec) -> tuple[Spec, ...]:
@@ -130,8 +129,6 @@ class Curve(Smooth):
         spread = {'lag': 0.5, 'delay': 0.01}.get(term)
         self.parameters = (*self.valued(Spec('y', UNITS[term], spread=spread)),
                            *((TRANSITION,) * (term == 'friction')))
-        self.physics = f'{term} follows {signal} as a smooth curve'
-        self.excite = f'let {signal} cover its range while the axis is excited'
 
     def prepare(self, data: AxisData) -> Settings | str:
         signal = data.signal(self.signal)
@@ -187,8 +184,6 @@ class Wandering(Shape):
         Spec('spread', '1', spread=1.0, centre=math.log(0.3), log=True, starts=(0.1, 0.3, 1.0)),
         Spec('correlation', 's', spread=1.0, centre=math.log(10.0), log=True, starts=(2.0, 10.0)),
     )
-    physics = "the gain wanders: x' = -x / correlation + noise, of RMS `spread`"
-    excite = 'a long flight with excitation throughout'
 
     def __init__(self) -> None:
         self.shaped('gain', 'time', 'wandering', 'history')
@@ -212,6 +207,7 @@ CELLS = {
 }
 """Term → the signals that it may follow."""
 
-CURVES = tuple((LagCurve if term == 'lag' else Curve)(term, signal)
-               for term, signals in CELLS.items() for signal in signals)
-WANDERING = Wandering()
+CURVES: tuple[Effect, ...] = (
+    *((LagCurve if term == 'lag' else Curve)(term, signal)
+      for term, signals in CELLS.items() for signal in signals), Wandering(),
+)

@@ -43,7 +43,6 @@ EDGE = 1.1
 SHOWN_MOTORS = 4
 SHOWN_BY = tuple(itertools.product(range(SHOWN_MOTORS), range(1, DEGREE + 1)))
 """Motor and degree of each term that a gyro may show."""
-RING = "z'' + 2 d w z' + w² z = w²"
 
 
 def polynomials(x: FloatArray) -> FloatArray:
@@ -158,8 +157,6 @@ class Hysteresis(Effect):
              starts=(0.01, 0.03, 0.1, 0.3)),
         Spec('torque', 'rad/s²', positive=True),
     )
-    physics = "-T x, x' = rate / reach (1 - x sign(rate)): friction that builds up (Dahl 1968)"
-    excite = 'small and large motion with many reversals'
 
     def trace(
         self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
@@ -181,7 +178,6 @@ class Hysteresis(Effect):
 class Response(Linear):
     """A torque of hidden states that the drive moves."""
 
-    free = True
     size = size_of_term
 
     def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
@@ -204,10 +200,6 @@ class Memory(Shape, Linear):
                  starts=(0.3, 1.5, 8.0, 40.0)),
             Spec('change', UNITS[term]),
         )
-        source = '0' if signal == 'time' else f'{signal}² / mean({signal}²) - 1'
-        source = signal if self.leans else source
-        self.physics = f"{term} + change x, time_constant x' = {source} - x"
-        self.excite = f'let {signal} rise and fall slowly while the axis is excited'
         self.shaped(term, signal, 'memory', 'history')
 
     def prepare(self, data: AxisData) -> Settings | str:
@@ -266,7 +258,6 @@ class MemoryCurve(Smooth, Memory):
     def __init__(self, term: str, signal: str) -> None:
         super().__init__(term, signal)
         self.parameters = (self.parameters[0], *self.valued(Spec('y', UNITS[term])))
-        self.physics = f'{self.physics.replace("change x", "y(x)")}; y is a smooth curve'
         self.shaped(term, signal, 'memory curve', 'history')
 
     def prepare(self, data: AxisData) -> Settings | str:
@@ -297,7 +288,6 @@ class Shown(Linked, Shape):
     one; currents shift its ground. Polynomials of each motor's command behind a lag.
     """
 
-    free = True
     states = 4
     others = 0, 1
     parameters = (
@@ -305,11 +295,6 @@ class Shown(Linked, Shape):
              starts=(0.02, 0.05, 0.15)),
         *(Spec(f'motor_{i + 1}_{k}', 'rad/s', spread=0.1) for i, k in SHOWN_BY),
     )
-    physics = (
-        'the gyro shows beside the rate sum of c_ik P_k(x_i), Legendre polynomials of each motor; '
-        "time_constant x' = its command - x"
-    )
-    excite = 'let the throttle rise and fall quickly, with all axes moving'
 
     def __init__(self) -> None:
         self.shaped('torque', 'throttle', 'shown by the gyro', 'command', 'motors', 'history')
@@ -380,8 +365,6 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('stiffness', 'rad/s² per rad'),
         ),
         lambda s, p: -p[1] * required(s.hidden)[0], system=_relaxing, states=1, per_rate=0.5,
-        excite='a PRBS and slow steps of the angle',
-        physics="-k x, x' = rate - x / tau: a spring on a damper, a load that relaxes",
     ),
     # in free flight an accelerometer does not see the tilt, so the measured orientation is wrong;
     # the true angle turns the aircraft, and the rate's integral gives it over the memory
@@ -393,8 +376,6 @@ HIDDEN: tuple[Effect, ...] = (
         ),
         lambda s, p: -p[1] * np.sin(required(s.hidden)[0]), system=_relaxing, states=1,
         per_rate=0.5, kind='named', variant='from the rate',
-        excite='large slow angles: a square wave of long period, a slow chirp',
-        physics="-k sin(x), x' = rate - x / memory: centre of mass off the axis",
     ),
     Linear(
         'mode:swinging', ('rate', 'history'),
@@ -407,8 +388,6 @@ HIDDEN: tuple[Effect, ...] = (
         ),
         lambda s, p: p[2] * required(s.hidden)[0] + p[3] * required(s.hidden)[1],
         system=lambda p, _: ring(float(p[0]), min(float(p[1]), 1.0)), states=2,
-        excite='a chirp or PRBS through the mode',
-        physics=f"{RING} rate; torque in_phase z + quadrature z'/w",
     ),
     Hysteresis(),
     *(Load(moved) for moved in LOADS),
@@ -422,11 +401,8 @@ HIDDEN: tuple[Effect, ...] = (
         ),
         lambda s, p: np.tensordot(p[1:], required(s.hidden), 1), system=_laguerre, states=LAGUERRE,
         term='gain',
-        physics='sum of c_i x_i, Laguerre states of the drive: any linear response to it',
-        excite='a PRBS long enough for the slowest response',
     ),
     *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
     *(MemoryCurve(term, signal) for term, signals in REMEMBERED.items() for signal in signals
-      if signal != 'time'),
+      if signal != 'time'), Shown(),
 )
-SHOWN = Shown()

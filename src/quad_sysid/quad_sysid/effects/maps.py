@@ -55,13 +55,11 @@ class Map(Row):
 
 
 class Kept(Map):
-    """A map that keeps something of each command it maps, by a compiled loop along a flight."""
+    """A map that keeps what it gave in the last cycle, by a compiled loop along a flight."""
 
     states = 1
-    kept: Callable[[FloatArray, FloatArray, Signals, FloatArray], FloatArray]
-    """What is kept after a cycle: of what was (k, …), the commands, signals and parameters."""
     loop: Callable[..., None]
-    """The same along a flight, into what is kept at the start of each cycle."""
+    """The law along a flight, into what is kept at the start of each cycle."""
     numbers: Callable[[Signals, FloatArray], tuple[float, ...]]
     """Of the loop."""
 
@@ -75,7 +73,7 @@ class Kept(Map):
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        return self.kept(x, self.mapped(s, p), s, p)
+        return self.law(s.but(hidden=x), self.mapped(s, p), p)
 
     def trace(
         self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
