@@ -24,7 +24,7 @@ from quad_sysid.model.structure import Structure
 HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
         'direction'}
 """Signals that one axis' loop contains or holds constant."""
-OTHER_AXES, BY_ITSELF = 'it depends on the other axes', 'it changes by itself'
+OTHER_AXES = 'it depends on the other axes'
 SLOW_HZ = 10.0
 """What repeats itself slower than this is no vibration to a loop: its worst case counts."""
 
@@ -49,8 +49,6 @@ class Placed:
             return OTHER_AXES
         if effect.repeats_hz(self.p) and effect.term == 'torque':
             return 'it is a disturbance, whatever the loop does'
-        if effect.wanders and effect.term != 'gain':
-            return BY_ITSELF
         return ''
 
     def signals(self, at: Mapping[str, float], n: int = 1, **moved: Any) -> Signals:
@@ -161,7 +159,7 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
             size = float(np.hypot(*one.p[1:3]))
             factors = np.array([1.0 - size, 1.0 + size])
         elif effect.wanders:
-            size = 2.0 * float(one.p[0]) * float(one.part.settings['unit'])
+            size = 2.0 * float(one.p[0])
             factors = np.array([1.0 - size, 1.0 + size])
         elif isinstance(effect, Warming):
             factors = effect.factors(one.p, one.part.settings)
@@ -191,7 +189,7 @@ def share_outside(model: AxisModel) -> dict[str, float]:
     at = usual_signals(model)
     for effect in model.effects:
         one = placed(model, effect)
-        if one.why_outside not in (OTHER_AXES, BY_ITSELF) or not gain * command > 0.0:
+        if one.why_outside != OTHER_AXES or not gain * command > 0.0:
             continue
         moved: dict[str, Any] = {}
         for name, field in (('other rate', 'other_rates'), ('other angle', 'other_angles'),
@@ -200,9 +198,7 @@ def share_outside(model: AxisModel) -> dict[str, float]:
             moved[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
         rate = np.repeat(np.abs(model.ranges.get('rate', (0.0, 0.0))).max(), 4)
         s = one.signals(at, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
-        if one.effect.wanders:
-            s = replace(s, hidden=np.full((1, 4), 2.0 * float(one.p[0])))
-        elif one.effect.states:
+        if one.effect.states:
             continue
         pushed = one.effect.torque(s, one.p, one.part.settings)
         if pushed is None:

@@ -221,18 +221,12 @@ class Effect:
     term: str = 'torque'
     """The part of the base that it changes: torque, gain, damping, friction, lag, delay, command,
     or response (of the motors)."""
-    physics: str = ''
-    """The equation, with units, and its source."""
-    excite: str = ''
-    """The test flight that would show it."""
     variant: str = ''
     """Distinguishes effects of one name, such as the other axis of a coupling."""
     parameters: tuple[Spec, ...] = ()
     states: int = 0
     """Number of hidden states, which `advance` drives by the signals; of what acts on single
     motors, of each."""
-    free: bool = False
-    """Whether its form is free, as that of a curve: it describes what no law of the list says."""
     wanders: bool = False
     """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
     (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero
