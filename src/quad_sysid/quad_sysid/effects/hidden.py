@@ -113,7 +113,7 @@ class Linear(Torque):
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
         a, b = step_of(*self.system(p), s.dt)
-        return np.tensordot(a, x, 1) + np.multiply.outer(b, self.driver(s, settings))
+        return a @ x + np.multiply.outer(b, self.driver(s, settings))
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return self.per_rate * s.rate

@@ -11,10 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.polynomial.legendre import leg2poly
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import SLOW_MOVES, Shape, signal_of
-from quad_sysid.effects.hidden import DEGREE, FADES, Linear, behind_lag, polynomials
+from quad_sysid.effects.hidden import DEGREE, EDGE, FADES, Linear, behind_lag, polynomials
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Settings, Signals, Spec, required
 
@@ -27,6 +28,10 @@ the base's gain is such a surface."""
 POWERS = tuple(
     (i, j) for i, j in itertools.product(range(DEGREE + 1), repeat=2) if 0 < i + j <= DEGREE
 )
+FIRST, SECOND = np.array(POWERS).T
+IN_POWERS = np.array([np.pad(leg2poly(np.eye(DEGREE + 1)[k, : k + 1]), (0, DEGREE - k))
+                      for k in range(DEGREE + 1)])
+"""Coefficients of each Legendre polynomial by powers."""
 
 
 class Surface(Shape, Linear):
@@ -71,23 +76,29 @@ class Surface(Shape, Linear):
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return self.driver(s, settings)[None] if self.states else np.zeros((0, *s.time.shape))
 
-    def _polynomials(self, s: Signals, settings: Settings) -> tuple[FloatArray, FloatArray]:
-        """(n, DEGREE + 1) of either signal."""
+    def _places(self, s: Signals, settings: Settings) -> tuple[FloatArray, FloatArray]:
+        """(n,) either signal from the middle of its range, in halves of that."""
         first = _in_half_ranges(signal_of(s, self.signal), settings['first'])
-        second = required(s.hidden)[0] if self.states else self.driver(s, settings)
-        return polynomials(first), polynomials(second)
+        return first, required(s.hidden)[0] if self.states else self.driver(s, settings)
 
     def columns(
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
-        one, other = self._polynomials(s, settings)
-        return np.stack([one[..., i] * other[..., j] for i, j in POWERS], axis=-1)
+        one, other = map(polynomials, self._places(s, settings))
+        return one[..., FIRST] * other[..., SECOND]
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        one, other = self._polynomials(s, settings)
+        one, other = (np.clip(x, -EDGE, EDGE) for x in self._places(s, settings))
         coefficients = np.zeros((DEGREE + 1, DEGREE + 1))
-        coefficients[tuple(zip(*POWERS, strict=True))] = p[self.states :]
-        return np.sum((one @ coefficients) * other, axis=-1)
+        coefficients[FIRST, SECOND] = p[self.states :]
+        coefficients = IN_POWERS.T @ coefficients @ IN_POWERS
+        total = coefficients[DEGREE, 0]
+        for i in reversed(range(DEGREE)):  # Horner's scheme in both
+            inner = coefficients[i, DEGREE - i]
+            for j in reversed(range(DEGREE - i)):
+                inner = coefficients[i, j] + other * inner
+            total = inner + one * total
+        return total
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
         fading = [FADES ** (i + j - 1) for i, j in POWERS]

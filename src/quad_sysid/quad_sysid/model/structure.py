@@ -6,8 +6,10 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.effect import Part, Spec
@@ -48,22 +50,22 @@ class Structure:
     shared: tuple[int, ...] = ()
     """Which of the other two axes (0, 1) share their disturbance with this one."""
 
-    @property
+    @cached_property
     def noise(self) -> tuple[Spec, ...]:
         """The noise's parameters: the last ones of the vector."""
         return (SHARED,) * len(self.shared) + NOISE + VIBRATION * self.lines
 
-    @property
+    @cached_property
     def filtered(self) -> int:
         """Number of noise parameters that shape the filter: the last ones of the vector."""
         return len(NOISE) + len(VIBRATION) * self.lines
 
-    @property
+    @cached_property
     def specs(self) -> tuple[Spec, ...]:
         """Specs in the order of the vector: base, effect by effect, noise."""
         return BASE + tuple(s for part in self.parts for s in part.effect.parameters) + self.noise
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names in that order: `gain`, …, `<effect>.<parameter>`, the noise."""
         return (
@@ -72,15 +74,19 @@ class Structure:
             + tuple(f'noise.{s.name}' for s in self.noise)
         )
 
-    @property
+    @cached_property
     def labels(self) -> tuple[str, ...]:
         """Labels of the effects."""
         return tuple(part.effect.label for part in self.parts)
 
-    @property
+    @cached_property
     def states(self) -> int:
         """Number of the filter's states: four, two of each line, one of each wandering effect."""
         return 4 + 2 * self.lines + sum(part.effect.wanders for part in self.parts)
+
+    @cached_property
+    def _logs(self) -> NDArray[np.bool_]:
+        return np.array([s.log for s in self.specs])
 
     def slices(self) -> list[slice]:
         """Each effect's slice of the vector."""
@@ -103,12 +109,15 @@ class Structure:
 
     def natural(self, theta: FloatArray) -> FloatArray:
         """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""
-        return natural(self.specs, theta)
+        return _natural(self._logs, theta)
 
 
 def natural(specs: Sequence[Spec], theta: FloatArray) -> FloatArray:
     """(p,) parameters in their units from coordinates of the fit: some are logarithms."""
-    logs = np.array([s.log for s in specs])
+    return _natural(np.array([s.log for s in specs]), theta)
+
+
+def _natural(logs: NDArray[np.bool_], theta: FloatArray) -> FloatArray:
     return np.where(logs, np.exp(np.clip(theta, -40.0, 40.0)), theta)
 
 
