@@ -34,17 +34,19 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, problem = findings.data, findings.verdict, findings.problem
     ladder, reference, law = findings.ladder, findings.found.best, problem.plain.law
-    whole = covariance(problem, reference)
-    best = stored.readings(problem, reference, whole)
+    found, whole = findings.found, covariance(problem, reference)
 
     def read(fitted: Fit) -> stored.Readings:
         if fitted is reference:
-            return best
-        if any(fitted is one.fit for one in findings.found.all):
-            return stored.readings(problem, fitted)
-        projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
-        return stored.readings(problem, fitted, ladder.projection.covariance(projected, whole))
+            own = whole
+        elif any(fitted is one.fit for one in found.all):
+            own = covariance(problem, fitted)
+        else:
+            projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
+            own = ladder.projection.covariance(projected, whole)
+        return stored.readings(problem, fitted, own + found.apart(fitted))
 
+    best = read(reference)
     chosen = verdict.chosen
     told, plain = read(chosen), read(verdict.base)
     judged = [
