@@ -56,7 +56,16 @@ HALF_WIDTH = (
     Spec('half_width', '1', spread=2.0, centre=math.log(0.003), log=True,
          starts=(0.0003, 0.001, 0.003, 0.01)),
 )
+def _cross_axis(which: int) -> Effect:
+    """Motors or gyro out of line: a fraction of another axis' command acts here."""
+    return Map(
+        'cross_axis_input', ('other command',), (Spec('fraction', '1', spread=0.2),),
+        lambda s, u, p: u + p[0] * s.other_commands[which],
+        others=(which,), variant=f'other axis {which + 1}')
+
+
 MAPS = (
+    _cross_axis(0), _cross_axis(1),
     Map(
         'dead_zone', ('command',), HALF_WIDTH,
         lambda _, u, p: np.sign(u) * np.maximum(np.abs(u) - p[0], 0.0)),
@@ -64,8 +73,6 @@ MAPS = (
         'backlash', ('command', 'history'), HALF_WIDTH,
         lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]),
         loop=laws.play, numbers=lambda _, p: (float(p[0]),)),
-)
-SLOW_MAPS = (
     Kept(
         'shape:lag:command', ('command', 'motors', 'history'),
         (
@@ -388,5 +395,5 @@ ACTUATORS: tuple[Effect, ...] = (
         (Spec('lead_time', 's', spread=1.0, centre=math.log(0.1), log=True,
               starts=(0.03, 0.1, 0.3)),),
         _reaction, kind='mode'),
-    *(_slow_motor(i) for i in range(MOST_MOTORS)), HasteCurve(), *SLOW_MAPS,
+    *(_slow_motor(i) for i in range(MOST_MOTORS)), HasteCurve(),
 )
