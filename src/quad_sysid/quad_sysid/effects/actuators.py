@@ -11,7 +11,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import COUNT, Smooth, placed_around_zero
 from quad_sysid.effects.hidden import Linked, System, behind_lag, followed, ring, step_of
-from quad_sysid.effects.maps import Following, Kept, Map, Steps, why_not
+from quad_sysid.effects.maps import Following, Kept, Map, Steps
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import laws
 from quad_sysid.model.data import AxisData
@@ -191,7 +191,7 @@ class ThrustCurve(Propellers):
     parameters = (Spec('curvature', '1', spread=0.4),)
 
     def prepare(self, data: AxisData) -> Settings | str:
-        if why := why_not(data):
+        if why := self.lacking(data):
             return why
         throttle = data.training(data.control[:, 0])
         others = [data.training(data.control[:, i + 1]) for i in range(3) if i != data.index]
@@ -222,8 +222,7 @@ class MotorCurve(Propellers, Smooth):
         self.parameters = self.valued(Spec('slope_', '1', spread=0.3))
 
     def prepare(self, data: AxisData) -> Settings | str:
-        why = why_not(data, single=len(self.motors) == 1)
-        if why:
+        if why := self.lacking(data):
             return why
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         return {
@@ -261,10 +260,6 @@ class Saturation(Map):
             (Spec(side, '1', spread=0.3, centre=centre, starts=(centre,)),),  # not linear in it
             lambda _, motors, p: limit(motors, p[0]), variant=side,
         )
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        why, motors = why_not(data), data.training(data.motors)
-        return why or {'lowest': float(motors.min()), 'highest': float(motors.max())}
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         motors = data.training(data.motors)
@@ -319,10 +314,6 @@ class Motors(Row):
 
     term = 'response'
 
-    def prepare(self, data: AxisData) -> Settings | str:
-        return (why_not(data, single=len(self.motors) == 1)
-                if 'motors' in self.signals else '') or {}
-
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         return self.law(s, drive, p)
 
@@ -369,7 +360,7 @@ class HasteCurve(Smooth):
         self.parameters = self.valued(Spec('y', UNITS['lag'], spread=1.0))
 
     def prepare(self, data: AxisData) -> Settings | str:
-        why, usual = why_not(data), math.exp(BASE[1].centre)
+        why, usual = self.lacking(data), math.exp(BASE[1].centre)
         step, away = step_of(*behind_lag(usual), data.dt), []
         for m in data.motors.T:
             followed(data.stretches, m, *step, x := m[None].copy())

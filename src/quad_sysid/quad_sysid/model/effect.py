@@ -234,12 +234,19 @@ class Effect:
 
     def prepare(self, data: AxisData) -> Settings | str:
         """Settings from the training data, or a text: why it cannot be tested on them."""
-        found = (data.signal(word) for word in self.words
-                 if word in MISSING or word.startswith('other'))
-        why = next((one for one in found if isinstance(one, str)), None)
-        if why is None and len(self.others) == 1:
+        why = self.lacking(data)
+        if not why and len(self.others) == 1:
             return {'other': data.other_axes[self.others[0]]}
         return why or {}
+
+    def lacking(self, data: AxisData) -> str:
+        """Why the data lack what it depends on; empty where they do not."""
+        found = (data.signal(word) for word in self.words
+                 if word in MISSING or word.startswith('other'))
+        why = next((one for one in found if isinstance(one, str)), '')
+        if not why and 'motors' in self.signals:
+            why = data.lacking_motors(single=len(self.motors) == 1)
+        return why
 
     @property
     def words(self) -> list[str]:
