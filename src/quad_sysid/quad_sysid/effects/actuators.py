@@ -11,7 +11,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import COUNT, Smooth, placed_around_zero
 from quad_sysid.effects.hidden import Linked, System, behind_lag, followed, ring, step_of
-from quad_sysid.effects.maps import Following, Kept, Map, Steps, why_not
+from quad_sysid.effects.maps import Following, Kept, Map, Steps
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import laws
 from quad_sysid.model.data import AxisData
@@ -56,7 +56,16 @@ HALF_WIDTH = (
     Spec('half_width', '1', spread=2.0, centre=math.log(0.003), log=True,
          starts=(0.0003, 0.001, 0.003, 0.01)),
 )
+def _cross_axis(which: int) -> Effect:
+    """Motors or gyro out of line: a fraction of another axis' command acts here."""
+    return Map(
+        'cross_axis_input', ('other command',), (Spec('fraction', '1', spread=0.2),),
+        lambda s, u, p: u + p[0] * s.other_commands[which],
+        others=(which,), variant=f'other axis {which + 1}')
+
+
 MAPS = (
+    _cross_axis(0), _cross_axis(1),
     Map(
         'dead_zone', ('command',), HALF_WIDTH,
         lambda _, u, p: np.sign(u) * np.maximum(np.abs(u) - p[0], 0.0)),
@@ -64,8 +73,6 @@ MAPS = (
         'backlash', ('command', 'history'), HALF_WIDTH,
         lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]),
         loop=laws.play, numbers=lambda _, p: (float(p[0]),)),
-)
-SLOW_MAPS = (
     Kept(
         'shape:lag:command', ('command', 'motors', 'history'),
         (
@@ -184,7 +191,7 @@ class ThrustCurve(Propellers):
     parameters = (Spec('curvature', '1', spread=0.4),)
 
     def prepare(self, data: AxisData) -> Settings | str:
-        if why := why_not(data):
+        if why := self.lacking(data):
             return why
         throttle = data.training(data.control[:, 0])
         others = [data.training(data.control[:, i + 1]) for i in range(3) if i != data.index]
@@ -215,8 +222,7 @@ class MotorCurve(Propellers, Smooth):
         self.parameters = self.valued(Spec('slope_', '1', spread=0.3))
 
     def prepare(self, data: AxisData) -> Settings | str:
-        why = why_not(data, single=len(self.motors) == 1)
-        if why:
+        if why := self.lacking(data):
             return why
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         return {
@@ -254,10 +260,6 @@ class Saturation(Map):
             (Spec(side, '1', spread=0.3, centre=centre, starts=(centre,)),),  # not linear in it
             lambda _, motors, p: limit(motors, p[0]), variant=side,
         )
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        why, motors = why_not(data), data.training(data.motors)
-        return why or {'lowest': float(motors.min()), 'highest': float(motors.max())}
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         motors = data.training(data.motors)
@@ -312,10 +314,6 @@ class Motors(Row):
 
     term = 'response'
 
-    def prepare(self, data: AxisData) -> Settings | str:
-        return (why_not(data, single=len(self.motors) == 1)
-                if 'motors' in self.signals else '') or {}
-
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         return self.law(s, drive, p)
 
@@ -362,7 +360,7 @@ class HasteCurve(Smooth):
         self.parameters = self.valued(Spec('y', UNITS['lag'], spread=1.0))
 
     def prepare(self, data: AxisData) -> Settings | str:
-        why, usual = why_not(data), math.exp(BASE[1].centre)
+        why, usual = self.lacking(data), math.exp(BASE[1].centre)
         step, away = step_of(*behind_lag(usual), data.dt), []
         for m in data.motors.T:
             followed(data.stretches, m, *step, x := m[None].copy())
@@ -388,5 +386,5 @@ ACTUATORS: tuple[Effect, ...] = (
         (Spec('lead_time', 's', spread=1.0, centre=math.log(0.1), log=True,
               starts=(0.03, 0.1, 0.3)),),
         _reaction, kind='mode'),
-    *(_slow_motor(i) for i in range(MOST_MOTORS)), HasteCurve(), *SLOW_MAPS,
+    *(_slow_motor(i) for i in range(MOST_MOTORS)), HasteCurve(),
 )

@@ -47,15 +47,15 @@ def after(s: Signals, time_s: float) -> FloatArray:
     return 0.5 * (1.0 + np.tanh((s.time - time_s) / 0.02))
 
 
-def from_lines(effect: Effect, left: Left, settings: Settings) -> Sequence[FloatArray]:
-    """Start values of what swings at the frequency of its first parameter."""
-    starts = effect.starts(left.data, settings)
-    return [np.r_[line, start[1:]] for line in left.lines(effect) for start in starts]
+class Repeating(Effect):
+    """What repeats itself at a frequency, its first parameter in Hz."""
 
+    def sought(self, left: Left, settings: Settings) -> Sequence[FloatArray]:
+        starts = self.starts(left.data, settings)
+        return [np.r_[line, start[1:]] for line in left.lines(self) for start in starts]
 
-def first_parameter(_: Effect, p: FloatArray) -> float:
-    """The first parameter, a frequency in Hz."""
-    return float(p[0])
+    def repeats_hz(self, p: FloatArray) -> float:
+        return float(p[0])
 
 
 class Event(Torque):
@@ -72,7 +72,7 @@ class Event(Torque):
         return np.array([LONG_AGO_S, *p[1:]])
 
 
-class Periodic(Event):
+class Periodic(Repeating, Event):
     """A term that swings; its phase differs from flight to flight."""
 
     def __init__(self, term: str, name: str, **more: str) -> None:
@@ -83,8 +83,6 @@ class Periodic(Event):
         )
         signals = ('time', *(['command'] if term == 'gain' else []))
         super().__init__(name, signals, parameters, self._swing, **more)
-
-    sought, repeats_hz = from_lines, first_parameter
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.zeros(3)]  # the frequency comes from what a fit leaves
@@ -109,14 +107,13 @@ class Periodic(Event):
         return np.array([values['frequency'], size * math.cos(phase), size * math.sin(phase)])
 
 
-class Clocked(Effect):
+class Clocked(Repeating):
     """The delay of the command repeats itself, as another clock has it."""
 
     name = 'shape:delay:time'
     kind = 'shape'
     term = 'delay'
     signals = ('command', 'time', 'history')
-    sought, repeats_hz = from_lines, first_parameter
 
     def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
         """(n,) what is added to the delay at a time (n,), both in s."""

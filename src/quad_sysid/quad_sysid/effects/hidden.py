@@ -308,11 +308,11 @@ class Shown(Linked, Shape):
         middle, half = 0.5 * float(low + high), 0.5 * float(high - low)
         return {'middle': middle, 'half': half}
 
-    def inputs(self, s: Signals, settings: Settings) -> FloatArray:
-        return (np.stack(required(s.motors)) - settings['middle']) / settings['half']
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return [(own - settings['middle']) / settings['half'] for own in required(s.motors)]
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.inputs(s, settings)
+        return np.stack(self.inputs(s, settings))
 
     @property
     def linear(self) -> list[int]:

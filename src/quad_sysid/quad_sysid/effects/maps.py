@@ -13,20 +13,11 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Linked
 from quad_sysid.effects.loads import along
 from quad_sysid.effects.torques import Row
-from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.data import Span
 from quad_sysid.model.effect import Left, Settings, Signals, required
 
 SLOPING = 0.05
 """Share of a step over which one level gives way to the next."""
-
-
-def why_not(data: AxisData, *, single: bool = False) -> str:
-    """Why an effect of the motors, or of a single one, cannot be told here; '' if it can."""
-    if not data.motors.shape[1] or np.ptp(data.training(data.motors), axis=0).max() < 1e-6:
-        return 'the bag holds no motor commands'
-    if single and all(isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)):
-        return 'the other axes hardly move, so no single motor can be told apart'
-    return ''
 
 
 class Map(Row):
@@ -37,10 +28,6 @@ class Map(Row):
     """
 
     term = 'command'
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        why = why_not(data) if 'motors' in self.signals else ''
-        return why or super().prepare(data)
 
     def commands(self, s: Signals) -> FloatArray:
         """What it maps: (1, …) the axis' command, or (k, …) those of the motors."""

@@ -141,46 +141,16 @@ TORQUES: tuple[Effect, ...] = (
 )
 
 
-class CrossAxisInput(Effect):
-    """A fraction of another axis' command that acts on this axis."""
-
-    name = 'cross_axis_input'
-    signals = ('other command',)
-    term = 'command'
-    parameters = (Spec('fraction', '1', spread=0.2),)
-
-    def __init__(self, which: int) -> None:
-        self.others, self.variant = (which,), f'other axis {which + 1}'
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        (which,) = self.others
-        found = data.signal(f'other command {which + 1}')
-        return found if isinstance(found, str) else {'other': data.other_axes[which]}
-
-    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return required(s.sent) + p[0] * s.other_commands[self.others[0]]
-
-
-class Coupled(Torque):
-    """A torque of the rates of the other axes that are its `others`."""
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        found = [data.signal(f'other rate {which + 1}') for which in self.others]
-        why = next((one for one in found if isinstance(one, str)), None)
-        alone = len(self.others) == 1
-        return why or ({'other': data.other_axes[self.others[0]]} if alone else {})
-
-
 def _gyroscopic(which: int) -> Effect:
-    return Coupled(
+    return Torque(
         'gyroscopic_coupling', ('other rate',), (Spec('coefficient', '1/s'),),
         lambda s, p: p[0] * required(s.other_rates)[which],
         others=(which,), variant=f'other axis {which + 1}', axes=AXES)
 
 
-COUPLINGS: tuple[Effect, ...] = (
-    CrossAxisInput(0), CrossAxisInput(1), _gyroscopic(0), _gyroscopic(1),
-    Coupled(
+COUPLINGS: tuple[Effect, ...] = (  # paper, eqs. 4 to 6
+    _gyroscopic(0), _gyroscopic(1),
+    Torque(
         'inertia_coupling', ('product of other rates',), (Spec('coefficient', '1'),),
         lambda s, p: p[0] * required(s.other_rates)[0] * required(s.other_rates)[1],
         others=(0, 1), axes=AXES),

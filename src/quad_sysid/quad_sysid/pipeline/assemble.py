@@ -93,20 +93,12 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
 def ranges_of(data: AxisData, parts: Sequence[Part]) -> dict[str, tuple[float, float]]:
     """Least and largest value in the training of rate, command and what the effects depend on."""
     out = {}
-    for name in ('rate', 'command', *(s for part in parts for s in signals_of(part.effect))):
+    for name in ('rate', 'command', *(word for part in parts for word in part.effect.words)):
         signal = data.signal(name)
         if not isinstance(signal, str):
             used = data.training(signal)
             out[name] = float(np.nanmin(used)), float(np.nanmax(used))
     return out
-
-
-def signals_of(effect: Effect) -> list[str]:
-    """The signals of an effect in the words of AxisData.signal; what goes one way is left out."""
-    names = [s for s in effect.signals if s in ('angle', 'throttle', 'battery', 'rate', 'command')]
-    kinds = [s.rstrip(' 12') for s in effect.signals if s.startswith('other')]
-    names += [f'{kind} {which + 1}' for kind in kinds for which in effect.others]
-    return names + ['other rate 1', 'other rate 2'] * ('product of other rates' in effect.signals)
 
 
 def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple[Outside, ...]:
