@@ -17,7 +17,7 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
-from quad_sysid.discover.search import Found, extended, scored, search
+from quad_sysid.discover.search import Found, extended, scored, search, settled
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.estimate.fit import Problem
@@ -200,8 +200,9 @@ def with_own(problem: Problem, found: Found, effects: Sequence[Effect]) -> Found
     more = [scored(fit, found.prices) for fit in fits.values() if fit is not None]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
-    return replace(found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
-                   reasons=found.reasons | failed)
+    return settled(problem, replace(
+        found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
+        reasons=found.reasons | failed))
 
 
 def _reason(told: Findings, not_searched: str) -> str:
@@ -231,6 +232,8 @@ def _reason(told: Findings, not_searched: str) -> str:
             f'; the training {"also " if kept else ""}suggests {names}, which is not confirmed by '
             'the held-out segments or does not come again in resampled flights'
         )
+    if not verdict.chosen.converged:
+        reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'
     gain = verdict.chosen.value('gain')
     if verdict.verdict != 'cannot_tell' and gain < 0.0 and not told.problem.held:
         reason += (
