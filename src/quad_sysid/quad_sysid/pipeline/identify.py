@@ -267,8 +267,9 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
         return GainProposal(None, refused_because)
     if not answer.answered or answer.model is None:
         return GainProposal(None, answer.reason)
-    if not EVERY[answer.axis].turns:
-        return GainProposal(None, 'gains are designed for the attitude only')
+    if EVERY[answer.axis].outer:
+        return GainProposal(None, 'no firmware has its loop; quad-tune design MODEL.json --axis '
+                            f'{answer.axis} gives gains for one of your own')
     if options.designer is None:
         return GainProposal(None, options.no_designer_because)
     try:
