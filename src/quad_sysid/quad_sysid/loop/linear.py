@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from quad_sysid.axes import TURNING, Level
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Linear
 from quad_sysid.effects.likeness import LinearChannels, LinearMap, LinearTorque
@@ -24,9 +25,7 @@ from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Signals, require
 from quad_sysid.model.structure import Structure
 
 ComplexArray = npt.NDArray[np.complex128]
-Level = tuple[float, float, float]
-WIDE: Level = (4.0, 0.35, 0.3)
-NEAR_REST: Level = (0.3, 0.05, 0.03)
+WIDE, NEAR_REST = TURNING.wide, TURNING.near_rest
 """Amplitudes of rate (rad/s), angle (rad) and command at which a loop is linearised."""
 STILL: Level = (2e-7, 2e-8, 1e-8)
 """Next to none: the slope at rest."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from quad_sysid.axes import EVERY
 from quad_sysid.blackbox import Model, coherence, frequency_response
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import QuadSysidError
@@ -135,6 +136,10 @@ def band_of(data: AxisData, model: Model | None = None) -> tuple[float, float] |
     band of `model`'s gain, where it has one, is narrower than 3 dB to either side.
     """
     z = io_data(data, data.train)
+    if not EVERY[data.axis].turns:  # a speed is all slow motion, of which a window sees nothing
+        change = np.diff(z.y, prepend=z.y[:1])
+        change[[a for a, _ in z.segments]] = 0.0
+        z = replace(z, y=change)
     try:
         w, values = coherence(z, window=lag_window(z), joint=z.r is not None)
     except QuadSysidError:

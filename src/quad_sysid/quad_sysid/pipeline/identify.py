@@ -276,8 +276,9 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
         return GainProposal(None, refused_because)
     if not answer.answered or answer.model is None:
         return GainProposal(None, answer.reason)
-    if not EVERY[answer.axis].turns:
-        return GainProposal(None, 'gains are designed for the attitude only')
+    if EVERY[answer.axis].outer:
+        return GainProposal(None, 'no firmware has its loop; quad-tune design MODEL.json --axis '
+                            f'{answer.axis} gives gains for one of your own')
     if options.designer is None or options.base is not None:
         return GainProposal(None, options.no_designer_because if options.base is None
                             else 'gains are designed for the built-in base only')
