@@ -103,7 +103,7 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
             axis, rate, segments, 'cannot_tell', reason, proposal=GainProposal(None, reason),
             warnings=warnings,
         )
-    base, warnings = told.found.base, _warnings(records)
+    base = told.found.base
     if options.base is None:
         data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
     else:
