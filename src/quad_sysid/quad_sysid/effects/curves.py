@@ -123,7 +123,7 @@ class Smooth(Shape):
     def linear(self) -> list[int]:
         return list(range(self.first, self.first + COUNT))
 
-    def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
+    def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
         mean = np.zeros(p.size)
         mean[self.linear] = np.dot(settings['mean'], p[self.linear])
         return super().readable(p - mean, settings)
