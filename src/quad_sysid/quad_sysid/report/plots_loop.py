@@ -114,7 +114,8 @@ def step_response(answer: AxisAnswer) -> Picture | None:
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
     return Picture('step', 'Step before and after',
                    (f'A step of {np.degrees(size):.0f} degrees in the attitude reference'
-                    if units is None else f'A step of {size:.2g} {unit} in the reference of the {place}')
+                    if units is None
+                    else f'A step of {size:.2g} {unit} in the reference of the {place}')
                    + ', simulated with the identified model.'
                    + (' Measured: the response of this flight with the flown gains, by '
                       'deconvolution, with its spread between windows.' if measured else '')
