@@ -219,8 +219,8 @@ def test_bags_and_results_of_a_store(folder, results):
         store.rm('/bucket', recursive=True)
 
 
-@pytest.mark.long
-def test_an_s3_server_holds_bags_and_results(folder, results, monkeypatch):
+@pytest.mark.store
+def test_an_s3_server_holds_bags_and_results(folder, monkeypatch):
     """That of moto; where it and s3fs are installed, which no other test needs."""
     pytest.importorskip('s3fs')
     server = pytest.importorskip('moto.server').ThreadedMotoServer(port=0)
@@ -241,9 +241,8 @@ def test_an_s3_server_holds_bags_and_results(folder, results, monkeypatch):
         for _ in range(2):  # processes of their own, which begin with this environment
             subprocess.run([sys.executable, '-c', command, *arguments], cwd=folder, check=True)
         assert '3 bags, 1 to do' in (folder / 'flights_fleet.log').read_text()  # where it began
-        own = engine.known(bag.jobs(folder, results, search_effects=False))
         row = json.loads(store.cat('s3://bucket/out/rows/one/flight.json'))
-        assert row['roll_gain'] == own['one/flight']['roll_gain']
+        assert row['roll_gain'] == pytest.approx(450.0, rel=0.04)
         table = csv.DictReader(io.StringIO(store.cat('s3://bucket/out/fleet.csv').decode()))
         assert [row['status'] for row in table] == ['answered', 'answered', 'failed']
         assert store.exists('s3://bucket/out/fleet.html')
