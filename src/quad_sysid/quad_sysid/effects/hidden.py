@@ -214,8 +214,8 @@ class Memory(Smooth, Linear):
         settings = {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
         quick = np.array(self.parameters[0].starts[:1])
         seen = data.training(self.begun(data, quick, settings)[0])
-        knots = np.linspace(*np.nanpercentile(seen, [0.5, 99.5]), COUNT)
-        usual = 0.0 if self.leans else 1.0
+        low, high = np.nanpercentile(seen, [0.5, 99.5])
+        usual, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, COUNT)
         return {
             **settings, 'knots': tuple(knots.tolist()),
             'mean': tuple(float(np.interp(usual, knots, hat)) for hat in np.eye(COUNT)),
