@@ -133,7 +133,7 @@ class Use:
 def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]:
     """What one axis' data allow: identification first, then what hangs on more signals.
 
-    untold: why the commands do not tell the rate; empty where they do.
+    `reason`: why the commands do not predict the rate; empty where they do.
     """
     axis, refused = data.axis, reason
     try:
@@ -157,7 +157,7 @@ def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]
 
 
 def _unpredictive(data: AxisData) -> str:
-    """Why the commands do not tell the rate; empty where they do."""
+    """Why the commands do not predict the rate; empty where they do."""
     ratio = improvement(data.rate, data.control, data.train, data.dt)
     if ratio >= DIFFERS:
         return ''
@@ -223,8 +223,8 @@ class AxisContent:
     excitation_order: int | None = None
     """Order to which the command is persistently exciting, at most RICHEST; 0: it stands still."""
     coherent_band_rad_s: tuple[float, float] | None = None
-    """Widest unbroken band of squared coherence above 0.6; None where the commands do not tell the
-    rate: feedback makes noise coherent with itself."""
+    """Widest unbroken band of squared coherence above 0.6; None where the commands do not predict
+    the rate: feedback makes noise coherent with itself."""
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ from quad_sysid.units import Units, spoken, unit_in
 from quad_sysid.whole import Whole
 
 SCHEMA = 'quad_sysid/report/1'
-MOST_TRIED = 40
-MOST_PEAKS = 6
+MAX_TRIED = 40
+MAX_PEAKS = 6
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
 RESIDUALS = ('before', 'after', 'blackbox')
 SAID = ('metric', 'reason', 'advice', 'because')
@@ -201,7 +201,7 @@ def _tried(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
         {'effects': one.fit.structure.labels, 'log_evidence_over_base': one.score - base,
          'probability': float(p), 'converged': one.fit.converged}
         for place, (one, p) in enumerate(zip(search.all, search.probabilities(), strict=True))
-        if place < MOST_TRIED or one in best
+        if place < MAX_TRIED or one in best
     ]
 
 
@@ -321,7 +321,7 @@ def _residual(residual: Residual) -> dict[str, Any]:
         'cross_bound': test.cross_bound,
         'largest_cross_correlation': _largest(test.cross_lags, test.cross_correlation),
         'peaks': [{'frequency_hz': f, 'over_surroundings_db': 10.0 * math.log10(ratio)}
-                  for f, ratio in residual.peaks[:MOST_PEAKS]],
+                  for f, ratio in residual.peaks[:MAX_PEAKS]],
     }
     if missing is not None:
         at_s, value = missing.largest
