@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 from urllib.parse import quote
 
-from quad_sysid.contract import AXES
+from quad_sysid.axes import EVERY
 from quad_sysid.fleets.bag import OF_AXIS, Row
 from quad_sysid.fleets.place import Place
 
@@ -17,9 +17,9 @@ UNNAMED = '__HIVE_DEFAULT_PARTITION__'
 """What Hive, Spark and all that read its folders call a value that is missing."""
 COLUMNS = ('bag', 'aircraft', 'status', 'reason', 'start_ns', 'length_s', 'sample_rate_hz',
            'warnings', 'seconds', 'cpu_s', 'peak_mb', 'bytes',
-           *(f'{axis}_{name}' for axis in AXES for name in OF_AXIS))
+           *(f'{axis}_{name}' for axis in EVERY for name in OF_AXIS))
 TEXT = ('bag', 'aircraft', 'status', 'reason', *(
-    f'{axis}_{name}' for axis in AXES
+    f'{axis}_{name}' for axis in EVERY
     for name in ('verdict', 'effects', 'effect_parameters', 'gains')))
 WHOLE = ('start_ns', 'warnings', 'bytes')
 

@@ -82,8 +82,10 @@ def step_response(answer: AxisAnswer) -> Picture | None:
         return None
     model = in_flight(answer.model)
     plant = loop_plant(model)
-    size, turns = plant.trial.step, answer.units is None
-    scale, unit = (np.degrees(1.0), 'deg') if turns else (1.0, answer.units.motion)
+    size, units = plant.trial.step, answer.units
+    turns = units is None or units.motion == 'rad'
+    scale, unit = (np.degrees(1.0), 'deg') if units is None or turns else (
+        1.0 / units.per_motion, units.motion)
     n = round(plant.trial.half_period_s / model.dt)
     lead = n // 10
     reference = np.where(np.arange(n + lead) < lead, 0.0, size)
@@ -112,8 +114,8 @@ def step_response(answer: AxisAnswer) -> Picture | None:
     finish(axes, 'time since the step, s', f'{place}, {unit}', 'command, norm.')
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
     return Picture('step', 'Step before and after',
-                   (f'A step of {np.degrees(size):.0f} degrees in the attitude reference'
-                    if turns else f'A step of {size:.2g} {unit} in the reference of the {place}')
+                   (f'A step of {scale * size:.0f} degrees in the attitude reference' if turns else
+                    f'A step of {scale * size:.2g} {unit} in the reference of the {place}')
                    + ', simulated with the identified model.'
                    + (' Measured: the response of this flight with the flown gains, by '
                       'deconvolution, with its spread between windows.' if measured else '')
