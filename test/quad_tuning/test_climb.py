@@ -14,17 +14,21 @@ from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.virtual.simulation import Excited, fly
 from quad_sysid.axes import THRUST
+from quad_sysid.cli import main as compare
+from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import in_flight, loop_plant
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.report.model_file import tree_of_models
 from quad_sysid.result import sent_with
+from quad_sysid.separation.design import nearest
 from quad_tuning import pid
 from quad_tuning.bounds import within_thrust
 from quad_tuning.cli import main
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.exports import FIRMWARES, parameters
+from quad_tuning.exports import DESIGN, FIRMWARES, parameters
+from quad_tuning.history import read_design
 from quad_tuning.lqr import propose_lqr
 
 CYCLE_S, HOVER = 0.004, 0.32
@@ -80,8 +84,33 @@ def test_what_the_climb_cannot_have_is_refused_in_one_line(climb, changed):
         within_thrust(CascadeGains.default('climb'), changed(climb, mean_throttle=0.12))
     with pytest.raises(DesignRefusedError, match='a state feedback holds an angle'):
         propose_lqr(climb)
-    with pytest.raises(Exception, match='hold none of roll, pitch, yaw'):
+    with pytest.raises(BadInputError, match='hold none of roll, pitch, yaw'):
         parameters(FIRMWARES['px4'], {'climb.rate.kp': 0.1}, {})
+    with pytest.raises(BadInputError, match='a flight is designed to separate effects of these'):
+        nearest({'climb': climb})
+
+
+def test_gains_of_an_outer_loop_are_not_sent(tmp_path):
+    design = {'gains': {'surge.rate.kp': 0.2}, 'figures': {'surge.rate.kp_before': 0.1}}
+    beside = {'gains': {'climb.rate.kp': 0.2}, 'figures': {'climb.rate.kp_before': 0.1}}
+    path = tmp_path / 'gains.json'
+    path.write_text(json.dumps({'schema': DESIGN, 'axes': {'surge': design, 'climb': beside}}))
+    gains, also = read_design(path)
+    assert gains == {'climb.rate.kp': 0.2}
+    assert json.loads(also['flown']) == {'climb.rate.kp': 0.1}
+    path.write_text(json.dumps({'schema': DESIGN, 'axes': {'surge': design}}))
+    with pytest.raises(BadInputError, match='of an outer loop of your own only'):
+        read_design(path)
+
+
+def test_two_models_of_the_climb_are_compared(climb, changed, tmp_path, capsys):
+    heavier = changed(climb, base=tuple(
+        changed(p, value=0.9 * p.value) if p.name == 'gain' else p for p in climb.base))
+    for name, one in (('a', climb), ('b', heavier)):
+        (tmp_path / f'{name}.json').write_text(json.dumps(tree_of_models({'climb': one})))
+    assert compare(['compare', *(f'{tmp_path}/{name}.json' for name in 'ab'),
+                    '--axis', 'climb']) == 0
+    assert 'changed: climb gain\n' in capsys.readouterr().out
 
 
 def flown(gains):

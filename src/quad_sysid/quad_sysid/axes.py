@@ -88,6 +88,8 @@ EVERY: dict[str, Axis] = {axis.name: axis for axis in (
 )}
 ALL_WORDS = {'all': AXES, 'every': tuple(EVERY)}
 """What stands for several axes in a command."""
+NAMES = (*EVERY, *ALL_WORDS)
+"""What an option that names axes takes."""
 
 
 def axis_of(where: str, name: str) -> Axis:

@@ -84,7 +84,9 @@ def step_response(answer: AxisAnswer) -> Picture | None:
     model = in_flight(answer.model)
     plant = loop_plant(model)
     size, units = plant.trial.step, answer.units
-    scale, unit = (np.degrees(1.0), 'deg') if units is None else (1.0, units.motion)
+    turns = units is None or units.motion == 'rad'
+    scale, unit = (np.degrees(1.0), 'deg') if units is None or turns else (
+        1.0 / units.per_motion, units.motion)
     n = round(plant.trial.half_period_s / model.dt)
     lead = n // 10
     reference = np.where(np.arange(n + lead) < lead, 0.0, size)
@@ -113,9 +115,8 @@ def step_response(answer: AxisAnswer) -> Picture | None:
     finish(axes, 'time since the step, s', f'{place}, {unit}', 'command, norm.')
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
     return Picture('step', 'Step before and after',
-                   (f'A step of {np.degrees(size):.0f} degrees in the attitude reference'
-                    if units is None
-                    else f'A step of {size:.2g} {unit} in the reference of the {place}')
+                   (f'A step of {scale * size:.0f} degrees in the attitude reference' if turns else
+                    f'A step of {scale * size:.2g} {unit} in the reference of the {place}')
                    + ', simulated with the identified model.'
                    + (' Measured: the response of this flight with the flown gains, by '
                       'deconvolution, with its spread between windows.' if measured else '')

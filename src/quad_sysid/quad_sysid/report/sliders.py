@@ -21,6 +21,7 @@ from quad_sysid.loop.cascade import TUNED, CascadeGains, contract_names, frequen
 from quad_sysid.loop.from_model import in_flight, loop_plant
 from quad_sysid.loop.linear import ComplexArray, loops_of
 from quad_sysid.model import AxisModel
+from quad_sysid.units import spoken
 
 SCRIPT = Path(__file__).with_name('sliders.js')
 POINTS = 200
@@ -48,7 +49,8 @@ def sliders(model: AxisModel, designed: Mapping[str, float]) -> str:
             f'<script type="application/json">{text}</script></div>'
             '<p class="small">The identified model, linear at wide motion, with the limits of the '
             'flight; margins are the smaller ones of wide motion and near rest. Noise: what of '
-            'the gyro reaches the command, beside the gains that flew.</p>')
+            + spoken(model.units, 'the gyro') + ' reaches the command, beside the gains that '
+            'flew.</p>')
 
 
 def script() -> str:
