@@ -171,7 +171,7 @@ BAD = {
     'dt is text': ({'dt': '4 ms'}, "dt must be a positive number of seconds: found '4 ms'"),
     'no dt': ({'dt': None}, 'lack dt or t'),
     'dt and t': ({'t': DT * np.arange(N)}, 'take dt or t, not both'),
-    'slow': ({'dt': 1.0}, 'dt has intervals that are too long: found 1 s; at most 0.05 s'),
+    'slow': ({'dt': 1.0}, 'dt has intervals that are too long: found 1 s; at most 0.05 s, since'),
     'one sample': ({'u': U[:1], 'y': Y[:1]}, 'need 100 samples at least: found 1'),
     'empty': ({'u': [], 'y': []}, 'need 100 samples at least: found 0'),
     'scalar': ({'u': 3.0}, 'u must be (n,), one channel: found shape ()'),
@@ -250,6 +250,13 @@ def test_the_model_speaks_the_units_of_its_arrays(result):
     assert parameters['gain'].unit == 'rev/s² per V'
     assert parameters['gain'].value == pytest.approx(450.0 / 20.0 / turn, rel=0.02)
     assert parameters['coulomb_friction.torque'].value == pytest.approx(6.0 / turn, rel=0.05)
+    error, unseen = found.errors, qs.from_arrays(
+        u=20.0 * flight.control[:, 1], y=30.0 / math.pi * flight.rates[:, 0], dt=DT,
+        units={'u': 'V', 'y': 'rpm'})
+    assert error['unit'] == qs.evaluate(found.model, unseen).unit == 'rpm'
+    assert error['after'] == pytest.approx(
+        30.0 / math.pi * found.answer.findings.verdict.after)
+    assert re.search(r'gain +\S+ ± \S+ +\S+ ± \S+ +rev/s² per V', str(found))
     u = 20.0 * flight.control[:, 1]
     z = qs.IOData(u, 30.0 / math.pi * flight.rates[:, 0], DT)
     assert found.model.compare(z, 1) > 95.0

@@ -297,12 +297,13 @@ def approaches(tree: Tree) -> Table:
 
 def residuals(tree: Tree) -> Table:
     """The tests of each model's one-step errors on the held-out data."""
-    rows, unit = [], tree['error']['unit']
+    rows, unit, acceleration = [], tree['error']['unit'], 'rad/s²'
     for key, name in MODELS:
         found = (tree.get('residual') or {}).get(key)
         if not found or (key == 'after' and not tree['effects']):
             continue
         torque = found.get('missing_torque') or {}
+        acceleration = torque.get('unit', acceleration)
         rows.append([
             name, number(found['rms']), f'{yes(found["white"])} (p {chance(found["p_white"])})',
             f'{yes(found["uncorrelated_with_input"])} (p {chance(found["p_input"])})',
@@ -311,7 +312,8 @@ def residuals(tree: Tree) -> Table:
         ])
     return Table(
         ['model', f'RMS, {unit}', 'white', 'free of past commands', 'peaks',
-         f'{"torque" if unit == "rad/s" else "force"}, {unit}²', 'expected'], rows, (1, 5, 6),
+         f'{"torque" if acceleration[0] in "rd" else "force"}, {acceleration}', 'expected'],
+        rows, (1, 5, 6),
         caption='One-step errors on held-out data, tests at 99 %. Torque: RMS of the disturbance '
         "that the model's filter sees; expected: what its own noise model says.",
     )
