@@ -7,13 +7,15 @@ a Gaussian process at knots, linear between them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.model import laws
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import (
     TRANSITION,
@@ -62,7 +64,13 @@ def over_knots(x: FloatArray, y: FloatArray, settings: Settings) -> FloatArray:
 
     Less its mean over the training, so that the base's parameters keep their meaning.
     """
-    return np.interp(x, settings['knots'], y - float(np.dot(settings['mean'], y)))
+    knots, mean = _arrays(settings['knots'], settings['mean'])
+    return np.interp(x, knots, y - mean @ y)
+
+
+@lru_cache(maxsize=1024)
+def _arrays(*columns: tuple[float, ...]) -> list[FloatArray]:
+    return [np.array(column) for column in columns]
 
 
 def placed(used: FloatArray, knots: FloatArray) -> dict[str, Any]:
@@ -153,6 +161,14 @@ class Curve(Smooth):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         factor = per_unit(self.term, s, float(p[-1]))
         return factor * over_knots(signal_of(s, self.signal), p[:COUNT], settings)
+
+    def columns(
+        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
+    ) -> FloatArray:
+        factor, out = per_unit(self.term, s, float(p[-1])), np.empty((s.rate.size, COUNT))
+        x, factor = (np.ascontiguousarray(one) for one in (signal_of(s, self.signal), factor))
+        laws.hats(x, factor, *_arrays(settings['knots'], settings['mean']), out)
+        return out[:, linear]
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         if self.signal not in ('throttle', 'battery'):

@@ -22,8 +22,8 @@ from quad_sysid.report.words import by_reason
 if TYPE_CHECKING:
     from quad_sysid.inspection.content import AxisContent, Content, Use
 
-MOST_SEGMENTS = 12
-MOST_WARNINGS = 8
+MAX_SEGMENTS = 12
+MAX_WARNINGS = 8
 SCHEMA = 'quad_sysid/inspection/1'
 
 
@@ -72,7 +72,7 @@ def lines(held: Content) -> list[str]:
         out += [*_axis(axis), '']
     out += ['usable for', *(line for use in held.uses for line in _use(use))]
     if held.warnings:
-        shown = held.warnings[:MOST_WARNINGS]
+        shown = held.warnings[:MAX_WARNINGS]
         more = len(held.warnings) - len(shown)
         out += ['', 'warnings', *(line for text in shown for line in wrapped(text, '  '))]
         out += [f'  and {more} more (--json)'] if more else []
@@ -83,7 +83,7 @@ def _topics(held: Content) -> Iterator[str]:
     rows = [
         [one.name, str(one.messages), '-' if one.rate_hz is None else f'{one.rate_hz:.4g}',
          f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_lost_s:.3f}' if one.gaps else '-']
-        for one in held.topics.found
+        for one in held.topics.present
     ]
     yield from Table(['topic', 'messages', 'rate, Hz', 'seconds', 'gaps', 'longest, s'], rows,
                      range(1, 6)).text()
@@ -124,7 +124,7 @@ def _flight(held: Content) -> Iterator[str]:
 def _segments(held: Content) -> Iterator[str]:
     note = ' (the bag names none: split in time)' if held.split else ''
     yield f'segments{note}'
-    shown = held.segments[:MOST_SEGMENTS]
+    shown = held.segments[:MAX_SEGMENTS]
     for s in shown:
         yield (f'  {s.role:<11} {s.signal:<10} {s.axis:<6} {s.injection:<9} '
                f'{s.start_s:8.2f} to {s.end_s:8.2f} s')
@@ -142,9 +142,9 @@ def _axis(one: AxisContent) -> Iterator[str]:
         yield '  not excited: the command stands still'
     elif one.excitation_order is not None:
         band = one.coherent_band_rad_s
-        told = f'{band[0]:.2g} to {band[1]:.3g} rad/s' if band else 'in no band'
+        span = f'{band[0]:.2g} to {band[1]:.3g} rad/s' if band else 'in no band'
         yield (f'  persistently exciting of order {one.excitation_order}; '
-               f'coherent {told}')
+               f'coherent {span}')
     for use in one.uses:
         yield from _use(use)
 

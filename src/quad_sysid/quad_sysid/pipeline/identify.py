@@ -17,7 +17,7 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
-from quad_sysid.discover.search import Found, extended, scored, search
+from quad_sysid.discover.search import Found, extended, scored, search, settled
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.estimate.fit import Problem
@@ -26,6 +26,7 @@ from quad_sysid.foresight import drawn_hz
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Effect
+from quad_sysid.own_base import Base, lacking
 from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, Residual
 from quad_sysid.pipeline.held_out import findings, of_black_box, of_grey_box
@@ -51,6 +52,8 @@ class Options:
     no_designer_because: str = 'no designer is installed (quad_tuning offers one)'
     effects: tuple[Effect, ...] = EFFECTS
     """The candidates for what is missing."""
+    base: Base | None = None
+    """The user's own; None: gain, lag, delay, damping and bias."""
     halt: Callable[[], str] = lambda: ''
     """Why the search may add nothing more; '' as long as it may."""
 
@@ -92,7 +95,8 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
                      for own in _commands(record, axis)), default=0.0)
         if drawn:
             options = replace(options, effects=())
-        told = found_effects(data, options, progress)
+        problem = None if options.base is None else options.base.problem(data, records[0].units)
+        told = found_effects(data, options, progress, problem)
     except NotInformativeError as error:
         reason = '; '.join([str(error), *(w for w in warnings if 'cut off' in w)])
         return AxisAnswer(
@@ -100,7 +104,10 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
             warnings=warnings,
         )
     base = told.found.base
-    data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
+    if options.base is None:
+        data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
+    else:
+        warnings += lacking(options.base, told.problem, base)
     count = max(told.problem.data.motors.shape[1], FEWEST_MOTORS)
     searched = any(one.label not in told.found.reasons and max(one.motors, default=0) < count
                    and (not one.axes or axis in one.axes) for one in options.effects)
@@ -147,12 +154,15 @@ def _compared(answer: AxisAnswer, told: Findings, data: AxisData, loop: Loop,
                    closed_loop=closed_loop(answer.model, loop, data))
 
 
-def found_effects(data: AxisData, options: Options,
-                  progress: Progress = lambda _: None) -> Findings:
-    """Search on the training segments, then the held-out ones. Raises NotInformativeError."""
+def found_effects(data: AxisData, options: Options, progress: Progress = lambda _: None,
+                  problem: Problem | None = None) -> Findings:
+    """Search on the training segments, then the held-out ones. Raises NotInformativeError.
+
+    problem: the training with a base of one's own.
+    """
     progress(f'{data.axis}: what is missing')
     try:
-        problem = Problem(data, data.train)
+        problem = problem or Problem(data, data.train)
         found = search(problem, options.effects, options.halt,
                        lambda line: progress(f'{data.axis}: {line}'))
         if not options.halt():
@@ -190,8 +200,9 @@ def with_own(problem: Problem, found: Found, effects: Sequence[Effect]) -> Found
     more = [scored(fit, found.prices) for fit in fits.values() if fit is not None]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
-    return replace(found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
-                   reasons=found.reasons | failed)
+    return settled(problem, replace(
+        found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
+        reasons=found.reasons | failed))
 
 
 def _reason(told: Findings, not_searched: str) -> str:
@@ -221,8 +232,10 @@ def _reason(told: Findings, not_searched: str) -> str:
             f'; the training {"also " if kept else ""}suggests {names}, which is not confirmed by '
             'the held-out segments or does not come again in resampled flights'
         )
+    if not verdict.chosen.converged:
+        reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'
     gain = verdict.chosen.value('gain')
-    if verdict.verdict != 'cannot_tell' and gain < 0.0:
+    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not told.problem.held:
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
             'the sign of the gyro before anything else'
@@ -263,10 +276,12 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
         return GainProposal(None, refused_because)
     if not answer.answered or answer.model is None:
         return GainProposal(None, answer.reason)
-    if not EVERY[answer.axis].turns:
-        return GainProposal(None, 'gains are designed for the attitude only')
-    if options.designer is None:
-        return GainProposal(None, options.no_designer_because)
+    if EVERY[answer.axis].outer:
+        return GainProposal(None, 'no firmware has its loop; quad-tune design MODEL.json --axis '
+                            f'{answer.axis} gives gains for one of your own')
+    if options.designer is None or options.base is not None:
+        return GainProposal(None, options.no_designer_because if options.base is None
+                            else 'gains are designed for the built-in base only')
     try:
         return options.designer(answer.model.predicting)
     except QuadSysidError as error:
