@@ -45,7 +45,7 @@ GROUPS = {
     'and command': r'shape:(other_(rate|command)|other_angle/[sr]|battery|(damping|lag|delay):batt'
     r'|gain:angle|(angle|command)/\w+ friction)',
 }
-"""Name → its labels, as a regular expression."""
+"""Name → its labels, as a regular expression; most of them went after commit 7621d87 was flown."""
 FIRST_SEED, PERMUTED = 31_000, 5
 REAL = ('flights/crazypad_weight_near_m3.csv', 'flights/lee_standard_1.csv',
         'flights/crazyflie_1khz_roll_pitch.csv', 'nanobench/B3_figure8_fast_rep1.csv.gz',
