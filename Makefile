@@ -130,10 +130,17 @@ bench-log: build  ## what the log loses under load and when killed, how fast bag
 docs: build-docs  ## the documentation as a site in site/, links checked
 	@$(RUN) exec python -m mkdocs build --clean --quiet
 
-wheel: build  ## wheels of the part that needs no ROS, in dist/
-	@$(RUN) for package in quad_sysid quad_tuning; do \
-	    python -m pip wheel --quiet --no-deps --no-build-isolation \
-	        --wheel-dir dist src/$$package; rm -rf src/$$package/build; done; ls dist/*.whl
+# from the last commit, and the same bytes each time: its files, its date, one order, owner and umask
+wheel: build  ## wheels and source packages of the part that needs no ROS, of the last commit, in dist/
+	@$(RUN) umask 022; dist=$$PWD/dist; at=$$(mktemp -d); trap 'rm -rf "$$at"' EXIT; mkdir -p "$$dist"; \
+	export SOURCE_DATE_EPOCH=$${SOURCE_DATE_EPOCH:-$$(git log -1 --format=%ct)}; \
+	git archive HEAD src LICENSE | tar -x -C "$$at"; for package in quad_sysid quad_tuning; do \
+	    cd "$$at/src/$$package"; rm -f "$$dist"/$$package-*; \
+	    python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir "$$dist" .; \
+	    python setup.py --quiet sdist --formats=tar --dist-dir "$$at" 2>/dev/null; \
+	    name=$$(basename "$$at"/$$package-*.tar .tar); tar -x -C "$$at" -f "$$at/$$name.tar"; \
+	    tar --sort=name --mtime=@$$SOURCE_DATE_EPOCH --owner=0 --group=0 --numeric-owner -C "$$at" -c "$$name" \
+	        | gzip -9n >"$$dist/$$name.tar.gz"; done; ls "$$dist"
 
 PIN := uv pip compile -q --no-annotate --no-header --no-emit-index-url --no-emit-find-links
 FOR_ALL := $(PIN) --universal --python-version 3.10
