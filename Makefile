@@ -31,7 +31,7 @@ qemu: build  ## the STM32's ELF for demo ARGS=--qemu (needs gcc-arm-none-eabi, q
 	    exit 2; }; done
 	@$(RUN) make -s -C firmware PYTHON=python stm32 && arm-none-eabi-size firmware/build/stm32f405.elf
 
-firmware-table: qemu  ## measure the STM32's ELFs in QEMU: the table of docs/firmware.md
+firmware-table: qemu  ## measure the STM32's ELFs in QEMU: the table of docs/results/firmware.md
 	@$(RUN) exec python tools/firmware_table.py firmware/build
 
 flight: build  ## two simulated flights as bags, my_flight and another_flight (seconds; ARGS=FOLDER)
@@ -89,7 +89,7 @@ bench-likelihood: build  ## the fit against the Cramer-Rao bound, the evidence a
 	@$(RUN) OPENBLAS_NUM_THREADS=1 python bench/accuracy.py; exec python bench/evidence.py
 
 bench-outside: build  ## effects that others wrote from textbooks, two levels of noise (two hours; ARGS='--only rigs')
-	@$(RUN) export OPENBLAS_NUM_THREADS=1; python bench/outside.py --noise 0.3 $(ARGS); exec python bench/outside.py $(ARGS)
+	@$(RUN) export OPENBLAS_NUM_THREADS=1; python bench/effects_outside.py --noise 0.3 $(ARGS); exec python bench/effects_outside.py $(ARGS)
 
 bench-twice: build  ## each aircraft flown twice: does the answer come again? (an hour; ARGS='--plants 12')
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/effects_twice.py $(ARGS)
@@ -97,7 +97,7 @@ bench-twice: build  ## each aircraft flown twice: does the answer come again? (a
 bench-fleet: build  ## what a fleet costs beside its bags, one worker and two (ten minutes; ARGS=--drift)
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/fleet.py $(ARGS)
 
-bench-results: build  ## the tables of docs/results.md from bench/results
+bench-results: build  ## the tables of the pages of results from bench/results
 	@$(RUN) exec python bench/results.py
 
 bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')

@@ -24,7 +24,7 @@ STILL = (0.0, 0.0, 0.0)
 
 
 class Ability(Enum):
-    """What an aircraft may be able to do."""
+    """Abilities that an aircraft may have."""
 
     EXCITE = 'excitation'
     SET_POINTS = 'set-points'

@@ -21,8 +21,8 @@ from quad_bridge.wire.frames import CommandAck, Frame
 
 ANSWER_S = 1.0  # an answer is waited for so long; a late one may come for as long again
 LATE_S = 60.0  # so long a request may have lain on the way
-AGAIN_S = 0.2  # between two disarms that nothing has answered
-AGAIN_WITHIN_S = 2.0  # between two calls that disarm in flight
+AGAIN_S = 0.2  # interval at which an unanswered disarm is repeated
+AGAIN_WITHIN_S = 2.0  # longest time between two calls that disarm in flight
 HELD_S = 0.5  # after so long without a message the switch counts as let go
 
 
@@ -64,7 +64,7 @@ class OperatorEnable:
 
 
 class SecondCall:
-    """To disarm in flight lets it fall: that takes a second call, or the pilot's own switch."""
+    """Disarming in flight lets it fall, so it takes a second call or the pilot's own switch."""
 
     def __init__(self) -> None:
         self._first_s = -math.inf
@@ -86,13 +86,13 @@ class _Request:
 
     def __init__(self, arm: bool) -> None:
         self.arm, self.last_s = arm, -math.inf
-        self.told: list[tuple[float, Callable[[str], None]]] = []
+        self.replies: list[tuple[float, Callable[[str], None]]] = []
 
 
 class Arming:
     """A request from its sending to the STM32's answer; safe in threads.
 
-    Answers come in the order of what was sent. Each `told` is called once, with what became of
+    Answers come in the order of what was sent. Each `reply` is called once, with what became of
     its request.
     """
 
@@ -103,7 +103,7 @@ class Arming:
         self._sent: deque[_Request] = deque()  # one per command on the way, of earlier ones too
         self._owed_until_s = self._given_up_s = -math.inf
 
-    def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Frame:
+    def ask(self, arm: bool, reply: Callable[[str], None], now_s: float) -> Frame:
         """Accept a request; returns the frame to send. Raises RefusedError."""
         with self._lock:
             self._expire(now_s)
@@ -113,7 +113,7 @@ class Arming:
             if asked is None or asked.arm:
                 self._end('given up for a request to disarm', now_s)
                 asked = self._asked = _Request(arm)
-            asked.told.append((now_s + ANSWER_S, told))
+            asked.replies.append((now_s + ANSWER_S, reply))
             return self._send(asked, now_s)
 
     def tick(self, now_s: float, *, armed: bool = False) -> Frame | None:
@@ -125,33 +125,33 @@ class Arming:
             asked, text = self._asked, f'no answer in {ANSWER_S:g} s'
             if asked is None:
                 return None
-            late = [told for until_s, told in asked.told if now_s > until_s]
-            asked.told = [one for one in asked.told if now_s <= one[0]]
-            if not asked.told:
+            late = [reply for until_s, reply in asked.replies if now_s > until_s]
+            asked.replies = [one for one in asked.replies if now_s <= one[0]]
+            if not asked.replies:
                 if asked.arm and armed:
                     text = ACCEPTED
                 elif asked.arm:
                     self._given_up_s = now_s
                 self._end(text, now_s)
-            for told in late:
-                told(text)
-            again = asked.told and not asked.arm and now_s - asked.last_s >= AGAIN_S
+            for reply in late:
+                reply(text)
+            again = asked.replies and not asked.arm and now_s - asked.last_s >= AGAIN_S
             return self._send(asked, now_s) if again else None
 
     def acknowledged(self, ack: CommandAck, now_s: float) -> None:
         """Take the STM32's answer to a command."""
         with self._lock:
             self._expire(now_s)
-            told = self._aircraft.armed_answer(ack)
-            if told is None or not self._sent:
+            answer = self._aircraft.armed_answer(ack)
+            if answer is None or not self._sent:
                 return
             answered, asked = self._sent.popleft(), self._asked
             # an answer to the disarm of before is as good for the one that waits
             if asked is not None and (answered is asked or not (answered.arm or asked.arm)):
-                self._end(told, now_s)
+                self._end(answer, now_s)
 
     def late(self, now_s: float, *, armed: bool) -> str:
-        """What to say of an aircraft that armed after the request had been given up; once."""
+        """A warning, once, where the aircraft armed after the request had been given up."""
         with self._lock:
             passed_s = now_s - self._given_up_s
             if not armed or passed_s > LATE_S:
@@ -175,8 +175,8 @@ class Arming:
         asked, self._asked = self._asked, None
         if asked is not None:
             self._owed_until_s = now_s + ANSWER_S
-            for _, told in asked.told:
-                told(text)
+            for _, reply in asked.replies:
+                reply(text)
 
     def _expire(self, now_s: float) -> None:
         """Wait no more for answers to requests that ended long ago."""

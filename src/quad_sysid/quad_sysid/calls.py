@@ -1,7 +1,7 @@
 """Functions of `import quad_sysid` that take whatever the others return.
 
 A model is a black box, an identified axis, a Result or the path of a model.json; a flight is a
-Record, IOData or the path of a bag. The work is done in the rooms that these functions name.
+Record, IOData or the path of a bag. The work is done in the packages that these functions name.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def simulate(model: AnyModel, u: npt.ArrayLike, x0: Any = None, **signals: Any) 
 
 
 def predict(model: AnyModel, flight: AnyFlight, horizon: float = 1) -> FloatArray:
-    """(n,) predicted output, `horizon` samples ahead, math.inf for the free run; NaN elsewhere."""
+    """(n,) output predicted `horizon` samples ahead, math.inf for the free run; NaN if unknown."""
     return model_of(model).predict(_data(model, flight), horizon)
 
 

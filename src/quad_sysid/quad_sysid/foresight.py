@@ -1,10 +1,10 @@
-"""Whether commands tell what a rate will be, before any model: two linear regressions. Pure.
+"""Whether commands predict a rate, before any model is fitted: two linear regressions. Pure.
 
-The verdict's criterion (discover/accept.py) for those who fit nothing: at some horizon the error
-of a prediction with commands must be smaller by DIFFERS than that of one by past rates alone. Both
+The verdict's criterion (discover/accept.py) where nothing is fitted: at some horizon the error of
+a prediction with commands must be smaller by DIFFERS than that of one by past rates alone. Both
 know commands up to the prediction's start only, since a feedback's later ones contain the very
 rates that are to be predicted. A verdict on fitted models asks for more: where these commands do
-not tell, it cannot either.
+not predict the rate, no model does.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ REGULAR, LEAST_APART = 0.7, 3
 """Least share of the lines' ends that come at one interval, or a multiple, of so many samples."""
 
 
-def tell(
+def predictive(
     rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, int]], dt: float
 ) -> bool:
-    """Whether commands (n, k) tell the rate (n,), rad/s, over spans without gaps; dt in s."""
+    """Whether commands (n, k) predict the rate (n,), rad/s, over spans without gaps; dt in s."""
     return improvement(rate, commands, spans, dt) >= DIFFERS
 
 
@@ -78,8 +78,8 @@ def drawn_hz(commands: FloatArray, dt: float) -> float:
     Such a command moves and yet hardly ever bends, and it bends at regular intervals. One that is
     held does not move between its samples.
     """
-    found = [rate for column in commands.T if (rate := _drawn(column)) is not None]
-    return float(np.median(found)) / dt if found and min(found) > 0.0 else 0.0
+    rates = [rate for column in commands.T if (rate := _drawn(column)) is not None]
+    return float(np.median(rates)) / dt if rates and min(rates) > 0.0 else 0.0
 
 
 def _drawn(command: FloatArray) -> float | None:

@@ -141,14 +141,14 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if self._worker is not None:
             return answered(response, False, f'{self._bag} is still being identified')
         wanted = str(self.get_parameter('bag').value)
-        found = self._folder / wanted if wanted else self._newest()
-        if found is None or not self._ours(found):
+        bag = self._folder / wanted if wanted else self._newest()
+        if bag is None or not self._ours(bag):
             where = wanted or 'no bag'
             return answered(response, False, f'{where} below {self._folder}: see parameter bag')
-        self._seen[str(found)] = 'it was asked for by ~/identify'
-        self._queue.append(str(found))
+        self._seen[str(bag)] = 'it was asked for by ~/identify'
+        self._queue.append(str(bag))
         self._start_next(asked=True)
-        return answered(response, True, f'identifying {found}')
+        return answered(response, True, f'identifying {bag}')
 
     def _newest(self) -> Path | None:
         bags = [path.parent for path in self._folder.glob('**/metadata.yaml')]
@@ -242,18 +242,18 @@ class IdentificationNode(Node):  # type: ignore[misc]
             text = f'gains not sent: {why}; quad-tune send takes them: {wanted}'
             self.get_logger().warning(text)
             return f'not sent: {why}'
-        told: dict[str, float | str] = {
+        values: dict[str, float | str] = {
             **wanted, 'source': f'identification of {bag}', 'bag': bag,
             'model': f'{outcome.folder}/model.json', **outcome.sent_with(),
         }  # fmt: skip
-        event = event_message(told, '/identification', 0)
+        event = event_message(values, '/identification', 0)
         request = SetParametersAtomically.Request(parameters=event.changed_parameters)
         self._gains.call_async(request).add_done_callback(self._on_answer)
         self.get_logger().info(f'gains sent: {wanted}')
         return 'sent'
 
     def _on_answer(self, future: Any) -> None:
-        """Say what the bridge has answered, beside what was found."""
+        """Show what the bridge has answered beside the answers."""
         answer = future.result().result
         words = 'in force, on trial' if answer.successful else f'refused: {answer.reason}'
         text, log = f'gains {words}', self.get_logger()

@@ -126,8 +126,8 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     def fitted(log_lag: float, delay: float) -> tuple[FloatArray, FloatArray]:
         """What a curve of the lagged command leaves, and the curve."""
         x = np.stack([_behind(held**k, math.exp(log_lag), delay, dt)[rows] for k in (0, 1, 2)])
-        found = np.linalg.lstsq(x @ x.T, x @ target, rcond=None)[0]
-        return target - found @ x, found
+        coefficients = np.linalg.lstsq(x @ x.T, x @ target, rcond=None)[0]
+        return target - coefficients @ x, coefficients
 
     def inside(at: FloatArray) -> tuple[float, float]:
         return (float(np.clip(at[0], math.log(1e-4), math.log(LONGEST_LAG_S))),
@@ -143,7 +143,7 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     best = minimize(cost, min(grid, key=cost), method='Nelder-Mead',
                     options={'xatol': 1e-3, 'fatol': 1e-6, 'maxiter': 120}).x
     log_lag, delay = inside(best)
-    e, found = fitted(log_lag, delay)
+    e, coefficients = fitted(log_lag, delay)
     fit = 1.0 - float(e @ e) / float(np.sum((target - target.mean()) ** 2))
     if fit < LEAST_FIT:
         return None
@@ -154,7 +154,7 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     scores = np.add.reduceat(j * e[:, None], starts)
     inverse = np.linalg.pinv(j.T @ j)
     spread = math.sqrt(max(float((inverse @ (scores.T @ scores) @ inverse)[0, 0]), 0.0))
-    curve = float(found[0]), float(found[1]), float(found[2])
+    curve = float(coefficients[0]), float(coefficients[1]), float(coefficients[2])
     return Rotor(math.exp(log_lag), spread, fit, curve)
 
 

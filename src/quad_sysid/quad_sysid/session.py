@@ -45,9 +45,9 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
     check_place(out or Path())
     if out is not None:
         check_own(out)
-    found = identify(bags, progress=progress, **wanted)
+    result = identify(bags, progress=progress, **wanted)
     progress('writing the report')
-    saved = found.save(out)
+    saved = result.save(out)
     progress('')
     return saved
 

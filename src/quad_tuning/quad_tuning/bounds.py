@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.axes import EVERY
-from quad_sysid.loop.cascade import ELSEWHERE, TUNED, CascadeGains, contract_names
+from quad_sysid.loop.cascade import FOREIGN_NAMES, TUNED, CascadeGains, contract_names
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
 from quad_sysid.units import spoken, unit_in
@@ -251,7 +251,7 @@ def within_thrust(gains: CascadeGains, model: AxisModel) -> CascadeGains:
 def _foreign(model: AxisModel) -> bool:
     """Whether other firmware flew, whose own bounds its gains had to keep."""
     return any(f'{model.axis}.{name}' in model.active_gains
-               for name in (*ELSEWHERE.values(), 'rate.tpa_kp'))
+               for name in (*FOREIGN_NAMES.values(), 'rate.tpa_kp'))
 
 
 def check_band(model: AxisModel, crossover_rad_s: float) -> None:

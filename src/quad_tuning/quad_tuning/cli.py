@@ -128,11 +128,11 @@ def _answer(model: AxisModel, models: Mapping[str, AxisModel],
     asked = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
     given = {name: positive(f'--max-{name}', value) for name, value in asked if value is not None}
     try:
-        found = propose_lqr(model, Weights(**given))
+        lqr = propose_lqr(model, Weights(**given))
     except DesignRefusedError as refusal:
         return {'gains': None, 'refused_because': str(refusal), 'figures': {}}
-    return {'gains': found.gains, 'refused_because': '', 'left_out': not_in_the_loop(model),
-            'figures': found.figures}
+    return {'gains': lqr.gains, 'refused_because': '', 'left_out': not_in_the_loop(model),
+            'figures': lqr.figures}
 
 
 def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:

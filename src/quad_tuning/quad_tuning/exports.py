@@ -38,7 +38,7 @@ from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
 
 DESIGN = 'quad_tuning/design/1'
 SCHEMAS = (DESIGN, 'quad_sysid/report/1')
-"""Of the files that hold gains."""
+"""Schemas of the files that hold gains."""
 REMEDY, AGAIN = 'give the file of quad-tune design --out, or a report.json', 'design again'
 NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
 
@@ -49,11 +49,11 @@ class Firmware:
 
     table: Table | None
     notes: tuple[str, ...]
-    """What has no counterpart."""
+    """Gains without a counterpart."""
     head: str = ''
     row: str = '{name},{value:.9g}'
     cli: Mapping[str, tuple[str, float]] = field(default_factory=dict)
-    """Of a firmware with whole numbers on a command line: its name and scale by ours."""
+    """Name and scale by our name, for a firmware with whole numbers on a command line."""
     head_lines: tuple[str, ...] = ()
 
 
@@ -128,23 +128,23 @@ def run(arguments: argparse.Namespace) -> int:
     if firmware.cli:
         return _command_line(firmware, arguments)
     gains = read_gains(arguments.gains)
-    found = parameters(firmware, gains, scales(arguments.scale))
+    values = parameters(firmware, gains, scales(arguments.scale))
     rest = left_out(gains)
     content = (
         f'# Gains of {arguments.gains.name}, converted by quad-tune export\n'
         + ''.join(f'# {note}\n' for note in firmware.notes)
         + ''.join(f'# Left out, it has no counterpart here: {note}\n' for note in rest)
         + firmware.head
-        + ''.join(f'# {name} = {how}\n' for name, (_, how) in found.items())
+        + ''.join(f'# {name} = {how}\n' for name, (_, how) in values.items())
         + ''.join(firmware.row.format(name=name, value=value) + '\n'
-                  for name, (value, _) in found.items())
+                  for name, (value, _) in values.items())
     )
     if arguments.out is None:
         print(content, end='')
         return 0
     check_new(arguments.out)
     write_whole(arguments.out, content)
-    print(f'{len(found)} parameters in {arguments.out}'
+    print(f'{len(values)} parameters in {arguments.out}'
           + (f'; left out: {", ".join(rest)}' if rest else ''))
     return 0
 
@@ -225,10 +225,10 @@ def _flown(path: Path) -> dict[str, float]:
     """The gains and filters of the flight behind a model. Raises BadInputError."""
     from quad_sysid.report.model_file import load_models, located
 
-    found: dict[str, float] = {}
+    gains: dict[str, float] = {}
     for model in load_models(located(path)).values():
-        found |= model.active_gains
-    return found
+        gains |= model.active_gains
+    return gains
 
 
 def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator[str]:
@@ -294,7 +294,7 @@ def read_gains(path: Path, *, bounded: bool = True) -> dict[str, float]:
     Raises BadInputError naming file and field of what is no gain, not finite or, where `bounded`,
     outside the default bounds; the bridge's gate has bounds of its own.
     """
-    found: dict[str, float] = {}
+    gains: dict[str, float] = {}
     flown = {axis: one for axis, one in read_axes(path).items()
              if axis not in EVERY or not EVERY[axis].outer}
     if not any(one['gains'] for one in flown.values()):
@@ -307,11 +307,11 @@ def read_gains(path: Path, *, bounded: bool = True) -> dict[str, float]:
             if bound is None:
                 raise BadInputError(where, 'is no gain that a design changes',
                                     remedy='docs/reference/gains.md lists them')
-            found[name] = value = finite(given, where)
+            gains[name] = value = finite(given, where)
             if bounded and not bound.lower <= value <= bound.upper:
                 span = f'{bound.lower:g} .. {bound.upper:g} {ROWS[name].unit}'
                 raise BadInputError(where, f'must lie in {span}', f'{value:g}', AGAIN)
-    return found
+    return gains
 
 
 def finite(value: object, where: str) -> float:

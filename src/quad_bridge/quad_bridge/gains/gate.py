@@ -82,16 +82,16 @@ def _object(name: str, rest: dict[str, object]) -> dict[str, float]:
     """Remove a parameter that is JSON such as `{"roll.peak": 1.2}`; its numbers, all finite."""
     text = _text(name, rest.pop(name, '{}'))
     try:
-        said = json.loads(text)
-        found = numbers(said) if isinstance(said, dict) else None
+        tree = json.loads(text)
+        values = numbers(tree) if isinstance(tree, dict) else None
     except (ValueError, RecursionError) as error:
         raise RefusedError(f'{name}: must be a JSON object of numbers: {error}') from error
-    if found is None:
+    if values is None:
         raise RefusedError(f'{name}: must be a JSON object: found {shorten(text)}')
-    for key, value in found.items():
+    for key, value in values.items():
         if not math.isfinite(value):
             raise RefusedError(f'{name}: {shorten(key)} must be finite: found {value}')
-    return found
+    return values
 
 
 def _text(name: str, text: object) -> str:
@@ -119,15 +119,15 @@ def _predictions(pairs: Mapping[str, float]) -> dict[str, Predicted]:
 
 def numbers(wanted: Mapping[str, object]) -> dict[str, float]:
     """The values as floats. Raises RefusedError where one is a string, a bool or too large."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for name, value in wanted.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise RefusedError(f'{shorten(name)}: must be a number: found {reprlib.repr(value)}')
         try:
-            found[name] = float(value)
+            values[name] = float(value)
         except OverflowError as error:
             raise RefusedError(f'{shorten(name)}: is too large a number') from error
-    return found
+    return values
 
 
 def shorten(text: str) -> str:

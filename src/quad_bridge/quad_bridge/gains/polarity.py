@@ -23,7 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 Signs = dict[str, dict[str, int]]  # motor channel to axis to the sign of its answer
 
 QUIET_S, HALF_S, REST_S = 0.16, 0.12, 0.36
-LISTEN_S = (0.04, 0.18)  # the answer, from the doublet's start on: its second half is not felt yet
+LISTEN_S = (0.04, 0.18)  # the answer after the doublet's start, before its second half acts
 LEAST_RAD_S, LEAST_SIGMAS = 0.015, 5.0  # an answer is larger than both
 PULSE_VALID_MS = 60
 GRACE_S = 0.24  # in which the STM32 may still report a refusal of something older
@@ -195,8 +195,8 @@ class PolarityCheck:
             'wrong': '{} responds with the wrong sign',
             'crossed': 'a pulse on {} moves another axis more',
         }
-        found = [words[v].format(a) for a, v in self._axes.items() if v in words]
-        return found + self.craft.where_motors_are(self._motors)[1]
+        faults = [words[v].format(a) for a, v in self._axes.items() if v in words]
+        return faults + self.craft.where_motors_are(self._motors)[1]
 
     def refuse_faults(self) -> None:
         """Raise RefusedError where something is wrong, with the check that clears it."""

@@ -26,15 +26,15 @@ from quad_bridge.wire.frames import (
 )
 
 SET_MESSAGE_INTERVAL = 511
-ROUND_NS = 1_000_000_000  # between two looks at the rates
+ROUND_NS = 1_000_000_000  # interval at which the rates are checked
 PAUSE_NS = (2_000_000_000, 60_000_000_000)
-"""Between two requests for one message; each that changes nothing doubles it, up to the second."""
+"""Pause between two requests for a message; doubled, up to the second, while nothing changes."""
 ENOUGH = 0.8  # share of the wanted rate that need not be raised
-ALIVE_NS = 1_000_000_000  # a message that has not come for so long does not come
+ALIVE_NS = 1_000_000_000  # a message that is silent for so long counts as absent
 LONGEST_NS = 10_000_000_000  # or for three of its own intervals, up to this
-FRAME_BYTES = 12  # of a message around its content
-LINE_SHARE = 0.8  # of what a serial line carries that telemetry may fill
-LEAST_HZ = 10.0  # below which no stream is asked for to spare the line
+FRAME_BYTES = 12  # overhead of a message
+LINE_SHARE = 0.8  # share of a serial line's capacity that telemetry may use
+LEAST_HZ = 10.0  # no stream is requested at less than that to spare the line
 MOVED_RAD = 0.01  # angles that change by more while all rates are exactly zero
 INERTIAL, MOTORS, ROTORS = '/imu/data', '/motors/command', '/motors/state'
 STICKS, COMPASS, PRESSURE, BATTERY = '/rc/in', '/imu/mag', '/baro', '/battery'
@@ -98,7 +98,7 @@ class Inertial:
     gyro: Vector3 | None
     accel: Vector3 | None
     attitude: Vector3 | None
-    grain_us: int = 1  # of the time: 1000 where it is in ms, of 32 bits
+    grain_us: int = 1  # resolution of the time: 1000 where it is in ms, with 32 bits
 
 
 @dataclass
@@ -114,7 +114,7 @@ class _Stream:
 
 
 class Autopilot:
-    """What arrives, what of it feeds the topics, and what is to be asked for."""
+    """The messages that arrive, those that feed the topics, and those to request."""
 
     def __init__(self, budget: float = math.inf) -> None:
         """`budget`: bytes per second that the line carries for it."""

@@ -5,12 +5,12 @@ cycles are to be held back.
 
 StepGuard: TIMESYNC sees a jump of a running STM32's clock only at its next round trips; cycles
 stamped until then would be wrong. Cycle counter and device time step together, so a step that does
-not fit holds cycles back until a round trip that was asked for after it has told.
+not fit holds cycles back until a later round trip has shown it.
 
 LateGuard: a host that stood still, or a line that held bytes back, delivers a burst, which catches
 up within milliseconds. An aircraft that restarted while nobody heard it, with a cycle counter that
 happens to be higher than before, stays behind for ever. So what is late waits until it has caught
-up, or a round trip has told.
+up, or a round trip has shown it.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ COARSE_S = 0.002  # where half a round trip is longer, so may the error of the s
 FTDI_MS = 2
 SILENT_S = 3.0  # without an answer to TIMESYNC for so long the estimate ages
 FOREIGN_BYTES = 2000  # without one valid frame: the aircraft speaks another protocol
-SETTLED_S = 0.5  # least time over which rates and losses are told
+LEAST_REPORT_S = 0.5  # least time over which rates and losses are counted
 _COUNTED = {
     'lost cycles': 'lost_cycles', 'bad CRC': 'bad_crc', 'garbage bytes': 'garbage_bytes',
     'unknown messages': 'unknown', 'standard messages not used': 'standard',
@@ -62,12 +62,12 @@ class LinkReport:
     ) -> list[Status]:
         """Both entries; `behind_ns`: by how much the system clock was set beyond the stamps.
 
-        `unset`: time is simulated, and nobody has told it yet.
+        `unset`: time is simulated, and it is not known yet.
         """
         link, counts = self._link, self._link.decoder.counts
-        settled = now_s - self._last.time_s > SETTLED_S
-        before = self._last if settled else self._earlier
-        if settled:
+        due = now_s - self._last.time_s > LEAST_REPORT_S
+        before = self._last if due else self._earlier
+        if due:
             now = _Before(now_s, replace(counts), link.cycles, port.dropped_writes)
             self._earlier, self._last = before, now
         rate = (link.cycles - before.cycles) / max(now_s - before.time_s, 1e-3)

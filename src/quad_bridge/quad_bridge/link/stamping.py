@@ -45,7 +45,7 @@ class Restarted(NamedTuple):
 
 
 class Described(NamedTuple):
-    """Another autopilot has told how its craft is built, as far as it does."""
+    """Another autopilot has described its craft by its parameters, as far as it does."""
 
     peer: f.Heartbeat
     parameters: Mapping[str, float]
@@ -141,10 +141,10 @@ class Stamping:
         else:
             stamp(now_ns)
 
-    def trip(self, sent_ns: int, told_ns: int, now_ns: int) -> None:
-        """Take a round trip of TIMESYNC: sent and received by us, told by the aircraft."""
+    def trip(self, sent_ns: int, aircraft_ns: int, now_ns: int) -> None:
+        """Take a round trip of TIMESYNC: when sent, answered by the aircraft, received."""
         # who counts µs in 32 bits wraps here too
-        whole_us, rest_ns = divmod(told_ns, 1000)
+        whole_us, rest_ns = divmod(aircraft_ns, 1000)
         device_us = self.device_time.peek(whole_us, NEAR_US)
         near_us = self._nearest(device_us, WRAP_US)  # Betaflight's TIMESYNC alone has 32 bits
         if abs(near_us - self._anchor_us) < PAST_US:
@@ -155,7 +155,7 @@ class Stamping:
             self.late.trip(sent_ns, off_ns, now_ns - sent_ns)
         if self.late.gone:
             self._begin_anew()
-            device_ns = told_ns
+            device_ns = aircraft_ns
         self._anchor_us = device_ns // 1000
         accepted = self.clock.add(sent_ns, device_ns, now_ns)
         self.guard.trip(sent_ns, self.clock.off_ns, accepted=accepted)

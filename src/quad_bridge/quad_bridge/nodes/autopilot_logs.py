@@ -41,7 +41,7 @@ class AutopilotLogs:
         self._by_itself = by_itself
         self._fetch, self._store = LogFetch(), LogStore(run)
         self._fetch.there = self._store.there
-        self._flew, self._said, self._told_pct = False, '', -1
+        self._flew, self._said, self._shown_pct = False, '', -1
         self._finishing = False
 
     def configure(self) -> None:
@@ -96,7 +96,7 @@ class AutopilotLogs:
             return 'not in flight: the line is for the flight; land and disarm it first'
         self._store.open(folder / LOGS, aircraft.kind.log_suffix)
         self._fetch.begin(clock().now_s())
-        self._finishing, self._told_pct = False, -1
+        self._finishing, self._shown_pct = False, -1
         self._publish('fetching', '')
         return ''
 
@@ -104,8 +104,8 @@ class AutopilotLogs:
         fetch, log = self._fetch, self._node.get_logger()
         if fetch.phase is Phase.FETCHING and fetch.size:
             pct = 25 * int(4.0 * fetch.got / fetch.size)
-            if pct > self._told_pct:
-                self._told_pct = pct
+            if pct > self._shown_pct:
+                self._shown_pct = pct
                 words = f'log of the autopilot: {pct} % of {fetch.size / 1e6:.1f} MB'
                 log.info(words)
         if fetch.phase is Phase.DONE and not self._finishing:

@@ -15,12 +15,12 @@ class Changes:
 
     def __init__(self, limiter: LogLimiter) -> None:
         self._limiter = limiter
-        self._told: dict[str, str] = {}
+        self._messages: dict[str, str] = {}
 
     def new(self, entries: list[Status], now_s: float) -> list[Status]:
         """Entries whose message changed and may be logged."""
-        begun = [e for e in entries if self._told.get(e.name) != e.message]
-        self._told.update({e.name: e.message for e in begun})
+        begun = [e for e in entries if self._messages.get(e.name) != e.message]
+        self._messages.update({e.name: e.message for e in begun})
         return [e for e in begun if self._limiter.allow(e.name + e.message, now_s)]
 
 

@@ -20,7 +20,7 @@ from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.node_time import TimedNode
 from quad_bridge.status import WARN, Status
 
-MOST_BYTES = 65_536  # of a message: all gains at once are a tenth of that
+MOST_BYTES = 65_536  # largest message: all gains at once are a tenth of that
 SELDOM_S, LOOK_S = 1.0, 0.02  # how often, and for how long
 
 

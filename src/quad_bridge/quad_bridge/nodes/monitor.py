@@ -61,7 +61,7 @@ class Monitor(Node):  # type: ignore[misc]
         self._state = view.State(asked=self._band)
         self._pairs, self._stamps = Pairs(), deque[int](maxlen=250)
         self._step_s = 0.004
-        self._role, self._axis, self._new, self._said = '', '', 0, ''
+        self._role, self._axis, self._new, self._text = '', '', 0, ''
         self.create_subscription(DiagnosticArray, 'diagnostics', self._on_diagnostics, EVENT)
         self.create_subscription(Imu, 'imu/data', self._on_imu, STREAM)
         self.create_subscription(BatteryState, 'battery', self._on_battery, STREAM)
@@ -118,7 +118,7 @@ class Monitor(Node):  # type: ignore[misc]
                 self._state.done.add(self._axis)
             self._axis = axis
             self._pairs.clear()
-            self._state.coverage, self._said = None, ''
+            self._state.coverage, self._text = None, ''
             self._state.trained_s = self._state.validated_s = 0.0
         if self._axis not in AXES or axis not in AXES:
             self._role = ''
@@ -138,10 +138,10 @@ class Monitor(Node):  # type: ignore[misc]
             step_s = 1e-9 * float(np.median(np.diff(np.array(self._stamps))))
             if step_s > 0.0:
                 self._step_s, self._state.rate_hz = step_s, 1.0 / step_s
-        said = self._state.call(self._validation_s)
-        if said and said != self._said:
-            self._said = said
-            self._write(BELL if self._terminal else f'{said}\n')
+        text = self._state.call(self._validation_s)
+        if text and text != self._text:
+            self._text = text
+            self._write(BELL if self._terminal else f'{text}\n')
 
     def _show(self) -> None:
         text = '\n'.join(self._state.lines(time.monotonic()))

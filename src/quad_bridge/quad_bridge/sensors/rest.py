@@ -1,7 +1,7 @@
 """Gyro bias and drift, accelerometer bias and level offsets of an aircraft that stands still.
 
 Pure: arrays in, one estimate out, or a refusal where it moves. Standing on level ground a tilt of
-the sensor and a bias of its x and y cannot be told apart: they are one level offset.
+the sensor and a bias of its x and y cannot be distinguished: they are one level offset.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MOST_NORM_ERROR = 0.8  # m/s²: by how much the measured gravity may be off
 
 @dataclass(frozen=True)
 class RestEstimate:
-    """Of the time in the middle; standard errors where they are known."""
+    """Estimates for the middle of the recording; standard errors where they are known."""
 
     duration_s: float
     gyro_bias: tuple[float, float, float]  # rad/s, body axes x y z
@@ -49,7 +49,7 @@ def estimate_at_rest(
     are too short or the aircraft moves.
     """
     good = (np.abs(np.hstack([gyro, acceleration])) < MOST_READING).all(axis=1)
-    t, rates, felt = times[good], gyro[good], acceleration[good]
+    t, rates, force = times[good], gyro[good], acceleration[good]
     duration = float(t[-1] - t[0]) if len(t) else 0.0
     if duration < LEAST_S:
         raise RefusedError(f'only {duration:.1f} s of data; let it stand still for {LEAST_S:g} s')
@@ -58,7 +58,7 @@ def estimate_at_rest(
     clock = _means(t[:, None], blocks)[:, 0] - middle
     line, errors, off = _line(clock, _means(rates, blocks))
     _still(off, STILL_RATE, 'rad/s', 'turns')
-    tilt, _, off = _line(clock, _means(felt, blocks))
+    tilt, _, off = _line(clock, _means(force, blocks))
     _still(off, STILL_ACCELERATION, 'm/s²', 'is moved or shaken')
     tilted = float(np.abs(tilt[1]).max()) * duration
     if tilted > STILL_ACCELERATION:
@@ -70,7 +70,7 @@ def estimate_at_rest(
     if np.abs(bias).max() > MOST_BIAS:
         axis = 'xyz'[int(np.argmax(np.abs(bias)))]
         raise RefusedError(f'rate {axis} is {np.abs(bias).max():.3f} rad/s throughout: it turns')
-    up = felt.mean(axis=0)
+    up = force.mean(axis=0)
     norm = float(np.linalg.norm(up))
     if abs(norm - GRAVITY) > MOST_NORM_ERROR:
         raise RefusedError(f'gravity is measured as {norm:.2f} m/s²; calibrate the accelerometer')

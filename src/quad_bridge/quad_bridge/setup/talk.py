@@ -75,7 +75,7 @@ class Talk:
             self.texts.append(came.text)
 
     def to_send(self) -> bytes:
-        """What goes out now."""
+        """The bytes to send now."""
         asked = self._protocol.poll(self._now_s())
         frames, self._queue = [*self._queue, *([asked] if asked is not None else [])], []
         return b''.join(self._encoder.encode(one) for one in frames)
@@ -84,7 +84,7 @@ class Talk:
         """Let so much time pass on the line."""
         self._wait(self, seconds)
 
-    # What the wizard asks.
+    # Requests of the wizard.
 
     @property
     def aircraft(self) -> str:

@@ -34,7 +34,7 @@ LOOP_ORDER = 20
 STAGE_ORDER = 6
 """Order of the output error model of the loop, whose errors bias the plant."""
 STAGE_ORDERS = (6, 8, 4)
-"""Of the loop's output error model that gives start values; the next where the first fails."""
+"""Orders of the loop's output error model for start values, tried in this order."""
 WHITENED = 3
 """Rounds of fitting, each behind a filter that whitens what the one before left."""
 

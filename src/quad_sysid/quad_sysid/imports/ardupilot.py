@@ -198,7 +198,7 @@ def _load(path: Path) -> Table:
     if log.in_ms and 'RATE.R' in columns:
         for name in OF_RATES:
             columns[name] = columns.get(name, np.zeros(0)) * CENTI
-    return replace(table, told=(*_possible(table), *_damage(log, binary=binary)))
+    return replace(table, notes=(*_possible(table), *_damage(log, binary=binary)))
 
 
 def _damage(log: Log, *, binary: bool) -> Iterator[str]:

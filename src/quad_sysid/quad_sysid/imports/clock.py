@@ -63,7 +63,7 @@ class Unrolled:
     """(m,) indices of the given rows, in order of time."""
     time_s: FloatArray
     """(m,) strictly increasing, from one second on if they do not count from 1970."""
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Cycles:
     """(n, w) NaN in gaps."""
     own: bool
     """Whether the cycles are those of the samples."""
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unrolled:
@@ -87,11 +87,11 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     Raises BadInputError, naming `where`, where the time never advances.
     """
     rows = np.flatnonzero(np.isfinite(time_s))
-    told = _left_out(len(time_s) - len(rows), 'rows without a time')
+    notes = _left_out(len(time_s) - len(rows), 'rows without a time')
     if len(rows) < 2:
         raise BadInputError(where, 'holds no times', remedy='name another column as the time')
     again = np.concatenate(([False], _alike(time_s, values, rows)))
-    told += _left_out(int(again.sum()), 'rows written twice')
+    notes += _left_out(int(again.sum()), 'rows written twice')
     rows = rows[~again]
     steps = np.diff(time_s[rows])
     if not (steps > 0.0).any():
@@ -99,13 +99,13 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     usual = float(np.median(steps[steps > 0.0]))
     jump = _jump(usual)
     long = [rows[part] for part in _stretches(time_s[rows], usual)]
-    told += _left_out(len(rows) - sum(map(len, long)), 'rows with a time far off')
+    notes += _left_out(len(rows) - sum(map(len, long)), 'rows with a time far off')
     if not long:
         raise BadInputError(where, 'jumps from row to row', f'{len(rows)} rows',
                             'name another column as the time')
     back = sum(int(np.count_nonzero(np.diff(time_s[part]) < 0.0)) for part in long)
     if back:
-        told.append(f'{back} rows ran back in time and were sorted')
+        notes.append(f'{back} rows ran back in time and were sorted')
     long = [part[np.argsort(time_s[part], kind='stable')] for part in long]
     pause = max(PAUSE_S, PAUSE_INTERVALS * usual)
     moments = [time_s[long[0]]]
@@ -114,11 +114,11 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
         moments.append(time_s[part] + (0.0 if 0.0 < step <= jump else pause - step))
     jumps = sum(float(m[0]) != float(time_s[p[0]]) for m, p in zip(moments, long, strict=True))
     if jumps:
-        told.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, placed {pause:.3g} s '
-                    'apart')
-    kept, moment = _spread(np.concatenate(long), np.concatenate(moments), told)
+        notes.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, placed {pause:.3g} s '
+                     'apart')
+    kept, moment = _spread(np.concatenate(long), np.concatenate(moments), notes)
     moment = moment if moment[0] > EPOCH_S else moment - moment[0] + 1.0
-    return Unrolled(kept, moment, tuple(told))
+    return Unrolled(kept, moment, tuple(notes))
 
 
 def _jump(usual: float) -> float:
@@ -149,15 +149,15 @@ def _alike(time_s: FloatArray, values: Sequence[FloatArray], rows: np.ndarray) -
 
 
 def _spread(
-    rows: np.ndarray, time_s: FloatArray, told: list[str]
+    rows: np.ndarray, time_s: FloatArray, notes: list[str]
 ) -> tuple[np.ndarray, FloatArray]:
     """Rows of equal time: spread between the ticks if there are many, left out if few."""
     repeated = np.concatenate(([False], np.diff(time_s) <= 0.0))
     if repeated.mean() <= TICKS:
-        told += _left_out(int(repeated.sum()), 'rows that repeat a time')
+        notes += _left_out(int(repeated.sum()), 'rows that repeat a time')
         return rows[~repeated], time_s[~repeated]
-    told.append(f'the clock ticks more slowly than the rows come ({100 * repeated.mean():.0f} '
-                '% repeat a time): rows are spread between the ticks')
+    notes.append(f'the clock ticks more slowly than the rows come ({100 * repeated.mean():.0f} '
+                 '% repeat a time): rows are spread between the ticks')
     ticks = np.flatnonzero(~repeated)
     end = time_s[-1] + (len(rows) - ticks[-1]) * (time_s[-1] - time_s[0]) / max(1, ticks[-1])
     places = np.append(ticks, len(rows)).astype(float)
@@ -204,7 +204,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
         dt, why = _uneven(steps), 'the rate is uneven'
     times = time_s[0] + dt * np.arange(int((time_s[-1] - time_s[0]) / dt + 1e-6) + 1)
     drawn = draw(samples, times, LONGEST_DRAWN * max(dt, usual))
-    return Cycles(times, dt, drawn, own=False, told=(
+    return Cycles(times, dt, drawn, own=False, notes=(
         f'{head}; rates interpolated on a grid of {1.0 / dt:.4g} Hz ({why}){_gaps(drawn, dt)}',
     ))
 
@@ -219,7 +219,7 @@ def _own(
     out[cells] = values[kept]
     more = f', {crowded} in an occupied cycle left out' if crowded else ''
     times = np.interp(np.arange(len(out)), cells, time_s)
-    return Cycles(times, dt, out, own=True, told=(
+    return Cycles(times, dt, out, own=True, notes=(
         f'{head}; each kept in its own cycle of {1.0 / dt:.4g} Hz{more}{_gaps(out, dt)}',
     ))
 

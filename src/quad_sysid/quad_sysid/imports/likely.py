@@ -90,13 +90,13 @@ def _turn_units(names: Sequence[str], columns: Sequence[np.ndarray], role: Role)
     def named(name: str) -> str | None:
         if header_unit(name, role) in UNITS[role]:
             return header_unit(name, role)
-        found = re.search(r'_(rad|deg|dps)(s|ps)?([^a-z]|$)', name.lower())
-        return found and (si if found[1] == 'rad' else degrees)
+        match = re.search(r'_(rad|deg|dps)(s|ps)?([^a-z]|$)', name.lower())
+        return match and (si if match[1] == 'rad' else degrees)
 
     own = [named(name) for name in names]
-    told = {unit for unit in own if unit}
+    said = {unit for unit in own if unit}
     largest = max(float(np.nanquantile(np.abs(values), 0.99)) for values in columns)
     large = largest > (SMOOTH_TURN if rate else 2.0 * np.pi)
-    common = told.pop() if len(told) == 1 else degrees if large and not told else ''
+    common = said.pop() if len(said) == 1 else degrees if large and not said else ''
     units = [unit or common for unit in own]
     return ['' if unit == si else unit for unit in units]

@@ -48,7 +48,7 @@ def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
     if cut.rates is None or len(cut.rates.time_s) < 2 or np.ptp(cut.rates.time_s) < LEAST_S:
         raise BadInputError(str(log), 'is of another flight than the bag', str(bag),
                             'the newest log was fetched; take the right one from the card')
-    record, told, warnings = record_of(cut)
+    record, repairs, warnings = record_of(cut)
     t0_ns = round(1e9 * (float(cut.rates.time_s[0]) + offset_s))
     after_s = 1e-9 * (t0_ns - live.t0_ns)  # of the log's first sample, in the bag
     record = replace(record, t0_ns=t0_ns)
@@ -56,7 +56,7 @@ def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
         record = _with_schedule(record, live, after_s)
     record = _in_our_unit(record, live.gains, read.gains, after_s)
     notes = {'log of the autopilot': log.name, 'bag of the flight': bag.name,
-             'import clock': '; '.join(told), 'import check': '; '.join(warnings)}
+             'import clock': '; '.join(repairs), 'import check': '; '.join(warnings)}
     return write_bag(record, out, BagOptions(notes=notes))
 
 

@@ -41,9 +41,9 @@ def read_mat(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     columns = {name: values for name, values in vectors.items() if len(values) == length}
     others = [name for name, values in vectors.items()
               if LEAST <= len(values) != length]
-    told = (f'{len(others)} vectors of another length than {length} left out: '
-            + ', '.join(others[:5]),) if others else ()
-    return columns, told
+    notes = (f'{len(others)} vectors of another length than {length} left out: '
+             + ', '.join(others[:5]),) if others else ()
+    return columns, notes
 
 
 def _vectors(name: str, value: Any) -> Iterator[tuple[str, FloatArray]]:

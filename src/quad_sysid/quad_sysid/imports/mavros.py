@@ -62,7 +62,7 @@ CONTROLS = _of('target_actuator_control', *(f'controls[{i}]' for i in (3, 0, 1, 
 
 def is_bag(topics: Mapping[str, str]) -> bool:
     """Whether a bag with these topics holds what mavros says of an autopilot."""
-    names = [found['topic'] for topic in topics if (found := TOPIC.match(f'{topic}.'))]
+    names = [match['topic'] for topic in topics if (match := TOPIC.match(f'{topic}.'))]
     return any(name in ('imu/data', 'imu/data_raw') for name in names)
 
 
@@ -105,14 +105,14 @@ def _load(path: Path, messages: Path | None) -> Table:
     wanted = {one.columns[0].partition('.')[0] for one in WANTED} | {
         'rc/out', 'target_actuator_control'}
     asked = [topic for topic in topics_of(path)
-             if (found := TOPIC.match(f'{topic}.')) and found['topic'] in wanted]
+             if (match := TOPIC.match(f'{topic}.')) and match['topic'] in wanted]
     columns, times = read_messages(path, [f'{topic}.' for topic in asked], messages)
-    places = [found['place'] for name in columns if (found := TOPIC.match(name))]
+    places = [match['place'] for name in columns if (match := TOPIC.match(name))]
     chosen = max(dict.fromkeys(places), key=places.count, default='')
     ours, clock = {}, {}
     for name, values in columns.items():
-        found = TOPIC.match(name)
-        if found and found['place'] == chosen:
-            own = f'{found["topic"]}.{name[found.end():]}'
+        match = TOPIC.match(name)
+        if match and match['place'] == chosen:
+            own = f'{match["topic"]}.{name[match.end():]}'
             ours[own], clock[own] = values, times[name]
     return Table(str(path), ours, clock)

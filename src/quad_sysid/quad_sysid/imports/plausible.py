@@ -82,16 +82,16 @@ def check_times(time: Column, speed: float | None = None) -> list[str]:
     rate = 1.0 / step
     if LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ:
         return []
-    found = f'{rate:.4g} Hz in {time.unit.name}'
+    measured = f'{rate:.4g} Hz in {time.unit.name}'
     slow = rate < LOWEST_RATE_HZ and speed is not None and speed * step < MOST_TURN_RAD
     if time.named or slow:
-        return [f'{time.name} gives an unusual sample rate of {found}']
+        return [f'{time.name} gives an unusual sample rate of {measured}']
     guess = time_unit(time.values / time.unit.factor)
-    told = ' (seconds per unit)' if guess is None else \
+    advice = ' (seconds per unit)' if guess is None else \
         f' ({rate * time.unit.factor / UNITS["time"][guess][0]:.4g} Hz)'
     raise BadInputError(
-        time.where, 'gives an impossible sample rate', found,
-        f'name its unit, such as {time.advise(guess or "FACTOR")}{told}, or {time.advise("s")} '
+        time.where, 'gives an impossible sample rate', measured,
+        f'name its unit, such as {time.advise(guess or "FACTOR")}{advice}, or {time.advise("s")} '
         'if it is true',
     )
 
@@ -167,10 +167,10 @@ def z_points_down(force: FloatArray) -> bool | None:
 
 def contradicted(rates: FloatArray, angles: FloatArray, dt: float) -> list[str]:
     """A line for each axis whose angles (n, 3) rad contradict the rates (n, 3) rad/s."""
-    found = [turn_factor(rates[:, i], angles[:, i], dt) for i in range(len(AXES))]
+    factors = [turn_factor(rates[:, i], angles[:, i], dt) for i in range(len(AXES))]
     return [
         f'the {axis} angle changes by {both[1]:.3g} times what the rate gives'
-        for axis, both in zip(AXES, found, strict=True)
+        for axis, both in zip(AXES, factors, strict=True)
         if both and abs(both[0]) >= TOGETHER and (both[1] < 0.0 or not _near(both[1], 1.0))
     ]
 

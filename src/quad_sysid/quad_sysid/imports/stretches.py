@@ -82,7 +82,7 @@ def blocks(length_s: float) -> list[tuple[str, float, float]]:
     return out
 
 
-def told(record: Record) -> str:
+def summary(record: Record) -> str:
     """One line on the used and the left out time, s."""
     if not record.segments:
         return ''

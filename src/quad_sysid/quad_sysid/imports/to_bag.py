@@ -24,7 +24,7 @@ from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.mixers import Mixer, chosen, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
-from quad_sysid.imports.stretches import told as stretches_told
+from quad_sysid.imports.stretches import summary as stretches_summary
 from quad_sysid.motor_layout import (
     Pattern,
     commands_of,
@@ -55,7 +55,7 @@ class Imported:
     log: ForeignLog
     record: Record
     """The record as written."""
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     """Repairs of times, and findings on motors."""
     warnings: tuple[str, ...]
 
@@ -68,17 +68,17 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
     if out.exists():
         raise BadInputError(str(out), 'exists and is not overwritten',
                             remedy='choose another --out')
-    record, told, warnings = record_of(log, grid_hz)
+    record, repairs, warnings = record_of(log, grid_hz)
     notes = {
         'import': f'{Path(log.source).name}, {log.kind}: ' + '; '.join(
             f'{m.source} [{m.unit}] as {m.topic}' + (f' ({m.how})' if m.how else '')
             for m in log.mapped
         ),
-        'import clock': '; '.join(told),
+        'import clock': '; '.join(repairs),
     }
     if log.checks or warnings:
         notes['import check'] = '; '.join([*log.checks, *warnings])
-    return Imported(write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(told),
+    return Imported(write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(repairs),
                     (*log.checks, *warnings))
 
 
@@ -95,10 +95,10 @@ def record_of(
                             0 if base is None else len(base.time_s),
                             f'at least {LEAST_SAMPLES} are needed; log longer')
     laid = cycles(base, log.source, grid_hz)
-    told, warnings = [*log.clock, *laid.told], list(log.warnings)
+    notes, warnings = [*log.clock, *laid.notes], list(log.warnings)
     gains = dict(log.gains)
-    rates, angles = _motion(log, laid, gains, told, warnings)
-    control, motors, craft = _commands(log, laid, rates, angles, told, warnings)
+    rates, angles = _motion(log, laid, gains, notes, warnings)
+    control, motors, craft = _commands(log, laid, rates, angles, notes, warnings)
     control, motors = _armed(log, laid, control, motors, warnings)
     if not (np.nanstd(control, axis=0) > 0.0).any():
         raise BadInputError(log.source, 'holds commands that never change',
@@ -141,9 +141,9 @@ def record_of(
     record, experiment = with_experiments(record, log.experiments, float(laid.times[0]))
     if not experiment:
         record = with_stretches(record, log.axes)
-        experiment = stretches_told(record)
-    told += [experiment] if experiment else []
-    return record, told, [*warnings, *_gaps(record, log)]
+        experiment = stretches_summary(record)
+    notes += [experiment] if experiment else []
+    return record, notes, [*warnings, *_gaps(record, log)]
 
 
 def _gaps(record: Record, log: ForeignLog) -> list[str]:
@@ -161,14 +161,14 @@ def _gaps(record: Record, log: ForeignLog) -> list[str]:
 
 
 def _motion(
-    log: ForeignLog, laid: Cycles, gains: dict[str, float], told: list[str], warnings: list[str]
+    log: ForeignLog, laid: Cycles, gains: dict[str, float], notes: list[str], warnings: list[str]
 ) -> tuple[FloatArray, FloatArray | None]:
     """Rates (n, 3) and angles (n, 3); those that contradict the rates are left out."""
     angles = _drawn(log.angles, laid)
     if log.rates is None:
         rates, how = _derivative(laid.values, laid.dt)
         gains['sensor.rate_from_angle_s'] = DERIVATIVE_HALF_WIDTH_S
-        told.append(f'rates by {how}')
+        notes.append(f'rates by {how}')
         return rates, angles
     if angles is not None and log.kind != 'a table':  # there they are refused
         odd = contradicted(laid.values, angles, laid.dt)
@@ -179,7 +179,7 @@ def _motion(
 
 def _commands(
     log: ForeignLog, laid: Cycles, rates: FloatArray, angles: FloatArray | None,
-    told: list[str], warnings: list[str],
+    notes: list[str], warnings: list[str],
 ) -> tuple[FloatArray, FloatArray | None, Craft]:
     """U1..U4 (n, 4), and the motors (n, k) with their craft, where one is known."""
     if log.motors is None:
@@ -188,25 +188,25 @@ def _commands(
                                 remedy='log the motors or the output of the controller')
         control = _held(log.control, laid)
         patterns = commands_of(rates, control[:, 1:], laid.dt, angles)
-        told += [pattern.sentence for pattern in patterns]
+        notes += [pattern.sentence for pattern in patterns]
         warnings += opposite(patterns, log.reversing)
         return control, None, X
     motors = _held(log.motors, laid)
     rates = np.where(airborne(motors.mean(axis=1), laid.dt)[:, None], rates, np.nan)
     patterns = patterns_of(rates, motors, laid.dt, angles)
-    told += [pattern.sentence for pattern in patterns]
-    found = chosen(log.crafts, patterns, rates, motors, laid.dt)
-    if found is None:
-        found = _by_motion(log, patterns, motors.shape[1], warnings)
+    notes += [pattern.sentence for pattern in patterns]
+    craft = chosen(log.crafts, patterns, rates, motors, laid.dt)
+    if craft is None:
+        craft = _by_motion(log, patterns, motors.shape[1], warnings)
     else:
-        warnings += doubts(found.name, found.inverse, patterns, rates, motors, laid.dt, angles)
-    if isinstance(found, Mixer):
-        warnings.append(f'{found.name} is no place and spin of each motor, so the bag holds what '
+        warnings += doubts(craft.name, craft.inverse, patterns, rates, motors, laid.dt, angles)
+    if isinstance(craft, Mixer):
+        warnings.append(f'{craft.name} is no place and spin of each motor, so the bag holds what '
                         'the motors do together, not each of them')
-        return motors @ found.inverse.T, None, X
-    told.append(f'{found.name}: ' + ', '.join(
-        f'motor_{k} {place}' for k, place in enumerate(found.places, 1)))
-    return found.control(motors), motors, found
+        return motors @ craft.inverse.T, None, X
+    notes.append(f'{craft.name}: ' + ', '.join(
+        f'motor_{k} {place}' for k, place in enumerate(craft.places, 1)))
+    return craft.control(motors), motors, craft
 
 
 def _armed(

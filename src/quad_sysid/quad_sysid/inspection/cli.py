@@ -83,7 +83,7 @@ def _topics(held: Content) -> Iterator[str]:
     rows = [
         [one.name, str(one.messages), '-' if one.rate_hz is None else f'{one.rate_hz:.4g}',
          f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_lost_s:.3f}' if one.gaps else '-']
-        for one in held.topics.found
+        for one in held.topics.present
     ]
     yield from Table(['topic', 'messages', 'rate, Hz', 'seconds', 'gaps', 'longest, s'], rows,
                      range(1, 6)).text()
@@ -142,9 +142,9 @@ def _axis(one: AxisContent) -> Iterator[str]:
         yield '  not excited: the command stands still'
     elif one.excitation_order is not None:
         band = one.coherent_band_rad_s
-        told = f'{band[0]:.2g} to {band[1]:.3g} rad/s' if band else 'in no band'
+        span = f'{band[0]:.2g} to {band[1]:.3g} rad/s' if band else 'in no band'
         yield (f'  persistently exciting of order {one.excitation_order}; '
-               f'coherent {told}')
+               f'coherent {span}')
     for use in one.uses:
         yield from _use(use)
 

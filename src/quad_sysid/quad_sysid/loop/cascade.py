@@ -37,13 +37,13 @@ CONTRACT_NAMES = {
     'rate_limit': '{place}.rate_limit',
 }
 """Field of CascadeGains → the contract's name after `<axis>.`; see `contract_names`."""
-ELSEWHERE = {
+FOREIGN_NAMES = {
     'kff': 'rate.kff',
     'target_filter_hz': 'rate.target_filter_hz',
     'error_filter_hz': 'rate.error_filter_hz',
     'output_filter_hz': 'rate.output_filter_hz',
 }
-"""The same of what only other firmware has."""
+"""The same for fields that only other firmware has."""
 NOTCH = {'d_notch_hz': 'rate.d_notch_hz', 'd_notch_bandwidth_hz': 'rate.d_notch_bandwidth_hz'}
 """Field of CascadeGains → the contract's name of what all axes share. Notches on the gyro lie
 before the logged rate: they are in the identified lag and delay."""
@@ -62,7 +62,7 @@ UNFILTERED_HZ = 1e6
 
 
 WORDS = {field: name.format(place='angle') for field, name in CONTRACT_NAMES.items()} \
-    | ELSEWHERE | NOTCH
+    | FOREIGN_NAMES | NOTCH
 """Field of CascadeGains → what it is called where no axis is named."""
 
 
@@ -99,9 +99,9 @@ class CascadeGains:
     target_filter_hz: float = 0.0
     """Cut-off of a first-order filter of the rate reference, Hz; of this and the next, 0: none."""
     error_filter_hz: float = 0.0
-    """Of the error of the rate."""
+    """Cut-off of a filter of the rate's error, Hz."""
     output_filter_hz: float = 0.0
-    """Of u, before its limit."""
+    """Cut-off of a filter of u before its limit, Hz; 0: none."""
     d_notch_hz: float = 0.0
     """Centre of a notch before D, Hz; 0: none."""
     d_notch_bandwidth_hz: float = 0.0
@@ -132,10 +132,10 @@ class CascadeGains:
     def from_mapping(cls, values: Mapping[str, float], axis: str) -> CascadeGains:
         """Gains by the contract's names (`roll.angle.kp`, …); missing ones have their defaults."""
         start, notch = cls.default(axis), NOTCH if EVERY[axis].turns else {}
-        told = {**contract_names(axis), **notch,
-                **{field: f'{axis}.{name}' for field, name in ELSEWHERE.items()}}
+        names = {**contract_names(axis), **notch,
+                **{field: f'{axis}.{name}' for field, name in FOREIGN_NAMES.items()}}
         return cls(**{field: float(values.get(name, getattr(start, field)))
-                      for field, name in told.items()},
+                      for field, name in names.items()},
                    d_on_error=values.get(f'{axis}.rate.d_on') in ('error', 1.0))
 
     def to_mapping(self, axis: str, *, constants: bool = False) -> dict[str, float]:

@@ -25,12 +25,12 @@ from quad_sysid.loop.linear import loops_of
 from quad_sysid.loop.plant import LATE_S, Flying, around, plant_like
 from quad_sysid.model import AxisModel, EffectEstimate
 from quad_sysid.model.effect import Effect, Part, Signals
-from quad_sysid.model.structure import BASE, Structure
+from quad_sysid.model.structure import Structure
 
 HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
         'direction'}
 """Signals that one axis' loop contains or holds constant."""
-OTHER_AXES, BY_ITSELF = 'it depends on the other axes', 'it changes by itself'
+OTHER_AXES = 'it depends on the other axes'
 PLACE = 'it depends on the height, and gains must hold at any height'
 LEANING_RAD_S = (0.1, 4.0)
 """Where a loop around the lean works."""
@@ -60,8 +60,6 @@ class Placed:
             return OTHER_AXES
         if effect.repeats_hz(self.p) and effect.term == 'torque':
             return 'it is a disturbance, whatever the loop does'
-        if effect.wanders and effect.term != 'gain':
-            return BY_ITSELF
         return ''
 
     def signals(self, at: Mapping[str, float], n: int = 1, **moved: Any) -> Signals:
@@ -73,7 +71,7 @@ class Placed:
     def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
         """(n,) acceleration, rad/s², at the usual values `at`, all signals but `moved` at rest.
 
-        What it remembers is settled.
+        Its memory is in steady state.
         """
         s, settings = self.signals(at, n, **moved), self.part.settings
         if self.effect.states:
@@ -174,7 +172,8 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
     inside = _inside(model)
     flying = [one for one in inside
               if not one.effect.repeats_hz(one.p) and not one.effect.wanders]
-    p = np.array([model.value(spec.name) for spec in BASE])
+    law = Part(model.law) if model.law else None
+    p = np.array([model.value(name) for name in Structure(law=law).base_names])
     at = {**_usual(model, inside), **(moved or {})}
     p[0] *= schedule_factor(model, (moved or {}).get('battery'))
     p[2] = max(0.0, p[2]) + sum(
@@ -184,8 +183,8 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
     parts = tuple(one.part for one in flying)
     found = plant_like(
         model.axis, np.concatenate([p, *(one.p for one in flying)]), model.dt,
-        model.gyro_filter_hz, structure=Structure(parts), craft=model.craft,
-        at=(at['throttle'], at['battery']),
+        model.gyro_filter_hz, structure=Structure(parts, law=law),
+        craft=model.craft, at=(at['throttle'], at['battery']),
     )
     return found if EVERY[model.axis].turns else _about_trim(found)
 
@@ -228,7 +227,7 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
             size = float(np.hypot(*one.p[1:3]))
             factors = np.array([1.0 - size, 1.0 + size])
         elif effect.wanders:
-            size = 2.0 * float(one.p[0]) * float(one.part.settings['unit'])
+            size = 2.0 * float(one.p[0])
             factors = np.array([1.0 - size, 1.0 + size])
         elif isinstance(effect, Warming):
             factors = effect.factors(one.p, one.part.settings)
@@ -255,9 +254,9 @@ def share_outside(model: AxisModel) -> dict[str, float]:
     out: dict[str, float] = {}
     gain, command = model.value('gain'), np.abs(model.ranges.get('command', (0.0, 0.0))).max()
     at = usual_signals(model)
-    for found in model.effects:
-        one = placed(model, found)
-        if one.why_outside not in (OTHER_AXES, BY_ITSELF) or not gain * command > 0.0:
+    for effect in model.effects:
+        one = placed(model, effect)
+        if one.why_outside != OTHER_AXES or not gain * command > 0.0:
             continue
         moved: dict[str, Any] = {}
         for name, field in (('other rate', 'other_rates'), ('other angle', 'other_angles'),
@@ -266,12 +265,10 @@ def share_outside(model: AxisModel) -> dict[str, float]:
             moved[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
         rate = np.repeat(np.abs(model.ranges.get('rate', (0.0, 0.0))).max(), 4)
         s = one.signals(at, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
-        if one.effect.wanders:
-            s = replace(s, hidden=np.full((1, 4), 2.0 * float(one.p[0])))
-        elif one.effect.states:
+        if one.effect.states:
             continue
         pushed = one.effect.torque(s, one.p, one.part.settings)
         if pushed is None:
             pushed = gain * one.effect.command(s, one.p, one.part.settings)
-        out[found.name] = float(np.abs(pushed).max() / (gain * command))
+        out[effect.name] = float(np.abs(pushed).max() / (gain * command))
     return out

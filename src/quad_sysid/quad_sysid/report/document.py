@@ -83,10 +83,10 @@ def plain(value: Any) -> Any:
 
 def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
     model, findings = answer.model, answer.findings
-    own = [effect.label for effect in model.own_effects] if model else []
+    own = [one.label for one in model.own_effects if one is not model.law] if model else []
 
     def parameters(some: Sequence[Parameter]) -> list[dict[str, Any]]:
-        return [_parameter(p, inertia) for p in some]
+        return [_parameter(p, inertia) for p in some if model and model.shows(p)]
 
     units = answer.units
     tree: dict[str, Any] = _worded(units, {
@@ -192,30 +192,30 @@ def _noise(noise: NoiseEstimate | None) -> list[dict[str, Any]]:
 def _tried(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     """Structures that were fitted, the most probable first; not all without effects of one's own.
 
-    Of each of these the best is told.
+    The best of each of these is listed.
     """
-    found = findings.found
-    base = next(one.score for one in found.all if not one.fit.structure.parts)
-    best = {_best_with(found, label) for label in own}
+    search = findings.found
+    base = next(one.score for one in search.all if not one.fit.structure.parts)
+    best = {_best_with(search, label) for label in own}
     return [
         {'effects': one.fit.structure.labels, 'log_evidence_over_base': one.score - base,
          'probability': float(p), 'converged': one.fit.converged}
-        for place, (one, p) in enumerate(zip(found.all, found.probabilities(), strict=True))
+        for place, (one, p) in enumerate(zip(search.all, search.probabilities(), strict=True))
         if place < MOST_TRIED or one in best
     ]
 
 
 def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     """What became of the user's effects, by their labels."""
-    found = findings.found
+    search = findings.found
     out: list[dict[str, Any]] = []
-    base, leading = found.of_names(()), found.all[0]
+    base, leading = search.of_names(()), search.all[0]
     added = findings.verdict.chosen.structure.labels
     for label in own:
-        best = _best_with(found, label)
-        if label in found.reasons or best is None:
+        best = _best_with(search, label)
+        if label in search.reasons or best is None:
             out.append({'name': label, 'outcome': 'not_tested',
-                        'because': found.reasons.get(label, '')})
+                        'because': search.reasons.get(label, '')})
         else:
             out.append({
                 'name': label, 'outcome': 'added' if label in added else 'not_added',
@@ -227,9 +227,9 @@ def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     return out
 
 
-def _best_with(found: Found, label: str) -> Scored | None:
+def _best_with(search: Found, label: str) -> Scored | None:
     """The most probable structure with an effect."""
-    return next((one for one in found.all if label in one.fit.structure.labels), None)
+    return next((one for one in search.all if label in one.fit.structure.labels), None)
 
 
 def _parameter(parameter: Parameter, inertia: float | None) -> dict[str, Any]:
@@ -266,13 +266,13 @@ def _error(answer: AxisAnswer) -> dict[str, Any]:
             'horizons': horizons_tree(verdict.horizons, answer.blackbox_horizons)}
 
 
-def horizons_tree(found: Sequence[Horizon],
+def horizons_tree(horizons: Sequence[Horizon],
                   blackbox: Mapping[float, float]) -> list[dict[str, Any]]:
     """How the error grows, as the contract's `error.horizons`."""
     tree: list[dict[str, Any]] = plain([
         {'horizon_s': one.horizon_s, 'hold': one.hold, 'before': one.before, 'after': one.after,
          'blackbox': blackbox.get(one.horizon_s)}
-        for one in found
+        for one in horizons
     ])
     return tree
 

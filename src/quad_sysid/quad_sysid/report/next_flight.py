@@ -9,7 +9,7 @@ from typing import Any
 from quad_sysid.axes import EVERY
 
 RIVAL = 0.05
-"""Probability from which a rival is one to be told apart."""
+"""Probability from which a rival must be distinguished."""
 MOST_REASONS = 6
 
 

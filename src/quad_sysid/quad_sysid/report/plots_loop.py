@@ -19,6 +19,7 @@ from quad_sysid.report.canvas import (
     INK,
     MEASURED,
     MUTED,
+    Drawing,
     Picture,
     finish,
     panels,
@@ -124,11 +125,11 @@ def step_response(answer: AxisAnswer) -> Picture | None:
 
 def _measured(answer: AxisAnswer) -> Response | None:
     """The step response of the angle in flight; None where it cannot be measured."""
-    found, reference = answer.findings, answer.attitude_reference
-    if found is None or reference is None or found.data.angle is None:
+    findings, reference = answer.findings, answer.attitude_reference
+    if findings is None or reference is None or (angle := findings.data.angle) is None:
         return None
-    good = np.isfinite(found.data.rate)
-    return next(iter(responses(reference, found.data.angle, good, found.data.dt, ANGLE)), None)
+    good = np.isfinite(findings.data.rate)
+    return next(iter(responses(reference, angle, good, findings.data.dt, ANGLE)), None)
 
 
 def open_loop_margins(answer: AxisAnswer) -> Picture | None:
@@ -141,29 +142,36 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
     omega = frequency_grid(model.dt, 400, 0.3)
     response = loops_of([(plant, plant.trial.wide)]).response(omega)
     figure, axes = panels(2, height_in=4.1)
-    told = []
+    lines = []
     for name, gains, colour, style in sets:
         loop = open_loop(gains, response, omega, model.dt)
-        found = margins(loop, omega)
+        values = margins(loop, omega)
         phase = degrees(loop[0])
         axes[0].loglog(omega, np.abs(loop[0]), color=colour, ls=style, lw=1.4, label=name)
         axes[1].semilogx(omega, phase, color=colour, ls=style, lw=1.4)
-        crossover = float(found.crossover_rad_s[0])
+        crossover = float(values.crossover_rad_s[0])
         if np.isfinite(crossover):
             at = float(np.interp(np.log(crossover), np.log(omega), phase))
             axes[0].plot([crossover], [1.0], 'o', ms=4, color=colour)
             axes[1].plot([crossover], [at], 'o', ms=4, color=colour)
-        told.append(f'{name}: phase margin {found.phase_margin_deg[0]:.0f} deg, gain margin '
-                    f'{found.gain_margin_db[0]:.1f} dB, crossover {crossover:.3g} rad/s, peak '
-                    f'sensitivity {found.peak_sensitivity[0]:.2f}')
+        lines.append(f'{name}: phase margin {values.phase_margin_deg[0]:.0f} deg, gain margin '
+                     f'{values.gain_margin_db[0]:.1f} dB, crossover {crossover:.3g} rad/s, peak '
+                     f'sensitivity {values.peak_sensitivity[0]:.2f}')
     axes[0].axhline(1.0, color=MUTED, lw=0.8, ls=':')
     axes[1].axhline(-180.0, color=MUTED, lw=0.8, ls=':')
     axes[1].set_ylim(-540.0, 0.0)
     axes[1].set_yticks(range(-540, 1, 180))
     finish(axes, 'frequency, rad/s', 'loop gain, 1', 'phase, deg')
-    words = '; '.join(told)
+    words = '; '.join(lines)
     return Picture(
         'margins', 'The open loop and its margins',
         f'Broken at the command; dots mark the crossover. {words[:1].upper()}{words[1:]}. For the '
         'model itself, in wide motion; the table has the worst of all draws too.', figure,
     )
+
+
+DRAWINGS = (
+    Drawing('closed_loop', 'Loop and gains', overlay),
+    Drawing('step', 'Loop and gains', step_response),
+    Drawing('margins', 'Loop and gains', open_loop_margins),
+)

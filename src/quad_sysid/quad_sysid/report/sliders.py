@@ -47,7 +47,7 @@ def sliders(model: AxisModel, designed: Mapping[str, float]) -> str:
         return ''
     return (f'<div class="tryout" role="group" aria-label="gains of {escape(model.axis)} to try">'
             f'<script type="application/json">{text}</script></div>'
-            '<p class="small">The found model, linear at wide motion, with the limits of the '
+            '<p class="small">The identified model, linear at wide motion, with the limits of the '
             'flight; margins are the smaller ones of wide motion and near rest. Noise: what of '
             + spoken(model.units, 'the gyro') + ' reaches the command, beside the gains that '
             'flew.</p>')

@@ -294,24 +294,24 @@ def segments(tree: Tree) -> Table:
 def approaches(tree: Tree) -> Table:
     """The paper's Table 1 on this record: which approach the signals allow."""
     rows = [[a['name'], yes(a['possible']), a['because']] for a in tree.get('approaches', [])]
-    told = {True: 'The data show feedback from the rate to the command.',
-            False: 'The data exclude feedback.',
-            None: 'The data neither show nor exclude feedback.'}[tree.get('feedback')]
-    return Table(['approach', 'possible', 'because'], rows, caption=told)
+    feedback = {True: 'The data show feedback from the rate to the command.',
+                False: 'The data exclude feedback.',
+                None: 'The data neither show nor exclude feedback.'}[tree.get('feedback')]
+    return Table(['approach', 'possible', 'because'], rows, caption=feedback)
 
 
 def residuals(tree: Tree) -> Table:
     """The tests of each model's one-step errors on the held-out data."""
     rows, unit = [], tree['error']['unit']
     for key, name in MODELS:
-        found = (tree.get('residual') or {}).get(key)
-        if not found or (key == 'after' and not tree['effects']):
+        tests = (tree.get('residual') or {}).get(key)
+        if not tests or (key == 'after' and not tree['effects']):
             continue
-        torque = found.get('missing_torque') or {}
+        torque = tests.get('missing_torque') or {}
         rows.append([
-            name, number(found['rms']), f'{yes(found["white"])} (p {chance(found["p_white"])})',
-            f'{yes(found["uncorrelated_with_input"])} (p {chance(found["p_input"])})',
-            ', '.join(f'{p["frequency_hz"]:.1f} Hz' for p in found['peaks'][:3]) or 'none',
+            name, number(tests['rms']), f'{yes(tests["white"])} (p {chance(tests["p_white"])})',
+            f'{yes(tests["uncorrelated_with_input"])} (p {chance(tests["p_input"])})',
+            ', '.join(f'{p["frequency_hz"]:.1f} Hz' for p in tests['peaks'][:3]) or 'none',
             *(number(torque[part]) if torque else '' for part in ('rms', 'expected_rms')),
         ])
     return Table(

@@ -200,12 +200,12 @@ def _worth(tree: Tree) -> str:
 
 def reach(error: Tree) -> float | None:
     """Longest horizon, s, at which the model at most halves the error of holding the rate."""
-    worth = [
+    horizons = [
         h['horizon_s'] for h in error.get('horizons', ())
         if h['after'] is not None and h['hold'] is not None
         and CLEARLY * h['after'] <= h['hold']
     ]
-    return max(worth, default=None)
+    return max(horizons, default=None)
 
 
 def horizon_words(error: Tree) -> str:
@@ -331,5 +331,5 @@ def _interval(interval: Sequence[float] | None) -> str:
 
 def left_out(effects: Mapping[str, str]) -> str:
     """Which effects the margins of a design do not hold; '' where they hold all."""
-    told = '; '.join(f'{name}, since {why}' for name, why in effects.items())
-    return told and f'not in the margins: {told}'
+    reasons = '; '.join(f'{name}, since {why}' for name, why in effects.items())
+    return reasons and f'not in the margins: {reasons}'

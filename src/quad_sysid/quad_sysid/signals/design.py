@@ -152,10 +152,10 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
 
 def _reach(d: Design) -> str:
     """What the training covers, and what would reach LOW."""
-    told = (f'training {d.train_s:g} s: covers {d.flown_low_rad_s:.3g} to '
-            f'{d.covered_rad_s[1]:.4g} rad/s')
+    covered = (f'training {d.train_s:g} s: covers {d.flown_low_rad_s:.3g} to '
+               f'{d.covered_rad_s[1]:.4g} rad/s')
     if d.flown_low_rad_s <= d.low_rad_s:
-        return told
+        return covered
     needed = math.ceil(2.0 * math.pi / (SPARED * d.low_rad_s))
     if needed > LONGEST_S:
         remedy = f'that takes {needed} s, and a segment lasts at most {LONGEST_S:g} s: raise LOW'
@@ -163,7 +163,7 @@ def _reach(d: Design) -> str:
         remedy = f'a register has at most {max(TAPS)} bits: fly a second schedule of lower HIGH'
     else:
         remedy = f'--seconds {needed} does'
-    return f'{told}, which does not reach LOW ({d.low_rad_s:g} rad/s): {remedy}'
+    return f'{covered}, which does not reach LOW ({d.low_rad_s:g} rad/s): {remedy}'
 
 
 def _lines(d: Design) -> list[str]:

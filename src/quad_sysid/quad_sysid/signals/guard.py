@@ -54,7 +54,7 @@ class Readings:
     failsafe: bool = False
     battery_v: float | None = None
     battery_age_s: float | None = None
-    """Of the last voltage that was measured."""
+    """Age of the last voltage that was measured."""
     refused: bool = False
     """The STM32 says that it refuses the excitation."""
 
@@ -77,7 +77,7 @@ def check(limits: Limits, readings: Readings, axis: str, yaw_start: float = 0.0)
 
 
 def _lines(limits: Limits, r: Readings) -> Iterator[Abort]:
-    """Of the receiver, then of the link."""
+    """Reasons of the receiver, then of the link."""
     if r.failsafe:
         yield Abort('the receiver is in failsafe', immediate=True)
     if r.rc_age_s is not None and r.rc_age_s > limits.rc_stale_s:
