@@ -61,7 +61,9 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
     axis, active = model.axis, model.active_gains
     if not active.get(f'{axis}.rate.kp', 0.0) > 0.0:
         return None
-    flown = CascadeGains.from_mapping({f'{axis}.angle.kp': 0.0, **active}, axis)
+    stick = f'{axis}.rate.tpa_kp' in active  # a blackbox log holds the stick's rate, no angle's
+    flown = CascadeGains.from_mapping(
+        {f'{axis}.angle.kp': 0.0, **active} | ({f'{axis}.angle.kp': 0.0} if stick else {}), axis)
     plant, omega = loop_plant(model), frequency_grid(model.dt, POINTS, 0.5)
     loops = loops_of([(plant, WIDE), (plant, NEAR_REST)])
     rate, angle = loops.response(omega)
