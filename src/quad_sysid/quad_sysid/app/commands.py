@@ -34,15 +34,21 @@ def commands(folder: Path, asked: Mapping[str, Any]) -> list[Command]:
         raise RefusedError('choose a file first')
     if not isinstance(kind, str) or kind not in KINDS:
         raise RefusedError('no such command')
-    paths, before = [inside(folder, name) for name in names], []
-    if kind == 'identify' and not any(map(is_bag, paths)):
+    paths = [inside(folder, name) for name in names]
+    before: dict[Path, Command] = {}
+    if kind == 'identify':
         from quad_sysid.imports.formats import format_of  # slow to import
 
-        if not all(map(format_of, paths)):
-            raise RefusedError('make a bag of the table first: Columns shows what they are')
-        before = [_to_bag(folder.resolve(), log) for log in paths]
-        paths = [Path(arguments[-1]) for _, _, arguments in before]
-    return [*before, KINDS[kind](folder.resolve(), paths, asked)]
+        for log in (path for path in paths if not is_bag(path)):
+            try:
+                known = format_of(log)
+            except BadInputError as error:
+                raise RefusedError(str(error)) from error
+            if known is None:
+                raise RefusedError('make a bag of the table first: Columns shows what is what')
+            before[log] = _to_bag(folder.resolve(), log)
+    paths = [Path(before[path][-1][-1]) if path in before else path for path in paths]
+    return [*before.values(), KINDS[kind](folder.resolve(), paths, asked)]
 
 
 def _look(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
