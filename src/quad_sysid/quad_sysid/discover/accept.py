@@ -235,7 +235,11 @@ def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Ver
     p_all = unseen.p_value(rungs[ladder.answer], base) if ladder.answer else 1.0
     chosen, claims = base, []
     while ladder.answer and p_all <= LEVEL:
-        chosen = models.fitted(answer)
+        fitted = models.comparable(answer)
+        if not isinstance(fitted, Fit):  # what is left cannot follow a flight
+            chosen, claims = base, []
+            break
+        chosen = fitted
         without = [models.comparable(one) for one in models.each_left_out(answer)]
         claims = [_claim(unseen, chosen, other, part.effect.name, ladder)
                   for part, other in zip(answer.structure.parts, without, strict=True)]
