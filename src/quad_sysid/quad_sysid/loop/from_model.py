@@ -119,7 +119,7 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
     inside = _inside(model)
     flying = [one for one in inside
               if not one.effect.repeats_hz(one.p) and not one.effect.wanders]
-    law = model.law and Part(model.law)
+    law = None if model.law is None else Part(model.law)
     p = np.array([model.value(name) for name in Structure(law=law).base_names])
     at = {**_usual(model, inside), **(moved or {})}
     p[0] *= schedule_factor(model, (moved or {}).get('battery'))
