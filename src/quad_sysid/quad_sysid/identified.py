@@ -156,12 +156,12 @@ class Identified(AxisModel):
 
     def step(self, gains: CascadeGains | Mapping[str, float] | None = None,
              size: float = STEP_RAD, seconds: float = STEP_S) -> LoopResponse:
-        """The angle's answer to a step of its reference (rad) in the cascade with these gains.
+        """The angle's answer to a step of its reference (rad, m) in the cascade with these gains.
 
         `gains`: by the contract's names, such as those of a design; default: those that flew.
         Raises BadInputError where they are wrong.
         """
-        from quad_sysid.loop.from_model import loop_plant
+        from quad_sysid.loop.from_model import in_flight, loop_plant
         from quad_sysid.loop.simulation import simulate_cascade
 
         known = {} if gains is None else gains
@@ -169,8 +169,9 @@ class Identified(AxisModel):
             from quad_sysid.loop.cascade import CascadeGains
 
             known = CascadeGains.from_mapping({**self.active_gains, **known}, self.axis)
-        reference = np.full(round(seconds / self.dt), size)
-        return simulate_cascade(loop_plant(self), known, reference, self.dt)
+        seen = in_flight(self)
+        reference = np.full(round(seconds / seen.dt), size)
+        return simulate_cascade(loop_plant(seen), known, reference, seen.dt)
 
     def to_control(self, *, linear: bool = False) -> Any:
         """The model as a system of python-control; see exports.to_control."""

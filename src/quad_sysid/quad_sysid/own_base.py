@@ -164,7 +164,6 @@ class _Law(Effect):
         self.signals = ('rate', 'command', *(['angle'] if base.position else []),
                         *(s for s in SIGNALS if s in base.inputs),
                         *(['history'] if base.hidden else []))
-        self.physics = f'the law of {base.name}'
         self.number = secrets.randbits(62)
         _LAWS[self.number] = self
 

@@ -180,9 +180,9 @@ class Result:
         except (ValueError, TypeError, KeyError) as error:
             raise BadInputError('from_json', 'is no result of to_json', str(error)) from error
         known = models_of(models, 'from_json', effects) if models else {}
-        found = cls(answers_of(report, known), flights, inertia)
-        vars(found)['report'] = report
-        return found
+        result = cls(answers_of(report, known), flights, inertia)
+        vars(result)['report'] = report
+        return result
 
     def save(self, folder: str | Path | None = None, *, html: bool = True,
              pictures: bool = True) -> Result:
@@ -399,15 +399,15 @@ def _halt(seconds: float | None, stop: Callable[[], bool]) -> Callable[[], str]:
 
 def installed_designer(name: str = 'pid') -> tuple[Designer | None, str]:
     """The designer of this name, or None and the reason."""
-    found = {entry.name: entry for entry in entry_points(group=DESIGNERS)}
-    if name not in found:
-        offered = ', '.join(sorted(found)) or 'none'
+    designers = {entry.name: entry for entry in entry_points(group=DESIGNERS)}
+    if name not in designers:
+        offered = ', '.join(sorted(designers)) or 'none'
         return None, (
             f'no designer {name!r} in the entry point group {DESIGNERS} (offered: {offered}); '
             'install quad_tuning'
         )
     try:
-        designer: Designer = found[name].load()
+        designer: Designer = designers[name].load()
     except ImportError as error:
         return None, f'the designer {name!r} cannot be loaded: {error}'
     return designer, ''
@@ -451,7 +451,7 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
 
 
 def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float = 60.0, *,
-             effects: Sequence[Effect] = (), told: str = 'the model',
+             effects: Sequence[Effect] = (), source: str = 'the model',
              progress: Callable[[str], None] = lambda _: None) -> Separation:
     """Which flight of `seconds` separates two effects, and how reliably.
 
@@ -468,7 +468,7 @@ def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float =
                                own=effects)
     pair = _pair(names) if names else design.rivals_of(model)
     inside = next((name for name in pair if effect_of(model, name) is not None), '')
-    aircraft = aircraft_of(model, inside, told)
+    aircraft = aircraft_of(model, inside, source)
     return design.separate(aircraft, pair, seconds, model, progress, effects)
 
 

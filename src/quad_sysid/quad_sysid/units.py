@@ -77,6 +77,15 @@ class Units:
         return name, factor / self.per_motion**powers
 
 
+def unit_in(units: Units | None, unit: str) -> str:
+    """The SI unit of a number of an axis that moves in these units, from that of a rotation."""
+    if units is None or units.motion not in LENGTHS:
+        return unit
+    named = unit.replace('rad', 'm')
+    own = units.per_command == 1.0 and units.command != Units.command
+    return named.replace('unit command', units.command) if own else named
+
+
 def shown_in(units: Units | None, unit: str) -> tuple[str, float]:
     """The unit in which a number is shown, and how many of it one of `unit` is."""
     return (unit, 1.0) if units is None else units.parameter(unit)

@@ -14,6 +14,7 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import (
     FAR_BEHIND,
+    ROUGH_NATS,
     Try,
     begun_fits,
     best_base,
@@ -101,6 +102,25 @@ class Found:
         """Posterior of each fitted structure, given the segments that scored it."""
         scores = np.array([s.score for s in self.all])
         return np.exp(scores - np.logaddexp.reduce(scores))
+
+    def apart(self, fitted: Fit) -> FloatArray:
+        """(p, p) mean square by which all structures disagree with a fit's physics.
+
+        In the coordinates of the fit, each structure by its probability, as far as it has them:
+        what a standard error within one structure does not contain (Draper 1995).
+        """
+        own = {part.effect.label: where for part, where in fitted.structure.placed()}
+        out = np.zeros((fitted.theta.size, fitted.theta.size))
+        base = slice(len(fitted.structure.base))
+        for one, probability in zip(self.all, self.probabilities(), strict=True):
+            away, theta = np.zeros(fitted.theta.size), one.fit.theta
+            away[base] = theta[base] - fitted.theta[base]
+            for part, where in one.fit.structure.placed():
+                if part.effect.label in own:
+                    here = own[part.effect.label]
+                    away[here] = theta[where] - fitted.theta[here]
+            out += probability * np.outer(away, away)
+        return out
 
 
 def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
@@ -269,8 +289,8 @@ class _Search:
         structure = best.fit.structure
         new = [index for index in range(len(structure.parts))
                if frozenset(structure.minus(index).labels) not in self.known]
-        for fit in side_by_side([partial(fit_without, self.problem, best.fit, index)
-                                 for index in new]):
+        for fit in side_by_side([partial(fit_without, self.problem, best.fit, index,
+                                         enough=ROUGH_NATS) for index in new]):
             if fit is not None:
                 self.keep(fit)
         return self.best() is not best

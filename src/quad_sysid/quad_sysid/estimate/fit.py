@@ -300,6 +300,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         bent = np.where(logs, np.sqrt(np.maximum(curves, 0.0)), 0.0)
         blocks = (rows, column), (root, away), (np.diag(bent), np.zeros(bent.size))
         factor = upper(np.vstack([np.column_stack(pair) for pair in blocks]))[: theta.size]
+        if not np.isfinite(factor).all():
+            raise FloatingPointError('its derivatives run away')
         a, b = factor[:, :-1], factor[:, -1]
         moving = np.delete(b, list(still)) if still else b
         converged = 0.5 * float(moving @ moving) < SMALL_NATS

@@ -206,7 +206,7 @@ def _stored(
 ) -> Stored:
     values, noise = {p.name: p.value for p in base}, noise or UNKNOWN
     structure = Structure(tuple(parts), len(noise.lines), averaged=noise.averaged,
-                          law=None if model.law is None else Part(model.law))
+                          law=Part(model.law) if model.law else None)
     p = np.concatenate([
         [values[name] for name in structure.base_names], *effects,
         [noise.ratios.get(spec.name, np.exp(spec.centre)) for spec in NOISE], *noise.lines,

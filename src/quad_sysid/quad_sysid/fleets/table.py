@@ -7,7 +7,7 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-from quad_sysid.contract import AXES
+from quad_sysid.axes import EVERY
 from quad_sysid.fleets.bag import OF_AXIS, Row
 from quad_sysid.fleets.place import Place
 
@@ -18,9 +18,9 @@ ESCAPED = {*map(chr, range(32)), *'"#%\'*/:=?\\{[]^\x7f'}
 """What Hive, and so Spark, escapes in the name of a partition; a letter of any script is none."""
 COLUMNS = ('bag', 'aircraft', 'status', 'reason', 'start_ns', 'length_s', 'sample_rate_hz',
            'warnings', 'seconds', 'cpu_s', 'peak_mb', 'bytes',
-           *(f'{axis}_{name}' for axis in AXES for name in OF_AXIS))
+           *(f'{axis}_{name}' for axis in EVERY for name in OF_AXIS))
 TEXT = ('bag', 'aircraft', 'status', 'reason', *(
-    f'{axis}_{name}' for axis in AXES
+    f'{axis}_{name}' for axis in EVERY
     for name in ('verdict', 'effects', 'effect_parameters', 'gains')))
 WHOLE = ('start_ns', 'warnings', 'bytes')
 

@@ -58,15 +58,15 @@ class Places(NamedTuple):
     split: int
     """Operations before the motors."""
     given: int
-    """The first register of what is known of a cycle."""
+    """The first register of the known signals of a cycle."""
     sent: int
     push: int
     motors: int
-    """Of the four numbers that come from the motors."""
+    """The first register of the four numbers that come from the motors."""
     state: int
-    """The first of the state."""
+    """The first register of the state."""
     following: IntArray
-    """(states,) of the state a cycle later."""
+    """(states,) registers of the state a cycle later."""
     shown: IntArray
     """(2,) measured rate and angle a cycle later."""
     commands: IntArray

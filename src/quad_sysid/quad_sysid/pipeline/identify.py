@@ -17,7 +17,7 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
-from quad_sysid.discover.search import Found, extended, scored, search
+from quad_sysid.discover.search import Found, extended, scored, search, settled
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.estimate.fit import Problem
@@ -31,7 +31,7 @@ from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, Residual
 from quad_sysid.pipeline.held_out import findings, of_black_box, of_grey_box
 from quad_sysid.pipeline.selection import with_blackbox
-from quad_sysid.pipeline.step_b import closed_loop
+from quad_sysid.pipeline.step_b import Loop, closed_loop, loop_of
 from quad_sysid.pipeline.usable import check_usable, refusal, together
 from quad_sysid.record import Record
 
@@ -86,7 +86,8 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         if s.excites(axis) or (s.role == 'idle' and 'because' not in s.parameters)
     )
     records = [record.for_axis(axis) for record in records]
-    rate = 1.0 / records[0].dt
+    rate, refused = 1.0 / records[0].dt, tuple(filter(None, map(refusal, records)))
+    warnings = (*(line for record in records for line in record.warnings), *refused)
     try:
         data = axis_data(records, axis)
         check_usable(data, records)
@@ -97,13 +98,12 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         problem = None if options.base is None else options.base.problem(data, records[0].units)
         told = found_effects(data, options, progress, problem)
     except NotInformativeError as error:
-        warnings = _warnings(records)
         reason = '; '.join([str(error), *(w for w in warnings if 'cut off' in w)])
         return AxisAnswer(
             axis, rate, segments, 'cannot_tell', reason, proposal=GainProposal(None, reason),
             warnings=warnings,
         )
-    base, warnings = told.found.base, _warnings(records)
+    base = told.found.base
     if options.base is None:
         data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
     else:
@@ -130,10 +130,11 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         rate_reference=_joined([r.rate_setpoint for r in records], data.index)
         if turns else None,
     )
-    swapped = next((line for line in map(refusal, records) if line), '')
     known: AxisAnswer
-    known, proposal = side_by_side([partial(_compared, answer, told, data, records, progress),
-                                    partial(_proposal, answer, options, swapped, progress)])
+    known, proposal = side_by_side([
+        partial(_compared, answer, told, data, loop_of(records, axis), progress),
+        partial(_proposal, answer, options, (*refused, '')[0], progress),
+    ])
     return replace(known, proposal=proposal)
 
 
@@ -144,13 +145,13 @@ def _commands(record: Record, axis: str) -> tuple[FloatArray, ...]:
     return (record.control[:, :1],) if EVERY[axis].index < 0 else ()
 
 
-def _compared(answer: AxisAnswer, told: Findings, data: AxisData, records: Sequence[Record],
+def _compared(answer: AxisAnswer, told: Findings, data: AxisData, loop: Loop,
               progress: Progress) -> AxisAnswer:
     """The answer with the black-box models, what all models leave, and the loop around them."""
     progress(f'{answer.axis}: black-box models')
-    answer = with_blackbox(answer, data, records)
-    answer = replace(answer, residuals=_residuals(answer, data, told))
-    return replace(answer, closed_loop=closed_loop(answer, records, data))
+    answer = with_blackbox(answer, data, loop)
+    return replace(answer, residuals=_residuals(answer, data, told),
+                   closed_loop=closed_loop(answer.model, loop, data))
 
 
 def found_effects(data: AxisData, options: Options, progress: Progress = lambda _: None,
@@ -199,8 +200,9 @@ def with_own(problem: Problem, found: Found, effects: Sequence[Effect]) -> Found
     more = [scored(fit, found.prices) for fit in fits.values() if fit is not None]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
-    return replace(found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
-                   reasons=found.reasons | failed)
+    return settled(problem, replace(
+        found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
+        reasons=found.reasons | failed))
 
 
 def _reason(told: Findings, not_searched: str) -> str:
@@ -230,6 +232,8 @@ def _reason(told: Findings, not_searched: str) -> str:
             f'; the training {"also " if kept else ""}suggests {names}, which is not confirmed by '
             'the held-out segments or does not come again in resampled flights'
         )
+    if not verdict.chosen.converged:
+        reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'
     gain = verdict.chosen.value('gain')
     if verdict.verdict != 'cannot_tell' and gain < 0.0 and not told.problem.held:
         reason += (
@@ -241,11 +245,6 @@ def _reason(told: Findings, not_searched: str) -> str:
 
 def _below(p: float) -> str:
     return '< 0.0001' if p < 1e-4 else f'= {p:.2g}'
-
-
-def _warnings(records: Sequence[Record]) -> tuple[str, ...]:
-    return tuple(w for r in records
-                 for w in (*r.warnings, refusal(r)) if w)
 
 
 def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray | None:
@@ -277,8 +276,9 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
         return GainProposal(None, refused_because)
     if not answer.answered or answer.model is None:
         return GainProposal(None, answer.reason)
-    if not EVERY[answer.axis].turns:
-        return GainProposal(None, 'gains are designed for the attitude only')
+    if EVERY[answer.axis].outer:
+        return GainProposal(None, 'no firmware has its loop; quad-tune design MODEL.json --axis '
+                            f'{answer.axis} gives gains for one of your own')
     if options.designer is None or options.base is not None:
         return GainProposal(None, options.no_designer_because if options.base is None
                             else 'gains are designed for the built-in base only')

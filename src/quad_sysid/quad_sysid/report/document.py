@@ -26,8 +26,8 @@ from quad_sysid.units import Units, shown_in, spoken
 from quad_sysid.whole import Whole
 
 SCHEMA = 'quad_sysid/report/1'
-MOST_TRIED = 40
-MOST_PEAKS = 6
+MAX_TRIED = 40
+MAX_PEAKS = 6
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
 RESIDUALS = ('before', 'after', 'blackbox')
 SAID = ('metric', 'reason', 'advice', 'because')
@@ -194,30 +194,30 @@ def _noise(noise: NoiseEstimate | None, units: Units | None) -> list[dict[str, A
 def _tried(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     """Structures that were fitted, the most probable first; not all without effects of one's own.
 
-    Of each of these the best is told.
+    The best of each of these is listed.
     """
-    found = findings.found
-    base = next(one.score for one in found.all if not one.fit.structure.parts)
-    best = {_best_with(found, label) for label in own}
+    search = findings.found
+    base = next(one.score for one in search.all if not one.fit.structure.parts)
+    best = {_best_with(search, label) for label in own}
     return [
         {'effects': one.fit.structure.labels, 'log_evidence_over_base': one.score - base,
          'probability': float(p), 'converged': one.fit.converged}
-        for place, (one, p) in enumerate(zip(found.all, found.probabilities(), strict=True))
-        if place < MOST_TRIED or one in best
+        for place, (one, p) in enumerate(zip(search.all, search.probabilities(), strict=True))
+        if place < MAX_TRIED or one in best
     ]
 
 
 def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     """What became of the user's effects, by their labels."""
-    found = findings.found
+    search = findings.found
     out: list[dict[str, Any]] = []
-    base, leading = found.of_names(()), found.all[0]
+    base, leading = search.of_names(()), search.all[0]
     added = findings.verdict.chosen.structure.labels
     for label in own:
-        best = _best_with(found, label)
-        if label in found.reasons or best is None:
+        best = _best_with(search, label)
+        if label in search.reasons or best is None:
             out.append({'name': label, 'outcome': 'not_tested',
-                        'because': found.reasons.get(label, '')})
+                        'because': search.reasons.get(label, '')})
         else:
             out.append({
                 'name': label, 'outcome': 'added' if label in added else 'not_added',
@@ -229,9 +229,9 @@ def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     return out
 
 
-def _best_with(found: Found, label: str) -> Scored | None:
+def _best_with(search: Found, label: str) -> Scored | None:
     """The most probable structure with an effect."""
-    return next((one for one in found.all if label in one.fit.structure.labels), None)
+    return next((one for one in search.all if label in one.fit.structure.labels), None)
 
 
 def _parameter(found: Parameter, model: AxisModel, inertia: float | None) -> dict[str, Any]:
@@ -280,13 +280,13 @@ def _times(factor: float, tree: Any) -> Any:
     return None if tree is None else factor * tree
 
 
-def horizons_tree(found: Sequence[Horizon],
+def horizons_tree(horizons: Sequence[Horizon],
                   blackbox: Mapping[float, float]) -> list[dict[str, Any]]:
     """How the error grows, as the contract's `error.horizons`."""
     tree: list[dict[str, Any]] = plain([
         {'horizon_s': one.horizon_s, 'hold': one.hold, 'before': one.before, 'after': one.after,
          'blackbox': blackbox.get(one.horizon_s)}
-        for one in found
+        for one in horizons
     ])
     return tree
 
@@ -337,7 +337,7 @@ def _residual(residual: Residual, units: Units | None) -> dict[str, Any]:
         'cross_bound': test.cross_bound,
         'largest_cross_correlation': _largest(test.cross_lags, test.cross_correlation),
         'peaks': [{'frequency_hz': f, 'over_surroundings_db': 10.0 * math.log10(ratio)}
-                  for f, ratio in residual.peaks[:MOST_PEAKS]],
+                  for f, ratio in residual.peaks[:MAX_PEAKS]],
     }
     if missing is not None:
         at_s, value = missing.largest

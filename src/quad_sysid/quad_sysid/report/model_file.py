@@ -184,8 +184,8 @@ def _refuse_negative(model: AxisModel, where: str) -> None:
 
 
 def _polynomial(tree: object, where: str) -> Model:
-    found = _keys(tree, where, set(BLACKBOX), more=True)
-    read = _read_fields(Model, {name: found[name] for name in BLACKBOX}, where)
+    content = _keys(tree, where, set(BLACKBOX), more=True)
+    read = _read_fields(Model, {name: content[name] for name in BLACKBOX}, where)
     try:
         checked = polynomial_model(
             **{name: read[name] for name in (*POLYNOMIALS, 'dt', 'nk', 'noise_variance')}
@@ -278,7 +278,7 @@ READERS: dict[Any, Callable[[Any, Any, str], Any]] = {
     str: _text, float: _number, int: lambda *given: int(_number(*given)), Mapping: _mapping,
     tuple: _tuple, np.ndarray: _array, npt.NDArray: _array,  # the origin from numpy 2.5 on
 }
-"""By the declared type; what it does not name is taken as it is."""
+"""Readers by the declared type; values of other types are used as they are."""
 
 
 def _read_fields(kind: Any, tree: Mapping[str, Any], where: str) -> dict[str, Any]:
