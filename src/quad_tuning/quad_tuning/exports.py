@@ -289,13 +289,13 @@ def read_gains(path: Path, *, bounded: bool = True) -> dict[str, float]:
     """
     gains: dict[str, float] = {}
     for axis, one in read_axes(path).items():
-        for name, given in one['gains'].items():
+        for name, raw in one['gains'].items():
             where = f'{path}: axes.{axis}.gains.{name}'
             bound = DEFAULT_BOUNDS.get(name)
             if bound is None:
                 raise BadInputError(where, 'is no gain that a design changes',
                                     remedy='docs/reference/gains.md lists them')
-            gains[name] = value = finite(given, where)
+            gains[name] = value = finite(raw, where)
             if bounded and not bound.lower <= value <= bound.upper:
                 span = f'{bound.lower:g} .. {bound.upper:g} {ROWS[name].unit}'
                 raise BadInputError(where, f'must lie in {span}', f'{value:g}', AGAIN)
