@@ -320,7 +320,7 @@ def test_the_page_for_scripts_runs_as_it_stands(result, tmp_path, monkeypatch):
     assert first.startswith('result = qs.identify(u=volts, y=speed, dt=0.004')
     for block in blocks:
         exec(block.replace('qs.compare(result, unseen)', 'qs.compare(result, result)').replace(  # noqa: S102
-            'identify_base(motor, ', 'identify_base(motor, effects=(), '), names)
+            'base=motor)', 'base=motor, effects=())'), names)
     assert (tmp_path / 'motor.mat').exists()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -43,6 +45,16 @@ def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
     assert ladder.rungs[1].labels == ('coulomb_friction',)
     assert ladder.rungs[1].explains_pct > 90.0
     assert ladder.answer == 1
+
+
+def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):
+    """Of two that are as likely half of their difference's square; one alone adds nothing."""
+    found = rubbed_answer.findings.found
+    moved = replace(found.base, theta=found.base.theta + 4.0 * (np.arange(9) == 3))
+    both = Found(found.base, (Scored(found.base, 0.0), Scored(moved, 0.0)), {})
+    assert both.apart(found.base)[3, 3] == pytest.approx(8.0)
+    assert np.count_nonzero(both.apart(found.base)) == 1
+    assert not replace(both, all=both.all[:1]).apart(found.base).any()
 
 
 def test_the_derivatives_of_free_runs_are_their_differences(rubbed_answer):

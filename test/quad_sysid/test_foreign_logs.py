@@ -190,6 +190,10 @@ def test_ardupilot_pulses(flight, tmp_path):
     messages['ESC'] = ('TimeUS', 'Instance', 'RPM'), np.concatenate([
         np.column_stack([stamps, np.full(N, float(i)), 60.0 * messages['RCOU'][1][:, 1 + i]])
         for i in range(4)])[np.argsort(np.tile(stamps, 4), kind='stable')]
+    height = 3.0 + np.sin(1e-6 * (stamps - stamps[0]))
+    rate = np.cos(1e-6 * (stamps - stamps[0]))
+    messages['CTUN'] = ('TimeUS', 'ThO', 'Alt', 'CRt'), np.column_stack(
+        [stamps, 0.4 + 0.0 * rate, height, np.rint(100.0 * rate)])[::5]
     path = dataflash(tmp_path / 'log.bin', messages,
                      {'FRAME_CLASS': 1, 'FRAME_TYPE': 1, 'ATC_RAT_RLL_P': 0.135,
                       'MOT_THST_EXPO': 0.0, 'MOT_SPIN_MIN': 0.1, 'MOT_SPIN_MAX': 0.9})
@@ -203,6 +207,11 @@ def test_ardupilot_pulses(flight, tmp_path):
     # the largest factor of an axis is 0.5 there and 1 here; the pulses use 0.8 of their range
     assert record.gains_at(0.0)['roll.rate.kp'] == pytest.approx(0.135 * 0.5 * 0.8)
     assert 'thrust curve' in notes
+    seen = np.isfinite(record.velocity[:, 2])
+    assert seen.mean() == pytest.approx(0.2, abs=0.02)
+    assert record.velocity[seen, 2] == pytest.approx(rate[seen], abs=0.01)
+    assert record.altitude[seen] == pytest.approx(height[seen], abs=1e-3)
+    assert not np.isfinite(record.velocity[:, :2]).any()
 
 
 @pytest.mark.parametrize(('topic', 'field', 'values'), [

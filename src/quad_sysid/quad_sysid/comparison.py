@@ -25,7 +25,7 @@ from quad_sysid.arguments import (
     progress,
     quiet_and_json,
 )
-from quad_sysid.contract import AXES
+from quad_sysid.axes import ALL_WORDS, EVERY, NAMES
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table
 from quad_sysid.report.words import number
@@ -122,7 +122,7 @@ def trims(record: Record) -> dict[str, Estimate]:
     std = means.std(axis=0, ddof=1)
     return {
         axis: Estimate(float(means[:, i].mean()), float(std[i]), COMMAND, QUARTERS - 1.0)
-        for i, axis in enumerate(AXES, 1) if std[i] > ROUNDING
+        for axis, own in EVERY.items() if not own.outer and std[i := own.index + 1] > ROUNDING
     }
 
 
@@ -141,7 +141,7 @@ def _changes(reference: Flight, other: Flight) -> list[Change]:
     return [
         _change(axis, name, reference.parameters.get(axis, {}).get(name),
                 other.parameters.get(axis, {}).get(name))
-        for axis in AXES
+        for axis in EVERY
         for name in dict.fromkeys([*reference.parameters.get(axis, {}),
                                    *other.parameters.get(axis, {})])
     ]
@@ -187,7 +187,8 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument('flights', nargs='+', metavar='BAG|MODEL.json',
                         help='the first is what the others are compared with')
-    parser.add_argument('--axis', choices=[*AXES, 'all'], default='all', help='default: all')
+    parser.add_argument('--axis', choices=NAMES, default='all',
+                        help='all: roll, pitch and yaw (default); every: all six')
     parser.add_argument('--no-effects', action='store_true',
                         help='compare base and trim only, which takes less time')
     effects_option(parser)
@@ -198,7 +199,7 @@ def _run(options: argparse.Namespace) -> int:
     if len(options.flights) < 2:
         raise BadInputError('compare', 'needs two flights or more', len(options.flights),
                             'name what is to be compared with the first')
-    axes = AXES if options.axis == 'all' else (options.axis,)
+    axes = ALL_WORDS.get(options.axis, (options.axis,))
     show, effects = progress(quiet=options.quiet), candidates(options)
     reference, *others = [_flight(name, axes, effects, show) for name in options.flights]
     show('')

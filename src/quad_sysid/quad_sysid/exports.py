@@ -147,8 +147,9 @@ def export(models: Mapping[str, AxisModel], path: str | Path, to: str = '') -> P
     place = Path(path)
     name = to or next((key for key, (_, suffix) in WRITERS.items() if suffix == place.suffix), '')
     if name not in WRITERS:
+        suffixes = ' or '.join(suffix for _, suffix in WRITERS.values())
         raise BadInputError('export', 'must be to one of ' + ', '.join(WRITERS), to or str(path),
-                            'name it, or a suffix of .py or .mat')
+                            f'name it, or a suffix of {suffixes}')
     check_new(place)
     write_whole(place, WRITERS[name][0](models))
     return place
@@ -162,7 +163,7 @@ def add(commands: Commands) -> None:
                      writes='file')
     parser.add_argument('model', metavar='MODEL.json', type=Path,
                         help='written by quad-sysid identify, or its folder')
-    parser.add_argument('--to', required=True, choices=['control', 'mat'],
+    parser.add_argument('--to', required=True, choices=sorted(WRITERS),
                         help='control: a Python file; mat: MATLAB')
     parser.add_argument('--axis', choices=EVERY, help='default: every axis of the model')
     parser.add_argument('--out', metavar='FILE', type=Path,

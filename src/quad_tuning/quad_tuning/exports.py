@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import Any
 
 from quad_sysid.arguments import Commands, command
 from quad_sysid.autopilot_table import ARDUPILOT, D_FILTER, PX4, Table
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, read_json, write_whole
@@ -248,7 +249,13 @@ def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator
 
 def _no_counterpart(gains: Mapping[str, float]) -> list[str]:
     return [f'{name} {value:.6g}' for name, value in gains.items()
-            if value and name.partition('.')[2] not in {*NEEDED[1:], D_FILTER}]
+            if value and not _of_attitude(name, (*NEEDED[1:], D_FILTER))]
+
+
+def _of_attitude(name: str, known: Sequence[str]) -> bool:
+    """Whether a gain is one of these of roll, pitch or yaw."""
+    axis, _, rest = name.partition('.')
+    return axis in AXES and rest in known
 
 
 def scales(items: list[str]) -> dict[str, float]:
@@ -288,7 +295,12 @@ def read_gains(path: Path, *, bounded: bool = True) -> dict[str, float]:
     outside the default bounds; the bridge's gate has bounds of its own.
     """
     gains: dict[str, float] = {}
-    for axis, one in read_axes(path).items():
+    flown = {axis: one for axis, one in read_axes(path).items()
+             if axis not in EVERY or not EVERY[axis].outer}
+    if not any(one['gains'] for one in flown.values()):
+        raise BadInputError(f'{path}: gains', 'are of an outer loop of your own only, which no '
+                            'firmware here has', remedy='design roll, pitch, yaw or climb')
+    for axis, one in flown.items():
         for name, raw in one['gains'].items():
             where = f'{path}: axes.{axis}.gains.{name}'
             bound = DEFAULT_BOUNDS.get(name)
@@ -313,7 +325,7 @@ def finite(value: object, where: str) -> float:
 def left_out(gains: Mapping[str, float]) -> list[str]:
     """Gains that act and are not exported, with their values."""
     return [f'{name} {value:.6g}' for name, value in gains.items()
-            if value and name.partition('.')[2] not in {*NEEDED, D_FILTER}]
+            if value and not _of_attitude(name, (*NEEDED, D_FILTER))]
 
 
 def parameters(firmware: Firmware, gains: Mapping[str, float],

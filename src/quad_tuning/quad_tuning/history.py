@@ -261,9 +261,10 @@ def _report(refusal: str, success: str) -> int:
 def read_design(path: Path) -> tuple[dict[str, float], dict[str, str]]:
     """Gains of all axes in a design's file, and what is sent with them. Raises BadInputError."""
     gains = read_gains(path, bounded=False)
+    sent = {name.partition('.')[0] for name in gains}
     figures = {axis: {name: finite(value, f'{path}: axes.{axis}.figures.{name}')
                       for name, value in said.items()}
-               for axis, one in read_axes(path).items()
+               for axis, one in read_axes(path).items() if axis in sent
                for said in [one.get('figures', one.get('gain_figures'))]
                if isinstance(said, Mapping)}
     return gains, sent_with(figures)

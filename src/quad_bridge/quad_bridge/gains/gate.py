@@ -109,7 +109,7 @@ def _predictions(pairs: Mapping[str, float]) -> dict[str, Predicted]:
     known = {f.name for f in fields(Predicted)}
     for name, value in pairs.items():
         axis, _, figure = name.partition('.')
-        if axis not in AXES or figure not in known:
+        if axis not in {*AXES, CLIMB} or figure not in known:
             words = f'{shorten(name)} is not known; known are {", ".join(sorted(known))}'
             raise RefusedError(f'predicted: {words}')
         low, high = _LIMITS[figure]

@@ -83,9 +83,9 @@ class ClimbWatch:
         over = self._bound is not None and self._energy > self._bound
         self._over_s = self._over_s + dt if over else 0.0
 
-    def begin(self) -> None:
-        """From now on compare with the motion before this call."""
-        self._bound = max(MARGIN**2 * self._energy, CLIMB_FLOOR_M_S**2)
+    def begin(self, ratio: float = 1.0) -> None:
+        """From now on compare with the motion before this call, times the predicted ratio."""
+        self._bound = max((MARGIN * ratio) ** 2 * self._energy, CLIMB_FLOOR_M_S**2)
         self._over_s = 0.0
 
     @property
@@ -235,9 +235,10 @@ class GainWatch:
         Only `axes` are looked at: what gains have not changed, they have not spoilt.
         """
         self._watched = np.array([axis in axes for axis in AXES])
+        predicted = predicted or {}
         if CLIMB in axes:
-            self._climb.begin()
-        predictions = [(predicted or {}).get(axis, Predicted()) for axis in AXES]
+            self._climb.begin(predicted.get(CLIMB, Predicted()).rate_rms_ratio)
+        predictions = [predicted.get(axis, Predicted()) for axis in AXES]
         ratio = np.ones_like(self._worst)
         ratio[:-1] = [p.oscillation_ratio**2 for p in predictions]
         ratio[-1] = [p.rate_rms_ratio**2 for p in predictions]

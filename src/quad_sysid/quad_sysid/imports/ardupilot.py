@@ -47,7 +47,9 @@ OF_RATES = ('RATE.RDes', 'RATE.R', 'RATE.PDes', 'RATE.P', 'RATE.YDes', 'RATE.Y')
 MAX_PULSE = 3000.0
 """µs. No speed controller is sent a longer one."""
 CENTI = 0.01
-"""deg/s of RATE's unit in logs with TimeMS."""
+"""deg/s of RATE's unit in logs with TimeMS, and of a speed in cm/s."""
+FEWEST = 10
+"""Messages of CTUN that say how it climbs."""
 AS_FAST = 0.9
 """Share of the gyro's rate from which on RATE, which the controller saw, is preferred."""
 FASTER = ("set bit 0 (fast attitude) of LOG_BITMASK: RATE is then logged at the loop's rate, not "
@@ -79,14 +81,16 @@ SIGNALS = (
            'to rad/s, pitch and yaw turned', _mirrored_degrees),
     Signal('acceleration', _of('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
            mirrored),
-    Signal('velocity', _of('XKF1', 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
-    Signal('position', _of('XKF1', 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu),
+    *(one for name in ('XKF1', 'NKF1') for one in (
+        Signal('velocity', _of(name, 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
+        Signal('position', _of(name, 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu))),
     Signal('battery', _of('BAT', 'Volt'), 'V', 'as it is'),
 )
 OUTPUTS = Signal('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
                  'as they are, pitch and yaw turned; U is in the unit of these outputs',
                  lambda values: values * [1.0, *MIRROR])
-MESSAGES = ('RATE', 'ATT', 'IMU', 'XKF1', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD', 'SIDS')
+MESSAGES = ('RATE', 'ATT', 'IMU', 'XKF1', 'NKF1', 'CTUN', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD',
+            'SIDS')
 NO_GAINS = ("ArduPilot's gains are not carried over: {}, so nobody knows what its outputs do to "
             'the motors')
 AT_HOVER = ("ArduPilot's gains are stated for the thrust of hover: between its outputs and the "
@@ -115,10 +119,32 @@ def read(path: Path) -> ForeignLog:
             table.messages or 'no message of use',
             'set LOG_BITMASK to log fast attitude (bit 0) and log again',
         )
+    _climb(reading)
     crafts, gains, warnings = _input(reading)
     return reading.log('an ArduPilot log', SIGNALS, crafts=crafts, armed=_armed(table),
                        gains=gains, faster=FASTER, warnings=tuple(warnings),
                        experiments=tuple(_experiments(table)))
+
+
+def _climb(reading: Reading) -> None:
+    """Take the vertical speed and the altitude of CTUN where no estimate of the place was logged.
+
+    CRt is in cm/s, in some versions in m/s: the slope of the altitude says which.
+    """
+    logged = reading.table.stream('CTUN.CRt', 'CTUN.Alt')
+    if logged is None or 'velocity' in reading.streams or len(logged.time_s) < FEWEST:
+        return
+    rate, height = logged.values.T
+    slope = np.gradient(height, logged.time_s)
+    off = [np.nansum((factor * rate - slope) ** 2) for factor in (CENTI, 1.0)]
+    factor, unit = (CENTI, 'cm/s') if off[0] <= off[1] else (1.0, 'm/s')
+    for role, name, values, of, how in (
+        ('velocity', 'CRt', factor * rate, unit, 'the vertical speed alone, by its altitude'),
+        ('position', 'Alt', height, 'm', 'the altitude alone'),
+    ):
+        up = np.column_stack([np.full((rate.size, 2), np.nan), values])
+        reading.streams.pop(role, None)
+        reading.put(Signal(role, (f'CTUN.{name}',), of, how), Stream(logged.time_s, up))
 
 
 def _experiments(table: Table) -> Iterator[Experiment]:

@@ -208,6 +208,25 @@ def operate(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, b
                             r[more[a + 4]], r[more[a + 5]])
 
 
+@kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, WHOLE, WHOLES, WHOLE, WHOLE, TABLE)
+def carried(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, known: FloatArray,
+            state: int, following: IntArray, begin: int, end: int, out: FloatArray) -> None:
+    """States by their operations over the cycles [begin, end): `out` (m, n) at the start of each.
+
+    known (n, s): what is known of each cycle, in the first registers; the state of m numbers
+    stands from the register `state` on, those of a cycle later in `following` (m,).
+    """
+    m = following.size
+    for k in range(begin, end):
+        for i in range(m):
+            out[i, k] = r[state + i]
+        for i in range(known.shape[1]):
+            r[i] = known[k, i]
+        operate(code, more, tables, r, 0, code.shape[0])
+        for i in range(m):  # no state is read any more
+            r[state + i] = r[following[i]]
+
+
 @inner
 def before(line: FloatArray, newest: int, channel: int, age: float) -> float:
     """The command that was sent so many cycles ago, linear between two; `line` (d, c) turns."""

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from quad_sysid.axes import TURNING, Level
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Linear
 from quad_sysid.effects.likeness import LinearChannels, LinearMap, LinearTorque
@@ -24,9 +25,7 @@ from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Signals, require
 from quad_sysid.model.structure import Structure
 
 ComplexArray = npt.NDArray[np.complex128]
-Level = tuple[float, float, float]
-WIDE: Level = (4.0, 0.35, 0.3)
-NEAR_REST: Level = (0.3, 0.05, 0.03)
+WIDE, NEAR_REST = TURNING.wide, TURNING.near_rest
 """Amplitudes of rate (rad/s), angle (rad) and command at which a loop is linearised."""
 STILL: Level = (2e-7, 2e-8, 1e-8)
 """Next to none: the slope at rest."""
@@ -107,9 +106,14 @@ def _many(around: Signals, n: int, sent: FloatArray) -> Signals:
 def linear(flying: Flying, level: Level) -> Flying:
     """The same with each effect's linear likeness in motion of these amplitudes."""
     plant = flying.plant
-    parts = [*_commands(flying, level[2]), *(
-        Part(_torque(flying, part, p, level)) for part, p in plant.pushing
-    )]
+    by_law = plant.structure.law is not None and not plant.p[0]
+    if by_law:  # which alone takes the command: at unit gain, less what that gain drives
+        plant = replace(plant, p=np.r_[1.0, plant.p[1:]])
+        flying = replace(flying, plant=plant)
+    torques = [_torque(flying, part, p, level) for part, p in plant.pushing]
+    if by_law:
+        torques[0].rows[-1, torques[0].states + 2] -= 1.0
+    parts = [*_commands(flying, level[2]), *map(Part, torques)]
     p = np.r_[plant.p[:4], 0.0]
     one = replace(plant, structure=Structure(tuple(parts)), p=p, rounds=1)
     return replace(flying, plant=one)
@@ -117,16 +121,18 @@ def linear(flying: Flying, level: Level) -> Flying:
 
 def linear_part(flying: Flying) -> Flying:
     """The same with those effects alone that answer alike in small and in wide motion."""
-    plant, kept, p = flying.plant, [], [flying.plant.p[:5]]
-    for part, at in plant.structure.placed():
+    plant, kept = flying.plant, []
+    bare = replace(plant.structure, parts=())
+    p = [plant.p[: len(bare.base)]]
+    for part, at in plant.structure.effects():
         alone = replace(flying, plant=replace(
-            plant, structure=Structure((part,)), p=np.r_[plant.p[:5], plant.p[at]]))
+            plant, structure=bare.plus(part), p=np.r_[p[0], plant.p[at]]))
         still, wide = (loops_of([(alone, level)]) for level in (STILL, WIDE))
         if np.allclose(still.a, wide.a, rtol=1e-3, atol=1e-6) and np.allclose(
                 still.b, wide.b, rtol=1e-3, atol=1e-6):
             kept.append(part)
             p.append(plant.p[at])
-    return replace(flying, plant=replace(plant, structure=Structure(tuple(kept)),
+    return replace(flying, plant=replace(plant, structure=replace(bare, parts=tuple(kept)),
                                          p=np.concatenate(p)))
 
 

@@ -83,10 +83,10 @@ def plain(value: Any) -> Any:
 
 def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
     model, findings = answer.model, answer.findings
-    own = [effect.label for effect in model.own_effects] if model else []
+    own = [one.label for one in model.own_effects if one is not model.law] if model else []
 
     def parameters(some: Sequence[Parameter]) -> list[dict[str, Any]]:
-        return [_parameter(p, inertia) for p in some]
+        return [_parameter(p, inertia) for p in some if model and model.shows(p)]
 
     units = answer.units
     tree: dict[str, Any] = _worded(units, {

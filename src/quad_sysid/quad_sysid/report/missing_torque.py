@@ -188,8 +188,7 @@ def drawn(replay: Replay, index: int) -> Drawn:
     if part.effect.wanders:
         inside = past_start(replay.problem.spans, replay.problem.data.dt)
         x, y = variable(replay, part)[inside], replay.followed()[index][inside]
-        return Drawn('time, s', LABELS[part.effect.term].replace('factor', 'change'), x,
-                     part.settings['unit'] * y, np.zeros(x.size))
+        return Drawn('time, s', LABELS['gain'], x, y, np.zeros(x.size))
     evaluate, x, over = _picture(replay, part)
 
     def at(moved: FloatArray) -> FloatArray:

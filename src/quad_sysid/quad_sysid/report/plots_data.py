@@ -21,6 +21,7 @@ from quad_sysid.report.canvas import (
     MUTED,
     ORANGE,
     PINK,
+    Drawing,
     Picture,
     finish,
     legend,
@@ -150,3 +151,9 @@ def trusted_words(answer: AxisAnswer) -> str:
 
 def _finite(values: FloatArray, z: IOData) -> bool:
     return all(bool(np.isfinite(values[a:b]).all()) for a, b in z.segments)
+
+
+DRAWINGS = (
+    Drawing('signals', 'Data', signals),
+    Drawing('coherence', 'Data', coherences),
+)

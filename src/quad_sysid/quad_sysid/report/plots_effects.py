@@ -10,6 +10,7 @@ from quad_sysid.report.canvas import (
     INK,
     MUTED,
     OTHER,
+    Drawing,
     Picture,
     legend,
     panels,
@@ -124,3 +125,10 @@ def rivals(answer: AxisAnswer) -> Picture | None:
         'Blue: the chosen effect. Green: its alternatives, each fitted in its place; the '
         'probabilities of one panel sum to 1 over all rivals.', figure,
     )
+
+
+DRAWINGS = (
+    Drawing('effect_shape', 'What the base lacks', effect_shapes),
+    Drawing('left_out', 'What the base lacks', left_out),
+    Drawing('rivals', 'What the base lacks', rivals),
+)

@@ -6,6 +6,7 @@ Free run, error over the horizon, one step ahead, residual tests, spectrum, torq
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +14,8 @@ import numpy as np
 from quad_sysid.blackbox import ResidualTest, frequency_response, spa
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
+from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, ComplexArray, loops_of
-from quad_sysid.loop.plant import plant_like
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import Windows
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, Residual
@@ -25,6 +26,7 @@ from quad_sysid.report.canvas import (
     INK,
     MUTED,
     OTHER,
+    Drawing,
     Picture,
     finish,
     legend,
@@ -184,10 +186,11 @@ def _grey_box(model: AxisModel, w: FloatArray) -> tuple[ComplexArray, FloatArray
     steps = [0.01 * float(np.sqrt(covariance[i, i])) or 1e-9 for i in index]
     moved = [{**values, name: values[name] + step}
              for name, step in zip(names, steps, strict=True)]
-    bases = [np.array([p['gain'], p['lag'], max(p['delay'], 0.0), p['damping'], 0.0])
-             for p in (values, *moved)]
+    bases = [tuple(replace(p, value=known[p.name]) for p in model.base)
+             for known in (values, *moved)]
     response, *near = loops_of([
-        (plant_like(model.axis, p, model.dt, model.gyro_filter_hz), WIDE) for p in bases
+        (loop_plant(replace(model, base=base, effects=(), active_gains={})), WIDE)
+        for base in bases
     ]).response(w)[0]
     if not index:
         return response, np.full(w.size, np.nan), np.full(w.size, np.nan)
@@ -299,3 +302,13 @@ def torque(answer: AxisAnswer) -> Picture | None:
         "The torque disturbance that the model's Kalman filter sees on held-out data. The green "
         "band is what the last model's own noise predicts.", figure,
     )
+
+
+DRAWINGS = (
+    Drawing('free_run', 'Prediction on held-out data', free_run),
+    Drawing('horizon', 'Prediction on held-out data', horizon),
+    Drawing('bode', 'Black-box models', bode),
+    Drawing('correlations', 'What is left', correlations),
+    Drawing('residual_spectrum', 'What is left', spectrum),
+    Drawing('missing_torque', 'What is left', torque),
+)

@@ -38,7 +38,7 @@ def clear(folder: Path) -> None:
     """
     drawn = folder / 'pictures'
     files = [folder / name for name in ('report.json', 'model.json', 'report.html', URDF)]
-    files += [drawn / f'{axis}_{name}.png' for axis in EVERY for name, _ in plots.PICTURES]
+    files += [drawn / f'{axis}_{one.name}.png' for axis in EVERY for one in plots.PICTURES]
     try:
         for file in files:
             file.unlink(missing_ok=True)

@@ -8,11 +8,16 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from quad_sysid.report.words import FIGURES, bound, chance, named, number, values, yes
+from quad_sysid.axes import units_of
+from quad_sysid.loop.cascade import contract_names
+from quad_sysid.report.words import FIGURES, bound, chance, figure, named, number, values, yes
+from quad_sysid.units import unit_in
 
 Tree = Mapping[str, Any]
 WIDTH = 78
 MODELS = (('before', 'base'), ('after', 'completed'), ('blackbox', 'black box'))
+GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_kd': 's²/rad',
+              'd_filter_hz': 'Hz'}
 WIDE = ('outcome', 'because', 'parameters')
 """Columns with sentences."""
 
@@ -255,21 +260,21 @@ def _counted(names: Sequence[str]) -> str:
 def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> Table:
     """Gains before and after, then the designer's figures before and after."""
     figures, new = tree.get('gain_figures') or {}, tree.get('gains') or {}
-    units = {'angle.kp': '1/s', 'rate.kp': 's/rad', 'rate.ki': '1/rad', 'rate.kd': 's²/rad',
-             'rate.d_filter_hz': 'Hz'}
+    units = {name: unit_in(units_of(axis), GAIN_UNITS[field])
+             for field, name in contract_names(axis).items() if field in GAIN_UNITS}
     rows = [
         [name, number(figures.get(f'{name}_before', active.get(name)), 4),
          number(new.get(name), 4), unit]
-        for name, unit in ((f'{axis}.{n}', unit) for n, unit in units.items())
-        if name in new or name in active
+        for name, unit in units.items() if name in new or name in active
     ]
-    return Table(['', 'before', 'after', 'unit'], [*rows, *figure_rows(figures)], (1, 2))
+    return Table(['', 'before', 'after', 'unit'], [*rows, *figure_rows(figures, axis)], (1, 2))
 
 
-def figure_rows(figures: Mapping[str, float]) -> list[list[str]]:
-    """A designer's figures before and after, in the order of reading."""
+def figure_rows(figures: Mapping[str, float], axis: str) -> list[list[str]]:
+    """A designer's figures of an axis before and after, in the order of reading."""
     rows = []
-    for key, (label, unit, factor) in FIGURES.items():
+    for key in FIGURES:
+        label, unit, factor = figure(key, axis)
         pair = [figures.get(f'{key}_before'), figures.get(key)]
         if pair != [None, None]:
             rows.append([label, *(number(None if v is None else v * factor) for v in pair), unit])

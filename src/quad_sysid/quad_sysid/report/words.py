@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quad_sysid.axes import units_of
 from quad_sysid.model.identified import UNLISTED
+from quad_sysid.units import spoken
 
 Tree = Mapping[str, Any]
 
@@ -68,6 +70,17 @@ FIGURES = {
     'unstable_draws': ('unstable draws', '1', 1.0),
 }
 """A designer's figure → its label, unit and factor into that unit, in order of reading."""
+
+
+def figure(key: str, axis: str) -> tuple[str, str, float]:
+    """Label, unit and factor into it of a designer's figure of an axis."""
+    label, unit, factor = FIGURES[key]
+    units = units_of(axis)
+    if units is None:
+        return label, unit, factor
+    return spoken(units, label), *((units.motion, 1.0) if '_rad' in key and unit == 'deg'
+                                   else (unit, factor))
+
 
 FORMS = {'steps': 'motors that take their command in whole steps',
          'held': 'motors that hold a command for several cycles',
@@ -271,7 +284,7 @@ def _gains(axis: str, tree: Tree) -> str:
     figures = tree.get('gain_figures') or {}
     changes = []
     for key in ('rise_time_s', 'overshoot_pct', 'rms_tracking_rad', 'worst_phase_margin_deg'):
-        label, unit, factor = FIGURES[key]
+        label, unit, factor = figure(key, axis)
         old, new = figures.get(f'{key}_before'), figures.get(key)
         if old is not None and new is not None:
             changes.append(f'{label} {number(old * factor)} to {number(new * factor)} {unit}')

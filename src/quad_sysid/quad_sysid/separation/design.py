@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
 
+from quad_sysid.axes import EVERY
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import library
@@ -203,8 +204,15 @@ def rivals_of(model: AxisModel) -> Names:
 
 
 def nearest(models: Mapping[str, AxisModel]) -> AxisModel:
-    """The axis whose effects have the most probable rival; the first where none has any."""
-    return max(models.values(), key=lambda model: max(
+    """The axis whose effects have the most probable rival; the first where none has any.
+
+    Raises BadInputError where none of them turns.
+    """
+    turning = [model for model in models.values() if EVERY[model.axis].turns]
+    if not turning:
+        raise BadInputError('--model', 'must hold roll, pitch or yaw: a flight is designed to '
+                            'separate effects of these', ', '.join(models))
+    return max(turning, key=lambda model: max(
         (p for e in model.effects for _, p in e.listed_rivals), default=-1.0
     ))
 

@@ -70,6 +70,9 @@ def aircraft_of(model: AxisModel, less: str, source: str) -> Aircraft:
 
     Raises BadInputError for an unknown effect or a gain that is not positive.
     """
+    if model.law is not None:
+        raise BadInputError('separate', 'flies the built-in base only', model.law.name,
+                            'design_experiment takes a base of your own')
     known = f'{model.axis}.rate.kp' in model.active_gains
     theta = np.array([model.value(spec.name) for spec in BASE])
     if not theta[0] > 0.0:
