@@ -4,7 +4,7 @@
 # depends on is unchanged, so a second call takes a fraction of a second and no network. No test is
 # run and no node started here.
 #
-#   tools/set_up.sh [test] [lint] [docs] [store]    venv and build, and the packages that these need
+#   tools/set_up.sh [test] [lint] [docs] [others]    venv and build, and the packages that these need
 #   tools/set_up.sh venv                    the venv alone
 #
 # Packages are installed by uv, which is fetched where it is missing, and by pip where uv fails.
@@ -126,9 +126,9 @@ more_packages() {  # what tests, linters or the documentation need as well
     want=$(digest <"$lock")
     [ "$(cat ".venv/$1.stamp" 2>/dev/null)" = "$want" ] && return
     say "packages of $lock"
-    if [ "$1" = store ]; then  # other versions than those of the venv, which a PYTHONPATH puts before
-        rm -rf .venv/store
-        install "$lock" --target .venv/store
+    if [ "$1" = others ]; then  # other versions than those of the venv, which a PYTHONPATH puts before
+        rm -rf .venv/others
+        install "$lock" --target .venv/others
     else
         install "$lock"
     fi
@@ -196,8 +196,8 @@ compile() {  # package, command...: fills numba's cache, which follows a functio
 groups=("$@")
 for group in "${groups[@]+"${groups[@]}"}"; do
     case $group in
-        venv | test | lint | docs | store) ;;
-        *) fail "no packages are known for $group; there are test, lint, docs, store" ;;
+        venv | test | lint | docs | others) ;;
+        *) fail "no packages are known for $group; there are test, lint, docs, others" ;;
     esac
 done
 if command -v flock >/dev/null; then  # two at once, as of make -j lint docs, would meet in the venv

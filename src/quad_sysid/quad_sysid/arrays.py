@@ -371,7 +371,9 @@ def _times(time: Any, dt: Any, n: int,
 def _check_interval(name: str, seconds: float) -> None:
     if seconds > LONGEST_DT_S:
         raise BadInputError(WHERE, f'{name} has intervals that are too long', f'{seconds:g} s',
-                            f'at most {LONGEST_DT_S:g} s, since errors are those of half a second')
+                            f'at most {LONGEST_DT_S:g} s, since errors are those of half a second;'
+                            " scale a slow machine's time: "
+                            f"units={{'t': {LONGEST_DT_S / seconds:.2g}}} makes it fast enough")
 
 
 # units

@@ -96,11 +96,11 @@ Pair = tuple[Flight, tuple[Change, ...]]
 
 def of_model(model: AxisModel) -> dict[str, Estimate]:
     """The base beside its effects, then the effects: alone it takes up what they do."""
-    out = {p.name: Estimate(p.value, p.std, p.unit) for p in model.base}
+    named = {p.name: p for p in model.base if model.shows(p)}
     for effect in model.effects:
-        out |= {f'{effect.name}.{p.name}': Estimate(p.value, p.std, p.unit)
-                for p in effect.parameters}
-    return out
+        named |= {f'{effect.name}.{p.name}': p for p in effect.parameters}
+    shown = {name: model.in_units(p) for name, p in named.items()}
+    return {name: Estimate(p.value, p.std, p.unit) for name, p in shown.items()}
 
 
 def trims(record: Record) -> dict[str, Estimate]:

@@ -120,6 +120,7 @@ class Autopilot:
         """`budget`: bytes per second that the line carries for it."""
         self.budget = budget
         self.also_hz: Mapping[str, float] = {}  # messages wanted beside those of the topics
+        self._log_comes = False
         self._streams: dict[str, _Stream] = {}
         self._sources: dict[tuple[str, str], tuple[int, int]] = {}
         """Topic and message to when its content last came, and how long it counts as alive."""
@@ -149,6 +150,13 @@ class Autopilot:
         self.lowered.clear()
         for stream in self._streams.values():
             stream.reached, stream.next_ask_ns, stream.pause_ns = False, 0, PAUSE_NS[0]
+
+    def log_comes(self, *, now: bool) -> None:
+        """Whether its log is being fetched: all streams give way to that, through no fault."""
+        if self._log_comes and not now:
+            self.restarted()
+            self._look_ns = self._looked_ns = 0
+        self._log_comes = now
 
     def note(self, name: str) -> None:
         """Take the arrival of a message of that name."""
@@ -235,7 +243,7 @@ class Autopilot:
 
     def due(self, now_ns: int) -> list[Command]:
         """Messages to request now: those that come too rarely, or not at all."""
-        if now_ns < self._look_ns:
+        if now_ns < self._look_ns or self._log_comes:
             return []
         passed_s = 1e-9 * (now_ns - self._looked_ns) if self._looked_ns else math.inf
         self._look_ns, self._looked_ns = now_ns + ROUND_NS, now_ns
@@ -269,7 +277,7 @@ class Autopilot:
 
     def slow_ones(self, now_ns: int) -> list[str]:
         """Messages that come more rarely than wanted although they were asked for."""
-        return [
+        return [] if self._log_comes else [
             name
             for name, (rate_hz, target_hz) in self.rates(now_ns).items()
             if rate_hz < ENOUGH * target_hz and self._streams[name].requests > 1

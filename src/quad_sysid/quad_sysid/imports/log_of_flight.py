@@ -62,13 +62,17 @@ def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
 
 def _cut(log: ForeignLog, begin_s: float, end_s: float) -> ForeignLog:
     """The part of a log between two of its times."""
-    def part(stream: Stream | None) -> Stream | None:
+    def part(name: str) -> Stream | None:
+        stream: Stream | None = getattr(log, name)
         if stream is None:
             return None
-        keep = (stream.time_s >= begin_s) & (stream.time_s <= end_s)
+        from_s = begin_s
+        if name == 'armed':  # a change holds until the next one: it was armed before the bag began
+            from_s = max(stream.time_s[stream.time_s <= begin_s], default=begin_s)
+        keep = (stream.time_s >= from_s) & (stream.time_s <= end_s)
         return Stream(stream.time_s[keep], stream.values[keep])
 
-    cut: dict[str, Any] = {name: part(getattr(log, name)) for name in STREAMS}
+    cut: dict[str, Any] = {name: part(name) for name in STREAMS}
     return replace(log, **cut)
 
 
