@@ -67,7 +67,7 @@ class Cockpit(Line):
         self.updates = GainUpdates(GainSettings(folder=self.folder), self.history)
         self.relay = ExcitationRelay(100, None, self.connected)
         self.connected.on_change = self.changed
-        self.news = []
+        self.notes = []
         self.link.opened()
 
     def changed(self, aircraft):
@@ -98,8 +98,8 @@ class Cockpit(Line):
             self.updates.know(record)
         self.link.tick(self.now_ns)
         self.updates.tick(1e-9 * self.now_ns)
-        self.news += [item.text for item in self.updates.news]
-        self.updates.news.clear()
+        self.notes += [item.text for item in self.updates.notes]
+        self.updates.notes.clear()
         self.poll()
 
     def poll(self):
@@ -177,7 +177,7 @@ def test_gains_are_read_written_watched_and_confirmed(flying, name):
     assert line.updates.state is State.IDLE
     assert line.updates.active['roll.rate.kp'] == pytest.approx(wanted, rel=1e-4)
     assert 'trial' not in line.kept()
-    assert any('confirmed' in text for text in line.news)
+    assert any('confirmed' in text for text in line.notes)
 
 
 def test_gains_that_fly_badly_go_back_within_the_watch(flying):
@@ -221,7 +221,7 @@ def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):
     line.controller.parameters[p] = 0.9 * before  # over another line: nobody tells us
     line.fly(2.0)
     assert line.controller.parameters[p] == before
-    assert 'by another program' in ' '.join(line.news)
+    assert 'by another program' in ' '.join(line.notes)
     line.controller.parameters[p] = other = 0.8 * before
     line.hear(line.controller.pack(line.controller.value(p)))
     line.fly(2.0)

@@ -32,7 +32,7 @@ from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
 from quad_bridge.gains.table import with_mixing
-from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, Reply, State
+from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, Note, Reply, State
 from quad_bridge.link.autopilot import (
     BATTERY,
     COMPASS,
@@ -367,7 +367,7 @@ class SerialBridge(ManagedNode):
             self._gains.tick(clock().now_s())
             self._poll_gains(now_ns)
             self._flush()
-            news, self._gains.news = self._gains.news, []
+            notes, self._gains.notes = self._gains.notes, []
         self._operator.tick()
         self._gain_services.tick()
         self._sensor_services.tick()
@@ -376,12 +376,12 @@ class SerialBridge(ManagedNode):
             end = self._relay.tick(clock().now_s())
         if end is not None:
             self._forward(end)
-        for item in news:
+        for item in notes:
             self._tell(item)
-        if news and clock().now_s() - self._reported_s > REPORT_S:
+        if notes and clock().now_s() - self._reported_s > REPORT_S:
             self._on_report()
 
-    def _tell(self, item: News) -> None:
+    def _tell(self, item: Note) -> None:
         if item.fault:
             self.get_logger().error(item.text)
         else:
