@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from effects_judge import SPOILED, extra, right
+from intervals import WITHIN
 
 ROWS = Path(__file__).parent / 'results'
 DOCS = Path(__file__).parents[1] / 'docs'
@@ -101,6 +102,20 @@ def twice(rows: Sequence[Row]) -> str:
     ])
 
 
+def intervals(rows: Sequence[Row]) -> str:
+    """Gain, lag and damping within their 95 % intervals (intervals.py)."""
+    out = []
+    for rough in (False, True):
+        own = [r for r in rows if r['rough'] == rough and r['verdict'] != 'cannot_tell']
+        cells = []
+        for name in own[0]['told']:
+            away = [(r['told'][name][0] - r['truth'][name]) / r['told'][name][1] for r in own
+                    if r['told'][name][1] is not None]
+            cells.append(share([abs(one) < WITHIN for one in away]))
+        out.append(['with friction and drag' if rough else 'bare', *cells])
+    return table(['', 'gain', 'lag', 'damping', 'damping, with what is not named'], out)
+
+
 def calibration(rows: Sequence[Row]) -> str:
     """What `probability` and `reproducible` promise, and how often the other flight agrees."""
     claims = [(p, again, name in {other for other, *_ in b['claims']})
@@ -138,10 +153,36 @@ def sets() -> str:
     return table(SETS, cells)
 
 
+def ablation(rows: Sequence[Row]) -> str:
+    """Groups of candidates left out of the search (effects_ablation.py)."""
+    whole = {r['number']: r for r in rows if r.get('left_out') == ''}
+
+    def closed(row: Row) -> float | None:
+        before, true = (whole[row['number']].get(key) for key in ('before', 'true'))
+        return None if true is None else (before - row['after']) / (before - true)
+
+    def shown(each: Sequence[Row]) -> list[str]:
+        gaps = [gap for gap in map(closed, each) if gap is not None]
+        known = [r for r in each if r['kind'] in ('named', 'pair')]
+        return [share([gap >= 0.5 for gap in gaps]) if gaps else '–',
+                share([right(r) for r in known]) if known else '–',
+                f'{sum(r["seconds"] for r in each):.0f}' if each else '–']
+
+    out = []
+    for group in (r for r in rows if 'group' in r):
+        without = [r for r in rows if r.get('left_out') == group['group']]
+        pairs = zip(shown([whole[r['number']] for r in without]), shown(without), strict=True)
+        out.append([group['group'], f'{group["candidates"]}, {group["parameters"]}', len(without),
+                    *(both[0] if both[0] == '–' else f'{both[0]}; {both[1]}' for both in pairs)])
+    return table(['left out', 'candidates, parameters', f'stand in the answer of, of {len(whole)}',
+                  'half of the gap closed, with; without', 'right names', 'CPU s'], out)
+
+
 TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
     'named': ('rows*.jsonl', named), 'disturbances': ('hard_*.jsonl', disturbances),
     'outside': ('outside_*.jsonl', outside), 'twice': ('twice.jsonl', twice),
-    'calibration': ('twice.jsonl', calibration),
+    'calibration': ('twice.jsonl', calibration), 'ablation': ('ablation.jsonl', ablation),
+    'intervals': ('intervals.jsonl', intervals),
 }
 """Name in the page → files of its rows, and how it is made."""
 

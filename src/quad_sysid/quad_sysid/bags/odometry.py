@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quad_sysid.bags.cdr import Stamped
-from quad_sysid.bags.orientation import LEAST_NORM, euler_from_quaternion, quaternions
+from quad_sysid.bags.orientation import MIN_NORM, euler_from_quaternion, quaternions
 from quad_sysid.bags.stamps import Grid
 from quad_sysid.contract import FloatArray
 from quad_sysid.motion import altitude_of, in_body, lean, over_level, vertical_motion
@@ -51,9 +51,9 @@ class Moving:
 def moving(streams: Mapping[str, Stamped], grid: Grid, angles: FloatArray | None,
            acceleration: FloatArray | None, warnings: list[str]) -> Moving:
     """Motion by /odom where the bag has it, else the vertical one by /baro and accelerometer."""
-    found = _odometry(streams.get(ODOM), grid, angles, warnings)
-    if found.velocity is not None or acceleration is None or angles is None:
-        return found
+    motion = _odometry(streams.get(ODOM), grid, angles, warnings)
+    if motion.velocity is not None or acceleration is None or angles is None:
+        return motion
     return _vertical(streams.get(BARO), grid, angles, acceleration)
 
 
@@ -72,7 +72,7 @@ def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
     position, quaternion, twist = values[:, :3], values[:, 3:7], values[:, 7:]
     leans: FloatArray | None = None
     norm = np.linalg.norm(quaternion, axis=1)
-    if (norm > LEAST_NORM).all() and np.abs(quaternion[:, :3]).max() > 1e-9:
+    if (norm > MIN_NORM).all() and np.abs(quaternion[:, :3]).max() > 1e-9:
         attitude = euler_from_quaternion(quaternion / norm[:, None])
         leans = grid.place(stamps, lean(attitude))
     elif angles is not None:  # positions only: the attitude is that of /imu/data

@@ -1,4 +1,4 @@
-"""A bag → what it holds and what it suffices for: topics, excitation, coherence, limits, battery.
+"""A bag or log → what it holds and suffices for: topics, excitation, coherence, limits, battery.
 
 Nothing is fitted; the conditions are those of the pipeline. cli.py prints it.
 """
@@ -16,21 +16,24 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.bags.storage import Storage
 from quad_sysid.blackbox import excitation_order
-from quad_sysid.contract import TOPIC_TYPES
+from quad_sysid.contract import AXES, TOPIC_TYPES
 from quad_sysid.craft import Craft, X
 from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.foresight import improvement
+from quad_sysid.imports.guess import read_any
+from quad_sysid.imports.table import head_of, is_bag
+from quad_sysid.imports.to_bag import record_of
 from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.motor_layout import (
     Pattern,
     commands_of,
+    confirmed,
     doubts,
     opposite,
     patterns_of,
     places,
-    told,
 )
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
@@ -71,7 +74,7 @@ class TopicContent:
 class Topics:
     """All topics with messages, in the order of the contract, and warnings of the reader."""
 
-    found: tuple[TopicContent, ...]
+    present: tuple[TopicContent, ...]
     absent: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -85,11 +88,11 @@ def topics(path: Path) -> Topics:
             none = TOPIC_TYPES[topic] == TEXT
             stamps.setdefault(topic, []).append(
                 np.zeros(len(raws), np.int64) if none else _stamps(raws))
-    found = tuple(
+    present = tuple(
         _content(topic, np.concatenate(stamps[topic])) for topic in TOPIC_TYPES if topic in stamps
     )
     absent = tuple(topic for topic in TOPIC_TYPES if topic not in stamps)
-    return Topics(found, absent, tuple(storage.warnings))
+    return Topics(present, absent, tuple(storage.warnings))
 
 
 def _stamps(raws: Iterable[bytes]) -> npt.NDArray[np.int64]:
@@ -100,8 +103,8 @@ def _stamps(raws: Iterable[bytes]) -> npt.NDArray[np.int64]:
     as_little = np.frombuffer(words, '<u4').reshape(-1, 2).astype(np.int64)
     as_big = np.frombuffer(words, '>u4').reshape(-1, 2).astype(np.int64)
     parts = np.where(little[:, None], as_little, as_big)
-    found: npt.NDArray[np.int64] = parts[:, 0] * 1_000_000_000 + parts[:, 1]
-    return found
+    stamps: npt.NDArray[np.int64] = parts[:, 0] * 1_000_000_000 + parts[:, 1]
+    return stamps
 
 
 def _content(topic: str, stamps: npt.NDArray[np.int64]) -> TopicContent:
@@ -130,12 +133,12 @@ class Use:
     """Why it is not possible; if it is, on what condition."""
 
 
-def uses_of_axis(record: Record, data: AxisData, untold: str) -> tuple[Use, ...]:
+def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]:
     """What one axis' data allow: identification first, then what hangs on more signals.
 
-    untold: why the commands do not tell the rate; empty where they do.
+    `reason`: why the commands do not predict the rate; empty where they do.
     """
-    axis, refused = data.axis, untold
+    axis, refused = data.axis, reason
     try:
         check_usable(data, (record,))
     except NotInformativeError as error:
@@ -152,12 +155,12 @@ def uses_of_axis(record: Record, data: AxisData, untold: str) -> tuple[Use, ...]
         Use('indirect and joint approach', reference, '' if reference else other),
         Use('closed-loop check, gain design', reference and gains,
             '' if reference and gains else other if not reference else no_gains),
-        *(_effect(told, name, data) for told, name in _EFFECTS),
+        *(_effect(words, name, data) for words, name in _EFFECTS),
     )
 
 
-def _untold(data: AxisData) -> str:
-    """Why the commands do not tell the rate; empty where they do."""
+def _unpredictive(data: AxisData) -> str:
+    """Why the commands do not predict the rate; empty where they do."""
     ratio = improvement(data.rate, data.control, data.train, data.dt)
     if ratio >= DIFFERS:
         return ''
@@ -181,12 +184,12 @@ def _moves(data: AxisData, signal: np.ndarray | None) -> bool:
     return bool(np.isfinite(used).all() and np.ptp(used) > MOVES)
 
 
-def _effect(told: str, name: str, data: AxisData) -> Use:
+def _effect(words: str, name: str, data: AxisData) -> Use:
     """Whether any effect of this name can be tested on the data."""
     answers = [effect.prepare(data) for effect in EFFECTS if effect.name == name]
     refused = [one for one in answers if isinstance(one, str)]
     because = refused[0] if len(refused) == len(answers) else ''
-    return Use(f'find {told}', possible=not because, because=because)
+    return Use(f'find {words}', possible=not because, because=because)
 
 
 _EFFECTS = (
@@ -223,8 +226,8 @@ class AxisContent:
     excitation_order: int | None = None
     """Order to which the command is persistently exciting, at most RICHEST; 0: it stands still."""
     coherent_band_rad_s: tuple[float, float] | None = None
-    """Widest unbroken band of squared coherence above 0.6; None where the commands do not tell the
-    rate: feedback makes noise coherent with itself."""
+    """Widest unbroken band of squared coherence above 0.6; None where the commands do not predict
+    the rate: feedback makes noise coherent with itself."""
 
 
 @dataclass(frozen=True)
@@ -234,6 +237,22 @@ class Battery:
     first: float
     last: float
     lowest: float
+
+
+@dataclass(frozen=True)
+class MotorPlace:
+    """One motor of the craft, m in the body frame FLU, and the signs with which it turns axes."""
+
+    name: str
+    place: str
+    x: float
+    y: float
+    spin: int
+    """1 where the propeller turns counter-clockwise seen from above, -1 where clockwise."""
+    expected: tuple[int, ...]
+    """Sign of more of it on roll, pitch, yaw by its place and spin; 0 for none."""
+    shown: tuple[int | None, ...]
+    """The same by the motion; None where the flight does not show it for certain."""
 
 
 @dataclass(frozen=True)
@@ -263,6 +282,8 @@ class Content:
     layout: tuple[Pattern, ...] = ()
     """Patterns of each moving axis by the motion, in the order of the contract: of the motors, or
     where the bag lacks them of the axis' command."""
+    motors: tuple[MotorPlace, ...] = ()
+    """Where the craft has its motors, beside what the motion shows of each."""
     axes: tuple[AxisContent, ...] = ()
     uses: tuple[Use, ...] = ()
     """Uses of the whole flight."""
@@ -272,13 +293,19 @@ class Content:
 
 
 def content(path: str | Path) -> Content:
-    """Content of a bag; raises BadInputError where it cannot be read."""
-    source = str(path)
-    held = topics(Path(path))
-    try:
-        record = read_bag(path)
-    except BadInputError as error:
-        return Content(source, held, unusable=str(error), warnings=held.warnings)
+    """Content of a bag, a log or a table; raises BadInputError where it cannot be read."""
+    source, held = str(path), Topics((), (), ())
+    if is_bag(Path(path), head_of(Path(path))):
+        held = topics(Path(path))
+        try:
+            record = read_bag(path)
+        except BadInputError as error:
+            return Content(source, held, unusable=str(error), warnings=held.warnings)
+    else:
+        log = read_any(Path(path))
+        record, told, doubts_of_it = record_of(log)
+        record = replace(record, warnings=(
+            *log.checks, *doubts_of_it, *told[:1], *record.warnings))
     named = any(s.role in ('train', 'validation') for s in record.segments)
     with threadpool_limits(limits=1):
         return of_record(split_segments(record), held, split=not named)
@@ -296,7 +323,8 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
                    longest_gap_s=max((b - a for a, b in gaps), default=0) * record.dt, split=split,
                    segments=record.segments, gains=tuple(sorted(record.gains_at(np.inf))),
                    motors_at_limit_pct=_at_limit(record), battery=_battery(record), layout=layout,
-                   axes=axes, uses=_uses_of_flight(axes, 1.0 / record.dt),
+                   motors=_motors(record, layout), axes=axes,
+                   uses=_uses_of_flight(axes, 1.0 / record.dt),
                    craft=described(record.craft)
                    if record.motors is not None or record.craft != X else '',
                    rotors=rotors_of(record).lines,
@@ -314,13 +342,26 @@ def described(craft: Craft) -> str:
 def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
     """What the motors, or without them the commands, do to the axes, and doubts about it."""
     if record.motors is None:
-        found = commands_of(record.rates, record.control[:, 1:], record.dt, record.angles)
-        return found, opposite(found, {})
-    layout = told(patterns_of(record.rates, record.motors, record.dt, record.angles),
-                  record.rates, record.motors, record.dt)
+        patterns = commands_of(record.rates, record.control[:, 1:], record.dt, record.angles)
+        return patterns, opposite(patterns, {})
+    layout = confirmed(patterns_of(record.rates, record.motors, record.dt, record.angles),
+                       record.rates, record.motors, record.dt)
     craft = record.craft
     return layout, doubts(f'the mixer of {craft.name}', craft.inverse, layout, record.rates,
                           record.motors, record.dt, record.angles) + places(layout, craft)[1]
+
+
+def _motors(record: Record, layout: Sequence[Pattern]) -> tuple[MotorPlace, ...]:
+    """The craft's motors beside the patterns that are certain."""
+    if record.motors is None:
+        return ()
+    craft = record.craft
+    certain = {p.axis: p.signs for p in layout if p.certain and len(p.signs) == craft.count}
+    return tuple(
+        MotorPlace(f'motor_{k + 1}', place, motor.x, motor.y, motor.spin, expected, tuple(
+            certain[axis][k] if axis in certain else None for axis in AXES))
+        for k, (place, motor, expected) in enumerate(
+            zip(craft.places, craft.motors, craft.signs, strict=True)))
 
 
 def _axis(record: Record, axis: str) -> AxisContent:
@@ -337,18 +378,18 @@ def _axis(record: Record, axis: str) -> AxisContent:
                       because=str(error).removeprefix(f'{axis}: '))
         return AxisContent(axis, lengths['train'], lengths['validation'], 0,
                            evaluable=False, uses=(refused,))
-    untold = _untold(data)
-    found = AxisContent(axis, lengths['train'], lengths['validation'],
-                        data.windows(data.validation).count, _evaluable(record, data),
-                        uses_of_axis(record, data, untold))
+    reason = _unpredictive(data)
+    content = AxisContent(axis, lengths['train'], lengths['validation'],
+                          data.windows(data.validation).count, _evaluable(record, data),
+                          uses_of_axis(record, data, reason))
     if not data.train:
-        return found
+        return content
     command = _rms(data.command, data.train)
     reference = None if data.reference is None else _rms(data.reference, data.train)
-    return replace(found, rate_rms=_rms(data.rate, data.train), command_rms=command,
+    return replace(content, rate_rms=_rms(data.rate, data.train), command_rms=command,
                    reference_rms=reference,
                    excitation_order=_order(data, command),
-                   coherent_band_rad_s=None if untold else band_of(data))
+                   coherent_band_rad_s=None if reason else band_of(data))
 
 
 def _order(data: AxisData, command_rms: float | None) -> int | None:

@@ -161,8 +161,8 @@ def svg(picture: Picture, prefix: str) -> str:
 def embedded(picture: Picture, prefix: str) -> str:
     """The figure as an `<img>` for another page, such as a notebook."""
     coded = base64.b64encode(png(picture)).decode('ascii')
-    told = f'{escape(prefix)}: {escape(picture.title)}'
-    return f'<img alt="{told}" src="data:image/png;base64,{coded}">'
+    label = f'{escape(prefix)}: {escape(picture.title)}'
+    return f'<img alt="{label}" src="data:image/png;base64,{coded}">'
 
 
 _LONG = re.compile(r'-?\d+\.\d{3,}')

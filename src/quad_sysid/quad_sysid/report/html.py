@@ -93,10 +93,10 @@ def model_excerpt(model: AxisModel, parameters: Mapping[str, Parameter]) -> str:
 def _answer(axis: str, tree: Mapping[str, Any]) -> str:
     """The answer, which the page begins with."""
     style, line = words.headline(tree)
-    told = ''.join(f'<h3>{escape(question)}</h3><p>{escape(answer)}</p>'
-                   for question, answer in words.story(axis, tree))
+    story = ''.join(f'<h3>{escape(question)}</h3><p>{escape(answer)}</p>'
+                    for question, answer in words.story(axis, tree))
     return (f'<section class="answer {style}"><h2><span class="axis">{escape(axis)}</span>: '
-            f'{escape(line)}</h2>{_ladder(tree)}{_tiles(tree)}{told}</section>')
+            f'{escape(line)}</h2>{_ladder(tree)}{_tiles(tree)}{story}</section>')
 
 
 def _ladder(tree: Mapping[str, Any]) -> str:
@@ -154,8 +154,8 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
 
     def figures(section: str, *but: str) -> str:
         names = [one.name for one in PICTURES if one.section == section and one.name not in but]
-        found = ''.join(figure(axis, shown[name]) for name in names if name in shown)
-        return f'<div class="figures">{found}</div>' if found else ''
+        parts = ''.join(figure(axis, shown[name]) for name in names if name in shown)
+        return f'<div class="figures">{parts}</div>' if parts else ''
 
     traces = ''
     if answer is not None and 'signals' in shown and (zooms := zooming(answer)):
