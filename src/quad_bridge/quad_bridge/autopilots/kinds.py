@@ -23,7 +23,6 @@ from quad_bridge.autopilots.table import (
 from quad_bridge.autopilots.takeover import Means
 from quad_bridge.craft import Craft
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.frames import Injection
 
 DO_SET_MODE = 176
 CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -149,4 +148,3 @@ KINDS = (
     ),
 )  # fmt: skip
 BY_NUMBER: Mapping[int, Kind] = {kind.number: kind for kind in KINDS}
-SYSTEM_ID_INJECTIONS = frozenset({Injection.ATTITUDE, Injection.RATE, Injection.CONTROL})

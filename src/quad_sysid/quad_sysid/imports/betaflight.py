@@ -46,6 +46,7 @@ POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
 DSHOT = (48.0, 2047.0)
 PULSE_US = (1000.0, 2000.0)
+IN_THE_AIR = 0.25  # of the throttle stick: below it an aircraft stands or falls
 MAX_VOLTS = 100.0
 """A larger battery value is in hundredths of a volt."""
 ONE_G = 9.80665
@@ -122,7 +123,7 @@ def _usual_throttle(table: Table) -> float | None:
     if stick is None:
         return None
     share = (stick - PULSE_US[0]) / (PULSE_US[1] - PULSE_US[0])
-    flown = share[(share > 0.25) & (share <= 1.0)]
+    flown = share[(share > IN_THE_AIR) & (share <= 1.0)]
     return float(np.median(flown)) if flown.size else None
 
 

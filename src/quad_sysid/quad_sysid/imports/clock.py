@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.bags.stamps import count_cycles
+from quad_sysid.bags.stamps import count_cycles, in_whole_us
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.log import Stream
@@ -194,7 +194,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     if grid_hz is not None:
         dt, why = 1.0 / grid_hz, 'as --grid says'
     elif even:
-        dt = _rounded(float(steps[near].mean()))
+        dt = in_whole_us(float(steps[near].mean()))
         cells, phase = count_cycles(steps / dt)
         jitter = float(np.quantile(np.abs(phase), 0.99))
         if jitter <= JITTER_KEPT:
@@ -233,12 +233,6 @@ def _gaps(values: FloatArray, dt: float) -> str:
             f'{max(b - a for a, b in gaps) * dt:.3g} s')
 
 
-def _rounded(dt: float) -> float:
-    """`dt` in whole µs where that differs by less than 0.02 %."""
-    whole = round(dt * 1e6) * 1e-6
-    return whole if whole and abs(whole / dt - 1.0) < 2e-4 else dt
-
-
 def _uneven(steps: FloatArray) -> float:
     """Interval of the grid for uneven times.
 
@@ -251,8 +245,8 @@ def _uneven(steps: FloatArray) -> float:
         low, high = np.quantile(means, (0.05, 0.95))
         if high - low < STEADY * high:
             usual = (means >= low) & (means <= high)
-            return _rounded(float(means[usual].mean()))
-    return _rounded(float(np.quantile(steps, 1.0 - MAX_ODD)))
+            return in_whole_us(float(means[usual].mean()))
+    return in_whole_us(float(np.quantile(steps, 1.0 - MAX_ODD)))
 
 
 def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:
