@@ -24,6 +24,7 @@ import numpy as np
 import outside
 import real_recordings
 from effects_answer import searched
+from effects_outside import true_error
 from threadpoolctl import threadpool_limits
 
 from quad_sysid.bags import read_bag, split_segments
@@ -45,7 +46,7 @@ GROUPS = {
     'and command': r'shape:(other_(rate|command)|other_angle/[sr]|battery|(damping|lag|delay):batt'
     r'|gain:angle|(angle|command)/\w+ friction)',
 }
-"""Name → its labels, as a regular expression."""
+"""Name → its labels, as a regular expression; most of them went after commit 7621d87 was flown."""
 FIRST_SEED, PERMUTED = 31_000, 5
 REAL = ('flights/crazypad_weight_near_m3.csv', 'flights/lee_standard_1.csv',
         'flights/crazyflie_1khz_roll_pitch.csv', 'nanobench/B3_figure8_fast_rep1.csv.gz',
@@ -110,16 +111,6 @@ def _said(found: Findings) -> Row:
             'best': [*found.found.best.structure.labels],
             'rungs': [[(rung.labels or ('',))[-1], rung.explains_pct]
                       for rung in found.ladder.rungs]}
-
-
-def true_error(case: outside.Case) -> float:
-    """What the true equations reach on the second flight, beside what the base reaches there."""
-    axis = outside.simulator.AXES[case.axis]
-    learnt, off = (case.flown(unseen=later, there=False) for later in (False, True))
-    plain = axis_model(searched(outside.record_of(learnt, axis), axis, ()), {}, None)
-    floor = evaluate(plain, outside.record_of(off, axis)).before
-    beside = floor / outside.simulator.foreseen(off, case.axis)
-    return outside.simulator.foreseen(case.flown(unseen=True), case.axis) * beside
 
 
 def featured(row: Row) -> list[str]:

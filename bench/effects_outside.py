@@ -31,19 +31,23 @@ from quad_sysid.pipeline.assemble import axis_model
 from quad_sysid.pipeline.evaluate import evaluate
 
 
+def true_error(case: Case) -> float:
+    """What the true equations reach on the second flight, beside what the base reaches there."""
+    axis = simulator.AXES[case.axis]
+    learnt, off = (case.flown(unseen=later, there=False) for later in (False, True))
+    plain = axis_model(searched(record_of(learnt, axis), axis, ()), {}, None)
+    beside = evaluate(plain, record_of(off, axis)).before / simulator.foreseen(off, case.axis)
+    return simulator.foreseen(case.flown(unseen=True), case.axis) * beside
+
+
 def answered(case: Case) -> dict[str, Any]:
     """The answer to one case, beside the truth."""
     axis = simulator.AXES[case.axis]
-    unseen, off = case.flown(unseen=True), case.flown(unseen=True, there=False)
     with threadpool_limits(limits=1):
         found = searched(record_of(case.flown(unseen=False), axis), axis, EFFECTS)
         model = axis_model(found, {}, None)
-        error = evaluate(model, record_of(unseen, axis))
-        learnt = record_of(case.flown(unseen=False, there=False), axis)
-        plain = axis_model(searched(learnt, axis, ()), {}, None)
-        floor = evaluate(plain, record_of(off, axis)).before
-    beside = floor / simulator.foreseen(off, case.axis)
-    true = simulator.foreseen(unseen, case.axis) * beside
+        error = evaluate(model, record_of(case.flown(unseen=True), axis))
+        true = true_error(case)
     wrong = [
         e.name for e in model.effects
         if e.probability > 0.5 and not e.name.startswith(UNNAMED)

@@ -148,9 +148,10 @@ def answered(case: Case, effects: tuple[Any, ...]) -> dict[str, Any]:
     told['with unnamed'] = told['damping']
     return {
         **asdict(case), 'verdict': found.verdict.verdict, 'reason': found.verdict.reason,
-        'named': named, 'seconds': time.process_time() - began,
-        'truth': {name: truth[name] for name in ASKED},
-        'told': {name: told[name] for name in ASKED},
+        'named': named, 'seconds': round(time.process_time() - began, 2),
+        'truth': {name: float(f'{truth[name]:.5g}') for name in ASKED},
+        'told': {name: [x if x is None else float(f'{x:.5g}') for x in told[name]]
+                 for name in ASKED},
     }
 
 

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from effects_judge import SPOILED, extra, right
+from intervals import WITHIN
 
 ROWS = Path(__file__).parent / 'results'
 DOCS = Path(__file__).parents[1] / 'docs'
@@ -101,6 +102,20 @@ def twice(rows: Sequence[Row]) -> str:
     ])
 
 
+def intervals(rows: Sequence[Row]) -> str:
+    """Gain, lag and damping within their 95 % intervals (intervals.py)."""
+    out = []
+    for rough in (False, True):
+        own = [r for r in rows if r['rough'] == rough and r['verdict'] != 'cannot_tell']
+        cells = []
+        for name in own[0]['told']:
+            away = [(r['told'][name][0] - r['truth'][name]) / r['told'][name][1] for r in own
+                    if r['told'][name][1] is not None]
+            cells.append(share([abs(one) < WITHIN for one in away]))
+        out.append(['with friction and drag' if rough else 'bare', *cells])
+    return table(['', 'gain', 'lag', 'damping', 'damping, with what is not named'], out)
+
+
 def calibration(rows: Sequence[Row]) -> str:
     """What `probability` and `reproducible` promise, and how often the other flight agrees."""
     claims = [(p, again, name in {other for other, *_ in b['claims']})
@@ -167,6 +182,7 @@ TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
     'named': ('rows*.jsonl', named), 'disturbances': ('hard_*.jsonl', disturbances),
     'outside': ('outside_*.jsonl', outside), 'twice': ('twice.jsonl', twice),
     'calibration': ('twice.jsonl', calibration), 'ablation': ('ablation.jsonl', ablation),
+    'intervals': ('intervals.jsonl', intervals),
 }
 """Name in the page → files of its rows, and how it is made."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import os
@@ -11,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -137,6 +139,39 @@ def test_a_running_job_is_stopped_and_the_next_one_runs(server):
     assert 'usable for' in server.ask(f'/jobs/{second["number"]}/text')[1]
 
 
+def test_a_log_that_is_to_be_identified_is_made_a_bag_first(tmp_path):
+    from quad_sysid.app.commands import commands
+    from quad_sysid.app.folder import RefusedError
+
+    (tmp_path / 'a.ulg').write_bytes(b'ULog\x01\x12\x35')
+    (tmp_path / 'a.csv').write_text('t,a\n')
+    first, second = commands(tmp_path, {'kind': 'identify', 'files': ['a.ulg'], 'axis': 'roll'})
+    assert first[2][0] == 'import'
+    assert second[2][:2] == ['identify', first[2][-1]]
+    with pytest.raises(RefusedError, match='Columns'):
+        commands(tmp_path, {'kind': 'identify', 'files': ['a.csv']})
+
+
+def test_a_body_of_200_mb_is_refused_without_being_held(tmp_path):
+    from quad_sysid.app.cli import MOST_MB
+    from quad_sysid.app.folder import RefusedError, receive
+
+    part = bytes(4_000_000)
+
+    async def body():
+        for _ in range(round(1e6 * MOST_MB / len(part)) + 1):
+            yield part
+
+    tracemalloc.start()
+    try:
+        with pytest.raises(RefusedError, match='larger than 200 MB'):
+            asyncio.run(receive(tmp_path / 'large.bin', body(), round(1e6 * MOST_MB)))
+        assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    finally:
+        tracemalloc.stop()
+    assert not any(tmp_path.iterdir())
+
+
 def test_menus_become_options_and_earlier_jobs_say_how_long_one_takes(tmp_path):
     from quad_sysid.app.commands import named_columns
     from quad_sysid.app.jobs import TOOK, Job, expected
@@ -214,6 +249,19 @@ class Chromium:
         assert 'exceptionDetails' not in found, found
         return found['result'].get('value')
 
+    def choose(self, *names):
+        """Tick these flights alone."""
+        self.run(f"""document.querySelectorAll('#files input').forEach(box => {{
+            box.checked = {json.dumps(names)}.some(n => box.parentElement.innerText.includes(n));
+            box.onchange(); }});""")
+
+    def press(self, button, words=''):
+        """Press a button by the keyboard; then wait until the result shows this."""
+        self.run(f"document.getElementById('{button}').focus()")
+        self.key('Enter', 13)
+        if words:
+            self.until(f"document.getElementById('text').innerText.includes({words!r})")
+
     def until(self, script):
         end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
@@ -264,21 +312,17 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, t
         node = browser.send('DOM.querySelector', nodeId=root, selector='#file')['nodeId']
         browser.send('DOM.setFileInputFiles', nodeId=node, files=[str(log)])
         browser.until("document.querySelectorAll('#files input').length === 2")
-        browser.run("""document.querySelectorAll('#files input').forEach(box => {
-            box.checked = box.parentElement.innerText.includes('my_flight'); box.onchange(); });
-            document.querySelector('input[value=train]').click();
+        browser.choose('my_flight')
+        browser.run("""document.querySelector('input[value=train]').click();
             document.getElementById('look').click();""")
         browser.until("!document.getElementById('frame').hidden")
         place = browser.run("""(() => { const f = document.getElementById('frame');
             f.scrollIntoView(); const r = f.getBoundingClientRect();
             return [r.x, r.y, r.width]; })()""")
-        end = time.monotonic() + PATIENCE_S
-        value = ''
-        while not value and time.monotonic() < end:  # until the frame has drawn its traces
-            for down in range(300, 620, 40):
-                browser.drag(place[0] + 0.3 * place[2], place[1] + down,
-                             place[0] + 0.6 * place[2])
-            value = browser.run("document.getElementById('train').value")
+        browser.until("document.getElementById('frame').dataset.traces > 0")
+        for down in range(300, 620, 40):
+            browser.drag(place[0] + 0.3 * place[2], place[1] + down, place[0] + 0.6 * place[2])
+        value = browser.until("document.getElementById('train').value")
         start, stop = map(float, value.split(':'))
         assert 0.0 < start < stop < 30.0
         # a report has an origin of its own: it can ask this server for nothing
@@ -291,10 +335,8 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, t
             browser.key('Tab', 9)
             reached.add(browser.run('document.activeElement.id'))
         assert {'file', 'look', 'columns', 'identify', 'export', 'train', 'axis'} <= reached
-        browser.run("""document.querySelectorAll('#files input').forEach(box => {
-            box.checked = box.parentElement.innerText.includes('dropped'); box.onchange(); });
-            document.getElementById('columns').focus();""")
-        browser.key('Enter', 13)
+        browser.choose('dropped')
+        browser.press('columns')
         browser.until("!document.getElementById('menus').hidden")
         browser.run("""(() => {
             const one = document.querySelector('tr[data-column=wobble] select');
@@ -317,3 +359,40 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, t
     finally:
         browser.close()
         (server.folder / 'dropped.csv').unlink(missing_ok=True)
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(not BROWSER, reason='no Chromium here (apt-get install chromium)')
+def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(server, tmp_path):
+    browser = Chromium(tmp_path / 'profile', 390)
+    shown = "document.getElementById('frame').src.endsWith('{}')"
+    try:
+        browser.send('Page.navigate', url=server.address)
+        browser.until("document.querySelectorAll('#files input').length >= 1")
+        browser.choose('my_flight')
+        browser.run("""document.getElementById('axis').value = 'roll';
+            document.getElementById('train').value = '3:12';
+            document.getElementById('validate').value = '15:25';""")
+        for button in ('identify', 'inspect'):  # the second waits in the queue
+            browser.press(button)
+        listed = "document.getElementById('jobs').innerText"
+        browser.until(f"{listed}.includes('running') && {listed}.includes('waiting')")
+        browser.until("document.querySelector('[aria-label^=\"stop identify\"]')?.click() || true")
+        browser.until(f"{listed}.includes('stopped')")
+        browser.until(shown.format('inspect.html'))
+        browser.press('identify')
+        browser.until(shown.format('report.html'))
+        model = next(one for one in server.folder.rglob('model.json'))
+        shutil.copytree(model.parent, server.folder / 'older')
+        browser.press('inspect')  # with the next job the list of files is renewed
+        browser.until("document.getElementById('files').innerText.includes('older')")
+        browser.choose('model.json')
+        browser.press('compare', 'nothing changed')
+        browser.choose('older')
+        browser.run("document.getElementById('to').value = 'px4'")
+        browser.press('export', 'MC_ROLLRATE_P')
+        assert browser.run('document.documentElement.scrollWidth <= window.innerWidth')
+        assert not browser.errors, browser.errors
+    finally:
+        browser.close()
+        shutil.rmtree(server.folder / 'older', ignore_errors=True)

@@ -137,3 +137,33 @@ def test_the_page_fits_a_terminal_and_json_is_whole(bag, capsys):
     assert tree['axes'][0]['axis'] == 'roll'
     assert main(['inspect', str(bag), '--quiet']) == 0
     assert capsys.readouterr().out == ''
+
+
+def test_a_log_is_drawn_with_the_motor_that_the_motion_contradicts(tmp_path, capsys):
+    """In a table: motors 1 and 2 of the X frame exchanged, which roll and pitch tell apart."""
+    random = np.random.default_rng(1)
+    n, dt = 3000, 0.01
+    torque = np.repeat(0.1 * random.choice([-1.0, 1.0], (n // 20, 3)), 20, axis=0)
+    rates = np.zeros((n, 3))
+    for k in range(1, n):
+        rates[k] = rates[k - 1] + dt * (60.0 * torque[k - 1] - 3.0 * rates[k - 1])
+    motors = 0.5 + torque @ MIXER[:, 1:].T
+    table = np.column_stack([dt * np.arange(n), rates, motors[:, [1, 0, 2, 3]]])
+    log = tmp_path / 'flight.csv'
+    log.write_text('t,gyro_x,gyro_y,gyro_z,m1,m2,m3,m4\n' + '\n'.join(
+        ','.join(f'{v:.6g}' for v in row) for row in table))
+    out = tmp_path / 'flight.html'
+    assert main(['import', str(log), '--axis', 'roll,pitch,yaw', '--time', 't', '--rate',
+                 'gyro_x,gyro_y,gyro_z', '--motors', 'm1,m2,m3,m4', '--mixer', 'X', '--out',
+                 str(tmp_path / 'bag')]) == 0
+    assert main(['inspect', str(tmp_path / 'bag'), '--out', str(out), '--quiet']) == 0
+    wrong = {one.name for one in content(tmp_path / 'bag').motors if one.shown != one.expected}
+    assert wrong == {'motor_1', 'motor_2'}
+    text = out.read_text()
+    assert text.count('stroke="var(--orange)"') == 4  # a disc and an arrow each
+    assert 'should be' in text
+    assert content(log).axes  # what its columns are is guessed, and no bag is needed
+    out.write_text('mine')
+    assert main(['inspect', str(log), '--out', str(out)]) == 2
+    assert 'no page of quad-sysid inspect' in capsys.readouterr().err
+    assert out.read_text() == 'mine'

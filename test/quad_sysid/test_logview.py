@@ -13,6 +13,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.logview.flown import Flown, stretches
 from quad_sysid.logview.read import look, of_record
 from quad_sysid.logview.spectrum import frames
+from quad_sysid.logview.step import responses
 from quad_sysid.loop.figures import step_figures
 from quad_sysid.record import GainChange, Record
 
@@ -184,6 +185,21 @@ def test_nothing_is_stated_of_a_rate_that_does_not_follow(seen):
     one = look(deaf).whole.axes['roll']
     assert one.rate_step is None
     assert one.loop is None
+
+
+def test_no_class_is_stated_whose_windows_hold_no_low_frequencies():
+    """A chirp whose size falls: its small set-points are its fast ones, and say no level."""
+    time = DT * np.arange(round(SECONDS / DT))
+    span = 20.0
+    sweep = np.mod(time, span)
+    phase = 2.0 * np.pi * 0.5 * (80.0 ** (sweep / span) - 1.0) * span / np.log(80.0)
+    asked = np.radians(120.0) * np.sin(phase) / np.hypot(1.0, 0.5 * 80.0 ** (sweep / span) / 6.0)
+    loops, rng = Loop(), np.random.default_rng(1)
+    rate = np.array([loops.cycle(one, *push)[0] for one, push in zip(
+        asked, rng.standard_normal((len(time), 2)) * [0.01, 10.0], strict=True)])
+    found = responses(asked, rate, np.ones(len(time), bool), DT)
+    assert [one.amplitude for one in found] == ['all', 'medium']
+    assert found[0].figures.overshoot_pct == pytest.approx(truth().overshoot_pct, abs=2.0)
 
 
 def test_set_points_of_a_damaged_log_that_nothing_can_follow_are_dropped(seen):

@@ -99,7 +99,7 @@ class Arming:
     def __init__(self, aircraft: Aircraft | None = None) -> None:
         self._aircraft = aircraft or Quad()
         self._lock = threading.RLock()
-        self._asked: _Request | None = None
+        self._request: _Request | None = None
         self._sent: deque[_Request] = deque()  # one per command on the way, of earlier ones too
         self._owed_until_s = self._given_up_s = -math.inf
 
@@ -107,14 +107,14 @@ class Arming:
         """Accept a request; returns the frame to send. Raises RefusedError."""
         with self._lock:
             self._expire(now_s)
-            asked = self._asked
-            if arm and (asked is not None or self._sent):
+            request = self._request
+            if arm and (request is not None or self._sent):
                 raise RefusedError('an earlier request is not answered yet; try again in a moment')
-            if asked is None or asked.arm:
+            if request is None or request.arm:
                 self._end('given up for a request to disarm', now_s)
-                asked = self._asked = _Request(arm)
-            asked.replies.append((now_s + ANSWER_S, reply))
-            return self._send(asked, now_s)
+                request = self._request = _Request(arm)
+            request.replies.append((now_s + ANSWER_S, reply))
+            return self._send(request, now_s)
 
     def tick(self, now_s: float, *, armed: bool = False) -> Frame | None:
         """Give up where no answer has come; what to send again.
@@ -122,21 +122,21 @@ class Arming:
         `armed` says what the aircraft is: where it has armed, only its answer was lost.
         """
         with self._lock:
-            asked, text = self._asked, f'no answer in {ANSWER_S:g} s'
-            if asked is None:
+            request, text = self._request, f'no answer in {ANSWER_S:g} s'
+            if request is None:
                 return None
-            late = [reply for until_s, reply in asked.replies if now_s > until_s]
-            asked.replies = [one for one in asked.replies if now_s <= one[0]]
-            if not asked.replies:
-                if asked.arm and armed:
+            late = [reply for until_s, reply in request.replies if now_s > until_s]
+            request.replies = [one for one in request.replies if now_s <= one[0]]
+            if not request.replies:
+                if request.arm and armed:
                     text = ACCEPTED
-                elif asked.arm:
+                elif request.arm:
                     self._given_up_s = now_s
                 self._end(text, now_s)
             for reply in late:
                 reply(text)
-            again = asked.replies and not asked.arm and now_s - asked.last_s >= AGAIN_S
-            return self._send(asked, now_s) if again else None
+            again = request.replies and not request.arm and now_s - request.last_s >= AGAIN_S
+            return self._send(request, now_s) if again else None
 
     def acknowledged(self, ack: CommandAck, now_s: float) -> None:
         """Take the STM32's answer to a command."""
@@ -145,9 +145,9 @@ class Arming:
             answer = self._aircraft.armed_answer(ack)
             if answer is None or not self._sent:
                 return
-            answered, asked = self._sent.popleft(), self._asked
+            answered, request = self._sent.popleft(), self._request
             # an answer to the disarm of before is as good for the one that waits
-            if asked is not None and (answered is asked or not (answered.arm or asked.arm)):
+            if request is not None and (answered is request or not (answered.arm or request.arm)):
                 self._end(answer, now_s)
 
     def late(self, now_s: float, *, armed: bool) -> str:
@@ -165,20 +165,20 @@ class Arming:
         with self._lock:
             self._end(why, -math.inf)
 
-    def _send(self, asked: _Request, now_s: float) -> Frame:
-        asked.last_s = now_s
-        self._sent.append(asked)
-        return self._aircraft.arm(asked.arm)
+    def _send(self, request: _Request, now_s: float) -> Frame:
+        request.last_s = now_s
+        self._sent.append(request)
+        return self._aircraft.arm(request.arm)
 
     def _end(self, text: str, now_s: float) -> None:
         """End the waiting request and answer its caller."""
-        asked, self._asked = self._asked, None
-        if asked is not None:
+        request, self._request = self._request, None
+        if request is not None:
             self._owed_until_s = now_s + ANSWER_S
-            for _, reply in asked.replies:
+            for _, reply in request.replies:
                 reply(text)
 
     def _expire(self, now_s: float) -> None:
         """Wait no more for answers to requests that ended long ago."""
         if now_s >= self._owed_until_s:
-            self._sent = deque(one for one in self._sent if one is self._asked)
+            self._sent = deque(one for one in self._sent if one is self._request)

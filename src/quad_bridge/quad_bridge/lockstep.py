@@ -1,6 +1,6 @@
 """Simulated time in lockstep: the virtual STM32 owns the clock and waits for the slowest process.
 
-A line is a Unix socket. The virtual STM32 (virtual/line.py) tells the time, each process that
+A line is a Unix socket. The virtual STM32 (virtual/line.py) sends the time, each process that
 takes part answers with the time up to which it has done everything; simulated time is never more
 than `WINDOW_NS` ahead of the slowest. Who publishes a stream says how far, who handles it waits
 for that much, so that no message can be late. No ROS here; nodes get timers and stamps by

@@ -1,7 +1,7 @@
 """Another autopilot's outputs as the motors of a craft: which output drives which motor. Pure.
 
 By its parameters, as far as they are known, and by the description that the user gave. Where
-nobody says where the motors are, its outputs are taken for the X frame of PX4 and ArduPilot and
+nothing says where they are, its outputs are assumed to be the X frame of PX4 and ArduPilot and
 put into the order of the contract's; the senses of rotation are then not known to be true.
 """
 

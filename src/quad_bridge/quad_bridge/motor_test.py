@@ -18,7 +18,7 @@ from quad_bridge.wire.frames import Command, CommandAck
 
 COMMAND = 209  # MAV_CMD_DO_MOTOR_TEST
 MOTORS = 4
-MOST_THROTTLE, MOST_S = 0.25, 5.0  # the throttle: QUAD_TEST_THROTTLE of the firmware
+MAX_THROTTLE, MAX_S = 0.25, 5.0  # the throttle: QUAD_TEST_THROTTLE of the firmware
 USUAL_THROTTLE, USUAL_S = 0.08, 2.0
 VALID_S, AGAIN_S = 0.4, 0.15
 ANSWER_S = 1.0  # without an answer
@@ -39,7 +39,7 @@ def read(wanted: Mapping[str, object]) -> tuple[int, float, float]:
     if isinstance(motor, bool) or not isinstance(motor, int) or not 1 <= motor <= MOTORS:
         raise RefusedError(f'motor: must be a whole number of 1 to {MOTORS}: found {motor!r}')
     numbers = []
-    for name, most in (('throttle', MOST_THROTTLE), ('duration_s', MOST_S)):
+    for name, most in (('throttle', MAX_THROTTLE), ('duration_s', MAX_S)):
         value = request[name]
         number = float(value) if isinstance(value, int | float) else math.nan
         if isinstance(value, bool) or not 0.0 < number <= most:

@@ -151,7 +151,7 @@ def positive(option: str, value: float) -> float:
 
 
 def progress(*, quiet: bool = False) -> Callable[[str], None]:
-    """What tells the stages of a long command on stderr; nothing if `quiet`.
+    """A function that shows the stages of a long command on stderr; nothing if `quiet`.
 
     On a terminal it rewrites one line, and wipes it for an empty one. Otherwise it is silent: what
     goes wrong is said there in one line (contract).

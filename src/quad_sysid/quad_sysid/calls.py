@@ -36,8 +36,8 @@ def simulate(model: AnyModel, u: npt.ArrayLike, x0: Any = None, **signals: Any) 
 
     x0: (rate, angle) of an axis, the filter's state of a black box; default: at rest.
     """
-    begun = {} if x0 is None else {'x0': x0}
-    return model_of(model).simulate(u, **begun, **signals)
+    start = {} if x0 is None else {'x0': x0}
+    return model_of(model).simulate(u, **start, **signals)
 
 
 def predict(model: AnyModel, flight: AnyFlight, horizon: float = 1) -> FloatArray:
@@ -134,15 +134,15 @@ def fleet(flights: str | Path | Sequence[Record], out: str | Path = '',
     from quad_sysid.fleets import bag, engine
     from quad_sysid.fleets.summary import Fleet
 
-    asked: dict[str, Any] = {'axes': tuple(axes), 'search_effects': search_effects,
-                             'limit_s': limit_s}
+    options: dict[str, Any] = {'axes': tuple(axes), 'search_effects': search_effects,
+                               'limit_s': limit_s}
     fleet = Fleet([], group_by, since)
     if isinstance(flights, str | Path):
         if not out:
             raise BadInputError('fleet: out', 'is missing', remedy='name a folder for the results')
-        every = bag.jobs(flights, out, **asked)
+        every = bag.jobs(flights, out, **options)
     else:
-        every = bag.of_records(flights, aircraft, str(out), **asked)
+        every = bag.of_records(flights, aircraft, str(out), **options)
     return replace(fleet, rows=engine.run(every, workers, cluster))
 
 

@@ -30,7 +30,7 @@ from quad_sysid.arguments import (
     quiet_and_json,
     run_command,
 )
-from quad_sysid.axes import EVERY, units_of
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.files import check_new, write_whole
@@ -199,7 +199,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         return NOT_ANSWERED
     axes = {
         e.axis: {'error': {'metric': document.METRIC, 'data': 'unseen',
-                           'unit': getattr(units_of(e.axis), 'rate', 'rad/s'),
+                           'unit': e.unit,
                            'before': e.before, 'after': e.after,
                            'reference': e.after if e.reference is None else e.reference,
                            'one_step_before': e.one_step_before,

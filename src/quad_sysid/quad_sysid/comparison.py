@@ -43,7 +43,7 @@ QUARTERS = 4
 MANY = 1e9
 """Degrees of freedom with which Student's t is normal."""
 COMMAND = 'normalised command'
-LEAST_IN_PART = 50
+MIN_IN_PART = 50
 """Samples."""
 ROUNDING = 1e-9
 """Normalised command; what scatters less was not flown."""
@@ -96,11 +96,11 @@ Pair = tuple[Flight, tuple[Change, ...]]
 
 def of_model(model: AxisModel) -> dict[str, Estimate]:
     """The base beside its effects, then the effects: alone it takes up what they do."""
-    out = {p.name: Estimate(p.value, p.std, p.unit) for p in model.base}
+    named = {p.name: p for p in model.base if model.shows(p)}
     for effect in model.effects:
-        out |= {f'{effect.name}.{p.name}': Estimate(p.value, p.std, p.unit)
-                for p in effect.parameters}
-    return out
+        named |= {f'{effect.name}.{p.name}': p for p in effect.parameters}
+    shown = {name: model.in_units(p) for name, p in named.items()}
+    return {name: Estimate(p.value, p.std, p.unit) for name, p in shown.items()}
 
 
 def trims(record: Record) -> dict[str, Estimate]:
@@ -115,7 +115,7 @@ def trims(record: Record) -> dict[str, Estimate]:
             used[slice(*record.span(segment))] = True
     used &= np.isfinite(record.control).all(axis=1)
     rows = np.flatnonzero(used if record.segments else np.isfinite(record.control[:, 0]))
-    if len(rows) < QUARTERS * LEAST_IN_PART:
+    if len(rows) < QUARTERS * MIN_IN_PART:
         return {}
     means = np.array([record.control[part].mean(axis=0)
                       for part in np.array_split(rows, QUARTERS)])

@@ -5,7 +5,7 @@ Commands exit with the error's `exit_status`.
 
 from __future__ import annotations
 
-LONGEST_VALUE = 300
+MAX_VALUE = 300
 """Characters of a value that a message shows; it may be a whole file."""
 
 
@@ -43,6 +43,6 @@ class NotInformativeError(QuadSysidError):
 def shortened(value: object) -> str:
     """A value as one line of a message that stays readable."""
     text = ' '.join(str(value).split())
-    if len(text) <= LONGEST_VALUE:
+    if len(text) <= MAX_VALUE:
         return text
-    return f'{text[:LONGEST_VALUE]} … ({len(text)} characters)'
+    return f'{text[:MAX_VALUE]} … ({len(text)} characters)'

@@ -78,7 +78,7 @@ def design_experiment(
     seconds: float = 30.0, criterion: str = 'D',
     progress: Callable[[str], object] = lambda _: None,
 ) -> Experiment:
-    """The excitation of `seconds` that tells the model's parameters best.
+    """The excitation of `seconds` that determines the model's parameters best.
 
     `model`: an identified axis or its result. `amplitude`, `rate`, `angle`: limits of |u| and of
     what the model then does, in the units of its arrays. `criterion`: `D`, the determinant of the

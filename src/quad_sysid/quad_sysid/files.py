@@ -79,6 +79,13 @@ def check_own(folder: Path) -> None:
                             min(there), 'name a new folder, or an empty one')
 
 
+def check_page(path: Path, mark: str, command: str) -> None:
+    """Raise BadInputError where a file exists that is no page of this command, by its mark."""
+    if path.exists() and mark not in path.read_text(encoding='utf-8', errors='replace')[:2000]:
+        raise BadInputError(str(path), f'exists, and is no page of quad-sysid {command}',
+                            remedy='name another with --out')
+
+
 @contextmanager
 def unfinished(place: Path) -> Iterator[Path]:
     """A folder in `place` for what is not whole yet: it goes at the end, also of the process."""

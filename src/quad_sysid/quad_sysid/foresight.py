@@ -20,7 +20,7 @@ HORIZONS_S = (0.02, 0.05, 0.1, 0.2)
 """Those of the verdict over which the motors answer; later the unknown commands rule."""
 LAGS, PAST_S = 20, 0.1
 """Number and span of the past samples: the motors' lag and delay lie within it."""
-MOST_ROWS = 20_000
+MAX_ROWS = 20_000
 """At most so many samples are predicted, spread over the recording."""
 ROWS_EACH = 2
 """Least number of rows for each coefficient."""
@@ -28,7 +28,7 @@ FLAT = 0.02
 """Share of its RMS below which a difference counts as none."""
 DRAWN = 0.6
 """Share of a moving command's samples on straight lines from which it was interpolated."""
-REGULAR, LEAST_APART = 0.7, 3
+REGULAR, MIN_APART = 0.7, 3
 """Least share of the lines' ends that come at one interval, or a multiple, of so many samples."""
 
 
@@ -58,7 +58,7 @@ def _ratio(rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, in
         np.arange(a + (LAGS - 1) * step, b - ahead) for a, b in spans)])
     if at.size <= ROWS_EACH * ((1 + commands.shape[1]) * LAGS + 1):
         return 1.0
-    at = at[:: -(-at.size // MOST_ROWS)]
+    at = at[:: -(-at.size // MAX_ROWS)]
     past = at[:, None] - step * np.arange(LAGS)
     rates = np.column_stack([np.ones(at.size), rate[past]])
     both = np.column_stack([rates, commands[past].reshape(at.size, -1)])
@@ -98,4 +98,4 @@ def _drawn(command: FloatArray) -> float | None:
     apart = float(np.median(ends))
     off = np.abs(ends / apart - np.maximum(np.round(ends / apart), 1.0))
     regular = float(np.mean(off * apart <= 1.0))
-    return 1.0 / apart if apart >= LEAST_APART and regular >= REGULAR else 0.0
+    return 1.0 / apart if apart >= MIN_APART and regular >= REGULAR else 0.0

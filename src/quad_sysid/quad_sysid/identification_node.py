@@ -27,7 +27,7 @@ from quad_bridge.lockstep import clock
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.conversion import event_message, parameters
 from quad_bridge.nodes.diagnostics import diagnostic_array
-from quad_bridge.nodes.managed_node import MOST_BYTES, answered
+from quad_bridge.nodes.managed_node import MAX_BYTES, answered
 from quad_bridge.nodes.qos import EVENT, HEARD
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.topics import AIRCRAFT_LOG
@@ -37,7 +37,7 @@ from quad_sysid.result import Result
 
 PARAMETERS = ('out', 'axes', 'auto_update', 'train', 'validate', 'inertia', 'folder', 'bag')
 LOGGER, BRIDGE = 'bag_logger', 'serial_bridge'
-MOST_BAGS = 100
+MAX_BAGS = 100
 """That wait, or are remembered: more than that is a flood."""
 
 
@@ -86,13 +86,13 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self.get_logger().info('waits for /logger/bag to say complete')
 
     def _on_bag(self, data: bytes, info: Any) -> None:
-        if len(data) > MOST_BYTES or len(self._seen) >= MOST_BAGS:
+        if len(data) > MAX_BYTES or len(self._seen) >= MAX_BAGS:
             return
         event = deserialize_message(data, ParameterEvent)
         said = parameters(event)
         bag, state = str(said.get('path', '')), said.get('state')
         earlier, stranger = info['source_timestamp'] < self._begun_ns, self._stranger(event.node)
-        if state == 'recording' and not earlier and not stranger and len(self._begun) < MOST_BAGS:
+        if state == 'recording' and not earlier and not stranger and len(self._begun) < MAX_BAGS:
             self._begun.add(bag)
         if state != 'complete' or bag in self._seen:
             return

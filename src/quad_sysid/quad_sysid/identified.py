@@ -52,7 +52,7 @@ class Identified(AxisModel):
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Base and effects by `name` and `effect.name`, in the units of the arrays."""
-        return {name: _in_units(self, name, p) for name, p in self._named if self.shows(p)}
+        return {name: self.in_units(p) for name, p in self._named if self.shows(p)}
 
     def simulate(self, u: npt.ArrayLike, x0: tuple[float, float] = (0.0, 0.0), *,
                  throttle: npt.ArrayLike | None = None,
@@ -260,17 +260,6 @@ class Identified(AxisModel):
         control[:, 0] = self.mean_throttle or 0.0
         control[:, 1 + EVERY[self.axis].index] = u
         return replace(data, axis=self.axis, control=control), spans
-
-
-def _in_units(model: AxisModel, name: str, parameter: Parameter) -> Parameter:
-    """In the units of the arrays, in which those of a law of the user's are as they stand."""
-    if model.units is None or (model.law and name.startswith(f'{model.law.name}.')):
-        return parameter
-    unit, factor = model.units.parameter(parameter.unit)
-    return replace(parameter, value=factor * parameter.value, unit=unit,
-                   std=None if parameter.std is None else abs(factor) * parameter.std,
-                   interval=None if parameter.interval is None else (
-                       factor * parameter.interval[0], factor * parameter.interval[1]))
 
 
 def model_of(given: object) -> Identified | Model:

@@ -31,8 +31,8 @@ CRASH = 5.0
 or a landing does not outweigh the whole flight."""
 BLOCKS = 8
 """Parts of the recording in which the pattern is compared with its nearest rival."""
-MOST_BLOCKS = 0.75
-LEAST_SHARE = {'angular acceleration': 0.02, 'angle': 0.8}
+MAX_BLOCKS = 0.75
+MIN_SHARE = {'angular acceleration': 0.02, 'angle': 0.8}
 """Least explained share; larger for an angle, which in flight follows the motors by chance."""
 FULL_PREFERRED = 1.3
 """Factor by which idle motors must explain more to be accepted, since nonlinear thrust and limits
@@ -47,9 +47,9 @@ CLEARLY_LESS = 0.5
 """Share of the best pattern's explanation below which a mixer is in doubt."""
 REVERSED_SHARE = 0.2
 """Least share with which a command is called reversed: a slow motion may have any phase to it."""
-MOST_ROWS = 200_000
+MAX_ROWS = 200_000
 """At most so many samples are compared, in as many parts as there are blocks."""
-MOST_MOTORS = 8
+MAX_MOTORS = 8
 PLUS = range(4)
 """In a plus frame two motors are idle for roll and the other two for pitch; every propeller turns
 the yaw. An idle motor that fits neither hardly moved in the recording."""
@@ -123,7 +123,7 @@ def patterns_of(
     rates (n, 3) rad/s, motors (n, k) normalised with k of 2 to 8, angles (n, 3) rad, dt in s; NaN
     where a sample is missing. An axis of constant zeros counts as not measured.
     """
-    if not 2 <= motors.shape[1] <= MOST_MOTORS:
+    if not 2 <= motors.shape[1] <= MAX_MOTORS:
         return ()
     thin = max(1, round(FINEST_S / dt))
     if thin > 1:
@@ -165,9 +165,9 @@ def commands_of(
 
 def _parts(values: FloatArray) -> FloatArray:
     """Very long arrays (n, k) reduced to parts spread over them, with NaN rows between."""
-    if len(values) <= MOST_ROWS:
+    if len(values) <= MAX_ROWS:
         return values
-    size = MOST_ROWS // BLOCKS
+    size = MAX_ROWS // BLOCKS
     gap = np.full((1, values.shape[1]), np.nan)
     return np.concatenate([row for part in np.array_split(values, BLOCKS)
                            for row in (part[:size], gap)])
@@ -286,8 +286,8 @@ def _best(axis: str, response: _Response, *, idle: bool) -> Pattern:
     share, other = float(shares[setting, first]), max(float(rivals[rival]), 0.0)
     return Pattern(
         axis, tuple(int(s) for s in signs[first]), share, other,
-        certain=share >= LEAST_SHARE[response.name] and share >= CLEARLY * other
-        and won >= MOST_BLOCKS,
+        certain=share >= MIN_SHARE[response.name] and share >= CLEARLY * other
+        and won >= MAX_BLOCKS,
         response=response.name,
     )
 

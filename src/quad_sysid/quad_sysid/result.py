@@ -126,7 +126,7 @@ class Result:
 
     @property
     def errors(self) -> dict[str, Any]:
-        """Errors on the held-out segments before and after, rad/s (contract: `error`)."""
+        """Errors on the held-out segments, in their `unit` (contract: `error`)."""
         return dict(self.report['axes'][self.answer.axis]['error'])
 
     def __str__(self) -> str:
@@ -414,7 +414,7 @@ def installed_designer(name: str = 'pid') -> tuple[Designer | None, str]:
 
 
 def evaluate(model: AxisModel, flight: Record | str | Path) -> Evaluation:
-    """Errors of an identified model on another flight, rad/s.
+    """Errors of an identified model on another flight, in the unit of its arrays, else rad/s.
 
     Raises BadInputError where the flight does not suit the model, NotInformativeError where it
     cannot test it.

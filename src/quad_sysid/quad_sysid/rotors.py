@@ -19,12 +19,12 @@ from quad_sysid.record import Record, finite_runs
 LAGS_S = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2)
 DELAYS_S = (0.0, 0.004, 0.008, 0.015, 0.025, 0.04)
 """Where the search for lag and delay (of the telemetry too) begins."""
-LONGEST_LAG_S, LONGEST_DELAY_S = 1.0, 0.1
-LEAST_S = 3.0
+MAX_LAG_S, MAX_DELAY_S = 1.0, 0.1
+MIN_S = 3.0
 """Least time with speed and command for a lag."""
-MOST_ROWS = 20_000
+MAX_ROWS = 20_000
 """Samples that are enough for a lag."""
-LEAST_FIT = 0.5
+MIN_FIT = 0.5
 """Share of the speed's variance that the lagged command must explain."""
 BLOCK_S = 1.0
 """Errors further apart count as independent."""
@@ -111,14 +111,14 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     from scipy.optimize import minimize  # slow to import
 
     rows = np.flatnonzero(known)
-    if rows.size * dt < LEAST_S:
+    if rows.size * dt < MIN_S:
         return None
     window = _liveliest(u, rows)
     u, w, known = u[window], w[window], known[window].copy()
     for start, _ in finite_runs(known, (0, known.size)):
         known[start : start + round(SETTLE_S / dt)] = False
     rows, given = np.flatnonzero(known), np.flatnonzero(np.isfinite(u))
-    if rows.size * dt < 0.5 * LEAST_S or np.ptp(w[rows]) <= 0.0 or np.ptp(u[rows]) <= 0.0:
+    if rows.size * dt < 0.5 * MIN_S or np.ptp(w[rows]) <= 0.0 or np.ptp(u[rows]) <= 0.0:
         return None
     held = np.interp(np.arange(u.size), given, u[given])
     target = w[rows]
@@ -130,8 +130,8 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
         return target - coefficients @ x, coefficients
 
     def inside(at: FloatArray) -> tuple[float, float]:
-        return (float(np.clip(at[0], math.log(1e-4), math.log(LONGEST_LAG_S))),
-                float(np.clip(0.01 * at[1], 0.0, LONGEST_DELAY_S)))
+        return (float(np.clip(at[0], math.log(1e-4), math.log(MAX_LAG_S))),
+                float(np.clip(0.01 * at[1], 0.0, MAX_DELAY_S)))
 
     def cost(at: FloatArray) -> float:
         log_lag, delay = inside(at)
@@ -145,7 +145,7 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     log_lag, delay = inside(best)
     e, coefficients = fitted(log_lag, delay)
     fit = 1.0 - float(e @ e) / float(np.sum((target - target.mean()) ** 2))
-    if fit < LEAST_FIT:
+    if fit < MIN_FIT:
         return None
     ends = [fitted(log_lag + sign * 0.02, delay)[0] for sign in (1.0, -1.0)]
     j = np.stack([(ends[0] - ends[1]) / 0.04,
@@ -159,14 +159,14 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
 
 
 def _liveliest(u: FloatArray, rows: np.ndarray) -> slice:
-    """At most MOST_ROWS samples, those in which the command moves most."""
+    """At most MAX_ROWS samples, those in which the command moves most."""
     moves = np.zeros(u.size)
     moves[rows[1:]] = np.nan_to_num(np.abs(np.diff(u)))[rows[1:] - 1]
     total = np.concatenate([[0.0], np.cumsum(moves)])
-    last = max(u.size - MOST_ROWS, 0)
-    start = max(range(0, last + 1, max(1, MOST_ROWS // 4)),
-                key=lambda a: total[min(a + MOST_ROWS, u.size)] - total[a])
-    return slice(start, start + MOST_ROWS)
+    last = max(u.size - MAX_ROWS, 0)
+    start = max(range(0, last + 1, max(1, MAX_ROWS // 4)),
+                key=lambda a: total[min(a + MAX_ROWS, u.size)] - total[a])
+    return slice(start, start + MAX_ROWS)
 
 
 def _behind(u: FloatArray, lag: float, delay: float, dt: float) -> FloatArray:

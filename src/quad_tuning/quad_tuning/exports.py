@@ -3,7 +3,7 @@
 Ours: u = kp e + ki ∫e dt - kd d(rate)/dt in normalised command per rad/s, C1 in 1/s (contract).
 Theirs: the same in their own unit of torque, -1..1. `scale` is our U per unit of their torque: 1
 where the model was identified from their torque set-points (quad-sysid import says so), else the
-factor of their mixer; a design does not tell which, so it is asked for. Each conversion is written
+factor of their mixer; a design does not contain it, so it is asked for. Each conversion is written
 out as a comment, and so is what has no counterpart.
 """
 

@@ -120,15 +120,15 @@ class History:
         self,
         state: str,
         active: Mapping[str, float] | None = None,
-        asked: GainRequest | None = None,
+        request: GainRequest | None = None,
         **more: object,
     ) -> None:
         """Write one line: a set that is now active, or the outcome of an update."""
         if not self._aircraft:
             return
         entry: dict[str, object] = {'time': now_text(), 'clock_s': time.time(), 'state': state}
-        if asked is not None:
-            entry |= {'source': asked.source, 'model': asked.model, 'bag': asked.bag}
+        if request is not None:
+            entry |= {'source': request.source, 'model': request.model, 'bag': request.bag}
         if active is not None:
             self._last = active
             entry['gains'] = dict(active)

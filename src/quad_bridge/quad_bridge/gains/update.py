@@ -39,7 +39,7 @@ LINK_S = 1.0  # time without a control cycle after which gains on trial are reve
 RATE_SHARE = 0.01
 """Weight of the last cycle in the average rate of arrival."""
 LOOK_S = 1.0  # interval at which the gains in force are judged
-LEAST_HZ, MOST_HZ = 50.0, 1000.0
+MIN_HZ, MAX_HZ = 50.0, 1000.0
 """Control cycles per second with which watch and pulses work."""
 GESTURE_END, GESTURE_ENDS, GESTURE_S = 0.8, 3, 2.0
 """Time for the pilot's gesture: the yaw stick at one end, the other and the first again."""
@@ -88,7 +88,7 @@ Reply = Callable[[bool, str], None]
 class _Update:
     """The update in flight."""
 
-    asked: gate.GainRequest
+    request: gate.GainRequest
     steps: list[dict[str, float]]
     identity: str
     reply: Reply | None = None
@@ -159,7 +159,7 @@ class GainUpdates:
         """The state in a few words."""
         if self.state is State.IDLE or self._update is None:
             return self.protocol.busy or self.state.value
-        text = f'{self.state.value} gains of {self._update.asked.source}'
+        text = f'{self.state.value} gains of {self._update.request.source}'
         if self.state is not State.WATCHING:
             return text
         on_ground = ' (on trial on the ground)' if self._flying_s is None else ''
@@ -204,26 +204,26 @@ class GainUpdates:
             self._refuse(source, error)
             raise
 
-    def _request(self, asked: gate.GainRequest, now_s: float, reply: Reply | None) -> str:
-        gate.check_source(asked.source, self._settings.sources)
-        if asked.aircraft not in {'', self.aircraft}:
+    def _request(self, request: gate.GainRequest, now_s: float, reply: Reply | None) -> str:
+        gate.check_source(request.source, self._settings.sources)
+        if request.aircraft not in {'', self.aircraft}:
             raise RefusedError(
-                f'they are for the aircraft {gate.shorten(asked.aircraft)}: connected is '
+                f'they are for the aircraft {gate.shorten(request.aircraft)}: connected is '
                 f'{self.aircraft or "none"}'
             )
-        if asked.rollback and self.state in {State.WRITING, State.WATCHING}:
-            self._take_back(f'{asked.source} asked for it')
+        if request.rollback and self.state in {State.WRITING, State.WATCHING}:
+            self._take_back(f'{request.source} asked for it')
             self._going_back += [reply] if reply is not None else []
             return 'taking back the gains in flight'
-        if asked.rollback and self.state is State.CHECKING:
+        if request.rollback and self.state is State.CHECKING:
             self.disturb('a rollback was asked for')  # which drops the gains that waited for it
-            if not asked.gains:
+            if not request.gains:
                 if reply is not None:
                     reply(True, 'the check was stopped')
                 return 'stopped the check, and dropped what waited for it'
-        path = self._admit(asked, now_s)
+        path = self._admit(request, now_s)
         self.polarity.refuse_faults()
-        axes = self.polarity.unchecked(asked.gains) if self.protocol.pulses else []
+        axes = self.polarity.unchecked(request.gains) if self.protocol.pulses else []
         words = ', '.join(axes)
         if axes and self._settings.polarity == 'manual':
             raise RefusedError(
@@ -232,10 +232,10 @@ class GainUpdates:
             )
         if axes:
             self._start_check(axes, now_s)
-            self._pending = asked, reply
+            self._pending = request, reply
             return f'checking the polarity of {words} before the first update'
-        self._begin(asked, path, reply)
-        return f'writing {len(asked.gains)} gains of {asked.source} in {len(path)} steps'
+        self._begin(request, path, reply)
+        return f'writing {len(request.gains)} gains of {request.source} in {len(path)} steps'
 
     def _refuse(self, source: str, error: RefusedError) -> None:
         self.refusals += 1
@@ -254,9 +254,9 @@ class GainUpdates:
             self.polarity.abort(f'stopped: {why}')
             self._end_check()
 
-    def _admit(self, asked: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
-        gate.check_flown(asked, self.active)
-        path = gate.steps(asked.gains, self.active, self._settings.bounds)
+    def _admit(self, request: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
+        gate.check_flown(request, self.active)
+        path = gate.steps(request.gains, self.active, self._settings.bounds)
         if now_s - self._cycle_s > QUIET_S:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
                                '/diagnostics says why')
@@ -266,7 +266,7 @@ class GainUpdates:
             raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
         if now_s - self._excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs: send them when it is idle')
-        gate.refuse_climb(asked.gains, self._flags, flying=self._flying_s is not None)
+        gate.refuse_climb(request.gains, self._flags, flying=self._flying_s is not None)
         if self._flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE):
             raise RefusedError("the pilot's kill switch or the receiver's failsafe is on")
         self._known_rate()
@@ -279,29 +279,29 @@ class GainUpdates:
     @property
     def _slow(self) -> bool:
         """Whether the link brings fewer cycles than the watch needs; some may be lost."""
-        return self._period_s > 1.2 / LEAST_HZ
+        return self._period_s > 1.2 / MIN_HZ
 
     def _slow_words(self) -> str:
-        return f'the link brings {1.0 / self._period_s:.0f} cycles/s: the watch needs {LEAST_HZ:g}'
+        return f'the link brings {1.0 / self._period_s:.0f} cycles/s: the watch needs {MIN_HZ:g}'
 
     def _known_rate(self) -> None:
         if self._slow:
             raise RefusedError(self._slow_words())
-        if not LEAST_HZ <= self.rate_hz <= MOST_HZ:
-            words = f'the watch works at {LEAST_HZ:g} to {MOST_HZ:g} Hz: found {self.rate_hz:g}'
+        if not MIN_HZ <= self.rate_hz <= MAX_HZ:
+            words = f'the watch works at {MIN_HZ:g} to {MAX_HZ:g} Hz: found {self.rate_hz:g}'
             raise RefusedError(f'loop.rate_hz: {words}')
 
     def _begin(
-        self, asked: gate.GainRequest, path: list[dict[str, float]], reply: Reply | None
+        self, request: gate.GainRequest, path: list[dict[str, float]], reply: Reply | None
     ) -> None:
-        update = _Update(asked, path, self._history.identity(), reply)
+        update = _Update(request, path, self._history.identity(), reply)
         self._write_step(update)
         self._update, self.refused = update, ''
         # what flies from the commit on, seen some time before its answer, is not "before"
-        touched = {name.partition('.')[0] for name in asked.gains}
-        if not touched <= set(AXES) or self.protocol.in_common & set(asked.gains):
+        touched = {name.partition('.')[0] for name in request.gains}
+        if not touched <= set(AXES) or self.protocol.in_common & set(request.gains):
             touched |= set(AXES)
-        self.watch.begin(asked.predicted, touched)
+        self.watch.begin(request.predicted, touched)
 
     def _write_step(self, update: _Update) -> None:
         step = update.steps[update.written]
@@ -497,7 +497,7 @@ class GainUpdates:
         if rate_hz != self.rate_hz:
             self.rate_hz = self.polarity.rate_hz = rate_hz
             known = self.watch.known
-            self.watch = GainWatch(min(max(rate_hz, LEAST_HZ), MOST_HZ))
+            self.watch = GainWatch(min(max(rate_hz, MIN_HZ), MAX_HZ))
             self.watch.know(known)
 
     def _committed(self, event: GainEvent) -> None:
@@ -505,14 +505,14 @@ class GainUpdates:
         self._know(event)
         if update is None:
             return
-        update.written += 1
+        step, steps = update.written + 1, len(update.steps)
+        update.written, last = step, step == steps
         update.armed = update.armed or bool(self._flags & f.Flag.ARMED)
         self.commits += 1
-        last = update.written == len(update.steps)
         self._left_s = WATCH_S if last else STEP_WATCH_S
         self.state = State.WATCHING
-        self._log('active', self.active, step=update.written, steps=len(update.steps))
-        text = f'step {update.written} of {len(update.steps)} of {update.asked.source} is in force'
+        self._log('active', self.active, step=step, steps=steps)
+        text = f'step {step} of {steps} of {update.request.source} is in force'
         self.news.append(News(text, active=self.active))
         if last:
             update.tell(done=True)
@@ -553,7 +553,7 @@ class GainUpdates:
     def _log(self, state: str, active: Mapping[str, float] | None = None, **more: object) -> None:
         update = self._update
         if update is not None:
-            self._history.write(state, active, update.asked, update=update.identity, **more)
+            self._history.write(state, active, update.request, update=update.identity, **more)
 
     # Polarity.
 
@@ -582,19 +582,19 @@ class GainUpdates:
         if pending is not None:
             self._after_check(*pending, trouble)
 
-    def _after_check(self, asked: gate.GainRequest, reply: Reply | None, trouble: str) -> None:
+    def _after_check(self, request: gate.GainRequest, reply: Reply | None, trouble: str) -> None:
         try:
-            self._refuse_unanswered(asked, trouble)
-            self._begin(asked, self._admit(asked, self._cycle_s), reply)
+            self._refuse_unanswered(request, trouble)
+            self._begin(request, self._admit(request, self._cycle_s), reply)
         except RefusedError as error:
-            self._refuse(asked.source, error)
+            self._refuse(request.source, error)
             if reply is not None:
                 reply(False, str(error))
 
-    def _refuse_unanswered(self, asked: gate.GainRequest, trouble: str) -> None:
+    def _refuse_unanswered(self, request: gate.GainRequest, trouble: str) -> None:
         if trouble:
             raise RefusedError(f'the check of the polarity was {trouble}')
         self.polarity.refuse_faults()
-        silent = ', '.join(self.polarity.unchecked(asked.gains))
+        silent = ', '.join(self.polarity.unchecked(request.gains))
         if silent:
             raise RefusedError(f'{silent} did not respond to the pulses: mount it free about it')

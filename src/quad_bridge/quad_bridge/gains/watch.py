@@ -37,7 +37,7 @@ FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
 LEAD_S = 0.06  # horizon of the angle that is predicted by the rate: a reversal takes that long
 FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
 BEFORE_S, BLOCK_S = 10.0, 0.5
-MOST_HZ = 125.0
+MAX_HZ = 125.0
 """A faster loop is watched by the means of so many of its cycles that no more remain: twice what
 the fastest band needs, and half the work of every cycle."""
 GRAVITY_M_S2 = 9.80665
@@ -110,7 +110,7 @@ class GainWatch:
 
     def __init__(self, rate_hz: float) -> None:
         """`rate_hz` control cycles per second, 50 or more."""
-        self._every = max(1, round(rate_hz / MOST_HZ))
+        self._every = max(1, round(rate_hz / MAX_HZ))
         self._held: list[tuple[Sequence[float], ...]] = []
         self._dt, self._climb = self._every / rate_hz, ClimbWatch()
         centres = np.array(CENTRES_RAD_S)

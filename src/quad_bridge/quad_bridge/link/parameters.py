@@ -67,14 +67,14 @@ class Parameters:
     def due(self, now_ns: int) -> list[ParamRequestRead]:
         """The requests to send now."""
         waiting = [name for name in self._names() if self._open(name)][:AT_ONCE]
-        asked = []
+        requests = []
         for name in waiting:
             tries, again_ns = self._asked.get(name, (0, 0))
             if now_ns >= again_ns:
                 self._asked[name] = tries + 1, now_ns + AGAIN_NS
                 if tries < TRIES:
-                    asked.append(ParamRequestRead(name))
-        return asked
+                    requests.append(ParamRequestRead(name))
+        return requests
 
     def _open(self, name: str) -> bool:
         return name not in self.values and self._asked.get(name, (0, 0))[0] <= TRIES

@@ -95,7 +95,7 @@ class SerialPort:
     ) -> None:
         """`path` is a device, a pattern (`/dev/ttyACM*`), a URL of pyserial or of udp.py.
 
-        Of several devices that match, the first that opens is taken, and the next one where that
+        If several devices match, the first that opens is used, and the next one where that
         stays silent. `on_silence` is called where nothing has come for `SILENT_S`, and when the
         port is shut. The callbacks run in the reader's thread.
         """
@@ -107,7 +107,7 @@ class SerialPort:
         self._port: Any = None
         self._stop = threading.Event()
         self._write_lock, self._status_lock = threading.Lock(), threading.Lock()
-        self._tail = b''  # what the output has not taken yet of the last write: no frame is torn
+        self._tail = b''  # rest of the last write: no frame is torn
         self.status = PortStatus()
         self._patience_s = HALF_OPEN_S[0]
         self._skip = 0

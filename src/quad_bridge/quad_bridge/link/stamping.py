@@ -58,7 +58,7 @@ class Stamping:
     """Appends what is stamped to `out`, in order; whoever reads that list puts a new one there."""
 
     def __init__(self, on_restart: Callable[[], None] = lambda: None) -> None:
-        """`on_restart` is called where the aircraft restarted and its counter does not tell."""
+        """`on_restart` is called where the aircraft restarted and its counter does not show it."""
         self._on_restart = on_restart
         self.out: list[Event] = []
         self.clock, self.device_time = ClockEstimator(), DeviceTime()
@@ -97,7 +97,7 @@ class Stamping:
         self._timed(frame, 1000 * device_us, now_ns, uneven=uneven)
 
     def inertial(self, frame: Inertial, now_ns: int) -> None:
-        """Stamp what an autopilot sends in place of a cycle; its arrival tells the clock too."""
+        """Stamp an autopilot's message in place of a cycle; its arrival also sets the clock."""
         whole_us = frame.time_us
         if frame.grain_us > 1:
             whole_us = self._nearest(whole_us, WRAP_US * frame.grain_us)

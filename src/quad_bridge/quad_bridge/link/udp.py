@@ -14,7 +14,7 @@ import time
 
 SCHEMES = ('udp', 'udpin', 'udpout')
 HEARD_S = 10.0  # whoever has been silent for longer gets no answers
-MOST_PEERS = 8
+MAX_PEERS = 8
 LARGEST = 65536
 BUFFER = 1 << 20  # bytes that wait in the kernel while the bridge gets no time
 NOT_OURS = (errno.EADDRINUSE, errno.EADDRNOTAVAIL)
@@ -99,7 +99,7 @@ class UdpPort:
         return True
 
     def _heard(self, sender: tuple[str, int]) -> None:
-        if sender in self._peers or len(self._peers) < MOST_PEERS:
+        if sender in self._peers or len(self._peers) < MAX_PEERS:
             self._peers[sender] = time.monotonic()
 
 

@@ -99,7 +99,7 @@ class Recording:
         self._dropped = 0
         self._lost = 0
         self._dequeued = 0
-        """Messages that the writer has taken from the queue."""
+        """Messages that the writer has removed from the queue."""
         self._written = 0
         self._longest_sync_s = 0.0
         self._failure = ''
@@ -201,7 +201,7 @@ class Recording:
             self._written += 1
 
     def _fail(self, error: Exception) -> None:
-        """Close the bag with what it has; taken messages that are not in it count as dropped."""
+        """Close the bag as it is; dequeued messages that are not in it count as dropped."""
         reason = f'writing failed: {" ".join(str(error).split())}'
         self._failure = f'{self._writer.path}: {reason}'  # from here on `put` drops
         try:

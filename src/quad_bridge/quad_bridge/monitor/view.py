@@ -43,7 +43,7 @@ class State:
     segment: Mapping[str, str] = field(default_factory=dict)
     trained_s: float = 0.0
     validated_s: float = 0.0
-    asked: tuple[float, float] | None = None
+    target_band: tuple[float, float] | None = None
     """Band that the operator wants, rad/s; the segments may be too short for its low end."""
     coverage: Coverage | None = None
     done: set[str] = field(default_factory=set)
@@ -59,9 +59,9 @@ class State:
         ]  # fmt: skip
         return [line[:WIDTH] for line in out]
 
-    def wanted(self, asked: tuple[float, float]) -> tuple[float, float]:
-        """The part of the band `asked` that the schedule's training segments can cover."""
-        return reachable(asked, self._value('train_s'))
+    def wanted(self, band: tuple[float, float]) -> tuple[float, float]:
+        """The part of the band `band` that the schedule's training segments can cover."""
+        return reachable(band, self._value('train_s'))
 
     @property
     def covered(self) -> bool:
@@ -162,8 +162,8 @@ class State:
             little = f'{axis} too little yet to say'.strip()
             return [_line('coverage', '-', little), _line('', '', flown)]
         low, high = coverage.wanted
-        if self.asked is not None and low > self.asked[0]:
-            flown += f'; {self.asked[0]:g} rad/s needs {needed_s(self.asked[0]):.0f} s'
+        if self.target_band is not None and low > self.target_band[0]:
+            flown += f'; {self.target_band[0]:g} rad/s needs {needed_s(self.target_band[0]):.0f} s'
         band = f'{coverage.band[0]:.2g} to {coverage.band[1]:.3g}' if coverage.band else 'nothing'
         text = f'{axis} {band} of {low:.2g} to {high:g} rad/s'
         level = 'ok' if coverage.enough else '...'

@@ -53,6 +53,11 @@ class AutopilotLogs:
         """Take an answer, in the port's thread."""
         self._fetch.take(frame, clock().now_s())
 
+    @property
+    def coming(self) -> bool:
+        """Whether the log is on the line now."""
+        return self._fetch.phase is Phase.FETCHING
+
     def poll(self) -> list[f.Frame]:
         """Say what to send now; in the lock under which `take` is called."""
         parts, self._fetch.parts = self._fetch.parts, []
@@ -95,7 +100,7 @@ class AutopilotLogs:
         if aircraft.flight.armed:
             return 'not in flight: the line is for the flight; land and disarm it first'
         self._store.open(folder / LOGS, aircraft.kind.log_suffix)
-        self._fetch.begin(clock().now_s())
+        self._fetch.begin(clock().now_s(), aircraft.kind.log_closes_s)
         self._finishing, self._shown_pct = False, -1
         self._publish('fetching', '')
         return ''

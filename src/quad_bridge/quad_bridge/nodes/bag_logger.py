@@ -36,8 +36,8 @@ NUMBERS = {
     'reserve_mb': (200, 'MB of free disk without which no recording starts', (0, 1_000_000)),
 }
 """Integer parameters: default, description, range."""
-MOST_TEXTS = description.MOST_TEXTS
-MOST_BYTES = description.MOST_BYTES
+MAX_TEXTS = description.MAX_TEXTS
+MAX_BYTES = description.MAX_BYTES
 """Largest message: a description, the largest of the contract, may have that size."""
 NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', description.PARAMETER, *NUMBERS)
 
@@ -198,11 +198,11 @@ class BagLogger(ManagedNode):
 
     def _receive(self, topic: str, data: bytes, about: dict[str, Any]) -> None:
         recording = self._recording
-        if recording is not None and len(data) > MOST_BYTES:
+        if recording is not None and len(data) > MAX_BYTES:
             self.refused_large += 1
             recording.count_large()
             self.get_logger().warning(
-                f'{topic}: a message of {len(data)} bytes is not recorded, at most {MOST_BYTES} '
+                f'{topic}: a message of {len(data)} bytes is not recorded, at most {MAX_BYTES} '
                 'are', throttle_duration_sec=5.0,
             )  # fmt: skip
             return
@@ -230,7 +230,7 @@ class BagLogger(ManagedNode):
     def _describes(self, data: bytes) -> bool:
         """Whether a description counts; where it does not, that is said once."""
         if data not in self._described:
-            if len(self._described) >= MOST_TEXTS:  # a flood
+            if len(self._described) >= MAX_TEXTS:  # a flood
                 return False
             words = 'the parameter robot_description holds: that of another node is left aside'
             if self._craft is None:

@@ -57,8 +57,8 @@ def craft_of(value: str) -> Craft:
     return craft
 
 
-MOST_BYTES = 1_000_000  # largest description
-MOST_TEXTS = 20
+MAX_BYTES = 1_000_000  # largest description
+MAX_TEXTS = 20
 """Different descriptions that are looked at: more than that is a flood."""
 
 
@@ -92,7 +92,7 @@ class Description:
 
     def activate(self) -> None:
         """Listen to others."""
-        self._node.subscribe(String, TOPIC, self._take, HEARD, MOST_BYTES)
+        self._node.subscribe(String, TOPIC, self._take, HEARD, MAX_BYTES)
 
     def publish(self, craft: Craft) -> None:
         """Describe this craft, unless somebody else has."""
@@ -102,7 +102,7 @@ class Description:
             self._publisher.publish(String(data=text))
 
     def _take(self, message: String) -> None:
-        if message.data in self._texts or len(self._texts) >= MOST_TEXTS:
+        if message.data in self._texts or len(self._texts) >= MAX_TEXTS:
             return
         self._texts.add(message.data)
         words = why_left_aside(message.data)

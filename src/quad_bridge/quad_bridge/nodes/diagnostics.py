@@ -19,9 +19,9 @@ class Changes:
 
     def new(self, entries: list[Status], now_s: float) -> list[Status]:
         """Entries whose message changed and may be logged."""
-        begun = [e for e in entries if self._messages.get(e.name) != e.message]
-        self._messages.update({e.name: e.message for e in begun})
-        return [e for e in begun if self._limiter.allow(e.name + e.message, now_s)]
+        changed = [e for e in entries if self._messages.get(e.name) != e.message]
+        self._messages.update({e.name: e.message for e in changed})
+        return [e for e in changed if self._limiter.allow(e.name + e.message, now_s)]
 
 
 def diagnostic_array(node: str, hardware: str, stamp: Any, entries: list[Status]) -> Any:

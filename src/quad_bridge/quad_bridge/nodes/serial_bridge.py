@@ -339,6 +339,7 @@ class SerialBridge(ManagedNode):
     def _poll_gains(self, now_ns: int) -> None:
         if self._aircraft.has_gains:  # parameters of others are their own, and a thousand
             self._send(self._gains.poll(1e-9 * now_ns))
+        self._link.autopilot.log_comes(now=self._logs.coming)
         for frame in [*self._aircraft.poll(1e-9 * now_ns), *self._logs.poll()]:
             self._link.send(frame)
 

@@ -32,7 +32,7 @@ from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.frames import CommandAck, Frame
 
 SOURCE = '~/set_gains'
-MOST_PARAMETERS = 500
+MAX_PARAMETERS = 500
 """Most parameters in one call, a few times the number that exists."""
 GAINS_S = 120.0  # the longest an update may take: a check of the polarity, and sixteen steps
 
@@ -72,8 +72,8 @@ class GainServices:
         done = Future()
         try:
             count = len(request.parameters)
-            if count > MOST_PARAMETERS:
-                raise RefusedError(f'at most {MOST_PARAMETERS} parameters: found {count}')  # noqa: TRY301
+            if count > MAX_PARAMETERS:
+                raise RefusedError(f'at most {MAX_PARAMETERS} parameters: found {count}')  # noqa: TRY301
             wanted = {'source': SOURCE, **conversion.values_of(request.parameters)}
             self._waiting.append((clock().now_s() + GAINS_S, done))
             self._ask(wanted, lambda good, why: _settle(done, (good, why)))

@@ -19,11 +19,11 @@ from quad_bridge.arguments import OneLineParser, ended_in_one_line, positive, sa
 from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.log.reader import read_topics
 from quad_bridge.sensors.correction import STATUS, as_sent, from_values
-from quad_bridge.sensors.rest import LEAST_S, FloatArray, RestEstimate, estimate_at_rest
+from quad_bridge.sensors.rest import MIN_S, FloatArray, RestEstimate, estimate_at_rest
 
 IMU, DIAGNOSTICS = '/imu/data', '/diagnostics'
 KINDS = {IMU: 'sensor_msgs/msg/Imu', DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray'}
-MOST_AGE_S = 60.0
+MAX_AGE_S = 60.0
 """Difference of a message's age from its neighbours' above which its stamp is damaged."""
 USUAL = 51  # so many messages around it
 
@@ -43,7 +43,7 @@ def at_rest(bag: Path, seconds: float, warnings: list[str]) -> RestEstimate:
     age = np.array([one.time_ns for one in received], float) - stamps
     around = np.lib.stride_tricks.sliding_window_view(np.pad(age, USUAL // 2, 'edge'), USUAL)
     usual = np.median(around, axis=1)  # of its neighbours: a system clock may have been set
-    sound = np.flatnonzero(np.abs(age - usual) <= 1e9 * MOST_AGE_S)
+    sound = np.flatnonzero(np.abs(age - usual) <= 1e9 * MAX_AGE_S)
     if len(sound) < len(stamps):
         count = len(stamps) - len(sound)
         warnings.append(f'{bag}: {count} {IMU} left out, their stamps cannot be')
@@ -71,8 +71,8 @@ def _rows(vectors: Sequence[object]) -> FloatArray:
 
 
 def _rest(args: argparse.Namespace) -> list[str]:
-    if args.seconds < LEAST_S:
-        raise BadInputError('--seconds', f'must be {LEAST_S:g} or more', f'{args.seconds:g}')
+    if args.seconds < MIN_S:
+        raise BadInputError('--seconds', f'must be {MIN_S:g} or more', f'{args.seconds:g}')
     estimate = at_rest(args.bag, args.seconds, args.warnings)
     if args.out is not None:
         _write(args.out, estimate, args.bag)
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument('--out', type=Path, metavar='FILE.yaml', help='where to write all figures')
     parser.add_argument(
         '--seconds', type=positive, default=np.inf, metavar='S',
-        help=f'only the first so many, {LEAST_S:g} or more; default the whole bag',
+        help=f'only the first so many, {MIN_S:g} or more; default the whole bag',
     )  # fmt: skip
     args = parser.parse_args(arguments, argparse.Namespace(warnings=[]))
     try:

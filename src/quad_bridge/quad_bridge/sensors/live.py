@@ -1,7 +1,7 @@
 """Estimates the gyro's bias before each flight, from cycles at rest, and says what to subtract.
 
 Cycles and the wish for an estimate come in; the node subtracts `stamped` from what it publishes
-and tells it in `/diagnostics`. Cycles come in the port's thread, all else in the executor's; a
+and reports it in `/diagnostics`. Cycles come in the port's thread, all else in the executor's; a
 lock guards what both touch.
 """
 
@@ -17,13 +17,13 @@ import numpy as np
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.sensors.correction import STATUS, Correction
-from quad_bridge.sensors.rest import LEAST_S, RestEstimate, estimate_at_rest
+from quad_bridge.sensors.rest import MIN_S, RestEstimate, estimate_at_rest
 from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag
 
-STANDING_S = LEAST_S + 1.0  # duration of disarmed cycles that are kept for an estimate
-MOST_SAMPLES = 8000  # most cycles that are kept, at any rate
+STANDING_S = MIN_S + 1.0  # duration of disarmed cycles that are kept for an estimate
+MAX_SAMPLES = 8000  # most cycles that are kept, at any rate
 NOT_YET = 'not estimated since the aircraft started'
 
 Sample = tuple[float, float, float, float, float, float, float]
@@ -46,7 +46,7 @@ class LiveSensors:
         self.rest: RestEstimate | None = None  # the last estimate since the STM32 has started
         self.words, self.warned = NOT_YET, False
         self._lock = threading.RLock()
-        self._standing: deque[Sample] = deque(maxlen=MOST_SAMPLES)
+        self._standing: deque[Sample] = deque(maxlen=MAX_SAMPLES)
         self._correct = correct
         self._armed = False
         self._wanted: Wanted | None = None
@@ -134,7 +134,7 @@ class LiveSensors:
                 raise RefusedError(what)  # noqa: TRY301
             estimate = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
         except RefusedError as why:
-            self.warned = len(rows) > 0 and float(np.ptp(rows[:, 0])) >= LEAST_S
+            self.warned = len(rows) > 0 and float(np.ptp(rows[:, 0])) >= MIN_S
             earlier = '; the earlier one stays' if self.rest is not None else ''
             self.words = f'gyro bias not estimated ({wanted.why}): {why}{earlier}'
             raise RefusedError(self.words) from why

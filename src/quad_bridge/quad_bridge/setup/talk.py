@@ -76,8 +76,8 @@ class Talk:
 
     def to_send(self) -> bytes:
         """The bytes to send now."""
-        asked = self._protocol.poll(self._now_s())
-        frames, self._queue = [*self._queue, *([asked] if asked is not None else [])], []
+        request = self._protocol.poll(self._now_s())
+        frames, self._queue = [*self._queue, *([request] if request is not None else [])], []
         return b''.join(self._encoder.encode(one) for one in frames)
 
     def wait(self, seconds: float) -> None:

@@ -24,7 +24,7 @@ from quad_bridge.gains.history import default_folder
 from quad_bridge.gains.table import ROWS, SET_UP
 from quad_bridge.key_file import signing_from
 from quad_bridge.link.port import SerialPort
-from quad_bridge.motor_test import MOST_THROTTLE, USUAL_THROTTLE
+from quad_bridge.motor_test import MAX_THROTTLE, USUAL_THROTTLE
 from quad_bridge.setup import measure
 from quad_bridge.setup.talk import Talk
 from quad_bridge.wire.frames import Flag
@@ -181,7 +181,7 @@ class Wizard:
     def _outputs(self) -> dict[str, float]:
         if self._ask('  type OFF once all propellers are off: ').strip().upper() != 'OFF':
             raise RefusedError('no motor is spun with a propeller on')
-        throttle = self._number('throttle, 0 to 1', USUAL_THROTTLE, 0.01, MOST_THROTTLE)
+        throttle = self._number('throttle, 0 to 1', USUAL_THROTTLE, 0.01, MAX_THROTTLE)
         seen, wrong = {}, []
         for motor in range(1, 5):
             self._ready(f'motor {motor} spins for {SPIN_S:g} s')

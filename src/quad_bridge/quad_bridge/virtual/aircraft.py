@@ -16,7 +16,7 @@ import numpy.typing as npt
 from quad_bridge.gains.table import AXES, ROWS, split
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.cycle import (
-    LARGEST_DELAY,
+    MAX_DELAY,
     NORMALS_PER_CYCLE,
     NORMALS_PER_STEP,
     OBSERVED,
@@ -96,7 +96,7 @@ class Aircraft:
             state=initial_state(start, plant.capacity_as, running),
             sensed=sensed,
             samples=samples,
-            queue=np.full((LARGEST_DELAY + 1, 4), running),
+            queue=np.full((MAX_DELAY + 1, 4), running),
             acting=np.full(4, running),
             firmware=self.firmware.memory,
             gains=self.firmware.gains(),

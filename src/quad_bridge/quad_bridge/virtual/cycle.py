@@ -38,8 +38,8 @@ STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW, HOLD = 5, 6, 7, 8, 9
 INPUTS = 10
 """Columns of what reaches a cycle from outside: armed 0/1, injection 0..4 (none, attitude, rate,
 control, thrust), excitation (3), sticks -1..1, throttle 0..1, height mode 0/1."""
-LARGEST_DELAY = 4
-MOST_HELD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
+MAX_DELAY = 4
+MAX_HELD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
 NORMALS_PER_STEP = 9
 NORMALS_PER_CYCLE = 7
 
@@ -90,7 +90,7 @@ class Machine(NamedTuple):
     state: FloatArray
     sensed: FloatArray
     samples: FloatArray  # (n, 6) gyro and accelerometer, chip axes
-    queue: FloatArray  # (LARGEST_DELAY + 1, 4) motor commands on their way
+    queue: FloatArray  # (MAX_DELAY + 1, 4) motor commands on their way
     acting: FloatArray  # (4,) motor commands that act during the present cycle
     firmware: npt.NDArray[np.uint8]  # the C firmware's memory
     gains: npt.NDArray[np.float32]
@@ -102,13 +102,13 @@ def held_throttle(machine: Machine, throttle: float) -> float:
     """The pilot's throttle, which adds to a trim what holds the height."""
     state = machine.state
     hold = -machine.climb_kp * state[POSITION + 2] - machine.climb_kd * state[VELOCITY + 2]
-    return float(min(1.0, max(0.0, throttle + min(MOST_HELD, max(-MOST_HELD, hold)))))
+    return float(min(1.0, max(0.0, throttle + min(MAX_HELD, max(-MAX_HELD, hold)))))
 
 
 @kernel
 def delayed(machine: Machine, cycle: int, commands: FloatArray) -> None:
     """Put this cycle's commands in the queue; those that are due act."""
-    rows = LARGEST_DELAY + 1
+    rows = MAX_DELAY + 1
     for i in range(4):
         machine.queue[cycle % rows, i] = commands[i]
     for i in range(4):

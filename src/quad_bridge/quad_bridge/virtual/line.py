@@ -1,6 +1,6 @@
 """The end of the lockstep line that owns the clock; the others' end is quad_bridge/lockstep.py.
 
-It tells the time, takes the answers of all who take part, and says whether time may go on.
+It sends the time, receives the answers of all participants, and decides whether time may go on.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Line:
         return self.slowest_ns >= self._now_ns - WINDOW_NS
 
     def tell(self, now_ns: int) -> None:
-        """Tell the time, before anything of that time is sent to others."""
+        """Send the time, before anything of that time is sent to others."""
         if now_ns > self._now_ns:
             self._now_ns, self._since_s = now_ns, time.monotonic()
         published = {WIRE: now_ns, **self.published}
@@ -111,7 +111,7 @@ class Line:
     def _drop(self, line: socket.socket) -> None:
         del self._members[line]
         line.close()
-        self.tell(self._now_ns)  # what it published is waited for no more
+        self.tell(self._now_ns)  # nobody waits for its messages any more
 
     def close(self) -> None:
         """Hang up."""

@@ -20,7 +20,7 @@ from quad_bridge.virtual.errors import ConfigurationError
 VARIABLE = 'QUAD_FIRMWARE'
 """The environment variable that names the folder of a build of one's own, which comes first."""
 PROGRAM, LIBRARY = 'quad_firmware', 'libquad_firmware.so'
-MOTORS_BYTES, LARGEST_ANSWER = 42, 2048  # size of a motor frame, of the frames to send
+MOTORS_BYTES, MAX_ANSWER = 42, 2048  # size of a motor frame, of the frames to send
 
 
 def _folders() -> Iterator[Path]:
@@ -85,7 +85,7 @@ class NativeFirmware:
 
     def send(self) -> bytes:
         """The bytes that wait for the bridge."""
-        buffer = ctypes.create_string_buffer(LARGEST_ANSWER)
+        buffer = ctypes.create_string_buffer(MAX_ANSWER)
         count = self._library.quad_library_send(self._state, buffer, ctypes.c_size_t(len(buffer)))
         return buffer.raw[:count]
 

@@ -117,7 +117,7 @@ def build_chips(
 def initial_sensors(
     chips: Chips, bias: FloatArray, samples_per_cycle: int
 ) -> tuple[FloatArray, FloatArray]:
-    """State and samples (n, 6) of sensors at rest and level, with one sample taken.
+    """State and samples (n, 6) of sensors at rest and level, with one sample.
 
     `bias` (3,) rad/s of the gyro.
     """

@@ -54,7 +54,7 @@ class Counts:
     """Ignored: from another sender than the peer (own echo, ground station, other aircraft)."""
     implausible: int = 0  # ignored: a good checksum, but values that cannot be (plausible.py)
     old_version: int = 0  # MAVLink 1 packets with a good checksum; they are part of the garbage
-    unverified: int = 0  # signed frames that were taken as they are, because no key is set
+    unverified: int = 0  # signed frames that were accepted without a check, because no key is set
 
     def refused(self, verdict: Verdict) -> None:
         """Count a frame that the signature does not let pass."""

@@ -77,6 +77,7 @@ async function show(job) {
     const table = !page && job.kind === 'import' && job.state === 'done' && await columns(job);
     $('frame').hidden = !page; $('text').hidden = !!page || table; $('menus').hidden = !table;
     if (table) return;
+    delete $('frame').dataset.traces;
     if (page) $('frame').src = '/jobs/' + job.number + '/' + page;
     else $('text').querySelector('pre').textContent = await (await ask('/jobs/' + job.number + '/text')).text();
   });
@@ -84,9 +85,8 @@ async function show(job) {
     const tab = document.createElement('button'); tab.textContent = page ? 'page' : 'text';
     tab.onclick = () => view(page); tabs.append(tab);
   }
-  if (job.state === 'done' || job.state === 'failed' || job.state === 'stopped') {
-    await view(job.state === 'done' ? job.pages[0] || '' : ''); await listFiles();
-  }
+  if (job.state === 'waiting' || job.state === 'running') return;
+  await view(job.state === 'done' || job.state === 'no answer' ? job.pages[0] || '' : ''); await listFiles();
 }
 async function columns(job) { // the menus of a table whose columns were listed
   const text = await (await ask('/jobs/' + job.number + '/text')).text();
@@ -127,7 +127,7 @@ function tell() {
 }
 addEventListener('message', e => {
   if (e.source !== $('frame').contentWindow || !e.data) return;
-  if (e.data.zoomReady !== undefined) tell();
+  if (e.data.zoomReady !== undefined) { $('frame').dataset.traces = e.data.zoomReady; tell(); }
   const s = e.data.zoomSelect;
   if (s && (s.mode === 'train' || s.mode === 'validate') && isFinite(s.start) && isFinite(s.end)) {
     $(s.mode).value = s.start.toFixed(2) + ':' + s.end.toFixed(2); tell();

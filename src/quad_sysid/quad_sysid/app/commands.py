@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quad_sysid.app.folder import RefusedError, inside
+from quad_sysid.app.folder import RefusedError, inside, is_bag
 from quad_sysid.axes import NAMES
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
@@ -23,10 +23,11 @@ Command = tuple[str, str, list[str]]
 """Title, program, arguments."""
 
 
-def command(folder: Path, asked: Mapping[str, Any]) -> Command:
-    """Title, program and arguments of what the page asks for. Raises RefusedError.
+def commands(folder: Path, asked: Mapping[str, Any]) -> list[Command]:
+    """Title, program and arguments of what the page asks for, one after the other.
 
-    Only what stands here can be started; @ is the job's own folder.
+    Only what stands here can be started; @ is the job's own folder. A log that is to be
+    identified is made a bag first. Raises RefusedError.
     """
     kind, names = asked.get('kind'), asked.get('files')
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
@@ -34,7 +35,20 @@ def command(folder: Path, asked: Mapping[str, Any]) -> Command:
     if not isinstance(kind, str) or kind not in KINDS:
         raise RefusedError('no such command')
     paths = [inside(folder, name) for name in names]
-    return KINDS[kind](folder.resolve(), paths, asked)
+    before: dict[Path, Command] = {}
+    if kind == 'identify':
+        from quad_sysid.imports.formats import format_of  # slow to import
+
+        for log in (path for path in paths if not is_bag(path)):
+            try:
+                known = format_of(log)
+            except BadInputError as error:
+                raise RefusedError(str(error)) from error
+            if known is None:
+                raise RefusedError('make a bag of the table first: Columns shows what is what')
+            before[log] = _to_bag(folder.resolve(), log)
+    paths = [Path(before[path][-1][-1]) if path in before else path for path in paths]
+    return [*before.values(), KINDS[kind](folder.resolve(), paths, asked)]
 
 
 def _look(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
@@ -43,7 +57,8 @@ def _look(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
 
 
 def _inspect(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
-    return f'inspect {paths[0].name}', SYSID, ['inspect', str(paths[0])]
+    return f'inspect {paths[0].name}', SYSID, [
+        'inspect', str(paths[0]), '--out', '@inspect.html']
 
 
 def _columns(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
@@ -51,10 +66,12 @@ def _columns(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
 
 
 def _import(root: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
-    first = paths[0].name
-    bag = _free(root, f"{first.partition('.')[0] or 'log'}_bag")
-    return f'import {first}', SYSID, [
-        'import', str(paths[0]), *named_columns(asked.get('columns')), '--out', bag]
+    return _to_bag(root, paths[0], named_columns(asked.get('columns')))
+
+
+def _to_bag(root: Path, log: Path, columns: Sequence[str] = ()) -> Command:
+    bag = _free(root, f"{log.name.partition('.')[0] or 'log'}_bag")
+    return f'import {log.name}', SYSID, ['import', str(log), *columns, '--out', bag]
 
 
 def _compare(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
@@ -64,13 +81,25 @@ def _compare(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
 
 
 def _export(_: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
-    model, to = paths[0], asked.get('to')
-    report = model.with_name('report.json')
-    if to not in FIRMWARES or model.name != 'model.json' or not report.is_file():
-        raise RefusedError('choose the model of a result, and a firmware')
-    more = [f for axis in AXES for f in ('--scale', f'{axis}=1')] if to in FIRMWARES[:2] \
+    model, to, axes = paths[0], asked.get('to'), _answers(paths[0])
+    if to not in FIRMWARES:
+        raise RefusedError('choose a firmware')
+    known = [axis for axis in AXES if axes.get(axis, {}).get('gains')]
+    if not known:
+        raise RefusedError('this result has no gains: its report says why')
+    more = [f for axis in known for f in ('--scale', f'{axis}=1')] if to in FIRMWARES[:2] \
         else ['--flown', str(model)]
-    return f'gains for {to}', 'quad-tune', ['export', str(report), '--to', str(to), *more]
+    return f'gains for {to}', 'quad-tune', [
+        'export', str(model.with_name('report.json')), '--to', str(to), *more]
+
+
+def _answers(model: Path) -> dict[str, Any]:
+    """What the report beside a result's model says of each axis."""
+    try:
+        tree = json.loads(model.with_name('report.json').read_text(encoding='utf-8'))
+        return dict(tree['axes'])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RefusedError('choose the model of a result') from error
 
 
 def _identify(_: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
@@ -96,10 +125,7 @@ def _schedule(root: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Co
     from quad_sysid.report.next_flight import next_flight
 
     model, axis = paths[0], asked.get('axis')
-    try:
-        axes = json.loads(model.with_name('report.json').read_text(encoding='utf-8'))['axes']
-    except (OSError, ValueError, KeyError) as error:
-        raise RefusedError('choose the model of a result') from error
+    axes = _answers(model)
     axis = axis if axis in axes else next(iter(axes))
     planned = [one.command for one in next_flight(str(axis), axes[axis]) if one.command]
     if not planned:

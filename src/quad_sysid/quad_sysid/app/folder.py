@@ -48,6 +48,11 @@ def inside(folder: Path, name: str) -> Path:
     return found
 
 
+def is_bag(path: Path) -> bool:
+    """Whether this is a bag by its name, as the page lists it."""
+    return path.suffix == '.mcap' or (path / 'metadata.yaml').is_file()
+
+
 def entries(folder: Path) -> list[Entry]:
     """What can be chosen, by name; bags as one entry each."""
     root = folder.resolve()
@@ -64,7 +69,7 @@ def entries(folder: Path) -> list[Entry]:
                 continue
             relative = path.relative_to(root).as_posix()
             if path.is_dir():
-                if (path / 'metadata.yaml').is_file():
+                if is_bag(path):
                     size = sum(f.stat().st_size for f in path.iterdir() if f.is_file())
                     found.append(Entry(relative, 'bag', size / 1e6))
                 elif depth < DEEPEST:
@@ -73,7 +78,7 @@ def entries(folder: Path) -> list[Entry]:
                 found.append(Entry(relative, 'model', path.stat().st_size / 1e6))
             elif (path.suffix.lower() in SUFFIXES and path.suffix != '.json'
                   and RESULTS not in path.relative_to(root).parts):
-                kind = 'bag' if path.suffix == '.mcap' else 'log'
+                kind = 'bag' if is_bag(path) else 'log'
                 found.append(Entry(relative, kind, path.stat().st_size / 1e6))
     return sorted(found, key=lambda e: e.path)
 

@@ -21,6 +21,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from quad_sysid.arguments import NOT_ANSWERED
 from quad_sysid.axes import ALL_WORDS
 
 MOST_JOBS = 200
@@ -33,6 +34,7 @@ STOP_S = 5.0
 MOST_TEXT = 200_000
 """Characters of a job's output that are shown."""
 ESCAPES = re.compile(r'\x1b\[[0-9;]*[A-Za-z]')
+STATES = {0: 'done', NOT_ANSWERED: 'no answer'}
 PROGRAMS = {'quad-sysid': 'quad_sysid.start', 'quad-tune': 'quad_tuning.start'}
 
 
@@ -47,7 +49,7 @@ class Job:
     folder: Path
     """Where its output and results are."""
     state: str = 'waiting'
-    """`waiting`, `running`, `done`, `failed`, `stopped`."""
+    """`waiting`, `running`, `done`, `no answer` (status 3), `failed`, `stopped`."""
     doing: str = ''
     """What it says that it is doing."""
     begun: float = 0.0
@@ -172,7 +174,7 @@ class Queue:
             with self._wake:
                 job.ended = time.monotonic()
                 if job.state == 'running':
-                    job.state = 'done' if status == 0 else 'failed'
+                    job.state = STATES.get(status, 'failed')
             if job.state == 'done':
                 with suppress(OSError):
                     (job.folder / TOOK).write_text(json.dumps(

@@ -28,7 +28,7 @@ from starlette.responses import (
 )
 from starlette.routing import Route
 
-from quad_sysid.app.commands import command
+from quad_sysid.app.commands import commands
 from quad_sysid.app.folder import RESULTS, RefusedError, entries, new_file, receive
 from quad_sysid.app.jobs import Job, Queue
 from quad_sysid.report.style import SHEET
@@ -43,7 +43,7 @@ OWN_POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 
 REPORT_POLICY = ("sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; "
                  "style-src 'unsafe-inline'; img-src data:")
 """What a report may do: run its own scripts, in an origin of its own, and load nothing."""
-SHOWN = {'look.html': 'text/html', 'result/report.html': 'text/html'}
+SHOWN = ('look.html', 'inspect.html', 'result/report.html')
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -150,13 +150,13 @@ class App:
             raise RefusedError('is not JSON') from error
         if not isinstance(asked, dict):
             raise RefusedError('is not JSON')
-        title, program, arguments = command(self.folder, asked)
         place = self.folder.resolve() / RESULTS
         try:
-            job = self.queue.add(title, program, arguments, place)
+            jobs = [self.queue.add(title, program, arguments, place)
+                    for title, program, arguments in commands(self.folder, asked)]
         except (ValueError, OSError) as error:
             raise RefusedError(str(error)) from error
-        return JSONResponse(_shown(job))
+        return JSONResponse(_shown(jobs[-1]))
 
     def _job(self, request: Request) -> Job:
         job = self.queue.get(request.path_params['number'])
@@ -179,7 +179,7 @@ class App:
         path = job.folder / name
         if name not in SHOWN or not path.is_file() or path.is_symlink():
             raise RefusedError('no such page')
-        answer = FileResponse(path, media_type=SHOWN[name])
+        answer = FileResponse(path, media_type='text/html')
         answer.headers['Content-Security-Policy'] = REPORT_POLICY
         return answer
 

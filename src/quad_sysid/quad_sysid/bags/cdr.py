@@ -109,7 +109,7 @@ def joints_of(messages: Sequence[bytes], field: str) -> Joints:
             return joints
     return Joints(field=field)
 
-MOST_LAYOUTS = 8
+MAX_LAYOUTS = 8
 """Layouts that are tried for messages of one length before they are read one by one."""
 FIRST = 1_000_003
 """A number that no message holds, and those after it, show which goes to which column."""
@@ -195,7 +195,7 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
         rows = np.flatnonzero(lengths == length)
         key = msgtype, joints, int(length)
         layout = _LAST.get(key)
-        for _ in range(MOST_LAYOUTS):
+        for _ in range(MAX_LAYOUTS):
             if len(rows) == 0:
                 break
             unread = np.zeros(len(rows), dtype=bool)

@@ -157,8 +157,8 @@ class Storage:
             batches = self._read_sqlite(plain, shown, foreign)
         else:
             raise BadInputError(str(shown), 'is neither mcap nor sqlite3',
-                                f'first bytes {head[:8].hex()}',
-                                'give a rosbag2 directory or an .mcap file')
+                                f'first bytes {head[:8].hex()}', 'give a rosbag2 directory or an '
+                                '.mcap file; quad-sysid import makes one of a log or a table')
         for batch in batches:
             yield {topic: self._decompressed(raws, shown) for topic, raws in batch.items()}
 

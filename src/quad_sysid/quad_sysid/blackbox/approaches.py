@@ -173,7 +173,7 @@ def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
 
 
 def _evaluate(model: Model, z: IOData, controller: LinearController, ar: FloatArray) -> Point:
-    """Errors of the closed loop behind the filter `ar`, its unknown start taken out of them.
+    """Errors of the closed loop behind the filter `ar`, without the effect of its unknown start.
 
     Their sum of squares is inf where the loop is not stable or no segment is long enough.
     """

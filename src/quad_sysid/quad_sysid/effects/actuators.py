@@ -56,6 +56,8 @@ HALF_WIDTH = (
     Spec('half_width', '1', spread=2.0, centre=math.log(0.003), log=True,
          starts=(0.0003, 0.001, 0.003, 0.01)),
 )
+
+
 def _cross_axis(which: int) -> Effect:
     """Motors or gyro out of line: a fraction of another axis' command acts here."""
     return Map(

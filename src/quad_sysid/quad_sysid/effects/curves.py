@@ -35,18 +35,18 @@ SLOW_MOVES = 0.01
 COUNT, LENGTH = 6, 0.6
 """Number of knots, and correlation length as a share of their range."""
 PLACES = np.linspace(-1.0, 1.0, COUNT)
+"""Of the knots, before they are placed over a signal."""
 ACTS_ON: dict[str, tuple[str, ...]] = {
     'torque': (), 'gain': ('command',), 'damping': ('rate',), 'friction': ('rate',),
     'lag': ('command',), 'delay': ('command',),
 }
 """Term → the signal that its acceleration is proportional to."""
 
+
 def signal_of(s: Signals, name: str) -> FloatArray:
     """A signal in a matrix's word for it, along a flight or in a free run."""
-    pair = {'other rate': s.other_rates, 'other angle': s.other_angles,
-            'other command': s.other_commands}
-    if name.startswith('other'):
-        return required(pair[name[:-2]])[int(name[-1]) - 1]
+    if name.startswith('other angle'):
+        return required(s.other_angles)[int(name[-1]) - 1]
     return required({
         'rate': s.rate, 'angle': s.angle, 'throttle': s.throttle, 'battery': s.battery_v,
         'time': s.time, 'command': s.lagged,
@@ -195,7 +195,7 @@ class Wandering(Shape):
     to the next. A wandering torque is no effect: it is the disturbance that every model has.
     """
 
-    free = wanders = True
+    wanders = True
     parameters = (
         Spec('spread', '1', spread=1.0, centre=math.log(0.3), log=True, starts=(0.1, 0.3, 1.0)),
         Spec('correlation', 's', spread=1.0, centre=math.log(10.0), log=True, starts=(2.0, 10.0)),

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -105,7 +105,7 @@ def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
     ladder = _ladder(problem, found, parts)
     if not ladder.answer:
         return ladder
-    blocks, reproducible = _resampled(problem, found, ladder)
+    blocks, reproducible = resampled(problem, found, ladder)
     return replace(ladder, blocks=blocks, reproducible=reproducible)
 
 
@@ -276,7 +276,7 @@ def _share(here: Along, part: Part, q: FloatArray,
 # ------------------------------------------------------------------ what comes again
 
 
-def _resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict[str, float]]:
+def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict[str, float]]:
     """Number of blocks; name of each effect of the answer → how often it is in it again.
 
     Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
@@ -298,7 +298,8 @@ def _resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dic
     at = np.searchsorted(problem.rows, ladder.projection.windows.starts)
     of_window = block[np.clip(at, 0, block.size - 1)]
     rungs = ladder.rungs[: ladder.answer + 1]
-    answer = rungs[-1].model.structure.parts
+    added = [{part.effect.name for part in rung.model.structure.parts
+              if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
     seen: Counter[str] = Counter()
     for which, count in Counter(leading.tolist()).most_common():
         reference = kept[which].fit
@@ -310,8 +311,8 @@ def _resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dic
             again = missed @ weights[draw, of_window]
             if again[-1] <= (1.0 - 0.01 * EXPLAINS) * again[0]:
                 causes = -np.diff(again) >= NEGLIGIBLE * again[0]
-                seen.update({part.effect.name for part, cause in zip(answer, causes, strict=True)
-                             if cause})
+                seen.update(set().union(*compress(added, causes)))
+    answer = rungs[-1].model.structure.parts
     return blocks, {part.effect.name: seen[part.effect.name] / RESAMPLES for part in answer}
 
 

@@ -191,6 +191,7 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
     units = {name: unit_in(own, unit) for name, unit in UNITS.items()}
     values = dict[str, Values]()
     for row in flights:
+        units |= row.get(f'{axis}_base_units', {})
         for name in BASE:
             if (value := row.get(f'{axis}_{name}')) is not None:
                 values.setdefault(name, {})[row['bag']] = (

@@ -44,7 +44,7 @@ OLD_CHANNEL = re.compile(r'^Ch(an)?(?=\d)')
 ARMED, DISARMED = 10, 11
 """Id of EV."""
 OF_RATES = ('RATE.RDes', 'RATE.R', 'RATE.PDes', 'RATE.P', 'RATE.YDes', 'RATE.Y')
-LONGEST_PULSE = 3000.0
+MAX_PULSE = 3000.0
 """µs. No speed controller is sent a longer one."""
 CENTI = 0.01
 """deg/s of RATE's unit in logs with TimeMS, and of a speed in cm/s."""
@@ -223,7 +223,7 @@ def _possible(table: Table) -> Iterator[str]:
                    'measures such rates')
     for name, values in table.columns.items():
         if name.startswith('RCOU.C'):
-            values[values > LONGEST_PULSE] = np.nan
+            values[values > MAX_PULSE] = np.nan
 
 
 def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[str]]:

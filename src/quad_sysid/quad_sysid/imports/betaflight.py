@@ -46,7 +46,7 @@ POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
 DSHOT = (48.0, 2047.0)
 PULSE_US = (1000.0, 2000.0)
-MOST_VOLTS = 100.0
+MAX_VOLTS = 100.0
 """A larger battery value is in hundredths of a volt."""
 ONE_G = 9.80665
 FEWEST = 200
@@ -197,7 +197,7 @@ def _wanted(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Wanted,
     how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if turned else 'the frame is ours')
 
     def volts(values: FloatArray) -> FloatArray:
-        hundredths = units.get('vbatLatest') != 'V' and float(np.median(values)) > MOST_VOLTS
+        hundredths = units.get('vbatLatest') != 'V' and float(np.median(values)) > MAX_VOLTS
         return values * (1e-3 if units.get('vbatLatest') == 'mV' else
                          0.01 if hundredths else 1.0)
 

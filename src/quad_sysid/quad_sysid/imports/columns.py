@@ -74,7 +74,7 @@ class ColumnOptions:
     sample_rate_hz: float | None = None
     """The rate of the rows where no column has their time."""
     frame: str = 'auto'
-    """`flu`, `frd`, or what the acceleration tells."""
+    """`flu`, `frd`, or `auto`: as the acceleration shows."""
     messages: Path | None = None
     """A folder of .msg files, for a bag without definitions."""
 
@@ -221,11 +221,11 @@ def _opposed(options: ColumnOptions, streams: Mapping[str, Stream | None]) -> bo
     rate, angle = streams['rate'], streams['angle']
     if rate is None or angle is None or rate.values.shape != angle.values.shape:
         return False
-    laid = cycles(rate, str(options.file))
-    drawn = draw(angle, laid.times, 3.0 / (angle.rate_hz or np.inf))
+    grid = cycles(rate, str(options.file))
+    drawn = draw(angle, grid.times, 3.0 / (angle.rate_hz or np.inf))
     signs = {}
     for i, axis in enumerate(options.axes):
-        both = turn_factor(laid.values[:, i], drawn[:, i], laid.dt)
+        both = turn_factor(grid.values[:, i], drawn[:, i], grid.dt)
         if both is not None and abs(both[0]) >= TOGETHER:
             signs[axis] = both[1] > 0.0
     others = [turns for axis, turns in signs.items() if axis != 'roll']
@@ -442,9 +442,9 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
     base = streams['rate'] or streams['angle']
     if base is None:
         return []
-    laid = cycles(base, str(options.file))
+    grid = cycles(base, str(options.file))
     on_grid = {
-        role: laid.values if stream is base else draw(stream, laid.times, 3.0 / stream.rate_hz)
+        role: grid.values if stream is base else draw(stream, grid.times, 3.0 / stream.rate_hz)
         for role in ('rate', 'angle', 'reference') if (stream := streams[role]) is not None
     }
     odd = []
@@ -457,7 +457,7 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
         if 'angle' in columns:
             _check_angle(columns['angle'], axis)
         if 'rate' in columns:
-            odd += check_rate(columns['rate'], columns.get('angle'), laid.dt)
+            odd += check_rate(columns['rate'], columns.get('angle'), grid.dt)
         if 'reference' in columns and 'angle' in columns:
             check_reference(columns['reference'], columns['angle'])
     return odd

@@ -18,7 +18,7 @@ from quad_sysid.record import Record, Segment
 
 PAUSE_S = 1.0
 """Time without an injection that ends an experiment."""
-SHORTEST_S = 5.0
+MIN_DURATION_S = 5.0
 """A shorter one trains nothing."""
 
 
@@ -51,7 +51,7 @@ def with_experiments(
     for one in experiments:
         begin, end = (float(t) - start_s for t in one.added.time_s[[0, -1]])
         begin, end = max(begin, 0.0), min(end, record.n * record.dt)
-        if end - begin < SHORTEST_S:
+        if end - begin < MIN_DURATION_S:
             continue
         rows = slice(int(np.ceil(begin / record.dt)), int(end / record.dt))
         times = start_s + record.dt * np.arange(rows.start, rows.stop)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -19,9 +19,11 @@ import numpy as np
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.columns import ColumnOptions, read_columns
+from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.likely import likely_units, one_sided
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.plausible import time_unit
-from quad_sysid.imports.table import Table
+from quad_sysid.imports.table import Table, open_table
 from quad_sysid.imports.to_bag import record_of
 from quad_sysid.imports.units import OPTIONS, UNITS, as_typed, bare, flag, header_unit, unit_of
 from quad_sysid.report.tables import Table as Text
@@ -396,3 +398,29 @@ def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[Triple]:
                 groups.setdefault(stem, ['', '', ''])[i] = name
                 break
     return [(a, b, c) for a, b, c in groups.values()]
+
+
+def read_any(path: Path, log: int = 1, messages: Path | None = None) -> ForeignLog:
+    """A log of a known format, or else a table by the guess of its columns that gives a record.
+
+    Raises BadInputError where it is neither.
+    """
+    known = format_of(path)
+    if known is not None:
+        return read_log(path, known, log, messages)
+    content, refused = open_table(path, messages=messages), ''
+    for guessed in guesses(content):
+        options = guessed.options(path)
+        if options is None:
+            continue
+        try:
+            found = read_columns(options, content)
+            record_of(found)
+        except BadInputError as error:
+            refused = refused or str(error)
+        else:
+            doubt = f'the columns were guessed: check them with quad-sysid import {path}'
+            return replace(found, checks=(*found.checks, doubt))
+    raise BadInputError(
+        str(path), 'is a table whose columns cannot be guessed', refused or None,
+        'quad-sysid import FILE lists them; import it with the right ones, then give the bag')

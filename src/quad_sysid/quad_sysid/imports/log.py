@@ -43,7 +43,7 @@ LACKING = {
 NO_GAINS = "the controller's gains: no closed loop, no gain design"
 ASKED_FOR = 'the input is what the controller demanded: the limits of the motors are not in it'
 FAST_ENOUGH = 0.5
-"""Share of the rates' rate at which motors must be logged to be taken as the input."""
+"""Share of the rates' rate at which motors must be logged to be used as the input."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ class Reading:
                           **{'rates': None, **self.streams, **more},
                           mapped=tuple(self.mapped), missing=tuple(lacking))
 
-    def motors_fast(self, motors: Stream | None, asked: Stream | None) -> bool:
+    def motors_fast(self, motors: Stream | None, command: Stream | None) -> bool:
         """Whether the motors are the input, not what the controller asked for."""
         return motors is not None and (
-            asked is None or motors.rate_hz >= FAST_ENOUGH * self.streams['rates'].rate_hz)
+            command is None or motors.rate_hz >= FAST_ENOUGH * self.streams['rates'].rate_hz)

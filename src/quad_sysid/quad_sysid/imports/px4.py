@@ -36,7 +36,7 @@ ARMED = 2
 """arming_state of vehicle_status."""
 MULTIROTORS = (2, 3, 13, 14, 15, 29, 35)
 """MAV_TYPE of those that fly by their rotors alone."""
-FIRST_MOTOR, MOST_ESCS = 101, 8
+FIRST_MOTOR, MAX_ESCS = 101, 8
 """actuator_function of motor 1; entries of esc_status."""
 LINEAR = 0.98
 """R² of motors over torque set-point from which PX4's gains can be stated in our unit."""
@@ -246,7 +246,7 @@ def _speeds(reading: Reading, count: int) -> None:
     if rpm is None or not np.nanmax(np.abs(rpm.values)) > 0.0:
         return
     values = np.full((len(rpm.time_s), count), np.nan)
-    for i in range(min(size, MOST_ESCS)):
+    for i in range(min(size, MAX_ESCS)):
         named = table.columns.get(f'esc_status.esc[{i}].actuator_function', np.zeros(1))
         motor = int(named[-1]) - FIRST_MOTOR if named[-1] >= FIRST_MOTOR else i
         if 0 <= motor < count:

@@ -21,7 +21,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
 
-MOST_NUMBERS = 64
+MAX_NUMBERS = 64
 """Longest array in a message that becomes columns; a longer one is an image or a cloud."""
 MICRO = 1e-6
 """s of a time stamp of PX4."""
@@ -141,12 +141,12 @@ def read_messages(
     topics: dict[str, _Topic] = {}
     unknown: dict[str, str] = {}
     with _opened(path, messages) as reader:
-        asked = [
+        connections = [
             c for c in reader.connections
             if wanted is None or any(name.startswith(f'{c.topic}.') for name in wanted)
         ]
         known = []
-        for one in asked:
+        for one in connections:
             if one.msgtype in reader.typestore.fielddefs:
                 known.append(one)
             else:
@@ -207,7 +207,7 @@ def _leaves(
     if isinstance(message, bool | int | float | np.number):
         yield name, _getter(path), 0
     elif isinstance(message, np.ndarray | list | tuple):
-        if not 0 < len(message) <= MOST_NUMBERS:
+        if not 0 < len(message) <= MAX_NUMBERS:
             return
         if all(isinstance(x, bool | int | float | np.number) for x in message):
             yield name, _getter(path), len(message)

@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quad_sysid.arguments import (
@@ -16,14 +17,15 @@ from quad_sysid.arguments import (
     command,
     quiet_and_json,
 )
+from quad_sysid.contract import AXES
 from quad_sysid.report.tables import Table, wrapped
 from quad_sysid.report.words import by_reason
 
 if TYPE_CHECKING:
     from quad_sysid.inspection.content import AxisContent, Content, Use
 
-MOST_SEGMENTS = 12
-MOST_WARNINGS = 8
+MAX_SEGMENTS = 12
+MAX_WARNINGS = 8
 SCHEMA = 'quad_sysid/inspection/1'
 
 
@@ -31,10 +33,13 @@ def add(commands: Commands) -> None:
     """Register the command."""
     parser = command(
         commands, 'inspect', _run,
-        'Show on one page what a bag holds and what it can be used for, without a fit.',
-        'quad-sysid inspect flight/',
+        'Show on one page what a bag or log holds and what it can be used for, without a fit.',
+        'quad-sysid inspect flight/', writes='file',
     )
-    parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 directory, .mcap file, a log of PX4, '
+                        'ArduPilot, Betaflight or INAV, or a table')
+    parser.add_argument('--out', metavar='HTML', type=Path,
+                        help='write a page too, with the motors drawn in their places')
     quiet_and_json(parser, 'one JSON object')
 
 
@@ -42,6 +47,12 @@ def _run(options: argparse.Namespace) -> int:
     from quad_sysid.inspection.content import content  # numba and scipy: only where needed
 
     held = content(options.bag)
+    if options.out is not None:
+        from quad_sysid.files import check_page, write_whole
+        from quad_sysid.inspection.page import MARK, page
+
+        check_page(options.out, MARK, 'inspect')
+        write_whole(options.out, page(held))
     if options.json:
         print(json.dumps(tree(held), indent=1))
     elif not options.quiet:
@@ -72,7 +83,7 @@ def lines(held: Content) -> list[str]:
         out += [*_axis(axis), '']
     out += ['usable for', *(line for use in held.uses for line in _use(use))]
     if held.warnings:
-        shown = held.warnings[:MOST_WARNINGS]
+        shown = held.warnings[:MAX_WARNINGS]
         more = len(held.warnings) - len(shown)
         out += ['', 'warnings', *(line for text in shown for line in wrapped(text, '  '))]
         out += [f'  and {more} more (--json)'] if more else []
@@ -85,6 +96,8 @@ def _topics(held: Content) -> Iterator[str]:
          f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_lost_s:.3f}' if one.gaps else '-']
         for one in held.topics.present
     ]
+    if not rows:  # a log, not a bag
+        return
     yield from Table(['topic', 'messages', 'rate, Hz', 'seconds', 'gaps', 'longest, s'], rows,
                      range(1, 6)).text()
     if held.topics.absent:
@@ -124,12 +137,15 @@ def _flight(held: Content) -> Iterator[str]:
 def _segments(held: Content) -> Iterator[str]:
     note = ' (the bag names none: split in time)' if held.split else ''
     yield f'segments{note}'
-    shown = held.segments[:MOST_SEGMENTS]
-    for s in shown:
-        yield (f'  {s.role:<11} {s.signal:<10} {s.axis:<6} {s.injection:<9} '
-               f'{s.start_s:8.2f} to {s.end_s:8.2f} s')
-    if len(held.segments) > len(shown):
-        yield f'  and {len(held.segments) - len(shown)} more (--json)'
+    axes: dict[tuple[str, str, str, float, float], list[str]] = {}
+    for s in held.segments:  # those of several axes at a time in one line
+        axes.setdefault((s.role, s.signal, s.injection, s.start_s, s.end_s), []).append(s.axis)
+    for (role, signal, injection, start_s, end_s), of in [*axes.items()][:MAX_SEGMENTS]:
+        every = 'all' if len(of) > 1 and sorted(of) == sorted(AXES) else ', '.join(of)
+        yield (f'  {role:<11} {signal:<10} {every:<6} {injection:<9} '
+               f'{start_s:8.2f} to {end_s:8.2f} s')
+    if len(axes) > MAX_SEGMENTS:
+        yield f'  and {len(axes) - MAX_SEGMENTS} more (--json)'
 
 
 def _axis(one: AxisContent) -> Iterator[str]:

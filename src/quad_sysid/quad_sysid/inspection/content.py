@@ -1,4 +1,4 @@
-"""A bag → what it holds and what it suffices for: topics, excitation, coherence, limits, battery.
+"""A bag or log → what it holds and suffices for: topics, excitation, coherence, limits, battery.
 
 Nothing is fitted; the conditions are those of the pipeline. cli.py prints it.
 """
@@ -16,12 +16,15 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.bags.storage import Storage
 from quad_sysid.blackbox import excitation_order
-from quad_sysid.contract import TOPIC_TYPES
+from quad_sysid.contract import AXES, TOPIC_TYPES
 from quad_sysid.craft import Craft, X
 from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.foresight import improvement
+from quad_sysid.imports.guess import read_any
+from quad_sysid.imports.table import head_of, is_bag
+from quad_sysid.imports.to_bag import record_of
 from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.motor_layout import (
     Pattern,
@@ -133,7 +136,7 @@ class Use:
 def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]:
     """What one axis' data allow: identification first, then what hangs on more signals.
 
-    untold: why the commands do not tell the rate; empty where they do.
+    `reason`: why the commands do not predict the rate; empty where they do.
     """
     axis, refused = data.axis, reason
     try:
@@ -157,7 +160,7 @@ def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]
 
 
 def _unpredictive(data: AxisData) -> str:
-    """Why the commands do not tell the rate; empty where they do."""
+    """Why the commands do not predict the rate; empty where they do."""
     ratio = improvement(data.rate, data.control, data.train, data.dt)
     if ratio >= DIFFERS:
         return ''
@@ -223,8 +226,8 @@ class AxisContent:
     excitation_order: int | None = None
     """Order to which the command is persistently exciting, at most RICHEST; 0: it stands still."""
     coherent_band_rad_s: tuple[float, float] | None = None
-    """Widest unbroken band of squared coherence above 0.6; None where the commands do not tell the
-    rate: feedback makes noise coherent with itself."""
+    """Widest unbroken band of squared coherence above 0.6; None where the commands do not predict
+    the rate: feedback makes noise coherent with itself."""
 
 
 @dataclass(frozen=True)
@@ -234,6 +237,22 @@ class Battery:
     first: float
     last: float
     lowest: float
+
+
+@dataclass(frozen=True)
+class MotorPlace:
+    """One motor of the craft, m in the body frame FLU, and the signs with which it turns axes."""
+
+    name: str
+    place: str
+    x: float
+    y: float
+    spin: int
+    """1 where the propeller turns counter-clockwise seen from above, -1 where clockwise."""
+    expected: tuple[int, ...]
+    """Sign of more of it on roll, pitch, yaw by its place and spin; 0 for none."""
+    shown: tuple[int | None, ...]
+    """The same by the motion; None where the flight does not show it for certain."""
 
 
 @dataclass(frozen=True)
@@ -263,6 +282,8 @@ class Content:
     layout: tuple[Pattern, ...] = ()
     """Patterns of each moving axis by the motion, in the order of the contract: of the motors, or
     where the bag lacks them of the axis' command."""
+    motors: tuple[MotorPlace, ...] = ()
+    """Where the craft has its motors, beside what the motion shows of each."""
     axes: tuple[AxisContent, ...] = ()
     uses: tuple[Use, ...] = ()
     """Uses of the whole flight."""
@@ -272,13 +293,19 @@ class Content:
 
 
 def content(path: str | Path) -> Content:
-    """Content of a bag; raises BadInputError where it cannot be read."""
-    source = str(path)
-    held = topics(Path(path))
-    try:
-        record = read_bag(path)
-    except BadInputError as error:
-        return Content(source, held, unusable=str(error), warnings=held.warnings)
+    """Content of a bag, a log or a table; raises BadInputError where it cannot be read."""
+    source, held = str(path), Topics((), (), ())
+    if is_bag(Path(path), head_of(Path(path))):
+        held = topics(Path(path))
+        try:
+            record = read_bag(path)
+        except BadInputError as error:
+            return Content(source, held, unusable=str(error), warnings=held.warnings)
+    else:
+        log = read_any(Path(path))
+        record, told, doubts_of_it = record_of(log)
+        record = replace(record, warnings=(
+            *log.checks, *doubts_of_it, *told[:1], *record.warnings))
     named = any(s.role in ('train', 'validation') for s in record.segments)
     with threadpool_limits(limits=1):
         return of_record(split_segments(record), held, split=not named)
@@ -296,7 +323,8 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
                    longest_gap_s=max((b - a for a, b in gaps), default=0) * record.dt, split=split,
                    segments=record.segments, gains=tuple(sorted(record.gains_at(np.inf))),
                    motors_at_limit_pct=_at_limit(record), battery=_battery(record), layout=layout,
-                   axes=axes, uses=_uses_of_flight(axes, 1.0 / record.dt),
+                   motors=_motors(record, layout), axes=axes,
+                   uses=_uses_of_flight(axes, 1.0 / record.dt),
                    craft=described(record.craft)
                    if record.motors is not None or record.craft != X else '',
                    rotors=rotors_of(record).lines,
@@ -321,6 +349,19 @@ def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
     craft = record.craft
     return layout, doubts(f'the mixer of {craft.name}', craft.inverse, layout, record.rates,
                           record.motors, record.dt, record.angles) + places(layout, craft)[1]
+
+
+def _motors(record: Record, layout: Sequence[Pattern]) -> tuple[MotorPlace, ...]:
+    """The craft's motors beside the patterns that are certain."""
+    if record.motors is None:
+        return ()
+    craft = record.craft
+    certain = {p.axis: p.signs for p in layout if p.certain and len(p.signs) == craft.count}
+    return tuple(
+        MotorPlace(f'motor_{k + 1}', place, motor.x, motor.y, motor.spin, expected, tuple(
+            certain[axis][k] if axis in certain else None for axis in AXES))
+        for k, (place, motor, expected) in enumerate(
+            zip(craft.places, craft.motors, craft.signs, strict=True)))
 
 
 def _axis(record: Record, axis: str) -> AxisContent:

@@ -31,7 +31,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from quad_sysid.files import write_whole
+    from quad_sysid.files import check_page, write_whole
     from quad_sysid.logview import several
     from quad_sysid.logview.read import look
 
@@ -49,9 +49,7 @@ def _run(options: argparse.Namespace) -> int:
 
         stem = _stem(Path(options.file[0])) if found else 'several'
         out = Path(options.out or f'{stem}_look.html')
-        if out.exists() and MARK not in out.read_text(encoding='utf-8', errors='replace')[:2000]:
-            raise BadInputError(str(out), 'exists, and is no page of quad-sysid look',
-                                remedy='name another with --out')
+        check_page(out, MARK, 'look')
         show('drawing')
         write_whole(out, page(found) if found else several.page(looks))
     show('')

@@ -63,6 +63,8 @@ class Flown:
     lacks: tuple[str, ...] = ()
     """What is not in the log, and what cannot be measured for that reason."""
     warnings: tuple[str, ...] = ()
+    proposed: tuple[tuple[str, float, float], ...] = ()
+    """Role (`train`, `validation`), start and end, s, of stretches for an identification."""
     gaps: tuple[tuple[float, float], ...] = field(init=False)
     """(start, end) of the stretches without rates, s from the first sample."""
 

@@ -22,6 +22,9 @@ DEG = math.degrees(1.0)
 MARK = '<meta name="generator" content="quad-sysid look">'
 """By which a page of this command is recognised, and may be replaced."""
 MOTORS = ('--blue', '--orange', '--green', '--pink', '--sky', '--ink', '--muted', '--grid')
+ROLES = {'train': '--blue', 'validation': '--orange'}
+PROPOSED = ('<p class="small">Shaded blue: to train, orange: held out, as an identification would '
+            'split it.</p>')
 
 
 def page(look: Measured) -> str:
@@ -87,4 +90,6 @@ def traces(look: Measured, budget: int = zoom.BUDGET) -> str:
         rows.append(zoom.Row('battery, V', [zoom.Line('V', flown.battery_v, '--green')]))
     marks = [zoom.Mark(a, b, '--muted') for a, b in flown.gaps]
     marks += [zoom.Mark(p.stretch.start_s, p.stretch.end_s, '--pink') for p in look.parts[1::2]]
-    return zoom.group(rows, flown.dt, marks, budget)
+    marks += [zoom.Mark(a, b, ROLES[role]) for role, a, b in flown.proposed]
+    said = PROPOSED if flown.proposed else ''
+    return zoom.group(rows, flown.dt, marks, budget) + said

@@ -12,14 +12,12 @@ import numpy as np
 from quad_sysid.bags import read_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import LONGEST_PAUSE, cycles, draw, hold
-from quad_sysid.imports.columns import read_columns
-from quad_sysid.imports.formats import format_of, read_log
-from quad_sysid.imports.guess import guesses
+from quad_sysid.imports.clock import MAX_PAUSE, cycles, draw, hold
+from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.stretches import airborne
-from quad_sysid.imports.table import head_of, is_bag, open_table
+from quad_sysid.imports.table import head_of, is_bag
 from quad_sysid.imports.to_bag import record_of
 from quad_sysid.logview.flown import Flown
 from quad_sysid.logview.measure import Measured, look_at
@@ -94,10 +92,7 @@ def read(path: Path, log: int = 1, messages: Path | None = None) -> Flown:
     if is_bag(path, head_of(path)):
         with suppress(BadInputError):  # then it holds other topics, which the readers below know
             return of_record(read_bag(path), 'a bag')
-    known = format_of(path)
-    if known is not None:
-        return of_log(read_log(path, known, log, messages))
-    return of_log(_table(path, messages))
+    return of_log(read_any(path, log, messages))
 
 
 def of_record(record: Record, kind: str) -> Flown:
@@ -108,7 +103,14 @@ def of_record(record: Record, kind: str) -> Flown:
         rate_setpoint=record.rate_setpoint, angles=record.angles,
         attitude_setpoint=record.attitude_setpoint, control=record.control, motors=record.motors,
         speeds=record.speeds, battery_v=record.battery_v, gains=record.gains,
-        injected=_injected(record), warnings=record.warnings))
+        injected=_injected(record), warnings=record.warnings, proposed=_proposed(record)))
+
+
+def _proposed(record: Record) -> tuple[tuple[str, float, float], ...]:
+    """Role, start and end, s, of the segments that train or are held out, of all axes at once."""
+    spans = [(s.role, s.start_s, s.end_s) for s in record.segments
+             if s.role in ('train', 'validation')]
+    return tuple(dict.fromkeys(spans))
 
 
 def _injected(record: Record) -> FloatArray | None:
@@ -206,7 +208,7 @@ def _complete(found: Flown) -> Flown:
 
 
 def _drawn(stream: Stream, times: FloatArray) -> FloatArray:
-    return draw(stream, times, LONGEST_PAUSE / stream.rate_hz)
+    return draw(stream, times, MAX_PAUSE / stream.rate_hz)
 
 
 def _moving(rates: FloatArray) -> tuple[str, ...]:
@@ -214,23 +216,3 @@ def _moving(rates: FloatArray) -> tuple[str, ...]:
               for i in range(len(AXES))]
     return tuple(axis for axis, one in zip(AXES, spread, strict=True) if one > STILL)
 
-
-def _table(path: Path, messages: Path | None) -> ForeignLog:
-    """A table by the guess of its columns that the import accepts."""
-    content = open_table(path, messages=messages)
-    refused = ''
-    for guessed in guesses(content):
-        options = guessed.options(path)
-        if options is None:
-            continue
-        try:
-            found = read_columns(options, content)
-            record_of(found)
-        except BadInputError as error:
-            refused = refused or str(error)
-        else:
-            doubt = f'the columns were guessed: check them with quad-sysid import {path}'
-            return replace(found, checks=(*found.checks, doubt))
-    raise BadInputError(
-        str(path), 'is a table whose columns cannot be guessed', refused or None,
-        'quad-sysid import FILE lists them; import it with the right ones, then look at the bag')

@@ -39,6 +39,9 @@ FEWEST = 10
 LEAST_FIT, LEAST_END = 0.5, 0.3
 """Share of the output's variance that a response must explain, and of the step at which it must
 end, to be stated: else something other than the set-point moves the output."""
+LEAST_SURE = 0.03
+"""Largest standard deviation, as a share of the step, with which a class is stated: windows of one
+class may hold high frequencies alone, as a chirp's whose size falls, and no end of the step."""
 SPREAD = (16.0, 84.0)
 """Percentiles of the windows that the spread shows: one standard deviation either way."""
 
@@ -205,11 +208,16 @@ def _response(held: _Windows, inside: npt.NDArray[np.bool_], step: float, quanti
     m = len(cross)
     group = np.eye(-(-m // max(1, m // COARSE))).repeat(max(1, m // COARSE), axis=0)[:m]
     share, size, noise = _prior(group.T @ gram @ group, group.T @ cross, power, rows, m)
-    impulse = np.linalg.solve(gram / noise + _precision(m, m, share, size)[0], cross / noise)
+    whole = gram / noise + _precision(m, m, share, size)[0]
+    impulse = np.linalg.solve(whole, cross / noise)
     fit = 1.0 - (power - 2.0 * impulse @ cross + impulse @ gram @ impulse) / power
     mean = np.cumsum(impulse)
     figures = step_figures(mean, step)
     if not (fit >= LEAST_FIT and figures.final_error_pct <= 100.0 * (1.0 - LEAST_END)):
+        return None
+    sums = np.tri(m)
+    if name != 'all' and np.sum(sums * np.linalg.solve(whole, sums.T).T, axis=1).max() > (
+            LEAST_SURE**2):
         return None
     left = output - fftconvolve(held.past[inside], impulse[None], mode='valid', axes=1)
     left = (left[:, None, :] @ held.coarse[inside])[:, 0]

@@ -212,7 +212,7 @@ def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
 
 
 def gain_range(model: AxisModel) -> tuple[float, float, float]:
-    """Least, usual and largest factor on the gain by what no signal of a loop tells; 1 without.
+    """Least, usual and largest factor on the gain by effects outside of the loop; 1 without.
 
     What it remembers, from cold on, what swings or wanders, and what changed over the flight.
     """

@@ -7,7 +7,7 @@ reads and writes its file.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
@@ -199,6 +199,15 @@ class AxisModel:
         return [(p.name, p) for p in self.base] + [
             (f'{effect.name}.{p.name}', p) for effect in self.effects for p in effect.parameters
         ]
+
+    def in_units(self, p: Parameter) -> Parameter:
+        """In the units of the arrays, in which those of a law of the user's are as they stand."""
+        if self.units is None or (self.law and p.name.startswith(f'{self.law.name}.')):
+            return p
+        unit, factor = self.units.parameter(p.unit)
+        return replace(p, value=factor * p.value, unit=unit,
+                       std=None if p.std is None else abs(factor) * p.std,
+                       interval=p.interval and (factor * p.interval[0], factor * p.interval[1]))
 
     def shows(self, p: Parameter) -> bool:
         """Whether a parameter is one of the model, and no built-in term that a law replaces."""

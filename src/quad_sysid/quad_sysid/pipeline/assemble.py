@@ -114,7 +114,10 @@ def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple
         out = int(np.count_nonzero(beyond > BEYOND * (high - low)))
         if out:
             least, most = float(np.nanmin(flown)), float(np.nanmax(flown))
-            found.append(Outside(name, out * data.dt, least, most, low, high))
+            ends = (least, most, low, high)
+            shown = ends if model.units is None else (
+                model.units.signal_in(name, end) for end in ends)
+            found.append(Outside(name, out * data.dt, *shown))
     return tuple(sorted(found, key=lambda one: -one.seconds))
 
 

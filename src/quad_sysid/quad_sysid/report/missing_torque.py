@@ -25,7 +25,7 @@ from quad_sysid.model.effect import Drive, Effect, Part, Signals, per_unit
 HALF_SPAN_S = 0.025
 BLOCK_S = 1.0
 BINS = 17
-LEAST_IN_A_BIN = 40
+MIN_IN_A_BIN = 40
 GRID = 301
 Z95 = 1.96
 
@@ -77,7 +77,7 @@ class Replay:
         return flight.signals(values, halves, states, self.fit.rate)
 
     def acceleration(self, without: int | None = None) -> FloatArray:
-        """(n,) mean over each cycle, rad/s², also with one effect taken out."""
+        """(n,) mean over each cycle, rad/s², also without one effect."""
         structure, values = self.fit.structure, self.fit.values
         followed = self.followed()
         if without is not None:
@@ -303,14 +303,14 @@ def binned(x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins:
     f = np.ones_like(x) if weights is None else weights
     inside = past_start(spans, dt)
     good = inside[np.isfinite(x[inside]) & np.isfinite(y[inside]) & np.isfinite(f[inside])]
-    if good.size < 4 * LEAST_IN_A_BIN or np.ptp(x[good]) <= 0.0:
+    if good.size < 4 * MIN_IN_A_BIN or np.ptp(x[good]) <= 0.0:
         return None
     x, y, f = x[good], y[good], f[good]
     edges = _edges(x, bins)
     number = np.clip(np.searchsorted(edges, x, side='right') - 1, 0, edges.size - 2)
     count = np.bincount(number, minlength=edges.size - 1).astype(float)
     power = np.maximum(np.bincount(number, f**2, minlength=count.size), 1e-300)
-    keep = (count >= LEAST_IN_A_BIN) & (power > 1e-6 * power.max())
+    keep = (count >= MIN_IN_A_BIN) & (power > 1e-6 * power.max())
     if keep.sum() < 3:
         return None
     middle = np.bincount(number, x, minlength=count.size) / np.maximum(count, 1.0)

@@ -278,7 +278,7 @@ READERS: dict[Any, Callable[[Any, Any, str], Any]] = {
     str: _text, float: _number, int: lambda *given: int(_number(*given)), Mapping: _mapping,
     tuple: _tuple, np.ndarray: _array, npt.NDArray: _array,  # the origin from numpy 2.5 on
 }
-"""By the declared type; what it does not name is taken as it is."""
+"""Readers by the declared type; values of other types are used as they are."""
 
 
 def _read_fields(kind: Any, tree: Mapping[str, Any], where: str) -> dict[str, Any]:

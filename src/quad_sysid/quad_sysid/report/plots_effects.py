@@ -17,7 +17,7 @@ from quad_sysid.report.canvas import (
 )
 from quad_sysid.report.plots_models import Z99, runs
 
-MOST_RIVALS = 5
+MAX_RIVALS = 5
 SHOWN = ('rate', 'angle', 'command')
 
 
@@ -103,7 +103,7 @@ def rivals(answer: AxisAnswer) -> Picture | None:
     for effect in answer.model.effects if answer.model else ():
         others = sorted(effect.rivals, key=lambda rival: -rival[1])
         if others:
-            lists.append([(effect.name, effect.probability), *others[:MOST_RIVALS]])
+            lists.append([(effect.name, effect.probability), *others[:MAX_RIVALS]])
     if not lists:
         return None
     rows = sum(len(one) for one in lists)

@@ -45,7 +45,7 @@ class Tryout {
         m.n0 = k.notch_turn * (now - seen) + m.n1; m.n1 = k.notch * now - k.notch_keep * seen; now = seen;
       }
       m.d += k.d_weight * ((now - m.last) / k.dt - m.d); m.last = now;
-      const forward = k.kff * target + k.kff_slope * (target - m.was) / k.dt; m.was = target;
+      const forward = k.kff * target + k.kff_slope * (added - m.was) / k.dt; m.was = added; // of the stick alone
       return clip(low('out', kp * error + m.integral - kd * m.d + forward, k.output_weight), k.output_limit);
     };
   }
@@ -135,7 +135,7 @@ class Tryout {
       'Rise ' + n(1e3 * s.rise, 0, ' ms') + ', overshoot ' + n(s.over, 0, ' %') + '; crossover ' + n(m.cross, 1, ' rad/s')
       + ', phase margin ' + n(m.phase, 0, '°') + ', gain margin ' + n(m.gain, 1, ' dB') + ', peak of sensitivity '
       + m.worst.toFixed(2) + '; noise in the command × ' + (m.noise / this.noise).toFixed(2) + '.';
-    this.text.textContent = this.d.names.map((name, i) => name + ': ' + +this.gains[i].toPrecision(4)).join('\n');
+    this.text.textContent = this.inputs.map(([,, i]) => this.d.names[i] + ': ' + +this.gains[i].toPrecision(4)).join('\n');
     this.found = {...m, ...s, step: now, redraw_ms: performance.now() - begun};
   }
 }

@@ -64,7 +64,9 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
     if not active.get(f'{axis}.rate.kp', 0.0) > 0.0:
         return None
     model, names = in_flight(model), [contract_names(axis)[field] for field in TUNED]
-    flown = CascadeGains.from_mapping({names[0]: 0.0, **active}, axis)
+    stick = f'{axis}.rate.tpa_kp' in active  # a blackbox log holds the stick's rate, no angle's
+    flown = CascadeGains.from_mapping(
+        {names[0]: 0.0, **active} | ({names[0]: 0.0} if stick else {}), axis)
     plant, omega = loop_plant(model), frequency_grid(model.dt, POINTS, 0.5)
     loops = loops_of([(plant, plant.trial.wide), (plant, plant.trial.near_rest)])
     rate, angle = loops.response(omega)

@@ -71,7 +71,7 @@ def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAns
 
 
 def _move(draft: Path, folder: Path) -> None:
-    """All files of a room to their places in a folder."""
+    """Move all files of the draft to their places in a folder."""
     for path in sorted(draft.rglob('*'), key=lambda path: path.name == 'report.json'):
         target = folder / path.relative_to(draft)
         try:

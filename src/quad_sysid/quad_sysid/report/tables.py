@@ -302,12 +302,13 @@ def approaches(tree: Tree) -> Table:
 
 def residuals(tree: Tree) -> Table:
     """The tests of each model's one-step errors on the held-out data."""
-    rows, unit = [], tree['error']['unit']
+    rows, unit, acceleration = [], tree['error']['unit'], 'rad/s²'
     for key, name in MODELS:
         tests = (tree.get('residual') or {}).get(key)
         if not tests or (key == 'after' and not tree['effects']):
             continue
         torque = tests.get('missing_torque') or {}
+        acceleration = torque.get('unit', acceleration)
         rows.append([
             name, number(tests['rms']), f'{yes(tests["white"])} (p {chance(tests["p_white"])})',
             f'{yes(tests["uncorrelated_with_input"])} (p {chance(tests["p_input"])})',
@@ -316,7 +317,8 @@ def residuals(tree: Tree) -> Table:
         ])
     return Table(
         ['model', f'RMS, {unit}', 'white', 'free of past commands', 'peaks',
-         f'{"torque" if unit == "rad/s" else "force"}, {unit}²', 'expected'], rows, (1, 5, 6),
+         f'{"torque" if acceleration[0] in "rd" else "force"}, {acceleration}', 'expected'],
+        rows, (1, 5, 6),
         caption='One-step errors on held-out data, tests at 99 %. Torque: RMS of the disturbance '
         "that the model's filter sees; expected: what its own noise model says.",
     )

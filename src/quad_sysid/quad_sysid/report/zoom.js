@@ -198,7 +198,8 @@ if (window.parent !== window) {
   addEventListener('message', e => {
     if (e.source !== window.parent || !e.data || !e.data.zoom) return;
     groups.forEach((g, k) => {
-      g.mode = e.data.mode || 'zoom'; g.marks = own[k].concat(e.data.marks || []); g.draw();
+      g.mode = e.data.mode || 'zoom'; const drawn = e.data.marks || []; // they replace what was proposed in the same colour
+      g.marks = own[k].filter(m => !drawn.some(d => d.colour === m.colour)).concat(drawn); g.draw();
     });
   });
   addEventListener('zoom-select', e => window.parent.postMessage({zoomSelect: e.detail}, '*'));

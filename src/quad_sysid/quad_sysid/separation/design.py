@@ -104,7 +104,7 @@ def _part(injection: str, signal: str, parameters: Mapping[str, float], amplitud
 NOTHING = 'nothing'
 SIMULATED_S = 30.0
 """Longest simulated flight, s; longer ones only repeat it."""
-SHORTEST_S = 10.0
+MIN_DURATION_S = 10.0
 DETECTABLE_NATS = 12.0
 """Evidence, nats, at which a plain PRBS of the whole length just finds an effect: its prior costs
 some 7, and 5 remain. A rival that the model does not contain is made that strong."""
@@ -292,8 +292,8 @@ def _check(names: Names, seconds: float, effects: Sequence[Effect]) -> None:
                                 f'use {", ".join(all_names)}')
     if names[0] == names[1]:
         raise BadInputError('--separate', 'needs two different effects', ' '.join(names))
-    if not SHORTEST_S <= seconds <= 600.0:
-        raise BadInputError('--seconds', f'must be from {SHORTEST_S:g} to 600', seconds)
+    if not MIN_DURATION_S <= seconds <= 600.0:
+        raise BadInputError('--seconds', f'must be from {MIN_DURATION_S:g} to 600', seconds)
 
 
 def _sized(aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation,

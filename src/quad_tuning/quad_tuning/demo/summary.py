@@ -116,7 +116,7 @@ class FlightSummary:
 
 @dataclass(frozen=True)
 class Outcome:
-    """All that the summary tells."""
+    """The content of the summary."""
 
     axis: str
     first: FlightSummary
