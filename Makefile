@@ -17,7 +17,7 @@ ARGS ?=
 # cache of bytecode, also where the shell has it switched off; they begin in the order of test/conftest.py
 PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup --no-loadscope-reorder
 
-.PHONY: build-test build-lint build-docs help demo flight qemu pictures app-picture test test-qemu test-browser test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-mixer bench-link bench-effects-speed bench-peers bench-likelihood bench-outside bench-twice bench-fleet bench-results wheel docs lock shell clean
+.PHONY: build-test build-lint build-docs build-others help demo flight qemu pictures app-picture test test-qemu test-browser test-others test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-mixer bench-link bench-effects-speed bench-peers bench-likelihood bench-intervals bench-outside bench-twice bench-ablation bench-fleet bench-results wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -31,7 +31,7 @@ qemu: build  ## the STM32's ELF for demo ARGS=--qemu (needs gcc-arm-none-eabi, q
 	    exit 2; }; done
 	@$(RUN) make -s -C firmware PYTHON=python stm32 && arm-none-eabi-size firmware/build/stm32f405.elf
 
-firmware-table: qemu  ## measure the STM32's ELFs in QEMU: the table of docs/firmware.md
+firmware-table: qemu  ## measure the STM32's ELFs in QEMU: the table of docs/results/firmware.md
 	@$(RUN) exec python tools/firmware_table.py firmware/build
 
 flight: build  ## two simulated flights as bags, my_flight and another_flight (seconds; ARGS=FOLDER)
@@ -55,6 +55,9 @@ test-qemu: build-test  ## the STM32's ELF in QEMU: gains under faults, and the w
 test-browser: build-test  ## the pages and the app in Debian's Chromium (a minute or two)
 	@$(PYTEST) -m browser $(if $(ARGS),$(ARGS),test/quad_sysid/test_app.py test/quad_sysid/test_report_browser.py)
 
+test-others: build-others  ## with an S3 server, pandas, polars, xarray and duckdb, which nothing else needs (a minute)
+	@export PYTHONPATH=$$PWD/.venv/others; $(PYTEST) -n 0 -m others $(if $(ARGS),$(ARGS),test/quad_sysid/test_fleet.py test/quad_sysid/test_arrays.py)
+
 test-long: build-test  ## soaks, studies and sweeps alone (an hour or more)
 	@$(PYTEST) -m long $(ARGS)
 
@@ -63,6 +66,9 @@ build:  ## venv with the pinned packages and colcon build into install/
 
 build-test build-lint build-docs:
 	@tools/set_up.sh $(@:build-%=%)
+
+build-others:
+	@tools/set_up.sh test others
 
 lint: build-lint  ## ruff, mypy --strict, mypy for benchmarks, the import rules; the firmware's C with clang and cppcheck
 	@$(RUN) status=0; \
@@ -88,8 +94,14 @@ bench-peers: build  ## one axis from arrays by other packages, beside ours (20 m
 bench-likelihood: build  ## the fit against the Cramer-Rao bound, the evidence against the truth (15 minutes)
 	@$(RUN) OPENBLAS_NUM_THREADS=1 python bench/accuracy.py; exec python bench/evidence.py
 
+bench-intervals: build  ## gain, lag and damping of random axes beside their intervals (10 minutes; ARGS='--plants 6')
+	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/intervals.py $(ARGS)
+
 bench-outside: build  ## effects that others wrote from textbooks, two levels of noise (two hours; ARGS='--only rigs')
-	@$(RUN) export OPENBLAS_NUM_THREADS=1; python bench/outside.py --noise 0.3 $(ARGS); exec python bench/outside.py $(ARGS)
+	@$(RUN) export OPENBLAS_NUM_THREADS=1; python bench/effects_outside.py --noise 0.3 $(ARGS); exec python bench/effects_outside.py $(ARGS)
+
+bench-ablation: build  ## groups of candidates left out where they matter (two hours; ARGS='--flights 20')
+	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/effects_ablation.py $(ARGS)
 
 bench-twice: build  ## each aircraft flown twice: does the answer come again? (an hour; ARGS='--plants 12')
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/effects_twice.py $(ARGS)
@@ -97,7 +109,7 @@ bench-twice: build  ## each aircraft flown twice: does the answer come again? (a
 bench-fleet: build  ## what a fleet costs beside its bags, one worker and two (ten minutes; ARGS=--drift)
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/fleet.py $(ARGS)
 
-bench-results: build  ## the tables of docs/results.md from bench/results
+bench-results: build  ## the tables of the pages of results from bench/results
 	@$(RUN) exec python bench/results.py
 
 bench-tuning: build  ## gains on 100 virtual airframes, and peers (20 minutes; ARGS='--count 12')
@@ -118,10 +130,17 @@ bench-log: build  ## what the log loses under load and when killed, how fast bag
 docs: build-docs  ## the documentation as a site in site/, links checked
 	@$(RUN) exec python -m mkdocs build --clean --quiet
 
-wheel: build  ## wheels of the part that needs no ROS, in dist/
-	@$(RUN) for package in quad_sysid quad_tuning; do \
-	    python -m pip wheel --quiet --no-deps --no-build-isolation \
-	        --wheel-dir dist src/$$package; rm -rf src/$$package/build; done; ls dist/*.whl
+# from the last commit, and the same bytes each time: its files, its date, one order, owner and umask
+wheel: build  ## wheels and source packages of the part that needs no ROS, of the last commit, in dist/
+	@$(RUN) umask 022; dist=$$PWD/dist; at=$$(mktemp -d); trap 'rm -rf "$$at"' EXIT; mkdir -p "$$dist"; \
+	export SOURCE_DATE_EPOCH=$${SOURCE_DATE_EPOCH:-$$(git log -1 --format=%ct)}; \
+	git archive HEAD src LICENSE | tar -x -C "$$at"; for package in quad_sysid quad_tuning; do \
+	    cd "$$at/src/$$package"; rm -f "$$dist"/$$package-*; \
+	    python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir "$$dist" .; \
+	    python setup.py --quiet sdist --formats=tar --dist-dir "$$at" 2>/dev/null; \
+	    name=$$(basename "$$at"/$$package-*.tar .tar); tar -x -C "$$at" -f "$$at/$$name.tar"; \
+	    tar --sort=name --mtime=@$$SOURCE_DATE_EPOCH --owner=0 --group=0 --numeric-owner -C "$$at" -c "$$name" \
+	        | gzip -9n >"$$dist/$$name.tar.gz"; done; ls "$$dist"
 
 PIN := uv pip compile -q --no-annotate --no-header --no-emit-index-url --no-emit-find-links
 FOR_ALL := $(PIN) --universal --python-version 3.10
@@ -133,6 +152,7 @@ lock:  ## pin anew what requirements/*.in ask for (needs uv and a network)
 	$(FOR_ALL) -c "$$every" build.in >"$$common" && \
 	for name in test lint docs; do \
 	    $(FOR_ALL) -c "$$every" build.in $$name.in | grep -vxFf "$$common" | $(OURS) >$$name.txt; done && \
+	$(FOR_ALL) -c <(grep -v '^python-dateutil' "$$every") others.in | grep -vxFf "$$every" | $(OURS) >others.txt && \
 	$(PIN) --python-version 3.12 jazzy.in >jazzy.txt
 
 shell: build  ## a shell with the venv and the workspace sourced

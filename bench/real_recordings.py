@@ -2,7 +2,7 @@
 
 `python bench/real_recordings.py FOLDER OUT` imports and identifies what of RECORDINGS lies in
 FOLDER or in shared/data; what has its report in OUT is not run again. The origins stand in
-docs/real_recordings.md.
+docs/results/recordings.md.
 """
 
 from __future__ import annotations

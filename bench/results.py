@@ -1,25 +1,31 @@
-"""The tables of docs/results.md, from the rows that the benchmarks wrote: `make bench-results`.
+"""The tables of the pages of results, from the data in bench/results: `make bench-results`.
 
-What is published is copied from bench/out to bench/results. A table stands between
-`<!-- name -->` and `<!-- end -->`; of a name without rows nothing changes. Nothing is flown here.
+A table stands between `<!-- name -->` and `<!-- end -->` in docs/results.md or docs/results/. It
+is computed from the rows that a benchmark wrote (`TABLES`; copy them from bench/out to
+bench/results), or is `bench/results/name.csv` as it stands. Where a name has no data nothing
+changes; nothing is flown here.
+
+    python bench/results.py --check       # fails where a page differs from its data
 """
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from effects_judge import SPOILED, extra, right
+from intervals import WITHIN
 
 ROWS = Path(__file__).parent / 'results'
-PAGE = Path(__file__).parents[1] / 'docs' / 'results.md'
+DOCS = Path(__file__).parents[1] / 'docs'
+PLACE = re.compile(r'(<!-- (\w+) -->\n)(.*?)(<!-- end -->)', re.DOTALL)
 EDGES = (0.0, 0.5, 0.8, 0.95, 0.99, 1.01)
 Row = dict[str, Any]
 
@@ -73,7 +79,7 @@ def disturbances(rows: Sequence[Row]) -> str:
 
 
 def outside(rows: Sequence[Row]) -> str:
-    """Effects from outside the project (outside.py)."""
+    """Effects from outside the project (effects_outside.py)."""
     counted = [r for r in rows if r['counts']]
     return table(['flights that count', 'reported', 'half of the gap closed', 'made worse by 5 %',
                   'a wrong name'], [[
@@ -96,6 +102,20 @@ def twice(rows: Sequence[Row]) -> str:
     ])
 
 
+def intervals(rows: Sequence[Row]) -> str:
+    """Gain, lag and damping within their 95 % intervals (intervals.py)."""
+    out = []
+    for rough in (False, True):
+        own = [r for r in rows if r['rough'] == rough and r['verdict'] != 'cannot_tell']
+        cells = []
+        for name in own[0]['told']:
+            away = [(r['told'][name][0] - r['truth'][name]) / r['told'][name][1] for r in own
+                    if r['told'][name][1] is not None]
+            cells.append(share([abs(one) < WITHIN for one in away]))
+        out.append(['with friction and drag' if rough else 'bare', *cells])
+    return table(['', 'gain', 'lag', 'damping', 'damping, with what is not named'], out)
+
+
 def calibration(rows: Sequence[Row]) -> str:
     """What `probability` and `reproducible` promise, and how often the other flight agrees."""
     claims = [(p, again, name in {other for other, *_ in b['claims']})
@@ -112,27 +132,96 @@ def calibration(rows: Sequence[Row]) -> str:
     return table(['said', 'by `probability`, agreed', 'by `reproducible`, agreed'], out)
 
 
+SETS = ('set', 'noise', 'flights that count', 'something is reported (target 95 %)',
+        'half of the gap closed (90 %)', 'made worse by 5 % (none)',
+        'a wrong name with a probability over one half (3 %)')
+FIGURES = ('counted', 'reported', 'half_of_the_gap', 'made_worse', 'wrong_names')
+
+
+def sets() -> str:
+    """Effects from outside the project, as their sets were opened, and sums of each two sets."""
+    with (ROWS / 'outside_sets.csv').open(encoding='utf-8', newline='') as file:
+        rows = list(csv.DictReader(file))
+    cells = [[f'{r["set"]}: {r["physics"]} ({r["asked for"]})', r['noise'],
+              *(r[key] for key in FIGURES)] for r in rows]
+    for _, group in groupby(rows[2:], lambda r: int(r['set']) // 2):
+        two = list(group)
+        count, reported, half, worse, wrong = (sum(int(r[key]) for r in two) for key in FIGURES)
+        cells.append([f'{two[0]["set"]} and {two[-1]["set"]} together', '', count, reported,
+                      f'{half} ({100 * half / count:.0f} %)', worse,
+                      f'{wrong} ({100 * wrong / count:.0f} %)'])
+    return table(SETS, cells)
+
+
+def ablation(rows: Sequence[Row]) -> str:
+    """Groups of candidates left out of the search (effects_ablation.py)."""
+    whole = {r['number']: r for r in rows if r.get('left_out') == ''}
+
+    def closed(row: Row) -> float | None:
+        before, true = (whole[row['number']].get(key) for key in ('before', 'true'))
+        return None if true is None else (before - row['after']) / (before - true)
+
+    def shown(each: Sequence[Row]) -> list[str]:
+        gaps = [gap for gap in map(closed, each) if gap is not None]
+        known = [r for r in each if r['kind'] in ('named', 'pair')]
+        return [share([gap >= 0.5 for gap in gaps]) if gaps else '–',
+                share([right(r) for r in known]) if known else '–',
+                f'{sum(r["seconds"] for r in each):.0f}' if each else '–']
+
+    out = []
+    for group in (r for r in rows if 'group' in r):
+        without = [r for r in rows if r.get('left_out') == group['group']]
+        pairs = zip(shown([whole[r['number']] for r in without]), shown(without), strict=True)
+        out.append([group['group'], f'{group["candidates"]}, {group["parameters"]}', len(without),
+                    *(both[0] if both[0] == '–' else f'{both[0]}; {both[1]}' for both in pairs)])
+    return table(['left out', 'candidates, parameters', f'stand in the answer of, of {len(whole)}',
+                  'half of the gap closed, with; without', 'right names', 'CPU s'], out)
+
+
 TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
     'named': ('rows*.jsonl', named), 'disturbances': ('hard_*.jsonl', disturbances),
     'outside': ('outside_*.jsonl', outside), 'twice': ('twice.jsonl', twice),
-    'calibration': ('twice.jsonl', calibration),
+    'calibration': ('twice.jsonl', calibration), 'ablation': ('ablation.jsonl', ablation),
+    'intervals': ('intervals.jsonl', intervals),
 }
 """Name in the page → files of its rows, and how it is made."""
 
 
-def _filled(new: str, place: re.Match[str]) -> str:
-    return f'{place[1]}{new}{place[2]}'
+def made(name: str) -> str | None:
+    """The table of this name, None where it has no data."""
+    if name == 'outside_sets':
+        return sets()
+    if name in TABLES:
+        files, make = TABLES[name]
+        rows = rows_of(files)
+        return make(rows) if rows else None
+    file = ROWS / f'{name}.csv'
+    if not file.exists():
+        return None
+    with file.open(encoding='utf-8', newline='') as lines:
+        head, *cells = csv.reader(lines)
+    return table(head, cells)
+
+
+def filled(page: str) -> str:
+    """The page with the tables of today's data."""
+    return PLACE.sub(
+        lambda at: f'{at[1]}{new}\n{at[4]}' if (new := made(at[2])) else at[0], page)
 
 
 def main() -> int:
-    """Write what has rows into the page."""
-    page = PAGE.read_text('utf-8')
-    for name, (files, made) in TABLES.items():
-        rows = rows_of(files)
-        between = re.compile(f'(<!-- {name} -->\n).*?(<!-- end -->)', re.DOTALL)
-        if rows:
-            page = between.sub(partial(_filled, made(rows) + '\n'), page)
-    PAGE.write_text(page, 'utf-8')
+    """Write what has data into the pages; `--check` compares only."""
+    behind = []
+    for path in (DOCS / 'results.md', *sorted((DOCS / 'results').glob('*.md'))):
+        old = path.read_text('utf-8')
+        new = filled(old)
+        if new != old:
+            behind.append(path.name)
+            if '--check' not in sys.argv:
+                path.write_text(new, 'utf-8')
+    if '--check' in sys.argv and behind:
+        print(f'{", ".join(behind)}: differs from bench/results; run make bench-results')
+        return 1
     return 0
 
 

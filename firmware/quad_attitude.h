@@ -12,11 +12,11 @@
 #include "quad_filter.h"
 
 #define QUAD_BLIND_S 0.1f /* without a sample of the gyro: the motors stop, the attitude begins anew */
-#define QUAD_MOST_SAMPLES 20 /* of gyro and accelerometer in one control cycle */
+#define QUAD_MOST_SAMPLES 20 /* samples of gyro and accelerometer in one control cycle */
 
 /* What changes slowly; NaN where it is not measured. */
 typedef struct {
-    float battery_v; /* of the pack; what a board hands over is at its pin, behind BAT_DIVIDER */
+    float battery_v; /* pack voltage; a board gives that at its pin, behind BAT_DIVIDER */
     float mag_gauss[3]; /* chip axes */
     float pressure_hpa;
     float temperature_c;
@@ -41,7 +41,7 @@ typedef struct {
 
 typedef struct {
     quad_low_pass gyro, accel;
-    quad_notch notches[2]; /* of the gyro */
+    quad_notch notches[2]; /* notches on the gyro */
     float turned[3];       /* BOARD_ROLL, BOARD_PITCH, BOARD_YAW of `turn` */
     float turn[3][3];      /* from the board's axes to the body's */
     float mag[3];          /* gauss, body axes, less its offset; NaN where not measured */

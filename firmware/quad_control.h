@@ -38,9 +38,9 @@ typedef struct {
 } quad_feedback;
 
 typedef struct {
-    float integral[3], slope[3], last_rate[3]; /* of C2 */
-    float not_given[3]; /* of U2..U4, command less what the motors gave in the last cycle */
-    quad_notch d_notch; /* of the rates that kd sees */
+    float integral[3], slope[3], last_rate[3]; /* state of C2 */
+    float not_given[3]; /* U2..U4 that the motors could not give in the last cycle */
+    quad_notch d_notch; /* notch before kd */
     float d_rate[3];
     float yaw_reference;
     float volts; /* low-passed; 0 before the first measurement */

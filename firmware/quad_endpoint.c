@@ -163,7 +163,7 @@ static void keep_still(quad_endpoint *e, const quad_cycle *r)
     }
 }
 
-/* Whether this is a set-up with which something may arm; tells why not, once. */
+/* Whether the set-up allows arming; says once why not. */
 static void check_setup(quad_endpoint *e, const quad_cycle *r)
 {
     const char *fault = quad_setup_fault(r->gains);

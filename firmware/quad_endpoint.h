@@ -36,7 +36,7 @@
 typedef struct {
     uint8_t system, component; /* ids of this end, usually 1 and 1 */
     uint64_t aircraft;         /* unique number of this controller, as the chip's id */
-    uint16_t rate_hz;          /* of the control cycle, 50 or more */
+    uint16_t rate_hz;          /* control cycles per second, 50 or more */
     float low_battery_v;       /* no excitation and no arming below it */
     bool armed;                /* at the start: for rigs, whose switch is in the supply */
     bool may_arm;              /* by command of the bridge; disarming is always obeyed */
@@ -114,7 +114,7 @@ void quad_endpoint_init(quad_endpoint *e, const quad_settings *settings);
 /* Take bytes that arrived at now_us; what answers them waits for quad_endpoint_send. */
 void quad_endpoint_receive(quad_endpoint *e, const uint8_t *bytes, size_t count, uint64_t now_us);
 
-/* Begin the cycle that starts at now_us: fills the record as told there. */
+/* Begin the cycle that starts at now_us: fills the record as described there. */
 void quad_endpoint_begin_cycle(quad_endpoint *e, uint64_t now_us, const quad_pilot *pilot,
                                quad_cycle *record);
 

@@ -6,7 +6,7 @@
 #include <stddef.h>
 
 #define PI_F 3.14159265f
-#define HIGHEST 0.45f /* of the sampling rate */
+#define HIGHEST 0.45f /* share of the sampling rate */
 
 void quad_low_pass_tune(quad_low_pass *filter, float hz, float sample_s)
 {

@@ -12,8 +12,8 @@ typedef struct {
 /* out = b (x - turn x' + x'') + b turn out' - (2 b - 1) out'', turn = 2 cos(2 pi hz sample_s). */
 typedef struct {
     float hz, width_hz, b, turn;
-    float last[3], before[3]; /* of the input */
-    float late[3], later[3];  /* of the output */
+    float last[3], before[3]; /* past inputs */
+    float late[3], later[3];  /* past outputs */
 } quad_notch;
 
 /* Butterworth, bilinear and not prewarped: its delay at low frequency is the continuous filter's. Costs

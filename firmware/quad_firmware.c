@@ -87,7 +87,7 @@ static void heed_switch(quad_firmware *f)
     if (channel == 0 || f->in_failsafe) {
         return;
     }
-    if (channel != f->arm_channel) { /* of another switch is not known that it was off */
+    if (channel != f->arm_channel) { /* it is not known whether another switch was off */
         f->arm_channel = channel;
         f->arm_switch = true;
     }

@@ -43,10 +43,10 @@ typedef struct {
     quad_height height;
     quad_receiver receiver; /* last good pulses, as they came */
     quad_timing timing;
-    quad_cycle record; /* of the last cycle */
+    quad_cycle record; /* the last cycle */
     float period_s;
     uint64_t failsafe_since_us;
-    size_t arm_channel; /* of which `arm_switch` tells */
+    size_t arm_channel; /* the channel of `arm_switch` */
     bool in_failsafe, arm_switch;
 } quad_firmware;
 

@@ -12,16 +12,16 @@
 
 #include "quad_parameters.h"
 
-#define QUAD_LINK_DEAD_US 2000000 /* silence after which the bridge is taken as gone */
+#define QUAD_LINK_DEAD_US 2000000 /* silence after which the bridge counts as gone */
 
 typedef struct {
     float active[QUAD_PARAMETERS];
-    float good[QUAD_PARAMETERS]; /* worth keeping in flash when `confirmations` has changed */
+    float good[QUAD_PARAMETERS]; /* to be kept in flash when `confirmations` has changed */
     float copy[QUAD_PARAMETERS];
     bool staging, watching;
     uint8_t transaction;
     uint32_t confirmations;
-    uint64_t watch_us, flown_us; /* of the set on trial: the watch, and how much of it has flown */
+    uint64_t watch_us, flown_us; /* the set on trial: its watch, and the time it has flown */
     uint64_t ticked_us, heard_us;
 } quad_gains;
 

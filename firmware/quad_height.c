@@ -7,26 +7,26 @@
 #include "quad_parameters.h"
 
 #define GRAVITY 9.80665f
-#define LOWEST_HPA 300.0f /* of any place where one flies */
+#define LOWEST_HPA 300.0f /* lowest pressure at which one flies */
 #define HIGHEST_HPA 1200.0f
-#define METRES 44330.77f /* of the standard atmosphere: METRES (1 - (p / p0)^POWER) */
+#define METRES 44330.77f /* standard atmosphere: METRES (1 - (p / p0)^POWER) */
 #define POWER 0.190263f
 #define LARGEST_JUMP 20.0f /* m: a measurement that far from the estimate is none */
 #define LARGEST_BIAS 1.0f  /* m/s^2 */
 #define GROUND_LAG_S 2.0f
-#define DEADBAND 0.08f   /* of the stick, about its middle */
+#define DEADBAND 0.08f   /* deadband of the stick about its middle */
 #define LEAST 0.1f       /* throttle in the mode in the air: what roll and pitch need */
 #define MOST 0.9f
-#define LEAST_COSINE 0.7f /* of the tilt that is made up for */
+#define LEAST_COSINE 0.7f /* cosine of the largest tilt that is compensated */
 #define LOW_M 1.5f       /* below it, it sinks slowly */
 #define SLOW_M_S 0.4f
 #define STILL_M_S 0.25f
 #define SINKS 0.15f /* of the command a second, of what is asked to sink and does not */
-#define SETTLED_S 1.0f   /* of what looks like a landing */
-#define LIFTED_S 0.5f    /* of what looks like a take-off */
-#define LIFTS 0.7f       /* of CLIMB_HOVER: with more throttle it may fly */
+#define SETTLED_S 1.0f   /* time until it counts as a landing */
+#define LIFTED_S 0.5f    /* time until it counts as a take-off */
+#define LIFTS 0.7f       /* share of CLIMB_HOVER above which it may fly */
 #define IDLE 0.05f       /* throttle that is nothing: QUAD_LOW_THROTTLE */
-#define COAST_S 0.4f     /* of its climb that a released stick adds to the height reference */
+#define COAST_S 0.4f     /* climb over so long that a released stick adds to the height reference */
 
 static float within(float value, float least, float most)
 {

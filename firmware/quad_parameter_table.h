@@ -2,7 +2,7 @@
 #ifndef QUAD_PARAMETER_TABLE_H
 #define QUAD_PARAMETER_TABLE_H
 
-/* Of each axis, roll pitch yaw. */
+/* Gains of each axis, roll pitch yaw. */
 enum {
     QUAD_ANGLE_KP, /* rate reference per angle error, 1/s */
     QUAD_ANGLE_RATE_LIMIT, /* largest rate reference, rad/s */

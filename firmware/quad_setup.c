@@ -7,7 +7,7 @@
 #define MIDDLE_US 1500.0f
 #define LOW_US 1000.0f
 #define FURTHEST_US 1000.0f /* from the middle, of any pulse */
-#define LEAST_SPAN_US 150.0f /* of a stick from its middle to an end */
+#define LEAST_SPAN_US 150.0f /* least travel of a stick from its middle to an end */
 
 /* Its pulses at both ends and in the middle; the throttle, without one, has its middle between. */
 typedef struct {

@@ -7,13 +7,13 @@
 
 #include <stdint.h>
 
-#define QUAD_STORE_WORDS (QUAD_PARAMETERS + 3) /* of a record: number, layout, values, CRC-32 */
+#define QUAD_STORE_WORDS (QUAD_PARAMETERS + 3) /* size of a record: number, layout, values, CRC-32 */
 
 /* A page is words that are all ones when erased; a word is programmed once. Both calls say whether it
  * worked. */
 typedef struct {
     const volatile uint32_t *page[2];
-    size_t records; /* of a page */
+    size_t records; /* records in a page */
     bool (*erase)(int page);
     bool (*program)(const volatile uint32_t *word, uint32_t value);
 } quad_flash;

@@ -114,7 +114,7 @@ def flown(folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
                 schedule.write_text(wanted['again'])
                 outcome['again'] = str(stages.fly(run, 'again', schedule).bag)
             outcome['after'] = list(observer.active_gains.items())
-            outcome['update'] = run.told.get('update')
+            outcome['update'] = run.status.get('update')
         except StageFailedError as failed:
             outcome['failed'] = str(failed)
     outcome['processes'] = sorted(crew.children)

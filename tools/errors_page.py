@@ -73,9 +73,9 @@ def name_of(node: ast.expr) -> str:
     if isinstance(node, ast.Name):
         return node.id.strip('_').replace('_', ' ')
     if isinstance(node, ast.Call):
-        told = [a for a in node.args if not isinstance(a, ast.Constant)]
-        if told and not isinstance(told[0], ast.GeneratorExp | ast.Starred):
-            return name_of(told[0])
+        values = [a for a in node.args if not isinstance(a, ast.Constant)]
+        if values and not isinstance(values[0], ast.GeneratorExp | ast.Starred):
+            return name_of(values[0])
         return name_of(node.func)
     if isinstance(node, ast.Subscript):
         return name_of(node.value)
@@ -88,7 +88,7 @@ def said_in(path: Path) -> Iterator[Said]:
         if not isinstance(node, ast.Call):
             continue
         kind = node.func.id if isinstance(node.func, ast.Name) else ''
-        order = ('where', 'what', 'found', 'remedy')
+        order = ('where', 'what', 'value', 'remedy')
         if kind == READER:
             kind, order = 'BadInputError', ('where', 'what', 'remedy')
         given = dict(zip(order, node.args, strict=False))
@@ -97,27 +97,27 @@ def said_in(path: Path) -> Iterator[Said]:
             what = f"{words(given['where'])}: {words(given['what'])}"
             yield Said(kind, what, words(given.get('remedy')))
         elif kind in TEXTS and node.args:
-            told = node.args[-1 if kind == 'StageFailedError' else 0]
-            what, _, remedy = words(told).partition('; ')
+            text = node.args[-1 if kind == 'StageFailedError' else 0]
+            what, _, remedy = words(text).partition('; ')
             if re.search(r'[a-z]', re.sub('⟨.*?⟩', '', what)):
                 yield Said(kind, what, remedy)
 
 
 def listed() -> str:
-    """All errors as Markdown, by package and room."""
+    """All errors as Markdown, by package and subpackage."""
     parts = []
     for package in PACKAGES:
         top = ROOT / 'src' / package / package
-        rooms: dict[str, dict[Said, None]] = {}
+        modules: dict[str, dict[Said, None]] = {}
         for path in sorted(top.rglob('*.py')):
             inside = path.relative_to(top)
-            room = inside.parts[0] if len(inside.parts) > 1 else inside.stem
-            rooms.setdefault(room, {}).update(dict.fromkeys(said_in(path)))
-        for room, found in sorted(rooms.items()):
-            if found:
-                parts.append(f'\n## {package}: {cell(room)}')
+            name = inside.parts[0] if len(inside.parts) > 1 else inside.stem
+            modules.setdefault(name, {}).update(dict.fromkeys(said_in(path)))
+        for name, errors in sorted(modules.items()):
+            if errors:
+                parts.append(f'\n## {package}: {cell(name)}')
             for kind, meaning in MEANS.items():
-                rows = [one for one in found if one.kind == kind]
+                rows = [one for one in errors if one.kind == kind]
                 if rows:
                     parts.append(f'\n`{kind}`: {meaning}\n\n'
                                  '| what is wrong | what to do |\n|---|---|')

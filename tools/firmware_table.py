@@ -1,4 +1,4 @@
-"""Measures the STM32's ELFs in QEMU; the table of docs/firmware.md (`make firmware-table`).
+"""Measures the STM32's ELFs in QEMU for docs/results/firmware.md (`make firmware-table`).
 
 Instructions are counted by the timer: with `-icount shift=N` each takes 2^N ns of its clock.
 """
@@ -21,7 +21,7 @@ from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Encoder
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / 'docs/firmware.md'
+PAGE = ROOT / 'docs/results/firmware.md'
 SHIFT = 7
 """128 ns an instruction: the timer's microsecond counts eight of them."""
 CYCLES = 2600

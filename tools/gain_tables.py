@@ -36,27 +36,27 @@ def header() -> str:
         '#ifndef QUAD_PARAMETER_TABLE_H',
         '#define QUAD_PARAMETER_TABLE_H',
         '',
-        '/* Of each axis, roll pitch yaw. */',
+        '/* Gains of each axis, roll pitch yaw. */',
         'enum {',
-        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in PER_AXIS),
+        *(f'    {_enumerator(row)}, /* {_comment(row)} */' for row in PER_AXIS),
         '    QUAD_PER_AXIS,',
-        f'    {_enumerator(OPTIONAL[0])} = QUAD_PER_AXIS, /* {_told(OPTIONAL[0])} */',
-        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in OPTIONAL[1:]),
+        f'    {_enumerator(OPTIONAL[0])} = QUAD_PER_AXIS, /* {_comment(OPTIONAL[0])} */',
+        *(f'    {_enumerator(row)}, /* {_comment(row)} */' for row in OPTIONAL[1:]),
         '    QUAD_OF_AXIS',
         '};',
         '',
         '/* In a set: first group of each axis, shared, rest of each axis, mixer and notches,',
         ' * height, set-up. */',
         'enum {',
-        f'    {_enumerator(first)} = 3 * QUAD_PER_AXIS, /* {_told(first)} */',
-        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in others),
+        f'    {_enumerator(first)} = 3 * QUAD_PER_AXIS, /* {_comment(first)} */',
+        *(f'    {_enumerator(row)}, /* {_comment(row)} */' for row in others),
         '    QUAD_OPTIONAL,',
         '    QUAD_BEFORE_MIXER = QUAD_OPTIONAL + 3 * (QUAD_OF_AXIS - QUAD_PER_AXIS) - 1,',
-        f'    {_enumerator(OF_AIRCRAFT[0])}, /* {_told(OF_AIRCRAFT[0])} */',
-        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in (*OF_AIRCRAFT[1:], *CLIMB)),
+        f'    {_enumerator(OF_AIRCRAFT[0])}, /* {_comment(OF_AIRCRAFT[0])} */',
+        *(f'    {_enumerator(row)}, /* {_comment(row)} */' for row in (*OF_AIRCRAFT[1:], *CLIMB)),
         '    QUAD_SET_UP, /* from here on: how the aircraft is built */',
-        f'    {_enumerator(SET_UP[0])} = QUAD_SET_UP, /* {_told(SET_UP[0])} */',
-        *(f'    {_enumerator(row)}, /* {_told(row)} */' for row in SET_UP[1:]),
+        f'    {_enumerator(SET_UP[0])} = QUAD_SET_UP, /* {_comment(SET_UP[0])} */',
+        *(f'    {_enumerator(row)}, /* {_comment(row)} */' for row in SET_UP[1:]),
         '    QUAD_PARAMETERS',
         '};',
         '',
@@ -78,7 +78,7 @@ def _enumerator(row: Gain) -> str:
     return f'QUAD_{row.name.replace(".", "_").upper()}'
 
 
-def _told(row: Gain) -> str:
+def _comment(row: Gain) -> str:
     unit = '' if row.unit == '1' else f', {row.unit.replace("²", "^2").replace("µ", "u")}'
     return f'{row.meaning}{unit}' + (', read only' if row.limits is None else '')
 
@@ -109,11 +109,11 @@ def page() -> str:
         'bounds it.',
     ]
     for title, rows in (
-        ('Of each axis: the cascade', PER_AXIS),
-        ('Of the aircraft', SHARED),
-        ('Of each axis, where a firmware has them (off at 0)', OPTIONAL),
-        ('Of the aircraft, where a firmware has them', OF_AIRCRAFT),
-        ('Of the height mode', CLIMB),
+        ('Each axis: the cascade', PER_AXIS),
+        ('The aircraft', SHARED),
+        ('Each axis, where a firmware has them (off at 0)', OPTIONAL),
+        ('The aircraft, where a firmware has them', OF_AIRCRAFT),
+        ('The height mode', CLIMB),
         ('Set-up: by `setup` only, disarmed', SET_UP),
     ):
         lines += ['', f'## {title}', '', '| gain | wire | unit | meaning | limits | bound |',

@@ -4,7 +4,7 @@
 # depends on is unchanged, so a second call takes a fraction of a second and no network. No test is
 # run and no node started here.
 #
-#   tools/set_up.sh [test] [lint] [docs]    venv and build, and the packages that these need
+#   tools/set_up.sh [test] [lint] [docs] [others]    venv and build, and the packages that these need
 #   tools/set_up.sh venv                    the venv alone
 #
 # Packages are installed by uv, which is fetched where it is missing, and by pip where uv fails.
@@ -85,13 +85,13 @@ uv_there() {  # sets uv, to the one of the shell or to one of the venv's own
     .venv/bin/python -m pip install --no-input --retries 1 uv >>"$LOG" 2>&1 && uv=.venv/bin/uv
 }
 
-install() {  # a list of exact versions: every package that is needed stands in it
-    if uv_there && "$uv" pip install --quiet --python .venv/bin/python --no-deps -r "$1" \
+install() {  # a list of exact versions: every package that is needed stands in it; more options
+    if uv_there && "$uv" pip install --quiet --python .venv/bin/python --no-deps -r "$@" \
         >>"$LOG" 2>&1; then
         return
     fi
     run_logged "pip could not install $1" \
-        .venv/bin/python -m pip install --no-deps --no-input --disable-pip-version-check -r "$1"
+        .venv/bin/python -m pip install --no-deps --no-input --disable-pip-version-check -r "$@"
 }
 
 make_venv() {
@@ -126,7 +126,12 @@ more_packages() {  # what tests, linters or the documentation need as well
     want=$(digest <"$lock")
     [ "$(cat ".venv/$1.stamp" 2>/dev/null)" = "$want" ] && return
     say "packages of $lock"
-    install "$lock"
+    if [ "$1" = others ]; then  # other versions than those of the venv, which a PYTHONPATH puts before
+        rm -rf .venv/others
+        install "$lock" --target .venv/others
+    else
+        install "$lock"
+    fi
     echo "$want" >".venv/$1.stamp"
 }
 
@@ -191,8 +196,8 @@ compile() {  # package, command...: fills numba's cache, which follows a functio
 groups=("$@")
 for group in "${groups[@]+"${groups[@]}"}"; do
     case $group in
-        venv | test | lint | docs) ;;
-        *) fail "no packages are known for $group; there are test, lint, docs" ;;
+        venv | test | lint | docs | others) ;;
+        *) fail "no packages are known for $group; there are test, lint, docs, others" ;;
     esac
 done
 if command -v flock >/dev/null; then  # two at once, as of make -j lint docs, would meet in the venv

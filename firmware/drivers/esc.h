@@ -4,7 +4,7 @@
 
 #include <stdint.h>
 
-#define ESC_LEAST_US 1000.0f /* of one that stands, and of full throttle, where the set-up does not say */
+#define ESC_LEAST_US 1000.0f /* pulse at rest, and at full throttle, by default */
 #define ESC_MOST_US 2000.0f
 #define ESC_PERIOD_US 2500u /* 400 Hz; SimonK takes a pulse in every period */
 

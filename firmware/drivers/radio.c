@@ -27,7 +27,7 @@ static bool silent(const radio *r, size_t channel, uint64_t now_us)
     return r->heard_us[channel] == 0 || now_us > r->heard_us[channel] + RADIO_LOST_US;
 }
 
-/* A frame is taken whole or not at all, and only with as many channels as all others: an edge too few or too many
+/* A frame is accepted whole or not at all, and only with as many channels as all others: an edge too few or too many
  * would shift the rest, arming switch and throttle included. Two alike say how many, at first and after silence. */
 static void take_gap(radio *r, uint64_t now_us)
 {

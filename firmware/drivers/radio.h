@@ -21,9 +21,9 @@ typedef struct {
     bool ppm;               /* wire 0 carries all channels, rising edge to rising edge */
     quad_receiver receiver; /* 0 where a channel has not come: no pulse */
     uint16_t rose_us[QUAD_CHANNELS];
-    float frame_us[QUAD_CHANNELS]; /* of the PPM frame under way */
+    float frame_us[QUAD_CHANNELS]; /* the present PPM frame */
     size_t next;                   /* channel of it, however many there are; RADIO_NO_FRAME before its gap */
-    size_t last, channels;         /* of the frame before; of all frames, 0 where that is not known */
+    size_t last, channels;         /* in the last frame; in all frames, 0 if not known */
     uint64_t heard_us[QUAD_CHANNELS];
 } radio;
 

@@ -86,7 +86,7 @@ static void take_crsf(serial_radio *r, uint64_t now_us)
     const size_t count = r->frame[1] - 2u;
     if (r->frame[2] == CRSF_LINK && count == 10) {
         r->link = (serial_link){true, payload[2], (int16_t)-(int16_t)payload[0], (int8_t)payload[3]};
-    } else if (r->frame[2] == CRSF_CHANNELS && count == 22 && (r->link.quality > 0 || !r->link.told)) {
+    } else if (r->frame[2] == CRSF_CHANNELS && count == 22 && (r->link.quality > 0 || !r->link.known)) {
         float pulse_us[QUAD_CHANNELS];
         for (size_t i = 0; i < QUAD_CHANNELS; i++) {
             pulse_us[i] = packed(payload, i);
@@ -158,7 +158,7 @@ void serial_radio_take(serial_radio *r, uint8_t byte, uint64_t now_us)
         refused(r);
     }
     if (r->kind == SERIAL_SBUS && r->count == 0 && !after_gap) {
-        return; /* its head may stand in a frame as well: only a pause tells where one begins */
+        return; /* its head may occur inside a frame: only a pause shows where one begins */
     }
     r->frame[r->count++] = byte;
     const size_t length = wanted(r);

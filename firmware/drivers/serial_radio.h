@@ -19,7 +19,7 @@ typedef enum { SERIAL_SBUS, SERIAL_CRSF, SERIAL_IBUS } serial_kind;
 
 /* CRSF's link statistics, of the line to the aircraft. */
 typedef struct {
-    bool told;       /* it has come */
+    bool known;      /* it has come */
     uint8_t quality; /* %, 0 where nothing is heard */
     int16_t rssi_dbm;
     int8_t snr_db;
@@ -30,8 +30,8 @@ typedef struct {
     uint8_t frame[SERIAL_LONGEST];
     size_t count;
     uint64_t byte_us;  /* time of the last byte */
-    uint64_t good_us;  /* of the last good frame with channels, plus 1; 0: never */
-    uint64_t heard_us; /* of the last one that was believed, likewise */
+    uint64_t good_us;  /* time of the last good frame with channels, plus 1; 0: never */
+    uint64_t heard_us; /* time of the last one that was accepted, likewise */
     bool failsafe;     /* the receiver's own */
     quad_receiver receiver;
     serial_link link;

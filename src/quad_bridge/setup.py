@@ -1,6 +1,8 @@
 """ament_python package of the serial bridge, the logger and the virtual STM32."""
 
 from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree as ET
 
 from setuptools import find_packages, setup
 
@@ -8,7 +10,7 @@ PACKAGE = 'quad_bridge'
 
 setup(
     name=PACKAGE,
-    version='0.2.0',
+    version=ET.parse(Path(__file__).with_name('package.xml')).findtext('version'),
     packages=find_packages(),
     package_data={PACKAGE: ['py.typed', '**/*.yaml', '**/*.xml']},
     data_files=[

@@ -2,6 +2,8 @@
 
 import sys
 from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree as ET
 
 from setuptools import find_packages, setup
 
@@ -20,7 +22,7 @@ IN_WORKSPACE = bool({'develop', 'install'} & set(sys.argv))
 
 setup(
     name=PACKAGE,
-    version='0.2.0',
+    version=ET.parse(Path(__file__).with_name('package.xml')).findtext('version'),
     packages=find_packages(),
     package_data={PACKAGE: ['py.typed', '**/*.yaml']},
     data_files=[

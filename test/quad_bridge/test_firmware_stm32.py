@@ -7,9 +7,11 @@ import shutil
 import socket
 import struct
 import subprocess
+from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from flight_controller import DOUBLED, DROPPED, Fault
 
@@ -19,9 +21,10 @@ from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, boot
 from quad_bridge.virtual.board import EMULATOR, MACHINE, EmulatedBoard
 from quad_bridge.virtual.errors import RestartedError
+from quad_bridge.virtual.physics import POSITION
 from quad_bridge.virtual.process import Flight
-from quad_bridge.virtual.profile import Profile
-from quad_bridge.virtual.receiver import Channels, Receiver, channels_at
+from quad_bridge.virtual.profile import Profile, load_profile
+from quad_bridge.virtual.receiver import Channels, Event, Receiver, channels_at
 from quad_bridge.wire import Decoder
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Encoder
@@ -145,6 +148,42 @@ def test_it_fits_and_flies_what_the_linux_build_flies(emulated, firmware):
     assert len(cycles) > 20
     assert {(b.cycle - a.cycle, b.time_us - a.time_us) for a, b in pairwise(cycles)} == {(1, 4000)}
     assert made.decoder.counts.bad_crc == 0
+
+
+HELD = (Event(0.5, 'throttle', 0.32), Event(1.0, 'aux4', 1.0))
+LOST = 1000
+"""Cycle from which on a tenth of the thrust is lost."""
+DESIGNED = {'climb.height.kp': 2.01, 'climb.rate.kp': 0.209, 'climb.rate.ki': 0.5,
+            'climb.rate.kd': 0.0112}
+"""What quad-tune design --axis climb gives for this aircraft: test_climb.py."""
+
+
+@pytest.mark.parametrize(('gains', 'fell_m', 'rms_m'),
+                         [({}, 0.242, 0.182), (DESIGNED, 0.068, 0.050)])
+def test_the_chip_holds_its_height_by_the_designed_gains_as_linux_does(
+    emulated, gains, fell_m, rms_m
+):
+    """A tenth of the thrust is lost: how far it falls, and the error of three seconds."""
+    profile = load_profile('hover')
+    profile = replace(
+        profile, firmware=replace(profile.firmware, gains={**profile.firmware.gains, **gains}))
+    script = Receiver(HELD)
+    made, twin = (emulated('stm32f405.elf', Aircraft(profile, seed=3), script),
+                  Aircraft(profile, seed=3))
+    heights = []
+    for k in range(LOST + 750):
+        channels = channels_at(script, k * twin.cycle_s)
+        made.board.send(made.aircraft.measure(channels))
+        there = hil.motors(twin.firmware.cycle(twin.measure(channels)))
+        for aircraft, motors in ((made.aircraft, made.board.motors()), (twin, there)):
+            left = tuple((0.9 if k >= LOST else 1.0) * np.array(motors.commands))
+            aircraft.move(replace(motors, commands=left))
+        made.hear()
+        heights.append([one.machine.state[POSITION + 2] for one in (made.aircraft, twin)])
+    chip, linux = np.array(heights[LOST:]).T - heights[LOST][0]
+    assert np.abs(chip - linux).max() < 0.01
+    assert -chip.min() == pytest.approx(fell_m, rel=0.15)
+    assert np.sqrt(np.mean(chip**2)) == pytest.approx(rms_m, rel=0.15)
 
 
 def test_a_loop_that_hangs_is_restarted_by_the_watchdog(emulated):

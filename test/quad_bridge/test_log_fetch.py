@@ -72,7 +72,7 @@ def test_resumed_after_a_lost_line_and_not_fetched_again(tmp_path):
 
 def test_a_silent_autopilot_and_an_empty_card_are_told():
     fetch = LogFetch()
-    fetch.begin(0.0)
+    fetch.begin(0.0, wait_s=2.0)
     for k in range(2 * TRIES):
         fetch.poll(2.0 * k)
     assert fetch.reason == f'no answer to {TRIES} requests'

@@ -162,7 +162,7 @@ def only_damaged_chunks_are_lost(bag, rng):
     for batch in scanned.batches(lambda topic: topic.name == TOPICS[0]):
         by_topic.setdefault(TOPICS[0], []).extend(batch.get(TOPICS[0], []))
     assert by_topic[TOPICS[0]] == [data for topic, _, data in got if topic == TOPICS[0]]
-    for figure in ('found', 'lost', 'unnamed', 'bad_chunks', 'ended'):
+    for figure in ('returned', 'lost', 'unnamed', 'bad_chunks', 'ended'):
         assert getattr(scanned, figure) == getattr(damaged, figure), figure
     missing = Counter(ledger) - Counter(got)
     may_go = {

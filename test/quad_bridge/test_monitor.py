@@ -104,7 +104,7 @@ def test_the_band_is_what_the_segments_can_tell_and_the_screen_says_so():
     assert high == 20.0
     assert reachable(BAND, 0.1) == (20.0, 20.0)
     x, y = answered(40.0, 0.05, 1)
-    state = State(asked=BAND, validated_s=12.0)
+    state = State(target_band=BAND, validated_s=12.0)
     assert state.wanted(BAND) == BAND
     state.entries['excitation: schedule'] = Entry(0, 'running', {'train_s': '40'}, 100.0)
     assert state.wanted(BAND) == (low, high)

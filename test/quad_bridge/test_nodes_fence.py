@@ -10,7 +10,7 @@ from quad_bridge.nodes.fence import Fence
 
 @pytest.fixture(autouse=True)
 def _few(monkeypatch):
-    monkeypatch.setattr(module, 'MOST_IN_A_ROW', 3)
+    monkeypatch.setattr(module, 'MAX_IN_A_ROW', 3)
 
 
 def failing(_data=None):

@@ -97,6 +97,38 @@ def test_frames_responses_and_iodata_are_the_same_record():
     same(qs.from_arrays(u=U, y=Labelled(Y)), wanted)
 
 
+@pytest.mark.others
+@pytest.mark.parametrize('library', ['pandas', 'polars', 'xarray', 'control'])
+def test_what_other_libraries_hold_is_the_same_record(library):
+    """Frames by columns and by dates, what is missing in them, coordinates, responses."""
+    other, wanted, t = pytest.importorskip(library), record(), DT * np.arange(N)
+    y = Y.copy()
+    y[500:520] = np.nan
+    lost = record(y=y)
+    if library == 'pandas':
+        frame = other.DataFrame({'volts': U, 'speed': Y, 't': t})
+        same(qs.from_arrays(frame, u='volts', y='speed', t='t'), wanted)
+        dated = frame.set_index(other.Timestamp('2026-01-01') + other.to_timedelta(t, unit='s'))
+        same(qs.from_arrays(dated, u='volts', y='speed'), wanted)
+        same(qs.from_arrays(u=dated['volts'], y=dated['speed']), wanted)
+        frame['speed'] = other.array(Y, dtype='Float64')
+        frame.loc[500:519, 'speed'] = other.NA
+        same(qs.from_arrays(frame, u='volts', y='speed', t='t'), lost)
+    elif library == 'polars':
+        frame = other.DataFrame({'volts': U, 'speed': Y, 't': t})
+        same(qs.from_arrays(frame, u='volts', y='speed', t='t'), wanted)
+        gone = other.Series([None if np.isnan(value) else value for value in y])
+        same(qs.from_arrays(frame.with_columns(speed=gone), u='volts', y='speed', t='t'), lost)
+    elif library == 'xarray':
+        data = other.Dataset({'volts': ('time', U), 'speed': ('time', y)}, {'time': t})
+        same(qs.from_arrays(data, u='volts', y='speed', t='time'), lost)
+        same(qs.from_arrays(u=data['volts'], y=data['speed']), lost)
+    else:
+        system = other.ss([[0.9]], [[0.1]], [[1.0]], 0.0, DT)
+        response = other.forced_response(system, t, U)
+        same(qs.from_arrays(response), record(y=response.outputs))
+
+
 def test_a_bag_of_the_same_numbers_gives_the_same_record(tmp_path, capsys):
     """A position with its reference in mm, so that units and derivative are in it, and a rate."""
     t = DT * np.arange(N)
@@ -171,7 +203,7 @@ BAD = {
     'dt is text': ({'dt': '4 ms'}, "dt must be a positive number of seconds: found '4 ms'"),
     'no dt': ({'dt': None}, 'lack dt or t'),
     'dt and t': ({'t': DT * np.arange(N)}, 'take dt or t, not both'),
-    'slow': ({'dt': 1.0}, 'dt has intervals that are too long: found 1 s; at most 0.05 s'),
+    'slow': ({'dt': 1.0}, 'dt has intervals that are too long: found 1 s; at most 0.05 s, since'),
     'one sample': ({'u': U[:1], 'y': Y[:1]}, 'need 100 samples at least: found 1'),
     'empty': ({'u': [], 'y': []}, 'need 100 samples at least: found 0'),
     'scalar': ({'u': 3.0}, 'u must be (n,), one channel: found shape ()'),
@@ -250,6 +282,13 @@ def test_the_model_speaks_the_units_of_its_arrays(result):
     assert parameters['gain'].unit == 'rev/s² per V'
     assert parameters['gain'].value == pytest.approx(450.0 / 20.0 / turn, rel=0.02)
     assert parameters['coulomb_friction.torque'].value == pytest.approx(6.0 / turn, rel=0.05)
+    error, unseen = found.errors, qs.from_arrays(
+        u=20.0 * flight.control[:, 1], y=30.0 / math.pi * flight.rates[:, 0], dt=DT,
+        units={'u': 'V', 'y': 'rpm'})
+    assert error['unit'] == qs.evaluate(found.model, unseen).unit == 'rpm'
+    assert error['after'] == pytest.approx(
+        30.0 / math.pi * found.answer.findings.verdict.after)
+    assert re.search(r'gain +\S+ ± \S+ +\S+ ± \S+ +rev/s² per V', str(found))
     u = 20.0 * flight.control[:, 1]
     z = qs.IOData(u, 30.0 / math.pi * flight.rates[:, 0], DT)
     assert found.model.compare(z, 1) > 95.0
@@ -320,7 +359,7 @@ def test_the_page_for_scripts_runs_as_it_stands(result, tmp_path, monkeypatch):
     assert first.startswith('result = qs.identify(u=volts, y=speed, dt=0.004')
     for block in blocks:
         exec(block.replace('qs.compare(result, unseen)', 'qs.compare(result, result)').replace(  # noqa: S102
-            'identify_base(motor, ', 'identify_base(motor, effects=(), '), names)
+            'base=motor)', 'base=motor, effects=())'), names)
     assert (tmp_path / 'motor.mat').exists()
 
 

@@ -56,7 +56,7 @@ def test_a_gain_changed_in_flight_is_a_set_from_there_on():
     for message in (bytes([18, 104]), bytes([0x80 | 17]) + struct.pack('<f', 50.0)):
         events.rows += 100
         events(iter(message))
-    assert events.found == [(100, 18, 52.0), (200, 17, 50.0)]
+    assert events.changes == [(100, 18, 52.0), (200, 17, 50.0)]
     found = changes(BETAFLIGHT, [Adjustment(3.0, 18, 52.0), Adjustment(9.0, 6, 60.0)], None)
     assert [one.time_s for one in found] == [3.0, 9.0]
     assert found[0].values['roll.rate.kp'] == pytest.approx(52 * 0.032029 * RAD)

@@ -14,7 +14,6 @@ from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import step_b
-from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.report import document, text
@@ -122,7 +121,9 @@ def test_a_change_of_gains_within_a_flight_is_a_run_of_its_own():
     record = flight()
     changed = FAST.to_mapping('roll', constants=True)
     both = dataclasses.replace(record, gains=(*record.gains, GainChange(30.7, changed)))
-    first, second = step_b.flown([both], 'roll')
+    loop = step_b.loop_of([both], 'roll')
+    first, second = loop.flights
+    assert loop.of_one_set
     assert first.signals == ('prbs',)
     assert second.signals == ('square',)
     assert (first.gains_changed, second.gains_changed) == (False, True)
@@ -151,8 +152,7 @@ MODEL = AxisModel('roll', DT, None, tuple(Parameter(n, v, None, '') for n, v in 
 
 
 def in_the_loop(*records: Record):
-    answer = AxisAnswer('roll', 250.0, (), 'no_missing_effect', '', model=MODEL)
-    return step_b.closed_loop(answer, records, axis_data(records, 'roll'))
+    return step_b.closed_loop(MODEL, step_b.loop_of(records, 'roll'), axis_data(records, 'roll'))
 
 
 def test_the_true_model_in_the_loop_leaves_the_noise_wherever_the_excitation_acts():

@@ -23,9 +23,8 @@ from scipy.signal import lfilter
 
 from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.effects import EFFECTS
-from quad_sysid.effects.curves import CELLS, Curve
-from quad_sysid.effects.hidden import MemoryCurve, Shown
-from quad_sysid.effects.surfaces import BESIDE, Surface
+from quad_sysid.effects.curves import CELLS, COUNT, Curve, Smooth
+from quad_sysid.effects.hidden import Shown
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.model import EffectEstimate, Parameter
@@ -432,6 +431,15 @@ class Law:
         return ' '.join([self.name, *map(str, self.parameters)])
 
 
+def over(x: np.ndarray, change: float, time_constant_s: float = 0.6) -> dict[str, float]:
+    """What the memory of a signal does as a straight line, at the knots."""
+    return {'time_constant': time_constant_s, **{f'y{i}': change * at for i, at in enumerate(x)}}
+
+
+def knots(x: np.ndarray) -> dict[str, object]:
+    return {'knots': tuple(x.tolist()), 'mean': (0.0,) * x.size}
+
+
 LAWS = [
     Law('coulomb_friction', torque(lambda _t, r, _a: -0.8 * math.tanh(r / 0.004)),
         {'torque': 0.8, 'transition': 0.004}, left=0.003),
@@ -471,19 +479,16 @@ LAWS = [
     Law('step_event', torque(lambda *_: 0.8), {'time': 20.0, 'torque': 0.8},
         variant='torque'),
     Law('mode:slow_state', strap(9.0, 0.6), {'stiffness': 9.0, 'time_constant': 0.6}),
-    Law('shape:angle', remembered(lambda _t, angle: angle, -9.0, 0.6),
-        {'time_constant': 0.6, 'change': -9.0}, PLAIN, variant='memory'),
     Law('shape:angle', beyond_a_wind(-9.0, 0.06, 0.6),
-        {'time_constant': 0.6, 'y0': 2.16, 'y1': 1.08, 'y2': 0.0, 'y3': 0.0, 'y4': -1.08,
-         'y5': -2.16},
-        {**PLAIN, 'knots': (-0.3, -0.18, -0.06, 0.06, 0.18, 0.3), 'mean': (0.0,) * 6},
-        variant='memory curve'),
+        over(np.array([-0.24, -0.12, 0.0, 0.0, 0.12, 0.24]), -9.0),
+        {**PLAIN, **knots(np.linspace(-0.3, 0.3, 6))}, variant='memory curve'),
     Law('shape:other_angle',
         lambda: {**remembered(lambda t, _: 2.0 / 3.0 * (1.0 - math.cos(3.0 * t)), 1.5, 0.6)(),
                  'other_rates': others},
-        {'time_constant': 0.6, 'change': 1.5}, PLAIN, variant='memory 1'),
-    Law('shape:gain:command', heated(-0.3, 3.0), {'time_constant': 3.0, 'change': -0.3},
-        {'unit': WARM, 'rest': 0.0}, variant='memory'),
+        over(np.linspace(0.0, 1.5, 6), 1.5), {**PLAIN, **knots(np.linspace(0.0, 1.5, 6))},
+        variant='memory curve 1'),
+    Law('shape:gain:command', heated(-0.3, 3.0), over(np.linspace(-1.0, 4.0, 6), -0.3, 3.0),
+        {'unit': WARM, 'rest': 0.0, **knots(np.linspace(0.0, 5.0, 6))}, variant='memory curve'),
     Law('shape:gain:time',
         lambda: {'command': lambda t, u, _v: u * (1.0 + 0.4 * math.sin(2.0 * t + 0.7))},
         {'amplitude': 0.4, 'frequency': 1.0 / math.pi, 'phase': 0.0}, variant='periodic',
@@ -597,10 +602,10 @@ def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged
     torn = axis_data([replace(f, rates=r) for f, r in zip(flights, lost, strict=True)], 'roll')
     whole = axis_data(flights, 'roll')
     memories = [effect for effect in EFFECTS if effect.variant.startswith('memory')]
-    assert len(memories) > 10
+    assert len(memories) == 10
     for effect in memories:
         part = Part(effect, effect.prepare(whole))
-        structure, p = Structure((part,)), np.array([GAIN, 0.042, 0.008, 0.4, 0.2, 6.0, 0.1])
+        structure, p = Structure((part,)), np.r_[GAIN, 0.042, 0.008, 0.4, 0.2, 6.0, [0.1] * 6]
 
         def remembered_in(flight, part=part, structure=structure, p=p):
             s = flight.signals(p, *flight.driven(structure, p), flight.rate)
@@ -616,10 +621,10 @@ def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged
 
 def test_a_curve_holds_its_last_value_outside_the_training():
     """The slope at the end of a curve says nothing about what follows."""
-    knots = np.linspace(-0.3, 0.3, 11)
-    settings = {'knots': tuple(knots), 'mean': (0.0,) * 11}
+    knots = np.linspace(-0.3, 0.3, 6)
+    settings = {'knots': tuple(knots), 'mean': (0.0,) * 6}
     angle = np.array([0.27, 0.3, 0.36, 1.0])
-    curve = Curve('torque', 'angle', 'rough')
+    curve = Curve('torque', 'angle')
     out = curve.torque(replace(NOWHERE, rate=0.0 * angle, angle=angle), 5.0 * knots, settings)
     np.testing.assert_allclose(out, [1.35, 1.5, 1.5, 1.5])
 
@@ -649,21 +654,6 @@ def slipping(stiffness: float, most: float) -> Changes:
     def changes():
         pull = stateful(lambda z, rate: float(np.clip(z - HALF_S * stiffness * rate, -most, most)))
         return {'torque': lambda _t, rate, _angle: pull(rate)}
-
-    return changes
-
-
-def in_its_wake(drag: float, decay_s: float) -> Changes:
-    """Quadratic drag in air that the aircraft drags along."""
-
-    def changes():
-        air = stateful(lambda z, rate: z + HALF_S * (rate - z) / decay_s)
-
-        def torque(_t, rate, _angle):
-            past = rate - air(rate)
-            return -drag * past * abs(past)
-
-        return {'torque': torque}
 
     return changes
 
@@ -703,12 +693,10 @@ class Planted:
     """By which factor the error of an unseen flight falls."""
     truths: tuple = ()
     """(value, relative tolerance, absolute tolerance) of its first parameters."""
-    alone: bool | None = True
-    """Whether it is all that is found; None: among all effects only."""
+    alone: bool = True
+    """Whether it is all that is found."""
     of_a_name: bool = False
     """Whether all that is found has its name."""
-    sure: bool = True
-    """Not where another description is as good."""
     rivals: Collection[str] = RIVALS
     quick: bool = True
     """Whether it is flown outside of `make test-long`."""
@@ -740,8 +728,6 @@ PLANTED = [
     Planted(lambda: {**coloured(6, 3.0, 0.05)(), 'other_commands': other_commands,
                      'command': lambda t, u, _v: u + 0.15 * other_commands(t)[0]},
             'cross_axis_input', 1.5, ((0.15, 0.0, 0.02),)),
-    Planted(in_its_wake(4.0, 0.3), 'shape:rate/with past rate', 2.0, ((0.3, 0.5, 0.0),),
-            sure=False, alone=None, quick=False),
     Planted(echo(0.4, 0.3), 'mode:response', 2.0, alone=False, rivals=('motor_lag',),
             quick=False),
 ]
@@ -788,10 +774,10 @@ def test_what_acts_is_named_measured_and_foreseen_in_another_flight(one, every):
     effect = max(effects, key=lambda e: e.error_reduction_pct)
     assert f'{effect.name}/{effect.variant}'.startswith(one.label)
     check_values_of(effect, one.truths)
-    if one.truths and one.sure:
+    if one.truths:
         check_sure_of(effect)
     assert not one.of_a_name or {e.name for e in effects} == {one.label}
-    if one.alone or (one.alone is None and every):
+    if one.alone:
         assert effects == (effect,)
         assert answer.model.value('gain') == pytest.approx(GAIN, rel=0.05)
     unseen = evaluate(answer.model, fly(Axis(**{**QUIET, **one.changes()}), 501, UNSEEN))
@@ -958,7 +944,7 @@ UNITS = {
 def read(effect) -> dict[str, str]:
     """What a report reads of an effect: name to unit."""
     count = len(effect.parameters)
-    settings = {'mean': (0.0,) * getattr(effect, 'count', count), 'unit': 1.0, 'lowest': 0.0}
+    settings = {'mean': (0.0,) * COUNT, 'unit': 1.0, 'lowest': 0.0}
     told = effect.readable(np.ones(count), settings)
     return {name: unit for name, (_, unit) in told.items()}
 
@@ -976,10 +962,10 @@ def test_the_contracts_names_stand_in_the_tables_of_the_pages_with_their_units()
         parts = [cell.strip() for cell in line.strip('|').split('|')]
         if len(parts) == 5 and parts[0].startswith('`'):
             rows[parts[0].strip('`')] = parts[2]
-        elif len(parts) == 2 and parts[0] in CELLS | BESIDE:
+        elif len(parts) == 2 and parts[0] in CELLS:
             cells[parts[0]] = tuple(parts[1].split(', '))
-    formed = [e for e in EFFECTS if not isinstance(e, (Curve, MemoryCurve, Shown, Surface))]
-    assert (cells, set(rows)) == (CELLS | BESIDE, {e.name for e in formed})
+    formed = [e for e in EFFECTS if not isinstance(e, (Smooth, Shown))]
+    assert (cells, set(rows)) == (CELLS, {e.name for e in formed})
     for name, told in rows.items():
         pairs = set(re.findall(r'`(\w+)` \(((?:[^()]|\([^()]*\))+)\)', told))
         assert pairs == {pair for e in formed if e.name == name for pair in read(e).items()}, name

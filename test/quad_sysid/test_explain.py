@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -11,7 +13,7 @@ from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Found, Scored
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import derivative_steps, fit
-from quad_sysid.explain.ladder import explain
+from quad_sysid.explain.ladder import Rung, explain, resampled
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
 
@@ -43,6 +45,36 @@ def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
     assert ladder.rungs[1].labels == ('coulomb_friction',)
     assert ladder.rungs[1].explains_pct > 90.0
     assert ladder.answer == 1
+
+
+def test_a_reference_that_no_smaller_model_explains_comes_again_as_a_whole(rubbed_answer):
+    """Where no candidate leads to it, its effects stand on one rung, and each is counted."""
+    told = rubbed_answer.findings
+    problem, best = told.problem, told.found.best
+    parts, _ = candidates(problem, [e for e in EFFECTS if e.label in
+                                    ('coulomb_friction', 'quadratic_drag')])
+    structure = replace(best.structure, parts=tuple(parts))
+    values = [np.array([2.0, np.log(0.02)]), np.array([1.0])]
+    theta = np.concatenate([best.theta[:5], *values, best.theta[-4:]])
+    reference = fit(problem, structure, theta)
+    base = told.found.base
+    found = Found(base, (Scored(reference, 9.0), Scored(base, 0.0)), {})
+    ladder = explain(problem, found, [])
+    whole = Rung(ladder.projection.ordered(structure), 100.0)
+    blocks, again = resampled(problem, found, replace(ladder, rungs=(ladder.rungs[0], whole)))
+    assert blocks > 1
+    assert again.keys() == {'coulomb_friction', 'quadratic_drag'}
+    assert again['coulomb_friction'] == again['quadratic_drag'] > 0.1
+
+
+def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):
+    """Of two that are as likely half of their difference's square; one alone adds nothing."""
+    found = rubbed_answer.findings.found
+    moved = replace(found.base, theta=found.base.theta + 4.0 * (np.arange(9) == 3))
+    both = Found(found.base, (Scored(found.base, 0.0), Scored(moved, 0.0)), {})
+    assert both.apart(found.base)[3, 3] == pytest.approx(8.0)
+    assert np.count_nonzero(both.apart(found.base)) == 1
+    assert not replace(both, all=both.all[:1]).apart(found.base).any()
 
 
 def test_the_derivatives_of_free_runs_are_their_differences(rubbed_answer):

@@ -14,7 +14,7 @@ from quad_sysid.estimate.stored import completed, estimate_of
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.evaluate import evaluate, simulate
 from quad_sysid.pipeline.identify import Options, identify
-from quad_sysid.pipeline.step_b import closed_loop
+from quad_sysid.pipeline.step_b import closed_loop, loop_of
 from quad_sysid.record import GainChange, Record, Segment
 
 QUIET = {'gyro_noise': 0.002, 'torque_noise': 0.01}
@@ -51,7 +51,7 @@ def test_the_simulated_loop_begins_at_the_angle_of_the_flight(plain_flight, plai
     turned = replace(plain_flight, angles=plain_flight.angles + 3.0,
                      attitude_setpoint=plain_flight.attitude_setpoint + 3.0)
     data = axis_data([turned], 'roll')
-    found = closed_loop(plain_answer, [turned], data)
+    found = closed_loop(plain_answer.model, loop_of([turned], 'roll'), data)
     assert found.rms_after < 0.05
 
 

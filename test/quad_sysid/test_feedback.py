@@ -12,7 +12,8 @@ from quad_sysid.blackbox import bj, residual_test
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.pipeline.selection import feedback, through_controller
+from quad_sysid.pipeline.selection import feedback
+from quad_sysid.pipeline.step_b import loop_of
 from quad_sysid.record import IOData, Record, Segment
 from quad_sysid.signals.waveforms import prbs
 
@@ -76,4 +77,4 @@ def test_an_excitation_in_front_of_the_controllers_never_proves_an_open_loop():
         Segment('train', 'prbs', 'roll', 'control', 0.0, 1.0),
     ))
     axes = ('roll', 'pitch', 'yaw')
-    assert [a for a in axes if through_controller([record], a)] == ['yaw']
+    assert [a for a in axes if loop_of([record], a).through] == ['yaw']

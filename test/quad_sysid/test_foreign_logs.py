@@ -87,7 +87,7 @@ def imported(path: Path, out: Path):
     """The bag's record, and what was warned of and found missing on the way."""
     done = import_log(read_log(path, format_of(path)), out)
     assert max(map(len, table(done)[1:])) <= 80
-    return read_bag(done.path), ' '.join((*done.told, *done.warnings, *done.log.missing))
+    return read_bag(done.path), ' '.join((*done.notes, *done.warnings, *done.log.missing))
 
 
 def check_motion(record, flight: Flight, angles: float = 0.0) -> None:
@@ -114,11 +114,11 @@ def px4(flight, tmp_path):
 
 
 def test_px4_motors_angles_and_battery(flight, px4):
-    record, told = px4({'MAV_TYPE': 2, 'IMU_GYRO_CUTOFF': 40.0})
+    record, notes = px4({'MAV_TYPE': 2, 'IMU_GYRO_CUTOFF': 40.0})
     assert record.dt == pytest.approx(1e-6 * DT_US)
     check_motion(record, flight, angles=1e-5)
     assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
-    assert 'vehicle_attitude_setpoint' in told
+    assert 'vehicle_attitude_setpoint' in notes
     assert record.gains_at(0.0) == {'sensor.gyro_filter_hz': 40.0}
 
 
@@ -136,14 +136,14 @@ def test_px4_rotors_stand_and_turn_as_its_parameters_say(flight, px4):
                 ('esc_rpm', -3000.0 * control[:, motor]),
                 ('actuator_function', np.full(N, 101.0 + motor)))}
 
-    record, told = px4(rotors, with_speeds)
+    record, notes = px4(rotors, with_speeds)
     assert record.craft.places == ('front right', 'rear left', 'front left', 'rear right')
     assert [m.spin for m in record.craft.motors] == [1, 1, -1, -1]
     assert record.craft.motors[1].y == pytest.approx(0.25)
     motors = np.column_stack([flight.thrusts[place] for place in record.craft.places])
     np.testing.assert_allclose(record.motors, motors, atol=1e-6)
     np.testing.assert_allclose(record.speeds, 100.0 * np.pi * motors, rtol=1e-5)
-    assert 'CA_ROTOR' in told
+    assert 'CA_ROTOR' in notes
 
 
 def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
@@ -190,10 +190,14 @@ def test_ardupilot_pulses(flight, tmp_path):
     messages['ESC'] = ('TimeUS', 'Instance', 'RPM'), np.concatenate([
         np.column_stack([stamps, np.full(N, float(i)), 60.0 * messages['RCOU'][1][:, 1 + i]])
         for i in range(4)])[np.argsort(np.tile(stamps, 4), kind='stable')]
+    height = 3.0 + np.sin(1e-6 * (stamps - stamps[0]))
+    rate = np.cos(1e-6 * (stamps - stamps[0]))
+    messages['CTUN'] = ('TimeUS', 'ThO', 'Alt', 'CRt'), np.column_stack(
+        [stamps, 0.4 + 0.0 * rate, height, np.rint(100.0 * rate)])[::5]
     path = dataflash(tmp_path / 'log.bin', messages,
                      {'FRAME_CLASS': 1, 'FRAME_TYPE': 1, 'ATC_RAT_RLL_P': 0.135,
                       'MOT_THST_EXPO': 0.0, 'MOT_SPIN_MIN': 0.1, 'MOT_SPIN_MAX': 0.9})
-    record, told = imported(path, tmp_path / 'bag')
+    record, notes = imported(path, tmp_path / 'bag')
     check_motion(record, flight, angles=1e-4)
     assert record.craft.places == ('front right', 'rear left', 'front left', 'rear right')
     np.testing.assert_allclose(record.speeds, 2.0 * np.pi * (1000.0 + 1000.0 * record.motors),
@@ -202,7 +206,12 @@ def test_ardupilot_pulses(flight, tmp_path):
     np.testing.assert_allclose(record.attitude_setpoint[:, :2], flight.angles[:, :2], atol=1e-5)
     # the largest factor of an axis is 0.5 there and 1 here; the pulses use 0.8 of their range
     assert record.gains_at(0.0)['roll.rate.kp'] == pytest.approx(0.135 * 0.5 * 0.8)
-    assert 'thrust curve' in told
+    assert 'thrust curve' in notes
+    seen = np.isfinite(record.velocity[:, 2])
+    assert seen.mean() == pytest.approx(0.2, abs=0.02)
+    assert record.velocity[seen, 2] == pytest.approx(rate[seen], abs=0.01)
+    assert record.altitude[seen] == pytest.approx(height[seen], abs=1e-3)
+    assert not np.isfinite(record.velocity[:, :2]).any()
 
 
 @pytest.mark.parametrize(('topic', 'field', 'values'), [
@@ -222,8 +231,8 @@ def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
         topics = px4_topics(flight) | {topic: {'timestamp': stamps, field: np.array(values)}}
         path = ulog(tmp_path / 'log', {name: {**columns, 'timestamp': columns['timestamp'] + (
             0 if name == topic else 1_000_000)} for name, columns in topics.items()}, {})
-    record, told = imported(path, tmp_path / 'bag')
-    assert 'disarmed for 3 s of 6 s' in told
+    record, notes = imported(path, tmp_path / 'bag')
+    assert 'disarmed for 3 s of 6 s' in notes
     assert not record.control[: N // 2].any()
     np.testing.assert_allclose(record.control[N // 2 :], flight.control[N // 2 :], atol=1e-5)
 
@@ -249,14 +258,14 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
             'rate_sp': np.column_stack([np.where(on, added, 0.0), np.zeros((N, 2))])}
         path = ulog(tmp_path / 'log', topics, {})
         said = 'square', 'roll', 'rate'
-    record, told = imported(path, tmp_path / 'bag')
+    record, notes = imported(path, tmp_path / 'bag')
     used = [s for s in record.segments if s.role != 'idle']
     assert [s.role for s in used] == ['train', 'validation']
     assert {(s.signal, s.axis, s.injection) for s in used} == {said}
     assert (used[0].start_s, used[1].end_s) == (pytest.approx(0.2, abs=0.01),
                                                 pytest.approx(5.8, abs=0.01))
     np.testing.assert_allclose(record.excitation[100:1400, axis], added[100:1400], atol=1e-6)
-    assert 'the log holds experiments' in told
+    assert 'the log holds experiments' in notes
 
 
 def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
@@ -339,11 +348,11 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
         **{f'eRPM[{i}]': 100.0 + i + 50.0 * flight.thrusts[p] for i, p in enumerate(places)},
         'vbatLatest': 100.0 * flight.volts,
     }
-    told = {'motorOutput': '48,2047', 'motor_poles': '12', 'gyro_scale': '0x3f800000',
-            'rollPID': '45,80,40'}
+    header = {'motorOutput': '48,2047', 'motor_poles': '12', 'gyro_scale': '0x3f800000',
+              'rollPID': '45,80,40'}
     still = {name: 0.0 * values for name, values in columns.items()}
     path = tmp_path / 'LOG00001.BBL'
-    path.write_bytes(encoded(still, told) + encoded(columns, told))
+    path.write_bytes(encoded(still, header) + encoded(columns, header))
     assert main(['import', str(path), '--log', '2', '--out', str(tmp_path / 'bag')]) == 0
     assert 'rollPID 45,80,40' in ' '.join(capsys.readouterr().out.split())
     record = read_bag(tmp_path / 'bag')
@@ -360,7 +369,7 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     assert f'quad-sysid import {path} --out' in capsys.readouterr().out
     assert main(['import', str(path), '--out', str(tmp_path / 'b')]) == 2
     assert 'holds commands that never change' in capsys.readouterr().err
-    path.write_bytes(encoded(columns, told).replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
+    path.write_bytes(encoded(columns, header).replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
     assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
 
 

@@ -50,8 +50,8 @@ def test_rates_come_onto_one_grid(times, hz, own, error, words):
     known = np.isfinite(laid.values[:, 0])
     assert known.mean() > 0.9
     assert np.abs(laid.values[known, 0] - motion(laid.times[known])).max() < error
-    assert words in laid.told[0]
-    assert len(laid.told) == 1
+    assert words in laid.notes[0]
+    assert len(laid.notes) == 1
 
 
 def test_a_gap_is_not_drawn_over_and_a_pause_ends_what_is_held():
@@ -74,7 +74,7 @@ def test_restarts_and_jumps_are_experiments_one_after_the_other():
     assert (np.diff(found.time_s) > 0.0).all()
     assert np.flatnonzero(np.diff(found.time_s) > 1.0).tolist() == [N - 1, N + 699]
     assert found.time_s[-1] < 20.0
-    assert '2 jumps of the clock: 3 experiments, placed 2 s apart' in found.told
+    assert '2 jumps of the clock: 3 experiments, placed 2 s apart' in found.notes
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_stray_shuffled_and_ticking_times(times, left, words):
     found = unroll(times, rows(times).T, 'file')
     assert len(found.rows) == left
     assert (np.diff(found.time_s) > 0.0).all()
-    assert words in '; '.join(found.told)
+    assert words in '; '.join(found.notes)
 
 
 @pytest.mark.parametrize('times', [np.zeros(50), -T, np.full(50, np.nan)])

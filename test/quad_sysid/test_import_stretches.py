@@ -9,7 +9,7 @@ import pytest
 
 from quad_sysid.bags import read_bag, write_bag
 from quad_sysid.contract import motors_from_wrench
-from quad_sysid.imports.stretches import airborne, told, with_stretches
+from quad_sysid.imports.stretches import airborne, summary, with_stretches
 from quad_sysid.record import Record
 
 DT = 0.004
@@ -41,8 +41,8 @@ def test_blocks_train_and_validate_and_the_rest_has_its_reason(tmp_path):
     assert spans(found, 'train') == [(6.0, 16.0), (27.0, 32.0), (37.0, 47.0), (52.0, 54.0)]
     assert spans(found, 'validation') == [(16.0, 20.0), (26.0, 27.0), (32.0, 37.0), (47.0, 52.0)]
     assert spans(found, 'train', 'pitch') == spans(found, 'train')
-    assert told(found) == ('the log holds no experiment: 27 s train, 15 s are held out; left out: '
-                           'ground 12 s, still 6 s')
+    assert summary(found) == ('the log holds no experiment: 27 s train, 15 s are held out; '
+                              'left out: ground 12 s, still 6 s')
     read = read_bag(write_bag(replace(found, wrench=found.control), tmp_path / 'bag'))
     for axis in ('roll', 'pitch', 'yaw'):
         for role in ('train', 'validation', 'idle'):

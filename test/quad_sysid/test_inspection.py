@@ -36,7 +36,7 @@ def bag(record, tmp_path_factory):
 
 def test_topics_gaps_limits_and_battery(bag, record):
     held = content(bag)
-    topics = {topic.name: topic for topic in held.topics.found}
+    topics = {topic.name: topic for topic in held.topics.present}
     imu = topics['/imu/data']
     assert (imu.messages, imu.gaps) == (record.n - 51, 1)
     assert (imu.rate_hz, topics['/battery'].rate_hz) == pytest.approx((250.0, 10.0))

@@ -72,9 +72,9 @@ def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path):
     times = DT * np.arange(2 * N)
     log = ForeignLog('crash', 'a log', rates=Stream(times, np.vstack([hand, rates])),
                      motors=Stream(times, np.vstack([idle, motors])))
-    told = import_log(log, tmp_path / 'bag').told
+    notes = import_log(log, tmp_path / 'bag').notes
     for axis, text in zip(('roll', 'pitch', 'yaw'), LAYOUTS['another order'], strict=True):
-        (line,) = (line for line in told if line.startswith(f'motors on {axis}'))
+        (line,) = (line for line in notes if line.startswith(f'motors on {axis}'))
         assert f': {text} explain' in line
         assert 'not certain' not in line
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,43 +32,74 @@ def arrays(axis, plan=SHORT):
 
 
 @pytest.fixture(scope='module')
-def found():
-    return qs.identify_base(RIG, effects=qs.EFFECTS[:4], **arrays(STICKING))
+def answer(without_blackbox):
+    """What `identify` says of arrays with a base."""
+    def identified(base, effects=qs.EFFECTS[:4], **given):
+        with without_blackbox():
+            return qs.identify(base=base, effects=effects, **given)
+
+    return identified
+
+
+@pytest.fixture(scope='module')
+def found(answer):
+    battery = next(one for one in qs.EFFECTS if one.name == 'battery_sag')
+    return answer(RIG, (*qs.EFFECTS[:4], battery), **arrays(STICKING))
 
 
 def test_its_parameters_and_what_it_lacks_are_found(found):
     """The base alone is as good as it can be: no worse than the built-in one, 0.119 rad/s."""
     assert found.verdict == 'effects_added'
+    parameters = found.model.parameters
     for name, truth in (('gain', 450.0 / 20.0), ('drag', 0.4), ('trim', 0.2)):
-        p = found.parameters[name]
+        p = parameters[f'rig.{name}']
         assert abs(p.value - truth) < 4.0 * p.std, name
         assert p.std < 0.15 * abs(truth)
+    assert parameters['rig.gain'].unit == 'rad/s² per V'
+    assert {'lag', 'delay'} < parameters.keys()
+    assert not {'gain', 'damping', 'bias'} & parameters.keys()
     (friction,) = found.effects
     assert (friction.name, friction.parameters[0].value) == (
         'coulomb_friction', pytest.approx(6.0, rel=0.03))
-    assert dict(friction.rivals).keys() >= {'nothing'}
-    assert found.errors['before'] < 0.5 * found.errors['hold']
+    assert friction.probability > 0.99
+    assert found.errors['before'] < 0.5 * found.errors['hold_last_value']
     assert found.errors['after'] < 0.15 * found.errors['before']
-    assert [rung.effects for rung in found.ladder] == [(), ('coulomb_friction',)]
-    assert 'coulomb_friction' in str(found)
+    tree = found.report['axes']['roll']
+    assert tree['reproducible']['coulomb_friction'] > 0.9
+    assert [rung['effects'] for rung in tree['explanation']] == [['coulomb_friction']]
+    assert {one['name']: one['because'] for one in tree['not_tested']}['battery_sag'].startswith(
+        "it acts on the gain, which the base of one's own replaces")
+    assert 'rig.drag' in str(found)
+    assert 'built-in base only' in found.answer.proposal.refused_because
 
 
 def test_its_model_runs_as_any_other(found):
-    given = arrays(STICKING)
+    given, model = arrays(STICKING), found.model
     z = qs.IOData(given['u'], given['y'], DT)
-    assert found.model.compare(z, 1) > 95.0
-    assert found.model.to_control().ninputs == 1
-    again = qs.Identified.from_json(found.model.to_json(), effects=found.model.own_effects)
-    np.testing.assert_array_equal(again.simulate(z.u[:300]), found.model.simulate(z.u[:300]))
+    assert model.compare(z, 1) > 95.0
+    assert model.to_control().ninputs == 1
+    again = qs.Identified.from_json(model.to_json(), effects=(RIG.law(model.units),))
+    np.testing.assert_array_equal(again.simulate(z.u[:300]), model.simulate(z.u[:300]))
+    with pytest.raises(qs.BadInputError, match='whose law is not here'):
+        qs.Identified.from_json(model.to_json())
+    judged = qs.evaluate(model, qs.from_arrays(**given))
+    assert judged.after < 0.2 * judged.before < 0.2 * judged.hold
+    # in wide motion, where friction is little, it is the plant: gain over lag and damping
+    w = 8.0
+    plain = replace(model, effects=())
+    truth = 22.5 / abs((0.4 + 1j * w) * (1.0 + 0.042j * w))
+    assert plain.bode([w]).magnitude[0] == pytest.approx(truth, rel=0.05)
+    with pytest.raises(qs.BadInputError, match='flies the built-in base only'):
+        qs.separate(model, ('coulomb_friction', 'nothing'))
 
 
-def test_nothing_is_added_where_nothing_is_missing():
-    found = qs.identify_base(RIG, effects=qs.EFFECTS[:4], **arrays(Axis()))
+def test_nothing_is_added_where_nothing_is_missing(answer):
+    found = answer(RIG, **arrays(Axis()))
     assert (found.verdict, found.effects) == ('no_missing_effect', ())
     assert found.errors['after'] < 4.0 * found.errors['noise_floor']
 
 
-def test_a_hidden_state_of_a_step_is_followed():
+def test_a_hidden_state_of_a_step_is_followed(answer):
     """The motors' lag as a state of the base, by its own step instead of a right-hand side."""
     def step(x, u, p, dt):
         keep = math.exp(-dt / p['lag'])
@@ -79,10 +111,10 @@ def test_a_hidden_state_of_a_step_is_followed():
                                 qs.Quantity('lag', 's', 0.03)))
     given = arrays(Axis())
     given = {**given, 'u': given['u'][:4000], 'y': given['y'][:4000]}
-    found = qs.identify_base(motor, effects=(), **given)
+    found = answer(motor, (), **given)
     assert found.verdict == 'not_searched'
-    assert found.parameters['lag'].value == pytest.approx(0.042, rel=0.08)
-    assert found.parameters['gain'].value == pytest.approx(22.5, rel=0.04)
+    assert found.model.parameters['motor.lag'].value == pytest.approx(0.042, rel=0.08)
+    assert found.model.parameters['motor.gain'].value == pytest.approx(22.5, rel=0.04)
 
 
 def test_what_the_data_cannot_give_is_named_with_its_partner_before_the_fit():
@@ -119,7 +151,7 @@ def test_a_position_without_its_measurement_is_said():
         qs.Quantity('stiffness', '1/s²', 5.0),),
         rhs=lambda x, u, p: {'rate': u['u'] - p['stiffness'] * np.sin(x['angle'])})
     with pytest.raises(qs.BadInputError, match='needs what was not measured'):
-        qs.identify_base(pendulum, **arrays(Axis()))
+        qs.identify(base=pendulum, **arrays(Axis()))
 
 
 def test_an_experiment_stays_within_its_limits_and_tells_more(true_model):

@@ -28,8 +28,6 @@ class Cogging(qs.Effect):
     name = 'cogging'
     signals = ('angle',)
     parameters = (qs.Spec('torque', 'rad/s²'),)
-    physics = '-T sin(12 angle): cogging of a motor on the axis'
-    excite = 'slow square waves over several teeth'
 
     def torque(self, s, p, settings):
         del settings

@@ -173,9 +173,8 @@ def smooth(effect) -> bool:
     warms = isinstance(effect, Memory) and not effect.leans
     part = Placed(Part(effect), effect.centre())
     steep_lag = effect.term == 'lag' and effect.signals[0] == 'command'
-    kinked = effect.variant.startswith('rough')  # a knot at rest
     sought = type(effect).sought is not Effect.sought
-    return not (kinked or steep_lag or effect.name in steep or sought
+    return not (steep_lag or effect.name in steep or sought
                 or warms or effect.name == 'mode:hysteresis' or part.why_outside)
 
 

@@ -119,7 +119,7 @@ def test_every_figure_is_in_the_page_and_beside_it(answers, written):
     for words in ('dry friction', 'roll.rate.kp 0.12'):  # words come before pictures
         assert words in answer
     assert 'coulomb_friction' in rest
-    expected = {name for name, _ in plots.PICTURES}
+    expected = {one.name for one in plots.PICTURES}
     if not any(effect.rivals for effect in answers['roll'].model.effects):
         expected.discard('rivals')
     shown = Page((written / 'report.html').read_text()).figures

@@ -10,6 +10,7 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
+from quad_sysid.axes import TURNING
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.cascade import CascadeGains
@@ -22,7 +23,7 @@ from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import Structure
 from quad_tuning import ensemble as ensembles
 from quad_tuning import pid
-from quad_tuning.assess import GUST_RAD_S, Requirements, meets, promise
+from quad_tuning.assess import Requirements, meets, promise
 from quad_tuning.bounds import (
     DESIGNED,
     check_bounds,
@@ -156,7 +157,7 @@ def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
     said = promise(loops, ACTIVE, new, 0.043)
     gusts, state = np.empty(50_000), 0.0
     for k, push in enumerate(rng.normal(size=gusts.size)):
-        state += GUST_RAD_S * m.dt * (push - state)
+        state += TURNING.gust_rad_s * m.dt * (push - state)
         gusts[k] = state
     before, after = (
         simulate_cascade(loop_plant(m), g, np.zeros(gusts.size), m.dt, disturbance=gusts).rate

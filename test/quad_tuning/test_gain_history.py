@@ -23,7 +23,7 @@ def folder(tmp_path):
     """Found, one good update in two steps, one that was taken back."""
     log = History(tmp_path, lambda job: job())
     log.open('quad_7')
-    log.found(gains(0.07, 3.0))
+    log.note_active(gains(0.07, 3.0))
     asked = GainRequest({}, source='identification of flight_1', bag='flight_1')
     log.write('active', gains(0.1, 6.0), asked, update='a')
     log.write('active', gains(0.1, 7.0), asked, update='a')
@@ -31,7 +31,7 @@ def folder(tmp_path):
     asked = GainRequest({}, source='operator')
     log.write('active', gains(0.2, 7.0), asked, update='b')
     log.write('rolled back', None, asked, update='b', reason='roll: oscillation')
-    log.found(gains(0.1, 7.0))
+    log.note_active(gains(0.1, 7.0))
     return tmp_path
 
 
@@ -73,12 +73,12 @@ def test_a_set_confirmed_on_the_ground_is_good_once_it_has_flown(folder):
     log.write('confirmed', None, asked, update='c', flown=False)
     log.open('another')
     log.open('quad_7')
-    log.found(gains(0.09, 8.0))  # after the bridge has started again
+    log.note_active(gains(0.09, 8.0))  # after the bridge has started again
     log.write('active', gains(0.3, 8.0), asked, update='d')
     sets = read_history(path)
     assert [one.outcome for one in sets[5:]] == ['passed', 'not flown', 'not flown', 'in flight']
     assert way_back(sets)[1] == {KP: 0.1, ANGLE: 7.0}
-    log.found(gains(0.09, 8.0))
+    log.note_active(gains(0.09, 8.0))
     log.write('flown')
     log.write('active', gains(0.2, 8.0), asked, update='e')
     assert way_back(read_history(path))[1] == {KP: 0.09}

@@ -11,8 +11,8 @@ from quad_bridge.virtual.cycle import COLUMNS
 from quad_bridge.virtual.plant import axis_gains
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.simulation import Excited, fly, inputs
+from quad_sysid.axes import TURNING
 from quad_sysid.record import GainChange, Record
-from quad_tuning.assess import SQUARE_AMPLITUDE_RAD
 from quad_tuning.designer import design
 from quad_tuning.lqr import propose_lqr
 
@@ -37,7 +37,7 @@ def proposal(model, profile):
 
 
 def square(profile, gains):
-    wave = SQUARE_AMPLITUDE_RAD * np.where((np.arange(8 * HALF) // HALF) % 2 == 0, 1.0, -1.0)
+    wave = TURNING.step * np.where((np.arange(8 * HALF) // HALF) % 2 == 0, 1.0, -1.0)
     flight = fly(profile, [Excited(3.0, wave)], 19.0, 5, gains=gains)
     return flight, (flight.attitude_setpoint - flight.true_angles)[750 + HALF :, 0]
 

@@ -10,9 +10,9 @@ from quad_bridge.gains.gate import steps as gate_steps
 from quad_bridge.gains.table import DEFAULT_BOUNDS
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.simulation import Excited, fly
+from quad_sysid.axes import TURNING
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.loop.from_model import loop_plant, schedule_factor
-from quad_tuning.assess import SQUARE_AMPLITUDE_RAD
 from quad_tuning.designer import design
 
 EXPONENT, REFERENCE = 'roll.sag.exponent', 'roll.sag.reference_v'
@@ -35,7 +35,7 @@ def slopes(charge, gains, power=1.5):
         effects=dataclasses.replace(profile.effects, battery_sag=sag),
         airframe=dataclasses.replace(profile.airframe, battery=battery),
     )  # fmt: skip
-    wave = SQUARE_AMPLITUDE_RAD * np.where((np.arange(3000) // 500) % 2 == 0, 1.0, -1.0)
+    wave = TURNING.step * np.where((np.arange(3000) // 500) % 2 == 0, 1.0, -1.0)
     flight = fly(profile, [Excited(3.0, wave)], 15.0, 5, gains=gains)
     return flight.true_angles[1250:, 0], float(flight.battery_v.mean())
 

@@ -44,6 +44,14 @@ def test_the_topics_of_page_bridge_and_analysis_agree() -> None:
     assert contract.TOPIC_TYPES.items() <= TOPIC_TYPES.items()
 
 
+def test_a_page_ends_with_what_may_go_wrong() -> None:
+    """Those that are nothing else, and the lists of the reference, excepted."""
+    without = {'index', 'limits', 'troubleshooting'}
+    for path in (*(ROOT / 'docs').glob('*.md'), *(ROOT / 'docs/results').glob('*.md')):
+        last = re.findall(r'^## (.*)', path.read_text(), re.MULTILINE)[-1:]
+        assert path.stem in without or last == ['What may go wrong'], path.name
+
+
 def test_the_site_lists_every_page() -> None:
     listed = set(re.findall(r'[\w/]+\.md', (ROOT / 'mkdocs.yml').read_text()))
     pages = {str(p.relative_to(ROOT / 'docs')) for p in PAGES[3:]}

@@ -12,24 +12,20 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BLOCK = re.compile(r'```(?:python|yaml)\n# ([\w./]+)(, in FORMATS)?\n(.*?)```', re.DOTALL)
+BLOCK = re.compile(r'```(?:python|yaml)\n# ([\w./]+)\n(.*?)```', re.DOTALL)
 
 
 @pytest.fixture(scope='module')
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Both packages and the page's files, each where its first line says."""
+    """Both packages, and the page's files where their first lines say."""
     place = tmp_path_factory.mktemp('copy')
     for package in ('quad_bridge', 'quad_sysid'):
         shutil.copytree(ROOT / 'src' / package / package, place / 'src' / package / package)
     (place / 'firmware').symlink_to(ROOT / 'firmware')
     blocks = BLOCK.findall((ROOT / 'docs' / 'extend.md').read_text())
-    assert len(blocks) == 5
-    for name, entry, text in blocks:
+    assert len(blocks) == 3
+    for name, text in blocks:
         path = place / 'src' / name.partition('/')[0] / name if '/' in name else place / name
-        if entry:
-            old = path.read_text()
-            text = old.replace('FORMATS = (\n', f'FORMATS = (\n{text}').replace(  # noqa: PLW2901
-                'import ardupilot, ', 'import whoop, ardupilot, ')
         path.write_text(text)
     return place
 
@@ -51,13 +47,6 @@ axis = Axis(torque=lambda _t, _rate, angle: -4.0 * math.sin(12.0 * angle))
 found = qs.identify(fly(axis, 5, SHORT), 'roll', effects=(*qs.EFFECTS[:4], Cogging()))
 print([effect.name for effect in found.effects])
 """,
-    'a format of logs': """
-from quad_sysid.cli import main
-rows = [4.0 * np.arange(flight.n), np.rad2deg(flight.rates).T, 100 * flight.control[:, 1:].T]
-np.savetxt('log.txt', np.vstack(rows).T, header='WHOOP', comments='')
-print(main(['import', 'log.txt', '--out', 'bag', '--quiet']))
-print(np.corrcoef(qs.read_bag('bag').rates[:, 0], flight.rates[:, 0])[0, 1] > 0.999)
-""",
     'an airframe': """
 from quad_bridge.virtual.simulation import fly as simulated
 print(simulated('whoop', [], 0.1, 1).profile.airframe.mass_kg)
@@ -70,7 +59,6 @@ print(sorted(found.gains), found.gains['roll.rate.kp'] > 0.0)
 }
 SAYS = {
     'an effect': "['cogging']",
-    'a format of logs': '0\nTrue',
     'an airframe': '0.03',
     'a controller': "['roll.angle.kp', 'roll.rate.kd', 'roll.rate.ki', 'roll.rate.kp'] True",
 }

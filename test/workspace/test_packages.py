@@ -6,6 +6,7 @@ import ast
 import configparser
 import contextlib
 import os
+import re
 import runpy
 import shlex
 import subprocess
@@ -63,6 +64,8 @@ def test_manifest_and_setup_agree_and_every_entry_point_leads_to_a_function(pack
     for name in ('version', 'license'):
         assert arguments[name] == manifest.findtext(name)
         assert f'{name}: {manifest.findtext(name)}\n' in (ROOT / 'CITATION.cff').read_text()
+    newest = re.search(r'^## (.*)', (ROOT / 'CHANGELOG.md').read_text(), re.MULTILINE)
+    assert newest[1] == manifest.findtext('version')
     for line in (line for lines in arguments['entry_points'].values() for line in lines):
         module, function = line.split('=')[1].strip().split(':')
         path = ROOT / 'src' / module.split('.')[0] / (module.replace('.', '/') + '.py')

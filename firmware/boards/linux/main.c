@@ -28,8 +28,8 @@ typedef struct {
     quad_hil hil;
     quad_hil_boot boot;
     quad_inputs inputs;
-    uint64_t due_us;   /* of the cycle whose inputs have come */
-    uint64_t last_us;  /* of the last cycle */
+    uint64_t due_us;   /* time of the cycle whose inputs have come */
+    uint64_t last_us;  /* time of the last cycle */
     uint64_t start_us; /* on the host's clock, of cycle 0 */
     bool booted, started, waiting, ended;
     terminal port;

@@ -15,7 +15,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#define GIVE_UP_S 1 /* a reader that took nothing for so long is taken as absent */
+#define GIVE_UP_S 1 /* a reader that reads nothing for so long counts as absent */
 #define LARGEST_KEY 4096 /* bytes of the file, white space included */
 
 static const char *make_link(terminal *t, const char *link)
@@ -80,7 +80,7 @@ static uint64_t clock_s(void)
     return (uint64_t)now.tv_sec;
 }
 
-/* Send what fits of `rest`; where nothing has been taken for long, throw away what is stuck. */
+/* Send what fits of `rest`; drop it where the reader has read nothing for long. */
 static void push(terminal *t)
 {
     const ssize_t count = write(t->master, t->rest, t->waiting);

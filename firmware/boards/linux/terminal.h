@@ -12,7 +12,7 @@ typedef struct {
     char path[64];
     uint8_t rest[2048]; /* the end of what was sent last and did not fit */
     size_t waiting;
-    uint64_t taken_s; /* when the port was first found full; 0 where it is not */
+    uint64_t taken_s; /* when the output became full; 0 where it is not */
     uint64_t dropped; /* bytes */
 } terminal;
 

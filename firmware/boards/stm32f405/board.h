@@ -30,7 +30,7 @@ void board_alive(void);
 extern const quad_flash board_flash; /* to be written while the motors stand */
 
 void board_tick(void); /* SysTick, 1 kHz */
-uint64_t board_id(void); /* of this chip and no other */
+uint64_t board_id(void); /* unique to this chip */
 
 uint32_t board_stack_used(void);
 
@@ -41,7 +41,7 @@ void uart_start(void);
 size_t uart_read(uart which, uint8_t *bytes, size_t room);
 size_t uart_room(uart which);
 void uart_write(uart which, const uint8_t *bytes, size_t count);
-/* Whether nothing has come that an interrupt would not tell of. */
+/* Whether no event is pending for which there is no interrupt. */
 bool uart_quiet(void);
 void uart_1_interrupt(void);
 void uart_2_interrupt(void);
@@ -65,7 +65,7 @@ void receiver_tell(const uint8_t *bytes, size_t count);
 void receiver_interrupt(void);
 
 /* What both mains do between two cycles: send what waits, hear the bridge at now_us, and keep confirmed gains
- * in flash while the motors stand, or tell that they could not; `kept` counts the confirmations that were seen to. */
+ * in flash while the motors stand, or report that they could not; `kept` counts the confirmations handled. */
 void serve_send(quad_firmware *f);
 void serve_bridge(quad_firmware *f, uint64_t now_us);
 void serve_flash(quad_firmware *f, uint32_t *kept);

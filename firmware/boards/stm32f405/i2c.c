@@ -52,7 +52,7 @@ static void set_free(void)
         GPIOB->BSRR = PIN_SCL;
         pause();
     }
-    GPIOB->MODER = (GPIOB->MODER & ~PINS(3u)) | PINS(2u); /* of the bus again */
+    GPIOB->MODER = (GPIOB->MODER & ~PINS(3u)) | PINS(2u); /* the bus drives them again */
 }
 
 void i2c_start(void)

@@ -52,7 +52,7 @@ static void hear_simulation(void)
     }
 }
 
-/* What the table in docs/firmware.md is made of. */
+/* What the table in docs/results/firmware.md is made of. */
 static void tell_timing(void)
 {
     const quad_timing *t = &board.firmware.timing;

@@ -15,7 +15,7 @@ typedef struct {
     uint8_t rx[RING], tx[RING];
     volatile uint32_t head; /* written, by interrupt; counts on */
     uint32_t tail;          /* read */
-    uint32_t queued, sent, sending; /* of tx */
+    uint32_t queued, sent, sending; /* positions in tx */
 } port;
 
 static port ports[2] = {

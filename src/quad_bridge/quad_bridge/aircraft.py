@@ -24,7 +24,7 @@ STILL = (0.0, 0.0, 0.0)
 
 
 class Ability(Enum):
-    """What an aircraft may be able to do."""
+    """Abilities that an aircraft may have."""
 
     EXCITE = 'excitation'
     SET_POINTS = 'set-points'
@@ -158,7 +158,7 @@ class Quad(Aircraft):
         return f'{name} has no QUAD_GAINS: no gains or pulses for it'
 
     def excite(self, value: f.Vector3, injection: f.Injection, valid_ms: int) -> f.Frame:
-        """Give the frame that adds `value`; the numbers of the frames tell that none is old."""
+        """Give the frame that adds `value`; the frames are numbered, so an old one is detected."""
         self._seq = (self._seq + 1) % 256
         return f.Excitation(flip_body(value), int(injection), self._seq, valid_ms)
 

@@ -14,7 +14,7 @@ from quad_bridge.errors import QuadBridgeError
 _T = TypeVar('_T')
 
 BAD_INPUT, INTERRUPTED = 2, 130
-MOST_DIGITS = 30
+MAX_DIGITS = 30
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -38,7 +38,7 @@ def positive(text: str) -> float:
 
 def seed(text: str) -> int:
     """Type of an argument: seed of a random generator."""
-    if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
+    if not (text.isascii() and text.isdigit() and len(text) <= MAX_DIGITS):
         raise argparse.ArgumentTypeError(f'must be a whole number of 0 or more, found {text!r}')
     return int(text)
 

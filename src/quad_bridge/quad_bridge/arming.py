@@ -21,8 +21,8 @@ from quad_bridge.wire.frames import CommandAck, Frame
 
 ANSWER_S = 1.0  # an answer is waited for so long; a late one may come for as long again
 LATE_S = 60.0  # so long a request may have lain on the way
-AGAIN_S = 0.2  # between two disarms that nothing has answered
-AGAIN_WITHIN_S = 2.0  # between two calls that disarm in flight
+AGAIN_S = 0.2  # interval at which an unanswered disarm is repeated
+AGAIN_WITHIN_S = 2.0  # longest time between two calls that disarm in flight
 HELD_S = 0.5  # after so long without a message the switch counts as let go
 
 
@@ -64,7 +64,7 @@ class OperatorEnable:
 
 
 class SecondCall:
-    """To disarm in flight lets it fall: that takes a second call, or the pilot's own switch."""
+    """Disarming in flight lets it fall, so it takes a second call or the pilot's own switch."""
 
     def __init__(self) -> None:
         self._first_s = -math.inf
@@ -86,35 +86,35 @@ class _Request:
 
     def __init__(self, arm: bool) -> None:
         self.arm, self.last_s = arm, -math.inf
-        self.told: list[tuple[float, Callable[[str], None]]] = []
+        self.replies: list[tuple[float, Callable[[str], None]]] = []
 
 
 class Arming:
     """A request from its sending to the STM32's answer; safe in threads.
 
-    Answers come in the order of what was sent. Each `told` is called once, with what became of
+    Answers come in the order of what was sent. Each `reply` is called once, with what became of
     its request.
     """
 
     def __init__(self, aircraft: Aircraft | None = None) -> None:
         self._aircraft = aircraft or Quad()
         self._lock = threading.RLock()
-        self._asked: _Request | None = None
+        self._request: _Request | None = None
         self._sent: deque[_Request] = deque()  # one per command on the way, of earlier ones too
         self._owed_until_s = self._given_up_s = -math.inf
 
-    def ask(self, arm: bool, told: Callable[[str], None], now_s: float) -> Frame:
+    def ask(self, arm: bool, reply: Callable[[str], None], now_s: float) -> Frame:
         """Accept a request; returns the frame to send. Raises RefusedError."""
         with self._lock:
             self._expire(now_s)
-            asked = self._asked
-            if arm and (asked is not None or self._sent):
+            request = self._request
+            if arm and (request is not None or self._sent):
                 raise RefusedError('an earlier request is not answered yet; try again in a moment')
-            if asked is None or asked.arm:
+            if request is None or request.arm:
                 self._end('given up for a request to disarm', now_s)
-                asked = self._asked = _Request(arm)
-            asked.told.append((now_s + ANSWER_S, told))
-            return self._send(asked, now_s)
+                request = self._request = _Request(arm)
+            request.replies.append((now_s + ANSWER_S, reply))
+            return self._send(request, now_s)
 
     def tick(self, now_s: float, *, armed: bool = False) -> Frame | None:
         """Give up where no answer has come; what to send again.
@@ -122,36 +122,36 @@ class Arming:
         `armed` says what the aircraft is: where it has armed, only its answer was lost.
         """
         with self._lock:
-            asked, text = self._asked, f'no answer in {ANSWER_S:g} s'
-            if asked is None:
+            request, text = self._request, f'no answer in {ANSWER_S:g} s'
+            if request is None:
                 return None
-            late = [told for until_s, told in asked.told if now_s > until_s]
-            asked.told = [one for one in asked.told if now_s <= one[0]]
-            if not asked.told:
-                if asked.arm and armed:
+            late = [reply for until_s, reply in request.replies if now_s > until_s]
+            request.replies = [one for one in request.replies if now_s <= one[0]]
+            if not request.replies:
+                if request.arm and armed:
                     text = ACCEPTED
-                elif asked.arm:
+                elif request.arm:
                     self._given_up_s = now_s
                 self._end(text, now_s)
-            for told in late:
-                told(text)
-            again = asked.told and not asked.arm and now_s - asked.last_s >= AGAIN_S
-            return self._send(asked, now_s) if again else None
+            for reply in late:
+                reply(text)
+            again = request.replies and not request.arm and now_s - request.last_s >= AGAIN_S
+            return self._send(request, now_s) if again else None
 
     def acknowledged(self, ack: CommandAck, now_s: float) -> None:
         """Take the STM32's answer to a command."""
         with self._lock:
             self._expire(now_s)
-            told = self._aircraft.armed_answer(ack)
-            if told is None or not self._sent:
+            answer = self._aircraft.armed_answer(ack)
+            if answer is None or not self._sent:
                 return
-            answered, asked = self._sent.popleft(), self._asked
+            answered, request = self._sent.popleft(), self._request
             # an answer to the disarm of before is as good for the one that waits
-            if asked is not None and (answered is asked or not (answered.arm or asked.arm)):
-                self._end(told, now_s)
+            if request is not None and (answered is request or not (answered.arm or request.arm)):
+                self._end(answer, now_s)
 
     def late(self, now_s: float, *, armed: bool) -> str:
-        """What to say of an aircraft that armed after the request had been given up; once."""
+        """A warning, once, where the aircraft armed after the request had been given up."""
         with self._lock:
             passed_s = now_s - self._given_up_s
             if not armed or passed_s > LATE_S:
@@ -165,20 +165,20 @@ class Arming:
         with self._lock:
             self._end(why, -math.inf)
 
-    def _send(self, asked: _Request, now_s: float) -> Frame:
-        asked.last_s = now_s
-        self._sent.append(asked)
-        return self._aircraft.arm(asked.arm)
+    def _send(self, request: _Request, now_s: float) -> Frame:
+        request.last_s = now_s
+        self._sent.append(request)
+        return self._aircraft.arm(request.arm)
 
     def _end(self, text: str, now_s: float) -> None:
         """End the waiting request and answer its caller."""
-        asked, self._asked = self._asked, None
-        if asked is not None:
+        request, self._request = self._request, None
+        if request is not None:
             self._owed_until_s = now_s + ANSWER_S
-            for _, told in asked.told:
-                told(text)
+            for _, reply in request.replies:
+                reply(text)
 
     def _expire(self, now_s: float) -> None:
         """Wait no more for answers to requests that ended long ago."""
         if now_s >= self._owed_until_s:
-            self._sent = deque(one for one in self._sent if one is self._asked)
+            self._sent = deque(one for one in self._sent if one is self._request)

@@ -2,7 +2,7 @@
 
 Read from a URDF (`/robot_description`), from an autopilot's parameters, or by a layout's name. The
 bridge has this file, and quad_sysid has it by a link (`quad_sysid/craft.py`); it imports neither.
-Body frame FLU: x forward, y left, z up. Whoever opens files or topics is elsewhere.
+Body frame FLU: x forward, y left, z up. Files and topics are opened by others.
 """
 
 from __future__ import annotations

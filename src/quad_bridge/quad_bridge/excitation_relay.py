@@ -1,4 +1,4 @@
-"""From /excitation/setpoint and /excitation/segment to what the aircraft is to add. Pure.
+"""From /excitation/setpoint and /excitation/segment to the aircraft's excitation. Pure.
 
 The segment says where to inject; without a running segment nothing is forwarded. Where the
 operator's enable is required and lost, the excitation ends, until the next segment begins.
@@ -41,7 +41,7 @@ class ExcitationRelay:
         return self._injection
 
     def status(self, last: Cycle | None, now_s: float) -> Status:
-        """What is forwarded, and by the last cycle what the STM32 does with it."""
+        """The excitation that is forwarded, and how the STM32 used it in the last cycle."""
         flags = Flag(last.flags) if last is not None else Flag.NONE
         values = {
             'injection': self.injection.name.lower(),
@@ -76,7 +76,7 @@ class ExcitationRelay:
             return None
         running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
-        if parameters.get('axis') == 'climb':  # of the three values it is the third
+        if parameters.get('axis') == 'climb':  # the third of the values
             wanted = Injection.THRUST if wanted is Injection.CONTROL else None
         before, self._lost = self._injection, False
         self._injection = wanted if running and wanted is not None else Injection.NONE

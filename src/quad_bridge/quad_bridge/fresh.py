@@ -1,4 +1,4 @@
-"""Whether a command is of now. Pure.
+"""Whether a command is recent enough. Pure.
 
 What is played from a bag, waits in a queue or comes over a slow network was meant for another
 moment: a command counts only with a stamp of just now.

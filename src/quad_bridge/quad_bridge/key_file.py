@@ -34,13 +34,13 @@ def read_key(path: Path) -> bytes:
     try:
         # what is checked is what is read: one open file
         with path.open('rb') as file:
-            mode = os.fstat(file.fileno()).st_mode
+            bits = os.fstat(file.fileno()).st_mode
             data = file.read(LARGEST + 1)
     except OSError as error:
         raise BadInputError(where, f'cannot be read ({error.strerror})', remedy=MAKE) from error
-    if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        found = f'mode {stat.S_IMODE(mode):04o}'
-        raise BadInputError(where, 'must be for its owner alone', found, f'chmod 600 {path}')
+    if bits & (stat.S_IRWXG | stat.S_IRWXO):
+        mode = f'mode {stat.S_IMODE(bits):04o}'
+        raise BadInputError(where, 'must be for its owner alone', mode, f'chmod 600 {path}')
     key = _key_in(data)
     if key is None:
         what = f'must hold {2 * KEY_BYTES} hexadecimal digits, or {KEY_BYTES} raw bytes'
@@ -84,9 +84,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog='make_key', description='Writes a new key for the link between bridge and STM32.'
     )
     parser.add_argument('file', type=Path, help='must not exist yet')
-    given = parser.parse_args(argv)
-    ended_in_one_line('make_key', lambda: write_key(given.file))
-    say(f'{given.file}: copy it to the other end, and nowhere else\n')
+    args = parser.parse_args(argv)
+    ended_in_one_line('make_key', lambda: write_key(args.file))
+    say(f'{args.file}: copy it to the other end, and nowhere else\n')
     return 0
 
 

@@ -1,6 +1,6 @@
 """Simulated time in lockstep: the virtual STM32 owns the clock and waits for the slowest process.
 
-A line is a Unix socket. The virtual STM32 (virtual/line.py) tells the time, each process that
+A line is a Unix socket. The virtual STM32 (virtual/line.py) sends the time, each process that
 takes part answers with the time up to which it has done everything; simulated time is never more
 than `WINDOW_NS` ahead of the slowest. Who publishes a stream says how far, who handles it waits
 for that much, so that no message can be late. No ROS here; nodes get timers and stamps by
@@ -47,11 +47,11 @@ class Clock:
         return time.monotonic_ns()
 
     def now_s(self) -> float:
-        """The same in s."""
+        """The time in s."""
         return self.now_ns() * 1e-9
 
     def published(self, stream: str, stamp_ns: int) -> None:
-        """Note what was published; it is told with the next answer."""
+        """Note what was published; it is reported with the next answer."""
 
     def handled(self, stream: str, stamp_ns: int) -> None:
         """Note what was received and dealt with; from now on the stream is waited for."""
@@ -106,7 +106,7 @@ class Timer:
         return self._due_ns <= now_ns
 
     def ran(self, now_ns: int) -> None:
-        """It runs at this time, and next a period later; what it has missed it has missed."""
+        """Run at this time, and next a period later; missed times are not repeated."""
         self._due_ns += self._period_ns
         if self._due_ns <= now_ns:
             self._due_ns = now_ns + self._period_ns
@@ -127,7 +127,7 @@ class Participant(Clock):
         self._now_ns = self._reached_ns = 0
         self._coming: deque[int] = deque()
         self._timers: list[Timer] = []
-        self._told: Mapping[str, int] = {}
+        self._sent: Mapping[str, int] = {}
         self._handled: dict[str, int] = {}
         self._published: dict[str, int] = {}
         self._held = self._closed = self._stepping = False
@@ -152,7 +152,7 @@ class Participant(Clock):
             self._timers.remove(timer)
 
     def step(self) -> None:
-        """Go through the times that were told, run what is due at each, answer."""
+        """Go through the times that were received, run what is due at each, answer."""
         try:
             while self._next():
                 for timer in self._due():
@@ -227,7 +227,7 @@ class Participant(Clock):
 
     def _take(self, now_ns: int, published: Mapping[str, int]) -> None:
         with self._lock:
-            self._told = published
+            self._sent = published
             for stream in self._handled.keys() - published.keys():  # its publisher has gone
                 del self._handled[stream]
             busy = self._stepping or bool(self._coming)
@@ -258,7 +258,7 @@ class Participant(Clock):
 
     def _answer(self) -> None:
         """Say how far this process has come; the lock is held."""
-        behind = [ns for stream, ns in self._handled.items() if ns < self._told.get(stream, 0)]
+        behind = [ns for stream, ns in self._handled.items() if ns < self._sent.get(stream, 0)]
         reached = min([self._now_ns, *behind])
         if not self._held:
             self._reached_ns = max(self._reached_ns, reached)

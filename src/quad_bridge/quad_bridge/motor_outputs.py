@@ -1,7 +1,7 @@
 """Another autopilot's outputs as the motors of a craft: which output drives which motor. Pure.
 
-By its parameters, as far as it has told them, and by the description that the user gave. Where
-nobody says where the motors are, its outputs are taken for the X frame of PX4 and ArduPilot and
+By its parameters, as far as they are known, and by the description that the user gave. Where
+nothing says where they are, its outputs are assumed to be the X frame of PX4 and ArduPilot and
 put into the order of the contract's; the senses of rotation are then not known to be true.
 """
 
@@ -32,7 +32,7 @@ class MotorOutputs:
     range_us: tuple[float, float] = RANGE_US
     """Pulses of the commands 0 and 1."""
     words: str = ''
-    """Where this is from, for the log."""
+    """The source of this assignment, for the log."""
 
     def efforts(self, pulses: tuple[int, ...]) -> list[float]:
         """Normalised command of each motor, 0..1, of all outputs' pulses, µs."""
@@ -41,20 +41,20 @@ class MotorOutputs:
         return [min(max((pulse - low) / (high - low), 0.0), 1.0) for pulse in row]
 
     def ordered(self, values: tuple[float, ...]) -> list[float]:
-        """What is known by output, such as speeds, by motor; NaN where it is not known."""
+        """Values by output, such as speeds, as values by motor; NaN where not known."""
         return [values[k] if k < len(values) else float('nan') for k in self.channels]
 
 
 def motor_outputs(
-    autopilot: int, name: str, parameters: Mapping[str, float], given: Craft | None = None
+    autopilot: int, name: str, parameters: Mapping[str, float], own: Craft | None = None
 ) -> MotorOutputs:
-    """The motors by the autopilot's parameters; where they are is `given`, if anything is.
+    """The motors by the autopilot's parameters; their places are those of `own`, if any.
 
     `autopilot` is its MAV_AUTOPILOT, `name` what messages call it.
     """
     craft: Craft | str = f'{name} does not say where its motors are'
-    if given is not None:
-        craft = given
+    if own is not None:
+        craft = own
     elif autopilot == PX4:
         craft = of_px4(parameters)
     elif autopilot == ARDUPILOT and 'FRAME_CLASS' in parameters:

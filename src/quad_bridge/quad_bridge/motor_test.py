@@ -18,7 +18,7 @@ from quad_bridge.wire.frames import Command, CommandAck
 
 COMMAND = 209  # MAV_CMD_DO_MOTOR_TEST
 MOTORS = 4
-MOST_THROTTLE, MOST_S = 0.25, 5.0  # the throttle: QUAD_TEST_THROTTLE of the firmware
+MAX_THROTTLE, MAX_S = 0.25, 5.0  # the throttle: QUAD_TEST_THROTTLE of the firmware
 USUAL_THROTTLE, USUAL_S = 0.08, 2.0
 VALID_S, AGAIN_S = 0.4, 0.15
 ANSWER_S = 1.0  # without an answer
@@ -31,16 +31,16 @@ def frame(motor: int, throttle: float, valid_s: float = VALID_S) -> Command:
 
 def read(wanted: Mapping[str, object]) -> tuple[int, float, float]:
     """Motor, throttle and seconds of a request. Raises RefusedError for a meaningless one."""
-    given = {'throttle': USUAL_THROTTLE, 'duration_s': USUAL_S, **wanted}
-    unknown = sorted(given.keys() - {'motor', 'throttle', 'duration_s'})
+    request = {'throttle': USUAL_THROTTLE, 'duration_s': USUAL_S, **wanted}
+    unknown = sorted(request.keys() - {'motor', 'throttle', 'duration_s'})
     if unknown:
         raise RefusedError(f'{unknown[0]} is not known; known are motor, throttle, duration_s')
-    motor = given.get('motor')
+    motor = request.get('motor')
     if isinstance(motor, bool) or not isinstance(motor, int) or not 1 <= motor <= MOTORS:
         raise RefusedError(f'motor: must be a whole number of 1 to {MOTORS}: found {motor!r}')
     numbers = []
-    for name, most in (('throttle', MOST_THROTTLE), ('duration_s', MOST_S)):
-        value = given[name]
+    for name, most in (('throttle', MAX_THROTTLE), ('duration_s', MAX_S)):
+        value = request[name]
         number = float(value) if isinstance(value, int | float) else math.nan
         if isinstance(value, bool) or not 0.0 < number <= most:
             raise RefusedError(f'{name}: must lie above 0 and up to {most:g}: found {value!r}')
@@ -49,14 +49,14 @@ def read(wanted: Mapping[str, object]) -> tuple[int, float, float]:
 
 
 class MotorTest:
-    """One test at a time, safe in threads; `told` is called once with the outcome.
+    """One test at a time, safe in threads; `reply` is called once with the outcome.
 
     Times are s on a steady clock.
     """
 
     def __init__(self, enable: OperatorEnable) -> None:
         self._enable, self._lock = enable, threading.Lock()
-        self._told: Callable[[bool, str], None] | None = None
+        self._reply: Callable[[bool, str], None] | None = None
         self._motor, self._throttle = 0, 0.0
         self._begun_s = self._until_s = self._sent_s = -math.inf
         self._accepted = False
@@ -64,10 +64,10 @@ class MotorTest:
     @property
     def running(self) -> bool:
         """Whether a motor spins, or is asked to."""
-        return self._told is not None
+        return self._reply is not None
 
     def ask(
-        self, wanted: Mapping[str, object], told: Callable[[bool, str], None], now_s: float,
+        self, wanted: Mapping[str, object], reply: Callable[[bool, str], None], now_s: float,
         *, armed: bool | None,
     ) -> Command:  # fmt: skip
         """Begin; the frame to send. Raises RefusedError."""
@@ -80,7 +80,7 @@ class MotorTest:
             raise RefusedError('it is armed: disarm it; motors are tested on the ground')
         if not self._enable.held(now_s):
             raise RefusedError('hold /operator/enable: the motor stops when it is let go')
-        self._told, self._motor, self._throttle = told, motor, throttle
+        self._reply, self._motor, self._throttle = reply, motor, throttle
         self._begun_s, self._until_s, self._accepted = now_s, now_s + duration_s, False
         return self._send(now_s)
 
@@ -111,10 +111,10 @@ class MotorTest:
     def end(self, words: str, *, good: bool = False) -> Command | None:
         """Stop; the frame that does, which need not arrive."""
         with self._lock:
-            told, self._told = self._told, None
-        if told is not None:
-            told(good, words)
-        return frame(self._motor, 0.0) if told is not None else None
+            reply, self._reply = self._reply, None
+        if reply is not None:
+            reply(good, words)
+        return frame(self._motor, 0.0) if reply is not None else None
 
     def _send(self, now_s: float) -> Command:
         self._sent_s = now_s

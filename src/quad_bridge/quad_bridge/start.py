@@ -14,7 +14,7 @@ from pathlib import Path
 
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
-INTERRUPTED = 130  # of a command; a node is meant to run until then and ends with 0
+INTERRUPTED = 130  # status of a command; a node runs until then by design and ends with 0
 
 
 def begin(module: str) -> None:

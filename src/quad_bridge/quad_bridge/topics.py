@@ -38,7 +38,7 @@ LATCHED = frozenset(
 
 @dataclass(frozen=True)
 class Opens:
-    """What a node publishes, hears, offers (services of its own) and calls."""
+    """The topics and services that a node publishes, subscribes to, offers and calls."""
 
     publishes: tuple[str, ...]
     hears: tuple[str, ...]
@@ -91,6 +91,6 @@ NODES = {
     ),
     'quad_tune': Opens((), (), (), (SET_GAINS,)),
 }  # fmt: skip
-"""By the name of the node."""
+"""Interfaces by the name of the node."""
 STREAMS = frozenset(NODES['serial_bridge'].publishes) - LATCHED - {'/diagnostics'}
 """Topics of what comes from the aircraft, serialised without rclpy."""

@@ -51,10 +51,7 @@ from quad_sysid.model.effect import Effect as Effect
 from quad_sysid.model.effect import Signals as Signals
 from quad_sysid.model.effect import Spec as Spec
 from quad_sysid.own_base import Base as Base
-from quad_sysid.own_base import BaseResult as BaseResult
 from quad_sysid.own_base import Quantity as Quantity
-from quad_sysid.own_base import identify_base as identify_base
-from quad_sysid.own_base import undetermined as undetermined
 from quad_sysid.pipeline.direct import greybox as greybox
 from quad_sysid.record import IOData as IOData
 from quad_sysid.record import Record as Record
@@ -64,6 +61,7 @@ from quad_sysid.result import evaluate as evaluate
 from quad_sysid.result import identify as identify
 from quad_sysid.result import read_model as read_model
 from quad_sysid.result import separate as separate
+from quad_sysid.result import undetermined as undetermined
 from quad_sysid.signals import design_excitation as design_excitation
 from quad_sysid.signals import prbs as prbs
 from quad_sysid.units import Units as Units

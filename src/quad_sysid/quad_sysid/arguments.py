@@ -1,6 +1,6 @@
 """Arguments of every quad-sysid command: one-line errors, an example in each --help.
 
-The commands are in cli.py and in the cli.py of their rooms.
+The commands are in cli.py and in the cli.py of their packages.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *given: Any, **more: Any) -> None:
         super().__init__(*given, **more)
-        self.set_defaults(parser=self)  # of a command line, the innermost: its --help helps
+        self.set_defaults(parser=self)  # the innermost parser, whose --help helps
 
     @classmethod
     def program(cls, prog: str, package: str, description: str, example: str) -> Parser:
@@ -64,10 +64,10 @@ class _Version(argparse.Action):
         from importlib.metadata import PackageNotFoundError, version
 
         try:
-            told = version(str(self.const))
+            words = version(str(self.const))
         except PackageNotFoundError:
-            told = 'not installed, run from its sources'
-        parser.exit(0, f'{parser.prog} {told}\n')
+            words = 'not installed, run from its sources'
+        parser.exit(0, f'{parser.prog} {words}\n')
 
 
 def command(
@@ -151,10 +151,10 @@ def positive(option: str, value: float) -> float:
 
 
 def progress(*, quiet: bool = False) -> Callable[[str], None]:
-    """What tells the stages of a long command on stderr; nothing if `quiet`.
+    """A function that shows the stages of a long command on stderr; nothing if `quiet`.
 
-    On a terminal it rewrites one line, and wipes it for an empty one. Elsewhere it is silent: what
-    goes wrong is told there in one line (contract).
+    On a terminal it rewrites one line, and wipes it for an empty one. Otherwise it is silent: what
+    goes wrong is said there in one line (contract).
     """
     if quiet or not sys.stderr.isatty():
         return lambda _: None

@@ -21,7 +21,7 @@ from quad_sysid.bags.split import split_segments
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.log import ForeignLog, Stream
-from quad_sysid.imports.to_bag import LEAST_SAMPLES, MIDDLE_COMMAND, record_of
+from quad_sysid.imports.to_bag import MIDDLE_COMMAND, MIN_SAMPLES, record_of
 from quad_sysid.imports.units import UNITS, Role, written
 from quad_sysid.record import IOData, Record, Segment, finite_runs
 from quad_sysid.units import Units
@@ -203,8 +203,8 @@ def _columns(data: Any, given: Mapping[str, Any], units: Mapping[str, Any]) -> _
     for name, one in arrays.items():
         if one.size != n:
             raise BadInputError(WHERE, f'{name} must be as long as u', f'{one.size} and {n}')
-    if n < LEAST_SAMPLES:
-        raise BadInputError(WHERE, f'need {LEAST_SAMPLES} samples at least', n, 'measure longer')
+    if n < MIN_SAMPLES:
+        raise BadInputError(WHERE, f'need {MIN_SAMPLES} samples at least', n, 'measure longer')
     for name in ('u', 'y' if 'y' in arrays else 'angle'):
         _check_moving(name, arrays[name])
     return _Columns(
@@ -371,7 +371,9 @@ def _times(time: Any, dt: Any, n: int,
 def _check_interval(name: str, seconds: float) -> None:
     if seconds > LONGEST_DT_S:
         raise BadInputError(WHERE, f'{name} has intervals that are too long', f'{seconds:g} s',
-                            f'at most {LONGEST_DT_S:g} s, since errors are those of half a second')
+                            f'at most {LONGEST_DT_S:g} s, since errors are those of half a second;'
+                            " scale a slow machine's time: "
+                            f"units={{'t': {LONGEST_DT_S / seconds:.2g}}} makes it fast enough")
 
 
 # units

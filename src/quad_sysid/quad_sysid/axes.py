@@ -6,6 +6,7 @@ rotation do, metres for radians. Nothing is read or fitted here.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from quad_sysid.craft import AXES
@@ -14,6 +15,42 @@ from quad_sysid.units import Units
 
 LEAN = Units(command='rad of lean', rate='m/s', motion='m')
 THRUST = Units(rate='m/s', motion='m')
+
+
+Level = tuple[float, float, float]
+"""Amplitudes of rate, position and command of a motion."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The motion by which the loop of an axis is judged, rad and rad/s, or m and m/s."""
+
+    step: float = math.radians(12.0)
+    """Amplitude of the square wave of the reference."""
+    half_period_s: float = 2.0
+    push: float = 2.0
+    """Size of the step of the acceleration that disturbs it."""
+    push_s: float = 3.0
+    gust_rad_s: float = 3.0
+    """Corner frequency of what gusts do to it."""
+    bands_rad_s: tuple[float, ...] = (4.0, 8.0, 16.0, 32.0, 64.0)
+    """Centres of the octaves that are compared before and after."""
+    wide: Level = (4.0, 0.35, 0.3)
+    near_rest: Level = (0.3, 0.05, 0.03)
+    crossover_rad_s: float = math.inf
+    """Highest that a design may have, whatever the model says."""
+    throttle: tuple[float, float] | None = None
+    """Least and largest throttle of the loop, where its command is one."""
+
+
+TURNING = Trial()
+CLIMBING = Trial(0.4, 4.0, 1.0, 6.0, 1.0, (0.5, 1.0, 2.0, 4.0, 8.0), (0.8, 0.5, 0.1),
+                 (0.1, 0.05, 0.02), crossover_rad_s=6.0, throttle=(0.1, 0.9))
+"""Faster than 6 rad/s no autopilot closes this loop: the wash of the rotors on the barometer and
+the shaking of the frame are in no model."""
+
+SLIDING = Trial(1.0, 6.0, 0.5, 20.0, 0.5, (0.25, 0.5, 1.0, 2.0, 4.0), (1.0, 1.0, 0.15),
+                (0.1, 0.1, 0.02))
 
 
 @dataclass(frozen=True)
@@ -29,6 +66,11 @@ class Axis:
     """Of what moves; None: of a rotation, rad/s per normalised command."""
     excited_as: str = ''
     """The axis whose excitation also excites this one."""
+    place: str = 'angle'
+    """What its outer loop holds, as the contract names its gains."""
+    trial: Trial = TURNING
+    outer: bool = False
+    """Whether its loop is the user's own, around that of the lean: the firmware has none."""
 
     @property
     def turns(self) -> bool:
@@ -40,12 +82,14 @@ EVERY: dict[str, Axis] = {axis.name: axis for axis in (
     Axis('roll', 0, ('pitch', 'yaw')),
     Axis('pitch', 1, ('roll', 'yaw')),
     Axis('yaw', 2, ('roll', 'pitch')),
-    Axis('surge', 0, ('sway', 'climb'), LEAN, 'pitch'),
-    Axis('sway', 1, ('surge', 'climb'), LEAN, 'roll'),
-    Axis('climb', -1, ('roll', 'pitch'), THRUST),
+    Axis('surge', 0, ('sway', 'climb'), LEAN, 'pitch', 'position', SLIDING, outer=True),
+    Axis('sway', 1, ('surge', 'climb'), LEAN, 'roll', 'position', SLIDING, outer=True),
+    Axis('climb', -1, ('roll', 'pitch'), THRUST, place='height', trial=CLIMBING),
 )}
 ALL_WORDS = {'all': AXES, 'every': tuple(EVERY)}
 """What stands for several axes in a command."""
+NAMES = (*EVERY, *ALL_WORDS)
+"""What an option that names axes takes."""
 
 
 def axis_of(where: str, name: str) -> Axis:

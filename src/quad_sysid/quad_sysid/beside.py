@@ -15,7 +15,7 @@ from typing import Any
 TASKS = Path('/proc/self/task')
 """The threads of this process, those of libraries included (Linux; no other system has it)."""
 PR_SET_PDEATHSIG = 1
-"""Of prctl (Linux): the signal that a process is sent when its parent dies."""
+"""Option of prctl (Linux): the signal that a process receives when its parent dies."""
 
 WIDE = 2
 """Bytes of a call's number in the pipe from which processes take the next one."""
@@ -40,7 +40,7 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
     os.close(put)
     started = []
     try:
-        with suppress(OSError):  # no room for another process
+        with suppress(OSError):  # no memory for another process
             for first in range(1, cores):
                 receiver, sender = context.Pipe(duplex=False)
                 some = calls, first, left, sender, os.getpid()
@@ -48,7 +48,7 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
                 process.start()
                 sender.close()
                 started.append((process, receiver))
-        results = {place: calls[place]() for place in _taken(0, left)}
+        results = {place: calls[place]() for place in _numbers(0, left)}
         for _, receiver in started:
             with suppress(Exception):  # its last, or killed, or what it sent cannot be unpacked
                 while True:
@@ -63,11 +63,11 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
             receiver.close()
 
 
-def _taken(first: int, left: int) -> Iterator[int]:
-    """A process' first call, then whichever nobody has taken yet from the pipe `left`."""
+def _numbers(first: int, left: int) -> Iterator[int]:
+    """A process' first call, then the next ones that are left in the pipe."""
     yield first
-    while taken := os.read(left, WIDE):
-        yield int.from_bytes(taken, 'big')
+    while number := os.read(left, WIDE):
+        yield int.from_bytes(number, 'big')
 
 
 def _make(
@@ -81,7 +81,7 @@ def _make(
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     results: list[tuple[int, Any]] = []
     with suppress(Exception):  # the parent makes the call itself and meets the error
-        for place in _taken(first, left):
+        for place in _numbers(first, left):
             if os.getppid() != parent:
                 return
             results.append((place, calls[place]()))

@@ -1,7 +1,7 @@
 """Functions of `import quad_sysid` that take whatever the others return.
 
 A model is a black box, an identified axis, a Result or the path of a model.json; a flight is a
-Record, IOData or the path of a bag. The work is done in the rooms that these functions name.
+Record, IOData or the path of a bag. The work is done in the packages that these functions name.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def simulate(model: AnyModel, u: npt.ArrayLike, x0: Any = None, **signals: Any) 
 
     x0: (rate, angle) of an axis, the filter's state of a black box; default: at rest.
     """
-    begun = {} if x0 is None else {'x0': x0}
-    return model_of(model).simulate(u, **begun, **signals)
+    start = {} if x0 is None else {'x0': x0}
+    return model_of(model).simulate(u, **start, **signals)
 
 
 def predict(model: AnyModel, flight: AnyFlight, horizon: float = 1) -> FloatArray:
-    """(n,) predicted output, `horizon` samples ahead, math.inf for the free run; NaN elsewhere."""
+    """(n,) output predicted `horizon` samples ahead, math.inf for the free run; NaN if unknown."""
     return model_of(model).predict(_data(model, flight), horizon)
 
 
@@ -134,15 +134,15 @@ def fleet(flights: str | Path | Sequence[Record], out: str | Path = '',
     from quad_sysid.fleets import bag, engine
     from quad_sysid.fleets.summary import Fleet
 
-    asked: dict[str, Any] = {'axes': tuple(axes), 'search_effects': search_effects,
-                             'limit_s': limit_s}
+    options: dict[str, Any] = {'axes': tuple(axes), 'search_effects': search_effects,
+                               'limit_s': limit_s}
     fleet = Fleet([], group_by, since)
     if isinstance(flights, str | Path):
         if not out:
             raise BadInputError('fleet: out', 'is missing', remedy='name a folder for the results')
-        every = bag.jobs(flights, out, **asked)
+        every = bag.jobs(flights, out, **options)
     else:
-        every = bag.of_records(flights, aircraft, str(out), **asked)
+        every = bag.of_records(flights, aircraft, str(out), **options)
     return replace(fleet, rows=engine.run(every, workers, cluster))
 
 

@@ -1,5 +1,5 @@
 # PYTHON_ARGCOMPLETE_OK
-"""`quad-sysid`: arguments and wiring; some commands are in the cli.py of their rooms.
+"""`quad-sysid`: arguments and wiring; some commands are in the cli.py of their packages.
 
 Slow imports (numba, scipy) are made where a command needs them, so that --help and completion are
 fast.
@@ -30,7 +30,7 @@ from quad_sysid.arguments import (
     quiet_and_json,
     run_command,
 )
-from quad_sysid.axes import EVERY, units_of
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.files import check_new, write_whole
@@ -79,7 +79,7 @@ def _identify_parser(commands: Commands) -> None:
     parser = command(
         commands, 'identify', _identify,
         'Fit models to bags, validate them, and say what they lack. Prints the models, the '
-        'verdict, the effects that were found and the errors before and after; writes '
+        'verdict, the effects that were added and the errors before and after; writes '
         'report.html, report.json and model.json, with gains where quad_tuning is installed.',
         'quad-sysid identify flight/ --axis roll --out report/', reads='bags',
     )
@@ -183,23 +183,23 @@ def _evaluate(options: argparse.Namespace) -> int:
         models = pick(models, options.axis, options.model)
     wanted = parse_span(options.validate, '--validate') if options.validate else None
     record = read_bag(options.bag)
-    span, told = clip_span(wanted, record, '--validate')
-    for line in told:
+    span, warnings = clip_span(wanted, record, '--validate')
+    for line in warnings:
         print(f'quad-sysid: {line}', file=sys.stderr)
     spans = () if span is None else (span,)
-    found, refused = [], {}
+    evaluations, refused = [], {}
     for axis in models:
         try:
-            found.append(evaluate(models[axis], record, spans, polynomials.get(axis)))
+            evaluations.append(evaluate(models[axis], record, spans, polynomials.get(axis)))
         except NotInformativeError as error:  # noqa: PERF203  an axis each
             refused[axis] = str(error)
     if refused:
         print(f'quad-sysid: {words.by_reason(refused)}', file=sys.stderr)
-    if not found:
+    if not evaluations:
         return NOT_ANSWERED
     axes = {
         e.axis: {'error': {'metric': document.METRIC, 'data': 'unseen',
-                           'unit': getattr(units_of(e.axis), 'rate', 'rad/s'),
+                           'unit': e.unit,
                            'before': e.before, 'after': e.after,
                            'reference': e.after if e.reference is None else e.reference,
                            'one_step_before': e.one_step_before,
@@ -210,13 +210,13 @@ def _evaluate(options: argparse.Namespace) -> int:
                                   'answer': {*names} == {x.name for x in models[e.axis].effects}}
                                  for names, percent, error in e.rungs],
                  'outside': [vars(one) for one in e.outside]}
-        for e in found
+        for e in evaluations
     }
     if options.json:
         unanswered = {'not_answered': refused} if refused else {}
         print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes, **unanswered}))
         return DONE
-    for e in () if options.quiet else found:
+    for e in () if options.quiet else evaluations:
         tree = {**axes[e.axis], 'effects': models[e.axis].effects}
         beyond = (line for one in e.outside for line in tables.wrapped(str(one)))
         print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)),
@@ -237,16 +237,16 @@ def _design(options: argparse.Namespace) -> int:
     if options.out:
         check_new(options.out)
     if options.separate is not None:
-        told, content = _separation(options)
+        text, content = _separation(options)
     else:
         design = design_excitation(*parse_band(options.band), options.rate, options.seconds)
-        told = design.text()
+        text = design.text()
         content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
     if options.out:
         write_whole(options.out, content)
-        told += f'\nschedule in {options.out}'
+        text += f'\nschedule in {options.out}'
     if not options.quiet:
-        print(told)
+        print(text)
     return DONE
 
 
@@ -267,17 +267,17 @@ def _separation(options: argparse.Namespace) -> tuple[str, str]:
                             remedy='name two effects, or give --model result/model.json')
     show = progress(quiet=options.quiet)
     if options.model is None:
-        found = separate(options.axis or AXES[0], names, seconds, effects=own,
-                         progress=show)
+        result = separate(options.axis or AXES[0], names, seconds, effects=own,
+                          progress=show)
     else:
         models = load_models(options.model, own)
-        found = separate(
+        result = separate(
             pick(models, options.axis, options.model)[options.axis] if options.axis
-            else nearest(models), names, seconds, effects=own, told=options.model,
+            else nearest(models), names, seconds, effects=own, source=options.model,
             progress=show,
         )
     show('')
-    return words.text(found), words.schedule(found)
+    return words.text(result), words.schedule(result)
 
 
 if __name__ == '__main__':

@@ -25,7 +25,7 @@ from quad_sysid.arguments import (
     progress,
     quiet_and_json,
 )
-from quad_sysid.contract import AXES
+from quad_sysid.axes import ALL_WORDS, EVERY, NAMES
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table
 from quad_sysid.report.words import number
@@ -43,7 +43,7 @@ QUARTERS = 4
 MANY = 1e9
 """Degrees of freedom with which Student's t is normal."""
 COMMAND = 'normalised command'
-LEAST_IN_PART = 50
+MIN_IN_PART = 50
 """Samples."""
 ROUNDING = 1e-9
 """Normalised command; what scatters less was not flown."""
@@ -96,11 +96,11 @@ Pair = tuple[Flight, tuple[Change, ...]]
 
 def of_model(model: AxisModel) -> dict[str, Estimate]:
     """The base beside its effects, then the effects: alone it takes up what they do."""
-    out = {p.name: Estimate(p.value, p.std, p.unit) for p in model.base}
+    named = {p.name: p for p in model.base if model.shows(p)}
     for effect in model.effects:
-        out |= {f'{effect.name}.{p.name}': Estimate(p.value, p.std, p.unit)
-                for p in effect.parameters}
-    return out
+        named |= {f'{effect.name}.{p.name}': p for p in effect.parameters}
+    shown = {name: model.in_units(p) for name, p in named.items()}
+    return {name: Estimate(p.value, p.std, p.unit) for name, p in shown.items()}
 
 
 def trims(record: Record) -> dict[str, Estimate]:
@@ -115,14 +115,14 @@ def trims(record: Record) -> dict[str, Estimate]:
             used[slice(*record.span(segment))] = True
     used &= np.isfinite(record.control).all(axis=1)
     rows = np.flatnonzero(used if record.segments else np.isfinite(record.control[:, 0]))
-    if len(rows) < QUARTERS * LEAST_IN_PART:
+    if len(rows) < QUARTERS * MIN_IN_PART:
         return {}
     means = np.array([record.control[part].mean(axis=0)
                       for part in np.array_split(rows, QUARTERS)])
     std = means.std(axis=0, ddof=1)
     return {
         axis: Estimate(float(means[:, i].mean()), float(std[i]), COMMAND, QUARTERS - 1.0)
-        for i, axis in enumerate(AXES, 1) if std[i] > ROUNDING
+        for axis, own in EVERY.items() if not own.outer and std[i := own.index + 1] > ROUNDING
     }
 
 
@@ -131,17 +131,17 @@ def compare(reference: Flight, others: Sequence[Flight]) -> tuple[Pair, ...]:
 
     The changes are those at LEVEL for all comparisons of all flights together.
     """
-    found = [_changes(reference, other) for other in others]
-    held = iter(_held([*chain(*found)]))
+    changes = [_changes(reference, other) for other in others]
+    held = iter(_held([*chain(*changes)]))
     return tuple((other, tuple(islice(held, len(own))))
-                 for other, own in zip(others, found, strict=True))
+                 for other, own in zip(others, changes, strict=True))
 
 
 def _changes(reference: Flight, other: Flight) -> list[Change]:
     return [
         _change(axis, name, reference.parameters.get(axis, {}).get(name),
                 other.parameters.get(axis, {}).get(name))
-        for axis in AXES
+        for axis in EVERY
         for name in dict.fromkeys([*reference.parameters.get(axis, {}),
                                    *other.parameters.get(axis, {})])
     ]
@@ -167,14 +167,14 @@ def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Cha
     return replace(change, std=std, p_value=p)
 
 
-def _held(found: Sequence[Change]) -> tuple[Change, ...]:
+def _held(changes: Sequence[Change]) -> tuple[Change, ...]:
     """Mark the changes at LEVEL for all of them together."""
     from quad_sysid.fleets.drift import holm  # slow to import
 
-    tested = [(i, c.p_value) for i, c in enumerate(found) if c.p_value is not None]
+    tested = [(i, c.p_value) for i, c in enumerate(changes) if c.p_value is not None]
     marks = holm([p for _, p in tested], LEVEL)
     marked = {i for (i, _), mark in zip(tested, marks, strict=True) if mark}
-    return tuple(replace(c, changed=i in marked) for i, c in enumerate(found))
+    return tuple(replace(c, changed=i in marked) for i, c in enumerate(changes))
 
 
 def add(commands: Commands) -> None:
@@ -187,7 +187,8 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument('flights', nargs='+', metavar='BAG|MODEL.json',
                         help='the first is what the others are compared with')
-    parser.add_argument('--axis', choices=[*AXES, 'all'], default='all', help='default: all')
+    parser.add_argument('--axis', choices=NAMES, default='all',
+                        help='all: roll, pitch and yaw (default); every: all six')
     parser.add_argument('--no-effects', action='store_true',
                         help='compare base and trim only, which takes less time')
     effects_option(parser)
@@ -198,7 +199,7 @@ def _run(options: argparse.Namespace) -> int:
     if len(options.flights) < 2:
         raise BadInputError('compare', 'needs two flights or more', len(options.flights),
                             'name what is to be compared with the first')
-    axes = AXES if options.axis == 'all' else (options.axis,)
+    axes = ALL_WORDS.get(options.axis, (options.axis,))
     show, effects = progress(quiet=options.quiet), candidates(options)
     reference, *others = [_flight(name, axes, effects, show) for name in options.flights]
     show('')
@@ -207,7 +208,7 @@ def _run(options: argparse.Namespace) -> int:
         print(json.dumps(tree(reference, pairs), indent=1))
     elif not options.quiet:
         print('\n'.join(lines(reference, pairs)))
-    if not any(change.p_value is not None for _, found in pairs for change in found):
+    if not any(change.p_value is not None for _, changes in pairs for change in changes):
         print(f'quad-sysid: {reference.source}: nothing can be compared: no parameter has an '
               'error in both flights', file=sys.stderr)
         return NOT_ANSWERED
@@ -226,17 +227,17 @@ def _flight(name: str, axes: tuple[str, ...], effects: tuple[Effect, ...] | None
         return Flight(name, {axis: of_model(models[axis]) for axis in axes if axis in models},
                       {axis: 'not in the file' for axis in axes if axis not in models})
     record = split_segments(read_bag(name), axes=axes)
-    found = identify(record, axes, effects=effects,
-                     progress=lambda line: show(f'{name}: {line}' if line else ''))
-    answers = found.answers
+    result = identify(record, axes, effects=effects,
+                      progress=lambda line: show(f'{name}: {line}' if line else ''))
+    answers = result.answers
     by_axis = {axis: of_model(answer.model) for axis, answer in answers.items()
                if answer.answered and answer.model}
-    told = tuple(by_axis)
+    answered = tuple(by_axis)
     for axis, trim in trims(record).items():
         if axis in axes:
             by_axis.setdefault(axis, {})['trim'] = trim
     return Flight(name, by_axis, {axis: answer.reason for axis, answer in answers.items()
-                                  if axis not in told})
+                                  if axis not in answered})
 
 
 def tree(reference: Flight, pairs: Sequence[Pair]) -> dict[str, Any]:
@@ -245,8 +246,8 @@ def tree(reference: Flight, pairs: Sequence[Pair]) -> dict[str, Any]:
         'schema': SCHEMA, 'reference': reference.source, 'level': LEVEL,
         'flights': [
             {'source': flight.source, 'not_answered': dict(flight.reasons),
-             'parameters': [asdict(change) for change in found]}
-            for flight, found in pairs
+             'parameters': [asdict(change) for change in changes]}
+            for flight, changes in pairs
         ],
         'not_answered': dict(reference.reasons),
     }
@@ -254,19 +255,19 @@ def tree(reference: Flight, pairs: Sequence[Pair]) -> dict[str, Any]:
 
 def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
     """A table for each flight, then what changed."""
-    for flight, found in pairs:
+    for flight, changes in pairs:
         yield f'{reference.source} -> {flight.source}'
         rows = [['*' if c.changed else '', c.axis, _name(c), *(number(value) for value in (
-            c.reference, c.value, c.difference, c.std, c.p_value))] for c in found]
+            c.reference, c.value, c.difference, c.std, c.p_value))] for c in changes]
         head = ['', 'axis', '', 'before', 'after', 'difference', 'std. error', 'chance']
         yield from Table(head, rows, range(3, 8)).text()
         for known in (reference, flight):
             for axis, reason in known.reasons.items():
                 yield f'  {known.source}, {axis}: no model ({reason})'
-        told = [f'{c.axis} {c.name}' for c in found if c.changed]
-        alone = [f'{c.axis} {c.name}' for c in found
+        changed = [f'{c.axis} {c.name}' for c in changes if c.changed]
+        alone = [f'{c.axis} {c.name}' for c in changes
                  if (c.reference is None) != (c.value is None) and '.' in c.name]
-        yield (f'  changed: {", ".join(told)}' if told else
+        yield (f'  changed: {", ".join(changed)}' if changed else
                f'  nothing changed, at a level of {LEVEL:.0%} for all comparisons together')
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'

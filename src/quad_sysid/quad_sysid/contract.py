@@ -33,7 +33,7 @@ MIXER, MIXER_INVERSE = X.mixer, X.inverse
 """(4, 4) each: m1..m4 = MIXER @ (U1..U4) of the X frame, and back; another craft has its own."""
 motors_from_wrench, control_from_motors = X.commands, X.control
 IDLE = 'mixer.idle'
-"""Of /gains/active: the smallest command of a motor in flight."""
+"""Name in /gains/active of the smallest command of a motor in flight."""
 
 __all__ = [
     'AXES',

@@ -5,8 +5,8 @@ Commands exit with the error's `exit_status`.
 
 from __future__ import annotations
 
-MOST_FOUND = 300
-"""Characters of what was found that a message shows; it may be a whole file."""
+MAX_VALUE = 300
+"""Characters of a value that a message shows; it may be a whole file."""
 
 
 class QuadSysidError(Exception):
@@ -21,10 +21,10 @@ class BadInputError(QuadSysidError, ValueError):
     `str()` is one line: ``<where>: <what>: found <value>; <remedy>``.
     """
 
-    def __init__(self, where: str, what: str, found: object = None, remedy: str = '') -> None:
+    def __init__(self, where: str, what: str, value: object = None, remedy: str = '') -> None:
         text = f'{where}: {what}'
-        if found is not None:
-            text += f': found {shortened(found)}'
+        if value is not None:
+            text += f': found {shortened(value)}'
         if remedy:
             text += f'; {remedy}'
         super().__init__(' '.join(text.split()))
@@ -40,9 +40,9 @@ class NotInformativeError(QuadSysidError):
     exit_status = 3
 
 
-def shortened(found: object) -> str:
-    """What was found, as one line of a message that stays readable."""
-    text = ' '.join(str(found).split())
-    if len(text) <= MOST_FOUND:
+def shortened(value: object) -> str:
+    """A value as one line of a message that stays readable."""
+    text = ' '.join(str(value).split())
+    if len(text) <= MAX_VALUE:
         return text
-    return f'{text[:MOST_FOUND]} … ({len(text)} characters)'
+    return f'{text[:MAX_VALUE]} … ({len(text)} characters)'

@@ -250,13 +250,13 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
                   'elapsed_s': f'{player.elapsed_s:.1f}',
                   'duration_s': f'{schedule.duration_s:.1f}',
                   'progress_pct': f'{100.0 * player.elapsed_s / schedule.duration_s:.0f}',
-                  **told(self._settings)}
+                  **entries(self._settings)}
         status = Status('schedule', level, player.reason or waiting or player.state.value, values)
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(diagnostic_array(self.get_name(), '', now, [status]))
 
 
-def told(settings: Settings) -> dict[str, str]:
+def entries(settings: Settings) -> dict[str, str]:
     """Diagnostics: what is flown and what ends it."""
     return {
         'axes': ' '.join(dict.fromkeys(

@@ -1,8 +1,8 @@
-"""Which excitation, within given limits, tells the parameters of a model best.
+"""Which excitation, within given limits, determines the parameters of a model best.
 
 Each candidate is flown by the model and followed by its Kalman filter; the derivatives of the
-innovations by the parameters are the information that the fit would have. Two rivals are told
-apart by `separate`.
+innovations by the parameters are the information that the fit would have. Two rivals are
+distinguished by `separate`.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def design_experiment(
     seconds: float = 30.0, criterion: str = 'D',
     progress: Callable[[str], object] = lambda _: None,
 ) -> Experiment:
-    """The excitation of `seconds` that tells the model's parameters best.
+    """The excitation of `seconds` that determines the model's parameters best.
 
     `model`: an identified axis or its result. `amplitude`, `rate`, `angle`: limits of |u| and of
     what the model then does, in the units of its arrays. `criterion`: `D`, the determinant of the
@@ -111,15 +111,15 @@ def design_experiment(
     every = _values(own)
     kept = [i for i, (value, std) in enumerate(every.values()) if abs(value) > HELD or std]
     present = {name: every[name] for i, name in enumerate(every) if i in kept}
-    found = []
+    scores = []
     for i, name in enumerate(names):
         progress(name)
         information = _information(own, commands[i], rates[i], angles[i])[np.ix_(kept, kept)]
-        found.append((_worth(information, present, criterion), i, information))
-    if not any(math.isfinite(worth) for worth, _, _ in found):
-        raise NotInformativeError('design_experiment: no candidate tells anything within these '
+        scores.append((_score(information, present, criterion), i, information))
+    if not any(math.isfinite(score) for score, _, _ in scores):
+        raise NotInformativeError('design_experiment: no candidate is informative within these '
                                   'limits; widen them or take longer')
-    ordered = sorted(found, key=lambda one: -one[0])
+    ordered = sorted(scores, key=lambda one: -one[0])
     _, best, information = ordered[0]
     covariance = np.linalg.pinv(np.array(_with_present(information, present), dtype=np.float64))
     expected = dict(zip(present, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
@@ -133,7 +133,7 @@ def design_experiment(
         largest_rate=float(np.abs(rates[best]).max()) / per_y,
         largest_angle=float(np.abs(angles[best]).max()) / per_angle,
         ranking=tuple((f'{names[i]}, amplitude {np.abs(commands[i]).max() / per_u:.3g}',
-                       sign * worth) for worth, i, _ in ordered))
+                       sign * score) for score, i, _ in ordered))
 
 
 def _values(model: Identified) -> dict[str, tuple[float, float | None]]:
@@ -202,11 +202,11 @@ def _information(model: Identified, command: FloatArray, rate: FloatArray,
     problem = Problem(replace(data, angle=angle), spans)
     logs = np.array([spec.log for spec in structure.specs])
     steps = NUDGE * np.where(logs, 1.0, np.maximum(np.abs(theta), LEAST))
-    found = problem.flight.predict(structure, theta, sweeps=2, steps=steps)
-    if found.jacobian is None:
+    prediction = problem.flight.predict(structure, theta, sweeps=2, steps=steps)
+    if prediction.jacobian is None:
         return np.zeros((count, count))
     values = structure.natural(theta)[:count]
-    rows = found.jacobian[problem.rows][:, :count] / np.where(logs[:count], values, 1.0)
+    rows = prediction.jacobian[problem.rows][:, :count] / np.where(logs[:count], values, 1.0)
     return np.asarray(rows.T @ rows * fitted.tail.information / fitted.tail.scale**2)
 
 
@@ -217,7 +217,7 @@ def _with_present(information: FloatArray,
     return information + np.diag(present)
 
 
-def _worth(information: FloatArray, known: Mapping[str, tuple[float, float | None]],
+def _score(information: FloatArray, known: Mapping[str, tuple[float, float | None]],
            criterion: str) -> float:
     """What a candidate brings, the more the better; minus infinity for nothing."""
     if not information.any() or not np.isfinite(information).all():

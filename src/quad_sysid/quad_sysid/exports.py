@@ -87,17 +87,17 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
     lines = ['"""Identified by quad-sysid; for python-control.', '', NOTE, '"""', '',
              'import control', 'import numpy as np', '', 'axes = {}']
     for axis, model in models.items():
-        found = matrices(model)
+        system = matrices(model)
         lines += [
             '', (f'# {axis}: normalised command to rate (rad/s) and angle (rad), held over '
-            f'{found["dt_s"]:g} s,'), f'# the delay of {found["delay_s"]:.6g} s as states',
+            f'{system["dt_s"]:g} s,'), f'# the delay of {system["delay_s"]:.6g} s as states',
             f'# command = {model.craft.inverse[1 + EVERY[axis].index].tolist()} @ motors',
             *(f'# {p.name} = {p.value:.6g} {p.unit}' for p in model.base),
             *(f'# not in the matrices: {e.name}.{p.name} = {p.value:.6g} {p.unit}'
               for e in model.effects for p in e.parameters),
             f'axes[{axis!r}] = control.ss(',
-            *(f'    np.array({found[name].tolist()}),' for name in ('Ad', 'Bd', 'Cd')),
-            f'    0.0, {found["dt_s"]!r},',
+            *(f'    np.array({system[name].tolist()}),' for name in ('Ad', 'Bd', 'Cd')),
+            f'    0.0, {system["dt_s"]!r},',
             f"    inputs=['command'], outputs={list(OUTPUTS)!r}, name={axis!r},", ')',
         ]
     return ('\n'.join(lines) + '\n').encode()
@@ -115,10 +115,10 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
     from quad_sysid.loop.from_model import loop_plant, whole_plant
     from quad_sysid.loop.linear import STILL, loops_of
 
-    told: dict[str, Any] = {'inputs': ['command'], 'outputs': list(OUTPUTS), 'name': model.axis}
+    names: dict[str, Any] = {'inputs': ['command'], 'outputs': list(OUTPUTS), 'name': model.axis}
     if linear:
         one = loops_of([(loop_plant(model), STILL)])
-        return control.ss(one.a[0], one.b[0][:, None], one.c[0], 0.0, model.dt, **told)
+        return control.ss(one.a[0], one.b[0][:, None], one.c[0], 0.0, model.dt, **names)
     flying = whole_plant(model)
     plant, rest = flying.plant, flying.begin()
 
@@ -130,7 +130,7 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
         rate, angle = plant.measured(plant.unflat(x[:, None], rest))
         return np.array([rate[0], 0.0 if angle is None else angle[0]])
 
-    return control.nlsys(ahead, shown, states=plant.flat(rest).shape[0], dt=model.dt, **told)
+    return control.nlsys(ahead, shown, states=plant.flat(rest).shape[0], dt=model.dt, **names)
 
 
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {
@@ -147,8 +147,9 @@ def export(models: Mapping[str, AxisModel], path: str | Path, to: str = '') -> P
     place = Path(path)
     name = to or next((key for key, (_, suffix) in WRITERS.items() if suffix == place.suffix), '')
     if name not in WRITERS:
+        suffixes = ' or '.join(suffix for _, suffix in WRITERS.values())
         raise BadInputError('export', 'must be to one of ' + ', '.join(WRITERS), to or str(path),
-                            'name it, or a suffix of .py or .mat')
+                            f'name it, or a suffix of {suffixes}')
     check_new(place)
     write_whole(place, WRITERS[name][0](models))
     return place
@@ -162,7 +163,7 @@ def add(commands: Commands) -> None:
                      writes='file')
     parser.add_argument('model', metavar='MODEL.json', type=Path,
                         help='written by quad-sysid identify, or its folder')
-    parser.add_argument('--to', required=True, choices=['control', 'mat'],
+    parser.add_argument('--to', required=True, choices=sorted(WRITERS),
                         help='control: a Python file; mat: MATLAB')
     parser.add_argument('--axis', choices=EVERY, help='default: every axis of the model')
     parser.add_argument('--out', metavar='FILE', type=Path,

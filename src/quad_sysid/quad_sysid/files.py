@@ -90,20 +90,20 @@ def check_page(path: Path, mark: str, command: str) -> None:
 def unfinished(place: Path) -> Iterator[Path]:
     """A folder in `place` for what is not whole yet: it goes at the end, also of the process."""
     with held():  # else it could be there before it is known
-        room = tempfile.TemporaryDirectory(dir=place, prefix=UNFINISHED)
-    with room:
-        yield Path(room.name)
+        folder = tempfile.TemporaryDirectory(dir=place, prefix=UNFINISHED)
+    with folder:
+        yield Path(folder.name)
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Write a file so that it appears only when it is complete; raises BadInputError."""
     target = Path(path)
     try:
-        with unfinished(target.parent) as room, (room / target.name).open('wb') as stream:
+        with unfinished(target.parent) as folder, (folder / target.name).open('wb') as stream:
             stream.write(content.encode() if isinstance(content, str) else content)
             stream.flush()
             os.fsync(stream.fileno())
-            (room / target.name).replace(target)
+            (folder / target.name).replace(target)
     except OSError as error:
         raise BadInputError(str(target), 'cannot be written', error.strerror,
                             'choose another place') from error

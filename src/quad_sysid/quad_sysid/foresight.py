@@ -1,10 +1,10 @@
-"""Whether commands tell what a rate will be, before any model: two linear regressions. Pure.
+"""Whether commands predict a rate, before any model is fitted: two linear regressions. Pure.
 
-The verdict's criterion (discover/accept.py) for those who fit nothing: at some horizon the error
-of a prediction with commands must be smaller by DIFFERS than that of one by past rates alone. Both
+The verdict's criterion (discover/accept.py) where nothing is fitted: at some horizon the error of
+a prediction with commands must be smaller by DIFFERS than that of one by past rates alone. Both
 know commands up to the prediction's start only, since a feedback's later ones contain the very
 rates that are to be predicted. A verdict on fitted models asks for more: where these commands do
-not tell, it cannot either.
+not predict the rate, no model does.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ HORIZONS_S = (0.02, 0.05, 0.1, 0.2)
 """Those of the verdict over which the motors answer; later the unknown commands rule."""
 LAGS, PAST_S = 20, 0.1
 """Number and span of the past samples: the motors' lag and delay lie within it."""
-MOST_ROWS = 20_000
+MAX_ROWS = 20_000
 """At most so many samples are predicted, spread over the recording."""
 ROWS_EACH = 2
 """Least number of rows for each coefficient."""
@@ -28,14 +28,14 @@ FLAT = 0.02
 """Share of its RMS below which a difference counts as none."""
 DRAWN = 0.6
 """Share of a moving command's samples on straight lines from which it was interpolated."""
-REGULAR, LEAST_APART = 0.7, 3
+REGULAR, MIN_APART = 0.7, 3
 """Least share of the lines' ends that come at one interval, or a multiple, of so many samples."""
 
 
-def tell(
+def predictive(
     rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, int]], dt: float
 ) -> bool:
-    """Whether commands (n, k) tell the rate (n,), rad/s, over spans without gaps; dt in s."""
+    """Whether commands (n, k) predict the rate (n,), rad/s, over spans without gaps; dt in s."""
     return improvement(rate, commands, spans, dt) >= DIFFERS
 
 
@@ -58,7 +58,7 @@ def _ratio(rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, in
         np.arange(a + (LAGS - 1) * step, b - ahead) for a, b in spans)])
     if at.size <= ROWS_EACH * ((1 + commands.shape[1]) * LAGS + 1):
         return 1.0
-    at = at[:: -(-at.size // MOST_ROWS)]
+    at = at[:: -(-at.size // MAX_ROWS)]
     past = at[:, None] - step * np.arange(LAGS)
     rates = np.column_stack([np.ones(at.size), rate[past]])
     both = np.column_stack([rates, commands[past].reshape(at.size, -1)])
@@ -78,8 +78,8 @@ def drawn_hz(commands: FloatArray, dt: float) -> float:
     Such a command moves and yet hardly ever bends, and it bends at regular intervals. One that is
     held does not move between its samples.
     """
-    found = [rate for column in commands.T if (rate := _drawn(column)) is not None]
-    return float(np.median(found)) / dt if found and min(found) > 0.0 else 0.0
+    rates = [rate for column in commands.T if (rate := _drawn(column)) is not None]
+    return float(np.median(rates)) / dt if rates and min(rates) > 0.0 else 0.0
 
 
 def _drawn(command: FloatArray) -> float | None:
@@ -98,4 +98,4 @@ def _drawn(command: FloatArray) -> float | None:
     apart = float(np.median(ends))
     off = np.abs(ends / apart - np.maximum(np.round(ends / apart), 1.0))
     regular = float(np.mean(off * apart <= 1.0))
-    return 1.0 / apart if apart >= LEAST_APART and regular >= REGULAR else 0.0
+    return 1.0 / apart if apart >= MIN_APART and regular >= REGULAR else 0.0

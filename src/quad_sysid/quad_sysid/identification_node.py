@@ -27,7 +27,7 @@ from quad_bridge.lockstep import clock
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.conversion import event_message, parameters
 from quad_bridge.nodes.diagnostics import diagnostic_array
-from quad_bridge.nodes.managed_node import MOST_BYTES, answered
+from quad_bridge.nodes.managed_node import MAX_BYTES, answered
 from quad_bridge.nodes.qos import EVENT, HEARD
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.topics import AIRCRAFT_LOG
@@ -37,7 +37,7 @@ from quad_sysid.result import Result
 
 PARAMETERS = ('out', 'axes', 'auto_update', 'train', 'validate', 'inertia', 'folder', 'bag')
 LOGGER, BRIDGE = 'bag_logger', 'serial_bridge'
-MOST_BAGS = 100
+MAX_BAGS = 100
 """That wait, or are remembered: more than that is a flood."""
 
 
@@ -86,13 +86,13 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self.get_logger().info('waits for /logger/bag to say complete')
 
     def _on_bag(self, data: bytes, info: Any) -> None:
-        if len(data) > MOST_BYTES or len(self._seen) >= MOST_BAGS:
+        if len(data) > MAX_BYTES or len(self._seen) >= MAX_BAGS:
             return
         event = deserialize_message(data, ParameterEvent)
         said = parameters(event)
         bag, state = str(said.get('path', '')), said.get('state')
         earlier, stranger = info['source_timestamp'] < self._begun_ns, self._stranger(event.node)
-        if state == 'recording' and not earlier and not stranger and len(self._begun) < MOST_BAGS:
+        if state == 'recording' and not earlier and not stranger and len(self._begun) < MAX_BAGS:
             self._begun.add(bag)
         if state != 'complete' or bag in self._seen:
             return
@@ -141,14 +141,14 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if self._worker is not None:
             return answered(response, False, f'{self._bag} is still being identified')
         wanted = str(self.get_parameter('bag').value)
-        found = self._folder / wanted if wanted else self._newest()
-        if found is None or not self._ours(found):
+        bag = self._folder / wanted if wanted else self._newest()
+        if bag is None or not self._ours(bag):
             where = wanted or 'no bag'
             return answered(response, False, f'{where} below {self._folder}: see parameter bag')
-        self._seen[str(found)] = 'it was asked for by ~/identify'
-        self._queue.append(str(found))
+        self._seen[str(bag)] = 'it was asked for by ~/identify'
+        self._queue.append(str(bag))
         self._start_next(asked=True)
-        return answered(response, True, f'identifying {found}')
+        return answered(response, True, f'identifying {bag}')
 
     def _newest(self) -> Path | None:
         bags = [path.parent for path in self._folder.glob('**/metadata.yaml')]
@@ -242,18 +242,18 @@ class IdentificationNode(Node):  # type: ignore[misc]
             text = f'gains not sent: {why}; quad-tune send takes them: {wanted}'
             self.get_logger().warning(text)
             return f'not sent: {why}'
-        told: dict[str, float | str] = {
+        values: dict[str, float | str] = {
             **wanted, 'source': f'identification of {bag}', 'bag': bag,
             'model': f'{outcome.folder}/model.json', **outcome.sent_with(),
         }  # fmt: skip
-        event = event_message(told, '/identification', 0)
+        event = event_message(values, '/identification', 0)
         request = SetParametersAtomically.Request(parameters=event.changed_parameters)
         self._gains.call_async(request).add_done_callback(self._on_answer)
         self.get_logger().info(f'gains sent: {wanted}')
         return 'sent'
 
     def _on_answer(self, future: Any) -> None:
-        """Say what the bridge has answered, beside what was found."""
+        """Show what the bridge has answered beside the answers."""
         answer = future.result().result
         words = 'in force, on trial' if answer.successful else f'refused: {answer.reason}'
         text, log = f'gains {words}', self.get_logger()

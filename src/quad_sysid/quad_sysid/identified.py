@@ -52,7 +52,7 @@ class Identified(AxisModel):
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Base and effects by `name` and `effect.name`, in the units of the arrays."""
-        return {name: _in_units(self, p) for name, p in self._named}
+        return {name: self.in_units(p) for name, p in self._named if self.shows(p)}
 
     def simulate(self, u: npt.ArrayLike, x0: tuple[float, float] = (0.0, 0.0), *,
                  throttle: npt.ArrayLike | None = None,
@@ -156,12 +156,12 @@ class Identified(AxisModel):
 
     def step(self, gains: CascadeGains | Mapping[str, float] | None = None,
              size: float = STEP_RAD, seconds: float = STEP_S) -> LoopResponse:
-        """The angle's answer to a step of its reference (rad) in the cascade with these gains.
+        """The angle's answer to a step of its reference (rad, m) in the cascade with these gains.
 
         `gains`: by the contract's names, such as those of a design; default: those that flew.
         Raises BadInputError where they are wrong.
         """
-        from quad_sysid.loop.from_model import loop_plant
+        from quad_sysid.loop.from_model import in_flight, loop_plant
         from quad_sysid.loop.simulation import simulate_cascade
 
         known = {} if gains is None else gains
@@ -169,8 +169,9 @@ class Identified(AxisModel):
             from quad_sysid.loop.cascade import CascadeGains
 
             known = CascadeGains.from_mapping({**self.active_gains, **known}, self.axis)
-        reference = np.full(round(seconds / self.dt), size)
-        return simulate_cascade(loop_plant(self), known, reference, self.dt)
+        seen = in_flight(self)
+        reference = np.full(round(seconds / seen.dt), size)
+        return simulate_cascade(loop_plant(seen), known, reference, seen.dt)
 
     def to_control(self, *, linear: bool = False) -> Any:
         """The model as a system of python-control; see exports.to_control."""
@@ -259,16 +260,6 @@ class Identified(AxisModel):
         control[:, 0] = self.mean_throttle or 0.0
         control[:, 1 + EVERY[self.axis].index] = u
         return replace(data, axis=self.axis, control=control), spans
-
-
-def _in_units(model: AxisModel, parameter: Parameter) -> Parameter:
-    if model.units is None:
-        return parameter
-    unit, factor = model.units.parameter(parameter.unit)
-    return replace(parameter, value=factor * parameter.value, unit=unit,
-                   std=None if parameter.std is None else abs(factor) * parameter.std,
-                   interval=None if parameter.interval is None else (
-                       factor * parameter.interval[0], factor * parameter.interval[1]))
 
 
 def model_of(given: object) -> Identified | Model:

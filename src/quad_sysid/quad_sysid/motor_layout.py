@@ -16,7 +16,7 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft
-from quad_sysid.foresight import tell
+from quad_sysid.foresight import predictive
 from quad_sysid.record import finite_runs
 
 LAGS_S = (0.0, 0.01, 0.02, 0.04, 0.08, 0.15)
@@ -31,8 +31,8 @@ CRASH = 5.0
 or a landing does not outweigh the whole flight."""
 BLOCKS = 8
 """Parts of the recording in which the pattern is compared with its nearest rival."""
-MOST_BLOCKS = 0.75
-LEAST_SHARE = {'angular acceleration': 0.02, 'angle': 0.8}
+MAX_BLOCKS = 0.75
+MIN_SHARE = {'angular acceleration': 0.02, 'angle': 0.8}
 """Least explained share; larger for an angle, which in flight follows the motors by chance."""
 FULL_PREFERRED = 1.3
 """Factor by which idle motors must explain more to be accepted, since nonlinear thrust and limits
@@ -42,17 +42,17 @@ CLEARLY = 1.4
 quarters of the parts."""
 ALIKE, NEAR = 0.85, 0.6
 """Patterns whose signals correlate by NEAR are not rivals. If they also explain the share ALIKE of
-the best, the data cannot separate them, and the one along which the motors moved most counts."""
+the best, the data cannot separate them, and the one in which the motors moved most counts."""
 CLEARLY_LESS = 0.5
 """Share of the best pattern's explanation below which a mixer is in doubt."""
 REVERSED_SHARE = 0.2
 """Least share with which a command is called reversed: a slow motion may have any phase to it."""
-MOST_ROWS = 200_000
+MAX_ROWS = 200_000
 """At most so many samples are compared, in as many parts as there are blocks."""
-MOST_MOTORS = 8
+MAX_MOTORS = 8
 PLUS = range(4)
-"""Of a plus frame two motors are idle for roll and the other two for pitch; every propeller turns
-the yaw. An idle motor that fits neither is one that the recording hardly moved."""
+"""In a plus frame two motors are idle for roll and the other two for pitch; every propeller turns
+the yaw. An idle motor that fits neither hardly moved in the recording."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +108,10 @@ def _share(
     signs: FloatArray, gram: FloatArray, cross: FloatArray, power: FloatArray
 ) -> FloatArray:
     """(…, p): share of the response's power that each signed sum explains."""
-    along = np.maximum(np.einsum('pn,...n->...p', signs, cross), 0.0)
+    fitted = np.maximum(np.einsum('pn,...n->...p', signs, cross), 0.0)
     spread = np.einsum('pn,...nm,pm->...p', signs, gram, signs)
     total = spread * power[..., None]
-    share = np.divide(along**2, total, out=np.zeros_like(along), where=total > 1e-12)
+    share = np.divide(fitted**2, total, out=np.zeros_like(fitted), where=total > 1e-12)
     return np.asarray(share, dtype=np.float64)
 
 
@@ -123,7 +123,7 @@ def patterns_of(
     rates (n, 3) rad/s, motors (n, k) normalised with k of 2 to 8, angles (n, 3) rad, dt in s; NaN
     where a sample is missing. An axis of constant zeros counts as not measured.
     """
-    if not 2 <= motors.shape[1] <= MOST_MOTORS:
+    if not 2 <= motors.shape[1] <= MAX_MOTORS:
         return ()
     thin = max(1, round(FINEST_S / dt))
     if thin > 1:
@@ -138,11 +138,11 @@ def patterns_of(
         axis: tuple(_responses(rates[:, i], motors, dt, None if angles is None else angles[:, i]))
         for i, axis in enumerate(AXES)
     }
-    found = _best_of(responses, idle=('roll', 'pitch'))
-    idle = [{i for i, s in enumerate(p.signs) if not s} for p in found if p.axis != 'yaw']
+    best = _best_of(responses, idle=('roll', 'pitch'))
+    idle = [{i for i, s in enumerate(p.signs) if not s} for p in best if p.axis != 'yaw']
     if motors.shape[1] == len(PLUS) and any(idle) and sorted(set().union(*idle)) != list(PLUS):
-        found = _best_of(responses, idle=())
-    return found
+        best = _best_of(responses, idle=())
+    return best
 
 
 def commands_of(
@@ -152,42 +152,42 @@ def commands_of(
 
     commands (n, 3), normalised.
     """
-    found: list[Pattern] = []
+    patterns: list[Pattern] = []
     rates, commands = _parts(rates), _parts(commands)
     angles = None if angles is None else _parts(angles)
     for i, axis in enumerate(AXES):
         pair = np.column_stack([commands[:, i], -commands[:, i]])
         angle = None if angles is None else angles[:, i]
         if np.nanstd(commands[:, i]) > 0.0:
-            found += _best_of({axis: tuple(_responses(rates[:, i], pair, dt, angle))}, idle=())
-    return told(tuple(replace(p, signs=p.signs[:1]) for p in found), rates, commands, dt)
+            patterns += _best_of({axis: tuple(_responses(rates[:, i], pair, dt, angle))}, idle=())
+    return confirmed(tuple(replace(p, signs=p.signs[:1]) for p in patterns), rates, commands, dt)
 
 
 def _parts(values: FloatArray) -> FloatArray:
-    """Of very long arrays (n, k) parts spread over the whole, NaN rows between them."""
-    if len(values) <= MOST_ROWS:
+    """Very long arrays (n, k) reduced to parts spread over them, with NaN rows between."""
+    if len(values) <= MAX_ROWS:
         return values
-    size = MOST_ROWS // BLOCKS
+    size = MAX_ROWS // BLOCKS
     gap = np.full((1, values.shape[1]), np.nan)
     return np.concatenate([row for part in np.array_split(values, BLOCKS)
                            for row in (part[:size], gap)])
 
 
-def told(
+def confirmed(
     patterns: Sequence[Pattern], rates: FloatArray, drives: FloatArray, dt: float
 ) -> tuple[Pattern, ...]:
-    """The patterns, certain only where the drives (n, k) tell the axis' rate (foresight.py).
+    """The patterns, certain only where the drives (n, k) predict the axis' rate (foresight.py).
 
-    Elsewhere the feedback alone joins them: the noise of a held axis is in its motors too.
+    Otherwise the feedback alone joins them: the noise of a held axis is in its motors too.
     """
 
-    def tells(one: Pattern) -> bool:
+    def predicted(one: Pattern) -> bool:
         rate = rates[:, AXES.index(one.axis)]
         known = np.isfinite(rate) & np.isfinite(drives).all(axis=1)
-        return tell(rate, drives, finite_runs(known, (0, known.size)), dt)
+        return predictive(rate, drives, finite_runs(known, (0, known.size)), dt)
 
     return tuple(
-        replace(p, certain=p.certain and (p.response == 'angle' or tells(p))) for p in patterns
+        replace(p, certain=p.certain and (p.response == 'angle' or predicted(p))) for p in patterns
     )
 
 
@@ -286,8 +286,8 @@ def _best(axis: str, response: _Response, *, idle: bool) -> Pattern:
     share, other = float(shares[setting, first]), max(float(rivals[rival]), 0.0)
     return Pattern(
         axis, tuple(int(s) for s in signs[first]), share, other,
-        certain=share >= LEAST_SHARE[response.name] and share >= CLEARLY * other
-        and won >= MOST_BLOCKS,
+        certain=share >= MIN_SHARE[response.name] and share >= CLEARLY * other
+        and won >= MAX_BLOCKS,
         response=response.name,
     )
 
@@ -318,7 +318,7 @@ def _sums(
     known = np.asarray(np.isfinite(motors).all(axis=1))
     centred = np.where(known[:, None], motors - motors[known].mean(axis=0), 0.0)
     n, k = centred.shape
-    found: list[tuple[FloatArray, ...]] = []
+    products: list[tuple[FloatArray, ...]] = []
     for lag in LAGS_S:
         keep = float(np.exp(-dt / lag)) if lag else 0.0
         lagged = lfilter([1.0 - keep], [1.0, -keep], centred, axis=0)
@@ -331,8 +331,8 @@ def _sums(
             good[:delay] = False
             sums = [_block(shifted[rows], response[rows])
                     for rows in np.array_split(np.flatnonzero(good), BLOCKS)]
-            found.append(tuple(map(np.array, zip(*sums, strict=True))))
-    return _Response(name, *(np.array(part) for part in zip(*found, strict=True)))
+            products.append(tuple(map(np.array, zip(*sums, strict=True))))
+    return _Response(name, *(np.array(part) for part in zip(*products, strict=True)))
 
 
 def _block(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:

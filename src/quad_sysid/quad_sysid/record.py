@@ -143,7 +143,7 @@ class Record:
     t0_ns: int = 0
     """Stamp of the first sample, ns."""
     units: Units | None = None
-    """Of the arrays that it was made of; None: it comes from a bag."""
+    """Units of the arrays that it was made of; None: it comes from a bag."""
 
     def __post_init__(self) -> None:
         """Check every array and make it read-only; raises BadInputError naming the field.
@@ -186,11 +186,11 @@ class Record:
         r is `external(name)` where that is known throughout, else None. Raises BadInputError for
         another axis or role and NotInformativeError where nothing is left.
         """
-        found = self.motion(name)
+        motion = self.motion(name)
         if role not in (None, *ROLES):
             raise BadInputError('Record.axis', f'role must be of {", ".join(ROLES)}', repr(role))
-        u = found.control[:, EVERY[name].index + 1]
-        y, r = found.rate, self.external(name)
+        u = motion.control[:, EVERY[name].index + 1]
+        y, r = motion.rate, self.external(name)
         if role is None:
             spans: list[tuple[int, int]] = [(0, self.n)]
         else:
@@ -231,15 +231,15 @@ class Record:
                                       'orientation of /imu/data')
         leaning = steady_heading(lean(angles) if self.lean is None else self.lean, angles[:, 2])
         driven = np.column_stack([control[:, 0], leaning, control[:, 3]])
-        along = steady_heading(self.velocity[:, :2], angles[:, 2])
-        return Motion(along[:, i], None, driven, np.zeros((self.n, 0)), np.ones(self.n))
+        speed = steady_heading(self.velocity[:, :2], angles[:, 2])
+        return Motion(speed[:, i], None, driven, np.zeros((self.n, 0)), np.ones(self.n))
 
     def external(self, name: str) -> FloatArray | None:
         """(n,) external reference of an axis' loop; None where the bag does not hold it.
 
         The attitude set-point (rad), which contains an excitation of the attitude; where the axis
         is excited after C1 or C2 instead, that excitation as applied (rad/s or normalised). It is
-        of one unit, that of the training: NaN in segments that are excited elsewhere, and None
+        of one unit, that of the training: NaN in segments excited at another place, and None
         where the training's are of several. Of an axis that moves it is not known.
         """
         if not axis_of('Record.external', name).turns:

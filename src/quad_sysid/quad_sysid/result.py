@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from quad_sysid.arrays import Parts, Samples, Table
     from quad_sysid.model.effect import Effect
+    from quad_sysid.own_base import Base
     from quad_sysid.pipeline.answer import AxisAnswer
     from quad_sysid.pipeline.evaluate import Evaluation
     from quad_sysid.record import IOData
@@ -125,7 +126,7 @@ class Result:
 
     @property
     def errors(self) -> dict[str, Any]:
-        """Errors on the held-out segments before and after, rad/s (contract: `error`)."""
+        """Errors on the held-out segments, in their `unit` (contract: `error`)."""
         return dict(self.report['axes'][self.answer.axis]['error'])
 
     def __str__(self) -> str:
@@ -179,9 +180,9 @@ class Result:
         except (ValueError, TypeError, KeyError) as error:
             raise BadInputError('from_json', 'is no result of to_json', str(error)) from error
         known = models_of(models, 'from_json', effects) if models else {}
-        found = cls(answers_of(report, known), flights, inertia)
-        vars(found)['report'] = report
-        return found
+        result = cls(answers_of(report, known), flights, inertia)
+        vars(result)['report'] = report
+        return result
 
     def save(self, folder: str | Path | None = None, *, html: bool = True,
              pictures: bool = True) -> Result:
@@ -253,6 +254,7 @@ def identify(
     signals: Mapping[str, Samples] | None = None, units: Mapping[str, str | float] | None = None,
     train: Parts | None = None, validate: Parts | None = None,
     effects: Sequence[Effect] | None = None, extra_effects: Sequence[Effect] = (),
+    base: Base | None = None,
     designer: Designer | None = None, inertia: Mapping[str, float] | None = None,
     mass: float | None = None, thrust: float | None = None,
     progress: Callable[[str], object] = lambda _: None, seconds: float | None = None,
@@ -267,22 +269,20 @@ def identify(
     flights excite; of arrays the one that they are called, `roll`. `train`, `validate`: Parts, or
     (start, end), s from the first sample; default: the bag's segments, else 60 and 40 %.
     `effects`: the candidates; default `EFFECTS`, `()` for none; `extra_effects` join them.
+    `base`: your own law in place of gain, lag, delay and damping, whose parameters the model then
+    has as `<name of the base>.<parameter>`.
     `mass` (kg) or `thrust` (N, of all motors at full command): of the aircraft as a whole.
     `designer`: designs gains for a model; default: that of quad_tuning, where installed.
     `progress`: called with a line of text, or a tqdm; `seconds`: after which the search adds
     nothing more, as where `stop()` is true; the report says what was not tried. Raises
     BadInputError, one line, for wrong input.
     """
-    from quad_sysid.arrays import are_arrays, records_of
     from quad_sysid.effects import EFFECTS
     from quad_sysid.model.checked import checked
     from quad_sysid.pipeline.identify import Options
     from quad_sysid.pipeline.identify import identify as answers_of
     from quad_sysid.whole import whole_of
 
-    wanted = (axes,) if isinstance(axes, str) else tuple(axes)
-    for axis in wanted:
-        axis_of('identify', axis)
     for name, value in (('mass', mass), ('thrust', thrust)):
         if value is not None and not 0.0 < value < math.inf:
             raise BadInputError('identify', f'{name} must be a positive number', value)
@@ -291,31 +291,59 @@ def identify(
         (*chosen, *extra_effects) if isinstance(chosen, list | tuple) else chosen,
         'identify: effects', EFFECTS)
     show, limit = _listener(progress), _halt(seconds, stop)
-    arrays = {'u': u, 'y': y, 'dt': dt, 't': t, 'angle': angle, 'reference': reference,
-              'signals': signals, 'units': units}
-    if are_arrays(flights) or any(one is not None for one in arrays.values()):
-        if isinstance(flights, Record | str | Path) or len(wanted) > 1:
-            raise BadInputError('identify', 'takes flights or arrays, not both, and arrays of one '
-                                'axis', ', '.join(wanted) or str(flights))
-        wanted = wanted or AXES[:1]
-        records = records_of(flights, **arrays, train=train, validate=validate, axis=wanted[0])
-    else:
-        records = _flown(flights, wanted, train, validate, show)
+    wanted, records = _asked(flights, axes, {
+        'u': u, 'y': y, 'dt': dt, 't': t, 'angle': angle, 'reference': reference,
+        'signals': signals, 'units': units}, train, validate, show)
     missing = ''
     if designer is None:
         designer, missing = installed_designer()
     answers = answers_of(
         records,
         Options(axes=wanted, designer=designer, no_designer_because=missing, effects=candidates,
-                halt=limit),
+                base=base, halt=limit),
         show,
     )
     whole = None
-    if records[0].units is None:
+    if records[0].units is None and base is None:
         models = {axis: one.model for axis, one in answers.items()
                   if one.model is not None and one.answered}
         whole = whole_of(models, records, mass, thrust)
     return Result(answers, tuple(record.source for record in records), inertia, whole)
+
+
+def undetermined(base: Base, flights: Flights | None = None, axis: str = '',
+                 **arrays: Any) -> tuple[str, ...]:
+    """Before any fit: the parameters of a base that these data cannot give, with their partners.
+
+    By the sensitivities of the innovations at the start values. Flights or arrays as `identify`.
+    """
+    from quad_sysid.model.data import axis_data
+    from quad_sysid.own_base import lacking
+    from quad_sysid.pipeline.identify import asked_axes
+    from quad_sysid.pipeline.usable import together
+
+    train, validate = (arrays.pop(name, None) for name in ('train', 'validate'))
+    wanted, records = _asked(flights, axis, arrays, train, validate, lambda _: None)
+    known = together(records)
+    data = axis_data(known, (wanted or asked_axes(known))[0])
+    return lacking(base, base.problem(data, known[0].units))
+
+
+def _asked(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any], train: Any,
+           validate: Any, show: Callable[[str], None]) -> tuple[tuple[str, ...], list[Record]]:
+    """The axes that are asked for, empty for those that the flights excite, and the records."""
+    from quad_sysid.arrays import are_arrays, records_of
+
+    wanted = (axes,) if isinstance(axes, str) and axes else tuple(axes)
+    for axis in wanted:
+        axis_of('identify', axis)
+    if not are_arrays(flights) and all(one is None for one in arrays.values()):
+        return wanted, _flown(flights, wanted, train, validate, show)
+    if isinstance(flights, Record | str | Path) or len(wanted) > 1:
+        raise BadInputError('identify', 'takes flights or arrays, not both, and arrays of one '
+                            'axis', ', '.join(wanted) or str(flights))
+    wanted = wanted or AXES[:1]
+    return wanted, records_of(flights, **arrays, train=train, validate=validate, axis=wanted[0])
 
 
 def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,
@@ -371,22 +399,22 @@ def _halt(seconds: float | None, stop: Callable[[], bool]) -> Callable[[], str]:
 
 def installed_designer(name: str = 'pid') -> tuple[Designer | None, str]:
     """The designer of this name, or None and the reason."""
-    found = {entry.name: entry for entry in entry_points(group=DESIGNERS)}
-    if name not in found:
-        offered = ', '.join(sorted(found)) or 'none'
+    designers = {entry.name: entry for entry in entry_points(group=DESIGNERS)}
+    if name not in designers:
+        offered = ', '.join(sorted(designers)) or 'none'
         return None, (
             f'no designer {name!r} in the entry point group {DESIGNERS} (offered: {offered}); '
             'install quad_tuning'
         )
     try:
-        designer: Designer = found[name].load()
+        designer: Designer = designers[name].load()
     except ImportError as error:
         return None, f'the designer {name!r} cannot be loaded: {error}'
     return designer, ''
 
 
 def evaluate(model: AxisModel, flight: Record | str | Path) -> Evaluation:
-    """Errors of an identified model on another flight, rad/s.
+    """Errors of an identified model on another flight, in the unit of its arrays, else rad/s.
 
     Raises BadInputError where the flight does not suit the model, NotInformativeError where it
     cannot test it.
@@ -423,7 +451,7 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
 
 
 def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float = 60.0, *,
-             effects: Sequence[Effect] = (), told: str = 'the model',
+             effects: Sequence[Effect] = (), source: str = 'the model',
              progress: Callable[[str], None] = lambda _: None) -> Separation:
     """Which flight of `seconds` separates two effects, and how reliably.
 
@@ -440,7 +468,7 @@ def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float =
                                own=effects)
     pair = _pair(names) if names else design.rivals_of(model)
     inside = next((name for name in pair if effect_of(model, name) is not None), '')
-    aircraft = aircraft_of(model, inside, told)
+    aircraft = aircraft_of(model, inside, source)
     return design.separate(aircraft, pair, seconds, model, progress, effects)
 
 

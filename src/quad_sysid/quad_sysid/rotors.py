@@ -19,12 +19,12 @@ from quad_sysid.record import Record, finite_runs
 LAGS_S = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2)
 DELAYS_S = (0.0, 0.004, 0.008, 0.015, 0.025, 0.04)
 """Where the search for lag and delay (of the telemetry too) begins."""
-LONGEST_LAG_S, LONGEST_DELAY_S = 1.0, 0.1
-LEAST_S = 3.0
+MAX_LAG_S, MAX_DELAY_S = 1.0, 0.1
+MIN_S = 3.0
 """Least time with speed and command for a lag."""
-MOST_ROWS = 20_000
+MAX_ROWS = 20_000
 """Samples that are enough for a lag."""
-LEAST_FIT = 0.5
+MIN_FIT = 0.5
 """Share of the speed's variance that the lagged command must explain."""
 BLOCK_S = 1.0
 """Errors further apart count as independent."""
@@ -111,14 +111,14 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     from scipy.optimize import minimize  # slow to import
 
     rows = np.flatnonzero(known)
-    if rows.size * dt < LEAST_S:
+    if rows.size * dt < MIN_S:
         return None
     window = _liveliest(u, rows)
     u, w, known = u[window], w[window], known[window].copy()
     for start, _ in finite_runs(known, (0, known.size)):
         known[start : start + round(SETTLE_S / dt)] = False
     rows, given = np.flatnonzero(known), np.flatnonzero(np.isfinite(u))
-    if rows.size * dt < 0.5 * LEAST_S or np.ptp(w[rows]) <= 0.0 or np.ptp(u[rows]) <= 0.0:
+    if rows.size * dt < 0.5 * MIN_S or np.ptp(w[rows]) <= 0.0 or np.ptp(u[rows]) <= 0.0:
         return None
     held = np.interp(np.arange(u.size), given, u[given])
     target = w[rows]
@@ -126,12 +126,12 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     def fitted(log_lag: float, delay: float) -> tuple[FloatArray, FloatArray]:
         """What a curve of the lagged command leaves, and the curve."""
         x = np.stack([_behind(held**k, math.exp(log_lag), delay, dt)[rows] for k in (0, 1, 2)])
-        found = np.linalg.lstsq(x @ x.T, x @ target, rcond=None)[0]
-        return target - found @ x, found
+        coefficients = np.linalg.lstsq(x @ x.T, x @ target, rcond=None)[0]
+        return target - coefficients @ x, coefficients
 
     def inside(at: FloatArray) -> tuple[float, float]:
-        return (float(np.clip(at[0], math.log(1e-4), math.log(LONGEST_LAG_S))),
-                float(np.clip(0.01 * at[1], 0.0, LONGEST_DELAY_S)))
+        return (float(np.clip(at[0], math.log(1e-4), math.log(MAX_LAG_S))),
+                float(np.clip(0.01 * at[1], 0.0, MAX_DELAY_S)))
 
     def cost(at: FloatArray) -> float:
         log_lag, delay = inside(at)
@@ -143,9 +143,9 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     best = minimize(cost, min(grid, key=cost), method='Nelder-Mead',
                     options={'xatol': 1e-3, 'fatol': 1e-6, 'maxiter': 120}).x
     log_lag, delay = inside(best)
-    e, found = fitted(log_lag, delay)
+    e, coefficients = fitted(log_lag, delay)
     fit = 1.0 - float(e @ e) / float(np.sum((target - target.mean()) ** 2))
-    if fit < LEAST_FIT:
+    if fit < MIN_FIT:
         return None
     ends = [fitted(log_lag + sign * 0.02, delay)[0] for sign in (1.0, -1.0)]
     j = np.stack([(ends[0] - ends[1]) / 0.04,
@@ -154,19 +154,19 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     scores = np.add.reduceat(j * e[:, None], starts)
     inverse = np.linalg.pinv(j.T @ j)
     spread = math.sqrt(max(float((inverse @ (scores.T @ scores) @ inverse)[0, 0]), 0.0))
-    curve = float(found[0]), float(found[1]), float(found[2])
+    curve = float(coefficients[0]), float(coefficients[1]), float(coefficients[2])
     return Rotor(math.exp(log_lag), spread, fit, curve)
 
 
 def _liveliest(u: FloatArray, rows: np.ndarray) -> slice:
-    """At most MOST_ROWS samples, those in which the command moves most."""
+    """At most MAX_ROWS samples, those in which the command moves most."""
     moves = np.zeros(u.size)
     moves[rows[1:]] = np.nan_to_num(np.abs(np.diff(u)))[rows[1:] - 1]
     total = np.concatenate([[0.0], np.cumsum(moves)])
-    last = max(u.size - MOST_ROWS, 0)
-    start = max(range(0, last + 1, max(1, MOST_ROWS // 4)),
-                key=lambda a: total[min(a + MOST_ROWS, u.size)] - total[a])
-    return slice(start, start + MOST_ROWS)
+    last = max(u.size - MAX_ROWS, 0)
+    start = max(range(0, last + 1, max(1, MAX_ROWS // 4)),
+                key=lambda a: total[min(a + MAX_ROWS, u.size)] - total[a])
+    return slice(start, start + MAX_ROWS)
 
 
 def _behind(u: FloatArray, lag: float, delay: float, dt: float) -> FloatArray:

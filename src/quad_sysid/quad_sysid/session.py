@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quad_sysid.axes import ALL_WORDS, EVERY
+from quad_sysid.axes import ALL_WORDS, NAMES
 from quad_sysid.bags import parse_span
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
@@ -26,8 +26,8 @@ def asked(axes: Sequence[str] = (), train: str = '', validate: str = '',
     `inertia`: `IX,IY,IZ`, kg m². Raises BadInputError naming the option.
     """
     for name in axes:
-        if name not in (*EVERY, *ALL_WORDS):
-            raise BadInputError('axis', f'must be one of {", ".join((*EVERY, *ALL_WORDS))}',
+        if name not in NAMES:
+            raise BadInputError('axis', f'must be one of {", ".join(NAMES)}',
                                 repr(name), 'several stand with commas between, as in roll,pitch')
     return {'axes': tuple(dict.fromkeys(one for name in axes
                                         for one in ALL_WORDS.get(name, (name,)))),
@@ -45,9 +45,9 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
     check_place(out or Path())
     if out is not None:
         check_own(out)
-    found = identify(bags, progress=progress, **wanted)
+    result = identify(bags, progress=progress, **wanted)
     progress('writing the report')
-    saved = found.save(out)
+    saved = result.save(out)
     progress('')
     return saved
 

@@ -54,8 +54,16 @@ class Units:
         """Rates (n,), rad/s, in their unit."""
         return rate / self.per_rate
 
+    def signal_in(self, name: str, value: float) -> float:
+        """A value of a signal, by its word, in the unit of its array."""
+        offset, factor = {'rate': (0.0, self.per_rate), 'angle': (0.0, self.per_motion),
+                          'command': (self.zero_command, self.per_command)}.get(name, (0.0, 1.0))
+        return (value - offset) / factor
+
     def parameter(self, unit: str) -> tuple[str, float]:
         """The unit in which a parameter is shown, and how many of it one of `unit` is."""
+        if unit == 'rad/s':
+            return self.rate, 1.0 / self.per_rate
         factor, powers = 1.0, 0
         for i, part in enumerate(unit.split(' per ')):
             way = 1 if i == 0 else -1
@@ -76,6 +84,11 @@ def unit_in(units: Units | None, unit: str) -> str:
     named = unit.replace('rad', 'm')
     own = units.per_command == 1.0 and units.command != Units.command
     return named.replace('unit command', units.command) if own else named
+
+
+def shown_in(units: Units | None, unit: str) -> tuple[str, float]:
+    """The unit in which a number is shown, and how many of it one of `unit` is."""
+    return (unit, 1.0) if units is None else units.parameter(unit)
 
 
 def spoken(units: Units | None, text: str, *, label: bool = False) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import trapezoid
 
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.cascade import (
     CascadeGains,
@@ -28,16 +29,6 @@ from quad_sysid.loop.simulation import LoopResponse, simulate_cascade
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.state_feedback import StateFeedback, simulate
-
-SQUARE_AMPLITUDE_RAD = np.radians(12.0)
-SQUARE_HALF_PERIOD_S = 2.0
-TORQUE_STEP = 2.0
-"""Size of the disturbance step, rad/s²."""
-TORQUE_STEP_S = 3.0
-GUST_RAD_S = 3.0
-"""Corner frequency of the disturbing torque of gusts."""
-BANDS_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
-"""Centres of the octaves that the watch compares."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +87,7 @@ def assess(plant: Flying, controller: CascadeGains | StateFeedback,
     """Figures of a controller on the nominal plant and over the ensemble."""
     nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
     response = reference_response(controller, nominal.response, nominal.omega, plant.dt)
-    reference = reference_square(plant.dt)
+    reference = reference_square(plant)
     run = flown(plant, controller, reference, float(reference[0]))
     if not np.isfinite(run.angle).all():
         raise DesignRefusedError('the simulated loop diverges; identify again')
@@ -139,22 +130,22 @@ def flown(plant: Flying, controller: CascadeGains | StateFeedback, reference: Fl
     return simulate(plant, controller, reference, start, torque)
 
 
-def reference_square(dt: float) -> FloatArray:
+def reference_square(plant: Flying) -> FloatArray:
     """The square wave (n,), rad, by which designs are judged."""
-    return square_wave(float(SQUARE_AMPLITUDE_RAD), SQUARE_HALF_PERIOD_S, 1, dt)
+    return square_wave(plant.trial.step, plant.trial.half_period_s, 1, plant.dt)
 
 
 def tracking(plant: Flying, gains: CascadeGains, reference: FloatArray) -> tuple[float, float]:
     """RMS error, rad, and overshoot beyond the reference, %, of the square wave."""
     run = flown(plant, gains, reference, float(reference[0]))
-    beyond = (np.max(np.abs(run.angle)) / SQUARE_AMPLITUDE_RAD - 1.0) / 2.0
+    beyond = (np.max(np.abs(run.angle)) / plant.trial.step - 1.0) / 2.0
     return float(np.sqrt(np.mean((reference - run.angle) ** 2))), 100.0 * float(beyond)
 
 
 def disturbance(plant: Flying, controller: CascadeGains | StateFeedback) -> float:
     """RMS angle under a torque step, rad."""
-    still = np.zeros(round(TORQUE_STEP_S / plant.dt))
-    run = flown(plant, controller, still, torque=TORQUE_STEP - plant.held)
+    still = np.zeros(round(plant.trial.push_s / plant.dt))
+    run = flown(plant, controller, still, torque=plant.trial.push - plant.held)
     return float(np.sqrt(np.mean(run.angle**2)))
 
 
@@ -174,9 +165,10 @@ def promise(loops: Ensemble, before: Controller, after: Controller,
     the reference over all draws. `lag_s` is the motors' lag, which does not delay a gust. The
     bridge's gains/watch.py reads them.
     """
+    trial = EVERY[loops.axis].trial
     old, new = (_power(loops, loops.loop(one), lag_s) for one in (before, after))
     octaves = [(loops.omega > centre / np.sqrt(2.0)) & (loops.omega < centre * np.sqrt(2.0))
-               for centre in BANDS_RAD_S]
+               for centre in trial.bands_rad_s]
     every = [np.sqrt(new[band].sum() / old[band].sum()) for band in octaves if band.any()]
     peak = np.abs(reference_response(after, loops.response, loops.omega, loops.cycle.dt)).max()
     return {'rate_rms_ratio': float(np.sqrt(new.sum() / old.sum())),
@@ -185,7 +177,7 @@ def promise(loops: Ensemble, before: Controller, after: Controller,
 
 def _power(loops: Ensemble, loop: ComplexArray, lag_s: float) -> FloatArray:
     """(f,) power of the rate under gusts per grid point, mean of the nominal loops."""
-    gust = loops.omega / (1.0 + (loops.omega / GUST_RAD_S) ** 2)
+    gust = loops.omega / (1.0 + (loops.omega / EVERY[loops.axis].trial.gust_rad_s) ** 2)
     gust *= 1.0 + (loops.omega * lag_s) ** 2
     power = gust * np.abs(loops.response[0] / (1.0 + loop)) ** 2
     return np.asarray(power[loops.nominal].mean(axis=0))

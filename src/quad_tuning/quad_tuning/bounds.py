@@ -12,11 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.loop.cascade import CONTRACT_NAMES, ELSEWHERE, TUNED, CascadeGains
+from quad_sysid.axes import EVERY
+from quad_sysid.loop.cascade import FOREIGN_NAMES, TUNED, CascadeGains, contract_names
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
+from quad_sysid.units import spoken, unit_in
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.gain_table import OPTIONAL, PER_AXIS, Bound
+from quad_tuning.gain_table import AXES, CLIMB, OPTIONAL, PER_AXIS, Bound, Gain
 
 DESIGNED = (*TUNED, 'd_filter_hz')
 """Fields of CascadeGains that a designer changes; the D filter only if the flight recorded it."""
@@ -26,10 +28,27 @@ FOREIGN_DRIVE = 0.5
 """Share of another axis' command in this axis' torque from which the motor order is in doubt."""
 
 
-ROWS = {row.name: row for row in (*PER_AXIS, *OPTIONAL) if row.bound is not None}
-"""The contract's name after `<axis>.` → its row in the bridge's table."""
+OUTER = (
+    Gain('position.kp', '', '1/s', 'speed reference per error of the position', None,
+         bound=Bound(0.05, 3.0)),
+    Gain('rate.kp', '', 'rad s/m', 'lean per error of the speed', None, bound=Bound(0.005, 1.0)),
+    Gain('rate.ki', '', 'rad/m', 'lean per integral of that error', None,
+         bound=Bound(0.0, 1.0, small_step=0.01)),
+    Gain('rate.kd', '', 'rad s²/m', 'lean per change of the measured speed', None,
+         bound=Bound(0.0, 0.3, small_step=0.01)),
+)
+"""Of a position hold of the user's own, which stands in no firmware of ours."""
+ROWS = {f'{axis}.{row.name}': row for axis in AXES for row in (*PER_AXIS, *OPTIONAL)} | {
+    row.name: row for row in CLIMB} | {
+    f'{axis}.{row.name}': row for axis, own in EVERY.items() if own.outer for row in OUTER}
+"""Contract name of an axis' gain → its row in the bridge's table."""
 BOUNDS: dict[str, Bound] = {name: row.bound for name, row in ROWS.items() if row.bound}
-BOUNDS['rate.kd'] = replace(BOUNDS['rate.kd'], upper=0.02)  # more amplifies the gyro's noise
+for _axis in AXES:  # more amplifies the gyro's noise
+    BOUNDS[f'{_axis}.rate.kd'] = replace(BOUNDS[f'{_axis}.rate.kd'], upper=0.02)
+
+
+CONSTANT = Bound(0.0, math.inf)
+"""Of a filter that a firmware does not have: a design leaves it as it is."""
 
 
 def check_finite(gains: Mapping[str, float]) -> None:
@@ -47,20 +66,25 @@ def check_bounds(gains: Mapping[str, float], flown: Mapping[str, float] | None =
     check_finite(gains)
     known = flown or {}
     for name, value in gains.items():
-        bound = BOUNDS.get(name.partition('.')[2])
+        bound = BOUNDS.get(name)
         if bound is None:
             raise DesignRefusedError(f'{name}: is not a gain that a designer may change')
         low, high = _with_flown(bound, known.get(name, bound.lower))
         if not low <= value <= high:
             raise DesignRefusedError(
                 f'{name}: must lie in {bound.lower:g} .. {bound.upper:g} '
-                f'{ROWS[name.partition(".")[2]].unit}: found {value:g}'
+                f'{ROWS[name].unit}: found {value:g}'
             )
 
 
-def reachable(field: str, active: float) -> tuple[float, float]:
+def bound_of(axis: str, field: str) -> Bound:
+    """The bound of one gain (field of CascadeGains); of a constant, what it is."""
+    return BOUNDS.get(contract_names(axis)[field], CONSTANT)
+
+
+def reachable(field: str, active: float, axis: str = AXES[0]) -> tuple[float, float]:
     """Lowest and highest value of one gain (field of CascadeGains) that one update may set."""
-    bound = BOUNDS[CONTRACT_NAMES[field]]
+    bound = bound_of(axis, field)
     (low, high), (least, most) = bound.one_step(active), _with_flown(bound, active)
     return max(low, least), min(high, most)
 
@@ -72,11 +96,12 @@ def _with_flown(bound: Bound, flown: float) -> tuple[float, float]:
 
 def told(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[str, float]:
     """The designed gains by the contract's names; without those that `active` lacks."""
-    names = {f'{axis}.{CONTRACT_NAMES[field]}': field for field in DESIGNED}
+    names = {name: field for field, name in contract_names(axis).items() if field in DESIGNED}
     return {name: float(getattr(gains, field)) for name, field in names.items() if name in active}
 
 
-def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, ...]:
+def steps_to(wanted: CascadeGains, active: CascadeGains,
+             axis: str = AXES[0]) -> tuple[CascadeGains, ...]:
     """The steps from `active` to `wanted`, each within the limit."""
     path: list[CascadeGains] = []
     now = active
@@ -85,7 +110,7 @@ def steps_to(wanted: CascadeGains, active: CascadeGains) -> tuple[CascadeGains, 
             return tuple(path)
         values = {}
         for field in DESIGNED:
-            low, high = reachable(field, getattr(now, field))
+            low, high = reachable(field, getattr(now, field), axis)
             values[field] = min(max(getattr(wanted, field), low), high)
         following = replace(wanted, **values)
         if following == now:
@@ -100,6 +125,8 @@ LARGEST_RELATIVE_STD = {'gain': 0.2, 'lag': 0.4}
 LARGEST_DELAY_STD_CYCLES = 1.5
 LARGEST_OUTSIDE = 0.25
 """Largest acceleration of what the loop cannot hold, over the drive's."""
+LEAST_ROOM = 0.05
+"""Throttle that must be left on either side of the hover."""
 BAND_REACH = 2.0
 """Factor (one octave) by which the crossover may leave the model's trusted band."""
 
@@ -128,16 +155,18 @@ def _refuse(model: AxisModel, reasons: Iterator[str]) -> None:
 def _wrong_way(model: AxisModel) -> Iterator[str]:
     gain = next(p for p in model.base if p.name == 'gain')
     order = "check the motors' order and spin, and the gyro's axes"
+    units = model.units
+    rate, unit = spoken(units, 'rate'), unit_in(units, 'rad/s²')
     if not math.isfinite(gain.value):
         yield f'the plant gain is {gain.value}; identify again'
     if gain.value <= 0.0:
-        yield (f'a positive command lowers the rate (plant gain {gain.value:.4g} rad/s², must be '
-               f'positive); {order}')
+        yield (f'a positive command lowers the {rate} (plant gain {gain.value:.4g} {unit}, must '
+               f'be positive); {order}')
     if gain.std is None or not math.isfinite(gain.std):
         yield ('the plant gain has no standard error, so its sign is not sure; '
                'fly a longer excitation')
     elif gain.value - SIGN_CONFIDENCE * gain.std <= 0.0:
-        yield (f'the plant gain {gain.value:.4g} +- {gain.std:.2g} rad/s² may be zero or '
+        yield (f'the plant gain {gain.value:.4g} +- {gain.std:.2g} {unit} may be zero or '
                f'negative; {order}, or excite more')
     for effect in model.effects:
         share = next((p.value for p in effect.parameters if p.name == 'fraction'), 0.0)
@@ -185,7 +214,7 @@ def check_inside(model: AxisModel) -> None:
 
 def flown_gains(model: AxisModel) -> CascadeGains:
     """The gains of the flight; refused where they are unknown, out of bounds, or of the LQR."""
-    names = [f'{model.axis}.{CONTRACT_NAMES[field]}' for field in TUNED]
+    names = [contract_names(model.axis)[field] for field in TUNED]
     missing = [name for name in names if name not in model.active_gains]
     if model.active_gains.get(f'{model.axis}.lqr.share', 0.0) > 0.0:
         raise DesignRefusedError(
@@ -202,10 +231,27 @@ def flown_gains(model: AxisModel) -> CascadeGains:
     return CascadeGains.from_mapping(model.active_gains, model.axis)
 
 
+def within_thrust(gains: CascadeGains, model: AxisModel) -> CascadeGains:
+    """The gains with the limit of the command that the motors leave about the hover's throttle.
+
+    Raises DesignRefusedError where they leave too little.
+    """
+    span, hover = EVERY[model.axis].trial.throttle, model.mean_throttle
+    if span is None or hover is None:
+        return gains
+    room = min(hover - span[0], span[1] - hover)
+    if room < LEAST_ROOM:
+        raise DesignRefusedError(
+            f'{model.axis}: it hovers at a throttle of {hover:.2f}, and the loop has '
+            f'{span[0]:g} .. {span[1]:g}: too little is left to climb and sink by'
+        )
+    return replace(gains, output_limit=min(gains.output_limit, room))
+
+
 def _foreign(model: AxisModel) -> bool:
     """Whether other firmware flew, whose own bounds its gains had to keep."""
     return any(f'{model.axis}.{name}' in model.active_gains
-               for name in (*ELSEWHERE.values(), 'rate.tpa_kp'))
+               for name in (*FOREIGN_NAMES.values(), 'rate.tpa_kp'))
 
 
 def check_band(model: AxisModel, crossover_rad_s: float) -> None:

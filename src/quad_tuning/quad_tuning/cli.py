@@ -23,7 +23,7 @@ from quad_sysid.arguments import (
     quiet_and_json,
     run_command,
 )
-from quad_sysid.contract import AXES
+from quad_sysid.axes import EVERY
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import write_whole
 from quad_sysid.loop.from_model import not_in_the_loop
@@ -65,7 +65,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
                         help='written by quad-sysid identify, or its folder')
     parser.add_argument('--method', choices=('pid', 'lqr'), default='pid',
                         help='pid: the cascade of angle and rate (default); lqr: state feedback')
-    parser.add_argument('--axis', choices=(*AXES, 'all'), default='all',
+    parser.add_argument('--axis', choices=(*EVERY, 'all'), default='all',
                         help='default: every axis of the model')
     parser.add_argument('--flight', metavar='BAG',
                         help='a flight, of which notches are proposed where the frame shakes')
@@ -86,12 +86,11 @@ def _run(arguments: argparse.Namespace) -> int:
     if given and arguments.method != 'lqr':
         raise BadInputError(f'--max-{given[0]}', 'belongs to --method lqr, which is not given')
     models = load_models(arguments.model, own_effects(arguments.effects))
-    if arguments.axis != 'all':
-        models = pick(models, arguments.axis, arguments.model)
-    answers = {axis: _answer(model, arguments) for axis, model in models.items()}
+    chosen = models if arguments.axis == 'all' else pick(models, arguments.axis, arguments.model)
+    answers = {axis: _answer(model, models, arguments) for axis, model in chosen.items()}
     tree = {'schema': exports.DESIGN, 'method': arguments.method, 'axes': answers}
     if arguments.flight is not None:
-        tree['notches'] = _notches(models, answers, arguments.flight)
+        tree['notches'] = _notches(chosen, answers, arguments.flight)
     text = json.dumps(tree, indent=1, allow_nan=False)
     if arguments.out is not None:
         write_whole(arguments.out, text + '\n')
@@ -109,10 +108,12 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
+def _answer(model: AxisModel, models: Mapping[str, AxisModel],
+            arguments: argparse.Namespace) -> dict[str, Any]:
     model = model.predicting
     if arguments.method == 'pid':
-        proposal = design(model)
+        inner = models.get(EVERY[model.axis].excited_as)
+        proposal = design(model, None if inner is None else inner.predicting)
         gains = None if proposal.gains is None else dict(proposal.gains)
         return {
             'gains': gains,
@@ -127,11 +128,11 @@ def _answer(model: AxisModel, arguments: argparse.Namespace) -> dict[str, Any]:
     asked = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
     given = {name: positive(f'--max-{name}', value) for name, value in asked if value is not None}
     try:
-        found = propose_lqr(model, Weights(**given))
+        lqr = propose_lqr(model, Weights(**given))
     except DesignRefusedError as refusal:
         return {'gains': None, 'refused_because': str(refusal), 'figures': {}}
-    return {'gains': found.gains, 'refused_because': '', 'left_out': not_in_the_loop(model),
-            'figures': found.figures}
+    return {'gains': lqr.gains, 'refused_because': '', 'left_out': not_in_the_loop(model),
+            'figures': lqr.figures}
 
 
 def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
@@ -140,12 +141,17 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
     figures = answer['figures']
     rows = [
         [name, number(figures.get(f'{name}{BEFORE}'), 4), number(value, 4),
-         _unit(name.partition('.')[2])]
+         _unit(name)]
         for name, value in (answer.get('target') or answer['gains']).items()
     ]
     lines = [f'{axis} ({method}), over {figures["draws"]:.0f} draws of the model',
-             *Table(['', 'flown', 'new', 'unit'], [*rows, *figure_rows(figures)], (1, 2)).text()]
-    if answer.get('steps'):
+             *Table(['', 'flown', 'new', 'unit'], [*rows, *figure_rows(figures, axis)],
+                    (1, 2)).text()]
+    if EVERY[axis].outer:
+        lines += wrapped(f'For a position hold of your own, around the loop of '
+                         f'{EVERY[axis].excited_as}: no firmware here has one, and quad-tune send '
+                         'leaves these out. Flown: usual gains, where a flight told none.')
+    elif answer.get('steps'):
         count, first = len(answer['steps']), _short(answer['gains'])
         lines.append(
             '  quad-tune send sends it at once; the bridge applies it in '
@@ -164,6 +170,10 @@ def _notches(models: Mapping[str, AxisModel], answers: Mapping[str, Mapping[str,
     from quad_sysid.logview.read import look
     from quad_tuning.notches import propose_notches
 
+    models = {axis: model for axis, model in models.items() if EVERY[axis].turns}
+    if not models:
+        raise BadInputError('--flight', 'places notches in the loops of roll, pitch and yaw',
+                            remedy='leave it out, or design one of these axes too')
     gains: dict[str, float] = {}
     crossover = {}
     for axis, model in models.items():

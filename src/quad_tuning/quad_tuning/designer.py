@@ -6,13 +6,15 @@ the group `quad_sysid.designers`.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from quad_sysid.axes import EVERY
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.from_model import loop_plant, not_in_the_loop
+from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.from_model import behind_lean, in_flight, loop_plant, not_in_the_loop
 from quad_sysid.model import BEFORE, AxisModel, GainProposal
 from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import Requirements, assess, promise
@@ -25,6 +27,7 @@ from quad_tuning.bounds import (
     check_model,
     flown_gains,
     told,
+    within_thrust,
 )
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.pid import PidDesign, retune
@@ -38,19 +41,24 @@ LARGEST_LOSS_PCT = 3.0
 """Largest predicted loss of tracking that is accepted for the margins."""
 
 
-def design(model: AxisModel) -> GainProposal:
+def design(model: AxisModel, inner: AxisModel | None = None) -> GainProposal:
     """Gains for one axis, or the reason against; a model's faults never raise."""
     try:
-        return propose(model)
+        return propose(model, inner=inner)
     except (QuadTuningError, QuadSysidError) as refusal:
         return GainProposal(gains=None, refused_because=str(refusal))
 
 
-def propose(model: AxisModel, requirements: Requirements | None = None) -> GainProposal:
-    """Gains for one axis; raises DesignRefusedError with the reason where there are none."""
+def propose(model: AxisModel, requirements: Requirements | None = None,
+            inner: AxisModel | None = None) -> GainProposal:
+    """Gains for one axis; raises DesignRefusedError with the reason where there are none.
+
+    `inner`: of surge and sway, the model of pitch or roll, whose loop follows the lean.
+    """
     check_model(model)
     check_inside(model)
-    active = flown_gains(model)
+    model = _around_lean(model, inner) if EVERY[model.axis].outer else in_flight(model)
+    active = within_thrust(flown_gains(model), model)
     flown, chosen = model, sag_settings(model)
     model = scheduled(model, chosen)
     plant = loop_plant(model)
@@ -65,10 +73,13 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
     needs = requirements or Requirements()
     if model.noise_rms:
         spare = needs.motor_noise / (before.noise_gain * model.noise_rms)
-        needs = dataclasses.replace(needs, noise_factor=max(needs.noise_factor, spare))
+        needs = replace(needs, noise_factor=max(needs.noise_factor, spare))
+    highest = plant.trial.crossover_rad_s
     if model.trusted_band_rad_s is not None:
-        highest = max(BAND_REACH * model.trusted_band_rad_s[1], before.crossover_rad_s)
-        needs = dataclasses.replace(needs, highest_crossover_rad_s=highest)
+        highest = min(highest, BAND_REACH * model.trusted_band_rad_s[1])
+    if highest < np.inf:
+        needs = replace(
+            needs, highest_crossover_rad_s=max(highest, before.crossover_rad_s))
     known = told(active, model.axis, model.active_gains)
     fixed = DESIGNED[len(known) :]  # the filter of D, where the flight did not tell it
     try:
@@ -86,6 +97,18 @@ def propose(model: AxisModel, requirements: Requirements | None = None) -> GainP
         steps=along([told(step, model.axis, known) for step in way.steps], chosen,
                     flown.active_gains),
     )
+
+
+def _around_lean(model: AxisModel, inner: AxisModel | None) -> AxisModel:
+    """The model of an outer loop, which begins from usual gains where none are known."""
+    if inner is None:
+        raise DesignRefusedError(
+            f'{model.axis}: its loop commands the lean, and the model of '
+            f'{EVERY[model.axis].excited_as} is not there to say how that follows; identify both '
+            'into one model.json'
+        )
+    usual = CascadeGains.default(model.axis).to_mapping(model.axis)
+    return replace(behind_lean(model, inner), active_gains={**usual, **model.active_gains})
 
 
 def _check_worth(found: PidDesign, needs: Requirements) -> None:

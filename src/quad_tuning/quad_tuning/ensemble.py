@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.likeness import Trim
 from quad_sysid.estimate.stored import estimate_of, library
 from quad_sysid.loop.cascade import (
     Controller,
@@ -32,7 +33,7 @@ from quad_sysid.loop.from_model import (
     placed,
     usual_signals,
 )
-from quad_sysid.loop.linear import NEAR_REST, WIDE, ComplexArray, Loops, loops_of
+from quad_sysid.loop.linear import ComplexArray, Loops, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part
@@ -141,6 +142,7 @@ class Ensemble:
     response: ComplexArray
     nominal: npt.NDArray[np.bool_]
     draws: int
+    axis: str
 
     def loop(self, controller: Controller) -> ComplexArray:
         """(p, f) loop gain broken at the control."""
@@ -180,11 +182,15 @@ def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ens
     for number, (_, variant) in zip(shares(tuple(weight for weight, _ in choices), count), choices,
                                     strict=True):
         plants += [_next_flight(one, rng) for one in draw_models(variant, rng, number)]
-    levels = [WIDE, NEAR_REST] if any(one.plant.structure.parts for one in plants) else [WIDE]
+    trial = plants[0].trial
+    bends = any(not isinstance(part.effect, Trim) for one in plants
+                for part in one.plant.structure.parts)
+    levels = [trial.wide, trial.near_rest] if bends else [trial.wide]
     cycle = loops_of([(one, level) for level in levels for one in plants])
     omega = frequency_grid(model.dt)
     return Ensemble(cycle=cycle, omega=omega, response=cycle.response(omega),
-                    nominal=np.arange(len(levels) * len(plants)) % len(plants) == 0, draws=count)
+                    nominal=np.arange(len(levels) * len(plants)) % len(plants) == 0, draws=count,
+                    axis=model.axis)
 
 
 def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> Flying:

@@ -3,7 +3,7 @@
 Ours: u = kp e + ki ∫e dt - kd d(rate)/dt in normalised command per rad/s, C1 in 1/s (contract).
 Theirs: the same in their own unit of torque, -1..1. `scale` is our U per unit of their torque: 1
 where the model was identified from their torque set-points (quad-sysid import says so), else the
-factor of their mixer; a design does not tell which, so it is asked for. Each conversion is written
+factor of their mixer; a design does not contain it, so it is asked for. Each conversion is written
 out as a comment, and so is what has no counterpart.
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import Any
 
 from quad_sysid.arguments import Commands, command
 from quad_sysid.autopilot_table import ARDUPILOT, D_FILTER, PX4, Table
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, read_json, write_whole
@@ -37,7 +38,7 @@ from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
 
 DESIGN = 'quad_tuning/design/1'
 SCHEMAS = (DESIGN, 'quad_sysid/report/1')
-"""Of the files that hold gains."""
+"""Schemas of the files that hold gains."""
 REMEDY, AGAIN = 'give the file of quad-tune design --out, or a report.json', 'design again'
 NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
 
@@ -48,11 +49,11 @@ class Firmware:
 
     table: Table | None
     notes: tuple[str, ...]
-    """What has no counterpart."""
+    """Gains without a counterpart."""
     head: str = ''
     row: str = '{name},{value:.9g}'
     cli: Mapping[str, tuple[str, float]] = field(default_factory=dict)
-    """Of a firmware with whole numbers on a command line: its name and scale by ours."""
+    """Name and scale by our name, for a firmware with whole numbers on a command line."""
     head_lines: tuple[str, ...] = ()
 
 
@@ -127,23 +128,23 @@ def run(arguments: argparse.Namespace) -> int:
     if firmware.cli:
         return _command_line(firmware, arguments)
     gains = read_gains(arguments.gains)
-    found = parameters(firmware, gains, scales(arguments.scale))
+    values = parameters(firmware, gains, scales(arguments.scale))
     rest = left_out(gains)
     content = (
         f'# Gains of {arguments.gains.name}, converted by quad-tune export\n'
         + ''.join(f'# {note}\n' for note in firmware.notes)
         + ''.join(f'# Left out, it has no counterpart here: {note}\n' for note in rest)
         + firmware.head
-        + ''.join(f'# {name} = {how}\n' for name, (_, how) in found.items())
+        + ''.join(f'# {name} = {how}\n' for name, (_, how) in values.items())
         + ''.join(firmware.row.format(name=name, value=value) + '\n'
-                  for name, (value, _) in found.items())
+                  for name, (value, _) in values.items())
     )
     if arguments.out is None:
         print(content, end='')
         return 0
     check_new(arguments.out)
     write_whole(arguments.out, content)
-    print(f'{len(found)} parameters in {arguments.out}'
+    print(f'{len(values)} parameters in {arguments.out}'
           + (f'; left out: {", ".join(rest)}' if rest else ''))
     return 0
 
@@ -224,10 +225,10 @@ def _flown(path: Path) -> dict[str, float]:
     """The gains and filters of the flight behind a model. Raises BadInputError."""
     from quad_sysid.report.model_file import load_models, located
 
-    found: dict[str, float] = {}
+    gains: dict[str, float] = {}
     for model in load_models(located(path)).values():
-        found |= model.active_gains
-    return found
+        gains |= model.active_gains
+    return gains
 
 
 def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator[str]:
@@ -248,7 +249,13 @@ def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator
 
 def _no_counterpart(gains: Mapping[str, float]) -> list[str]:
     return [f'{name} {value:.6g}' for name, value in gains.items()
-            if value and name.partition('.')[2] not in {*NEEDED[1:], D_FILTER}]
+            if value and not _of_attitude(name, (*NEEDED[1:], D_FILTER))]
+
+
+def _of_attitude(name: str, known: Sequence[str]) -> bool:
+    """Whether a gain is one of these of roll, pitch or yaw."""
+    axis, _, rest = name.partition('.')
+    return axis in AXES and rest in known
 
 
 def scales(items: list[str]) -> dict[str, float]:
@@ -287,19 +294,24 @@ def read_gains(path: Path, *, bounded: bool = True) -> dict[str, float]:
     Raises BadInputError naming file and field of what is no gain, not finite or, where `bounded`,
     outside the default bounds; the bridge's gate has bounds of its own.
     """
-    found: dict[str, float] = {}
-    for axis, one in read_axes(path).items():
+    gains: dict[str, float] = {}
+    flown = {axis: one for axis, one in read_axes(path).items()
+             if axis not in EVERY or not EVERY[axis].outer}
+    if not any(one['gains'] for one in flown.values()):
+        raise BadInputError(f'{path}: gains', 'are of an outer loop of your own only, which no '
+                            'firmware here has', remedy='design roll, pitch, yaw or climb')
+    for axis, one in flown.items():
         for name, given in one['gains'].items():
             where = f'{path}: axes.{axis}.gains.{name}'
             bound = DEFAULT_BOUNDS.get(name)
             if bound is None:
                 raise BadInputError(where, 'is no gain that a design changes',
                                     remedy='docs/reference/gains.md lists them')
-            found[name] = value = finite(given, where)
+            gains[name] = value = finite(given, where)
             if bounded and not bound.lower <= value <= bound.upper:
                 span = f'{bound.lower:g} .. {bound.upper:g} {ROWS[name].unit}'
                 raise BadInputError(where, f'must lie in {span}', f'{value:g}', AGAIN)
-    return found
+    return gains
 
 
 def finite(value: object, where: str) -> float:
@@ -313,7 +325,7 @@ def finite(value: object, where: str) -> float:
 def left_out(gains: Mapping[str, float]) -> list[str]:
     """Gains that act and are not exported, with their values."""
     return [f'{name} {value:.6g}' for name, value in gains.items()
-            if value and name.partition('.')[2] not in {*NEEDED, D_FILTER}]
+            if value and not _of_attitude(name, (*NEEDED, D_FILTER))]
 
 
 def parameters(firmware: Firmware, gains: Mapping[str, float],

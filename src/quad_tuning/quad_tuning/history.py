@@ -61,16 +61,16 @@ def default_folder() -> Path:
 
 def history_file(folder: Path, aircraft: str) -> Path:
     """The file of an aircraft; without a name the only one. Raises BadInputError."""
-    found = sorted(path.parent.name for path in folder.glob(f'*/{FILE}'))
-    if not found:
+    names = sorted(path.parent.name for path in folder.glob(f'*/{FILE}'))
+    if not names:
         raise BadInputError(str(folder), 'holds no history of gains', None,
                             "give the bridge's parameter state_folder as --folder")
-    if aircraft and aircraft not in found:
-        raise BadInputError('--aircraft', f'must be one of {", ".join(found)}', aircraft)
-    if not aircraft and len(found) > 1:
-        raise BadInputError(str(folder), 'holds several aircraft', ', '.join(found),
+    if aircraft and aircraft not in names:
+        raise BadInputError('--aircraft', f'must be one of {", ".join(names)}', aircraft)
+    if not aircraft and len(names) > 1:
+        raise BadInputError(str(folder), 'holds several aircraft', ', '.join(names),
                             'choose one by --aircraft')
-    return folder / (aircraft or found[0]) / FILE
+    return folder / (aircraft or names[0]) / FILE
 
 
 def read_history(path: Path) -> list[GainSet]:
@@ -222,21 +222,21 @@ def go_back(arguments: argparse.Namespace) -> int:
     """`quad-tune rollback`. Raises QuadSysidError for bad input."""
     path = _file(arguments)
     chosen, gains = way_back(read_history(path), arguments.to, str(path))
-    told = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}'
+    text = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}'
     if arguments.print or not gains:
-        print(told)
+        print(text)
         return 0
     refusal = _publish('rollback')(gains, SOURCE, rollback=True, namespace=arguments.namespace,
                                    aircraft=path.parent.name)
-    return _told(refusal, f'back to {told}')
+    return _report(refusal, f'back to {text}')
 
 
 def send(arguments: argparse.Namespace) -> int:
     """`quad-tune send`. Raises QuadSysidError for bad input."""
     gains, beside = read_design(arguments.design)
     refusal = _publish('send')(gains, SENDER, beside=beside, namespace=arguments.namespace)
-    return _told(refusal, f'active: {_words(gains)}; the bridge watches them for 10 s of '
-                 'flight and takes them back if they fly badly: see quad-tune history')
+    return _report(refusal, f'active: {_words(gains)}; the bridge watches them for 10 s of '
+                   'flight and takes them back if they fly badly: see quad-tune history')
 
 
 def _publish(command: str) -> Callable[..., str]:
@@ -249,7 +249,7 @@ def _publish(command: str) -> Callable[..., str]:
     return publish
 
 
-def _told(refusal: str, success: str) -> int:
+def _report(refusal: str, success: str) -> int:
     """Say how the bridge answered; the exit status."""
     if refusal:
         print(f'quad-tune: {refusal}', file=sys.stderr)
@@ -261,9 +261,10 @@ def _told(refusal: str, success: str) -> int:
 def read_design(path: Path) -> tuple[dict[str, float], dict[str, str]]:
     """Gains of all axes in a design's file, and what is sent with them. Raises BadInputError."""
     gains = read_gains(path, bounded=False)
+    sent = {name.partition('.')[0] for name in gains}
     figures = {axis: {name: finite(value, f'{path}: axes.{axis}.figures.{name}')
                       for name, value in said.items()}
-               for axis, one in read_axes(path).items()
+               for axis, one in read_axes(path).items() if axis in sent
                for said in [one.get('figures', one.get('gain_figures'))]
                if isinstance(said, Mapping)}
     return gains, sent_with(figures)

@@ -16,7 +16,8 @@ import control
 import numpy as np
 from scipy.optimize import least_squares
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, loops_of
@@ -78,6 +79,9 @@ def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal
 
     The admission is the cascade's.
     """
+    if not EVERY[model.axis].turns:
+        raise DesignRefusedError(f'{model.axis}: a state feedback holds an angle; the cascade '
+                                 'is what holds a place (--method pid)')
     check_model(model)
     check_inside(model)
     active = flown_gains(model)
@@ -136,7 +140,8 @@ def design_lqr(plant: Flying, ensemble: Ensemble, output_limit: float,
 
 def passes(found: StateFeedback) -> bool:
     """Whether its gains are within the bridge's bounds."""
-    return all(BOUNDS[f'lqr.{name}'].lower <= getattr(found, name) <= BOUNDS[f'lqr.{name}'].upper
+    bounds = {name: BOUNDS[f'{AXES[0]}.lqr.{name}'] for name in PARAMETERS}
+    return all(bounds[name].lower <= getattr(found, name) <= bounds[name].upper
                for name in PARAMETERS if name.startswith('k_'))
 
 

@@ -20,11 +20,10 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import CONTRACT_NAMES, CascadeGains, margins
+from quad_sysid.loop.cascade import WORDS, CascadeGains, margins
 from quad_sysid.loop.linear import ComplexArray
 from quad_sysid.loop.plant import Flying
 from quad_tuning.assess import (
-    SQUARE_HALF_PERIOD_S,
     LoopFigures,
     Requirements,
     assess,
@@ -34,7 +33,7 @@ from quad_tuning.assess import (
     reference_square,
     tracking,
 )
-from quad_tuning.bounds import BOUNDS, DESIGNED, check_finite
+from quad_tuning.bounds import DESIGNED, bound_of, check_finite
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 
@@ -145,10 +144,10 @@ def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Require
 
     `fixed` are fields of CascadeGains that do not change.
     """
-    check_finite({f'flown.{CONTRACT_NAMES[f]}': getattr(active, f) for f in DESIGNED})
+    check_finite({f'flown.{WORDS[f]}': getattr(active, f) for f in DESIGNED})
     low, high = [], []
     for field in DESIGNED:
-        bound, value = BOUNDS[CONTRACT_NAMES[field]], getattr(active, field)
+        bound, value = bound_of(ensemble.axis, field), getattr(active, field)
         if field in fixed:
             low.append(value)
             high.append(value)
@@ -156,7 +155,7 @@ def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Require
         free = field in POWERS
         low.append(min(value, bound.lower if free else max(bound.lower, value / REACH)))
         high.append(max(value, bound.upper if free else min(bound.upper, value * REACH)))
-    reference = reference_square(plant.dt)
+    reference = reference_square(plant)
     nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
     scale = (tracking(plant, active, reference)[0], disturbance(plant, active),
              noise_gain(active, nominal))
@@ -210,7 +209,8 @@ def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[
     """Indices of the grid, best first, by linear tracking with a penalty on margins."""
     thin = replace(loops, omega=loops.omega[::2], response=loops.response[..., ::2])
     dt = problem.plant.dt
-    harmonics: FloatArray = np.pi / SQUARE_HALF_PERIOD_S * np.arange(1.0, 240.0, 2.0)
+    half = problem.plant.trial.half_period_s
+    harmonics: FloatArray = np.pi / half * np.arange(1.0, 240.0, 2.0)
     harmonics = harmonics[harmonics < 0.9 * np.pi / dt]
     nominal = problem.nominal.cycle.response(harmonics)
     rows = [problem.gains(x) for x in grid]
@@ -218,7 +218,7 @@ def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[
     for start in range(0, len(rows), CHUNK):
         part = rows[start : start + CHUNK]
         short = _margin_room(problem, part, thin)
-        merits.append(_linear_tracking(part, nominal, harmonics, dt) - 3.0 * short)
+        merits.append(_linear_tracking(part, nominal, harmonics, dt, half) - 3.0 * short)
     return np.argsort(np.concatenate(merits), kind='stable')
 
 
@@ -256,11 +256,11 @@ def _turns(loop: ComplexArray) -> npt.NDArray[np.int64]:
 
 
 def _linear_tracking(rows: list[CascadeGains], nominal: ComplexArray, harmonics: FloatArray,
-                     dt: float) -> FloatArray:
+                     dt: float, half_period_s: float) -> FloatArray:
     """(g,) RMS error of a square wave of amplitude 1 without limits, by Parseval."""
     loop, forward = _loops_of(rows, nominal, harmonics, dt)
     error = np.abs(1.0 - (forward / (1.0 + loop))[:, 0]) ** 2
-    k = harmonics * SQUARE_HALF_PERIOD_S / np.pi
+    k = harmonics * half_period_s / np.pi
     total = np.sum(error * 0.5 * (4.0 / (np.pi * k)) ** 2, axis=1)
     return np.asarray(np.sqrt(total))
 

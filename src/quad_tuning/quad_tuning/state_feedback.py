@@ -18,13 +18,14 @@ from quad_sysid.loop.cascade import CascadeGains, Dynamics, Linear
 from quad_sysid.loop.linear import ComplexArray
 from quad_sysid.loop.plant import Flying
 from quad_sysid.loop.simulation import LoopResponse, running
-from quad_tuning.bounds import BOUNDS, check_bounds
+from quad_tuning.bounds import check_bounds
 from quad_tuning.errors import DesignRefusedError
+from quad_tuning.gain_table import OPTIONAL
 
 DRIVE, RATE, TOTAL, COMMANDS = range(4)
 
-PARAMETERS = tuple(name.removeprefix('lqr.') for name in BOUNDS
-                   if name.startswith('lqr.') and name != 'lqr.share')
+PARAMETERS = tuple(row.name.removeprefix('lqr.') for row in OPTIONAL
+                   if row.name.startswith('lqr.') and row.name != 'lqr.share')
 """Fields of StateFeedback that the firmware has as gains."""
 
 

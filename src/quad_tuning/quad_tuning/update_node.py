@@ -66,11 +66,11 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
         if not spin(client.service_is_ready, LISTEN_S):
             raise BadInputError(client.srv_name, f'no bridge has been heard for {LISTEN_S:.0f} s',
                                 remedy='start serial_bridge, or give its --namespace')
-        told: dict[str, bool | float | str] = {**gains, 'source': source,
-                                               **(beside or {}),
-                                               **({'aircraft': aircraft} if aircraft else {}),
-                                               **({'rollback': True} if rollback else {})}
-        wanted = event_message(told, '/quad_tune', 0).changed_parameters
+        values: dict[str, bool | float | str] = {**gains, 'source': source,
+                                                 **(beside or {}),
+                                                 **({'aircraft': aircraft} if aircraft else {}),
+                                                 **({'rollback': True} if rollback else {})}
+        wanted = event_message(values, '/quad_tune', 0).changed_parameters
         answer = client.call_async(SetParametersAtomically.Request(parameters=wanted))
         if not spin(answer.done, ANSWER_S):
             raise BadInputError(client.srv_name,

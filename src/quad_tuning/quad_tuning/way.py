@@ -46,7 +46,7 @@ def way_to(wanted: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
     all gains change by equal ratios.
     """
     least = least_on_the_way(active, loops)
-    for way in _tried(wanted, active):
+    for way in _tried(wanted, active, loops.axis):
         if all(meets(loops.margins(gains), least).all() and not loops.unstable(gains).any()
                for gains in way.steps[:-1]):
             return way
@@ -56,16 +56,16 @@ def way_to(wanted: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
     )
 
 
-def _tried(wanted: CascadeGains, active: CascadeGains) -> Iterator[Way]:
-    together = steps_to(wanted, active)
+def _tried(wanted: CascadeGains, active: CascadeGains, axis: str) -> Iterator[Way]:
+    together = steps_to(wanted, active, axis)
     yield Way(together, wanted)
     for share in HALTS:
         halt = _between(active, wanted, share)
-        yield Way((*steps_to(halt, active), *steps_to(wanted, halt)), halt)
+        yield Way((*steps_to(halt, active, axis), *steps_to(wanted, halt, axis)), halt)
     # equal ratios (equal differences for gains near zero) in as many updates as it takes
     for count in range(max(len(together), 1), 65):
         path = [*(_between(active, wanted, k / count) for k in range(1, count)), wanted]
-        if all(_within(then, now) for now, then in zip([active, *path], path, strict=False)):
+        if all(_within(then, now, axis) for now, then in zip([active, *path], path, strict=False)):
             yield Way(tuple(path), path[0])
             return
 
@@ -78,8 +78,8 @@ def _between(active: CascadeGains, wanted: CascadeGains, share: float) -> Cascad
     return replace(active, **values)
 
 
-def _within(following: CascadeGains, now: CascadeGains) -> bool:
-    limits = ((field, reachable(field, getattr(now, field))) for field in DESIGNED)
+def _within(following: CascadeGains, now: CascadeGains, axis: str) -> bool:
+    limits = ((field, reachable(field, getattr(now, field), axis)) for field in DESIGNED)
     return all(low * (1 - 1e-9) <= getattr(following, field) <= high * (1 + 1e-9)
                for field, (low, high) in limits)
 
@@ -109,7 +109,7 @@ def sag_settings(model: AxisModel) -> dict[str, float]:
     found = any(effect.name == EFFECT for effect in model.effects)
     if not (found and mean and exponent in model.active_gains and reference in model.active_gains):
         return {}
-    bound, volts = BOUNDS['sag.exponent'], BOUNDS['sag.reference_v']
+    bound, volts = BOUNDS[exponent], BOUNDS[reference]
     power = min(max(model.value(f'{EFFECT}.exponent'), bound.lower), bound.upper)
     at = model.active_gains[reference] if model.active_gains[exponent] > 0.0 else mean
     if power == bound.lower or not volts.lower <= at <= volts.upper:
@@ -129,7 +129,7 @@ def along(steps: Sequence[Mapping[str, float]], chosen: Mapping[str, float],
     name = next((key for key in chosen if key.endswith('sag.exponent')), None)
     if name is None or not path:
         return tuple(path)
-    now, wanted, small = active[name], chosen[name], BOUNDS['sag.exponent'].small_step
+    now, wanted, small = active[name], chosen[name], BOUNDS[name].small_step
     k = 0
     while now != wanted:
         low, high = min(now / LARGEST_FACTOR, now - small), max(now * LARGEST_FACTOR, now + small)

@@ -54,6 +54,9 @@ class Kind:
     log_suffix: str
     fetches_armed: bool
     """Whether it sends logs while it is armed; they are asked for after landing all the same."""
+    log_closes_s: float
+    """After landing: until it writes to the log no more. Who asks before cuts the log short, and
+    ArduPilot begins another one then."""
     modes: Mapping[int, str] = field(default_factory=dict)
     system_id: bool = False
 
@@ -131,7 +134,7 @@ KINDS = (
         wants_hz={'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0},
         reads=('SDLOG_PROFILE', 'MC_AIRMODE', 'MAV_FWDEXTSP', 'COM_RC_OVERRIDE', 'COM_OF_LOSS_T',
                'IMU_GYRO_RATEMAX', 'IMU_INTEG_RATE'),
-        advice=_px4_advice, log_suffix='.ulg', fetches_armed=True,
+        advice=_px4_advice, log_suffix='.ulg', fetches_armed=True, log_closes_s=2.0,
         modes={1 << 16: 'Manual', 5 << 16: 'Acro'},
     ),
     Kind(
@@ -141,7 +144,7 @@ KINDS = (
         units=_ardupilot_units,
         wants_hz={'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0},
         reads=(*OF_MOTORS, 'LOG_BITMASK', 'FLTMODE_GCSBLOCK', 'SCHED_LOOP_RATE', 'SID_AXIS'),
-        advice=_ardupilot_advice, log_suffix='.bin', fetches_armed=False,
+        advice=_ardupilot_advice, log_suffix='.bin', fetches_armed=False, log_closes_s=16.0,
         modes={25: 'SYSTEM ID', 9: 'Land', 6: 'RTL'}, system_id=True,
     ),
 )  # fmt: skip

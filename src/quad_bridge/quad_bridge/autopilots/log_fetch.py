@@ -19,7 +19,6 @@ WINDOW = 600 * CHUNK
 LIST_S, DATA_S = 1.0, 0.5  # of silence, after which it is asked again
 TRIES = 40
 """Of the same question without any answer, before it is given up."""
-GRACE_S = 2.0  # after landing: the autopilot closes its file
 
 
 class Phase(Enum):
@@ -69,8 +68,8 @@ class LogFetch:
         """Bytes of the log; 0 before it is known."""
         return self.entry.size if self.entry is not None else 0
 
-    def begin(self, now_s: float, wait_s: float = GRACE_S) -> None:
-        """Fetch the newest log."""
+    def begin(self, now_s: float, wait_s: float) -> None:
+        """Fetch the newest log, which is closed `wait_s` from now."""
         self._forget()
         self.phase, self._due_s = Phase.WAITING, now_s + wait_s
 

@@ -58,11 +58,13 @@ def wanted(axis: int, injection: Injection, segment: Mapping[str, Any]) -> dict[
     if size > MOST[injection] * 1.001:
         raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: found {size:.4g}')
     ramp_s = max(float(segment.get('ramp_s', 0.5)), 0.1)
-    beside_s = SET_UP_S + DELAY_S + 2.0 / found['f0_hz'] + 2.0 * ramp_s
+    steady_s = 2.0 / found['f0_hz']
+    beside_s = SET_UP_S + DELAY_S + steady_s + 2.0 * ramp_s
     record_s = found['sweep_s'] - beside_s  # so that it has ended when the segment ends
-    if record_s < LEAST_S:
+    least_s = max(LEAST_S, 1.05 * steady_s)  # it refuses a sweep as short as its steady start
+    if record_s < least_s:
         raise ValueError(f'the segment is too short for SYSTEM ID: {beside_s:.1f} s go beside the '
-                         f'sweep, and {LEAST_S:g} s must be left of {found["sweep_s"]:g}')
+                         f'sweep, and {least_s:.3g} s must be left of {found["sweep_s"]:g}')
     return {
         'SID_AXIS': FIRST_AXIS[injection] + axis, 'SID_MAGNITUDE': size,
         'SID_F_START_HZ': found['f0_hz'], 'SID_F_STOP_HZ': found['f1_hz'],

@@ -28,9 +28,9 @@ from quad_bridge.wire.frames import Flag
 
 FLOAT32_MAX = 3.4028234663852886e38  # nothing larger goes over the wire, and no bound is
 USUAL_HZ = 250.0  # control cycles per second, where the STM32 has not said it
-LONGEST_NAME, LONGEST_TEXT = 60, 4096  # characters of a name in a message; of a text
+MAX_NAME, MAX_TEXT = 60, 4096  # characters of a name in a message; of a text
 SAME = 0.02  # relative difference up to which a gain is the one that a design began from
-MOST_STEPS = 16  # more than that from one update is taken as a mistake: 2 to the 16 is 65536
+MAX_STEPS = 16  # more than that in one update counts as a mistake: 2 to the 16 is 65536
 _LIMITS = {'rate_rms_ratio': (0.5, 3.0), 'oscillation_ratio': (0.5, 3.0), 'peak': (1.0, 2.5)}
 """Limits of a prediction's effect on the watch's bounds."""
 _WHOLE = 'send the whole set that quad-tune design --method lqr gives'
@@ -82,23 +82,23 @@ def _object(name: str, rest: dict[str, object]) -> dict[str, float]:
     """Remove a parameter that is JSON such as `{"roll.peak": 1.2}`; its numbers, all finite."""
     text = _text(name, rest.pop(name, '{}'))
     try:
-        said = json.loads(text)
-        found = numbers(said) if isinstance(said, dict) else None
+        tree = json.loads(text)
+        values = numbers(tree) if isinstance(tree, dict) else None
     except (ValueError, RecursionError) as error:
         raise RefusedError(f'{name}: must be a JSON object of numbers: {error}') from error
-    if found is None:
+    if values is None:
         raise RefusedError(f'{name}: must be a JSON object: found {shorten(text)}')
-    for key, value in found.items():
+    for key, value in values.items():
         if not math.isfinite(value):
             raise RefusedError(f'{name}: {shorten(key)} must be finite: found {value}')
-    return found
+    return values
 
 
 def _text(name: str, text: object) -> str:
     if not isinstance(text, str):
         raise RefusedError(f'{name}: must be a text: found {reprlib.repr(text)}')
-    if len(text) > LONGEST_TEXT:
-        words = f'must have {LONGEST_TEXT} characters at most: found {len(text)}'
+    if len(text) > MAX_TEXT:
+        words = f'must have {MAX_TEXT} characters at most: found {len(text)}'
         raise RefusedError(f'{name}: {words}')
     return text
 
@@ -109,7 +109,7 @@ def _predictions(pairs: Mapping[str, float]) -> dict[str, Predicted]:
     known = {f.name for f in fields(Predicted)}
     for name, value in pairs.items():
         axis, _, figure = name.partition('.')
-        if axis not in AXES or figure not in known:
+        if axis not in {*AXES, CLIMB} or figure not in known:
             words = f'{shorten(name)} is not known; known are {", ".join(sorted(known))}'
             raise RefusedError(f'predicted: {words}')
         low, high = _LIMITS[figure]
@@ -119,21 +119,21 @@ def _predictions(pairs: Mapping[str, float]) -> dict[str, Predicted]:
 
 def numbers(wanted: Mapping[str, object]) -> dict[str, float]:
     """The values as floats. Raises RefusedError where one is a string, a bool or too large."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for name, value in wanted.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise RefusedError(f'{shorten(name)}: must be a number: found {reprlib.repr(value)}')
         try:
-            found[name] = float(value)
+            values[name] = float(value)
         except OverflowError as error:
             raise RefusedError(f'{shorten(name)}: is too large a number') from error
-    return found
+    return values
 
 
 def shorten(text: str) -> str:
     """A received name, shortened for one line of a log."""
-    kept = ''.join(c if c.isprintable() else '?' for c in text[: LONGEST_NAME + 1])
-    return kept if len(text) <= LONGEST_NAME else f'{kept[:LONGEST_NAME]}…'
+    kept = ''.join(c if c.isprintable() else '?' for c in text[: MAX_NAME + 1])
+    return kept if len(text) <= MAX_NAME else f'{kept[:MAX_NAME]}…'
 
 
 def check_source(source: str, allowed: Sequence[str]) -> None:
@@ -147,7 +147,7 @@ def check_flown(request: GainRequest, active: Mapping[str, float]) -> None:
     """Raise RefusedError where the aircraft flies other gains than the design began from.
 
     Then the design is of another aircraft, in another unit of the commands, or it is old. On the
-    way from those gains to the new ones is where an update that was taken back has left it.
+    way from those gains to the new ones is where an update that was reverted has left it.
     """
     for name, before in request.flown.items():
         now = active.get(name)
@@ -185,8 +185,8 @@ def steps(
     path, now = list[dict[str, float]](), {name: active[name] for name in wanted}
     now.update({name: value for name, value in wanted.items() if _idle(name, active)})
     while any(float32(now[name]) != float32(value) for name, value in wanted.items()):
-        if len(path) == MOST_STEPS:
-            raise RefusedError(f'more than {MOST_STEPS} steps; send intermediate values first')
+        if len(path) == MAX_STEPS:
+            raise RefusedError(f'more than {MAX_STEPS} steps; send intermediate values first')
         now = {name: _towards(now[name], value, bounds[name]) for name, value in wanted.items()}
         path.append(now)
     path = path or [dict(wanted)]

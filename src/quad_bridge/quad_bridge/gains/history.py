@@ -94,10 +94,10 @@ class History:
         """What is in one of the aircraft's files that are replaced whole; {} where nothing."""
         try:
             path = self._folder / self._aircraft / name
-            found = json.loads(path.read_text(encoding='utf-8'))
+            content = json.loads(path.read_text(encoding='utf-8'))
         except (OSError, ValueError, RecursionError):
             return {}
-        return found if isinstance(found, dict) else {}
+        return content if isinstance(content, dict) else {}
 
     def leave(self, aircraft: str) -> bool:
         """Close the files of any other aircraft than this; whether there were such."""
@@ -111,7 +111,7 @@ class History:
         self._count += 1
         return f'{datetime.now(timezone.utc):%Y%m%dT%H%M%S}-{self._count}'
 
-    def found(self, active: Mapping[str, float]) -> None:
+    def note_active(self, active: Mapping[str, float]) -> None:
         """Store gains read from the STM32, if they differ from the last ones stored."""
         if active and active != self._last:
             self.write('active', active, reason='read from the STM32')
@@ -120,15 +120,15 @@ class History:
         self,
         state: str,
         active: Mapping[str, float] | None = None,
-        asked: GainRequest | None = None,
+        request: GainRequest | None = None,
         **more: object,
     ) -> None:
         """Write one line: a set that is now active, or the outcome of an update."""
         if not self._aircraft:
             return
         entry: dict[str, object] = {'time': now_text(), 'clock_s': time.time(), 'state': state}
-        if asked is not None:
-            entry |= {'source': asked.source, 'model': asked.model, 'bag': asked.bag}
+        if request is not None:
+            entry |= {'source': request.source, 'model': request.model, 'bag': request.bag}
         if active is not None:
             self._last = active
             entry['gains'] = dict(active)
@@ -146,7 +146,7 @@ class History:
         self._keep(f'{FLIGHT}.json', {FLIGHT: figures})
 
     def keep_trial(self, record: Mapping[str, object], done: Callable[[bool], None]) -> None:
-        """Replace what a trial of gains has to return to; `done` is told whether it is there."""
+        """Replace what a trial of gains has to return to; `done` gets whether it is there."""
         if not self._aircraft:
             done(False)
             return

@@ -23,8 +23,8 @@ FloatArray = npt.NDArray[np.float64]
 Signs = dict[str, dict[str, int]]  # motor channel to axis to the sign of its answer
 
 QUIET_S, HALF_S, REST_S = 0.16, 0.12, 0.36
-LISTEN_S = (0.04, 0.18)  # the answer, from the doublet's start on: its second half is not felt yet
-LEAST_RAD_S, LEAST_SIGMAS = 0.015, 5.0  # an answer is larger than both
+LISTEN_S = (0.04, 0.18)  # the answer after the doublet's start, before its second half acts
+MIN_RAD_S, MIN_SIGMAS = 0.015, 5.0  # an answer is larger than both
 PULSE_VALID_MS = 60
 GRACE_S = 0.24  # in which the STM32 may still report a refusal of something older
 MODES = ('auto', 'manual', 'off')
@@ -102,7 +102,7 @@ class PulseRun:
         change = rates[:, first:last].mean(axis=1) - quiet.mean(axis=1)
         change[1] *= -1.0
         spread = quiet.std(axis=1).mean(axis=0)
-        least = np.maximum(LEAST_RAD_S, LEAST_SIGMAS * spread / math.sqrt(last - first))
+        least = np.maximum(MIN_RAD_S, MIN_SIGMAS * spread / math.sqrt(last - first))
         heard = (np.sign(change[0]) == np.sign(change[1])) & (np.abs(change) > least).all(axis=0)
         self.answers[self._left[0]] = np.where(heard, change.mean(axis=0), 0.0)
         self._level += 1
@@ -195,8 +195,8 @@ class PolarityCheck:
             'wrong': '{} responds with the wrong sign',
             'crossed': 'a pulse on {} moves another axis more',
         }
-        found = [words[v].format(a) for a, v in self._axes.items() if v in words]
-        return found + self.craft.where_motors_are(self._motors)[1]
+        faults = [words[v].format(a) for a, v in self._axes.items() if v in words]
+        return faults + self.craft.where_motors_are(self._motors)[1]
 
     def refuse_faults(self) -> None:
         """Raise RefusedError where something is wrong, with the check that clears it."""

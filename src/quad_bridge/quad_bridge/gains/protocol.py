@@ -2,7 +2,7 @@
 
 `poll` says what to send, `take` what came back, `events` what happened. The rule: what is in force
 is known only while the checksum of what was read is the one that the STM32 states, and whatever
-cannot be proven is taken back. The state diagram and the invariants stand in
+cannot be proven is reverted. The state diagram and the invariants stand in
 docs/reference/gain_machines.md; test_gain_protocol.py walks through every state and every event.
 """
 
@@ -70,7 +70,7 @@ class GainEvent:
     what: What
     active: Mapping[str, float] | None = None
     reason: str = ''
-    by_stm32: bool = False  # the STM32 has taken its gains back by itself
+    by_stm32: bool = False  # the STM32 has reverted by itself
 
 
 class GainProtocol:
@@ -86,18 +86,18 @@ class GainProtocol:
         self.events: list[GainEvent] = []
         self.active: Mapping[str, float] = {}
         """The active gains, contract names, SI; empty until they are read back."""
-        self.told: f.GainsState | None = None  # the STM32's last word on its sets
+        self.reported: f.GainsState | None = None  # the STM32's last word on its sets
         self.keep: Keep = lambda _, done: done(True)  # nothing: the STM32 reverts by itself
         self._forget()
         self._number = 0
-        self._checksum = 0  # of what is in force, or is to be
+        self._checksum = 0  # that of the gains in force, or of those that are being written
         self._writes: dict[str, float] = {}
         self._queue: list[str] = []  # names that are still to be written, or to be read back
         self._watch_ms = 0
         self._shown: float | None = None
         """The value that the STM32 reported instead of the written one."""
         self._outcome, self._reason = What.REVERTED, ''
-        """What is to be told when the way back has ended."""
+        """The event that follows once the gains are reverted, and its reason."""
         self._late = False  # the STM32 may have confirmed what is asked back
         self._left, self._due_s = 0, -math.inf
 
@@ -109,7 +109,7 @@ class GainProtocol:
     @property
     def aircraft(self) -> str:
         """The STM32's unique number; empty while it is not known."""
-        return f'{self.told.aircraft:016x}' if self.told is not None else ''
+        return f'{self.reported.aircraft:016x}' if self.reported is not None else ''
 
     @property
     def reading(self) -> bool:
@@ -117,16 +117,16 @@ class GainProtocol:
         return self.state is State.READING
 
     def recall(self, record: object) -> None:
-        """Nothing is kept of a trial: the STM32 says itself whether one goes on."""
+        """Do nothing: the STM32 itself reports whether a trial goes on."""
 
-    # What is asked for.
+    # Requests.
 
     def write(self, writes: Mapping[str, float], watch_ms: int) -> None:
         """Begin to write a set (wire names) that gate.py has let through.
 
         Raises RefusedError before anything is sent.
         """
-        if self.busy or self.told is None:
+        if self.busy or self.reported is None:
             raise RefusedError(f'the parameters are busy: {self.busy}')
         for name in writes:
             if name not in self._values:
@@ -134,7 +134,7 @@ class GainProtocol:
         self._writes = {name: float32(value) for name, value in writes.items()}
         merged = {**self._values, **self._writes}
         self._checksum = checksum([merged[name] for name in self._ordered()])
-        self._number, self._watch_ms = self.told.transaction % 255 + 1, watch_ms
+        self._number, self._watch_ms = self.reported.transaction % 255 + 1, watch_ms
         self._go(State.OPENING)
 
     def confirm(self) -> None:
@@ -145,7 +145,7 @@ class GainProtocol:
     def revert(self, reason: str) -> None:
         """Revert the set that is being written, on trial or being confirmed.
 
-        One that the STM32 has confirmed by then stays: that is told as CONFIRMED, with the reason.
+        One that the STM32 has confirmed by then stays: the event is CONFIRMED, with the reason.
         """
         if self.state in {State.ON_TRIAL, State.CONFIRMING}:
             self._take_back(What.REVERTED, reason)
@@ -156,7 +156,7 @@ class GainProtocol:
         """Read everything again, after a restart or from another aircraft."""
         if self.state not in {State.READING, State.READY}:
             self.events.append(GainEvent(What.LOST, reason='the link broke'))
-        self.told, self._number = None, 0
+        self.reported, self._number = None, 0
         self._read_again()
 
     # The wire.
@@ -190,7 +190,7 @@ class GainProtocol:
             elif self._queue and frame.name == self._queue[0]:
                 self._answered(frame)
             return
-        self.told = frame
+        self.reported = frame
         if frame.result in {f.GainsResult.LINK_LOST, f.GainsResult.NOT_CONFIRMED}:
             self._gave_up_by_itself(f.GainsResult(frame.result))
         elif self.state in _ACTIONS and frame.action == _ACTIONS[self.state]:
@@ -206,7 +206,7 @@ class GainProtocol:
             missing = [i for i in range(self._count) if i not in self._names]
             if missing:
                 return f.ParamRequestRead('', missing[0])
-        elif self.told is not None:
+        elif self.reported is not None:
             return f.ParamRequestList()
         return f.GainsCommand(int(f.GainsAction.QUERY), 0)
 
@@ -322,7 +322,7 @@ class GainProtocol:
     def _gave_up_by_itself(self, result: f.GainsResult) -> None:
         """The STM32 reverted, without a frame or a confirmation from us."""
         if self.state is State.READY:
-            return  # what it has taken back was nothing of ours; its checksum will tell
+            return  # it has reverted no set of ours; its checksum will show
         words = result.name.lower().replace('_', ' ')
         self.events.append(GainEvent(What.REVERTED, reason=words, by_stm32=True))
         self._read_again()
@@ -343,7 +343,7 @@ class GainProtocol:
     def _forget(self) -> None:
         self.active = {}
         self._queue = []
-        self._count = 0  # of the STM32's parameters; 0 before it has told
+        self._count = 0  # number of the STM32's parameters; 0 while unknown
         self._names: dict[int, str] = {}
         self._values: dict[str, float] = {}  # what is in force as far as it was read, wire names
 

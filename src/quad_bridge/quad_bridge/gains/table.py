@@ -48,11 +48,11 @@ class Gain:
     limits: tuple[float, float] | None
     """Lowest and highest value in the firmware; None where it cannot be set."""
     start: tuple[float, ...] = (0.0,)
-    """First value in the firmware: of roll, pitch, yaw, or of all three."""
+    """First value in the firmware: for roll, pitch and yaw, or one for all three."""
     bound: Bound | None = None
     """Default bound; None: only with a bound of the configuration."""
     yaw_bound: Bound | None = None
-    """The same for yaw where it differs: its torque is some ten times weaker."""
+    """Default bound for yaw where it differs: its torque is some ten times weaker."""
     switch: str = ''  # the gain of the same axis that, at 0, leaves this one without effect
 
 
@@ -85,7 +85,7 @@ SHARED = (
          (5.0, 200.0), (42.0,)),
     Gain('loop.rate_hz', 'LOOP_RATE_HZ', 'Hz', 'control cycles per second', None, (250.0,)),
 )  # fmt: skip
-"""Of the aircraft as a whole."""
+"""Gains that all axes share."""
 
 OPTIONAL = (
     # 0, a quarter, half, the whole: each with its watch
@@ -115,11 +115,11 @@ OPTIONAL = (
     Gain('sag.reference_v', 'SAG_VREF', 'V', 'voltage at which commands stay as they are',
          (0.0, 100.0), bound=Bound(3.0, 60.0), switch='sag.exponent'),
 )  # fmt: skip
-"""Of each axis, where a firmware has them: a state feedback, a schedule on the battery's voltage.
-Both are off at 0."""
+"""Optional gains of each axis: a state feedback, a schedule on the battery's voltage. Both are off
+at 0."""
 
 NOTCH_HZ = Bound(0.0, 400.0, small_step=400.0)
-"""A notch is placed where a peak is, which no factor of the place before bounds."""
+"""A notch is placed at a peak, so no factor of its last frequency bounds it."""
 
 OF_AIRCRAFT = (
     Gain(IDLE, 'MIX_IDLE', '1', 'smallest command of a motor in flight', (0.0, 0.3), (0.05,)),
@@ -138,8 +138,8 @@ OF_AIRCRAFT = (
     Gain('rate.d_notch_bandwidth_hz', 'D_NOTCH_BW', 'Hz', 'its width at -3 dB', (1.0, 100.0),
          (20.0,), Bound(2.0, 100.0), switch='rate.d_notch_hz'),
 )  # fmt: skip
-"""Of the aircraft as a whole, where a firmware has them. A firmware with the first one gives up
-yaw before throttle and throttle before roll and pitch; one without it clips each motor."""
+"""Optional gains that all axes share. A firmware with the first one gives up yaw before throttle
+and throttle before roll and pitch; one without it clips each motor."""
 
 CLIMB = (
     Gain('climb.height.kp', 'CLIMB_HGT_KP', '1/s', 'climb reference per height error', (0.0, 5.0),
@@ -167,7 +167,7 @@ CLIMB = (
 
 STICKS = ('roll', 'pitch', 'throttle', 'yaw')
 PULSE_US = (800.0, 2200.0)
-"""What counts as a pulse of a receiver, or for a speed controller."""
+"""Valid pulses of a receiver, or for a speed controller."""
 
 
 def _channel(name: str, wire: str, number: int, *, needed: bool) -> Gain:
@@ -225,20 +225,20 @@ SET_UP = (
     Gain('battery.divider', 'BAT_DIVIDER', '1', 'pack voltage over that at the pin', (1.0, 40.0),
          (11.0,)),
 )  # fmt: skip
-"""Of the aircraft as it is built, where a firmware has them: `setup` asks for them. They have no
-bound, so no update of gains changes them, and the firmware takes none while it is armed."""
+"""Optional values of the aircraft's construction: `setup` asks for them. They have no bound, so no
+update of gains changes them, and the firmware accepts none while it is armed."""
 
 
 def _all() -> dict[str, tuple[str, Gain]]:
     """Contract name to wire name and row, in the order of the index on the wire."""
-    found = {}
+    rows = {}
     whole = (*OF_AIRCRAFT, *CLIMB, *SET_UP)
-    for rows, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES), (whole, ('',))):
+    for gains, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES), (whole, ('',))):
         for axis in axes:
-            for row in rows:
+            for row in gains:
                 name = f'{axis}.{row.name}' if axis else row.name
-                found[name] = (f'{axis.upper()}_{row.wire}' if axis else row.wire, row)
-    return found
+                rows[name] = (f'{axis.upper()}_{row.wire}' if axis else row.wire, row)
+    return rows
 
 
 ROWS: dict[str, Gain] = {name: row for name, (_, row) in _all().items()}

@@ -33,13 +33,13 @@ STEP_WATCH_S, WATCH_S = 3.0, 10.0  # between the steps of a larger change, and a
 STM32_WATCH_MS = 15_000
 """Time after which the STM32 reverts an unconfirmed set: the watch, and time to confirm."""
 QUIET_S = 0.5
-"""Without excitation before gains may change; without a cycle after which a check ends."""
+"""Time without excitation before gains may change, and without a cycle before a check ends."""
 LOW_THROTTLE = 0.05  # below which the STM32 commands no torque (QUAD_LOW_THROTTLE)
-LINK_S = 1.0  # without a control cycle after which gains on trial are asked back
+LINK_S = 1.0  # time without a control cycle after which gains on trial are reverted
 RATE_SHARE = 0.01
-"""By which the rate at which cycles arrive follows the last one."""
-LOOK_S = 1.0  # between two looks at whether the gains in force fly well
-LEAST_HZ, MOST_HZ = 50.0, 1000.0
+"""Weight of the last cycle in the average rate of arrival."""
+LOOK_S = 1.0  # interval at which the gains in force are judged
+MIN_HZ, MAX_HZ = 50.0, 1000.0
 """Control cycles per second with which watch and pulses work."""
 GESTURE_END, GESTURE_ENDS, GESTURE_S = 0.8, 3, 2.0
 """Time for the pilot's gesture: the yaw stick at one end, the other and the first again."""
@@ -80,26 +80,26 @@ class News:
     active: Mapping[str, float] | None = None
 
 
-Told = Callable[[bool, str], None]
-"""What is called once with whether the aircraft has read a set back, or why not."""
+Reply = Callable[[bool, str], None]
+"""A callback, called once: whether the aircraft has read a set back, and why not."""
 
 
 @dataclass
 class _Update:
     """The update in flight."""
 
-    asked: gate.GainRequest
+    request: gate.GainRequest
     steps: list[dict[str, float]]
     identity: str
-    told: Told | None = None
+    reply: Reply | None = None
     written: int = 0
     armed: bool = False  # at any time since the first step was in force
 
     def tell(self, reason: str = '', *, done: bool = False) -> None:
         """Answer who waits, once: it is read back as a whole, or why it is not."""
-        told, self.told = self.told, None
-        if told is not None:
-            told(done, reason)
+        reply, self.reply = self.reply, None
+        if reply is not None:
+            reply(done, reason)
 
 
 class GainUpdates:
@@ -122,22 +122,22 @@ class GainUpdates:
         self.polarity = PolarityCheck(settings.polarity, gate.USUAL_HZ)
         self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
         self._update: _Update | None = None
-        self._pending: tuple[gate.GainRequest, Told | None] | None = None
+        self._pending: tuple[gate.GainRequest, Reply | None] | None = None
         """The update that waits for the check of its axes."""
-        self._going_back: list[Told] = []  # who waits for the gains of before
+        self._going_back: list[Reply] = []  # callers that wait for the earlier gains
         self._checked: Callable[[str], None] | None = None
-        self._left_s = 0.0  # of flight until the next step, or the confirmation
+        self._left_s = 0.0  # time of flight until the next step, or the confirmation
         self._cycle_s = self._excited_s = float('-inf')
         self._flags = 0
         self._flying_s: float | None = None  # since when it is armed with the throttle up
-        self._period_s = 0.0  # between the cycles that arrive, about
-        self._time_us = 0  # of the last one
-        self._looked_s = float('-inf')  # at how it flies
+        self._period_s = 0.0  # average time between the cycles that arrive
+        self._time_us = 0  # device time of the last cycle
+        self._looked_s = float('-inf')  # time of the last judgement
         self._flown = False  # the gains in force have flown well, and the history says so
         self._rate_kp = np.ones(3)
 
     def use(self, protocol: Any) -> None:
-        """From now on the aircraft's sets of gains are these (aircraft.py, `Gains`)."""
+        """Use this protocol for the aircraft's sets of gains (aircraft.py, `Gains`)."""
         self.protocol = protocol
         protocol.keep = self._history.keep_trial
         if self._settings.aircraft and self._trial is not None:  # whose files are open already
@@ -159,7 +159,7 @@ class GainUpdates:
         """The state in a few words."""
         if self.state is State.IDLE or self._update is None:
             return self.protocol.busy or self.state.value
-        text = f'{self.state.value} gains of {self._update.asked.source}'
+        text = f'{self.state.value} gains of {self._update.request.source}'
         if self.state is not State.WATCHING:
             return text
         on_ground = ' (on trial on the ground)' if self._flying_s is None else ''
@@ -185,45 +185,45 @@ class GainUpdates:
             return Status('gains', WARN, words, values)
         return Status('gains', OK, self.words, values)
 
-    # What is asked for.
+    # Requests.
 
     def ask(
-        self, parameters: Mapping[str, object], now_s: float, told: Told | None = None,
+        self, parameters: Mapping[str, object], now_s: float, reply: Reply | None = None,
         *, age_s: float = 0.0,
     ) -> str:  # fmt: skip
         """Take on what a message or a service asks for; what happens next, in words.
 
         `age_s` is how long ago it was said, by its stamp. Raises RefusedError; the refusal is in
-        `news` too. Else `told` is called with the outcome.
+        `news` too. Else `reply` is called with the outcome.
         """
         source = gate.shorten(str(parameters.get('source', 'unknown source')))
         try:
             refuse_stale(age_s)
-            return self._request(gate.read_request(parameters), now_s, told)
+            return self._request(gate.read_request(parameters), now_s, reply)
         except RefusedError as error:
             self._refuse(source, error)
             raise
 
-    def _request(self, asked: gate.GainRequest, now_s: float, told: Told | None) -> str:
-        gate.check_source(asked.source, self._settings.sources)
-        if asked.aircraft not in {'', self.aircraft}:
+    def _request(self, request: gate.GainRequest, now_s: float, reply: Reply | None) -> str:
+        gate.check_source(request.source, self._settings.sources)
+        if request.aircraft not in {'', self.aircraft}:
             raise RefusedError(
-                f'they are for the aircraft {gate.shorten(asked.aircraft)}: connected is '
+                f'they are for the aircraft {gate.shorten(request.aircraft)}: connected is '
                 f'{self.aircraft or "none"}'
             )
-        if asked.rollback and self.state in {State.WRITING, State.WATCHING}:
-            self._take_back(f'{asked.source} asked for it')
-            self._going_back += [told] if told is not None else []
+        if request.rollback and self.state in {State.WRITING, State.WATCHING}:
+            self._take_back(f'{request.source} asked for it')
+            self._going_back += [reply] if reply is not None else []
             return 'taking back the gains in flight'
-        if asked.rollback and self.state is State.CHECKING:
+        if request.rollback and self.state is State.CHECKING:
             self.disturb('a rollback was asked for')  # which drops the gains that waited for it
-            if not asked.gains:
-                if told is not None:
-                    told(True, 'the check was stopped')
+            if not request.gains:
+                if reply is not None:
+                    reply(True, 'the check was stopped')
                 return 'stopped the check, and dropped what waited for it'
-        path = self._admit(asked, now_s)
+        path = self._admit(request, now_s)
         self.polarity.refuse_faults()
-        axes = self.polarity.unchecked(asked.gains) if self.protocol.pulses else []
+        axes = self.polarity.unchecked(request.gains) if self.protocol.pulses else []
         words = ', '.join(axes)
         if axes and self._settings.polarity == 'manual':
             raise RefusedError(
@@ -232,21 +232,21 @@ class GainUpdates:
             )
         if axes:
             self._start_check(axes, now_s)
-            self._pending = asked, told
+            self._pending = request, reply
             return f'checking the polarity of {words} before the first update'
-        self._begin(asked, path, told)
-        return f'writing {len(asked.gains)} gains of {asked.source} in {len(path)} steps'
+        self._begin(request, path, reply)
+        return f'writing {len(request.gains)} gains of {request.source} in {len(path)} steps'
 
     def _refuse(self, source: str, error: RefusedError) -> None:
         self.refusals += 1
         self._fault(f'gains of {source} refused: {error}')
 
-    def check(self, now_s: float, told: Callable[[str], None], *, motors: bool = False) -> None:
-        """Fly the pulses about all axes, or of each motor; `told` is called with the result."""
+    def check(self, now_s: float, reply: Callable[[str], None], *, motors: bool = False) -> None:
+        """Fly the pulses about all axes, or of each motor; `reply` is called with the result."""
         if self.state is not State.IDLE:
             raise RefusedError(f'the gains are busy: {self.words}')
         self._start_check(() if motors else AXES, now_s)
-        self._checked = told
+        self._checked = reply
 
     def disturb(self, why: str = 'the excitation has started') -> None:
         """End a check, because somebody else excites or nobody may."""
@@ -254,9 +254,9 @@ class GainUpdates:
             self.polarity.abort(f'stopped: {why}')
             self._end_check()
 
-    def _admit(self, asked: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
-        gate.check_flown(asked, self.active)
-        path = gate.steps(asked.gains, self.active, self._settings.bounds)
+    def _admit(self, request: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
+        gate.check_flown(request, self.active)
+        path = gate.steps(request.gains, self.active, self._settings.bounds)
         if now_s - self._cycle_s > QUIET_S:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
                                '/diagnostics says why')
@@ -266,12 +266,12 @@ class GainUpdates:
             raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
         if now_s - self._excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs: send them when it is idle')
-        gate.refuse_climb(asked.gains, self._flags, flying=self._flying_s is not None)
+        gate.refuse_climb(request.gains, self._flags, flying=self._flying_s is not None)
         if self._flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE):
             raise RefusedError("the pilot's kill switch or the receiver's failsafe is on")
         self._known_rate()
         if self._history.fault:
-            self._history.found(self.active)  # is written again: the disk may be mended
+            self._history.note_active(self.active)  # is written again: the disk may be mended
         if self._history.fault:
             raise RefusedError(f'{self._history.fault}; mend that and send them again')
         return path
@@ -279,29 +279,29 @@ class GainUpdates:
     @property
     def _slow(self) -> bool:
         """Whether the link brings fewer cycles than the watch needs; some may be lost."""
-        return self._period_s > 1.2 / LEAST_HZ
+        return self._period_s > 1.2 / MIN_HZ
 
     def _slow_words(self) -> str:
-        return f'the link brings {1.0 / self._period_s:.0f} cycles/s: the watch needs {LEAST_HZ:g}'
+        return f'the link brings {1.0 / self._period_s:.0f} cycles/s: the watch needs {MIN_HZ:g}'
 
     def _known_rate(self) -> None:
         if self._slow:
             raise RefusedError(self._slow_words())
-        if not LEAST_HZ <= self.rate_hz <= MOST_HZ:
-            words = f'the watch works at {LEAST_HZ:g} to {MOST_HZ:g} Hz: found {self.rate_hz:g}'
+        if not MIN_HZ <= self.rate_hz <= MAX_HZ:
+            words = f'the watch works at {MIN_HZ:g} to {MAX_HZ:g} Hz: found {self.rate_hz:g}'
             raise RefusedError(f'loop.rate_hz: {words}')
 
     def _begin(
-        self, asked: gate.GainRequest, path: list[dict[str, float]], told: Told | None
+        self, request: gate.GainRequest, path: list[dict[str, float]], reply: Reply | None
     ) -> None:
-        update = _Update(asked, path, self._history.identity(), told)
+        update = _Update(request, path, self._history.identity(), reply)
         self._write_step(update)
         self._update, self.refused = update, ''
         # what flies from the commit on, seen some time before its answer, is not "before"
-        touched = {name.partition('.')[0] for name in asked.gains}
-        if not touched <= set(AXES) or self.protocol.in_common & set(asked.gains):
+        touched = {name.partition('.')[0] for name in request.gains}
+        if not touched <= set(AXES) or self.protocol.in_common & set(request.gains):
             touched |= set(AXES)
-        self.watch.begin(asked.predicted, touched)
+        self.watch.begin(request.predicted, touched)
 
     def _write_step(self, update: _Update) -> None:
         step = update.steps[update.written]
@@ -309,7 +309,7 @@ class GainUpdates:
         self.protocol.write({names.get(n, n): v for n, v in step.items()}, STM32_WATCH_MS)
         self.state = State.WRITING
 
-    # What comes from the STM32.
+    # Messages of the STM32.
 
     def know(self, record: Mapping[str, Any]) -> None:
         """Set the stored polarity record of the connected aircraft."""
@@ -318,7 +318,7 @@ class GainUpdates:
         self._trial = record.get(TRIAL, {})
         self.protocol.recall(self._trial)
         self._take_events()
-        self._history.found(self.active)
+        self._history.note_active(self.active)
 
     def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
         """Take an answer about parameters or sets."""
@@ -458,10 +458,10 @@ class GainUpdates:
                 self.polarity.load({})
                 self.watch.know(None)
             self._flown = False
-            self._history.found(self.active)
+            self._history.note_active(self.active)
             going_back, self._going_back = self._going_back, []
-            for told in going_back:
-                told(True, 'the gains of before are in force')
+            for reply in going_back:
+                reply(True, 'the gains of before are in force')
             text = f'{len(self.active)} gains and constants read back'
             self.news.append(News(text, active=self.active))
         elif event.what is What.COMMITTED:
@@ -484,8 +484,8 @@ class GainUpdates:
         self._ended('confirmed', event.reason, flown=True)
         self._flown = False  # as the next one's "before", which this flight may still give
         self.news.append(News(f'the new gains are confirmed: they flew well for {WATCH_S:g} s'))
-        for told in self._going_back:
-            told(False, 'the STM32 had confirmed the gains')
+        for reply in self._going_back:
+            reply(False, 'the STM32 had confirmed the gains')
         self._going_back.clear()
         if event.reason:
             self._fault(f'{event.reason}, but the STM32 had confirmed the gains')
@@ -497,7 +497,7 @@ class GainUpdates:
         if rate_hz != self.rate_hz:
             self.rate_hz = self.polarity.rate_hz = rate_hz
             known = self.watch.known
-            self.watch = GainWatch(min(max(rate_hz, LEAST_HZ), MOST_HZ))
+            self.watch = GainWatch(min(max(rate_hz, MIN_HZ), MAX_HZ))
             self.watch.know(known)
 
     def _committed(self, event: GainEvent) -> None:
@@ -505,14 +505,14 @@ class GainUpdates:
         self._know(event)
         if update is None:
             return
-        update.written += 1
+        step, steps = update.written + 1, len(update.steps)
+        update.written, last = step, step == steps
         update.armed = update.armed or bool(self._flags & f.Flag.ARMED)
         self.commits += 1
-        last = update.written == len(update.steps)
         self._left_s = WATCH_S if last else STEP_WATCH_S
         self.state = State.WATCHING
-        self._log('active', self.active, step=update.written, steps=len(update.steps))
-        text = f'step {update.written} of {len(update.steps)} of {update.asked.source} is in force'
+        self._log('active', self.active, step=step, steps=steps)
+        text = f'step {step} of {steps} of {update.request.source} is in force'
         self.news.append(News(text, active=self.active))
         if last:
             update.tell(done=True)
@@ -522,8 +522,8 @@ class GainUpdates:
     def end(self, why: str) -> None:
         """Answer whoever waits, because no answer can come."""
         waiting, self._going_back = self._going_back, []
-        for told in waiting:
-            told(False, why)
+        for reply in waiting:
+            reply(False, why)
         if self._update is not None:
             self._update.tell(why)
 
@@ -547,13 +547,13 @@ class GainUpdates:
 
     def _fault(self, text: str) -> None:
         self.refused = text
-        if not self.news or self.news[-1].text != text:  # a flood is told once
+        if not self.news or self.news[-1].text != text:  # repeats are reported once
             self.news.append(News(text, fault=True))
 
     def _log(self, state: str, active: Mapping[str, float] | None = None, **more: object) -> None:
         update = self._update
         if update is not None:
-            self._history.write(state, active, update.asked, update=update.identity, **more)
+            self._history.write(state, active, update.request, update=update.identity, **more)
 
     # Polarity.
 
@@ -574,27 +574,27 @@ class GainUpdates:
         if not trouble:
             self._history.keep_polarity(self.polarity.record)
         words = trouble or self.polarity.words()
-        told, self._checked = self._checked, None
-        if told is not None:
-            told(words)
+        reply, self._checked = self._checked, None
+        if reply is not None:
+            reply(words)
         self.news.append(News(f'polarity: {words}', fault=bool(self.polarity.faults())))
         pending, self._pending = self._pending, None
         if pending is not None:
             self._after_check(*pending, trouble)
 
-    def _after_check(self, asked: gate.GainRequest, told: Told | None, trouble: str) -> None:
+    def _after_check(self, request: gate.GainRequest, reply: Reply | None, trouble: str) -> None:
         try:
-            self._refuse_unanswered(asked, trouble)
-            self._begin(asked, self._admit(asked, self._cycle_s), told)
+            self._refuse_unanswered(request, trouble)
+            self._begin(request, self._admit(request, self._cycle_s), reply)
         except RefusedError as error:
-            self._refuse(asked.source, error)
-            if told is not None:
-                told(False, str(error))
+            self._refuse(request.source, error)
+            if reply is not None:
+                reply(False, str(error))
 
-    def _refuse_unanswered(self, asked: gate.GainRequest, trouble: str) -> None:
+    def _refuse_unanswered(self, request: gate.GainRequest, trouble: str) -> None:
         if trouble:
             raise RefusedError(f'the check of the polarity was {trouble}')
         self.polarity.refuse_faults()
-        silent = ', '.join(self.polarity.unchecked(asked.gains))
+        silent = ', '.join(self.polarity.unchecked(request.gains))
         if silent:
             raise RefusedError(f'{silent} did not respond to the pulses: mount it free about it')

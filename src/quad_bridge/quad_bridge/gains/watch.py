@@ -24,25 +24,25 @@ FloatArray = npt.NDArray[np.float64]
 CENTRES_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
 """Bands one octave wide, from slow angle loops to fast rate loops; the last channel is the RMS."""
 RMS_CUT_RAD_S, RMS_AVERAGE_S = 120.0, 1.0
-MARGIN = 2.0  # on the figures before: what gusts may make between one ten seconds and the next
+MARGIN = 2.0  # factor on the figures before: gusts differ from one ten seconds to the next
 PEAK = 1.8
 """Largest complementary sensitivity of a good loop."""
-FLOOR_DEG = 1.5  # amplitude of an oscillation that is of no concern whatever it was before
+FLOOR_DEG = 1.5  # a smaller oscillation is ignored, whatever its amplitude was before
 FLOOR_RMS_RAD_S = 0.3
-"""The same for the whole rate, as gusts that begin with the update cause on a slow aircraft."""
+"""A smaller rate RMS is ignored: gusts that begin with the update cause it on a slow aircraft."""
 SOUND_RMS_RAD_S = 0.5
 """Rate RMS of a sound aircraft in gusts, where none of its flights is known."""
 FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
-LEAD_S = 0.06  # by which the place is predicted from the rate: turning back takes that long
+LEAD_S = 0.06  # horizon of the angle that is predicted by the rate: a reversal takes that long
 FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
 BEFORE_S, BLOCK_S = 10.0, 0.5
-MOST_HZ = 125.0
+MAX_HZ = 125.0
 """A faster loop is watched by the means of so many of its cycles that no more remain: twice what
 the fastest band needs, and half the work of every cycle."""
 GRAVITY_M_S2 = 9.80665
-UPRIGHT_S = 2.0  # after take-off within which it may still be on its way to its reference
-SETTLE_S = 1.0  # of data before the first figures count
+UPRIGHT_S = 2.0  # time after take-off in which the angle may still approach its reference
+SETTLE_S = 1.0  # duration of data before the first figures count
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,14 @@ CLIMB = 'climb'
 """The axis of the height mode's gains."""
 CLIMB_LEAK_S, CLIMB_MEAN_S, CLIMB_AVERAGE_S = 1.5, 10.0, 1.5
 CLIMB_FLOOR_M_S, CLIMB_PATIENCE_S = 0.5, 0.5
-"""RMS of the vertical motion that is of no concern; what a pilot's climbs make of it too."""
+"""A smaller RMS of the vertical motion is ignored, also while the pilot climbs."""
 
 
 class ClimbWatch:
-    """The same for the height mode's gains: RMS of the vertical speed, by the accelerometer.
+    """Watch over the height mode's gains: RMS of the vertical speed, by the accelerometer.
 
-    The specific force along the vertical beyond its own mean, integrated with a leak: what swings
-    with periods of some seconds and faster. Not the firmware's estimate, which may be at fault.
+    The vertical specific force less its mean is integrated with a leak, which shows oscillations
+    with periods of some seconds or less. The firmware's estimate is not used: it may be wrong.
     """
 
     def __init__(self) -> None:
@@ -83,9 +83,9 @@ class ClimbWatch:
         over = self._bound is not None and self._energy > self._bound
         self._over_s = self._over_s + dt if over else 0.0
 
-    def begin(self) -> None:
-        """From now on compare with the motion before this call."""
-        self._bound = max(MARGIN**2 * self._energy, CLIMB_FLOOR_M_S**2)
+    def begin(self, ratio: float = 1.0) -> None:
+        """From now on compare with the motion before this call, times the predicted ratio."""
+        self._bound = max((MARGIN * ratio) ** 2 * self._energy, CLIMB_FLOOR_M_S**2)
         self._over_s = 0.0
 
     @property
@@ -110,7 +110,7 @@ class GainWatch:
 
     def __init__(self, rate_hz: float) -> None:
         """`rate_hz` control cycles per second, 50 or more."""
-        self._every = max(1, round(rate_hz / MOST_HZ))
+        self._every = max(1, round(rate_hz / MAX_HZ))
         self._held: list[tuple[Sequence[float], ...]] = []
         self._dt, self._climb = self._every / rate_hz, ClimbWatch()
         centres = np.array(CENTRES_RAD_S)
@@ -174,11 +174,11 @@ class GainWatch:
         """Take `before` of the aircraft's last good flight; what is none leaves none known."""
         self._sound = self._usual
         try:
-            told = np.array(before, dtype=float)
+            levels = np.array(before, dtype=float)
         except (TypeError, ValueError):
             return
-        if told.shape == self._usual.shape and (told >= 0.0).all():  # nor is one of them NaN
-            self._sound = np.minimum(told, self._usual)
+        if levels.shape == self._usual.shape and (levels >= 0.0).all():  # nor is one of them NaN
+            self._sound = np.minimum(levels, self._usual)
 
     def step(
         self,
@@ -235,13 +235,14 @@ class GainWatch:
         Only `axes` are looked at: what gains have not changed, they have not spoilt.
         """
         self._watched = np.array([axis in axes for axis in AXES])
+        predicted = predicted or {}
         if CLIMB in axes:
-            self._climb.begin()
-        said = [(predicted or {}).get(axis, Predicted()) for axis in AXES]
+            self._climb.begin(predicted.get(CLIMB, Predicted()).rate_rms_ratio)
+        predictions = [predicted.get(axis, Predicted()) for axis in AXES]
         ratio = np.ones_like(self._worst)
-        ratio[:-1] = [p.oscillation_ratio**2 for p in said]
-        ratio[-1] = [p.rate_rms_ratio**2 for p in said]
-        self._peak = np.array([p.peak**2 for p in said])
+        ratio[:-1] = [p.oscillation_ratio**2 for p in predictions]
+        ratio[-1] = [p.rate_rms_ratio**2 for p in predictions]
+        self._peak = np.array([p.peak**2 for p in predictions])
         before = self._before() if self._blocks else self._sound
         self._near[:] = bool(self._blocks)
         self._far_s[:] = 0.0
@@ -265,8 +266,8 @@ class GainWatch:
             return swings
         if (self._far_s > FAR_PATIENCE_S).any():
             i = int(np.argmax(self._far_s))
-            found, limit = np.degrees((self._distance[i], self._limit()[i]))
-            return f'{AXES[i]}: away from its reference {found:.2f} deg, bound {limit:.2f}'
+            measured, limit = np.degrees((self._distance[i], self._limit()[i]))
+            return f'{AXES[i]}: away from its reference {measured:.2f} deg, bound {limit:.2f}'
         late = self._over_s > self._patience
         if not late.any():
             return None
@@ -276,17 +277,17 @@ class GainWatch:
         what = 'rate'
         if channel < len(CENTRES_RAD_S):
             what = f'oscillation near {CENTRES_RAD_S[channel]:.0f} rad/s:'
-        found, limit = np.sqrt((self._energy[0, channel, axis], bound[channel, axis]))
-        return f'{AXES[axis]}: {what} {found:.2f} rad/s RMS, bound {limit:.2f}'
+        measured, limit = np.sqrt((self._energy[0, channel, axis], bound[channel, axis]))
+        return f'{AXES[axis]}: {what} {measured:.2f} rad/s RMS, bound {limit:.2f}'
 
     def figures(self) -> dict[str, float]:
         """Rate RMS per axis now, and the bound while it is watched, rad/s."""
-        found = {'rate_rms': self._energy[0, -1]}
+        energies = {'rate_rms': self._energy[0, -1]}
         if self._bound is not None:
-            found['rate_rms_bound'] = self._bound[-1] + self._peak * self._explained[-1]
+            energies['rate_rms_bound'] = self._bound[-1] + self._peak * self._explained[-1]
         return {
             f'{axis}.{name}': math.sqrt(energy[i])
-            for name, energy in found.items()
+            for name, energy in energies.items()
             for i, axis in enumerate(AXES)
         }
 

@@ -26,15 +26,15 @@ from quad_bridge.wire.frames import (
 )
 
 SET_MESSAGE_INTERVAL = 511
-ROUND_NS = 1_000_000_000  # between two looks at the rates
+ROUND_NS = 1_000_000_000  # interval at which the rates are checked
 PAUSE_NS = (2_000_000_000, 60_000_000_000)
-"""Between two requests for one message; each that changes nothing doubles it, up to the second."""
+"""Pause between two requests for a message; doubled, up to the second, while nothing changes."""
 ENOUGH = 0.8  # share of the wanted rate that need not be raised
-ALIVE_NS = 1_000_000_000  # a message that has not come for so long does not come
-LONGEST_NS = 10_000_000_000  # or for three of its own intervals, up to this
-FRAME_BYTES = 12  # of a message around its content
-LINE_SHARE = 0.8  # of what a serial line carries that telemetry may fill
-LEAST_HZ = 10.0  # below which no stream is asked for to spare the line
+ALIVE_NS = 1_000_000_000  # a message that is silent for so long counts as absent
+MAX_DURATION_NS = 10_000_000_000  # or for three of its own intervals, up to this
+FRAME_BYTES = 12  # overhead of a message
+LINE_SHARE = 0.8  # share of a serial line's capacity that telemetry may use
+MIN_HZ = 10.0  # no stream is requested at less than that to spare the line
 MOVED_RAD = 0.01  # angles that change by more while all rates are exactly zero
 INERTIAL, MOTORS, ROTORS = '/imu/data', '/motors/command', '/motors/state'
 STICKS, COMPASS, PRESSURE, BATTERY = '/rc/in', '/imu/mag', '/baro', '/battery'
@@ -74,9 +74,9 @@ BETAFLIGHT = {'ATTITUDE', 'RC_CHANNELS_RAW', 'VFR_HUD'}
 def fitted(wanted: Mapping[str, float], budget: float) -> dict[str, float]:
     """Rates that a line of `budget` bytes per second carries: the fast ones give way first."""
     rates = dict(wanted)
-    while load(rates) > budget and max(rates.values(), default=0.0) > LEAST_HZ:
+    while load(rates) > budget and max(rates.values(), default=0.0) > MIN_HZ:
         top = max(rates.values())
-        rates = {n: max(0.9 * hz, LEAST_HZ) if hz > 0.95 * top else hz for n, hz in rates.items()}
+        rates = {n: max(0.9 * hz, MIN_HZ) if hz > 0.95 * top else hz for n, hz in rates.items()}
     return rates
 
 
@@ -98,7 +98,7 @@ class Inertial:
     gyro: Vector3 | None
     accel: Vector3 | None
     attitude: Vector3 | None
-    grain_us: int = 1  # of the time: 1000 where it is in ms, of 32 bits
+    grain_us: int = 1  # resolution of the time: 1000 where it is in ms, with 32 bits
 
 
 @dataclass
@@ -107,19 +107,20 @@ class _Stream:
 
     count: int = 0  # since the last look
     rate_hz: float = math.nan  # at the last look
-    asked: int = 0  # requests since the rate was last high enough
+    requests: int = 0  # requests since the rate was last high enough
     next_ask_ns: int = 0
     pause_ns: int = PAUSE_NS[0]
     reached: bool = False  # whether the wanted rate has been reached before
 
 
 class Autopilot:
-    """What arrives, what of it feeds the topics, and what is to be asked for."""
+    """The messages that arrive, those that feed the topics, and those to request."""
 
     def __init__(self, budget: float = math.inf) -> None:
         """`budget`: bytes per second that the line carries for it."""
         self.budget = budget
         self.also_hz: Mapping[str, float] = {}  # messages wanted beside those of the topics
+        self._log_comes = False
         self._streams: dict[str, _Stream] = {}
         self._sources: dict[tuple[str, str], tuple[int, int]] = {}
         """Topic and message to when its content last came, and how long it counts as alive."""
@@ -132,7 +133,7 @@ class Autopilot:
         self._battery: int | None = None
         self._turns = False  # whether any rate has ever been other than zero
         self.generic = False  # whether its heartbeat bears no name
-        self.asked = 0  # intervals asked for so far
+        self.requests = 0  # intervals asked for so far
         self.lowered: set[str] = set()  # messages whose rate was reached and lowered by another
 
     def clear(self) -> None:
@@ -150,6 +151,13 @@ class Autopilot:
         for stream in self._streams.values():
             stream.reached, stream.next_ask_ns, stream.pause_ns = False, 0, PAUSE_NS[0]
 
+    def log_comes(self, *, now: bool) -> None:
+        """Whether its log is being fetched: all streams give way to that, through no fault."""
+        if self._log_comes and not now:
+            self.restarted()
+            self._look_ns = self._looked_ns = 0
+        self._log_comes = now
+
     def note(self, name: str) -> None:
         """Take the arrival of a message of that name."""
         self._streams.setdefault(name, _Stream()).count += 1
@@ -163,7 +171,7 @@ class Autopilot:
     def feeds(self, topic: str, name: str, now_ns: int) -> bool:
         """Take a message's content for a topic; False where a better message brings it."""
         last_ns, _ = self._sources.get((topic, name), (now_ns, 0))
-        lasting_ns = max(ALIVE_NS, min(3 * (now_ns - last_ns), LONGEST_NS))
+        lasting_ns = max(ALIVE_NS, min(3 * (now_ns - last_ns), MAX_DURATION_NS))
         self._sources[topic, name] = now_ns, lasting_ns
         return self._source(topic, now_ns) == name
 
@@ -235,28 +243,28 @@ class Autopilot:
 
     def due(self, now_ns: int) -> list[Command]:
         """Messages to request now: those that come too rarely, or not at all."""
-        if now_ns < self._look_ns:
+        if now_ns < self._look_ns or self._log_comes:
             return []
         passed_s = 1e-9 * (now_ns - self._looked_ns) if self._looked_ns else math.inf
         self._look_ns, self._looked_ns = now_ns + ROUND_NS, now_ns
         for stream in self._streams.values():
             stream.rate_hz, stream.count = stream.count / passed_s, 0
-        asked = []
+        commands = []
         for name, wanted_hz in self._wanted(now_ns).items():
             stream = self._streams.setdefault(name, _Stream())
             if stream.rate_hz >= ENOUGH * wanted_hz:
-                stream.pause_ns, stream.asked, stream.reached = PAUSE_NS[0], 0, True
+                stream.pause_ns, stream.requests, stream.reached = PAUSE_NS[0], 0, True
                 stream.next_ask_ns = 0
             elif now_ns >= stream.next_ask_ns:
                 if stream.reached and stream.rate_hz > 0.0:
                     self.lowered.add(name)
                 stream.next_ask_ns = now_ns + stream.pause_ns
                 stream.pause_ns = min(2 * stream.pause_ns, PAUSE_NS[1])
-                stream.asked += 1
+                stream.requests += 1
                 interval_us = float(round(1e6 / wanted_hz))
-                asked.append(Command(SET_MESSAGE_INTERVAL, (float(IDS[name]), interval_us)))
-        self.asked += len(asked)
-        return asked
+                commands.append(Command(SET_MESSAGE_INTERVAL, (float(IDS[name]), interval_us)))
+        self.requests += len(commands)
+        return commands
 
     def rates(self, now_ns: int) -> dict[str, tuple[float, float]]:
         """Messages that feed a topic, with their rate and the wanted one, Hz."""
@@ -269,10 +277,10 @@ class Autopilot:
 
     def slow_ones(self, now_ns: int) -> list[str]:
         """Messages that come more rarely than wanted although they were asked for."""
-        return [
+        return [] if self._log_comes else [
             name
             for name, (rate_hz, wanted_hz) in self.rates(now_ns).items()
-            if rate_hz < ENOUGH * wanted_hz and self._streams[name].asked > 1
+            if rate_hz < ENOUGH * wanted_hz and self._streams[name].requests > 1
         ]
 
     @property
@@ -306,7 +314,7 @@ class Autopilot:
                 also = TELEMETRY if name == TELEMETRY[0] and source == name else (name,)
                 wanted |= {n: max(WANTED_HZ[topic], wanted.get(n, 0.0)) for n in also}
                 stream = self._streams.get(name)
-                tried = stream is not None and (stream.asked or stream.rate_hz > 0.0)
+                tried = stream is not None and (stream.requests or stream.rate_hz > 0.0)
                 if name == source or (source is None and not tried):
                     break
         wanted |= {name: hz for name, hz in self.also_hz.items() if name not in wanted}

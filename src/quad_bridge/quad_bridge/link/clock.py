@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 DRIFT_PRIOR = 1e-4
 BLOCK_NS = 250_000_000
-MOST_IN_BLOCK = 5000
+MAX_IN_BLOCK = 5000
 """Arrivals in a block: more than that come only where the device's time stands still."""
 FLOOR_S = 20e-6  # standard deviation of the best round trip's offset, s
 
@@ -90,7 +90,7 @@ class ClockEstimator:
         """
         if self._trips and not self.one_way:
             return
-        if len(self._block) >= MOST_IN_BLOCK:
+        if len(self._block) >= MAX_IN_BLOCK:
             self._block.clear()  # its time stands still
         self._block.append((device_ns, arrived_ns))
         if device_ns - self._block[0][0] < BLOCK_NS:

@@ -5,25 +5,25 @@ cycles are to be held back.
 
 StepGuard: TIMESYNC sees a jump of a running STM32's clock only at its next round trips; cycles
 stamped until then would be wrong. Cycle counter and device time step together, so a step that does
-not fit holds cycles back until a round trip that was asked for after it has told.
+not fit holds cycles back until a later round trip has shown it.
 
 LateGuard: a host that stood still, or a line that held bytes back, delivers a burst, which catches
 up within milliseconds. An aircraft that restarted while nobody heard it, with a cycle counter that
 happens to be higher than before, stays behind for ever. So what is late waits until it has caught
-up, or a round trip has told.
+up, or a round trip has shown it.
 """
 
 from __future__ import annotations
 
 _WRAP = 1 << 32
 _LONGEST = 1_000_000  # cycles: a larger step of the counter is a restart
-LEAST_US, MOST_US = 1_000, 20_000
+MIN_US, MAX_US = 1_000, 20_000
 """Allowed deviation of a step, doubled by each false alarm: some aircraft have uneven cycles."""
 AGREES_NS = 1_000_000  # a round trip this close to the estimate: the clock has not jumped
 PATIENCE_NS = 300_000_000  # without an answer to TIMESYNC for so long nothing is held back
 LEARN = 1.0 / 64.0
 DRIFT = 1e-3  # share of a gap by which the period that was learned may be off
-PAST_NS = 100_000_000  # lateness that is taken as it is: a busy host
+PAST_NS = 100_000_000  # a smaller delay needs no explanation: a busy host
 
 
 class StepGuard:
@@ -31,7 +31,7 @@ class StepGuard:
 
     def __init__(self) -> None:
         self.alarms = 0  # steps that did not fit
-        self._tolerance_us = float(LEAST_US)
+        self._tolerance_us = float(MIN_US)
         self.restart()
 
     @property
@@ -75,7 +75,7 @@ class StepGuard:
         return abs(passed_us - expected) <= self._tolerance_us + DRIFT * expected
 
     def _false_alarm(self) -> None:
-        self._tolerance_us = min(2.0 * self._tolerance_us, MOST_US)
+        self._tolerance_us = min(2.0 * self._tolerance_us, MAX_US)
         self._period_us, self._since_ns = 0.0, None
 
 

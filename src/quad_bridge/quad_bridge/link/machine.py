@@ -52,7 +52,7 @@ SAME_START_NS = 2_000_000_000
 """Starts that differ by less are one: the clocks drift, and the last bytes may have come late."""
 WRAP_NS = 1000 << 32
 RESTART_US = 1_000_000  # an autopilot's time that goes back by more: it has started anew
-QUESTIONS = 64  # of TIMESYNC whose answers still count
+QUESTIONS = 64  # requests of TIMESYNC whose answers still count
 
 
 class Link:
@@ -72,8 +72,8 @@ class Link:
         self.clock = self.stamping.clock
         self.peer: f.Heartbeat | None = None
         self.autopilot = Autopilot(math.inf if baud is None else LINE_SHARE * baud / 10.0)
-        """Where the aircraft sends standard messages only."""
-        self.parameters: Parameters | None = None  # of such an autopilot
+        """The decoder of an aircraft that sends standard messages only."""
+        self.parameters: Parameters | None = None  # those of such an autopilot
         self._described = False
         self.last_cycle: f.Cycle | None = None
         self.last_cycle_ns = 0  # host time at which the last cycle arrived
@@ -91,7 +91,7 @@ class Link:
         self._next_heartbeat_ns = 0
         self._next_sync_ns = self._next_urgent_ns = 0
         self._questions: deque[int] = deque(maxlen=QUESTIONS)
-        """Times of our own: another party's answers may come along the same line."""
+        """Times of our own requests: the line may also carry answers to others."""
         self._takes: dict[type, Callable[[Any, int], None]] = {
             **dict.fromkeys(_HANDED_ON, self._arrived),
             **dict.fromkeys(_STREAMED, self._streamed),
@@ -124,7 +124,7 @@ class Link:
 
     @property
     def name(self) -> str:
-        """What messages call the aircraft: by its heartbeat, where it sends no control cycles."""
+        """The aircraft's name in messages: by its heartbeat, where it sends no control cycles."""
         if self.last_cycle is not None:
             return 'the STM32'
         if self.peer is None:
@@ -165,7 +165,7 @@ class Link:
         self.tick(now_ns)
         if self._described or self.parameters is None or self.peer is None:
             return events
-        if self.parameters.settled:
+        if self.parameters.complete:
             self._described = True
             events.append(Described(self.peer, self.parameters.values))
         return events

@@ -46,7 +46,7 @@ def encoded(value: float, kind: int, *, bytewise: bool) -> float:
 
 
 class Parameters:
-    """Asks for the parameters of one autopilot; `settled` once all have come or been given up."""
+    """Asks for the parameters of one autopilot; `complete` once all have come or been given up."""
 
     def __init__(self, peer: Heartbeat) -> None:
         self.values: dict[str, float] = {}
@@ -55,7 +55,7 @@ class Parameters:
         self._asked: dict[str, tuple[int, int]] = {}  # name to tries and when it is due again
 
     @property
-    def settled(self) -> bool:
+    def complete(self) -> bool:
         """Whether nothing more is asked for."""
         return not any(self._open(name) for name in self._names())
 
@@ -65,16 +65,16 @@ class Parameters:
             self.values[value.name] = number(value, bytewise=self._bytewise)
 
     def due(self, now_ns: int) -> list[ParamRequestRead]:
-        """What to ask for now."""
+        """The requests to send now."""
         waiting = [name for name in self._names() if self._open(name)][:AT_ONCE]
-        asked = []
+        requests = []
         for name in waiting:
             tries, again_ns = self._asked.get(name, (0, 0))
             if now_ns >= again_ns:
                 self._asked[name] = tries + 1, now_ns + AGAIN_NS
                 if tries < TRIES:
-                    asked.append(ParamRequestRead(name))
-        return asked
+                    requests.append(ParamRequestRead(name))
+        return requests
 
     def _open(self, name: str) -> bool:
         return name not in self.values and self._asked.get(name, (0, 0))[0] <= TRIES
@@ -86,7 +86,7 @@ class Parameters:
 
 
 def px4_names(values: Mapping[str, float]) -> tuple[str, ...]:
-    """What is to be known of PX4's geometry, by what is known already."""
+    """Names of PX4's geometry parameters that are needed, by the values known so far."""
     count = min(max(int(values.get(_COUNT, 0)), 0), _PX4_MOST)
     if not count:
         return (_COUNT,)

@@ -95,7 +95,7 @@ class SerialPort:
     ) -> None:
         """`path` is a device, a pattern (`/dev/ttyACM*`), a URL of pyserial or of udp.py.
 
-        Of several devices that match, the first that opens is taken, and the next one where that
+        If several devices match, the first that opens is used, and the next one where that
         stays silent. `on_silence` is called where nothing has come for `SILENT_S`, and when the
         port is shut. The callbacks run in the reader's thread.
         """
@@ -107,7 +107,7 @@ class SerialPort:
         self._port: Any = None
         self._stop = threading.Event()
         self._write_lock, self._status_lock = threading.Lock(), threading.Lock()
-        self._tail = b''  # what the output has not taken yet of the last write: no frame is torn
+        self._tail = b''  # rest of the last write: no frame is torn
         self.status = PortStatus()
         self._patience_s = HALF_OPEN_S[0]
         self._skip = 0
@@ -137,12 +137,12 @@ class SerialPort:
             try:
                 if self._tail:
                     self._tail = self._tail[_write(self._port, self._tail) :]
-                taken = 0 if self._tail else _write(self._port, data)
+                written = 0 if self._tail else _write(self._port, data)
             except FAULTS as error:
-                taken, self._tail = 0, b''
+                written, self._tail = 0, b''
                 self._note(detail=_one_line(error))
-            if taken:
-                self._tail = data[taken:]
+            if written:
+                self._tail = data[written:]
                 return True
             self._note(dropped_writes=self.status.dropped_writes + 1)
             return False
@@ -161,9 +161,9 @@ class SerialPort:
         self._note(state=PortState.CLOSED)
 
     def _open(self) -> bool:
-        found = candidates(self._path)
-        for k in range(len(found)):
-            device = found[(k + self._skip) % len(found)]
+        devices = candidates(self._path)
+        for k in range(len(devices)):
+            device = devices[(k + self._skip) % len(devices)]
             try:
                 if is_udp(device):
                     self._port = UdpPort(device)
@@ -184,7 +184,7 @@ class SerialPort:
             if not self._stop.is_set():  # while a network's peer was waited for
                 self._on_open()
             return True
-        if not found:
+        if not devices:
             self._note(state=PortState.NOT_THERE, detail=f'nothing matches {self._path}')
         return False
 
@@ -207,8 +207,8 @@ class SerialPort:
                 continue
             self._on_silence()
             if identity(self.status.path) != opened:
-                elsewhere = 'its name leads to another device now, or to none'
-                self._note(state=PortState.HUNG_UP, detail=elsewhere)
+                moved = 'its name leads to another device now, or to none'
+                self._note(state=PortState.HUNG_UP, detail=moved)
                 return
             if clock().now_s() - heard_s > self._patience_s:
                 # half-open: a peer that went without a word, or the wrong one of several
@@ -226,7 +226,7 @@ class SerialPort:
 
 
 def candidates(path: str) -> list[str]:
-    """What `path` may mean now: a URL and a plain name as they are, a pattern's matches sorted."""
+    """Devices that `path` may name now: a URL or name as it is, a pattern's matches sorted."""
     if '://' in path or not glob.has_magic(path):
         return [path]
     return sorted(glob.glob(path))  # noqa: PTH207  (Path.glob takes no absolute pattern)
@@ -237,10 +237,10 @@ def identity(device: str) -> tuple[int, int] | None:
     if '://' in device:
         return (0, 0)
     try:
-        found = Path(device).stat()
+        state = Path(device).stat()
     except OSError:
         return None
-    return (found.st_rdev, found.st_ino)
+    return (state.st_rdev, state.st_ino)
 
 
 def latency_timer(device: str) -> int | None:

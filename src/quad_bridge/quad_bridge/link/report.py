@@ -16,7 +16,7 @@ COARSE_S = 0.002  # where half a round trip is longer, so may the error of the s
 FTDI_MS = 2
 SILENT_S = 3.0  # without an answer to TIMESYNC for so long the estimate ages
 FOREIGN_BYTES = 2000  # without one valid frame: the aircraft speaks another protocol
-SETTLED_S = 0.5  # least time over which rates and losses are told
+MIN_REPORT_S = 0.5  # least time over which rates and losses are counted
 _COUNTED = {
     'lost cycles': 'lost_cycles', 'bad CRC': 'bad_crc', 'garbage bytes': 'garbage_bytes',
     'unknown messages': 'unknown', 'standard messages not used': 'standard',
@@ -37,7 +37,7 @@ _UNHEARD = {
 
 
 class _Before(NamedTuple):
-    """Figures at an earlier report, to tell rates and new losses."""
+    """Figures at an earlier report, from which rates and new losses follow."""
 
     time_s: float
     counts: Counts
@@ -46,7 +46,7 @@ class _Before(NamedTuple):
 
 
 class LinkReport:
-    """Makes the entries `link` and `clock`; a report out of turn tells of the time before."""
+    """Makes the entries `link` and `clock`; an early report repeats the last figures."""
 
     def __init__(self, link: Link, now_s: float) -> None:
         self._link = link
@@ -62,12 +62,12 @@ class LinkReport:
     ) -> list[Status]:
         """Both entries; `behind_ns`: by how much the system clock was set beyond the stamps.
 
-        `unset`: time is simulated, and nobody has told it yet.
+        `unset`: time is simulated, and it is not known yet.
         """
         link, counts = self._link, self._link.decoder.counts
-        settled = now_s - self._last.time_s > SETTLED_S
-        before = self._last if settled else self._earlier
-        if settled:
+        due = now_s - self._last.time_s > MIN_REPORT_S
+        before = self._last if due else self._earlier
+        if due:
             now = _Before(now_s, replace(counts), link.cycles, port.dropped_writes)
             self._earlier, self._last = before, now
         rate = (link.cycles - before.cycles) / max(now_s - before.time_s, 1e-3)

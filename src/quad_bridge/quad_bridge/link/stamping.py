@@ -45,7 +45,7 @@ class Restarted(NamedTuple):
 
 
 class Described(NamedTuple):
-    """Another autopilot has told how its craft is built, as far as it does."""
+    """Another autopilot has described its craft by its parameters, as far as it does."""
 
     peer: f.Heartbeat
     parameters: Mapping[str, float]
@@ -58,7 +58,7 @@ class Stamping:
     """Appends what is stamped to `out`, in order; whoever reads that list puts a new one there."""
 
     def __init__(self, on_restart: Callable[[], None] = lambda: None) -> None:
-        """`on_restart` is called where the aircraft restarted and its counter does not tell."""
+        """`on_restart` is called where the aircraft restarted and its counter does not show it."""
         self._on_restart = on_restart
         self.out: list[Event] = []
         self.clock, self.device_time = ClockEstimator(), DeviceTime()
@@ -97,7 +97,7 @@ class Stamping:
         self._timed(frame, 1000 * device_us, now_ns, uneven=uneven)
 
     def inertial(self, frame: Inertial, now_ns: int) -> None:
-        """Stamp what an autopilot sends in place of a cycle; its arrival tells the clock too."""
+        """Stamp an autopilot's message in place of a cycle; its arrival also sets the clock."""
         whole_us = frame.time_us
         if frame.grain_us > 1:
             whole_us = self._nearest(whole_us, WRAP_US * frame.grain_us)
@@ -141,10 +141,10 @@ class Stamping:
         else:
             stamp(now_ns)
 
-    def trip(self, sent_ns: int, told_ns: int, now_ns: int) -> None:
-        """Take a round trip of TIMESYNC: sent and received by us, told by the aircraft."""
+    def trip(self, sent_ns: int, aircraft_ns: int, now_ns: int) -> None:
+        """Take a round trip of TIMESYNC: when sent, answered by the aircraft, received."""
         # who counts µs in 32 bits wraps here too
-        whole_us, rest_ns = divmod(told_ns, 1000)
+        whole_us, rest_ns = divmod(aircraft_ns, 1000)
         device_us = self.device_time.peek(whole_us, NEAR_US)
         near_us = self._nearest(device_us, WRAP_US)  # Betaflight's TIMESYNC alone has 32 bits
         if abs(near_us - self._anchor_us) < PAST_US:
@@ -155,7 +155,7 @@ class Stamping:
             self.late.trip(sent_ns, off_ns, now_ns - sent_ns)
         if self.late.gone:
             self._begin_anew()
-            device_ns = told_ns
+            device_ns = aircraft_ns
         self._anchor_us = device_ns // 1000
         accepted = self.clock.add(sent_ns, device_ns, now_ns)
         self.guard.trip(sent_ns, self.clock.off_ns, accepted=accepted)

@@ -14,10 +14,10 @@ import time
 
 SCHEMES = ('udp', 'udpin', 'udpout')
 HEARD_S = 10.0  # whoever has been silent for longer gets no answers
-MOST_PEERS = 8
+MAX_PEERS = 8
 LARGEST = 65536
 BUFFER = 1 << 20  # bytes that wait in the kernel while the bridge gets no time
-ELSEWHERE = (errno.EADDRINUSE, errno.EADDRNOTAVAIL)
+NOT_OURS = (errno.EADDRINUSE, errno.EADDRNOTAVAIL)
 
 
 class UdpPort:
@@ -80,7 +80,7 @@ class UdpPort:
         self._socket.close()
 
     def _sent(self, data: bytes) -> int:
-        """Send to the one address; that an earlier datagram found nobody is told in its stead."""
+        """Send to the one address, again where this reports the refusal of an earlier one."""
         try:
             return self._socket.send(data)
         except ConnectionRefusedError:
@@ -93,13 +93,13 @@ class UdpPort:
         try:
             self._socket.bind(address)
         except OSError as error:
-            if scheme == 'udp' and error.errno in ELSEWHERE:
+            if scheme == 'udp' and error.errno in NOT_OURS:
                 return False
             raise
         return True
 
     def _heard(self, sender: tuple[str, int]) -> None:
-        if sender in self._peers or len(self._peers) < MOST_PEERS:
+        if sender in self._peers or len(self._peers) < MAX_PEERS:
             self._peers[sender] = time.monotonic()
 
 

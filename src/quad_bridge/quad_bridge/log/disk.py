@@ -15,8 +15,8 @@ def free_bytes(folder: Path) -> int:
     """Free bytes at the nearest existing folder. Raises OSError."""
     while not folder.exists():
         folder = folder.parent
-    told = os.statvfs(folder)
-    return told.f_bavail * told.f_frsize
+    state = os.statvfs(folder)
+    return state.f_bavail * state.f_frsize
 
 
 def reserved(folder: Path, size: int) -> IO[bytes]:

@@ -48,7 +48,7 @@ class Contents:
     """Messages of the wanted topics in a bag."""
 
     messages: dict[str, list[Received]] = field(default_factory=lambda: defaultdict(list))
-    """By topic, in the order of recording."""
+    """Messages by topic, in the order of recording."""
     warnings: list[str] = field(default_factory=list)
     """A line for each missing or damaged part."""
 
@@ -59,17 +59,17 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
     Messages of other types are ignored. Raises BadInputError where there is no bag, or nothing of
     it can be read.
     """
-    found, store = Contents(), get_typestore(Stores.ROS2_JAZZY)
+    result, store = Contents(), get_typestore(Stores.ROS2_JAZZY)
     files = storage_files(bag)
-    found.warnings += [f'{bag}: {note}' for note in missing_parts(files)]
+    result.warnings += [f'{bag}: {note}' for note in missing_parts(files)]
     if bag.is_dir() and not (bag / 'metadata.yaml').is_file():
-        found.warnings.append(f'{bag}: has no metadata.yaml (the recorder was killed?); {REMEDY}')
+        result.warnings.append(f'{bag}: has no metadata.yaml (the recorder was killed?); {REMEDY}')
     damaged = 0
 
     def judge(scan: McapScan, file: Path) -> None:
         if not scan.complete:
             lost = f', at least {scan.lost} messages are missing' if scan.lost else ''
-            found.warnings.append(
+            result.warnings.append(
                 f'{file}: damaged or cut off{lost}: read what is whole; {REMEDY}'
             )
 
@@ -77,23 +77,23 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
         try:
             for message in messages_of(file, judge):
                 if kinds.get(message.topic.name) == message.topic.kind:
-                    damaged += not _kept(message, found, store)
+                    damaged += not _kept(message, result, store)
         except BadInputError as error:  # noqa: PERF203  (files are few)
             if len(files) == 1:
                 raise
-            found.warnings.append(f'{error}: that part is missing')
+            result.warnings.append(f'{error}: that part is missing')
     if damaged:
-        found.warnings.append(f'{bag}: {damaged} messages are damaged and left out; {REMEDY}')
-    return found
+        result.warnings.append(f'{bag}: {damaged} messages are damaged and left out; {REMEDY}')
+    return result
 
 
-def _kept(message: Message, found: Contents, store: Typestore) -> bool:
+def _kept(message: Message, result: Contents, store: Typestore) -> bool:
     """Decode and store a message; False where it is damaged."""
     try:
         content = store.deserialize_cdr(message.data, message.topic.kind)
     except Exception:  # noqa: BLE001  (whatever nonsense makes the decoder raise)
         return False
-    found.messages[message.topic.name].append(Received(message.time_ns, content))
+    result.messages[message.topic.name].append(Received(message.time_ns, content))
     return True
 
 
@@ -104,12 +104,12 @@ def storage_files(bag: Path) -> list[Path]:
     """
     if not bag.exists():
         raise BadInputError(str(bag), 'does not exist', remedy='check the path')
-    found = {p.name: p for p in (bag.iterdir() if bag.is_dir() else [bag])}
+    present = {p.name: p for p in (bag.iterdir() if bag.is_dir() else [bag])}
     files = [
         file
-        for name, file in found.items()
+        for name, file in present.items()
         if name.removesuffix(PACKED).endswith(('.mcap', '.db3'))
-        and (not name.endswith(PACKED) or name.removesuffix(PACKED) not in found)
+        and (not name.endswith(PACKED) or name.removesuffix(PACKED) not in present)
     ]
     files.sort(key=lambda p: (len(p.name), p.name))
     if not files:
@@ -141,8 +141,8 @@ def messages_of(
         raise BadInputError(str(file), f'cannot be read: {error.strerror}') from error
     with plain_file(file) as plain:
         is_sqlite = plain.name.endswith('.db3')
-        found = _sqlite_messages(plain, file) if is_sqlite else _mcap_messages(plain, file, judge)
-        for message in found:
+        stored = _sqlite_messages(plain, file) if is_sqlite else _mcap_messages(plain, file, judge)
+        for message in stored:
             packed = message.data[:4] == ZSTD_MAGIC
             yield message._replace(data=plain_message(message.data)) if packed else message
 

@@ -93,13 +93,13 @@ class Recording:
         self._capacity, self._capacity_bytes = capacity, capacity_bytes
         self._putting = threading.Lock()
         # that came into the queue, and left it: each counted by `put` or in the thread only
-        self._put_bytes = self._taken_bytes = self._dropped_bytes = 0
+        self._put_bytes = self._dequeued_bytes = self._dropped_bytes = 0
         self._queue: deque[tuple[str, int, bytes]] = deque()
         self._declared: dict[str, tuple[str, tuple[Qos, ...]]] = {}
         self._dropped = 0
         self._lost = 0
-        self._taken = 0
-        """Messages that the writer has taken from the queue."""
+        self._dequeued = 0
+        """Messages that the writer has removed from the queue."""
         self._written = 0
         self._longest_sync_s = 0.0
         self._failure = ''
@@ -144,7 +144,7 @@ class Recording:
 
     @property
     def _waiting_bytes(self) -> int:
-        return self._put_bytes - self._taken_bytes - self._dropped_bytes
+        return self._put_bytes - self._dequeued_bytes - self._dropped_bytes
 
     def count_large(self) -> None:
         """Add a message that was too large to be queued."""
@@ -193,15 +193,15 @@ class Recording:
                 topic, time_ns, data = self._queue.popleft()
             except IndexError:  # dropped meanwhile
                 return
-            self._taken += 1
-            self._taken_bytes += len(data)
+            self._dequeued += 1
+            self._dequeued_bytes += len(data)
             if topic not in self._writer.counts:
                 self._writer.add_topic(topic, *self._declared[topic])
             self._writer.write(topic, time_ns, data)
             self._written += 1
 
     def _fail(self, error: Exception) -> None:
-        """Close the bag with what it has; taken messages that are not in it count as dropped."""
+        """Close the bag as it is; dequeued messages that are not in it count as dropped."""
         reason = f'writing failed: {" ".join(str(error).split())}'
         self._failure = f'{self._writer.path}: {reason}'  # from here on `put` drops
         try:
@@ -213,7 +213,7 @@ class Recording:
             if not self._writer.path.exists():
                 end = 'gone, unless it was moved: `ros2 run quad_bridge recover` reads it there'
         self._written = sum(self._writer.counts.values())
-        self._dropped += self._taken - self._written + len(self._queue)
+        self._dropped += self._dequeued - self._written + len(self._queue)
         self._queue.clear()
         self._failure = f'{self._writer.path}: {reason}; the bag is {end}'
 

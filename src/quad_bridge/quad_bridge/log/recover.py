@@ -171,24 +171,24 @@ def _qos(topic: Topic, result: Recovered) -> tuple[Qos, ...]:
 
 def _notes(scan: McapScan, *, all_decoded: bool) -> list[str]:
     """Notes on one file."""
-    found = []
+    notes = []
     if scan.bad_chunks:
-        found.append(f'{scan.bad_chunks} chunks are not whole')
+        notes.append(f'{scan.bad_chunks} chunks are not whole')
     if scan.unchecked:
-        found.append(f'{scan.unchecked} messages of the last one lack their checksum')
+        notes.append(f'{scan.unchecked} messages of the last one lack their checksum')
     if scan.unnamed:
-        found.append(f'{scan.unnamed} messages have lost their topic')
+        notes.append(f'{scan.unnamed} messages have lost their topic')
     if scan.stated is not None and scan.lost:
-        found.append(f'its statistics count {scan.stated} messages')
+        notes.append(f'its statistics count {scan.stated} messages')
     if not scan.ended:
-        found.append('ends without its index')
+        notes.append('ends without its index')
     elif scan.complete and all_decoded:
-        found.append('its data are complete')
+        notes.append('its data are complete')
     elif not (scan.stated or scan.lost or scan.unread or scan.bad_chunks):
-        found.append('read to its end, where its summary is damaged: what is missing is not known')
+        notes.append('read to its end, where its summary is damaged: what is missing is not known')
     else:
-        found.append('its data are damaged, their end is there')
-    return found
+        notes.append('its data are damaged, their end is there')
+    return notes
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -22,7 +22,7 @@ from quad_bridge.errors import BadInputError
 from quad_bridge.log.disk import MB, free_bytes, reserved, sync_folder
 from quad_bridge.log.mcap import FileEntry, McapFile, RecordedTopic
 
-MOST_NAMESAKES = 1000
+MAX_NAMESAKES = 1000
 """Most bags of one second."""
 CLOSING_RESERVE = 4 * MB
 """Space for index and metadata of some hours when the disk is full."""
@@ -36,7 +36,7 @@ def free_paths(folder: Path, prefix: str, now: datetime) -> Iterator[Path]:
     """Possible paths of a bag: prefix, date, time, and a number if that exists."""
     stem = f'{prefix}_{now:%Y%m%d_%H%M%S}'
     yield folder / stem
-    for number in range(2, MOST_NAMESAKES + 1):
+    for number in range(2, MAX_NAMESAKES + 1):
         yield folder / f'{stem}_{number}'
 
 

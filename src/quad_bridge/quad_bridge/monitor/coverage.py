@@ -19,7 +19,7 @@ BAND = 0.1, 20.0  # rad/s, the default of the wanted band: its lowest period las
 SPARED = 0.63
 """Share of a training segment in which the lowest period must fit."""
 TAPERS = 5
-LEAST_PERIODS = 1.0  # of a frequency in a part, from which the part counts for it
+MIN_PERIODS = 1.0  # a part counts for a frequency if it has so many periods of it
 SMOOTHING = 0.15  # half the width over which a frequency is averaged, as a share of it
 FINENESS = 8.0
 """Samples per period of the highest wanted frequency that are kept; more would only cost time."""
@@ -65,12 +65,12 @@ def reachable(wanted: tuple[float, float], segment_s: float) -> tuple[float, flo
     low, high = wanted
     if not segment_s > 0.0:
         return wanted
-    return min(max(low, 2.0 * np.pi * LEAST_PERIODS / (SPARED * segment_s)), high), high
+    return min(max(low, 2.0 * np.pi * MIN_PERIODS / (SPARED * segment_s)), high), high
 
 
 def needed_s(low: float) -> float:
     """Length in s of a training segment that can cover `low`, rad/s."""
-    return 2.0 * np.pi * LEAST_PERIODS / (SPARED * low)
+    return 2.0 * np.pi * MIN_PERIODS / (SPARED * low)
 
 
 def coverage(
@@ -84,13 +84,13 @@ def coverage(
     every = max(1, int(2.0 * np.pi / (FINENESS * wanted[1] * dt)))
     for x, y in parts:
         seconds = x.size * dt
-        told = w * seconds >= 2.0 * np.pi * LEAST_PERIODS
-        if told.any() and x.size > 4 * every:
-            sums = _spectra(_thinned(x, every), _thinned(y, every), every * dt, w[told])
-            xx[told] += sums[0]
-            yy[told] += sums[1]
-            xy[told] += sums[2]
-            windows[told] += _windows(w[told], seconds)
+        covered = w * seconds >= 2.0 * np.pi * MIN_PERIODS
+        if covered.any() and x.size > 4 * every:
+            sums = _spectra(_thinned(x, every), _thinned(y, every), every * dt, w[covered])
+            xx[covered] += sums[0]
+            yy[covered] += sums[1]
+            xy[covered] += sums[2]
+            windows[covered] += _windows(w[covered], seconds)
     squared = np.abs(xy) ** 2 / np.maximum(xx * yy, np.finfo(float).tiny)
     chance = 1.0 - CHANCE ** (1.0 / np.maximum(windows - 1.0, 1.0))
     return Coverage(wanted, w, (windows > 0.0) & (squared > np.maximum(COHERENT, chance)))
@@ -151,7 +151,7 @@ class Pairs:
         self._rates[stamp_ns] = value
 
     def excitation(self, stamp_ns: int, value: float) -> None:
-        """What the STM32 says it added in a cycle."""
+        """The excitation that the STM32 says it added in a cycle."""
         self._inputs[stamp_ns] = value
 
     def clear(self) -> None:

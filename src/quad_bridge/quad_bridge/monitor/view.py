@@ -43,7 +43,7 @@ class State:
     segment: Mapping[str, str] = field(default_factory=dict)
     trained_s: float = 0.0
     validated_s: float = 0.0
-    asked: tuple[float, float] | None = None
+    target_band: tuple[float, float] | None = None
     """Band that the operator wants, rad/s; the segments may be too short for its low end."""
     coverage: Coverage | None = None
     done: set[str] = field(default_factory=set)
@@ -59,9 +59,9 @@ class State:
         ]  # fmt: skip
         return [line[:WIDTH] for line in out]
 
-    def wanted(self, asked: tuple[float, float]) -> tuple[float, float]:
-        """The part of the band `asked` that the schedule's training segments can cover."""
-        return reachable(asked, self._value('train_s'))
+    def wanted(self, band: tuple[float, float]) -> tuple[float, float]:
+        """The part of the band `band` that the schedule's training segments can cover."""
+        return reachable(band, self._value('train_s'))
 
     @property
     def covered(self) -> bool:
@@ -128,14 +128,14 @@ class State:
     def _progress(self) -> list[str]:
         """Why the bridge refuses the excitation, and the progress of the schedule."""
         refusal, entry = self._entry('excitation'), self._entry('schedule')
-        found = []
+        lines = []
         if refusal is not None and refusal.level:
-            found.append(_line('', refusal.word, refusal.message))
+            lines.append(_line('', refusal.word, refusal.message))
         percent = self._value('progress_pct')
         if entry is not None and not math.isnan(percent):
             text = ' '.join(entry.values.get(k, '') for k in ('segment', 'signal', 'axis'))
-            found.append(_bar(min(max(percent / 100.0, 0.0), 1.0), text))
-        return found
+            lines.append(_bar(min(max(percent / 100.0, 0.0), 1.0), text))
+        return lines
 
     def _angles(self) -> str:
         if not math.isfinite(self.imu_at_s):
@@ -157,17 +157,17 @@ class State:
 
     def _coverage(self) -> list[str]:
         flown = f'{self.trained_s:.0f} s trained, {self.validated_s:.0f} s validated'
-        axis, found = self.segment.get('axis', ''), self.coverage
-        if found is None:
+        axis, coverage = self.segment.get('axis', ''), self.coverage
+        if coverage is None:
             little = f'{axis} too little yet to say'.strip()
             return [_line('coverage', '-', little), _line('', '', flown)]
-        low, high = found.wanted
-        if self.asked is not None and low > self.asked[0]:
-            flown += f'; {self.asked[0]:g} rad/s needs {needed_s(self.asked[0]):.0f} s'
-        told = f'{found.band[0]:.2g} to {found.band[1]:.3g}' if found.band else 'nothing'
-        text = f'{axis} {told} of {low:.2g} to {high:g} rad/s'
-        level = 'ok' if found.enough else '...'
-        return [_line('coverage', level, text), _bar(found.share), _line('', '', flown)]
+        low, high = coverage.wanted
+        if self.target_band is not None and low > self.target_band[0]:
+            flown += f'; {self.target_band[0]:g} rad/s needs {needed_s(self.target_band[0]):.0f} s'
+        band = f'{coverage.band[0]:.2g} to {coverage.band[1]:.3g}' if coverage.band else 'nothing'
+        text = f'{axis} {band} of {low:.2g} to {high:g} rad/s'
+        level = 'ok' if coverage.enough else '...'
+        return [_line('coverage', level, text), _bar(coverage.share), _line('', '', flown)]
 
 
 def _line(label: str, level: str, text: str) -> str:

@@ -1,1 +1,1 @@
-"""The nodes: parameters, topics, services and timers, wired to the rooms. No arithmetic here."""
+"""The nodes: parameters, topics, services and timers, wired to pure calls. No arithmetic here."""

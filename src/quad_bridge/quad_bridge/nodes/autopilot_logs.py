@@ -41,7 +41,7 @@ class AutopilotLogs:
         self._by_itself = by_itself
         self._fetch, self._store = LogFetch(), LogStore(run)
         self._fetch.there = self._store.there
-        self._flew, self._said, self._told_pct = False, '', -1
+        self._flew, self._said, self._shown_pct = False, '', -1
         self._finishing = False
 
     def configure(self) -> None:
@@ -52,6 +52,11 @@ class AutopilotLogs:
     def take(self, frame: f.LogEntry | f.LogData, _now_ns: int) -> None:
         """Take an answer, in the port's thread."""
         self._fetch.take(frame, clock().now_s())
+
+    @property
+    def coming(self) -> bool:
+        """Whether the log is on the line now."""
+        return self._fetch.phase is Phase.FETCHING
 
     def poll(self) -> list[f.Frame]:
         """Say what to send now; in the lock under which `take` is called."""
@@ -95,8 +100,8 @@ class AutopilotLogs:
         if aircraft.flight.armed:
             return 'not in flight: the line is for the flight; land and disarm it first'
         self._store.open(folder / LOGS, aircraft.kind.log_suffix)
-        self._fetch.begin(clock().now_s())
-        self._finishing, self._told_pct = False, -1
+        self._fetch.begin(clock().now_s(), aircraft.kind.log_closes_s)
+        self._finishing, self._shown_pct = False, -1
         self._publish('fetching', '')
         return ''
 
@@ -104,8 +109,8 @@ class AutopilotLogs:
         fetch, log = self._fetch, self._node.get_logger()
         if fetch.phase is Phase.FETCHING and fetch.size:
             pct = 25 * int(4.0 * fetch.got / fetch.size)
-            if pct > self._told_pct:
-                self._told_pct = pct
+            if pct > self._shown_pct:
+                self._shown_pct = pct
                 words = f'log of the autopilot: {pct} % of {fetch.size / 1e6:.1f} MB'
                 log.info(words)
         if fetch.phase is Phase.DONE and not self._finishing:

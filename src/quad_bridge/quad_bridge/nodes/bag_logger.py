@@ -36,9 +36,9 @@ NUMBERS = {
     'reserve_mb': (200, 'MB of free disk without which no recording starts', (0, 1_000_000)),
 }
 """Integer parameters: default, description, range."""
-MOST_TEXTS = description.MOST_TEXTS
-MOST_BYTES = description.MOST_BYTES
-"""Of a message: the largest of the contract, a description, may have that."""
+MAX_TEXTS = description.MAX_TEXTS
+MAX_BYTES = description.MAX_BYTES
+"""Largest message: a description, the largest of the contract, may have that size."""
 NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', description.PARAMETER, *NUMBERS)
 
 
@@ -72,7 +72,7 @@ class BagLogger(ManagedNode):
         self._subscribed: dict[str, tuple[Any, Any]] = {}
         self._gaps: dict[str, Gaps] = {}
         self._numbered: set[str] = set()  # topics whose messages come with a publisher's number
-        self._foreign: set[tuple[str, str]] = set()  # topics with a foreign type, each told once
+        self._foreign: set[tuple[str, str]] = set()  # topics with a foreign type, reported once
         self._last = ''
         self._failed: RecordingStatus | None = None  # how the last recording ended, if it failed
         self._autostart = ros_node.declared(
@@ -101,7 +101,7 @@ class BagLogger(ManagedNode):
 
     @property
     def _clock_runs(self) -> bool:
-        """False where time is simulated and nobody has told it yet."""
+        """False where time is simulated and it is not known yet."""
         return self._ros_now_ns() > 0
 
     def _start_by_itself(self) -> None:
@@ -188,9 +188,9 @@ class BagLogger(ManagedNode):
     def _tell_foreign(self, topic: str) -> None:
         """Warn once of publishers whose messages are not recorded, for their type."""
         for offer in self._offers(topic):
-            found = (topic, offer.topic_type)
-            if offer.topic_type != TOPIC_TYPES[topic] and found not in self._foreign:
-                self._foreign.add(found)
+            offered = (topic, offer.topic_type)
+            if offer.topic_type != TOPIC_TYPES[topic] and offered not in self._foreign:
+                self._foreign.add(offered)
                 self.get_logger().warning(
                     f'{topic}: a publisher has type {offer.topic_type}, which is not recorded; '
                     f'the contract has {TOPIC_TYPES[topic]}'
@@ -198,11 +198,11 @@ class BagLogger(ManagedNode):
 
     def _receive(self, topic: str, data: bytes, about: dict[str, Any]) -> None:
         recording = self._recording
-        if recording is not None and len(data) > MOST_BYTES:
+        if recording is not None and len(data) > MAX_BYTES:
             self.refused_large += 1
             recording.count_large()
             self.get_logger().warning(
-                f'{topic}: a message of {len(data)} bytes is not recorded, at most {MOST_BYTES} '
+                f'{topic}: a message of {len(data)} bytes is not recorded, at most {MAX_BYTES} '
                 'are', throttle_duration_sec=5.0,
             )  # fmt: skip
             return
@@ -230,7 +230,7 @@ class BagLogger(ManagedNode):
     def _describes(self, data: bytes) -> bool:
         """Whether a description counts; where it does not, that is said once."""
         if data not in self._described:
-            if len(self._described) >= MOST_TEXTS:  # a flood
+            if len(self._described) >= MAX_TEXTS:  # a flood
                 return False
             words = 'the parameter robot_description holds: that of another node is left aside'
             if self._craft is None:

@@ -59,9 +59,9 @@ INSIDE, LOGGER = 'inside', 'bag_logger.'
 def declare(node: Any) -> BridgeSettings:
     """Declare and read the parameters. Raises BadInputError naming the one that is wrong."""
     bounds = {f'bounds.{name}': name for name in SETTABLE}
-    given = ros_node.overrides(node)
-    inside = given.get('log') == INSIDE
-    loggers = [name for name in given if inside and name.startswith(LOGGER)]
+    overrides = ros_node.overrides(node)
+    inside = overrides.get('log') == INSIDE
+    loggers = [name for name in overrides if inside and name.startswith(LOGGER)]
     ros_node.refuse_unknown(node, [*OWN, *bounds, *loggers])
     log = ros_node.declared(
         node, 'log', '', f'{INSIDE}: a logger in this process; its parameters are {LOGGER}NAME'
@@ -85,7 +85,7 @@ def declare(node: Any) -> BridgeSettings:
         require_enable=ros_node.declared(
             node, 'require_enable', over_network(port),
             'excite and arm only while /operator/enable is alive; default: over a network; '
-            'elsewhere once somebody has held it',
+            'on other links once somebody has held it',
         ),
         correct_sensors=ros_node.declared(
             node, 'correct_sensors', True,
@@ -99,7 +99,7 @@ def declare(node: Any) -> BridgeSettings:
             node, 'fetch_log', True,
             "fetch the log of PX4 or ArduPilot over the line after each landing",
         ),
-        logger={name.removeprefix(LOGGER): given[name] for name in loggers} if inside else None,
+        logger={n.removeprefix(LOGGER): overrides[n] for n in loggers} if inside else None,
     )  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def _refuse_bad(port: str) -> None:
 
 
 def _signing(node: Any, port: str) -> Signing | None:
-    given = ros_node.declared(
+    key_file = ros_node.declared(
         node, 'key_file', '',
         'key for MAVLink 2 signing; required where port leads to another computer',
     )
@@ -122,13 +122,13 @@ def _signing(node: Any, port: str) -> Signing | None:
         node, 'unsigned', False,
         'true: whoever reaches the port over a network may speak, without a key',
     )
-    if given and unsigned:
+    if key_file and unsigned:
         raise BadInputError('parameter unsigned', 'must be false where key_file is set', 'true')
-    if not given and not unsigned and over_network(port):
+    if not key_file and not unsigned and over_network(port):
         what = f'is required where the port leads to another computer ({port})'
         remedy = f'{MAKE}; or set unsigned:=true where everybody on that network may command'
         raise BadInputError('parameter key_file', what, remedy=remedy)
-    return signing_from(Path(given).expanduser() if given else None)
+    return signing_from(Path(key_file).expanduser() if key_file else None)
 
 
 def _gains(node: Any, bounds: Mapping[str, str]) -> GainSettings:
@@ -177,14 +177,14 @@ def _polarity(node: Any) -> str:
 
 def _bounds(node: Any, known: Mapping[str, str]) -> dict[str, Bound]:
     """One optional list per gain: `bounds.<gain>: [lower, upper(, max_factor(, small_step))]`."""
-    given = ros_node.overrides(node)
+    overrides = ros_node.overrides(node)
     bounds = {}
     for key, name in known.items():
-        if key not in given:
+        if key not in overrides:
             continue
         text = f'[lower, upper(, max_factor(, small_step))] of {name}, SI'
         descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
-        value = node.declare_parameter(key, given[key], descriptor).value
+        value = node.declare_parameter(key, overrides[key], descriptor).value
         try:
             numbers = [float(v) for v in value]
         except (TypeError, ValueError) as error:

@@ -213,14 +213,14 @@ def age_s(stamp: Time, now_ns: int) -> float:
     return 1e-9 * float(now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec)
 
 
-def values_of(given: Sequence[Parameter]) -> dict[str, object]:
+def values_of(parameters: Sequence[Parameter]) -> dict[str, object]:
     """Parameters as a plain mapping; what is not set is None, arrays are tuples."""
-    found: dict[str, object] = {}
-    for parameter in given:
+    values: dict[str, object] = {}
+    for parameter in parameters:
         field = _FIELDS.get(parameter.value.type, '')
         value: Any = getattr(parameter.value, field, None)
-        found[parameter.name] = tuple(value) if field.endswith('array_value') else value
-    return found
+        values[parameter.name] = tuple(value) if field.endswith('array_value') else value
+    return values
 
 
 _FIELDS = {

@@ -26,23 +26,23 @@ def declared_craft(node: Any) -> Craft | None:
 
     Raises BadInputError where it is none.
     """
-    given = ros_node.declared(
+    value = ros_node.declared(
         node, PARAMETER, '',
         "the craft: a URDF with joints motor_i, a file with one, or a layout's name",
     )  # fmt: skip
-    return craft_of(given.strip()) if given.strip() else None
+    return craft_of(value.strip()) if value.strip() else None
 
 
-def craft_of(given: str) -> Craft:
+def craft_of(value: str) -> Craft:
     """The craft of a URDF's text, of a file with one, or of a layout's name."""
     where = f'parameter {PARAMETER}'
-    if given in LAYOUTS:
-        return LAYOUTS[given]
-    text = given
-    if not given.startswith('<'):
-        where = f'{where} ({given})'
+    if value in LAYOUTS:
+        return LAYOUTS[value]
+    text = value
+    if not value.startswith('<'):
+        where = f'{where} ({value})'
         try:
-            text = Path(given).expanduser().read_text(encoding='utf-8')
+            text = Path(value).expanduser().read_text(encoding='utf-8')
         except (OSError, UnicodeDecodeError, ValueError) as error:
             known = f'layouts are {", ".join(LAYOUTS)}'
             what = 'is neither a layout, nor a URDF, nor a file that can be read'
@@ -57,8 +57,8 @@ def craft_of(given: str) -> Craft:
     return craft
 
 
-MOST_BYTES = 1_000_000  # of a description
-MOST_TEXTS = 20
+MAX_BYTES = 1_000_000  # largest description
+MAX_TEXTS = 20
 """Different descriptions that are looked at: more than that is a flood."""
 
 
@@ -73,17 +73,17 @@ def why_left_aside(text: str) -> str:
 class Description:
     """Publishes this craft's description, and hears those of others."""
 
-    def __init__(self, node: Any, given: Craft | None, on_craft: Callable[[Craft], None]) -> None:
+    def __init__(self, node: Any, own: Craft | None, on_craft: Callable[[Craft], None]) -> None:
         """`on_craft` is called with a craft that somebody else describes."""
-        self._node, self._given, self._on_craft = node, given, on_craft
+        self._node, self._own, self._on_craft = node, own, on_craft
         self._heard: Craft | None = None
         self._texts: set[str] = set()  # what has been published here, or judged
         self._publisher: Any = None
 
     @property
     def craft(self) -> Craft | None:
-        """The craft that was given, or heard."""
-        return self._given or self._heard
+        """The craft of the parameter, or that of another node."""
+        return self._own or self._heard
 
     def configure(self) -> None:
         """Create the publisher."""
@@ -92,7 +92,7 @@ class Description:
 
     def activate(self) -> None:
         """Listen to others."""
-        self._node.subscribe(String, TOPIC, self._take, HEARD, MOST_BYTES)
+        self._node.subscribe(String, TOPIC, self._take, HEARD, MAX_BYTES)
 
     def publish(self, craft: Craft) -> None:
         """Describe this craft, unless somebody else has."""
@@ -102,11 +102,11 @@ class Description:
             self._publisher.publish(String(data=text))
 
     def _take(self, message: String) -> None:
-        if message.data in self._texts or len(self._texts) >= MOST_TEXTS:
+        if message.data in self._texts or len(self._texts) >= MAX_TEXTS:
             return
         self._texts.add(message.data)
         words = why_left_aside(message.data)
-        if not words and self._given is not None:
+        if not words and self._own is not None:
             words = f'{TOPIC} of another node differs from the parameter, which holds'
         if words:
             self._node.get_logger().warning(words)

@@ -15,13 +15,13 @@ class Changes:
 
     def __init__(self, limiter: LogLimiter) -> None:
         self._limiter = limiter
-        self._told: dict[str, str] = {}
+        self._messages: dict[str, str] = {}
 
     def new(self, entries: list[Status], now_s: float) -> list[Status]:
         """Entries whose message changed and may be logged."""
-        begun = [e for e in entries if self._told.get(e.name) != e.message]
-        self._told.update({e.name: e.message for e in begun})
-        return [e for e in begun if self._limiter.allow(e.name + e.message, now_s)]
+        changed = [e for e in entries if self._messages.get(e.name) != e.message]
+        self._messages.update({e.name: e.message for e in changed})
+        return [e for e in changed if self._limiter.allow(e.name + e.message, now_s)]
 
 
 def diagnostic_array(node: str, hardware: str, stamp: Any, entries: list[Status]) -> Any:

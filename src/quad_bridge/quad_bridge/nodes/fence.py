@@ -13,8 +13,8 @@ from typing import Any
 
 from quad_bridge.status import OK, WARN, Status
 
-MOST_IN_A_ROW = 1000  # failures without anything that works between them: ROS itself fails
-SETTLED_S = 0.5  # least time between two reports; one out of turn tells of the time before
+MAX_IN_A_ROW = 1000  # failures without anything that works between them: ROS itself fails
+MIN_REPORT_S = 0.5  # least time between two reports; an earlier one repeats the last figures
 LONGEST = 500  # characters of a fault that are logged
 
 
@@ -22,7 +22,7 @@ class LogLimiter:
     """A rate limiter for the log: repeats and bursts are left out."""
 
     def __init__(self, *, repeat_s: float = 30.0, burst: int = 20, per_s: float = 60.0) -> None:
-        """The same line once in `repeat_s`; `burst` lines in `per_s` at most."""
+        """Log the same line once in `repeat_s`, and at most `burst` lines in `per_s`."""
         self._repeat_s, self._per_s = repeat_s, per_s
         self._said: dict[str, float] = {}
         self._times: deque[float] = deque(maxlen=burst)
@@ -51,7 +51,7 @@ class Fence:
     ) -> None:
         self.failed = 0  # callbacks that have raised
         self._log, self._then = log, then
-        self._reported_s = -SETTLED_S
+        self._reported_s = -MIN_REPORT_S
         self._reported = self._before = 0  # failures at the last report and at the one before
         self._in_a_row: dict[int, int] = {}  # by thread: the port goes on while ROS fails
         self._limiter = LogLimiter()
@@ -61,7 +61,7 @@ class Fence:
         self.failed += 1
         thread = threading.get_ident()
         self._in_a_row[thread] = self._in_a_row.get(thread, 0) + 1
-        if self._in_a_row[thread] > MOST_IN_A_ROW:
+        if self._in_a_row[thread] > MAX_IN_A_ROW:
             raise error
         frame = traceback.extract_tb(error.__traceback__)[-1]
         words = f'{type(error).__name__}: {" ".join(str(error).split())[:LONGEST]}'
@@ -78,7 +78,7 @@ class Fence:
     def entries(self) -> list[Status]:
         """The failures for /diagnostics, all and since the last report; empty without any."""
         now_s = time.monotonic()
-        if now_s - self._reported_s > SETTLED_S:
+        if now_s - self._reported_s > MIN_REPORT_S:
             self._reported_s, self._before, self._reported = now_s, self._reported, self.failed
         if not self.failed:
             return []

@@ -49,17 +49,17 @@ def arguments(*names: str, **defaults: str) -> list[Any]:
 
 def values(context: Any, kinds: Mapping[str, Any]) -> dict[str, Any]:
     """The parameters that were given in this launch."""
-    given = context.launch_configurations
-    return {name: ParameterValue(given[name], value_type=kind) for name, kind in kinds.items()
-            if given.get(name)}  # fmt: skip
+    arguments = context.launch_configurations
+    return {name: ParameterValue(arguments[name], value_type=kind) for name, kind in kinds.items()
+            if arguments.get(name)}  # fmt: skip
 
 
 def node(context: Any, package: str, name: str, own: Mapping[str, Any]) -> Any:
     """The node with these parameters over those of the file."""
-    given = context.launch_configurations
-    files = [given['params_file']] if given['params_file'] else []
+    arguments = context.launch_configurations
+    files = [arguments['params_file']] if arguments['params_file'] else []
     return Node(
-        package=package, executable=name, name=name, namespace=given['namespace'],
+        package=package, executable=name, name=name, namespace=arguments['namespace'],
         output='screen', parameters=[*files, *([dict(own)] if own else [])],
     )  # fmt: skip
 
@@ -67,9 +67,9 @@ def node(context: Any, package: str, name: str, own: Mapping[str, Any]) -> Any:
 def included(package: str, name: str, names: Iterable[str]) -> Any:
     """A launch file of a package, with the arguments of these names handed on."""
     path = Path(get_package_share_directory(package)) / 'launch' / f'{name}.launch.py'
-    given = {argument: LaunchConfiguration(argument) for argument in sorted(names)}
+    arguments = {argument: LaunchConfiguration(argument) for argument in sorted(names)}
     return IncludeLaunchDescription(
-        PythonLaunchDescriptionSource(str(path)), launch_arguments=given.items()
+        PythonLaunchDescriptionSource(str(path)), launch_arguments=arguments.items()
     )
 
 

@@ -20,7 +20,7 @@ from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.node_time import TimedNode
 from quad_bridge.status import WARN, Status
 
-MOST_BYTES = 65_536  # of a message: all gains at once are a tenth of that
+MAX_BYTES = 65_536  # largest message: all gains at once are a tenth of that
 SELDOM_S, LOOK_S = 1.0, 0.02  # how often, and for how long
 
 
@@ -92,7 +92,7 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
 
     def subscribe(
         self, kind: Any, topic: str, callback: Callable[[Any], None], qos: Any,
-        most_bytes: int = MOST_BYTES,
+        most_bytes: int = MAX_BYTES,
     ) -> None:  # fmt: skip
         """Create a subscription; what is larger is never unpacked."""
 

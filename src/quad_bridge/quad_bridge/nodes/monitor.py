@@ -30,7 +30,7 @@ from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.node_time import nanoseconds
 from quad_bridge.nodes.qos import EVENT, HEARD, STREAM
 
-LEAST_NEW = 250  # cycles between two looks at the coverage
+MIN_NEW = 250  # cycles between two looks at the coverage
 CLEAR, HOME, BELL = '\x1b[2J', '\x1b[H\x1b[J', '\a'
 NUMBERS = {
     'band_low_rad_s': (BAND[0], 'low end of the band that is to be covered, rad/s', (0.01, 100.0)),
@@ -58,10 +58,10 @@ class Monitor(Node):  # type: ignore[misc]
         self._validation_s = known['validation_s']
         every = ros_node.declared(self, 'every_s', 5, 'between blocks when piped, s', (1, 3600))
         self._terminal = sys.stdout is not None and sys.stdout.isatty()
-        self._state = view.State(asked=self._band)
+        self._state = view.State(target_band=self._band)
         self._pairs, self._stamps = Pairs(), deque[int](maxlen=250)
         self._step_s = 0.004
-        self._role, self._axis, self._new, self._said = '', '', 0, ''
+        self._role, self._axis, self._new, self._text = '', '', 0, ''
         self.create_subscription(DiagnosticArray, 'diagnostics', self._on_diagnostics, EVENT)
         self.create_subscription(Imu, 'imu/data', self._on_imu, STREAM)
         self.create_subscription(BatteryState, 'battery', self._on_battery, STREAM)
@@ -118,7 +118,7 @@ class Monitor(Node):  # type: ignore[misc]
                 self._state.done.add(self._axis)
             self._axis = axis
             self._pairs.clear()
-            self._state.coverage, self._said = None, ''
+            self._state.coverage, self._text = None, ''
             self._state.trained_s = self._state.validated_s = 0.0
         if self._axis not in AXES or axis not in AXES:
             self._role = ''
@@ -129,7 +129,7 @@ class Monitor(Node):  # type: ignore[misc]
         self._state.bag, self._state.bag_state = values.get('path', ''), values.get('state', '')
 
     def _look(self) -> None:
-        if self._new >= LEAST_NEW:
+        if self._new >= MIN_NEW:
             self._new = 0
             parts, dt = self._pairs.parts()
             if dt > 0.0 and not self._state.covered:
@@ -138,10 +138,10 @@ class Monitor(Node):  # type: ignore[misc]
             step_s = 1e-9 * float(np.median(np.diff(np.array(self._stamps))))
             if step_s > 0.0:
                 self._step_s, self._state.rate_hz = step_s, 1.0 / step_s
-        said = self._state.call(self._validation_s)
-        if said and said != self._said:
-            self._said = said
-            self._write(BELL if self._terminal else f'{said}\n')
+        text = self._state.call(self._validation_s)
+        if text and text != self._text:
+            self._text = text
+            self._write(BELL if self._terminal else f'{text}\n')
 
     def _show(self) -> None:
         text = '\n'.join(self._state.lines(time.monotonic()))

@@ -97,7 +97,7 @@ def _contract(topic: str) -> str:
 
 
 def _then(act: Callable[..., None], tell: Callable[[int], None]) -> Callable[..., None]:
-    """`act` on a message of a stream, then `tell` its stamp."""
+    """`act` on a message of a stream, then `tell` gets its stamp."""
 
     @functools.wraps(act)  # rclpy looks at its arguments
     def done(message: Any, *about: Any) -> None:

@@ -33,7 +33,7 @@ without CPU time for a while misses nothing."""
 STATE = _profile(1, latched=True)
 """States: segment, active gains, bag. The last one is there for whoever comes late."""
 HEARD = _profile(10, latched=True)
-"""States as they are heard: of two that follow at once both are taken."""
+"""Reliable reception of states: two that follow at once are both kept."""
 EVENT = _profile(10)
 """Messages that only present subscribers need: wanted gains, diagnostics."""
 
@@ -41,7 +41,7 @@ EVENT = _profile(10)
 def adapted(topic: str, publishers: Sequence[Any]) -> QoSProfile:
     """QoS for a subscription that matches every publisher of the topic.
 
-    `publishers` are rclpy's TopicEndpointInfo; without any the contract's own QoS is taken.
+    `publishers` are rclpy's TopicEndpointInfo; without any the contract's own QoS is used.
     """
     reliable, latched = True, topic in LATCHED
     for publisher in publishers:

@@ -36,7 +36,7 @@ T = TypeVar('T', str, bool, int, float, list[str])
 WAKE_S = 0.1  # how long a signal may wait: rclpy's wait does not return for one
 RCLError = rclpy_implementation.RCLError
 WRONG = (QuadBridgeError, ParameterException, NameValidationException)
-"""What a wrong parameter or name makes a node's constructor raise."""
+"""Errors that a wrong parameter or name makes a node's constructor raise."""
 _OF_THE_LIBRARY = re.compile(r'^failed to initialize \w+: |, at \S+:\d+')
 _FORMS = {
     'remap rule': 'write -r FROM:=TO; names have letters, digits and _, and begin with no digit',
@@ -51,9 +51,9 @@ _KINDS: dict[type, str] = {
 
 
 def overrides(node: Any) -> dict[str, Any]:
-    """What files and the command line set, declared or not; name to value."""
-    given = node._parameter_overrides  # noqa: SLF001  (rclpy has no public way to ask)
-    return {name: parameter.value for name, parameter in given.items()}
+    """Parameters set by files and the command line, declared or not; name to value."""
+    overrides = node._parameter_overrides  # noqa: SLF001  (rclpy has no public way to ask)
+    return {name: parameter.value for name, parameter in overrides.items()}
 
 
 def refuse_unknown(node: Any, known: Iterable[str]) -> None:
@@ -218,8 +218,8 @@ def answering(callback: Callable[..., Any], fence: Fence) -> Callable[..., Any]:
 
     async def answer(request: Any, response: Any) -> Any:
         try:
-            found = callback(request, response)
-            return await found if inspect.isawaitable(found) else found
+            reply = callback(request, response)
+            return await reply if inspect.isawaitable(reply) else reply
         except Exception as error:  # noqa: BLE001  (whatever it is, it is answered)
             _fail(response, f'the service failed: {one_line(error)}', error)
             if not isinstance(response, ChangeState.Response):  # a transition that does not fit
@@ -231,7 +231,7 @@ def answering(callback: Callable[..., Any], fence: Fence) -> Callable[..., Any]:
 
 def _fail(response: Any, words: str, error: Exception) -> None:
     """Fill in that it failed; raises `error` where a response has no place for that."""
-    response = getattr(response, 'result', response)  # of rcl_interfaces
+    response = getattr(response, 'result', response)  # as in rcl_interfaces
     for success, reason in (('success', 'message'), ('successful', 'reason')):
         if hasattr(response, success):
             setattr(response, success, False)

@@ -32,7 +32,7 @@ from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
 from quad_bridge.gains.table import with_mixing
-from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, State, Told
+from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, Reply, State
 from quad_bridge.link.autopilot import (
     BATTERY,
     COMPASS,
@@ -91,7 +91,7 @@ class SerialBridge(ManagedNode):
         self._gains = GainUpdates(settings.gains, self._history, self._aircraft.gains)
         self._sensors = LiveSensors(correct=settings.correct_sensors)
         self._description = Description(self, settings.craft, self._on_craft)
-        self._motors: MotorOutputs | None = None  # of another autopilot, once it has told
+        self._motors: MotorOutputs | None = None  # of another autopilot, once it is known
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
         self._operator = OperatorServices(
             self, self._enable, self._aircraft, self._forward, self._armed, self._flies,
@@ -119,9 +119,9 @@ class SerialBridge(ManagedNode):
         self._reported_s = 0.0
         self._simulated = self.simulated
         self._time = HostTime(*self._epoch())
-        self._told_time: Any = None  # in lockstep, for whoever is not on the line
+        self._clock_topic: Any = None  # in lockstep, for whoever is not on the line
         if clock().simulated:
-            self._told_time = self.create_publisher(ClockMessage, '/clock', 1)
+            self._clock_topic = self.create_publisher(ClockMessage, '/clock', 1)
         self._limiter = LogLimiter()
         self._changes = diagnostics.Changes(self._limiter)
         self._port = self._new_port()
@@ -131,10 +131,10 @@ class SerialBridge(ManagedNode):
         return SerialPort(settings.port, settings.baud, around(self._on_bytes),
                           around(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
 
-    def _logger_inside(self, given: Mapping[str, Any]) -> Any:
+    def _logger_inside(self, options: Mapping[str, Any]) -> Any:
         """A logger for this process, in the same namespace, with these parameters."""
         own = {name: self.get_parameter(name).value for name in ('managed', 'use_sim_time')}
-        parameters = [Parameter(name, value=value) for name, value in {**own, **given}.items()]
+        parameters = [Parameter(name, value=value) for name, value in {**own, **options}.items()]
         made = importlib.import_module('quad_bridge.nodes.bag_logger').BagLogger
         return made(STREAMS, namespace=self.get_namespace(), use_global_arguments=False,
                     parameter_overrides=parameters)  # fmt: skip
@@ -170,7 +170,7 @@ class SerialBridge(ManagedNode):
             part.configure()
 
     def _stream(self, kind: Any, topic: str) -> Callable[[bytes], None]:
-        """What publishes on a topic, and hands it to the logger in this process."""
+        """A publisher that also passes messages to the logger in this process."""
         publish: Callable[[bytes], None] = self.publisher(kind, topic, STREAM).publish
 
         def both(data: bytes) -> None:
@@ -212,7 +212,7 @@ class SerialBridge(ManagedNode):
         self._worker.close()
         self._log_worker.close()
 
-    # In the port's thread.
+    # Called in the port's thread.
 
     def _on_open(self) -> None:
         with self._lock:
@@ -292,11 +292,11 @@ class SerialBridge(ManagedNode):
             self._publish_autopilot(frame, stamp_ns)
 
     def _publish_autopilot(self, frame: Inertial, stamp_ns: int) -> None:
-        """What an autopilot's attitude stands for, beside /imu/data; watch and gate see it too."""
+        """Publish an autopilot's attitude beside /imu/data; watch and gate use it too."""
         autopilot, now_s = self._aircraft.autopilot, clock().now_s()
         cycle = autopilot.cycle(frame, now_s) if autopilot is not None else None
-        if self._told_time is not None:
-            self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
+        if self._clock_topic is not None:
+            self._clock_topic.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
         if autopilot is None or cycle is None:
             return
         self._gains.cycle(cycle, now_s)
@@ -315,12 +315,12 @@ class SerialBridge(ManagedNode):
             publish(message)
         if frame.flags & f.Flag.EXCITATION:
             self._applied(self._messages.applied(frame, stamp_ns))
-        if self._told_time is not None:
-            self._told_time.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
+        if self._clock_topic is not None:
+            self._clock_topic.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
 
-    def _on_described(self, told: Described) -> None:
+    def _on_described(self, event: Described) -> None:
         self._motors = motor_outputs(
-            told.peer.autopilot, self._link.name, told.parameters, self._description.craft
+            event.peer.autopilot, self._link.name, event.parameters, self._description.craft
         )
         self._say_once(self._motors.words)
         if self._aircraft.autopilot is not None:
@@ -334,11 +334,12 @@ class SerialBridge(ManagedNode):
         """A message by motor; None as long as nobody has said which output is which motor."""
         return convert(frame, self._motors, stamp_ns) if self._motors is not None else None
 
-    # In both threads, the lock being held.
+    # Called in both threads, with the lock held.
 
     def _poll_gains(self, now_ns: int) -> None:
         if self._aircraft.has_gains:  # parameters of others are their own, and a thousand
             self._send(self._gains.poll(1e-9 * now_ns))
+        self._link.autopilot.log_comes(now=self._logs.coming)
         for frame in [*self._aircraft.poll(1e-9 * now_ns), *self._logs.poll()]:
             self._link.send(frame)
 
@@ -352,7 +353,7 @@ class SerialBridge(ManagedNode):
         if outgoing:
             self._port.write(outgoing)
 
-    # In the executor.
+    # Called in the executor.
 
     def _on_tick(self) -> None:
         with self._lock:
@@ -401,9 +402,9 @@ class SerialBridge(ManagedNode):
                 self._gains.polarity.craft = craft
 
     def _on_segment(self, event: ParameterEvent) -> None:
-        given, age_s = conversion.parameters(event), self._age_s(event.stamp)
+        values, age_s = conversion.parameters(event), self._age_s(event.stamp)
         with self._lock:
-            end = self._relay.segment(given, age_s)
+            end = self._relay.segment(values, age_s)
             if self._relay.injection:
                 self._gains.disturb()
             elif self._gains.state is State.CHECKING:
@@ -432,14 +433,14 @@ class SerialBridge(ManagedNode):
         return conversion.age_s(stamp, self.get_clock().now().nanoseconds)
 
     def _ask_gains(
-        self, parameters: Mapping[str, object], told: Told | None = None, *, age_s: float = 0.0
+        self, parameters: Mapping[str, object], reply: Reply | None = None, *, age_s: float = 0.0
     ) -> None:
         """Hand on an update; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
             if not parameters.get('rollback'):
                 self._refuse(Ability.GAINS)
-            words = self._gains.ask(parameters, clock().now_s(), told, age_s=age_s)
+            words = self._gains.ask(parameters, clock().now_s(), reply, age_s=age_s)
             self._poll_gains(clock().now_ns())
             self._flush()
         self.get_logger().info(words)
@@ -479,12 +480,12 @@ class SerialBridge(ManagedNode):
             low = last is not None and last.control[0] < LOW_THROTTLE
             return bool(self._link.armed_lately(clock().now_ns())) and not low
 
-    def _ask_check(self, told: Callable[[str], None], motors: bool) -> None:
+    def _ask_check(self, reply: Callable[[str], None], motors: bool) -> None:
         """Have the polarity or the motors checked; raises RefusedError."""
         self.refuse_unless_active()
         with self._lock:
             self._refuse(Ability.PULSES)
-            self._gains.check(clock().now_s(), told, motors=motors)
+            self._gains.check(clock().now_s(), reply, motors=motors)
 
     def _on_report(self) -> None:
         self._keep_epoch()

@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from quad_bridge.aircraft import ACCEPTED, Ability, Aircraft
 from quad_bridge.arming import Arming, OperatorEnable, SecondCall
 from quad_bridge.errors import RefusedError
-from quad_bridge.gains.update import Told
+from quad_bridge.gains.update import Reply
 from quad_bridge.lockstep import clock
 from quad_bridge.motor_test import MotorTest
 from quad_bridge.nodes import conversion
@@ -32,8 +32,8 @@ from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.frames import CommandAck, Frame
 
 SOURCE = '~/set_gains'
-MOST_PARAMETERS = 500
-"""In one call: some times what there is to set."""
+MAX_PARAMETERS = 500
+"""Most parameters in one call, a few times the number that exists."""
 GAINS_S = 120.0  # the longest an update may take: a check of the polarity, and sixteen steps
 
 
@@ -46,7 +46,7 @@ class GainServices:
     def __init__(
         self,
         node: Any,
-        ask: Callable[[Mapping[str, object], Told], None],
+        ask: Callable[[Mapping[str, object], Reply], None],
         check: Callable[[Callable[[str], None], bool], None],
     ) -> None:
         self._node, self._ask, self._check = node, ask, check
@@ -72,8 +72,8 @@ class GainServices:
         done = Future()
         try:
             count = len(request.parameters)
-            if count > MOST_PARAMETERS:
-                raise RefusedError(f'at most {MOST_PARAMETERS} parameters: found {count}')  # noqa: TRY301
+            if count > MAX_PARAMETERS:
+                raise RefusedError(f'at most {MAX_PARAMETERS} parameters: found {count}')  # noqa: TRY301
             wanted = {'source': SOURCE, **conversion.values_of(request.parameters)}
             self._waiting.append((clock().now_s() + GAINS_S, done))
             self._ask(wanted, lambda good, why: _settle(done, (good, why)))
@@ -167,7 +167,7 @@ class OperatorServices:
         now_ns = self._node.get_clock().now().nanoseconds
         self._enable.take(conversion.age_s(message.stamp, now_ns), clock().now_s())
 
-    def _command(self, arm: bool, told: Callable[[str], None]) -> Frame:
+    def _command(self, arm: bool, reply: Callable[[str], None]) -> Frame:
         now_s = clock().now_s()
         self._node.refuse_unless_active()
         if arm:
@@ -176,7 +176,7 @@ class OperatorServices:
             fault = self._second.fault(now_s, flies=self._flies())
         if fault:
             raise RefusedError(fault)
-        return self._arming.ask(arm, told, now_s)
+        return self._arming.ask(arm, reply, now_s)
 
     def _not_disarmed(self) -> str:
         armed = self._armed()
@@ -245,7 +245,7 @@ class SensorServices:
 
     def _on_calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         wanted = Wanted('asked for', self._sensors.standing())
-        if wanted.samples and not self._sensors.settled:
+        if wanted.samples and not self._sensors.idle:
             return answered(response, False, 'the last estimate has not been published yet')
         try:
             return answered(response, True, self._sensors.estimate(wanted))

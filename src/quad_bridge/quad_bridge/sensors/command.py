@@ -19,11 +19,11 @@ from quad_bridge.arguments import OneLineParser, ended_in_one_line, positive, sa
 from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.log.reader import read_topics
 from quad_bridge.sensors.correction import STATUS, as_sent, from_values
-from quad_bridge.sensors.rest import LEAST_S, FloatArray, RestEstimate, estimate_at_rest
+from quad_bridge.sensors.rest import MIN_S, FloatArray, RestEstimate, estimate_at_rest
 
 IMU, DIAGNOSTICS = '/imu/data', '/diagnostics'
 KINDS = {IMU: 'sensor_msgs/msg/Imu', DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray'}
-MOST_AGE_S = 60.0
+MAX_AGE_S = 60.0
 """Difference of a message's age from its neighbours' above which its stamp is damaged."""
 USUAL = 51  # so many messages around it
 
@@ -33,34 +33,34 @@ def at_rest(bag: Path, seconds: float, warnings: list[str]) -> RestEstimate:
 
     Lines about what is damaged go to `warnings`. Raises BadInputError and RefusedError.
     """
-    found = read_topics(bag, KINDS)
-    warnings += found.warnings
-    received = found.messages[IMU]
+    read = read_topics(bag, KINDS)
+    warnings += read.warnings
+    received = read.messages[IMU]
     if not received:
         raise BadInputError(str(bag), f'holds no {IMU} ({KINDS[IMU]})', remedy='record it')
     headers = [one.content.header.stamp for one in received]
     stamps = np.array([10**9 * stamp.sec + stamp.nanosec for stamp in headers], np.int64)
     age = np.array([one.time_ns for one in received], float) - stamps
     around = np.lib.stride_tricks.sliding_window_view(np.pad(age, USUAL // 2, 'edge'), USUAL)
-    usual = np.median(around, axis=1)  # of those around it: a system clock may have been set
-    sound = np.flatnonzero(np.abs(age - usual) <= 1e9 * MOST_AGE_S)
+    usual = np.median(around, axis=1)  # of its neighbours: a system clock may have been set
+    sound = np.flatnonzero(np.abs(age - usual) <= 1e9 * MAX_AGE_S)
     if len(sound) < len(stamps):
         count = len(stamps) - len(sound)
         warnings.append(f'{bag}: {count} {IMU} left out, their stamps cannot be')
     order = sound[np.argsort(stamps[sound], kind='stable')]
     order = order[stamps[order] - stamps[order[0]] <= 1e9 * seconds]
     messages, stamps = [received[k].content for k in order], stamps[order]
-    told = [
+    corrections = [
         from_values({v.key: v.value for v in status.values})
-        for one in found.messages[DIAGNOSTICS]
+        for one in read.messages[DIAGNOSTICS]
         for status in one.content.status
         if status.name.endswith(f': {STATUS}')
     ]
     rates = _rows([message.angular_velocity for message in messages])
-    sent = as_sent(stamps, rates, [one for one in told if one is not None])
-    felt = _rows([message.linear_acceleration for message in messages])
+    sent = as_sent(stamps, rates, [one for one in corrections if one is not None])
+    forces = _rows([message.linear_acceleration for message in messages])
     try:
-        return estimate_at_rest(1e-9 * (stamps - stamps[0]), sent, felt)
+        return estimate_at_rest(1e-9 * (stamps - stamps[0]), sent, forces)
     except RefusedError as why:
         raise RefusedError(f'{bag}: {why}') from why
 
@@ -70,27 +70,27 @@ def _rows(vectors: Sequence[object]) -> FloatArray:
     return np.array([[getattr(v, axis) for axis in 'xyz'] for v in vectors], dtype=float)
 
 
-def _rest(given: argparse.Namespace) -> list[str]:
-    if given.seconds < LEAST_S:
-        raise BadInputError('--seconds', f'must be {LEAST_S:g} or more', f'{given.seconds:g}')
-    found = at_rest(given.bag, given.seconds, given.warnings)
-    if given.out is not None:
-        _write(given.out, found, given.bag)
+def _rest(args: argparse.Namespace) -> list[str]:
+    if args.seconds < MIN_S:
+        raise BadInputError('--seconds', f'must be {MIN_S:g} or more', f'{args.seconds:g}')
+    estimate = at_rest(args.bag, args.seconds, args.warnings)
+    if args.out is not None:
+        _write(args.out, estimate, args.bag)
     bias, drift = (
-        ', '.join(f'{v:+.5f}' for v in values) for values in (found.gyro_bias, found.gyro_drift)
+        ', '.join(f'{v:+.5f}' for v in row) for row in (estimate.gyro_bias, estimate.gyro_drift)
     )
     return [
-        f'gyro bias {bias} rad/s, drift {drift} rad/s per s over {found.duration_s:.0f} s',
+        f'gyro bias {bias} rad/s, drift {drift} rad/s per s over {estimate.duration_s:.0f} s',
         (
-            f'gravity is measured {found.acceleration_norm_error:+.3f} m/s² off; level offset '
-            f'roll {found.level[0]:+.4f} rad, pitch {found.level[1]:+.4f} rad'
+            f'gravity is measured {estimate.acceleration_norm_error:+.3f} m/s² off; level offset '
+            f'roll {estimate.level[0]:+.4f} rad, pitch {estimate.level[1]:+.4f} rad'
         ),
     ]
 
 
-def _write(path: Path, found: RestEstimate, bag: Path) -> None:
+def _write(path: Path, estimate: RestEstimate, bag: Path) -> None:
     """Write all figures, with time and bag, as YAML. Raises BadInputError."""
-    numbers = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(found).items()}
+    numbers = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(estimate).items()}
     now = datetime.now(tz=timezone.utc).isoformat(timespec='seconds')
     entry = {'measured': now, 'source': str(bag), **numbers}
     try:
@@ -111,11 +111,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument('--out', type=Path, metavar='FILE.yaml', help='where to write all figures')
     parser.add_argument(
         '--seconds', type=positive, default=np.inf, metavar='S',
-        help=f'only the first so many, {LEAST_S:g} or more; default the whole bag',
+        help=f'only the first so many, {MIN_S:g} or more; default the whole bag',
     )  # fmt: skip
-    given = parser.parse_args(arguments, argparse.Namespace(warnings=[]))
+    args = parser.parse_args(arguments, argparse.Namespace(warnings=[]))
     try:
-        lines = ended_in_one_line('sensors', lambda: _rest(given))
+        lines = ended_in_one_line('sensors', lambda: _rest(args))
     finally:  # they may be why it was refused
-        sys.stderr.writelines(f'sensors: warning: {warning}\n' for warning in given.warnings)
+        sys.stderr.writelines(f'sensors: warning: {warning}\n' for warning in args.warnings)
     say('\n'.join(lines) + '\n')

@@ -26,7 +26,7 @@ class Correction:
     gyro_bias: Vector3 = (0.0, 0.0, 0.0)  # rad/s
     since_ns: int = 0  # stamp (ROS time) of the first message with it; 0: none yet
 
-    def told(self) -> dict[str, str]:
+    def entry(self) -> dict[str, str]:
         """Values of a status entry; floats come back bit for bit."""
         return {GYRO: ' '.join(map(repr, self.gyro_bias)), SINCE: str(self.since_ns)}
 
@@ -41,15 +41,15 @@ def from_values(values: Mapping[str, str]) -> Correction | None:
 
 
 def as_sent(
-    stamps_ns: npt.NDArray[np.int64], rates: FloatArray, told: Sequence[Correction]
+    stamps_ns: npt.NDArray[np.int64], rates: FloatArray, corrections: Sequence[Correction]
 ) -> FloatArray:
     """Undo what was subtracted from rates (n, 3), rad/s, with these stamps (n,).
 
-    `told` are all corrections of the bag in any order. Before the first of them nothing was
+    `corrections` are all corrections of the bag in any order. Before the first of them nothing was
     subtracted.
     """
     sent = np.array(rates, dtype=float)
-    by_begin = {one.since_ns: one for one in told if one.since_ns > 0}
+    by_begin = {one.since_ns: one for one in corrections if one.since_ns > 0}
     begins = sorted(by_begin)
     which = np.searchsorted(begins, stamps_ns, side='right') - 1
     for k, begin in enumerate(begins):

@@ -1,7 +1,7 @@
 """Estimates the gyro's bias before each flight, from cycles at rest, and says what to subtract.
 
 Cycles and the wish for an estimate come in; the node subtracts `stamped` from what it publishes
-and tells it in `/diagnostics`. Cycles come in the port's thread, all else in the executor's; a
+and reports it in `/diagnostics`. Cycles come in the port's thread, all else in the executor's; a
 lock guards what both touch.
 """
 
@@ -17,13 +17,13 @@ import numpy as np
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.sensors.correction import STATUS, Correction
-from quad_bridge.sensors.rest import LEAST_S, RestEstimate, estimate_at_rest
+from quad_bridge.sensors.rest import MIN_S, RestEstimate, estimate_at_rest
 from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag
 
-STANDING_S = LEAST_S + 1.0  # of cycles without armed motors are kept for an estimate
-MOST_SAMPLES = 8000  # of cycles, however fast they come
+STANDING_S = MIN_S + 1.0  # duration of disarmed cycles that are kept for an estimate
+MAX_SAMPLES = 8000  # most cycles that are kept, at any rate
 NOT_YET = 'not estimated since the aircraft started'
 
 Sample = tuple[float, float, float, float, float, float, float]
@@ -46,33 +46,33 @@ class LiveSensors:
         self.rest: RestEstimate | None = None  # the last estimate since the STM32 has started
         self.words, self.warned = NOT_YET, False
         self._lock = threading.RLock()
-        self._standing: deque[Sample] = deque(maxlen=MOST_SAMPLES)
+        self._standing: deque[Sample] = deque(maxlen=MAX_SAMPLES)
         self._correct = correct
         self._armed = False
         self._wanted: Wanted | None = None
         self._fresh: Correction | None = self.current
-        """In force from the next stamp on: at first none, whatever another bridge subtracted."""
+        """Applies from the next stamp on; none at first, whatever another bridge subtracted."""
 
     @property
-    def settled(self) -> bool:
+    def idle(self) -> bool:
         """Whether the last change has reached a published stamp."""
         return self._fresh is None
 
     def status(self) -> Status:
         """Which bias is subtracted, from which stamp on, and what it was estimated from."""
-        values: dict[str, object] = dict(self.current.told())
-        found = self.rest
-        if found is not None:
+        values: dict[str, object] = dict(self.current.entry())
+        estimate = self.rest
+        if estimate is not None:
             values |= {
-                'gyro drift (rad/s per s)': ' '.join(f'{v:+.3g}' for v in found.gyro_drift),
-                'gyro noise (rad/s RMS)': ' '.join(f'{v:+.3g}' for v in found.gyro_noise),
-                'gravity measured off by (m/s²)': f'{found.acceleration_norm_error:+.4f}',
-                'level offset roll, pitch (rad)': ' '.join(f'{v:+.5f}' for v in found.level),
-                'stood (s)': f'{found.duration_s:.1f}',
+                'gyro drift (rad/s per s)': ' '.join(f'{v:+.3g}' for v in estimate.gyro_drift),
+                'gyro noise (rad/s RMS)': ' '.join(f'{v:+.3g}' for v in estimate.gyro_noise),
+                'gravity measured off by (m/s²)': f'{estimate.acceleration_norm_error:+.4f}',
+                'level offset roll, pitch (rad)': ' '.join(f'{v:+.5f}' for v in estimate.level),
+                'stood (s)': f'{estimate.duration_s:.1f}',
             }
         return Status(STATUS, WARN if self.warned else OK, self.words, values)
 
-    # In the port's thread.
+    # Called in the port's thread.
 
     def cycle(self, frame: Cycle) -> None:
         """Take one cycle; the one that arms requests an estimate."""
@@ -93,7 +93,7 @@ class LiveSensors:
                 standing.popleft()
 
     def stamped(self, stamp_ns: int) -> Correction:
-        """What to subtract from the message with this stamp."""
+        """The bias to subtract from the message with this stamp."""
         if self._fresh is not None:
             with self._lock:
                 self.current, self._fresh = replace(self._fresh, since_ns=stamp_ns), None
@@ -107,7 +107,7 @@ class LiveSensors:
             self.words, self.warned = NOT_YET, False
             self._fresh = Correction()
 
-    # In the executor's.
+    # Called in the executor's thread.
 
     def standing(self) -> tuple[Sample, ...]:
         """A copy of the latest samples at rest."""
@@ -121,9 +121,9 @@ class LiveSensors:
             self._wanted = Wanted(why, samples)
 
     def wanted(self) -> Wanted | None:
-        """What `want` has left, once."""
-        taken, self._wanted = self._wanted, None
-        return taken
+        """The request that `want` has left, once."""
+        wanted, self._wanted = self._wanted, None
+        return wanted
 
     def estimate(self, wanted: Wanted) -> str:
         """Estimate and apply; what to say. Raises RefusedError; an earlier estimate stays."""
@@ -132,17 +132,17 @@ class LiveSensors:
             if self._armed and not wanted.samples:
                 what = 'it is armed: disarm it first; biases are estimated with the motors off'
                 raise RefusedError(what)  # noqa: TRY301
-            found = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
+            estimate = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
         except RefusedError as why:
-            self.warned = len(rows) > 0 and float(np.ptp(rows[:, 0])) >= LEAST_S
+            self.warned = len(rows) > 0 and float(np.ptp(rows[:, 0])) >= MIN_S
             earlier = '; the earlier one stays' if self.rest is not None else ''
             self.words = f'gyro bias not estimated ({wanted.why}): {why}{earlier}'
             raise RefusedError(self.words) from why
-        bias = ', '.join(f'{v:+.5f}' for v in found.gyro_bias)
+        bias = ', '.join(f'{v:+.5f}' for v in estimate.gyro_bias)
         now = datetime.now(timezone.utc)
         self.words = f'gyro bias {bias} rad/s at rest, {wanted.why} {now:%H:%M:%S} UTC'
-        self.warned, self.rest = False, found
+        self.warned, self.rest = False, estimate
         if self._correct:
             with self._lock:
-                self._fresh = Correction(found.gyro_bias)
+                self._fresh = Correction(estimate.gyro_bias)
         return self.words

@@ -1,7 +1,7 @@
 """Gyro bias and drift, accelerometer bias and level offsets of an aircraft that stands still.
 
 Pure: arrays in, one estimate out, or a refusal where it moves. Standing on level ground a tilt of
-the sensor and a bias of its x and y cannot be told apart: they are one level offset.
+the sensor and a bias of its x and y cannot be distinguished: they are one level offset.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ FloatArray = npt.NDArray[np.float64]
 
 GRAVITY = 9.80665
 BLOCK_S = 0.5
-LEAST_S = 5.0
+MIN_S = 5.0
 STILL_RATE = 0.01  # rad/s: by how much the mean of a block may leave the straight line through all
 STILL_ACCELERATION = 0.15  # m/s²: the same for the accelerations
-MOST_READING = 1e4  # rad/s, m/s²: a larger value is damaged and not used
-MOST_BIAS = 0.15  # rad/s: more is no bias but a turn, or a sensor that is broken
-MOST_NORM_ERROR = 0.8  # m/s²: by how much the measured gravity may be off
+MAX_READING = 1e4  # rad/s, m/s²: a larger value is damaged and not used
+MAX_BIAS = 0.15  # rad/s: more is no bias but a turn, or a sensor that is broken
+MAX_NORM_ERROR = 0.8  # m/s²: by how much the measured gravity may be off
 
 
 @dataclass(frozen=True)
 class RestEstimate:
-    """Of the time in the middle; standard errors where they are known."""
+    """Estimates for the middle of the recording; standard errors where they are known."""
 
     duration_s: float
     gyro_bias: tuple[float, float, float]  # rad/s, body axes x y z
@@ -48,17 +48,17 @@ def estimate_at_rest(
     Axes FLU; at rest the acceleration points up. Raises RefusedError, in one line, where the data
     are too short or the aircraft moves.
     """
-    good = (np.abs(np.hstack([gyro, acceleration])) < MOST_READING).all(axis=1)
-    t, rates, felt = times[good], gyro[good], acceleration[good]
+    good = (np.abs(np.hstack([gyro, acceleration])) < MAX_READING).all(axis=1)
+    t, rates, force = times[good], gyro[good], acceleration[good]
     duration = float(t[-1] - t[0]) if len(t) else 0.0
-    if duration < LEAST_S:
-        raise RefusedError(f'only {duration:.1f} s of data; let it stand still for {LEAST_S:g} s')
+    if duration < MIN_S:
+        raise RefusedError(f'only {duration:.1f} s of data; let it stand still for {MIN_S:g} s')
     middle = 0.5 * (t[0] + t[-1])
     blocks = np.minimum((t - t[0]) // BLOCK_S, duration // BLOCK_S - 1).astype(int)
     clock = _means(t[:, None], blocks)[:, 0] - middle
     line, errors, off = _line(clock, _means(rates, blocks))
     _still(off, STILL_RATE, 'rad/s', 'turns')
-    tilt, _, off = _line(clock, _means(felt, blocks))
+    tilt, _, off = _line(clock, _means(force, blocks))
     _still(off, STILL_ACCELERATION, 'm/s²', 'is moved or shaken')
     tilted = float(np.abs(tilt[1]).max()) * duration
     if tilted > STILL_ACCELERATION:
@@ -67,12 +67,12 @@ def estimate_at_rest(
             f'below {STILL_ACCELERATION:g} m/s²; let it stand still'
         )
     bias = line[0]
-    if np.abs(bias).max() > MOST_BIAS:
+    if np.abs(bias).max() > MAX_BIAS:
         axis = 'xyz'[int(np.argmax(np.abs(bias)))]
         raise RefusedError(f'rate {axis} is {np.abs(bias).max():.3f} rad/s throughout: it turns')
-    up = felt.mean(axis=0)
+    up = force.mean(axis=0)
     norm = float(np.linalg.norm(up))
-    if abs(norm - GRAVITY) > MOST_NORM_ERROR:
+    if abs(norm - GRAVITY) > MAX_NORM_ERROR:
         raise RefusedError(f'gravity is measured as {norm:.2f} m/s²; calibrate the accelerometer')
     level = float(np.arctan2(up[1], up[2])), float(np.arctan2(-up[0], np.hypot(up[1], up[2])))
     return RestEstimate(

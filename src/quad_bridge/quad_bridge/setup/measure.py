@@ -1,4 +1,4 @@
-"""What the wizard makes of what it measures: values of the table's SET_UP rows. Pure.
+"""The wizard's measurements as values of the table's SET_UP rows. Pure.
 
 Vectors are in the firmware's axes, FRD; `raw` is what the chips show in the axes of the board,
 before offsets, scales and the board's turn.
@@ -17,12 +17,12 @@ FloatArray = npt.NDArray[np.float64]
 Values = dict[str, float]
 
 GRAVITY_M_S2 = 9.80665
-LEAST_MOVE_US = 150.0  # of a stick or switch that was moved
+MIN_MOVE_US = 150.0  # least travel of a stick or switch that was moved
 ON_US = 1750.0  # a switch is on above it (SWITCHED_US of the firmware)
 SNAP_RAD = np.radians(15.0)
 """A board that is turned by a quarter turn, within this, is meant to be turned by one."""
-LEAST_COVERED = 1.2  # of the compass' radius, in each axis: it has seen both ends
-ROUND_SHARE = 0.15  # of the radius: how far the field's points may lie from a sphere
+MIN_COVERED = 1.2  # least span in each axis, in radii of the compass: both ends are seen
+ROUND_SHARE = 0.15  # largest distance of the field's points from a sphere, in radii
 
 FORCES = {
     'level, on its feet': (0.0, 0.0, -1.0),
@@ -76,8 +76,8 @@ def moved(before: Sequence[float], after: Sequence[float], what: str) -> int:
     """Channel (from 1) that moved alone. Raises RefusedError where none or two did."""
     change = np.abs(np.subtract(after, before))
     order = np.argsort(change)[::-1]
-    if change[order[0]] < LEAST_MOVE_US:
-        raise RefusedError(f'{what}: no channel moved by {LEAST_MOVE_US:g} µs')
+    if change[order[0]] < MIN_MOVE_US:
+        raise RefusedError(f'{what}: no channel moved by {MIN_MOVE_US:g} µs')
     if change[order[1]] > 0.5 * change[order[0]]:
         pair = sorted(int(i) + 1 for i in order[:2])
         raise RefusedError(f'{what}: channels {pair[0]} and {pair[1]} moved: switch mixes off')
@@ -94,7 +94,7 @@ def stick(
               f'receiver.{name}_max_us': high}  # fmt: skip
     if name == 'throttle':
         return values
-    if not min(low, high) + LEAST_MOVE_US <= middle <= max(low, high) - LEAST_MOVE_US:
+    if not min(low, high) + MIN_MOVE_US <= middle <= max(low, high) - MIN_MOVE_US:
         raise RefusedError(f'{name}: at rest {middle:.0f} µs, which is no middle of {low:.0f} and '
                            f'{high:.0f}: let it go before you begin')  # fmt: skip
     return {**values, f'receiver.{name}_centre_us': middle}
@@ -115,15 +115,15 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
 
     Raises RefusedError where these are no six positions of one board.
     """
-    felt = np.array([raw[name] for name in FORCES])
+    force = np.array([raw[name] for name in FORCES])
     place = GRAVITY_M_S2 * np.array(list(FORCES.values()))
     # raw = offset + force_body @ A, A = turn / scale, by least squares
-    solved, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), place]), felt, rcond=None)
+    solved, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), place]), force, rcond=None)
     offset, shaped = solved[0], solved[1:]
     scale = 1.0 / np.maximum(np.linalg.norm(shaped, axis=0), 1e-6)
     left, _, right = np.linalg.svd(shaped * scale)
     rotation = left @ right
-    off = felt - offset - place @ (rotation / scale)
+    off = force - offset - place @ (rotation / scale)
     worst = int(np.argmax(np.linalg.norm(off, axis=1)))
     if np.linalg.det(rotation) < 0.0 or np.linalg.norm(off[worst]) > 0.35 * GRAVITY_M_S2:
         raise RefusedError(f'the six positions do not fit one board: {list(FORCES)[worst]!r} is '
@@ -156,7 +156,7 @@ def compass(raw: FloatArray) -> Values:
     centre = solved[:3]
     radius = float(np.sqrt(max(solved[3] + centre @ centre, 1e-12)))
     covered = np.ptp(raw, axis=0) / radius
-    if covered.min() < LEAST_COVERED:
+    if covered.min() < MIN_COVERED:
         axis = 'xyz'[int(covered.argmin())]
         raise RefusedError('the compass: not turned through all directions: too little along '
                            f'its {axis} axis; turn it over as well')  # fmt: skip

@@ -75,16 +75,16 @@ class Talk:
             self.texts.append(came.text)
 
     def to_send(self) -> bytes:
-        """What goes out now."""
-        asked = self._protocol.poll(self._now_s())
-        frames, self._queue = [*self._queue, *([asked] if asked is not None else [])], []
+        """The bytes to send now."""
+        request = self._protocol.poll(self._now_s())
+        frames, self._queue = [*self._queue, *([request] if request is not None else [])], []
         return b''.join(self._encoder.encode(one) for one in frames)
 
     def wait(self, seconds: float) -> None:
         """Let so much time pass on the line."""
         self._wait(self, seconds)
 
-    # What the wizard asks.
+    # Requests of the wizard.
 
     @property
     def aircraft(self) -> str:

@@ -24,7 +24,7 @@ from quad_bridge.gains.history import default_folder
 from quad_bridge.gains.table import ROWS, SET_UP
 from quad_bridge.key_file import signing_from
 from quad_bridge.link.port import SerialPort
-from quad_bridge.motor_test import MOST_THROTTLE, USUAL_THROTTLE
+from quad_bridge.motor_test import MAX_THROTTLE, USUAL_THROTTLE
 from quad_bridge.setup import measure
 from quad_bridge.setup.talk import Talk
 from quad_bridge.wire.frames import Flag
@@ -40,7 +40,7 @@ _STICKS = (
     ('pitch', 'all the way back, towards you', 'all the way forward'),
     ('yaw', 'all the way right', 'all the way left'),
 )
-"""Which way is less and which is more, as /rc/in has it."""
+"""Words for the lower and the upper end of a stick, as in /rc/in."""
 
 Ask = Callable[[str], str]
 
@@ -51,7 +51,7 @@ class Wizard:
     def __init__(self, talk: Talk, ask: Ask, tell: Callable[[str], object]) -> None:
         self._talk, self._ask, self._tell = talk, ask, tell
         self.written: dict[str, float] = {}
-        """What has been changed, by name."""
+        """The changed values, by name."""
 
     def run(self, only: Sequence[str] = ()) -> dict[str, float]:
         """Ask for each step, or only for these; what has been changed."""
@@ -85,17 +85,17 @@ class Wizard:
         """Do a step until it is good, or is left out."""
         while True:
             try:
-                found = step()
+                values = step()
             except RefusedError as error:
                 self._tell(f'  {error}')
                 if self._yes('  again'):
                     continue
                 return
-            for name, value in found.items():
+            for name, value in values.items():
                 self._tell(f'  {name:28s} {self._now(name):10.4g} -> {value:10.4g} '
                            f'{ROWS[name].unit}')  # fmt: skip
             if self._yes('  write these'):
-                changed = changed_by(found, self._talk.values)
+                changed = changed_by(values, self._talk.values)
                 if changed:
                     self._talk.write(changed)
                 self.written |= changed
@@ -126,38 +126,38 @@ class Wizard:
     def _receiver(self) -> dict[str, float]:
         self._ready('sticks in the middle, throttle down, all switches off')
         rest = self._talk.pulses()
-        found: dict[str, float] = {}
+        values: dict[str, float] = {}
         for name, less, more in _STICKS:
             pulses = []
             for where in (less, more):
                 self._ready(f'hold {name} {where}')
                 pulses.append(self._talk.pulses())
-            found |= measure.stick(name, rest, *pulses)
+            values |= measure.stick(name, rest, *pulses)
         self._ready('let the sticks go, throttle down')
         off = self._talk.pulses()
         for name, words in (('kill', 'kill switch'), ('arm', 'arming switch'),
                             ('hold', 'switch of the height mode')):  # fmt: skip
             if name != 'kill' and not self._yes(f'  is there a {words}'):
-                found[f'receiver.{name}_channel'] = 0.0
+                values[f'receiver.{name}_channel'] = 0.0
                 continue
             self._ready(f'{words} on')
-            found |= measure.switch(name, off, self._talk.pulses())
+            values |= measure.switch(name, off, self._talk.pulses())
             self._ready(f'{words} off again')
-        if len({value for name, value in found.items() if name.endswith('_channel') and value}
-               ) < sum(bool(value) for name, value in found.items() if name.endswith('_channel')):
+        if len({value for name, value in values.items() if name.endswith('_channel') and value}
+               ) < sum(bool(value) for name, value in values.items() if name.endswith('_channel')):
             raise RefusedError('two of them are on one channel')
         dead = self._now('receiver.deadband_us')
-        found['receiver.deadband_us'] = self._number('deadband, µs', dead, 0.0, 100.0)
-        return found
+        values['receiver.deadband_us'] = self._number('deadband, µs', dead, 0.0, 100.0)
+        return values
 
     def _pulses(self) -> dict[str, float]:
-        found = {}
+        values = {}
         for end, words in (('min', 'a motor that stands'), ('max', 'full throttle')):
             name = f'motors.pulse_{end}_us'
-            found[name] = self._number(f'pulse of {words}, µs', self._now(name), 800.0, 2200.0)
-        if not found['motors.pulse_max_us'] >= found['motors.pulse_min_us'] + 200.0:
+            values[name] = self._number(f'pulse of {words}, µs', self._now(name), 800.0, 2200.0)
+        if not values['motors.pulse_max_us'] >= values['motors.pulse_min_us'] + 200.0:
             raise RefusedError('full throttle must be at least 200 µs above standing')
-        return found
+        return values
 
     def _positions(self) -> dict[str, float]:
         raw = {}
@@ -181,7 +181,7 @@ class Wizard:
     def _outputs(self) -> dict[str, float]:
         if self._ask('  type OFF once all propellers are off: ').strip().upper() != 'OFF':
             raise RefusedError('no motor is spun with a propeller on')
-        throttle = self._number('throttle, 0 to 1', USUAL_THROTTLE, 0.01, MOST_THROTTLE)
+        throttle = self._number('throttle, 0 to 1', USUAL_THROTTLE, 0.01, MAX_THROTTLE)
         seen, wrong = {}, []
         for motor in range(1, 5):
             self._ready(f'motor {motor} spins for {SPIN_S:g} s')
@@ -198,7 +198,7 @@ class Wizard:
 
 
 def changed_by(wanted: Mapping[str, float], now: Mapping[str, float]) -> dict[str, float]:
-    """What differs, inside the firmware's limits and as the wire carries it."""
+    """The values that differ, inside the firmware's limits and as the wire carries them."""
     bounded = {}
     for name, value in wanted.items():
         low, high = ROWS[name].limits or (value, value)
@@ -223,15 +223,15 @@ def load(path: Path) -> dict[str, float]:
     """The values of such a file. Raises BadInputError with file, name and value."""
     try:
         entry = yaml.safe_load(path.read_text(encoding='utf-8'))
-        given = dict(entry['set_up'])
+        stored = dict(entry['set_up'])
     except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError) as error:
         raise BadInputError(str(path), f'is no file of setup ({type(error).__name__})') from error
-    for name, value in given.items():
+    for name, value in stored.items():
         low, high = (ROWS[name].limits or (1.0, 0.0)) if name in NAMES else (1.0, 0.0)
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not number or not low <= value <= high:
             raise BadInputError(f'{path}: {name}', 'is no value of a set-up', repr(value))
-    return {name: float(np.float32(value)) for name, value in given.items()}
+    return {name: float(np.float32(value)) for name, value in stored.items()}
 
 
 def _ask(words: str) -> str:
@@ -288,28 +288,28 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="of the aircraft's files; default as the bridge's state_folder")
     parser.add_argument('--restore', type=Path, metavar='FILE',
                         help='write what such a file holds, instead of measuring')
-    given = parser.parse_args(argv)
+    args = parser.parse_args(argv)
     known = ('receiver', 'motors', 'board', 'compass', 'battery', 'outputs')
-    for name in given.only:
+    for name in args.only:
         if name not in known:
             parser.error(f'no step {name!r}: known are {", ".join(known)}')
-    return ended_in_one_line('setup', lambda: _set_up(given))
+    return ended_in_one_line('setup', lambda: _set_up(args))
 
 
-def _set_up(given: argparse.Namespace) -> int:
-    restored = load(given.restore) if given.restore is not None else None
-    line = _Line(given.port, given.baud)
-    talk = Talk(line.wait, time.monotonic, signing_from(given.key))
+def _set_up(args: argparse.Namespace) -> int:
+    restored = load(args.restore) if args.restore is not None else None
+    line = _Line(args.port, args.baud)
+    talk = Talk(line.wait, time.monotonic, signing_from(args.key))
     with contextlib.closing(line):
         if restored is None:
-            Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(given.only)
+            Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(args.only)
         else:
             talk.read()
             changed = changed_by(restored, talk.values)
             if changed:
                 talk.write(changed)
             say(f'{len(changed)} values written\n')
-        path = (given.folder or default_folder()) / talk.aircraft / FILE
+        path = (args.folder or default_folder()) / talk.aircraft / FILE
         save(path, talk.aircraft, talk.values)
         say(f'{path}\n')
     return 0

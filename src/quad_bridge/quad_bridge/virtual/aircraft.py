@@ -1,7 +1,7 @@
 """One virtual aircraft in memory: its profile's numbers and its state, run cycle by cycle.
 
 The same seed and inputs give the same flight, in one call or cycle by cycle. No clock, no I/O. The
-firmware in its memory flies it (`run`), or one elsewhere (`measure`, `move`).
+firmware in its memory flies it (`run`), or another one (`measure`, `move`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from quad_bridge.gains.table import AXES, ROWS, split
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.cycle import (
-    LARGEST_DELAY,
+    MAX_DELAY,
     NORMALS_PER_CYCLE,
     NORMALS_PER_STEP,
     OBSERVED,
@@ -35,7 +35,7 @@ from quad_bridge.virtual.physics import initial_state
 from quad_bridge.virtual.plant import build_plant, hover_throttle
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Channels
-from quad_bridge.virtual.sensors import MAG, PRESSURE, TAKEN, build_chips, initial_sensors
+from quad_bridge.virtual.sensors import MAG, PRESSURE, SAMPLES, build_chips, initial_sensors
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -96,7 +96,7 @@ class Aircraft:
             state=initial_state(start, plant.capacity_as, running),
             sensed=sensed,
             samples=samples,
-            queue=np.full((LARGEST_DELAY + 1, 4), running),
+            queue=np.full((MAX_DELAY + 1, 4), running),
             acting=np.full(4, running),
             firmware=self.firmware.memory,
             gains=self.firmware.gains(),
@@ -142,7 +142,7 @@ class Aircraft:
             volts / self._divider, *(1e4 * sensed[MAG : MAG + 3]), sensed[PRESSURE] / 100.0,
             math.nan,
         )  # fmt: skip
-        samples = machine.samples[: int(sensed[TAKEN])]
+        samples = machine.samples[: int(sensed[SAMPLES])]
         return hil.sensors(self.time_us, pulses, channels.failsafe, slow, samples)
 
     def move(self, motors: hil.Motors) -> None:
@@ -160,25 +160,25 @@ class Aircraft:
         """Device time of the coming cycle."""
         return round(self._cycle * self.cycle_s * 1e6)
 
-    def run(self, given: FloatArray) -> FloatArray:
-        """Fly the cycles whose inputs are `given` (n, INPUTS); returns the log (n, WIDTH)."""
-        log = np.zeros((given.shape[0], WIDTH))
+    def run(self, inputs: FloatArray) -> FloatArray:
+        """Fly the cycles with these inputs (n, INPUTS); returns the log (n, WIDTH)."""
+        log = np.zeros((inputs.shape[0], WIDTH))
         width = NORMALS_PER_CYCLE + self._steps * NORMALS_PER_STEP
-        for start in range(0, given.shape[0], BLOCK_CYCLES):
-            block = slice(start, min(start + BLOCK_CYCLES, given.shape[0]))
+        for start in range(0, inputs.shape[0], BLOCK_CYCLES):
+            block = slice(start, min(start + BLOCK_CYCLES, inputs.shape[0]))
             normals = self._rng.standard_normal((block.stop - start, width))
             if self._effect is None:
-                run_cycles(self.machine, self._cycle, given[block], normals, log[block])
+                run_cycles(self.machine, self._cycle, inputs[block], normals, log[block])
             else:
                 for row in range(block.stop - start):
-                    self._stepwise(row, given[block][row], normals[row], log[block][row])
+                    self._stepwise(row, inputs[block][row], normals[row], log[block][row])
             self._cycle += block.stop - start
         return log
 
-    def _stepwise(self, row: int, given: FloatArray, normals: FloatArray, log: FloatArray) -> None:
+    def _stepwise(self, row: int, inputs: FloatArray, noise: FloatArray, log: FloatArray) -> None:
         """One cycle with the Python effect called before every physics step."""
-        begin_cycle(self.machine, self._cycle + row, given, normals[:NORMALS_PER_CYCLE], log)
-        self._effect_steps(normals[NORMALS_PER_CYCLE:])
+        begin_cycle(self.machine, self._cycle + row, inputs, noise[:NORMALS_PER_CYCLE], log)
+        self._effect_steps(noise[NORMALS_PER_CYCLE:])
 
     def _effect_steps(self, normals: FloatArray) -> None:
         for start in range(0, normals.size, NORMALS_PER_STEP):

@@ -1,4 +1,4 @@
-"""What the aircraft is made of: mass, arm, inertia, motors, battery, mount. Values only.
+"""Parameters of the aircraft: mass, arm, inertia, motors, battery, mount. Values only.
 
 Defaults are the airframe of Telli and Boumehraz (section 2.1): 1.2 kg, X frame, 4 x 940 g thrust,
 3S 4500 mAh; what the paper does not give (inertia, lag, battery resistance) is plausible for that
@@ -65,7 +65,7 @@ class Battery:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What acts on the rotation in one mount, per axis roll, pitch, yaw."""
+    """Effects on the rotation in one mount, per axis roll, pitch, yaw."""
 
     damping_per_s: Vector  # viscous torque over rate and inertia
     bias_torque_nm: Vector

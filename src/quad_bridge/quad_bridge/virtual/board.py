@@ -14,7 +14,7 @@ from pathlib import Path
 
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.errors import ConfigurationError
-from quad_bridge.virtual.native import PROGRAM, find
+from quad_bridge.virtual.native import PROGRAM, built_file
 
 ELF, EMULATOR, MACHINE = 'stm32f405.elf', 'qemu-system-arm', 'netduinoplus2'
 END_S = 10.0  # after which a firmware that does not end is killed
@@ -38,7 +38,7 @@ class Board:
         with far:
             command = ['virtual_stm32', *map(str, options)]
             return cls(line, subprocess.Popen(  # noqa: S603
-                command, executable=find(PROGRAM), stdin=far.fileno()
+                command, executable=built_file(PROGRAM), stdin=far.fileno()
             ))  # fmt: skip
 
     def send(self, frame: bytes) -> None:
@@ -49,7 +49,7 @@ class Board:
             raise EndedError from error
 
     def motors(self) -> hil.Motors:
-        """What it answers; EndedError where it has ended."""
+        """Its answer; raises EndedError where it has ended."""
         try:
             frame = self._line.recv(hil.MOTORS_BYTES, socket.MSG_WAITALL)
         except OSError as error:
@@ -84,8 +84,8 @@ class EmulatedBoard(Board):
         if emulator is None:
             remedy = 'on Debian and Ubuntu apt install qemu-system-arm'
             raise ConfigurationError('--qemu', f'{EMULATOR} is not installed', remedy=remedy)
-        with tempfile.TemporaryDirectory() as room, socket.socket(socket.AF_UNIX) as listener:
-            path = str(Path(room) / 'line')
+        with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX) as listener:
+            path = str(Path(folder) / 'line')
             listener.bind(path)
             listener.listen()
             listener.settimeout(START_S)
@@ -100,8 +100,8 @@ class EmulatedBoard(Board):
                 line, _ = listener.accept()
             except OSError as error:
                 process.kill()
-                said = process.communicate()[0].decode(errors='replace')
-                raise ConfigurationError('--qemu', f'{EMULATOR} did not start: {said}') from error
+                text = process.communicate()[0].decode(errors='replace')
+                raise ConfigurationError('--qemu', f'{EMULATOR} did not start: {text}') from error
         line.settimeout(None)
         super().__init__(line, process)
         self.path, self._link = self._pseudo_terminal(), link
@@ -111,12 +111,12 @@ class EmulatedBoard(Board):
             fresh.replace(link)
 
     def _pseudo_terminal(self) -> str:
-        said = self._process.stdout.readline().decode() if self._process.stdout else ''
-        found = re.search(r'/dev/pts/\d+', said)
-        if found is None:
+        output = self._process.stdout.readline().decode() if self._process.stdout else ''
+        match = re.search(r'/dev/pts/\d+', output)
+        if match is None:
             self._process.kill()
-            raise ConfigurationError('--qemu', f'{EMULATOR} names no port: {said}')
-        return found[0]
+            raise ConfigurationError('--qemu', f'{EMULATOR} names no port: {output}')
+        return match[0]
 
     def close(self) -> int:
         """End it; 0 where it ran until now."""

@@ -29,7 +29,7 @@ from quad_bridge.virtual.physics import (
 )
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import euler_from_quaternion
-from quad_bridge.virtual.sensors import MAG, PRESSURE, TAKEN, Chips, sense_cycle, sense_step
+from quad_bridge.virtual.sensors import MAG, PRESSURE, SAMPLES, Chips, sense_cycle, sense_step
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -38,8 +38,8 @@ STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW, HOLD = 5, 6, 7, 8, 9
 INPUTS = 10
 """Columns of what reaches a cycle from outside: armed 0/1, injection 0..4 (none, attitude, rate,
 control, thrust), excitation (3), sticks -1..1, throttle 0..1, height mode 0/1."""
-LARGEST_DELAY = 4
-MOST_HELD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
+MAX_DELAY = 4
+MAX_HELD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
 NORMALS_PER_STEP = 9
 NORMALS_PER_CYCLE = 7
 
@@ -66,7 +66,7 @@ COLUMNS: dict[str, slice] = {
 }
 """Columns of a log row, by name."""
 WIDTH = 45
-TOLD = 25  # numbers that the firmware writes (boards/linux/library.c)
+OUTPUTS = 25  # numbers that the firmware writes (boards/linux/library.c)
 OBSERVED = 12
 
 
@@ -90,7 +90,7 @@ class Machine(NamedTuple):
     state: FloatArray
     sensed: FloatArray
     samples: FloatArray  # (n, 6) gyro and accelerometer, chip axes
-    queue: FloatArray  # (LARGEST_DELAY + 1, 4) motor commands on their way
+    queue: FloatArray  # (MAX_DELAY + 1, 4) motor commands on their way
     acting: FloatArray  # (4,) motor commands that act during the present cycle
     firmware: npt.NDArray[np.uint8]  # the C firmware's memory
     gains: npt.NDArray[np.float32]
@@ -99,16 +99,16 @@ class Machine(NamedTuple):
 
 @kernel
 def held_throttle(machine: Machine, throttle: float) -> float:
-    """What the pilot makes of a trim to hold the height."""
+    """The pilot's throttle, which adds to a trim what holds the height."""
     state = machine.state
     hold = -machine.climb_kp * state[POSITION + 2] - machine.climb_kd * state[VELOCITY + 2]
-    return float(min(1.0, max(0.0, throttle + min(MOST_HELD, max(-MOST_HELD, hold)))))
+    return float(min(1.0, max(0.0, throttle + min(MAX_HELD, max(-MAX_HELD, hold)))))
 
 
 @kernel
 def delayed(machine: Machine, cycle: int, commands: FloatArray) -> None:
     """Put this cycle's commands in the queue; those that are due act."""
-    rows = LARGEST_DELAY + 1
+    rows = MAX_DELAY + 1
     for i in range(4):
         machine.queue[cycle % rows, i] = commands[i]
     for i in range(4):
@@ -117,27 +117,27 @@ def delayed(machine: Machine, cycle: int, commands: FloatArray) -> None:
 
 @kernel
 def begin(
-    machine: Machine, cycle: int, given: FloatArray, normals: FloatArray, log: FloatArray
+    machine: Machine, cycle: int, inputs: FloatArray, normals: FloatArray, log: FloatArray
 ) -> None:
     """The firmware's part of a cycle; fills the log row and `acting`."""
     state, sensed = machine.state, machine.sensed
     sense_cycle(sensed, state, machine.chips, normals, cycle)
-    used, told = np.empty(INPUTS), np.empty(TOLD)
+    used, outputs = np.empty(INPUTS), np.empty(OUTPUTS)
     for i in range(INPUTS):
-        used[i] = given[i]
-    if given[HOLD] < 0.5:
-        used[THROTTLE] = held_throttle(machine, given[THROTTLE])
+        used[i] = inputs[i]
+    if inputs[HOLD] < 0.5:
+        used[THROTTLE] = held_throttle(machine, inputs[THROTTLE])
     volts = battery_voltage(state, machine.plant)
     log[29] = _fly(
         machine.firmware.ctypes.data, machine.gains.ctypes.data, used.ctypes.data, volts,
         sensed[PRESSURE], sensed[MAG : MAG + 3].ctypes.data, machine.samples.ctypes.data,
-        int(sensed[TAKEN]), told.ctypes.data,
+        int(sensed[SAMPLES]), outputs.ctypes.data,
     )  # fmt: skip
     for i in range(23):
-        log[1 + i] = told[i]
-    log[43] = told[23]
-    log[44] = told[24]
-    sensed[TAKEN] = 0.0
+        log[1 + i] = outputs[i]
+    log[43] = outputs[23]
+    log[44] = outputs[24]
+    sensed[SAMPLES] = 0.0
     delayed(machine, cycle, log[20:24])
     log[0] = state[TIME]
     log[24] = volts
@@ -179,23 +179,23 @@ def _entries(digest: str) -> tuple[Callable[..., None], ...]:
 
     @entry
     def run_cycles(
-        machine: Machine, first: int, given: FloatArray, normals: FloatArray, log: FloatArray
+        machine: Machine, first: int, inputs: FloatArray, normals: FloatArray, log: FloatArray
     ) -> None:
         _ = digest
         extra = np.zeros(3)
         steps = (normals.shape[1] - NORMALS_PER_CYCLE) // NORMALS_PER_STEP
-        for row in range(given.shape[0]):
-            begin(machine, first + row, given[row], normals[row], log[row])
+        for row in range(inputs.shape[0]):
+            begin(machine, first + row, inputs[row], normals[row], log[row])
             for step in range(steps):
                 start = NORMALS_PER_CYCLE + step * NORMALS_PER_STEP
                 advance(machine, normals[row, start : start + NORMALS_PER_STEP], extra)
 
     @entry
     def begin_cycle(
-        machine: Machine, cycle: int, given: FloatArray, normals: FloatArray, log: FloatArray
+        machine: Machine, cycle: int, inputs: FloatArray, normals: FloatArray, log: FloatArray
     ) -> None:
         _ = digest
-        begin(machine, cycle, given, normals, log)
+        begin(machine, cycle, inputs, normals, log)
 
     @entry
     def measure_cycle(
@@ -214,7 +214,7 @@ def _entries(digest: str) -> tuple[Callable[..., None], ...]:
         """Put the commands under way and run the physics as far as `normals` go."""
         _ = digest
         extra = np.zeros(3)
-        machine.sensed[TAKEN] = 0.0
+        machine.sensed[SAMPLES] = 0.0
         delayed(machine, cycle, commands)
         for start in range(0, normals.size, NORMALS_PER_STEP):
             advance(machine, normals[start : start + NORMALS_PER_STEP], extra)

@@ -13,7 +13,7 @@ from quad_bridge.virtual.airframe import Vector, require
 
 @dataclass(frozen=True)
 class Effect:
-    """What each effect has: its switch."""
+    """The part that all effects share: a switch."""
 
     enabled: bool = False
 
@@ -115,7 +115,7 @@ class GyroscopicCoupling(Effect):
 
     rotor_scale: float = 1.0
     extra_momentum_nm_s: float = 0.0
-    """Of a steady spin about body z, positive counter-clockwise from above."""
+    """Momentum of a steady spin about body z, positive counter-clockwise from above."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class PeriodicDisturbance(Effect):
 
 @dataclass(frozen=True)
 class StepEvent(Effect):
-    """From `time_s` on the drive is scaled by 1 + gain_change and a torque added."""
+    """After `time_s` the drive is scaled by 1 + gain_change and a torque is added."""
 
     time_s: float = 30.0
     gain_change: Vector = (0.0, 0.0, 0.0)
@@ -173,7 +173,7 @@ class Ground(Effect):
     """
 
     height_m: float = 0.0
-    """Of the ground in the world; the flight begins at 0."""
+    """Height of the ground in the world; the flight begins at 0."""
     rotor_radius_m: float = 0.127
     rotor_height_m: float = 0.12  # above the ground, standing
 

@@ -29,7 +29,7 @@ class Boot:
     rate_hz: int
     armed: bool
     may_arm: bool
-    samples: int  # of gyro and accelerometer in a cycle
+    samples: int  # number of samples of gyro and accelerometer in a cycle
     lockstep: bool
     stick_angle: float
     stick_yaw_rate: float
@@ -54,7 +54,7 @@ class Boot:
 
 @dataclass(frozen=True)
 class Motors:
-    """What comes back from a cycle; times in µs of the board's timer, worst so far."""
+    """The result of a cycle; times in µs of the board's timer, the worst so far."""
 
     time_us: int
     commands: tuple[float, float, float, float]

@@ -1,6 +1,6 @@
 """The end of the lockstep line that owns the clock; the others' end is quad_bridge/lockstep.py.
 
-It tells the time, takes the answers of all who take part, and says whether time may go on.
+It sends the time, receives the answers of all participants, and decides whether time may go on.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from quad_bridge.errors import BadInputError
 from quad_bridge.lockstep import START_NS, WINDOW_NS, WIRE
 
-TOLD_S = 10.0  # whoever lets simulated time stand still for so long is named
+STALLED_S = 10.0  # whoever lets simulated time stand still for so long is named
 
 
 @dataclass
@@ -73,7 +73,7 @@ class Line:
         return self.slowest_ns >= self._now_ns - WINDOW_NS
 
     def tell(self, now_ns: int) -> None:
-        """Tell the time, before anything of that time is sent elsewhere."""
+        """Send the time, before anything of that time is sent to others."""
         if now_ns > self._now_ns:
             self._now_ns, self._since_s = now_ns, time.monotonic()
         published = {WIRE: now_ns, **self.published}
@@ -93,7 +93,7 @@ class Line:
             else:
                 self._hear(one)
         stands_s = time.monotonic() - self._since_s
-        if stands_s > TOLD_S and not self.ready:
+        if stands_s > STALLED_S and not self.ready:
             self._since_s = time.monotonic()
             slow = [m.name for m in self._members.values() if m.reached_ns == self.slowest_ns]
             self._say(f'simulated time waits for {", ".join(slow) or "the first node"}\n')
@@ -111,7 +111,7 @@ class Line:
     def _drop(self, line: socket.socket) -> None:
         del self._members[line]
         line.close()
-        self.tell(self._now_ns)  # what it published is waited for no more
+        self.tell(self._now_ns)  # nobody waits for its messages any more
 
     def close(self) -> None:
         """Hang up."""

@@ -20,7 +20,7 @@ from quad_bridge.virtual.errors import ConfigurationError
 VARIABLE = 'QUAD_FIRMWARE'
 """The environment variable that names the folder of a build of one's own, which comes first."""
 PROGRAM, LIBRARY = 'quad_firmware', 'libquad_firmware.so'
-MOTORS_BYTES, LARGEST_ANSWER = 42, 2048  # of a motor frame; of what waits to be sent
+MOTORS_BYTES, MAX_ANSWER = 42, 2048  # size of a motor frame, of the frames to send
 
 
 def _folders() -> Iterator[Path]:
@@ -32,7 +32,7 @@ def _folders() -> Iterator[Path]:
     yield Path(__file__).resolve().parents[4] / 'firmware' / 'build'
 
 
-def find(name: str) -> Path:
+def built_file(name: str) -> Path:
     """The built file of this name; raises ConfigurationError where there is none."""
     looked = list(dict.fromkeys(_folders()))
     for folder in looked:
@@ -47,7 +47,7 @@ def find(name: str) -> Path:
 @functools.cache
 def library() -> ctypes.CDLL:
     """The firmware's library; its symbols are there for compiled code as well."""
-    loaded = ctypes.CDLL(str(find(LIBRARY)), mode=ctypes.RTLD_GLOBAL)
+    loaded = ctypes.CDLL(str(built_file(LIBRARY)), mode=ctypes.RTLD_GLOBAL)
     loaded.quad_library_size.restype = ctypes.c_size_t
     loaded.quad_library_send.restype = ctypes.c_size_t
     return loaded
@@ -84,10 +84,10 @@ class NativeFirmware:
         return motors.raw
 
     def send(self) -> bytes:
-        """What waits for the bridge."""
-        room = ctypes.create_string_buffer(LARGEST_ANSWER)
-        count = self._library.quad_library_send(self._state, room, ctypes.c_size_t(len(room)))
-        return room.raw[:count]
+        """The bytes that wait for the bridge."""
+        buffer = ctypes.create_string_buffer(MAX_ANSWER)
+        count = self._library.quad_library_send(self._state, buffer, ctypes.c_size_t(len(buffer)))
+        return buffer.raw[:count]
 
     def gains(self) -> npt.NDArray[np.float32]:
         """(n,) parameters in force, in the order of their index."""
@@ -102,7 +102,7 @@ class NativeFirmware:
         return tuple(values)
 
     def arm(self, armed: bool, *, may_arm: bool = True) -> None:
-        """As the pilot's switch does; `may_arm`: by command of the bridge as well."""
+        """Arm as by the pilot's switch; `may_arm`: by command of the bridge as well."""
         self._library.quad_library_arm(self._state, int(armed), int(may_arm))
 
     @property

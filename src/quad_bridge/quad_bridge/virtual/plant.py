@@ -41,8 +41,8 @@ class Plant(NamedTuple):
     full_thrust: float
     lag: Quad
     linear_drag: float
-    air_drag: Triple  # of the body's axes, N s²/m²
-    rotor_drag: float  # of a rotor at full speed, N s/m
+    air_drag: Triple  # along the body's axes, N s²/m²
+    rotor_drag: float  # for a rotor at full speed, N s/m
     damping: Triple  # n m s/rad
     bias_torque: Triple
     noise: Triple  # n m/sqrt(Hz), one-sided

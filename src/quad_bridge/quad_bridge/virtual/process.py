@@ -38,7 +38,7 @@ from quad_bridge.virtual.aircraft import Aircraft, EffectFunction, boot
 from quad_bridge.virtual.board import ELF, Board, EmulatedBoard, EndedError
 from quad_bridge.virtual.errors import ConfigurationError, RestartedError
 from quad_bridge.virtual.line import Line
-from quad_bridge.virtual.native import find
+from quad_bridge.virtual.native import built_file
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.receiver import Receiver, channels_at
 
@@ -137,13 +137,13 @@ def fly_in_lockstep(flight: Flight, board: Board, line: Line, stop: Stop) -> Non
             raise EndedError
 
 
-def build_aircraft(given: argparse.Namespace) -> Aircraft:
+def build_aircraft(args: argparse.Namespace) -> Aircraft:
     """The aircraft that the arguments ask for, prepared."""
-    profile = load_profile(given.profile)
-    profile = replace(profile, mount=given.mount or profile.mount, axis=given.axis or profile.axis)
-    effect = None if given.effect_module is None else load_effect(given.effect_module)
+    profile = load_profile(args.profile)
+    profile = replace(profile, mount=args.mount or profile.mount, axis=args.axis or profile.axis)
+    effect = None if args.effect_module is None else load_effect(args.effect_module)
     say('virtual STM32 prepares\n')
-    return prepared(profile, seed=given.seed, effect=effect)
+    return prepared(profile, seed=args.seed, effect=effect)
 
 
 def load_effect(path: Path) -> EffectFunction:
@@ -213,15 +213,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     130 where it was interrupted before it ran.
     """
-    given = arguments().parse_args(argv)
+    args = arguments().parse_args(argv)
     try:
-        signing_from(given.key)
-        aircraft = build_aircraft(given)
+        signing_from(args.key)
+        aircraft = build_aircraft(args)
         sys.stdout.flush()
-        stop = Stop(aircraft, given.duration)  # its port appears, and whoever waits may signal
-        board = board_of(given)
+        stop = Stop(aircraft, args.duration)  # its port appears, and whoever waits may signal
+        board = board_of(args)
         try:
-            fly(aircraft, board, given, stop)
+            fly(aircraft, board, args, stop)
         finally:
             status = board.close()
     except (QuadBridgeError, OSError) as error:
@@ -236,24 +236,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     return status
 
 
-def board_of(given: argparse.Namespace) -> Board:
+def board_of(args: argparse.Namespace) -> Board:
     """The firmware's process that the arguments ask for; it says where its port is."""
-    if given.qemu:
-        if given.key is not None:
+    if args.qemu:
+        if args.key is not None:
             raise ConfigurationError('--key', 'the emulated STM32 keeps no key')
-        emulated = EmulatedBoard(find(ELF), given.link)
+        emulated = EmulatedBoard(built_file(ELF), args.link)
         say(f'virtual STM32 on {emulated.path}\n')
         return emulated
-    options: list[str | Path] = ['--key', given.key] if given.key is not None else []
-    return Board.linux(*options, *(['--link', given.link] if given.link is not None else []))
+    options: list[str | Path] = ['--key', args.key] if args.key is not None else []
+    return Board.linux(*options, *(['--link', args.link] if args.link is not None else []))
 
 
-def fly(aircraft: Aircraft, board: Board, given: argparse.Namespace, stop: Stop) -> None:
+def fly(aircraft: Aircraft, board: Board, args: argparse.Namespace, stop: Stop) -> None:
     """Fly until a signal, the duration or the firmware's own end."""
     with contextlib.suppress(EndedError):
-        flight = Flight(aircraft, board, lockstep=given.lockstep is not None)
-        if given.lockstep is not None:
-            with contextlib.closing(Line(given.lockstep, say)) as line:
+        flight = Flight(aircraft, board, lockstep=args.lockstep is not None)
+        if args.lockstep is not None:
+            with contextlib.closing(Line(args.lockstep, say)) as line:
                 fly_in_lockstep(flight, board, line, stop)
         while not stop:
             flight.cycle()

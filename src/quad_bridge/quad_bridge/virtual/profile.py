@@ -19,7 +19,7 @@ FOLDER = Path(__file__).with_name('profiles')
 
 @dataclass(frozen=True)
 class FirmwareSettings:
-    """What the firmware is started with, and how the physics goes on between its cycles."""
+    """Start values of the firmware, and the steps of the physics between its cycles."""
 
     rate_hz: float = 250.0
     physics_steps_per_cycle: int = 4
@@ -30,7 +30,7 @@ class FirmwareSettings:
     angle_limit_deg: float = 30.0  # beyond it the flag ANGLE_LIMIT is set and excitation refused
     low_battery_v: float = 9.9
     gains: Mapping[str, float] = field(default_factory=dict)
-    """By the contract's names, SI; the others start as gains/table.py says."""
+    """Gains by the contract's names, SI; the others start as gains/table.py says."""
 
     def __post_init__(self) -> None:
         """Check bounds."""

@@ -39,7 +39,7 @@ class Receiver:
 
 @dataclass(frozen=True)
 class Channels:
-    """What the receiver says at one time."""
+    """The receiver's channels at one time."""
 
     roll: float = 0.0
     pitch: float = 0.0

@@ -32,8 +32,8 @@ from quad_bridge.virtual.rotation import body_from_world
 
 FloatArray = npt.NDArray[np.float64]
 
-BIAS, MAG, PRESSURE, TAKEN = 0, 3, 6, 7
-"""`TAKEN`: samples of gyro and accelerometer since the last cycle."""
+BIAS, MAG, PRESSURE, SAMPLES = 0, 3, 6, 7
+"""`SAMPLES`: samples of gyro and accelerometer since the last cycle."""
 SENSOR_STATES = 8
 
 GYRO_DEG_S_PER_LSB = 1.0 / 65.5
@@ -57,7 +57,7 @@ class Sensors:
     mag_noise_t: float = 3.0e-7
     pressure_pa: float = 101325.0
     pressure_noise_pa: float = 2.0
-    battery_divider: float = 11.0  # of the board, in front of its pin
+    battery_divider: float = 11.0  # ratio of the divider in front of the board's pin
     slow_divider: int = 5  # magnetometer and barometer are read every so many cycles
     quantisation: bool = True
 
@@ -117,7 +117,7 @@ def build_chips(
 def initial_sensors(
     chips: Chips, bias: FloatArray, samples_per_cycle: int
 ) -> tuple[FloatArray, FloatArray]:
-    """State and samples (n, 6) of sensors at rest and level, with one sample taken.
+    """State and samples (n, 6) of sensors at rest and level, with one sample.
 
     `bias` (3,) rad/s of the gyro.
     """
@@ -125,7 +125,7 @@ def initial_sensors(
     state[BIAS : BIAS + 3] = bias
     state[MAG : MAG + 3] = chips.mag_field
     state[PRESSURE] = chips.pressure
-    state[TAKEN] = 1.0
+    state[SAMPLES] = 1.0
     samples[0, :3] = bias
     samples[0, 3:] = np.array([0.0, 0.0, GRAVITY_M_S2]) + np.array(chips.accel_bias)
     return state, samples
@@ -167,13 +167,13 @@ def sense_step(
     for line in range(chips.line_rad_s.size):
         turn = chips.line_rad_s[line] * state[TIME] + chips.line_phase[line]
         shake += chips.line_size[line] * math.sin(turn)
-    row = int(sensed[TAKEN])
+    row = int(sensed[SAMPLES])
     for i in range(3):
         rate = state[RATES + i] + sensed[BIAS + i] + chips.gyro_sigma * normals[i] + shake
         samples[row, i] = quantised(rate, chips.gyro_lsb)
         accel = force[i] + chips.accel_bias[i] + chips.accel_sigma * normals[3 + i]
         samples[row, 3 + i] = quantised(accel, chips.accel_lsb)
-    sensed[TAKEN] = row + 1.0
+    sensed[SAMPLES] = row + 1.0
 
 
 @kernel

@@ -102,8 +102,8 @@ def fly(
     aircraft.set_gains({k: v for k, v in (gains or {}).items() if not k.startswith('loop.')})
     count = round(duration_s * profile.firmware.rate_hz)
     active = aircraft.gains
-    given = inputs(aircraft, schedule, count)
-    log = aircraft.run(given)
+    values = inputs(aircraft, schedule, count)
+    log = aircraft.run(values)
     arrays = {
         name: log[:, span] if span.stop - span.start > 1 else log[:, span.start]
         for name, span in COLUMNS.items()
@@ -112,8 +112,8 @@ def fly(
         profile=profile,
         schedule=tuple(schedule),
         gains=active,
-        excitation=given[:, ADDED : ADDED + 3],
-        injection=given[:, INJECTION].astype(np.int64),
+        excitation=values[:, ADDED : ADDED + 3],
+        injection=values[:, INJECTION].astype(np.int64),
         **arrays,
     )
 
@@ -121,26 +121,26 @@ def fly(
 def inputs(aircraft: Aircraft, schedule: Sequence[Excited], count: int) -> FloatArray:
     """The inputs (count, INPUTS) of all cycles: the receiver's script and the excitation."""
     profile = aircraft.profile
-    given = np.zeros((count, INPUTS))
+    values = np.zeros((count, INPUTS))
     script, times = profile.receiver, np.arange(count) * aircraft.cycle_s
     marks = sorted({0.0, *(event.time_s for event in script.events)})
     armed = profile.firmware.auto_arm
     for mark in marks:
         channels, rows = channels_at(script, mark), times >= mark - 1e-9
         armed = armed and not channels.kill  # nobody arms it again
-        given[rows, ARMED] = float(armed)
+        values[rows, ARMED] = float(armed)
         throttle = channels.throttle
-        given[rows, THROTTLE] = aircraft.hover_throttle if throttle is None else throttle
-        given[rows, HOLD] = float(channels.hold)
+        values[rows, THROTTLE] = aircraft.hover_throttle if throttle is None else throttle
+        values[rows, HOLD] = float(channels.hold)
         sticks = (channels.roll, channels.pitch, channels.yaw)
         for column, stick in zip((STICK_ROLL, STICK_PITCH, STICK_YAW), sticks, strict=True):
-            given[rows, column] = 0.0 if channels.failsafe else stick
+            values[rows, column] = 0.0 if channels.failsafe else stick
     for part in schedule:
         start = round(part.start_s / aircraft.cycle_s)
         stop = min(count, start + part.samples.size)
         climbs = part.axis == 'climb'
-        given[start:stop, INJECTION] = INJECTIONS.index(
+        values[start:stop, INJECTION] = INJECTIONS.index(
             'thrust' if climbs else part.injection)
         column = 2 if climbs else AXES.index(part.axis)
-        given[start:stop, ADDED + column] = part.samples[: stop - start]
-    return given
+        values[start:stop, ADDED + column] = part.samples[: stop - start]
+    return values

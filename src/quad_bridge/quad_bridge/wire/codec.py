@@ -29,7 +29,7 @@ _CYCLE = dialect.MAVLINK_MSG_ID_QUAD_CYCLE
 _ANSWERS = (f.TimeSync, f.ParamValue, f.GainsState, f.CommandAck)
 """They mean something only from who was asked: the peer, once it is known."""
 _WRAP = 1 << 32
-_LARGEST_GAP = 1_000_000  # cycles (over an hour at 250 Hz): a larger step is a restart, not a loss
+_MAX_GAP = 1_000_000  # cycles (over an hour at 250 Hz): a larger step is a restart, not a loss
 NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: the heartbeat of something that flies nothing
 
 
@@ -121,7 +121,7 @@ class Decoder:
         """Count what is missing before this cycle, or a restart of the peer."""
         last, self._last = self._last, cycle
         gap = (cycle - last) % _WRAP - 1 if last is not None else 0
-        if gap > _LARGEST_GAP:
+        if gap > _MAX_GAP:
             self.counts.restarts += 1
         else:
             self.counts.lost_cycles += max(gap, 0)

@@ -1,4 +1,4 @@
-"""What goes over the wire, as frozen values: one dataclass per message that the suite speaks.
+"""The messages on the wire, as frozen values: one dataclass for each that the suite uses.
 
 Units and axes are the wire's: SI, body FRD, attitude relative to NED (axes.py turns them). No
 bytes here (codec.py), no ROS.
@@ -57,7 +57,7 @@ class GainsAction(IntEnum):
 
 
 class GainsPhase(IntEnum):
-    """Where the STM32's set of parameters stands (enum QUAD_GAINS_PHASE)."""
+    """Phase of the STM32's set of parameters (enum QUAD_GAINS_PHASE)."""
 
     IDLE = 0
     STAGING = 1
@@ -186,7 +186,7 @@ class GainsState:
     """The answer to a GainsCommand; unasked once a second and after the STM32's own revert."""
 
     aircraft: int  # unique number of the controller, 64 bits
-    checksum: int  # of all active parameters (`checksum` in gains/protocol.py)
+    checksum: int  # CRC of all active parameters (`checksum` in gains/protocol.py)
     transaction: int
     action: int  # a `GainsAction`; QUERY where unasked
     result: int  # a `GainsResult`
@@ -215,7 +215,7 @@ class Battery:
     current_a: float = float('nan')
     remaining: float = float('nan')
     name: str = 'BATTERY_STATUS'  # the message that it came in; SYS_STATUS has it too
-    number: int = 0  # of the battery, where there are several
+    number: int = 0  # index of the battery, where there are several
 
 
 @dataclass(frozen=True)
@@ -294,7 +294,7 @@ class AttitudeTarget:
     """ATTITUDE_TARGET: what another autopilot's loops follow; FRD relative to NED."""
 
     time_ms: int
-    mask: int  # of what is to be ignored
+    mask: int  # bits of the fields to ignore
     q: Vector4  # w x y z
     rates: Vector3  # rad/s
     thrust: float  # 0..1
@@ -355,7 +355,7 @@ class LogEntry:
     """One of these logs; `size` in bytes may be about right only."""
 
     number: int
-    count: int  # of all logs
+    count: int  # number of all logs
     last: int
     time_utc_s: int  # 0 where it is not known
     size: int

@@ -34,7 +34,7 @@ class Packet(NamedTuple):
 
 @dataclass
 class Counts:
-    """What a decoder has seen since its start; `replace` makes a copy that stays."""
+    """Counts of a decoder since its start; `replace` makes a copy that stays."""
 
     bytes: int = 0
     frames: int = 0  # frames handed out, `standard` included
@@ -54,7 +54,7 @@ class Counts:
     """Ignored: from another sender than the peer (own echo, ground station, other aircraft)."""
     implausible: int = 0  # ignored: a good checksum, but values that cannot be (plausible.py)
     old_version: int = 0  # MAVLink 1 packets with a good checksum; they are part of the garbage
-    unverified: int = 0  # signed frames that were taken as they are, because no key is set
+    unverified: int = 0  # signed frames that were accepted without a check, because no key is set
 
     def refused(self, verdict: Verdict) -> None:
         """Count a frame that the signature does not let pass."""
@@ -81,7 +81,7 @@ class Framer:
         """Packets completed by `data`. Never raises."""
         pending = self._pending
         pending += data
-        found: list[Packet] = []
+        packets: list[Packet] = []
         at, end = 0, len(pending)
         while True:
             start = pending.find(MARKER, at)
@@ -98,12 +98,12 @@ class Framer:
             elif end - at < size:
                 break
             else:
-                at = self._packet(at, size, flags, found)
+                at = self._packet(at, size, flags, packets)
         del pending[:at]
         self._suspect = max(0, self._suspect - at)
-        return found
+        return packets
 
-    def _packet(self, at: int, size: int, flags: int, found: list[Packet]) -> int:
+    def _packet(self, at: int, size: int, flags: int, packets: list[Packet]) -> int:
         """Take the candidate at `at`; where to look on."""
         whole = bytes(self._pending[at : at + size])
         message = whole[7] | whole[8] << 8 | whole[9] << 16
@@ -118,7 +118,7 @@ class Framer:
             crc = mcrf4xx(whole[1:last] + bytes((extra,)))
             if crc != whole[last] | whole[last + 1] << 8:
                 return self._false_start(at, size, known=True)
-            found.append(Packet(message, *sender, whole[HEADER:last], whole))
+            packets.append(Packet(message, *sender, whole[HEADER:last], whole))
         if sender in self._expected or len(self._expected) < _SENDERS:
             self._expected[sender] = (whole[4] + 1) % 256
         return at + size

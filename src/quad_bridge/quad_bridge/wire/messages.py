@@ -212,7 +212,7 @@ FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
         0, tuple(v if v >= 0.0 else math.nan for v in (m['rpm1'], m['rpm2'])), name='RPM'
     ),
 }  # fmt: skip
-"""The same for what other autopilots send beside; ids in neither table are `Standard`."""
+"""Decoders of messages that only other autopilots send; ids in no table are `Standard`."""
 
 
 def _to_heartbeat(frame: f.Heartbeat) -> Any:

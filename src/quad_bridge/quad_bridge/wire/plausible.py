@@ -15,8 +15,8 @@ from typing import Any
 from quad_bridge.wire import frames as f
 
 LARGEST = 1000.0  # no value of a cycle is larger, in rad, rad/s, m/s² or normalised command
-LARGEST_ANGLE = 6.3
-LARGEST_FLAGS = 0x0FFF
+MAX_ANGLE = 6.3
+MAX_FLAGS = 0x0FFF
 _ABOVE_ONE = 1.001
 
 
@@ -33,7 +33,7 @@ def plausible(frame: f.Frame) -> f.Frame | None:
     return frame if check is None or check(frame) else None
 
 
-LARGEST_INJECTION = int(max(f.Injection))
+MAX_INJECTION = int(max(f.Injection))
 
 
 def _cycle(frame: f.Cycle) -> bool:
@@ -41,12 +41,12 @@ def _cycle(frame: f.Cycle) -> bool:
     return (
         _bounded(frame.gyro + frame.accel + frame.rate_setpoint + frame.control + frame.excitation)
         and _bounded(angles + frame.motors)
-        and max(angles) < LARGEST_ANGLE
-        and min(angles) > -LARGEST_ANGLE
+        and max(angles) < MAX_ANGLE
+        and min(angles) > -MAX_ANGLE
         and min(frame.motors) >= 0.0
         and max(frame.motors) < _ABOVE_ONE
-        and frame.flags <= LARGEST_FLAGS
-        and frame.injection <= LARGEST_INJECTION
+        and frame.flags <= MAX_FLAGS
+        and frame.injection <= MAX_INJECTION
     )
 
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.app.folder import RefusedError, inside, is_bag
+from quad_sysid.axes import NAMES
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 
 SYSID = 'quad-sysid'
 FIRMWARES = ('px4', 'ardupilot', 'betaflight', 'inav')
-AXIS_NAMES = (*AXES, 'all')
 MOST_MOTORS = 8
 UNIT = re.compile(r'[A-Za-z0-9/_.:+-]{0,24}')
 
@@ -106,8 +106,8 @@ def _identify(_: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Comma
     from quad_sysid.bags import parse_span  # slow to import
 
     axis = asked.get('axis', 'all')
-    if axis not in AXIS_NAMES:
-        raise RefusedError(f'axis must be one of {", ".join(AXIS_NAMES)}')
+    if axis not in NAMES:
+        raise RefusedError(f'axis must be one of {", ".join(NAMES)}')
     arguments = ['identify', *map(str, paths), '--axis', str(axis), '--out', '@result']
     for option in ('train', 'validate'):
         span = asked.get(option)

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from quad_sysid.arguments import NOT_ANSWERED
+from quad_sysid.axes import ALL_WORDS
 
 MOST_JOBS = 200
 """Jobs that are remembered; the oldest finished ones are forgotten."""
@@ -69,7 +70,8 @@ class Job:
         found = [Path(a) for a in self.arguments if a.startswith('/') and Path(a).exists()]
         files = [f for one in found for f in (one.iterdir() if one.is_dir() else [one])
                  if f.is_file() and self.folder not in f.parents]
-        return sum(f.stat().st_size for f in files) * (3 if 'all' in self.arguments else 1)
+        axes = [len(ALL_WORDS[word]) for word in self.arguments if word in ALL_WORDS]
+        return max(axes, default=1) * sum(f.stat().st_size for f in files)
 
     @property
     def seconds(self) -> float:

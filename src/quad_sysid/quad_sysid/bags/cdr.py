@@ -101,15 +101,15 @@ def joints_of(messages: Sequence[bytes], field: str) -> Joints:
     for raw in messages:
         try:
             message: Any = typestore().deserialize_cdr(raw, JOINTS)
-            found = Joints(len(getattr(message, field)), field)
-            found.of(message)
+            joints = Joints(len(getattr(message, field)), field)
+            joints.of(message)
         except Exception:  # noqa: BLE001, S112 - rosbags raises many kinds on spoiled bytes
             continue
-        if found.count:
-            return found
+        if joints.count:
+            return joints
     return Joints(field=field)
 
-MOST_LAYOUTS = 8
+MAX_LAYOUTS = 8
 """Layouts that are tried for messages of one length before they are read one by one."""
 FIRST = 1_000_003
 """A number that no message holds, and those after it, show which goes to which column."""
@@ -145,10 +145,10 @@ def layout_of(msgtype: str, raw: bytes, joints: Joints = FOUR) -> Layout:
         kind = Nodetype.NAME, msgtype
         bare, full, counted = (_numbered(kind, message, numbers)
                                for numbers in (repeat(0), repeat(None), count(FIRST)))
-        low, high, told = (np.frombuffer(bytes(typestore().serialize_cdr(one, msgtype)), np.uint8)
-                           for one in (bare, full, counted))
+        low, high, plain = (np.frombuffer(bytes(typestore().serialize_cdr(one, msgtype)), np.uint8)
+                            for one in (bare, full, counted))
         wanted = _values(msgtype, counted, joints).tolist()
-        columns = tuple(_place(told, value) for value in wanted)
+        columns = tuple(_place(plain, value) for value in wanted)
     except Exception as error:  # rosbags raises many kinds on spoiled bytes
         raise LayoutError(str(error)) from error
     fixed = finite_runs(low == high, (0, low.size))
@@ -174,14 +174,14 @@ def _numbered(description: Any, value: Any, numbers: Iterator[int | None]) -> An
     return made[0].item() if kind == Nodetype.BASE else made
 
 
-def _place(told: npt.NDArray[np.uint8], value: float) -> tuple[int, str]:
+def _place(content: npt.NDArray[np.uint8], value: float) -> tuple[int, str]:
     """Offset and type of a number that a message holds once."""
     for dtype in ('<f8', '<f4'):
         size = np.dtype(dtype).itemsize
-        words = told[4 : 4 + (told.size - 4) // size * size].view(dtype)
-        found = np.flatnonzero(words == value)
-        if found.size == 1:
-            return 4 + size * int(found[0]), dtype
+        words = content[4 : 4 + (content.size - 4) // size * size].view(dtype)
+        at = np.flatnonzero(words == value)
+        if at.size == 1:
+            return 4 + size * int(at[0]), dtype
     raise LayoutError(f'{value} cannot be found')
 
 
@@ -195,16 +195,16 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
         rows = np.flatnonzero(lengths == length)
         key = msgtype, joints, int(length)
         layout = _LAST.get(key)
-        for _ in range(MOST_LAYOUTS):
+        for _ in range(MAX_LAYOUTS):
             if len(rows) == 0:
                 break
-            taken = np.zeros(len(rows), dtype=bool)
+            unread = np.zeros(len(rows), dtype=bool)
             if layout is None:
-                taken[0] = True  # of no layout to be read in bulk: one by one below
+                unread[0] = True  # without a layout it is read singly below
                 try:
                     layout = _LAST[key] = layout_of(msgtype, messages[int(rows[0])], joints)
                 except LayoutError:
-                    rows = rows[~taken]
+                    rows = rows[~unread]
                     continue
             whole = len(rows) == len(messages)
             joined = b''.join(messages if whole else [messages[i] for i in rows.tolist()])
@@ -214,7 +214,7 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
                 same &= (table[:, start:stop] == layout.pattern[start:stop]).all(axis=1)
             _fill(table if same.all() else table[same], rows[same], layout, stamps, values)
             good[rows[same]] = True
-            rows, layout = rows[~(same | taken)], None
+            rows, layout = rows[~(same | unread)], None
     for i in np.flatnonzero(~good).tolist():
         try:
             stamps[i], values[i] = _decode_one(msgtype, messages[i], joints)
@@ -293,9 +293,9 @@ def _values(msgtype: str, message: Any, joints: Joints) -> FloatArray:
     """(w,) the wanted numbers of a message."""
     if msgtype == JOINTS:
         return joints.of(message)
-    found = []
+    values = []
     for column in COLUMNS[msgtype]:  # such as `orientation.x` or `orientation_covariance[0]`
         path, _, index = column.rstrip(']').partition('[')
         field = attrgetter(path)(message)
-        found.append(float(field[int(index)] if index else field))
-    return np.array(found)
+        values.append(float(field[int(index)] if index else field))
+    return np.array(values)

@@ -44,9 +44,9 @@ class Moving:
 def moving(streams: Mapping[str, Stamped], grid: Grid, angles: FloatArray | None,
            acceleration: FloatArray | None, warnings: list[str]) -> Moving:
     """Motion by /odom where the bag has it, else the vertical one by /baro and accelerometer."""
-    found = _odometry(streams.get(ODOM), grid, angles, warnings)
-    if found.velocity is not None or acceleration is None or angles is None:
-        return found
+    motion = _odometry(streams.get(ODOM), grid, angles, warnings)
+    if motion.velocity is not None or acceleration is None or angles is None:
+        return motion
     return _vertical(streams.get(BARO), grid, angles, acceleration)
 
 

@@ -74,8 +74,8 @@ def read_bag(path: str | Path) -> Record:
     content = _read(Path(path))
     imu = content.streams.get(IMU_TOPIC)
     if imu is None or len(imu.stamps) == 0:
-        told = [line.removeprefix(source).lstrip('/: ') for line in content.warnings]
-        why = f' ({"; ".join(told)})' if told else ''
+        reasons = [line.removeprefix(source).lstrip('/: ') for line in content.warnings]
+        why = f' ({"; ".join(reasons)})' if reasons else ''
         raise BadInputError(
             source, f'{IMU_TOPIC} is missing or empty{why}',
             remedy=f'its type is that of {" and ".join(content.alike)}: `quad-sysid import` makes '
@@ -95,7 +95,7 @@ def read_bag(path: str | Path) -> Record:
     desaturation = desaturation_from(gain_events)
     craft = _craft(content, source, warnings)
     if motors is not None:
-        _check_count(motors.shape[1], craft, source, told=bool(content.description))
+        _check_count(motors.shape[1], craft, source, described=bool(content.description))
         control = craft.control(motors)
     elif wrench is not None and desaturation == 'none':
         control = wrench
@@ -114,9 +114,9 @@ def read_bag(path: str | Path) -> Record:
         return float(grid.position(np.array([stamp], dtype=np.int64))[0]) * grid.dt
 
     segment_events, spoiled = decode_events(content.events.get(SEGMENT, ()))
-    segments, told = segments_from(segment_events, seconds, grid.n * grid.dt)
+    segments, notes = segments_from(segment_events, seconds, grid.n * grid.dt)
     if spoiled + spoiled_gains:
-        told.append(f'{spoiled + spoiled_gains} parameter events cannot be read')
+        notes.append(f'{spoiled + spoiled_gains} parameter events cannot be read')
     angles = _angles(placed[:, :5])
     acceleration = placed[:, 8:11] if np.isfinite(placed[:, 8:11]).any() else None
     gains = gains_from(gain_events, seconds)
@@ -134,7 +134,7 @@ def read_bag(path: str | Path) -> Record:
                   lean=_optional(moved.lean),
                   speed_filter_hz=accel_hz if moved.by_force else None,
                   segments=segments, gains=gains,
-                  missing=_missing(content, arrays, battery), warnings=(*warnings, *told),
+                  missing=_missing(content, arrays, battery), warnings=(*warnings, *notes),
                   t0_ns=grid.t0_ns)
 
 
@@ -176,19 +176,19 @@ def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:
     if not content.description:
         return X
     try:
-        found = from_urdf(content.description)
+        craft = from_urdf(content.description)
     except ValueError as error:
         raise BadInputError(source, f'{DESCRIPTION} {error}') from error
-    if found is None:
+    if craft is None:
         warnings.append(f'{DESCRIPTION} has no joints motor_1 to motor_n, so it says nothing of '
                         "the motors: left aside, the contract's X frame holds")
-    return found or X
+    return craft or X
 
 
-def _check_count(motors: int, craft: Craft, source: str, *, told: bool) -> None:
+def _check_count(motors: int, craft: Craft, source: str, *, described: bool) -> None:
     """Raise BadInputError where the commands are of more or fewer motors than the craft has."""
     if motors != craft.count:
-        said = f'of {craft.count}' if told else 'missing, so there are four'
+        said = f'of {craft.count}' if described else 'missing, so there are four'
         raise BadInputError(source, f'{MOTORS} is of {motors} motors, {DESCRIPTION} is {said}',
                             remedy='record the description of this craft, a URDF with joints '
                             f'motor_1 to motor_{motors}')

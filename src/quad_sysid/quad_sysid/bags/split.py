@@ -50,19 +50,19 @@ def split_segments(record: Record, train: Span | None = None, validate: Span | N
         train = (0.0, TRAIN_SHARE * record.n * record.dt)
     if axes is None:
         axes = tuple(axis for axis in EVERY if axis in {s.axis for s in known}) or AXES
-    train, told = clip_span(train, record, '--train')
+    train, cut = clip_span(train, record, '--train')
     validate, more = clip_span(validate, record, '--validate')
     segments: list[Segment] = []
     for role, span, other in (('train', train, validate), ('validation', validate, train)):
         if span is None and known:
             segments += [s for s in known if s.role == role]
             continue
-        taken = span or _rest(other, record.n * record.dt, role)
-        segments += [_segment(record, role, axis, taken) for axis in axes]
+        chosen = span or _rest(other, record.n * record.dt, role)
+        segments += [_segment(record, role, axis, chosen) for axis in axes]
     _check_apart(segments, record)
     segments += [s for s in record.segments if s.role == 'idle' and known]
     return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)),
-                   warnings=(*record.warnings, *told, *more))
+                   warnings=(*record.warnings, *cut, *more))
 
 
 def clip_span(
@@ -78,8 +78,8 @@ def clip_span(
     if span[0] >= length:
         raise BadInputError(record.source, f'{option} starts after the end of the record',
                             f'{span[0]:g} s of {length:.2f} s')
-    told = f'{option} {span[0]:g}:{span[1]:g} is cut at the end of the record, {length:.2f} s'
-    return (span[0], min(span[1], length)), (told,) * (length + record.dt < span[1] < np.inf)
+    cut = f'{option} {span[0]:g}:{span[1]:g} is cut at the end of the record, {length:.2f} s'
+    return (span[0], min(span[1], length)), (cut,) * (length + record.dt < span[1] < np.inf)
 
 
 def _check_apart(segments: list[Segment], record: Record) -> None:

@@ -23,7 +23,7 @@ LEAK = 0.02
 """Share of the remaining phase by which the grid follows the stamps, per sample."""
 JUMP_NS = 1_000_000_000
 """A step beyond it, either way, may be a clock that was set."""
-LONGEST_GAP_S = 600.0
+MAX_GAP_S = 600.0
 RATE_TOLERANCE = 0.15
 BLOCK = 32
 """Differences per block in which the rate is checked."""
@@ -59,7 +59,7 @@ class Grid:
         return np.where(beyond > 0.0, self.cells[-1] + beyond / step, place)
 
     def place(self, stamps: IntArray, values: FloatArray) -> FloatArray:
-        """(n, w) values on the grid by the nearest cell within half a cycle; NaN elsewhere."""
+        """(n, w) values on the grid by the nearest cell within half a cycle; else NaN."""
         out = np.full((self.n, values.shape[1]), np.nan)
         if len(stamps) == 0:
             return out
@@ -158,12 +158,12 @@ def _longest_chain(parts: list[IntArray], stamps: IntArray) -> IntArray:
 def _longest_stretch(
     stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]
 ) -> IntArray:
-    """Keep the stretch with most samples between gaps of more than LONGEST_GAP_S."""
-    breaks = np.flatnonzero(np.diff(stamps[rows]) > LONGEST_GAP_S * 1e9)
+    """Keep the stretch with most samples between gaps of more than MAX_GAP_S."""
+    breaks = np.flatnonzero(np.diff(stamps[rows]) > MAX_GAP_S * 1e9)
     if len(breaks) == 0:
         return rows
     longest = max(np.split(rows, breaks + 1), key=len)
-    warnings.append(f'{topic}: gaps of more than {LONGEST_GAP_S:g} s; kept the longest stretch, '
+    warnings.append(f'{topic}: gaps of more than {MAX_GAP_S:g} s; kept the longest stretch, '
                     f'{len(longest)} of {len(rows)} messages')
     return longest
 

@@ -70,14 +70,14 @@ class Storage:
             files = self._files()
         foreign: Counter[tuple[str, str]] = Counter()
         for file in files:
-            with self._told(alone=len(files) == 1), readable(file), plain_file(file) as plain:
+            with self._noted(alone=len(files) == 1), readable(file), plain_file(file) as plain:
                 yield from self._read(plain, file, foreign)
         self.warnings += [f'{topic}: {count} messages of type {kind} left out; '
                           f'the contract has {TOPIC_TYPES[topic]}'
                           for (topic, kind), count in sorted(foreign.items())]
 
     @contextmanager
-    def _told(self, *, alone: bool) -> Iterator[None]:
+    def _noted(self, *, alone: bool) -> Iterator[None]:
         """Make the fault of one file of several a warning."""
         try:
             yield
@@ -95,10 +95,10 @@ class Storage:
             if path.suffix in FOREIGN:
                 raise BadInputError(str(path), f'is {FOREIGN[path.suffix]}')
             return [path]
-        found = sorted((p for p in path.iterdir() if p.name.endswith(('.mcap', '.db3', '.zstd'))),
+        files = sorted((p for p in path.iterdir() if p.name.endswith(('.mcap', '.db3', '.zstd'))),
                        key=lambda p: (len(p.name), p.name))
         listed = self._metadata()
-        if not found:
+        if not files:
             raise BadInputError(
                 str(path),
                 'holds no storage file (.mcap or .db3)',
@@ -108,9 +108,9 @@ class Storage:
         if listed is None:
             self.warnings.append(
                 f'{path}: metadata.yaml is missing or unreadable (the recorder was killed?): '
-                f'read {", ".join(p.name for p in found)} as found'
+                f'read {", ".join(p.name for p in files)} as it is'
             )
-            return found
+            return files
         absent = [name for name in listed if not (path / name).exists()]
         if absent:
             self.warnings.append(
@@ -119,13 +119,13 @@ class Storage:
             )
         present = [path / name for name in listed if (path / name).exists()]
         if not present:
-            return found
-        unlisted = [file for file in found if file.name not in listed]
+            return files
+        unlisted = [file for file in files if file.name not in listed]
         parts = [file for file in unlisted if _is_part(file.name, listed)]
-        for files, what in ((parts, 'read as parts of the flight'),
+        for group, what in ((parts, 'read as parts of the flight'),
                             ([file for file in unlisted if file not in parts], 'left out')):
-            if files:
-                names = ', '.join(file.name for file in files)
+            if group:
+                names = ', '.join(file.name for file in group)
                 self.warnings.append(f'{path}: metadata.yaml does not list {names}: {what}')
         return sorted([*present, *parts], key=lambda p: (len(p.name), p.name))
 
@@ -176,7 +176,7 @@ class Storage:
               mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data):
             scan = McapScan(data)
             yield from scan.batches(lambda topic: self._wanted(topic.name, topic.kind))
-        if not (scan.ended or scan.found or scan.others or scan.unnamed):
+        if not (scan.ended or scan.returned or scan.others or scan.unnamed):
             raise BadInputError(str(shown), 'is cut off before its first whole message',
                                 remedy='nothing can be recovered: record again')
         if not scan.ended:

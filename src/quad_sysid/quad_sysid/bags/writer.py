@@ -125,8 +125,8 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
     except OSError as error:
         raise BadInputError(str(path), 'cannot be created', error.strerror,
                             'choose another --out') from error
-    with unfinished(path.parent) as room:
-        writer = Writer(room / path.name, version=9, storage_plugin=plugin)
+    with unfinished(path.parent) as folder:
+        writer = Writer(folder / path.name, version=9, storage_plugin=plugin)
         writer.set_compression(CompressionMode[options.compression.upper()],
                                CompressionFormat.ZSTD)
         for key, text in (options.notes or {}).items():
@@ -139,7 +139,7 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
             }
             for stamp, topic, raw in _in_order(streams, events, description):
                 writer.write(connections[topic], stamp, raw)
-        (room / path.name).rename(path)
+        (folder / path.name).rename(path)
     return path
 
 
@@ -150,10 +150,10 @@ def _in_order(
 
     They are encoded block by block, so that hours fit into memory.
     """
-    told = [(event.stamp, topic, encode_event(event, NODE_NAMES.get(topic, '/import')))
-            for topic, items in events.items() for event in items]
-    told.sort(key=lambda entry: entry[0])
-    sources, stamps = [], [np.array([stamp for stamp, _, _ in told], dtype=np.int64)]
+    encoded = [(event.stamp, topic, encode_event(event, NODE_NAMES.get(topic, '/import')))
+               for topic, items in events.items() for event in items]
+    encoded.sort(key=lambda entry: entry[0])
+    sources, stamps = [], [np.array([stamp for stamp, _, _ in encoded], dtype=np.int64)]
     for topic, stream in streams.items():
         kind = TOPIC_TYPES[topic]
         joints = Joints(stream.values.shape[1],
@@ -176,7 +176,7 @@ def _in_order(
             rows = order[begins[k] : ends[k]]
             raws = encode(kind, pattern, stream.stamps[rows], stream.values[rows], joints)
             part += zip(stream.stamps[rows].tolist(), [topic] * len(raws), raws, strict=True)
-        part += told[begins[0] : ends[0]]
+        part += encoded[begins[0] : ends[0]]
         part.sort(key=lambda entry: entry[0])
         yield from part
         begins = ends
@@ -225,8 +225,8 @@ def _events(record: Record) -> dict[str, list[Event]]:
     gains = [Event(stamp(change.time_s), dict(change.values)) for change in record.gains]
     if record.desaturation != DESATURATIONS[0]:
         gains.insert(0, Event(stamp(0.0), {DESATURATION: record.desaturation}))
-    found = {'/excitation/segment': segments, '/gains/active': gains}
-    return {topic: events for topic, events in found.items() if events}
+    topics = {'/excitation/segment': segments, '/gains/active': gains}
+    return {topic: events for topic, events in topics.items() if events}
 
 
 def _qos(msgtype: str) -> Qos:

@@ -34,7 +34,7 @@ LOOP_ORDER = 20
 STAGE_ORDER = 6
 """Order of the output error model of the loop, whose errors bias the plant."""
 STAGE_ORDERS = (6, 8, 4)
-"""Of the loop's output error model that gives start values; the next where the first fails."""
+"""Orders of the loop's output error model for start values, tried in this order."""
 WHITENED = 3
 """Rounds of fitting, each behind a filter that whitens what the one before left."""
 
@@ -173,7 +173,7 @@ def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
 
 
 def _evaluate(model: Model, z: IOData, controller: LinearController, ar: FloatArray) -> Point:
-    """Errors of the closed loop behind the filter `ar`, its unknown start taken out of them.
+    """Errors of the closed loop behind the filter `ar`, without the effect of its unknown start.
 
     Their sum of squares is inf where the loop is not stable or no segment is long enough.
     """

@@ -86,8 +86,8 @@ class OrderSearch:
         """Names of the orders that ended at the upper edge of their range."""
         ranges = {'na': self.na, 'nb': self.nb, 'nk': self.nk}
         return tuple(
-            name for (name, values), found in zip(ranges.items(), self.best, strict=True)
-            if values.max() > values.min() and found == values.max()
+            name for (name, values), order in zip(ranges.items(), self.best, strict=True)
+            if values.max() > values.min() and order == values.max()
         )
 
 
@@ -133,9 +133,9 @@ def delay_estimate(z: IOData, na: int = 8, nb: int = 4, nk_min: int = 0, nk_max:
     nk_max = check_order('delay_estimate', 'nk_max', nk_max, nk_min)
     na, nb = (check_order('delay_estimate', k, v, 1) for k, v in (('na', na), ('nb', nb)))
     check_informative('delay_estimate', z, na + nb, max(na, nk_max + nb - 1))
-    found = search_arx(z, range(1, na + 1), range(1, nb + 1), range(nk_min, nk_max + 1),
-                       criterion='bic')
-    return found.model.nk
+    search = search_arx(z, range(1, na + 1), range(1, nb + 1), range(nk_min, nk_max + 1),
+                        criterion='bic')
+    return search.model.nk
 
 
 def _first_best(values: FloatArray, k: IntArray) -> int:

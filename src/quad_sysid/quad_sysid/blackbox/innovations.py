@@ -67,12 +67,12 @@ def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
     """Errors of every segment that is long enough, in order."""
     check_rate(model, z)
     _, lead = lead_of(model)
-    found = []
+    errors = []
     for start, stop in z.segments:
         if stop - start > lead + model.F.size:
             e, *_ = _response(model, z.u[start:stop], z.y[start:stop])
-            found.append(SegmentErrors(start + lead, e[lead:]))
-    return found
+            errors.append(SegmentErrors(start + lead, e[lead:]))
+    return errors
 
 
 def squares(model: Model, z: IOData) -> tuple[int, float]:
@@ -90,7 +90,7 @@ def errors_and_gradient(model: Model,
     """
     first, lead = lead_of(model)
     one = np.ones(1)
-    found = []
+    responses = []
     for start, stop in z.segments:
         if stop - start <= lead + model.F.size - 1:
             continue
@@ -109,8 +109,8 @@ def errors_and_gradient(model: Model,
         for num, den, x, lags in columns:
             filter_lags(num, den, x, lags, lead, out=gradient[:, done : done + len(lags)])
             done += len(lags)
-        found.append((e[lead:], gradient[lead:], basis[lead:]))
-    return found
+        responses.append((e[lead:], gradient[lead:], basis[lead:]))
+    return responses
 
 
 def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

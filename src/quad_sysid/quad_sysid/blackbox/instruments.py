@@ -26,7 +26,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
 ROUNDS = 15
-SETTLED = 0.02
+CONVERGED = 0.02
 """Largest change of a parameter at convergence, in standard errors."""
 SWINGING = 6
 """Rounds after which the rounds are averaged."""
@@ -82,7 +82,7 @@ def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
         ahead = replace(ahead, B=delayed(theta[nf:], nk), F=inside(f))
         sigma = np.sqrt(np.maximum(np.diag(spread) * variance, 1e-300))
         moved = np.concatenate((ahead.F[1:] - model.F[1:], ahead.B[nk:] - model.B[nk:])) / sigma
-        if iteration > SWINGING:  # parameters that the data hardly tell swing about the solution
+        if iteration > SWINGING:  # poorly determined parameters oscillate about the solution
             share = 1.0 / (iteration - SWINGING + 1.0)
             f = inside(model.F + share * (ahead.F - model.F))
             ahead = replace(ahead, B=model.B + share * (ahead.B - model.B), F=f)
@@ -91,7 +91,7 @@ def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
         covariance[np.ix_(plant, plant)] = variance * spread
         covariance[nb : nb + nc + nd, nb : nb + nc + nd] = noise_spread
         model = replace(ahead, covariance=covariance)
-        if float(np.max(np.abs(moved))) < SETTLED:
+        if float(np.max(np.abs(moved))) < CONVERGED:
             converged = True
             break
     n, sse = squares(model, z)

@@ -60,7 +60,7 @@ WANDERS = 0.02
 REINSERTED = 3
 """Places of a nearly cancelling pair from which the descent is tried again."""
 
-EDGE_TOLD = {
+EDGE_WARNINGS = {
     'F': 'a pole is held at the edge of stability (an integrator): the rate drifts in a way that '
     'the command does not explain',
     'C': 'a zero of the noise model is held at the unit circle: the residual lacks that frequency',
@@ -125,12 +125,12 @@ def _check_start(structure: str, orders: dict[str, int], start: Model) -> None:
 
 def _warnings(point: Point, model: Model) -> tuple[str, ...]:
     """Warnings for the user of the fit."""
-    told = [EDGE_TOLD[name] for name in point.on_edge]
+    warnings = [EDGE_WARNINGS[name] for name in point.on_edge]
     if not model.converged:
-        told.insert(0, f'did not converge in {model.iterations} iterations')
+        warnings.insert(0, f'did not converge in {model.iterations} iterations')
     if model.covariance is None:
-        told.append('the data do not determine all parameters: no standard errors')
-    return tuple(told)
+        warnings.append('the data do not determine all parameters: no standard errors')
+    return tuple(warnings)
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ def descend(point: Point, at: Callable[[Model], Point], bar: float = math.inf) -
             break
         steps = chain([plain], (_step(point, free, damping) for damping in DAMPINGS))
         searched = (_search(point, step, at) for step in steps)
-        ahead = next((found for found in searched if found is not None), None)
+        ahead = next((one for one in searched if one is not None), None)
         if ahead is None:
             converged = rows * promised <= 100.0 * TOLERANCE * point.squares
             break
@@ -260,9 +260,9 @@ def _step(point: Point, free: FloatArray | None = None, damping: float = 0.0) ->
     scale = _scale(hessian)
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
     kept = values > FLAT * max(values[-1:], default=0.0)
-    along = vectors[:, kept]
+    basis = vectors[:, kept]
     return np.asarray(
-        free @ (along @ ((along.T @ (free.T @ point.slope / scale)) / (values[kept] + damping))
+        free @ (basis @ ((basis.T @ (free.T @ point.slope / scale)) / (values[kept] + damping))
                 / scale))
 
 
@@ -297,7 +297,7 @@ def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:
     """Descend from the first start, and from the others where its minimum is in doubt.
 
     In doubt is one that lies far below its start, or leaves a drift, unless its loss is as low as
-    that of the high-order model. Then a nearly cancelling pair is tried elsewhere.
+    that of the high-order model. Then a nearly cancelling pair is tried in other places.
     """
     def at(model: Model) -> Point:
         return evaluate(model, ho.data)

@@ -57,10 +57,10 @@ class ResidualTest:
     """Two-sided bound of one lag, z √(Σ ρ_e(k) ρ_u(k) / N) (Ljung 1999, eq. 16.67)."""
 
     def __repr__(self) -> str:
-        told = ((self.residual_white, 'white', self.p_white),
-                (self.residual_uncorrelated_with_input, 'free of past inputs', self.p_input),
-                (self.causal, f'causal (by {self.causality_signal})', self.p_causal))
-        lines = (f'  {name}: {"yes" if good else "no"}, p = {p:.2g}' for good, name, p in told)
+        tests = ((self.residual_white, 'white', self.p_white),
+                 (self.residual_uncorrelated_with_input, 'free of past inputs', self.p_input),
+                 (self.causal, f'causal (by {self.causality_signal})', self.p_causal))
+        lines = (f'  {name}: {"yes" if good else "no"}, p = {p:.2g}' for good, name, p in tests)
         head = f'residual of {self.samples} samples, tests at {self.confidence:.0%}'
         return '\n'.join([head, *lines])
 
@@ -84,7 +84,7 @@ def residual_test(
 
 def innovation_test(innovations: FloatArray, z: IOData, lags: int = 25,
                     confidence: float = 0.99) -> ResidualTest:
-    """Test one-step errors (n,) that were made elsewhere (a Kalman filter's) over z's segments.
+    """Test one-step errors (n,) of another predictor (a Kalman filter) over z's segments.
 
     A NaN ends a stretch. The input may not act at lag 0. Raises BadInputError as residual_test.
     """

@@ -26,7 +26,7 @@ from quad_sysid.qr import upper
 from quad_sysid.record import IOData
 
 ROUNDS = 12
-SETTLED = 1e-4
+CONVERGED = 1e-4
 """Change of a coefficient of F from which further rounds are left to the descent."""
 NEAR = 0.4
 """Distance in the z plane within which a pole and a zero count as cancelling."""
@@ -51,12 +51,12 @@ class HighOrder:
     @cached_property
     def innovations(self) -> FloatArray:
         """(n,) zero outside segments and before their first error."""
-        found, one = np.zeros(self.data.y.size), np.ones(1)
+        errors, one = np.zeros(self.data.y.size), np.ones(1)
         lead = max(self.model.A.size, self.model.B.size) - 1
         for i, j in self.data.segments:
-            found[i:j] = (filter_signal(self.model.A, one, self.data.y[i:j], lead)
-                          - filter_signal(self.model.B, one, self.data.u[i:j], lead))
-        return found
+            errors[i:j] = (filter_signal(self.model.A, one, self.data.y[i:j], lead)
+                           - filter_signal(self.model.B, one, self.data.u[i:j], lead))
+        return errors
 
     def loss_of(self, parameters: int) -> float:
         """Loss that the right structure reaches with so many: chi-squared, within a sigma."""
@@ -153,7 +153,7 @@ def bj_starts(ho: HighOrder, nb: int, nc: int, nd: int, nf: int) -> Iterator[Mod
 
 
 def reinserted(model: Model) -> Iterator[Model]:
-    """Move a nearly cancelling pole and zero of B/F (B/A) or C/D elsewhere, to several places.
+    """Move a nearly cancelling pole and zero of B/F (B/A) or C/D to several other places.
 
     Such a pair is what nearly all false minima have; where it stands matters little to the
     criterion, so that the descent does not find the place where it matters.
@@ -214,7 +214,7 @@ def _reduced(ho: HighOrder, nb: int, nf: int) -> tuple[FloatArray, FloatArray]:
         cov[0] *= 1.0 + RIDGE * size
         theta = _least_squares(np.linalg.cholesky(toeplitz(cov)).T @ unknown)
         before, b, f = f, theta[:nb], inside(monic(theta[nb:]))
-        if float(np.max(np.abs(_padded(before, nf + 1) - f), initial=0.0)) < SETTLED:
+        if float(np.max(np.abs(_padded(before, nf + 1) - f), initial=0.0)) < CONVERGED:
             break
     return b, f
 
@@ -230,7 +230,7 @@ def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int,
                        nk: int) -> tuple[FloatArray, FloatArray]:
     """B, F that minimise the error of y = (B/F) u over parts (n, 2) of y, u, by fixed point.
 
-    Each part's unknown start is fitted along, as pulses behind 1/F. Round one is the ARX model.
+    Each part's unknown start is fitted with it, as pulses behind 1/F. Round one is the ARX model.
     """
     one = f = np.ones(1)
     b = np.zeros(nb)
@@ -247,7 +247,7 @@ def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int,
             factors.append(upper(rows)[f.size - 1 :, f.size - 1 :])
         theta = _least_squares(np.vstack(factors))
         before, b, f = f, theta[:nb], inside(monic(theta[nb:]))
-        if float(np.max(np.abs(_padded(before, nf + 1) - f))) < SETTLED:
+        if float(np.max(np.abs(_padded(before, nf + 1) - f))) < CONVERGED:
             break
     return b, _padded(f, nf + 1)
 

@@ -113,23 +113,23 @@ def shared_losses(models: Sequence[Model], z: IOData) -> tuple[list[float], int]
 
 def _objections(model: Model, test: ResidualTest, fits: Mapping[str, float | None]) -> list[str]:
     """Reasons against the model."""
-    found = []
+    reasons = []
     if not model.converged:
-        found.append('the fit did not converge')
+        reasons.append('the fit did not converge')
     if not model.stable:
-        found.append('the plant is unstable, its free run diverges')
+        reasons.append('the plant is unstable, its free run diverges')
     if not 0 < model.nk < 9:
-        found.append(f'nk = {model.nk} breaks 0 < nk < 9')
+        reasons.append(f'nk = {model.nk} breaks 0 < nk < 9')
     for name, fit in fits.items():
         if fit is None or fit <= 0.0:
-            found.append(f'free run on {name} is no better than its mean')
+            reasons.append(f'free run on {name} is no better than its mean')
     if model.structure in WITH_NOISE_MODEL and not test.residual_white:
-        found.append(f'residual is not white (p = {test.p_white:.2g})')
+        reasons.append(f'residual is not white (p = {test.p_white:.2g})')
     if not test.residual_uncorrelated_with_input:
-        found.append(f'residual depends on past inputs (p = {test.p_input:.2g})')
+        reasons.append(f'residual depends on past inputs (p = {test.p_input:.2g})')
     if not test.causal and test.causality_signal == 'r':
-        found.append(f'residual predicts the reference (p = {test.p_causal:.2g})')
-    return found
+        reasons.append(f'residual predicts the reference (p = {test.p_causal:.2g})')
+    return reasons
 
 
 def _finite(value: float) -> float | None:

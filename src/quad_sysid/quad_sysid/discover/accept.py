@@ -14,7 +14,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import stats
-from scipy.linalg import toeplitz
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without, fitted_from
@@ -27,7 +26,7 @@ from quad_sysid.explain.projection import Projected
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.flight import Prediction
 from quad_sysid.model.identified import UNLISTED
-from quad_sysid.model.noise import growth
+from quad_sysid.model.noise import growth, transitions
 
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 SHORT_S = HORIZONS_S[2]
@@ -418,27 +417,25 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
 
     Under the noise model the sign of an innovation says nothing about the next, whatever their
     sizes: gusts may have lulls and bursts. The errors are therefore compared with those that the
-    same innovations cause, through the filter's gain, with random signs. An error counts if it
-    exceeds all of FLIPS such draws and, by the factor DIFFERS, their median.
+    same innovations cause, through the filter's gain and the slope of the torque where they fell,
+    with random signs: what turns freely keeps an error that a friction would hold. An error counts
+    if it exceeds all of FLIPS such draws and, by the factor DIFFERS, their median.
     """
     windows = unseen.windows
     if windows.count < 2:
         return ''
-    found = fitted.prediction.filter
-    state, response = found.gain, np.ones(windows.length)
-    for k in range(1, windows.length):
-        state = found.transition @ state
-        response[k] = found.output @ state
-    through = np.triu(toeplitz(response))
+    through = _through(unseen, fitted)
     at = windows.starts[:, None] + np.arange(windows.length)
     innovations = np.nan_to_num(unseen.predict(fitted).innovation[at])
     rng = np.random.default_rng(0)
     drawn = np.array([
-        _size_and_spread((innovations * rng.choice((-1.0, 1.0), innovations.shape)) @ through)
+        _size_and_spread(np.einsum('wi,wij->wj', innovations * rng.choice(
+            (-1.0, 1.0), innovations.shape), through, optimize=True))
         for _ in range(FLIPS)
     ])
     derived = unseen.problem.flight.sensor.derived  # innovations are of the angle there
-    own = _size_and_spread(innovations @ through if derived else unseen.errors(fitted))
+    own = _size_and_spread(np.einsum('wi,wij->wj', innovations, through) if derived
+                           else unseen.errors(fitted))
     ratio = own / np.median(drawn, axis=0)
     size, spread = np.where(own > drawn.max(axis=0), ratio, 1.0)
     if size > DIFFERS:
@@ -446,6 +443,22 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     if spread > DIFFERS:
         return f'the held-out errors come in bursts, {spread:.2f} times as uneven as from noise'
     return ''
+
+
+def _through(unseen: Unseen, fitted: Fitted) -> FloatArray:
+    """(windows, length, length) what the innovation of each cycle does to the errors after it."""
+    windows, flight, prediction = unseen.windows, unseen.problem.flight, unseen.predict(fitted)
+    found, count, length = prediction.filter, windows.count, windows.length
+    values = fitted.structure.natural(fitted.theta)
+    slope = flight.pushed(fitted.structure, values, prediction.rate).slope
+    moves = transitions(found, flight.sensor, slope, unseen.problem.data.dt)
+    out, states = np.zeros((count, length, length)), np.zeros((count, found.gain.size, length))
+    for j in range(length):
+        out[:, :, j] = found.output @ states
+        out[:, j, j] = 1.0
+        states[:, :, j] = found.gain
+        states = moves[windows.starts + j] @ states
+    return out
 
 
 def _squares(errors: FloatArray) -> FloatArray:

@@ -34,14 +34,16 @@ def best_base(problem: Problem) -> Fit:
 
     A few steps from each start; then the best are fitted to convergence.
     """
-    starts = []
+    starts: list[FloatArray] = []
     for way, lag, delay in ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (-1, 0.04, 0.01)):
         start = start_of(problem)
         start[0] *= way
         start[1], start[2] = math.log(lag), math.log(delay)
-        starts.append(start)
+        start[problem.held] = problem.centres(problem.plain)[problem.held]
+        if not any(np.array_equal(start, other) for other in starts):
+            starts.append(start)
     base = most_probable(contest(problem, [
-        Try(Structure(), (start,), problem.flight.rate) for start in starts
+        Try(problem.plain, (start,), problem.flight.rate) for start in starts
     ]))
     if base is None:
         raise FloatingPointError('no start of the base holds')
@@ -68,7 +70,7 @@ def both_orders(problem: Problem, fitted: Fit) -> Fit:
     the command alike; only where the disturbance enters and the priors tell them apart.
     """
     gain, lag, _, damping = fitted.values[:4]
-    if not damping > 0.0:
+    if not damping > 0.0 or problem.held:
         return fitted
     start = fitted.theta.copy()
     start[0], start[1], start[3] = gain / (lag * damping), -math.log(damping), 1.0 / lag
@@ -146,7 +148,7 @@ def _beside(problem: Problem, base: Fit) -> Fit:
     """
     fits: list[Fit | None] = [base]
     for delay in (base.value('delay') - problem.data.dt, base.value('delay') + problem.data.dt):
-        if delay > 0.0:
+        if delay > 0.0 and 2 not in problem.held:
             start = base.theta.copy()
             start[2] = math.log(delay)
             fits.append(fitted_from(problem, base.structure, start, rate=base.rate))
@@ -179,13 +181,14 @@ def fit_without(problem: Problem, fitted: Fit, *which: int, silent: bool = False
                 **options: Any) -> Fit | None:
     """A fit without some of its effects, the rest refitted; None where that diverges.
 
-    silent: the gain starts at zero.
+    silent: the gain starts at zero, and a law of the user's sees no command.
     """
     slices = fitted.structure.slices()
     gone = [j for i in which for j in range(slices[i].start, slices[i].stop)]
     structure, theta = fitted.structure.minus(*which), np.delete(fitted.theta, gone)
     if silent:
-        theta[0] = 0.0
+        theta[0], law = 0.0, structure.law
+        structure = replace(structure, law=law and replace(law, settings={'silent': True}))
     return fitted_from(problem, structure, theta, rate=fitted.rate, **options)
 
 
@@ -198,7 +201,10 @@ def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
     if not problem.data.measures(which):
         return False
     data = other_axis(problem.data, which)
-    other = fitted_from(Problem(data, data.train), base.structure, base.theta)
+    built_in, theirs = replace(base.structure, law=None), Problem(data, data.train)
+    start = base.theta if base.structure.law is None else np.r_[
+        start_of(theirs)[: len(built_in.base)], base.theta[-len(built_in.noise) :]]
+    other = fitted_from(theirs, built_in, start)
     if other is None:
         return False
     flight = problem.flight

@@ -24,7 +24,7 @@ from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.flight import per_coefficient
-from quad_sysid.model.structure import Structure, coordinates, natural
+from quad_sysid.model.structure import BASE, Structure, coordinates, natural
 
 FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
@@ -319,11 +319,22 @@ def candidates(
 ) -> tuple[list[Part], dict[str, str]]:
     """Candidates that these data can show, and the reasons against the others.
 
-    What differs in a motor that the craft does not have is none of them.
+    What differs in a motor that the craft does not have is none of them; beside a law of the
+    user's, what changes a built-in term can be shown only where the base keeps that term.
     """
     count = max(problem.data.motors.shape[1], FEWEST_MOTORS)
-    prepared = [(effect, effect.prepare(problem.data)) for effect in effects
+    prepared = [(effect, _replaced(problem, effect) or effect.prepare(problem.data))
+                for effect in effects
                 if max(effect.motors, default=0) < count
                 and (not effect.axes or problem.data.axis in effect.axes)]
     parts = [Part(effect, found) for effect, found in prepared if not isinstance(found, str)]
     return parts, {effect.label: found for effect, found in prepared if isinstance(found, str)}
+
+
+def _replaced(problem: Problem, effect: Effect) -> str:
+    """Why an effect has no built-in term to change beside a law of the user's; '' where it has."""
+    of_drive = not effect.moves_command and {'command', 'history'} <= {*effect.signals}
+    term = 'gain' if of_drive else {'response': 'lag'}.get(effect.term, effect.term)
+    gone = [BASE[i].name for i in problem.held]
+    return (f"it acts on the {term}, which the base of one's own replaces; keep=({term!r},) fits "
+            'it beside the law') if term in gone and term != 'damping' else ''

@@ -14,6 +14,7 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import (
     FAR_BEHIND,
+    ROUGH_NATS,
     Try,
     begun_fits,
     best_base,
@@ -40,7 +41,7 @@ from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem, start_of
 from quad_sysid.estimate.stored import noise_of
 from quad_sysid.model.effect import Effect, Part, required
-from quad_sysid.model.structure import NOISE, VIBRATION, Structure, coordinates
+from quad_sysid.model.structure import NOISE, VIBRATION, coordinates
 
 SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""
@@ -102,6 +103,25 @@ class Found:
         scores = np.array([s.score for s in self.all])
         return np.exp(scores - np.logaddexp.reduce(scores))
 
+    def apart(self, fitted: Fit) -> FloatArray:
+        """(p, p) mean square by which all structures disagree with a fit's physics.
+
+        In the coordinates of the fit, each structure by its probability, as far as it has them:
+        what a standard error within one structure does not contain (Draper 1995).
+        """
+        own = {part.effect.label: where for part, where in fitted.structure.placed()}
+        out = np.zeros((fitted.theta.size, fitted.theta.size))
+        base = slice(len(fitted.structure.base))
+        for one, probability in zip(self.all, self.probabilities(), strict=True):
+            away, theta = np.zeros(fitted.theta.size), one.fit.theta
+            away[base] = theta[base] - fitted.theta[base]
+            for part, where in one.fit.structure.placed():
+                if part.effect.label in own:
+                    here = own[part.effect.label]
+                    away[here] = theta[where] - fitted.theta[here]
+            out += probability * np.outer(away, away)
+        return out
+
 
 def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
     """A fit with its score, log evidence plus log prior."""
@@ -147,9 +167,9 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
     whether such a response is there: only what is beyond the base by then is fitted to its end.
     """
     begun, brief = start_of(problem), problem.brief
-    count = begun.size - len(Structure().noise)
+    count = begun.size - len(problem.plain.noise)
     tries = [
-        Try(Structure((part,)), [
+        Try(problem.plain.plus(part), [
             np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
             for start in part.effect.starts(problem.data, part.settings)
         ], problem.flight.rate)
@@ -269,8 +289,8 @@ class _Search:
         structure = best.fit.structure
         new = [index for index in range(len(structure.parts))
                if frozenset(structure.minus(index).labels) not in self.known]
-        for fit in side_by_side([partial(fit_without, self.problem, best.fit, index)
-                                 for index in new]):
+        for fit in side_by_side([partial(fit_without, self.problem, best.fit, index,
+                                         enough=ROUGH_NATS) for index in new]):
             if fit is not None:
                 self.keep(fit)
         return self.best() is not best

@@ -7,18 +7,16 @@ of model.effect.Effect.
 from importlib.metadata import entry_points
 
 from quad_sysid.effects.actuators import ACTUATORS
-from quad_sysid.effects.curves import CURVES, WANDERING
-from quad_sysid.effects.events import CLOCKED, EVENTS
-from quad_sysid.effects.hidden import HIDDEN, SHOWN
-from quad_sysid.effects.surfaces import SURFACES
+from quad_sysid.effects.curves import CURVES
+from quad_sysid.effects.events import EVENTS
+from quad_sysid.effects.hidden import HIDDEN
 from quad_sysid.effects.torques import COUPLINGS, TORQUES
 from quad_sysid.model.checked import checked
 from quad_sysid.model.effect import Effect
 
 GROUP = 'quad_sysid.effects'
 BUILT_IN: tuple[Effect, ...] = (
-    *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES, *SURFACES, *WANDERING,
-    *CLOCKED, SHOWN,
+    *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES,
 )
 EFFECTS: tuple[Effect, ...] = (
     *BUILT_IN,

@@ -9,27 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.curves import CurveBefore, placed_around_zero
-from quad_sysid.effects.hidden import (
-    RING,
-    System,
-    behind_lag,
-    followed,
-    ring,
-    step_of,
-)
-from quad_sysid.effects.maps import Following, Kept, Map, Steps, why_not
+from quad_sysid.effects.curves import COUNT, Smooth, placed_around_zero
+from quad_sysid.effects.hidden import Linked, System, behind_lag, followed, ring, step_of
+from quad_sysid.effects.maps import Following, Kept, Map, Steps
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import laws
-from quad_sysid.model.data import AxisData, Span
-from quad_sysid.model.effect import (
-    Drive,
-    Effect,
-    Settings,
-    Signals,
-    Spec,
-    required,
-)
+from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import UNITS, Drive, Effect, Settings, Signals, Spec, required
 from quad_sysid.model.structure import BASE
 
 MOVES = 0.02
@@ -48,24 +34,6 @@ def over_cycle(x: FloatArray, u: FloatArray, tau: float, dt: float) -> FloatArra
     x: the lagged command at the start of the cycle.
     """
     return u + (x - u) * (tau / dt * -math.expm1(-dt / tau))
-
-
-def lagged(data: AxisData, command: FloatArray, tau: float) -> FloatArray:
-    """(n,) a held command after a first-order lag of `tau` s, mean over each cycle."""
-    return over_cycle(_behind(data.stretches, command, tau, data.dt), command, tau, data.dt)
-
-
-def _behind(
-    stretches: Sequence[Span], command: FloatArray, tau: float, dt: float
-) -> FloatArray:
-    """(n,) a held command after a first-order lag of `tau` s, at the start of each cycle."""
-    keep, out = math.exp(-dt / tau), command[None, :].copy()
-    followed(stretches, command, np.array([[keep]]), np.array([1.0 - keep]), out)
-    return out[0]
-
-
-def _late(p: FloatArray) -> float:
-    return max(float(p[0]), 1e-5)
 
 
 def _ringing(s: Signals, u: FloatArray, p: FloatArray) -> FloatArray:
@@ -88,41 +56,34 @@ HALF_WIDTH = (
     Spec('half_width', '1', spread=2.0, centre=math.log(0.003), log=True,
          starts=(0.0003, 0.001, 0.003, 0.01)),
 )
+
+
+def _cross_axis(which: int) -> Effect:
+    """Motors or gyro out of line: a fraction of another axis' command acts here."""
+    return Map(
+        'cross_axis_input', ('other command',), (Spec('fraction', '1', spread=0.2),),
+        lambda s, u, p: u + p[0] * s.other_commands[which],
+        others=(which,), variant=f'other axis {which + 1}')
+
+
 MAPS = (
+    _cross_axis(0), _cross_axis(1),
     Map(
         'dead_zone', ('command',), HALF_WIDTH,
-        lambda _, u, p: np.sign(u) * np.maximum(np.abs(u) - p[0], 0.0),
-        physics='sign(u) max(|u| - w, 0): the motors do not answer to small commands',
-        excite='small commands around zero: a multisine of small amplitude',
-    ),
+        lambda _, u, p: np.sign(u) * np.maximum(np.abs(u) - p[0], 0.0)),
     Kept(
         'backlash', ('command', 'history'), HALF_WIDTH,
-        lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]), loop=laws.play,
-        kept=lambda x, u, _, p: np.clip(x, u - p[0], u + p[0]),
-        numbers=lambda _, p: (float(p[0]),),
-        physics='play of +-w between command and torque',
-        excite='small slow reversals of the command',
-    ),
-)
-
-
-def _slewed(x: FloatArray, u: FloatArray, s: Signals, p: FloatArray) -> FloatArray:
-    return x + np.clip(u - x, -p[0] * s.dt, p[0] * s.dt)
-
-
-SLOW_MAPS = (
+        lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]),
+        loop=laws.play, numbers=lambda _, p: (float(p[0]),)),
     Kept(
         'shape:lag:command', ('command', 'motors', 'history'),
         (
             Spec('slew', '1/s', spread=1.5, centre=math.log(3.0), log=True,
                  starts=(0.5, 1.5, 4.0, 10.0)),
         ),
-        lambda s, u, p: _slewed(s.hidden, u, s, p), kept=_slewed,
+        lambda s, u, p: s.hidden + np.clip(u - s.hidden, -p[0] * s.dt, p[0] * s.dt),
         loop=laws.slew, numbers=lambda s, p: (float(p[0]) * s.dt,),
-        kind='shape', variant='slew limit', term='response',
-        physics='the command of a motor changes by at most so much a second',
-        excite='large steps of the command',
-    ),
+        kind='shape', variant='slew limit', term='response'),
     Steps(
         'shape:gain:command', ('command', 'motors'),
         (
@@ -130,26 +91,17 @@ SLOW_MAPS = (
             Spec('level', '1', spread=0.3, starts=(0.0,)),
             Spec('hysteresis', '1', spread=0.3, positive=True, starts=(0.0, 0.25)),
         ),
-        lambda *_: None, kept=lambda x, u, _, p: np.where(
-            np.abs(u - x) - 0.5 > p[2], np.floor(u + 0.5), x),
-        loop=laws.in_steps, numbers=lambda _, p: (float(p[2]),),
-        kind='shape', variant='steps',
-        physics='motors take their command in whole steps, with hysteresis',
-        excite='slow small commands',
-    ),
+        lambda s, u, p: np.where(np.abs(u - s.hidden) - 0.5 > p[2], np.floor(u + 0.5), s.hidden),
+        loop=laws.in_steps, numbers=lambda _, p: (float(p[2]),), kind='shape', variant='steps'),
     Following(
         'mode:second_lag', ('command', 'history'),
         (
             Spec('time_constant', 's', spread=1.0, centre=math.log(0.02), log=True,
                  starts=(0.01, 0.03, 0.1)),
         ),
-        lambda s, u, p: over_cycle(s.hidden, u, _late(p), s.dt), states=1,
-        system=lambda p, _: behind_lag(np.array([_late(p)])), output=lambda _: (np.ones(1), 0.0),
-        kind='mode', term='response',
-        physics='a second first-order lag between command and torque',
-        excite='a PRBS that reaches beyond 1 / lag',
-    ),
-    Following(
+        lambda s, u, p: over_cycle(s.hidden, u, p[0], s.dt), states=1,
+        kind='mode', term='response'),
+    Following(  # motors under a speed controller
         'mode:second_order', ('command', 'history'),
         (
             Spec('frequency', 'Hz', spread=0.8, centre=math.log(3.0), log=True,
@@ -157,12 +109,7 @@ SLOW_MAPS = (
             Spec('damping_ratio', '1', spread=0.4, centre=math.log(0.8), log=True, starts=(0.8,)),
             Spec('in_phase', '1', spread=0.3), Spec('quadrature', '1', spread=0.3),
         ),
-        _ringing, kind='mode', term='response', states=2, system=_mode,
-        output=lambda p: (p[2:], 1.0),
-        physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command: motors under a "
-        'speed controller',
-        excite='a PRBS that reaches beyond the frequency',
-    ),
+        _ringing, kind='mode', term='response', states=2, system=lambda p, s: _mode(p, s.dt)),
     Following(
         'resonance', ('command', 'history'),
         (
@@ -174,10 +121,7 @@ SLOW_MAPS = (
             Spec('in_phase', '1', spread=0.06), Spec('quadrature', '1', spread=0.06),
         ),
         lambda s, u, p: _ringing(s, u, _lightly(p)), term='response', states=2,
-        system=lambda p, dt: _mode(_lightly(p), dt), output=lambda p: (p[2:], 1.0),
-        physics=f"{RING} u; adds in_phase z + quadrature z'/w to the command",
-        excite='a chirp or PRBS through the mode',
-    ),
+        system=lambda p, s: _mode(_lightly(p), s.dt)),
 )
 
 
@@ -188,8 +132,6 @@ class BatterySag(Effect):
     signals = ('battery', 'command')
     term = 'gain'
     parameters = (Spec('exponent', '1', spread=1.5),)
-    physics = 'gain (V / V_ref)^n: thrust per command falls with the pack voltage'
-    excite = 'a long flight, or throttle changes, so that the voltage moves by 5 % or more'
 
     def prepare(self, data: AxisData) -> Settings | str:
         volts = data.signal('battery')
@@ -207,11 +149,18 @@ class BatterySag(Effect):
         return {'battery': float(settings['reference_v'])}
 
 
-class Propellers(Effect):
+class Propellers(Linked):
     """The thrust of propellers is a curve of their motor's speed, a lagged command."""
 
     term = 'command'
     states = 1
+
+    def system(self, p: FloatArray, s: Signals) -> System:
+        """Of the base's lag."""
+        return behind_lag(s.lag)
+
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return [required(s.motors)[i] for i in of_motors(s, self.motors)]
 
     def bend(
         self, m: FloatArray, p: FloatArray, settings: Settings
@@ -223,19 +172,7 @@ class Propellers(Effect):
         raise NotImplementedError
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return np.stack([required(s.motors)[i] for i in of_motors(s, self.motors)])
-
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        u = self.begin(s, p, settings)
-        return u + (x - u) * math.exp(-s.dt / s.lag)
-
-    def trace(
-        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-        begun: FloatArray | None = None,
-    ) -> FloatArray:
-        return np.stack([_behind(stretches, u, s.lag, s.dt) for u in self.begin(s, p, settings)])
+        return np.stack(self.inputs(s, settings))
 
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         # f(m) of the lagged m follows the same lag where the command is f(m) + f'(m) (u - m)
@@ -254,11 +191,9 @@ class ThrustCurve(Propellers):
     name = 'thrust_curve'
     signals = ('command', 'throttle', 'motors')
     parameters = (Spec('curvature', '1', spread=0.4),)
-    physics = 'thrust (1 - k) m + k m² of each motor command m'
-    excite = 'throttle changes during the excitation, or large commands on two axes at once'
 
     def prepare(self, data: AxisData) -> Settings | str:
-        if why := why_not(data):
+        if why := self.lacking(data):
             return why
         throttle = data.training(data.control[:, 0])
         others = [data.training(data.control[:, i + 1]) for i in range(3) if i != data.index]
@@ -277,31 +212,25 @@ class ThrustCurve(Propellers):
         return bent * away**2, 2.0 * bent * away
 
 
-class MotorCurve(Propellers, CurveBefore):
+class MotorCurve(Propellers, Smooth):
     """The slope of thrust over command is a smooth curve, of all motors or of one."""
 
-    def __init__(self, smoothness: str, *motors: int) -> None:
-        super().__init__('gain', 'command', smoothness)
+    name = 'shape:gain:command'
+    signals = ('command', 'motors', 'throttle')
+
+    def __init__(self, *motors: int) -> None:
         self.motors = motors
-        who = f'motor {motors[0] + 1}' if motors else 'motors'
-        self.term, self.variant = 'command', f'{smoothness}, {who}'
-        self.signals = ('command', 'motors', 'throttle')
-        self.parameters = tuple(
-            Spec(f'slope_{i}', '1', spread=0.3) for i in range(self.count)
-        )
-        self.physics = 'thrust m + f(m) of a motor command m behind its lag; f has smooth slopes'
-        self.excite = 'throttle changes during the excitation, large commands on two axes at once'
+        self.variant = f'smooth, motor {motors[0] + 1}' if motors else 'smooth, motors'
+        self.parameters = self.valued(Spec('slope_', '1', spread=0.3))
 
     def prepare(self, data: AxisData) -> Settings | str:
-        why = why_not(data, single=len(self.motors) == 1)
-        if why:
+        if why := self.lacking(data):
             return why
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         return {
-            'knots': tuple(np.linspace(low, high, self.count).tolist()),
-            'place': tuple(np.linspace(-1.0, 1.0, self.count).tolist()),
+            'knots': tuple(np.linspace(low, high, COUNT).tolist()),
             # of all motors the mean slope is the gain; one may be weaker than the others
-            'mean': (0.0 if self.motors else 1.0 / self.count,) * self.count,
+            'mean': (0.0 if self.motors else 1.0 / COUNT,) * COUNT,
             'throttle': float(np.mean(data.training(data.control[:, 0]))),
         }
 
@@ -332,13 +261,7 @@ class Saturation(Map):
             'saturation', ('command', 'motors'),
             (Spec(side, '1', spread=0.3, centre=centre, starts=(centre,)),),  # not linear in it
             lambda _, motors, p: limit(motors, p[0]), variant=side,
-            physics='clip(m, lower, upper): the motors stop short of what is commanded',
-            excite='large commands: a square wave of large amplitude',
         )
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        why, motors = why_not(data), data.training(data.motors)
-        return why or {'lowest': float(motors.min()), 'highest': float(motors.max())}
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         motors = data.training(data.motors)
@@ -393,10 +316,6 @@ class Motors(Row):
 
     term = 'response'
 
-    def prepare(self, data: AxisData) -> Settings | str:
-        return (why_not(data, single=len(self.motors) == 1)
-                if 'motors' in self.signals else '') or {}
-
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         return self.law(s, drive, p)
 
@@ -405,111 +324,69 @@ def _slow_motor(motor: int) -> Effect:
     return Motors(
         'motor_lag', ('command', 'motors'), (replace(SLOW, starts=(0.07, 0.12, 0.25)),),
         lambda s, drive, p: differing(s, drive, [motor], slow_s=float(p[0])),
-        motors=(motor,), variant=f'motor {motor + 1}',
-        physics='one motor answers with a longer lag; the other axes then act here as well',
-        excite='hover with all axes moving',
+        motors=(motor,), variant=f'motor {motor + 1}')
+
+
+def _shared(drive: Drive, share: float, lag: FloatArray) -> Drive:
+    """A share of the axis' command behind a lag (1, n) of its own."""
+    return replace(
+        drive, commands=np.concatenate([drive.commands, drive.commands[:1]]),
+        row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
+        lag=np.concatenate([drive.lag, lag]),
+        factors=np.concatenate([drive.factors, drive.factors[:1]]),
     )
 
 
 def _slow_share(sign: float) -> Callable[[Signals, Drive, FloatArray], Drive]:
-    def shared(_: Signals, drive: Drive, p: FloatArray) -> Drive:
-        slow, share = np.maximum(p[0], drive.lag[:1]), sign * p[1]
-        return replace(
-            drive, commands=np.concatenate([drive.commands, drive.commands[:1]]),
-            row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
-            lag=np.concatenate([drive.lag, slow]),
-            factors=np.concatenate([drive.factors, drive.factors[:1]]),
-        )
-
-    return shared
+    return lambda _, drive, p: _shared(drive, sign * p[1], np.maximum(p[0], drive.lag[:1]))
 
 
 def _reaction(_: Signals, drive: Drive, p: FloatArray) -> Drive:
     """Torque T drive' beside the drive; as drive' = (u - drive) / lag, it is a share of u."""
     lag = drive.lag[:1]
-    share = float(p[0]) / float(lag[0, 0])
-    return replace(
-        drive, commands=np.concatenate([drive.commands, drive.commands[:1]]),
-        row=np.r_[drive.row[:1] * (1.0 - share), drive.row[1:], drive.row[:1] * share],
-        lag=np.concatenate([drive.lag, np.full_like(lag, AT_ONCE_S)]),
-        factors=np.concatenate([drive.factors, drive.factors[:1]]),
-    )
+    return _shared(drive, float(p[0]) / float(lag[0, 0]), np.full_like(lag, AT_ONCE_S))
 
 
-def _asymmetric(variant: str, *motors: int, each: bool = True) -> Effect:
-    """Of these motors, of each one (none named), or of the axis' command."""
-
-    def uneven(s: Signals, drive: Drive, p: FloatArray) -> Drive:
-        factors = BOTH_WAYS, -float(p[0]) * np.sign(BOTH_WAYS)
-        if each:
-            return differing(s, drive, of_motors(s, motors), factors=factors)
-        whole = drive.factors.copy()
-        whole[0] = factors
-        return replace(drive, factors=whole)
-
-    return Motors(
-        'shape:lag:direction', ('command', 'direction', *(('motors',) if each else ())),
-        (Spec('asymmetry', '1', spread=0.5),), uneven, kind='shape', variant=variant,
-        motors=motors, excite='steps of the command up and down',
-        physics='a motor slows down with the lag times exp(a) and speeds up with the lag over '
-        'exp(a)',
-    )
-
-
-class HasteCurve(CurveBefore):
+class HasteCurve(Smooth):
     """The lag of all motors follows how far each has to go, its command less its speed.
 
     A smooth curve of the logarithm of a factor.
     """
 
+    name = 'shape:lag:direction'
+    variant = 'smooth, motors'
+    term = 'response'
+    signals = ('command', 'direction', 'motors')
+
     def __init__(self) -> None:
-        super().__init__('lag', 'command', 'smooth')
-        self.name, self.variant, self.term = 'shape:lag:direction', 'smooth, motors', 'response'
-        self.signals = ('command', 'direction', 'motors')
-        self.parameters = tuple(replace(spec, spread=1.0) for spec in self.parameters)
-        self.physics = 'the lag of a motor follows how far it has to go, as a smooth curve'
-        self.excite = 'small and large steps of the command, up and down'
+        self.parameters = self.valued(Spec('y', UNITS['lag'], spread=1.0))
 
     def prepare(self, data: AxisData) -> Settings | str:
-        why, usual = why_not(data), math.exp(BASE[1].centre)
-        away = [data.training(m - lagged(data, m, usual)) for m in data.motors.T]
+        why, usual = self.lacking(data), math.exp(BASE[1].centre)
+        step, away = step_of(*behind_lag(usual), data.dt), []
+        for m in data.motors.T:
+            followed(data.stretches, m, *step, x := m[None].copy())
+            away.append(data.training(m - over_cycle(x[0], m, usual, data.dt)))
         # a motor that is late has further to go than by the usual lag
-        return why or placed_around_zero(np.concatenate(away), self.count, reach=2.0)
+        return why or placed_around_zero(np.concatenate(away), reach=2.0)
 
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         knots, values = np.array(settings['knots']), p - float(np.dot(settings['mean'], p))
         return differing(s, drive, of_motors(s, ()), factors=(knots, values))
 
 
-BOTH_WAYS = np.array([-3.0, -2.0, -1e-9, 1e-9, 2.0, 3.0])
-"""Knots of a curve that only knows whether a motor slows down or speeds up."""
 SLOW = Spec('slow_time_constant', 's', spread=0.7, centre=math.log(0.12), log=True,
             starts=(0.09, 0.15, 0.3))
 SHARE = Spec('share', '1', spread=0.3, positive=True)
 ACTUATORS: tuple[Effect, ...] = (
-    *MAPS, BatterySag(), ThrustCurve(), MotorCurve('smooth'), MotorCurve('rough'),
-    *(MotorCurve('smooth', i) for i in range(MOST_MOTORS)), Saturation('upper'),
-    Saturation('lower'),
-    Motors(
-        'motor_lag', ('command',), (SLOW, SHARE), _slow_share(1.0),
-        physics='a share of the motors answers with a longer lag than the others',
-        excite='a PRBS that reaches beyond 1 / lag',
-    ),
-    Motors(
-        'mode:lead', ('command',), (SLOW, SHARE), _slow_share(-1.0), kind='mode',
-        physics="the torque overshoots and falls back by a share: rotors' own reaction in yaw",
-        excite='a PRBS that reaches beyond 1 / lag',
-    ),
+    *MAPS, BatterySag(), ThrustCurve(), MotorCurve(),
+    *(MotorCurve(i) for i in range(MOST_MOTORS)), Saturation('upper'), Saturation('lower'),
+    Motors('motor_lag', ('command',), (SLOW, SHARE), _slow_share(1.0)),
+    Motors('mode:lead', ('command',), (SLOW, SHARE), _slow_share(-1.0), kind='mode'),
     Motors(
         'mode:rotor_lead', ('command',),
         (Spec('lead_time', 's', spread=1.0, centre=math.log(0.1), log=True,
               starts=(0.03, 0.1, 0.3)),),
-        _reaction, kind='mode',
-        physics='T times the change of the drive: rotors that speed up push the body the other '
-        'way, a true lead in yaw',
-        excite='a PRBS that reaches beyond 1 / lag',
-    ),
-    *(_slow_motor(i) for i in range(MOST_MOTORS)), _asymmetric('motors'),
-    _asymmetric('axis', each=False), HasteCurve(),
-    *(_asymmetric(f'motor {i + 1}', i) for i in range(MOST_MOTORS)), *SLOW_MAPS,
+        _reaction, kind='mode'),
+    *(_slow_motor(i) for i in range(MOST_MOTORS)), HasteCurve(),
 )

@@ -1,7 +1,7 @@
 """The matrix: each term of the base as a smooth curve of a signal; and what wanders by itself.
 
 Terms are torque, gain, damping, friction, lag and delay; a cell is one entry of CURVES. A curve is
-a Gaussian process at knots, linear between them; two smoothnesses of each compete.
+a Gaussian process at knots, linear between them.
 """
 
 from __future__ import annotations
@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.data import AxisData, high, typical_acceleration
+from quad_sysid.model import laws
+from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import (
     TRANSITION,
     UNITS,
@@ -30,23 +32,21 @@ from quad_sysid.model.effect import (
 
 SLOW_MOVES = 0.01
 """Share of its mean by which a slow signal must move to support a curve."""
-SMOOTH = {'smooth': (6, 0.6), 'rough': (11, 0.2)}
-"""Number of knots, and correlation length as a share of the signal's range. The knots of the first
-are among those of the second."""
-DRIFT = {'drift': (2, 1.0)}
-"""For curves over time also a straight line, which ends with the training."""
+COUNT, LENGTH = 6, 0.6
+"""Number of knots, and correlation length as a share of their range."""
+PLACES = np.linspace(-1.0, 1.0, COUNT)
+"""Of the knots, before they are placed over a signal."""
 ACTS_ON: dict[str, tuple[str, ...]] = {
     'torque': (), 'gain': ('command',), 'damping': ('rate',), 'friction': ('rate',),
     'lag': ('command',), 'delay': ('command',),
 }
 """Term → the signal that its acceleration is proportional to."""
 
+
 def signal_of(s: Signals, name: str) -> FloatArray:
     """A signal in a matrix's word for it, along a flight or in a free run."""
-    pair = {'other rate': s.other_rates, 'other angle': s.other_angles,
-            'other command': s.other_commands}
-    if name.startswith('other'):
-        return required(pair[name[:-2]])[int(name[-1]) - 1]
+    if name.startswith('other angle'):
+        return required(s.other_angles)[int(name[-1]) - 1]
     return required({
         'rate': s.rate, 'angle': s.angle, 'throttle': s.throttle, 'battery': s.battery_v,
         'time': s.time, 'command': s.lagged,
@@ -59,30 +59,31 @@ def shape_name(term: str, signal: str) -> str:
     return f'shape:{kind}' if term in ('torque', 'friction') else f'shape:{term}:{kind}'
 
 
-USUAL = {'gain': 1.0, 'lag': 1.0, 'delay': 0.01}
-"""What counts as a large change of a term, in its unit; of damping and friction it is what adds
-half of the axis' own acceleration."""
-
-
 def over_knots(x: FloatArray, y: FloatArray, settings: Settings) -> FloatArray:
     """(n,) a curve over x (n,), linear between its values y at the knots, constant beyond them.
 
     Less its mean over the training, so that the base's parameters keep their meaning.
     """
-    return np.interp(x, settings['knots'], y - float(np.dot(settings['mean'], y)))
+    knots, mean = _arrays(settings['knots'], settings['mean'])
+    return np.interp(x, knots, y - mean @ y)
 
 
-def placed(used: FloatArray, knots: FloatArray, place: FloatArray) -> dict[str, Any]:
+@lru_cache(maxsize=1024)
+def _arrays(*columns: tuple[float, ...]) -> list[FloatArray]:
+    return [np.array(column) for column in columns]
+
+
+def placed(used: FloatArray, knots: FloatArray) -> dict[str, Any]:
     """Settings of a curve with these knots (k,) over a signal, whose mean over it is zero."""
     held = np.clip(used[np.isfinite(used)], knots[0], knots[-1])
     mean = tuple(float(np.mean(np.interp(held, knots, hat))) for hat in np.eye(knots.size))
-    return {'knots': tuple(knots.tolist()), 'place': tuple(place.tolist()), 'mean': mean}
+    return {'knots': tuple(knots.tolist()), 'mean': mean}
 
 
-def placed_around_zero(used: FloatArray, count: int, reach: float = 1.0) -> dict[str, Any]:
+def placed_around_zero(used: FloatArray, reach: float = 1.0) -> dict[str, Any]:
     """The same with knots that are dense around zero, where friction lives, and reach so far."""
-    z, far = np.linspace(-1.0, 1.0, count), np.max(np.abs(np.nanpercentile(used, [0.5, 99.5])))
-    return placed(used, reach * far * np.sign(z) * np.abs(z) ** 1.7, z)
+    far = np.max(np.abs(np.nanpercentile(used, [0.5, 99.5])))
+    return placed(used, reach * far * np.sign(PLACES) * np.abs(PLACES) ** 1.7)
 
 
 class Shape(Effect):
@@ -103,35 +104,39 @@ class Shape(Effect):
 
 
 class Smooth(Shape):
-    """A shape whose parameters from `first` on are the `count` values of a curve at its knots."""
+    """A shape whose parameters from `first` on are the values of a curve at its knots."""
 
-    free = True
     first = 0
-    count: int
-    length: float
-    """Over which the curve is correlated, as a share of the range of its knots."""
+
+    def valued(self, spec: Spec) -> tuple[Spec, ...]:
+        """The curve's values, each as `spec` says."""
+        return tuple(replace(spec, name=f'{spec.name}{i}') for i in range(COUNT))
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
-        at = np.array(settings['place'])  # -1 to 1
-        apart = (at[:, None] - at) / (2.0 * self.length)
-        kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(at.size)
-        out, where = np.diag(sizes**-2.0), slice(self.first, self.first + self.count)
+        apart = (PLACES[:, None] - PLACES) / (2.0 * LENGTH)
+        kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(COUNT)
+        out, where = np.diag(sizes**-2.0), slice(self.first, self.first + COUNT)
         out[where, where] = np.linalg.inv(kernel) / sizes[self.first] ** 2
         return out
+
+    @property
+    def linear(self) -> list[int]:
+        return list(range(self.first, self.first + COUNT))
+
+    def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
+        mean = np.zeros(p.size)
+        mean[self.linear] = np.dot(settings['mean'], p[self.linear])
+        return super().readable(p - mean, settings)
 
 
 class Curve(Smooth):
     """One term of the base as a curve of one signal: an acceleration."""
 
-    def __init__(self, term: str, signal: str, smoothness: str) -> None:
-        self.shaped(term, signal, smoothness)
-        self.count, self.length = {**SMOOTH, **DRIFT}[smoothness]
+    def __init__(self, term: str, signal: str) -> None:
+        self.shaped(term, signal, 'smooth')
         spread = {'lag': 0.5, 'delay': 0.01}.get(term)
-        self.parameters = tuple(
-            Spec(f'y{i}', UNITS[term], spread=spread) for i in range(self.count)
-        ) + (TRANSITION,) * (term == 'friction')
-        self.physics = f'{term} follows {signal} as a smooth curve'
-        self.excite = f'let {signal} cover its range while the axis is excited'
+        self.parameters = (*self.valued(Spec('y', UNITS[term], spread=spread)),
+                           *((TRANSITION,) * (term == 'friction')))
 
     def prepare(self, data: AxisData) -> Settings | str:
         signal = data.signal(self.signal)
@@ -144,119 +149,81 @@ class Curve(Smooth):
         if not high - low > 1e-9 * max(1.0, abs(high)):
             return f'{self.signal} does not move during training'
         if self.signal in ('rate', 'command'):
-            settings = placed_around_zero(used, self.count)
+            settings = placed_around_zero(used)
         else:
-            z = np.linspace(-1.0, 1.0, self.count)
-            settings = placed(used, low + 0.5 * (z + 1.0) * (high - low), z)
+            settings = placed(used, np.linspace(low, high, COUNT))
         if self.term == 'friction':  # the base has none
-            settings['mean'] = (0.0,) * self.count
+            settings['mean'] = (0.0,) * COUNT
         elif self.signal == 'time':  # the base is what the flight ends with
-            settings['mean'] = (*[0.0] * (self.count - 1), 1.0)
+            settings['mean'] = (*[0.0] * (COUNT - 1), 1.0)
         return settings
-
-    def _along(self, x: FloatArray, p: FloatArray, settings: Settings) -> FloatArray:
-        return over_knots(x, p[: self.count], settings)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         factor = per_unit(self.term, s, float(p[-1]))
-        return factor * self._along(signal_of(s, self.signal), p, settings)
+        return factor * over_knots(signal_of(s, self.signal), p[:COUNT], settings)
 
-    @property
-    def linear(self) -> list[int]:
-        return list(range(self.count))
-
-    def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
-        more = TRANSITION.starts if self.term == 'friction' else ((),)
-        return [np.r_[np.zeros(self.count), one] for one in more]
+    def columns(
+        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
+    ) -> FloatArray:
+        factor, out = per_unit(self.term, s, float(p[-1])), np.empty((s.rate.size, COUNT))
+        x, factor = (np.ascontiguousarray(one) for one in (signal_of(s, self.signal), factor))
+        laws.hats(x, factor, *_arrays(settings['knots'], settings['mean']), out)
+        return out[:, linear]
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
         if self.signal not in ('throttle', 'battery'):
             return super().usual(p, settings)
         return {self.signal: 0.5 * float(settings['knots'][0] + settings['knots'][-1])}
 
-    def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
-        mean = float(np.dot(settings['mean'], p[: self.count]))
-        return {
-            spec.name: (float(v) - (mean if i < self.count else 0.0), spec.unit)
-            for i, (spec, v) in enumerate(zip(self.parameters, p, strict=True))
-        }
 
-
-class CurveBefore(Curve):
-    """The same of what acts before the torque."""
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
-        return None
-
-
-class LagCurve(CurveBefore):
+class LagCurve(Curve):
     """The motors' lag as a curve of one signal."""
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> None:
+        return None
 
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         signal = required(s.sent) if self.signal == 'command' else signal_of(s, self.signal)
-        return replace(drive, lag=drive.lag * np.exp(self._along(signal, p, settings)))
+        return replace(drive, lag=drive.lag * np.exp(over_knots(signal, p, settings)))
 
 
 class Wandering(Shape):
-    """One term of the base wanders by itself: what changes it was not recorded.
+    """The gain wanders by itself: what changes it was not recorded.
 
     The coefficient is noise with a spread and a correlation time. The filter follows it along
     every flight by a recursive prediction-error method, so that no curve of one flight is taken
     to the next. A wandering torque is no effect: it is the disturbance that every model has.
     """
 
-    free = wanders = True
+    wanders = True
     parameters = (
         Spec('spread', '1', spread=1.0, centre=math.log(0.3), log=True, starts=(0.1, 0.3, 1.0)),
         Spec('correlation', 's', spread=1.0, centre=math.log(10.0), log=True, starts=(2.0, 10.0)),
     )
-    excite = 'a long flight with excitation throughout'
 
-    def __init__(self, term: str) -> None:
-        self.shaped(term, 'time', 'wandering', 'history')
-        self.physics = f"the {term} wanders: x' = -x / correlation + noise, of RMS `spread`"
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        if self.term in USUAL:
-            return {'unit': USUAL[self.term]}
-        rate = high(data.training(data.rate)) if self.term == 'damping' else 1.0
-        return {'unit': 0.5 * typical_acceleration(data, data.train) / rate}
+    def __init__(self) -> None:
+        self.shaped('gain', 'time', 'wandering', 'history')
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        if s.hidden is None:
-            return np.zeros_like(s.rate)
-        return settings['unit'] * s.hidden[0] * per_unit(self.term, s)
+        return np.zeros_like(s.rate) if s.hidden is None else s.hidden[0] * s.drive
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
         return x * math.exp(-s.dt / float(p[1]))
 
-    def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
-        return {
-            'spread': (float(p[0]) * settings['unit'], UNITS[self.term]),
-            'correlation': (float(p[1]), 's'),
-        }
-
-    def fitted(self, values: Mapping[str, float], settings: Settings) -> FloatArray:
-        return np.array([values['spread'] / settings['unit'], values['correlation']])
-
 
 CELLS = {
-    'torque': ('rate', 'angle', 'command', 'throttle', 'battery', 'time', 'other rate 1',
-               'other rate 2', 'other angle 1', 'other angle 2', 'other command 1',
-               'other command 2'),
-    'gain': ('rate', 'angle', 'command', 'throttle', 'battery', 'time'),
-    'damping': ('angle', 'command', 'throttle', 'battery', 'time'),
-    'friction': ('rate', 'angle', 'command', 'throttle', 'time'),
-    'lag': ('command', 'throttle', 'battery', 'time'),
-    'delay': ('throttle', 'battery', 'time'),
+    'torque': ('rate', 'angle', 'command', 'throttle', 'time'),
+    'gain': ('rate', 'command', 'throttle', 'battery', 'time'),
+    'damping': ('angle', 'command', 'throttle', 'time'),
+    'friction': ('rate', 'throttle', 'time'),
+    'lag': ('command', 'throttle', 'time'),
+    'delay': ('throttle', 'time'),
 }
 """Term → the signals that it may follow."""
 
-CURVES = tuple(
-    (LagCurve if term == 'lag' else Curve)(term, signal, smoothness)
-    for term, signals in CELLS.items() for signal in signals
-    for smoothness in ((*SMOOTH, *DRIFT) if signal == 'time' and term != 'friction' else SMOOTH)
+CURVES: tuple[Effect, ...] = (
+    *((LagCurve if term == 'lag' else Curve)(term, signal)
+      for term, signals in CELLS.items() for signal in signals), Wandering(),
 )
-WANDERING = tuple(Wandering(term) for term in UNITS if term != 'torque')

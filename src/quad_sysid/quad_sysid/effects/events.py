@@ -47,15 +47,15 @@ def after(s: Signals, time_s: float) -> FloatArray:
     return 0.5 * (1.0 + np.tanh((s.time - time_s) / 0.02))
 
 
-def from_lines(effect: Effect, left: Left, settings: Settings) -> Sequence[FloatArray]:
-    """Start values of what swings at the frequency of its first parameter."""
-    starts = effect.starts(left.data, settings)
-    return [np.r_[line, start[1:]] for line in left.lines(effect) for start in starts]
+class Repeating(Effect):
+    """What repeats itself at a frequency, its first parameter in Hz."""
 
+    def sought(self, left: Left, settings: Settings) -> Sequence[FloatArray]:
+        starts = self.starts(left.data, settings)
+        return [np.r_[line, start[1:]] for line in left.lines(self) for start in starts]
 
-def first_parameter(_: Effect, p: FloatArray) -> float:
-    """The first parameter, a frequency in Hz."""
-    return float(p[0])
+    def repeats_hz(self, p: FloatArray) -> float:
+        return float(p[0])
 
 
 class Event(Torque):
@@ -72,7 +72,7 @@ class Event(Torque):
         return np.array([LONG_AGO_S, *p[1:]])
 
 
-class Periodic(Event):
+class Periodic(Repeating, Event):
     """A term that swings; its phase differs from flight to flight."""
 
     def __init__(self, term: str, name: str, **more: str) -> None:
@@ -83,8 +83,6 @@ class Periodic(Event):
         )
         signals = ('time', *(['command'] if term == 'gain' else []))
         super().__init__(name, signals, parameters, self._swing, **more)
-
-    sought, repeats_hz = from_lines, first_parameter
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.zeros(3)]  # the frequency comes from what a fit leaves
@@ -109,15 +107,13 @@ class Periodic(Event):
         return np.array([values['frequency'], size * math.cos(phase), size * math.sin(phase)])
 
 
-class Clocked(Effect):
+class Clocked(Repeating):
     """The delay of the command repeats itself, as another clock has it."""
 
     name = 'shape:delay:time'
     kind = 'shape'
     term = 'delay'
     signals = ('command', 'time', 'history')
-    excite = 'a PRBS over many periods'
-    sought, repeats_hz = from_lines, first_parameter
 
     def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
         """(n,) what is added to the delay at a time (n,), both in s."""
@@ -131,13 +127,11 @@ class PeriodicDelay(Clocked):
     """
 
     variant = 'periodic'
-    free = True
     parameters = (
         Spec('frequency', 'Hz', spread=1.3, centre=math.log(1.5), log=True),
         *(Spec(f'{wave}_{k}', 's', spread=0.02 / k)  # those of a saw fall as 1 / k
           for k in range(1, HARMONICS + 1) for wave in ('sine', 'cosine')),
     )
-    physics = 'delay + sum of S_k sin(2 pi k f t) + C_k cos(2 pi k f t)'
 
     def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
         turns = 2.0 * math.pi * p[0] * np.multiply.outer(ORDERS, time)
@@ -166,7 +160,6 @@ class Held(Clocked):
         Spec('frequency', 'Hz', spread=1.0, centre=math.log(40.0), log=True),
         Spec('phase', 'rad', spread=2.0, starts=tuple(math.pi * np.arange(-8, 8) / 8.0)),
     )
-    physics = 'the motors take the command of every 1 / f s and hold it'
 
     def later(self, time: FloatArray, p: FloatArray) -> FloatArray:
         turns = p[0] * time - p[1] / (2.0 * math.pi)
@@ -193,19 +186,13 @@ class Held(Clocked):
 
 
 BEGINS = Spec('time', 's', spread=30.0, starts=(0.0,))
-IN_TRAINING = 'any; the event itself must fall into the training segments'
 EVENTS: tuple[Effect, ...] = (
     Event(
         'step_event', ('time',), (BEGINS, Spec('torque', 'rad/s²')),
-        lambda s, p: p[1] * after(s, p[0]), variant='torque', excite=IN_TRAINING,
-        physics='from a time on a constant torque acts (a load shifts)',
-    ),
+        lambda s, p: p[1] * after(s, p[0]), variant='torque'),
     Event(
         'step_event', ('time', 'command'), (BEGINS, Spec('change', '1', spread=0.3)),
-        lambda s, p: p[1] * s.drive * after(s, p[0]), variant='gain', term='gain',
-        physics='from a time on the gain is scaled by 1 + change (a blade chips)',
-        excite=IN_TRAINING,
-    ),
+        lambda s, p: p[1] * s.drive * after(s, p[0]), variant='gain', term='gain'),
     Event(
         'event', ('time',),
         (
@@ -213,17 +200,7 @@ EVENTS: tuple[Effect, ...] = (
             Spec('torque', 'rad/s²'),
         ),
         lambda s, p: p[2] * (after(s, p[0]) - after(s, p[0] + p[1])),
-        lengths=((0.4,), (2.0,)), kind='event', variant='torque for a while',
-        physics='a constant torque acts for a while (a touch, a cable that catches)',
-        excite=IN_TRAINING,
-    ),
-    Periodic(
-        'torque', 'periodic_disturbance', excite='any flight of many periods',
-        physics='A sin(2 pi f t + phase): an unbalanced part, a swinging load',
-    ),
-    Periodic(
-        'gain', 'shape:gain:time', kind='shape', variant='periodic',
-        physics='gain times 1 + A sin(2 pi f t + phase)', excite='excitation over many periods',
-    ),
+        lengths=((0.4,), (2.0,)), kind='event', variant='torque for a while'),
+    Periodic('torque', 'periodic_disturbance'),
+    Periodic('gain', 'shape:gain:time', kind='shape', variant='periodic'), PeriodicDelay(), Held(),
 )
-CLOCKED = PeriodicDelay(), Held()

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.curves import SLOW_MOVES, SMOOTH, Shape, Smooth, over_knots, signal_of
+from quad_sysid.effects.curves import COUNT, SLOW_MOVES, Shape, Smooth, over_knots, signal_of
 from quad_sysid.effects.loads import LOADS, Load, Yielding, along
 from quad_sysid.effects.torques import Torque
 from quad_sysid.model import laws
@@ -43,7 +43,6 @@ EDGE = 1.1
 SHOWN_MOTORS = 4
 SHOWN_BY = tuple(itertools.product(range(SHOWN_MOTORS), range(1, DEGREE + 1)))
 """Motor and degree of each term that a gyro may show."""
-RING = "z'' + 2 d w z' + w² z = w²"
 
 
 def polynomials(x: FloatArray) -> FloatArray:
@@ -59,6 +58,11 @@ def ring(frequency_hz: float, damping_ratio: float) -> System:
     """A second-order mode z'' + 2 d w z' + w² z = w² u; its states are z and z' / w."""
     w = 2.0 * math.pi * frequency_hz
     return np.array([[0.0, w], [-w, -2.0 * damping_ratio * w]]), np.array([0.0, w])
+
+
+def behind_lag(lag_s: float) -> System:
+    """What the input lately was."""
+    return np.array([[-1.0 / lag_s]]), np.array([1.0 / lag_s])
 
 
 def step_of(a: FloatArray, b: FloatArray, dt: float) -> System:
@@ -86,34 +90,46 @@ def followed(
         laws.linear_states(moving, a, b, start, stop, out)
 
 
-class Linear(Torque):
-    """A torque of hidden states x' = A x + B input; the input is the rate."""
+class Linked(Effect):
+    """Hidden states x' = A x + B input of each of its inputs, by default behind a lag of p[0]."""
 
-    kind = 'mode'
-    system: Callable[[FloatArray], System]
-    """A and B from the parameters."""
-    per_rate: float = 1.0
-    """Size of the states beside the rate."""
+    def system(self, p: FloatArray, s: Signals) -> System:
+        """A and B from the parameters and what the signals say of base and cycle."""
+        return behind_lag(float(p[0]))
 
-    def driver(self, s: Signals, settings: Settings) -> FloatArray:
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
         """What drives the states."""
-        return s.rate
+        return (s.rate,)
+
+    def _step(self, s: Signals, p: FloatArray) -> System:
+        return step_of(*self.system(p, s), s.dt)
 
     def trace(
         self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
         begun: FloatArray | None = None,
     ) -> FloatArray:
-        out = np.zeros((self.states, s.time.size)) if begun is None else begun
-        for start, _ in stretches if begun is None else ():
-            out[:, start] = self.begin(s.at(start), p, settings)
-        followed(stretches, self.driver(s, settings), *step_of(*self.system(p), s.dt), out)
+        out, (a, b) = self.begin(s, p, settings) if begun is None else begun, self._step(s, p)
+        for one, own in zip(self.inputs(s, settings), out.reshape(-1, b.size, out.shape[1]),
+                            strict=True):
+            followed(stretches, one, a, b, own)
         return out
 
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        a, b = step_of(*self.system(p), s.dt)
-        return np.tensordot(a, x, 1) + np.multiply.outer(b, self.driver(s, settings))
+        a, b = self._step(s, p)
+        return np.concatenate([
+            np.tensordot(a, x[i * b.size : (i + 1) * b.size], 1) + np.multiply.outer(b, one)
+            for i, one in enumerate(self.inputs(s, settings))
+        ])
+
+
+class Linear(Linked, Torque):
+    """A torque of such states."""
+
+    kind = 'mode'
+    per_rate: float = 1.0
+    """Size of the states beside the rate."""
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return self.per_rate * s.rate
@@ -141,8 +157,6 @@ class Hysteresis(Effect):
              starts=(0.01, 0.03, 0.1, 0.3)),
         Spec('torque', 'rad/s²', positive=True),
     )
-    physics = "-T x, x' = rate / reach (1 - x sign(rate)): friction that builds up (Dahl 1968)"
-    excite = 'small and large motion with many reversals'
 
     def trace(
         self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
@@ -161,69 +175,63 @@ class Hysteresis(Effect):
         return -p[1] * required(s.hidden)[0]
 
 
-def behind_lag(p: FloatArray) -> System:
-    """What the input lately was: its first-order lag of p[0] s."""
-    return np.array([[-1.0 / p[0]]]), np.array([1.0 / p[0]])
-
-
 class Response(Linear):
     """A torque of hidden states that the drive moves."""
 
-    free = True
     size = size_of_term
 
-    def driver(self, s: Signals, settings: Settings) -> FloatArray:
-        return s.drive
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return (s.drive,)
 
 
-class Memory(Shape, Linear):
-    """One term of the base follows what a signal has lately been, not what it is.
+class Memory(Smooth, Linear):
+    """One term of the base as a smooth curve of what a signal has lately been (Wiener 1958).
 
     Airspeed follows the lean. What a signal's power heats is cold when a flight begins, and the
-    base's parameters are those of the usual power; the power of the time is constant.
+    base's parameters are those of the usual power.
     """
 
     states = 1
-    system = staticmethod(behind_lag)
+    first = 1
 
     def __init__(self, term: str, signal: str) -> None:
         self.leans = 'angle' in signal
         self.parameters = (
             Spec('time_constant', 's', spread=1.2, centre=math.log(3.0), log=True,
                  starts=(0.3, 1.5, 8.0, 40.0)),
-            Spec('change', UNITS[term]),
+            *self.valued(Spec('y', UNITS[term])),
         )
-        source = '0' if signal == 'time' else f'{signal}² / mean({signal}²) - 1'
-        source = signal if self.leans else source
-        self.physics = f"{term} + change x, time_constant x' = {source} - x"
-        self.excite = f'let {signal} rise and fall slowly while the axis is excited'
-        self.shaped(term, signal, 'memory', 'history')
+        self.shaped(term, signal, 'memory curve', 'history')
 
     def prepare(self, data: AxisData) -> Settings | str:
         signal = data.signal(self.signal)
         if isinstance(signal, str):
             return signal
-        if self.signal == 'time':
-            return {}
         used = data.training(signal)
         if not np.nanstd(used) > SLOW_MOVES * abs(np.nanmean(used)):
             return f'{self.signal} hardly moves during training'
         rest = float(np.nanmean(used)) if self.leans else 0.0
-        return {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
+        settings = {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
+        quick = np.array(self.parameters[0].starts[:1])
+        seen = data.training(self.begun(data, quick, settings)[0])
+        low, high = np.nanpercentile(seen, [0.5, 99.5])
+        usual, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, COUNT)
+        return {
+            **settings, 'knots': tuple(knots.tolist()),
+            'mean': tuple(float(np.interp(usual, knots, hat)) for hat in np.eye(COUNT)),
+        }
 
-    def driver(self, s: Signals, settings: Settings) -> FloatArray:
-        return self._push(signal_of(s, self.signal), settings)
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return (self._push(signal_of(s, self.signal), settings),)
 
     def settled(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.driver(s, settings)[None] if self.leans else np.ones((1, *s.time.shape))
+        return np.stack(self.inputs(s, settings)) if self.leans else np.ones((1, *s.time.shape))
 
     def factors(self, p: FloatArray, settings: Settings) -> FloatArray:
-        """Factors on what it changes, cold and warm."""
-        return 1.0 + np.array([-p[1], 0.0, p[1]])
+        """Factors on what it changes, over the range of what it remembers."""
+        return 1.0 + over_knots(np.array(settings['knots']), p[1:], settings)
 
     def _push(self, signal: FloatArray, settings: Settings) -> FloatArray:
-        if self.signal == 'time':
-            return np.ones_like(signal)
         unit, away = settings['unit'], signal - settings['rest']
         return away / math.sqrt(unit) if self.leans else away**2 / unit
 
@@ -238,59 +246,22 @@ class Memory(Shape, Linear):
             signal = lfilter([1.0 - keep], [1.0, -keep], signal)
         push = self._push(np.nan_to_num(signal), settings)
         out = np.zeros((1, push.size))
-        step = step_of(*self.system(p), data.dt)
+        step = step_of(*behind_lag(float(p[0])), data.dt)
         followed(whole.flights or ((0, push.size),), push, *step, out)
         return np.ascontiguousarray(out[:, here])
-
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        x = required(s.hidden)[0] - (not self.leans)
-        return p[1] * x * per_unit(self.term, s)
-
-
-class MemoryCurve(Smooth, Memory):
-    """As a smooth curve of what a signal has lately been (Wiener 1958)."""
-
-    first = 1
-
-    def __init__(self, term: str, signal: str) -> None:
-        super().__init__(term, signal)
-        self.count, self.length = SMOOTH['smooth']
-        self.parameters = (
-            self.parameters[0], *(Spec(f'y{i}', UNITS[term]) for i in range(self.count)),
-        )
-        self.physics = f'{self.physics.replace("change x", "y(x)")}; y is a smooth curve'
-        self.shaped(term, signal, 'memory curve', 'history')
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        settings = super().prepare(data)
-        if isinstance(settings, str):
-            return settings
-        quick = np.array(self.parameters[0].starts[:1])
-        seen = data.training(self.begun(data, quick, settings)[0])
-        low, high = np.nanpercentile(seen, [0.5, 99.5])
-        rest, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, self.count)
-        return {
-            **settings, 'knots': tuple(knots.tolist()),
-            'place': tuple(np.linspace(-1.0, 1.0, self.count).tolist()),
-            'mean': tuple(float(np.interp(rest, knots, hat)) for hat in np.eye(self.count)),
-        }
-
-    def factors(self, p: FloatArray, settings: Settings) -> FloatArray:
-        return 1.0 + over_knots(np.array(settings['knots']), p[1:], settings)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         curve = over_knots(required(s.hidden)[0], p[1:], settings)
         return curve * per_unit(self.term, s)
 
 
-class Shown(Shape):
+class Shown(Linked, Shape):
     """The gyro shows a curve of each motor's speed beside the rate; its change acts as a torque.
 
     Vibration that it rectifies grows with the speed of the motors, most with that of the worst
     one; currents shift its ground. Polynomials of each motor's command behind a lag.
     """
 
-    free = True
     states = 4
     others = 0, 1
     parameters = (
@@ -298,11 +269,6 @@ class Shown(Shape):
              starts=(0.02, 0.05, 0.15)),
         *(Spec(f'motor_{i + 1}_{k}', 'rad/s', spread=0.1) for i, k in SHOWN_BY),
     )
-    physics = (
-        'the gyro shows beside the rate sum of c_ik P_k(x_i), Legendre polynomials of each motor; '
-        "time_constant x' = its command - x"
-    )
-    excite = 'let the throttle rise and fall quickly, with all axes moving'
 
     def __init__(self) -> None:
         self.shaped('torque', 'throttle', 'shown by the gyro', 'command', 'motors', 'history')
@@ -316,26 +282,11 @@ class Shown(Shape):
         middle, half = 0.5 * float(low + high), 0.5 * float(high - low)
         return {'middle': middle, 'half': half}
 
-    def _pushes(self, s: Signals, settings: Settings) -> FloatArray:
-        return (np.stack(required(s.motors)) - settings['middle']) / settings['half']
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return [(own - settings['middle']) / settings['half'] for own in required(s.motors)]
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self._pushes(s, settings)
-
-    def trace(
-        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-        begun: FloatArray | None = None,
-    ) -> FloatArray:
-        out = self._pushes(s, settings)
-        for one in out:
-            followed(stretches, one.copy(), *step_of(*behind_lag(p), s.dt), one[None, :])
-        return out
-
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        keep = math.exp(-s.dt / p[0])
-        return keep * x + (1.0 - keep) * self._pushes(s, settings)
+        return np.stack(self.inputs(s, settings))
 
     @property
     def linear(self) -> list[int]:
@@ -358,19 +309,18 @@ class Shown(Shape):
 
 
 REMEMBERED = {
-    'torque': ('angle', 'throttle', 'time', 'other angle 1', 'other angle 2'),
-    'gain': ('command', 'throttle', 'time'),
-    'damping': ('rate', 'throttle', 'time'),
-    'friction': ('rate', 'throttle', 'time'),
+    'torque': ('angle', 'throttle', 'other angle 1', 'other angle 2'),
+    'gain': ('command', 'throttle'), 'damping': ('rate', 'throttle'),
+    'friction': ('rate', 'throttle'),
 }
 """Term → the signals whose past it may follow."""
 
 
-def _relaxing(p: FloatArray) -> System:
+def _relaxing(p: FloatArray, _: Signals) -> System:
     return np.array([[-1.0 / p[0]]]), np.array([1.0])
 
 
-def _laguerre(p: FloatArray) -> System:
+def _laguerre(p: FloatArray, _: Signals) -> System:
     """Orthogonal states; with eight of them they remember some 16 time constants (Wahlberg 1991).
 
     There are none of the rate, which would also describe a gyro's coloured noise.
@@ -388,8 +338,6 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('stiffness', 'rad/s² per rad'),
         ),
         lambda s, p: -p[1] * required(s.hidden)[0], system=_relaxing, states=1, per_rate=0.5,
-        excite='a PRBS and slow steps of the angle',
-        physics="-k x, x' = rate - x / tau: a spring on a damper, a load that relaxes",
     ),
     # in free flight an accelerometer does not see the tilt, so the measured orientation is wrong;
     # the true angle turns the aircraft, and the rate's integral gives it over the memory
@@ -401,8 +349,6 @@ HIDDEN: tuple[Effect, ...] = (
         ),
         lambda s, p: -p[1] * np.sin(required(s.hidden)[0]), system=_relaxing, states=1,
         per_rate=0.5, kind='named', variant='from the rate',
-        excite='large slow angles: a square wave of long period, a slow chirp',
-        physics="-k sin(x), x' = rate - x / memory: centre of mass off the axis",
     ),
     Linear(
         'mode:swinging', ('rate', 'history'),
@@ -414,9 +360,7 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('in_phase', '1/s'), Spec('quadrature', '1/s'),
         ),
         lambda s, p: p[2] * required(s.hidden)[0] + p[3] * required(s.hidden)[1],
-        system=lambda p: ring(float(p[0]), min(float(p[1]), 1.0)), states=2,
-        excite='a chirp or PRBS through the mode',
-        physics=f"{RING} rate; torque in_phase z + quadrature z'/w",
+        system=lambda p, _: ring(float(p[0]), min(float(p[1]), 1.0)), states=2,
     ),
     Hysteresis(),
     *(Load(moved) for moved in LOADS),
@@ -430,11 +374,7 @@ HIDDEN: tuple[Effect, ...] = (
         ),
         lambda s, p: np.tensordot(p[1:], required(s.hidden), 1), system=_laguerre, states=LAGUERRE,
         term='gain',
-        physics='sum of c_i x_i, Laguerre states of the drive: any linear response to it',
-        excite='a PRBS long enough for the slowest response',
     ),
     *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
-    *(MemoryCurve(term, signal) for term, signals in REMEMBERED.items() for signal in signals
-      if signal != 'time'),
+    Shown(),
 )
-SHOWN = Shown()

@@ -66,6 +66,19 @@ class LinearMap(Linearised):
         return self.given(s)[0]
 
 
+class Trim(Effect):
+    """The command about which a loop works, added to what is sent; it stands first."""
+
+    name = 'trim'
+
+    def __init__(self, given: float) -> None:
+        """`given`: normalised, or a lean in rad."""
+        self.given = given
+
+    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return required(s.sent) + self.given
+
+
 class LinearChannels(Effect):
     """What becomes of the axis' command, and of those of the motors, in channels with their lags.
 

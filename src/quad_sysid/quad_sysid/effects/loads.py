@@ -51,17 +51,16 @@ SPRING = Spec('frequency', 'Hz', spread=1.0, centre=0.0, log=True,
 DAMPER = Spec('damping', '1/s', spread=1.0, centre=math.log(2.0), log=True, starts=(0.7, 3.0))
 WEIGHT, INERTIA = Spec('weight', 'rad/s²'), Spec('inertia', '1', spread=0.3)
 LOADS = {
-    'leaning': (('rate', 'history', 'angle'), '-pull sin(angle)',
-                (SPRING, DAMPER, PULL, WEIGHT, INERTIA)),
-    'turning': (('rate', 'history'), "-rate' / reach", (SPRING, DAMPER, REACH, WEIGHT, INERTIA)),
-    'driven': (('command', 'history'), 'drive / reach', (  # a mount: stiffer, and of all the drive
+    'leaning': (('rate', 'history', 'angle'), (SPRING, DAMPER, PULL, WEIGHT, INERTIA)),
+    'turning': (('rate', 'history'), (SPRING, DAMPER, REACH, WEIGHT, INERTIA)),
+    'driven': (('command', 'history'), (  # a mount: stiffer, and of all the drive
         replace(SPRING, centre=math.log(8.0), starts=(4.0, 8.0, 16.0)),
         replace(DAMPER, centre=math.log(10.0), starts=(7.0, 30.0)),
         replace(REACH, centre=math.log(0.01), starts=(0.003, 0.01, 0.03)), WEIGHT,
         replace(INERTIA, spread=1.0),
     )),
 }
-"""What moves the load → the signals, the equation's right side and the parameters."""
+"""What moves the load → the signals and the parameters."""
 
 
 class Load(Effect):
@@ -81,13 +80,7 @@ class Load(Effect):
         self.moved = moved
         self.name, self.variant = ('mode:soft_mount', '') if moved == 'driven' \
             else ('mode:loose_load', moved)
-        self.signals, moves, self.parameters = LOADS[moved]
-        pushes = 'in place of a share of the drive' if moved == 'driven' else 'on its mount'
-        self.physics = (
-            f"z'' + damping z' + w² z / (1 - z²) = {moves}, z = -1 to 1; its weight z, and what "
-            f'its spring and damper push back, {pushes}: a load with play'
-        )
-        self.excite = 'large and small motion, slow and fast'
+        self.signals, self.parameters = LOADS[moved]
 
     def _inputs(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What pulls the mass and how its mount moves, per unit of z."""
@@ -133,6 +126,7 @@ class Load(Effect):
 class Yielding(Effect):
     """A state that flows off by a cubic law: the simplest that yields, leaks to one side or snaps.
 
+    x' = push - (slope x + lean x² + x³) / time_constant; its torque is -T x.
     The cusp's normal form (Thom 1972; Strogatz, Nonlinear Dynamics and Chaos, 3.6). With slope > 0
     a spring on a damper that gives way, with lean a valve, with slope < 0 two places of rest.
     """
@@ -144,11 +138,8 @@ class Yielding(Effect):
 
     def __init__(self, moved: str) -> None:
         self.moved = self.variant = moved
-        drive, unit, usual, push = {
-            'turning': ('rate', 'rad', 0.1, 'rate / reach'),
-            'leaning': ('angle', 'rad', 0.1, 'angle / (reach time_constant)'),
-            'driven': ('command', '1', 0.05, 'u / (reach time_constant)'),
-        }[moved]
+        drive, unit, usual = {'turning': ('rate', 'rad', 0.1), 'leaning': ('angle', 'rad', 0.1),
+                              'driven': ('command', '1', 0.05)}[moved]
         self.signals = (drive, 'history')
         self.parameters = (
             Spec('reach', unit, spread=1.2, centre=math.log(usual), log=True,
@@ -160,11 +151,6 @@ class Yielding(Effect):
             Spec('lean', '1', spread=1.0, starts=(0.0, 0.0, 1.5, -1.5)),
             Spec('torque', 'rad/s²'),
         )
-        self.physics = (
-            f"-T x, x' = {push} - (slope x + lean x² + x³) / time_constant: "
-            'a spring or a level that yields, leaks or snaps over'
-        )
-        self.excite = 'small and large motion, with rests'
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         reach, time_constant, *shape = (spec.starts for spec in self.parameters[:4])

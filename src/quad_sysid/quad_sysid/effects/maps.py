@@ -10,23 +10,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.hidden import System, followed, step_of
+from quad_sysid.effects.hidden import Linked
 from quad_sysid.effects.loads import along
 from quad_sysid.effects.torques import Row
-from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.data import Span
 from quad_sysid.model.effect import Left, Settings, Signals, required
 
 SLOPING = 0.05
 """Share of a step over which one level gives way to the next."""
-
-
-def why_not(data: AxisData, *, single: bool = False) -> str:
-    """Why an effect of the motors, or of a single one, cannot be told here; '' if it can."""
-    if not data.motors.shape[1] or np.ptp(data.training(data.motors), axis=0).max() < 1e-6:
-        return 'the bag holds no motor commands'
-    if single and all(isinstance(data.signal(f'other command {i}'), str) for i in (1, 2)):
-        return 'the other axes hardly move, so no single motor can be told apart'
-    return ''
 
 
 class Map(Row):
@@ -37,10 +28,6 @@ class Map(Row):
     """
 
     term = 'command'
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        why = why_not(data) if 'motors' in self.signals else ''
-        return why or super().prepare(data)
 
     def commands(self, s: Signals) -> FloatArray:
         """What it maps: (1, …) the axis' command, or (k, …) those of the motors."""
@@ -55,13 +42,11 @@ class Map(Row):
 
 
 class Kept(Map):
-    """A map that keeps something of each command it maps, by a compiled loop along a flight."""
+    """A map that keeps what it gave in the last cycle, by a compiled loop along a flight."""
 
     states = 1
-    kept: Callable[[FloatArray, FloatArray, Signals, FloatArray], FloatArray]
-    """What is kept after a cycle: of what was (k, …), the commands, signals and parameters."""
     loop: Callable[..., None]
-    """The same along a flight, into what is kept at the start of each cycle."""
+    """The law along a flight, into what is kept at the start of each cycle."""
     numbers: Callable[[Signals, FloatArray], tuple[float, ...]]
     """Of the loop."""
 
@@ -75,7 +60,7 @@ class Kept(Map):
     def advance(
         self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
     ) -> FloatArray:
-        return self.kept(x, self.mapped(s, p), s, p)
+        return self.law(s.but(hidden=x), self.mapped(s, p), p)
 
     def trace(
         self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
@@ -113,28 +98,12 @@ class Steps(Kept):
         return required(s.sent) + np.tensordot(required(s.share), mapped, 1)
 
 
-class Following(Map):
-    """A map with a linear memory x' = A x + B u of the command."""
+class Following(Linked, Map):
+    """A map with linear states that the command drives."""
 
-    system: Callable[[FloatArray, float], System]
-    """A and B from the parameters and the length of a cycle, s."""
-    output: Callable[[FloatArray], tuple[FloatArray, float]]
-    """What of its states and of the command goes on."""
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return (required(s.sent),)
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         sent = required(s.sent)
         return np.stack([sent, *[np.zeros_like(sent)] * (self.states - 1)])
-
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
-        a, b = step_of(*self.system(p, s.dt), s.dt)
-        return np.tensordot(a, x, 1) + np.multiply.outer(b, required(s.sent))
-
-    def trace(
-        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-        begun: FloatArray | None = None,
-    ) -> FloatArray:
-        x = self.begin(s, p, settings)
-        followed(stretches, required(s.sent), *step_of(*self.system(p, s.dt), s.dt), x)
-        return x

@@ -31,12 +31,9 @@ class Row(Effect):
 
     def __init__(
         self, name: str, signals: tuple[str, ...], parameters: tuple[Spec, ...],
-        law: Callable[..., Any], *, physics: str, excite: str, **more: object,
+        law: Callable[..., Any], **more: object,
     ) -> None:
-        vars(self).update(
-            more, name=name, signals=signals, parameters=parameters, law=law, physics=physics,
-            excite=excite,
-        )
+        vars(self).update(more, name=name, signals=signals, parameters=parameters, law=law)
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
         return built_in, (self.label,)
@@ -61,7 +58,6 @@ LEAST_CLIMB_M = 0.1
 """Altitudes that change by less show no ground."""
 LEAST_HEIGHT = 0.5
 """Below this share of the least height that was trained on it grows no more."""
-REVERSALS = 'slow and fast motion with many reversals: a PRBS or a slow square wave'
 
 
 def _stribeck(s: Signals, p: FloatArray) -> FloatArray:
@@ -70,7 +66,11 @@ def _stribeck(s: Signals, p: FloatArray) -> FloatArray:
 
 
 class GroundEffect(Effect):
-    """Thrust that grows near the ground, 1 + (R / 4 z)² of what it is far from it."""
+    """Thrust that grows near the ground, 1 + (R / 4 z)² of what it is far from it.
+
+    R is that of all rotors together (Cheeseman, Bennett 1955), `clearance` the least height z that
+    was flown.
+    """
 
     name = 'ground_effect'
     signals = ('angle',)
@@ -81,9 +81,6 @@ class GroundEffect(Effect):
         Spec('clearance', 'm', spread=1.0, centre=math.log(0.3), log=True,
              starts=(0.1, 0.3, 0.8)),
     )
-    physics = ('thrust 1 + (R / 4 z)² at the height z over the ground, R of all rotors together; '
-               'clearance: the least z of the training (Cheeseman, Bennett 1955)')
-    excite = 'climbing and sinking near the ground, at one to four times the radius'
 
     def prepare(self, data: AxisData) -> Settings | str:
         found = data.signal('angle')
@@ -109,11 +106,9 @@ class GroundEffect(Effect):
 
 
 TORQUES: tuple[Effect, ...] = (
-    Torque(
-        'coulomb_friction', ('rate',), DRY, lambda s, p: p[0] * per_unit('friction', s, p[1]),
-        physics='-T sign(rate): dry friction of a bearing (Coulomb 1785)', excite=REVERSALS,
-    ),
-    Torque(
+    Torque(  # Coulomb 1785
+        'coulomb_friction', ('rate',), DRY, lambda s, p: p[0] * per_unit('friction', s, p[1])),
+    Torque(  # Armstrong-Hélouvry et al. 1994
         'coulomb_friction', ('rate',),
         (
             *DRY, Spec('static', 'rad/s²', positive=True),
@@ -121,29 +116,18 @@ TORQUES: tuple[Effect, ...] = (
                  starts=(0.05, 0.4)),
         ),
         _stribeck, variant='stribeck',
-        physics='-(T + S exp(-(rate/v)²)) sign(rate): dry friction that drops with the rate '
-        '(Armstrong-Hélouvry et al. 1994)',
-        excite=REVERSALS,
     ),
     Torque(
         'quadratic_drag', ('rate',),
         (Spec('coefficient', 'rad/s² per (rad/s)²', positive=True),),
-        lambda s, p: -p[0] * s.rate * np.abs(s.rate),
-        physics='-k rate |rate|: drag of arms and discs in turbulent flow',
-        excite='high rates: a square wave of large amplitude, a chirp',
-    ),
+        lambda s, p: -p[0] * s.rate * np.abs(s.rate)),
     Torque(
         'pendulum_stiffness', ('angle',), (Spec('stiffness', 'rad/s² per rad'),),
-        lambda s, p: -p[0] * np.sin(required(s.angle)),
-        axes=AXES, physics='-k sin(angle): centre of mass below (k > 0) or above the axis',
-        excite='large slow angles: a square wave of long period, a slow chirp',
-    ),
+        lambda s, p: -p[0] * np.sin(required(s.angle)), axes=AXES),
     Torque(
         'cubic_stiffness', ('angle',), (Spec('stiffness', 'rad/s² per rad³'),),
-        lambda s, p: -p[0] * required(s.angle) ** 3,
-        physics='-k angle³: a spring that hardens (k > 0), as cables do', excite='large angles',
-    ),
-    Torque(
+        lambda s, p: -p[0] * required(s.angle) ** 3),
+    Torque(  # wells at equal angles, as of magnets or teeth
         'shape:angle', ('angle',),
         (
             Spec('waves', '1/rad', spread=1.0, centre=math.log(40.0), log=True,
@@ -152,63 +136,22 @@ TORQUES: tuple[Effect, ...] = (
         ),
         lambda s, p: p[1] * np.cos(p[0] * required(s.angle))
         + p[2] * np.sin(p[0] * required(s.angle)),
-        kind='shape', variant='periodic', size=lambda s, *_: per_unit('torque', s),
-        physics='C cos(n angle) + S sin(n angle): wells at equal angles, as of magnets or teeth',
-        excite='slow motion over a large range of angles',
-    ),
+        kind='shape', variant='periodic', size=lambda s, *_: per_unit('torque', s)),
     GroundEffect(),
 )
 
 
-class CrossAxisInput(Effect):
-    """A fraction of another axis' command that acts on this axis."""
-
-    name = 'cross_axis_input'
-    signals = ('other command',)
-    term = 'command'
-    parameters = (Spec('fraction', '1', spread=0.2),)
-    physics = "a fraction of another axis' command acts here (motors or gyro out of line)"
-    excite = 'both axes excited with different signals'
-
-    def __init__(self, which: int) -> None:
-        self.others, self.variant = (which,), f'other axis {which + 1}'
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        (which,) = self.others
-        found = data.signal(f'other command {which + 1}')
-        return found if isinstance(found, str) else {'other': data.other_axes[which]}
-
-    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return required(s.sent) + p[0] * s.other_commands[self.others[0]]
-
-
-class Coupled(Torque):
-    """A torque of the rates of the other axes that are its `others`."""
-
-    def prepare(self, data: AxisData) -> Settings | str:
-        found = [data.signal(f'other rate {which + 1}') for which in self.others]
-        why = next((one for one in found if isinstance(one, str)), None)
-        alone = len(self.others) == 1
-        return why or ({'other': data.other_axes[self.others[0]]} if alone else {})
-
-
 def _gyroscopic(which: int) -> Effect:
-    return Coupled(
+    return Torque(
         'gyroscopic_coupling', ('other rate',), (Spec('coefficient', '1/s'),),
         lambda s, p: p[0] * required(s.other_rates)[which],
-        others=(which,), variant=f'other axis {which + 1}', axes=AXES,
-        physics="h times another axis' rate: spinning rotors (paper, eqs. 4 and 5)",
-        excite='hover with all axes moving',
-    )
+        others=(which,), variant=f'other axis {which + 1}', axes=AXES)
 
 
-COUPLINGS: tuple[Effect, ...] = (
-    CrossAxisInput(0), CrossAxisInput(1), _gyroscopic(0), _gyroscopic(1),
-    Coupled(
+COUPLINGS: tuple[Effect, ...] = (  # paper, eqs. 4 to 6
+    _gyroscopic(0), _gyroscopic(1),
+    Torque(
         'inertia_coupling', ('product of other rates',), (Spec('coefficient', '1'),),
         lambda s, p: p[0] * required(s.other_rates)[0] * required(s.other_rates)[1],
-        others=(0, 1), axes=AXES,
-        physics='c times the product of the other two rates (Euler; paper, eqs. 4 to 6)',
-        excite='hover with all axes moving fast',
-    ),
+        others=(0, 1), axes=AXES),
 )

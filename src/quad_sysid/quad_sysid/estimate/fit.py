@@ -41,6 +41,8 @@ body that flies or turns on a rig the motors are the quicker one."""
 WIDE = 30.0
 """Prior of the base's gain and bias, relative to the typical acceleration. It is so wide
 that it does not draw an estimate; as all structures have it, comparisons hardly depend on it."""
+NOTHING, HARDLY = (0.0, math.log(1e-5), math.log(1e-6), 0.0, 0.0), 1e-6
+"""Coordinates of a base whose terms are nothing, and how far one that is held may be off."""
 SMALL_NATS = 0.02
 MOST_STEPS = 40
 
@@ -110,7 +112,10 @@ class Problem:
     brief: Problem | None = None
     """A short part of it, on which a search tries first what it has many of."""
 
-    def __init__(self, data: AxisData, spans: Sequence[Span], *, whole: bool = False) -> None:
+    def __init__(self, data: AxisData, spans: Sequence[Span], *, whole: bool = False,
+                 law: Part | None = None, held: Sequence[int] = ()) -> None:
+        """law: of the user's, in the base; held: terms of BASE that are nothing beside it."""
+        self.plain, self.held = Structure(law=law), list(held)
         self.data, self.spans = data, tuple(spans)
         self.index = np.arange(data.rate.size)
         if not whole:
@@ -138,7 +143,7 @@ class Problem:
         for first in firsts:
             kept[index[first : first + length]] = True
         spans = tuple(run for span in self.spans for run in finite_runs(kept, span))
-        return Problem(replace(self.data, train=spans), spans)
+        return Problem(replace(self.data, train=spans), spans, law=self.plain.law, held=self.held)
 
     def blocks(self, length_s: float) -> NDArray[np.int64]:
         """(rows,) number of the block of each row: unbroken, of this length at most."""
@@ -174,14 +179,17 @@ class Problem:
             BASE[1].spread if self.data.rotor_lag is None else self.data.rotor_lag.spread,
             BASE[2].spread, DAMPING, wide,
         ]
-        own = [size for part in structure.parts for size in self.sizes_of(part)]
-        return np.array([*base, *own, *(s.spread for s in structure.noise)], dtype=float)
+        own = [size for part, _ in structure.placed() for size in self.sizes_of(part)]
+        out = np.array([*base, *own, *(s.spread for s in structure.noise)], dtype=float)
+        out[self.held] = HARDLY
+        return out
 
     def centres(self, structure: Structure) -> FloatArray:
         """(p,) prior mean of each parameter, in the coordinates of the fit."""
         out = np.array([s.centre for s in structure.specs])
         if self.data.rotor_lag is not None:
             out[1] = math.log(self.data.rotor_lag.seconds)
+        out[self.held] = np.array(NOTHING)[self.held]
         return out
 
     def precision(self, structure: Structure, sizes: FloatArray) -> FloatArray:
@@ -230,9 +238,10 @@ def derivative_steps(sizes: FloatArray) -> FloatArray:
 
 def start_of(problem: Problem) -> FloatArray:
     """(p,) start values of the base from the priors alone."""
-    theta = problem.centres(Structure())
+    theta = problem.centres(problem.plain)
     command = problem.data.command[problem.rows]
-    theta[0] = problem.acceleration / max(float(np.std(command)), 1e-9)
+    if 0 not in problem.held:
+        theta[0] = problem.acceleration / max(float(np.std(command)), 1e-9)
     return theta
 
 
@@ -291,6 +300,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         bent = np.where(logs, np.sqrt(np.maximum(curves, 0.0)), 0.0)
         blocks = (rows, column), (root, away), (np.diag(bent), np.zeros(bent.size))
         factor = upper(np.vstack([np.column_stack(pair) for pair in blocks]))[: theta.size]
+        if not np.isfinite(factor).all():
+            raise FloatingPointError('its derivatives run away')
         a, b = factor[:, :-1], factor[:, -1]
         moving = np.delete(b, list(still)) if still else b
         converged = 0.5 * float(moving @ moving) < SMALL_NATS

@@ -24,7 +24,7 @@ from quad_sysid.model.effect import Effect, Part, Settings, required
 from quad_sysid.model.flight import central
 from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.plant import Plant
-from quad_sysid.model.structure import BASE, NOISE, Structure, coordinates
+from quad_sysid.model.structure import NOISE, Structure, coordinates
 
 SHORTEST = 0.25
 """Share of a cycle below which the data do not show a lag or delay."""
@@ -97,16 +97,18 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
         elif spec.positive and value <= 0.0:
             vague[name] = None
     for i, name in enumerate(names):
-        if name in vague or not joint[i, i] > 0.0:
+        if name in vague or i in problem.held or not joint[i, i] > 0.0:
             joint[i, :] = joint[:, i] = np.nan
     errors = iter(np.sqrt(np.diag(joint) + form**2))  # from one group on to the next
     base, *effects = (
         tuple(
-            Parameter(name.rpartition('.')[2], value, float(std) if np.isfinite(std) else None,
-                      unit, vague.get(name))
+            Parameter(name if i == 0 else name.rpartition('.')[2], value,
+                      float(std) if np.isfinite(std) else None, unit, vague.get(name))
             for (name, value, unit), std in zip(group, errors, strict=False)
-        ) for group in groups
+        ) for i, group in enumerate(groups)
     )
+    base = tuple(Parameter(p.name, 0.0, None, p.unit) if i in problem.held else p
+                 for i, p in enumerate(base))
     return Readings(base, tuple(effects), names, joint)
 
 
@@ -114,10 +116,11 @@ def _told(structure: Structure, theta: FloatArray) -> list[list[tuple[str, float
     """Name, value and unit of the base's parameters, and as reports show them of each effect's."""
     p = structure.natural(theta)
     return [
-        [(spec.name, float(v), spec.unit) for spec, v in zip(BASE, p, strict=False)],
+        [(name, float(v), spec.unit) for name, spec, v in zip(
+            structure.base_names, structure.base, p, strict=False)],
         *([(f'{part.effect.name}.{name}', value, unit) for name, (value, unit)
            in part.effect.readable(p[where], part.settings).items()]
-          for part, where in structure.placed()),
+          for part, where in structure.effects()),
     ]
 
 
@@ -179,7 +182,7 @@ def completed(model: AxisModel) -> Stored:
     """The model with its effects, ready to run. Raises BadInputError for an unknown effect."""
     parts = [part_of(model, effect) for effect in model.effects]
     fitted = [fitted_of(part, one) for part, one in zip(parts, model.effects, strict=True)]
-    return _stored(model.base, parts, fitted, model.noise)
+    return _stored(model, model.base, parts, fitted, model.noise)
 
 
 def plant_of(model: AxisModel) -> Plant:
@@ -194,17 +197,18 @@ def plant_of(model: AxisModel) -> Plant:
 
 def plain(model: AxisModel) -> Stored:
     """The base as fitted alone, ready to run."""
-    return _stored(model.plain or model.base, [], [], model.plain_noise or model.noise)
+    return _stored(model, model.plain or model.base, [], [], model.plain_noise or model.noise)
 
 
 def _stored(
-    base: Sequence[Parameter], parts: Sequence[Part], effects: Sequence[FloatArray],
-    noise: NoiseEstimate | None,
+    model: AxisModel, base: Sequence[Parameter], parts: Sequence[Part],
+    effects: Sequence[FloatArray], noise: NoiseEstimate | None,
 ) -> Stored:
     values, noise = {p.name: p.value for p in base}, noise or UNKNOWN
-    structure = Structure(tuple(parts), len(noise.lines), averaged=noise.averaged)
+    structure = Structure(tuple(parts), len(noise.lines), averaged=noise.averaged,
+                          law=Part(model.law) if model.law else None)
     p = np.concatenate([
-        [values[spec.name] for spec in BASE], *effects,
+        [values[name] for name in structure.base_names], *effects,
         [noise.ratios.get(spec.name, np.exp(spec.centre)) for spec in NOISE], *noise.lines,
     ])
     theta = coordinates(structure.specs, p, 1e-17)

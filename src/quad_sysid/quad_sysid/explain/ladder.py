@@ -9,10 +9,10 @@ training segments only.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import (
     BLOCK_S,
+    DIFFERS,
     ENOUGH,
     EXPLAINS,
     LEAST_OF_BEST,
@@ -37,6 +38,7 @@ from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.estimate.stored import noise_of
 from quad_sysid.explain.projection import Projected, Projection
 from quad_sysid.model.effect import Effect, Part
+from quad_sysid.model.noise import growth
 from quad_sysid.model.structure import coordinates, natural
 
 
@@ -75,11 +77,16 @@ class Ladder:
 
     @property
     def negligible(self) -> bool:
-        """Whether what the base misses is small beside the motion and beside the gyro's noise."""
+        """Whether what the base misses is small beside the motion, and hardly adds to the error.
+
+        By less than the factor DIFFERS to what noise causes in the same windows.
+        """
         if self.predicts_pct < 100.0 * (1.0 - NEGLIGIBLE):
             return False
-        missed = np.sqrt(self.rungs[0].model.total / self.projection.goal.size)
-        return bool(missed < noise_of(self.projection.reference).measured_rms)
+        reference, goal = self.projection.reference, self.projection.goal
+        missed = self.rungs[0].model.total / goal.size
+        spread = np.mean(growth(reference.prediction.filter, goal.shape[1]))
+        return bool(missed < (DIFFERS**2 - 1.0) * noise_of(reference).gyro_rms ** 2 * spread)
 
     @property
     def answer(self) -> int:
@@ -95,23 +102,24 @@ def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
 
     parts: the candidates of the search.
     """
-    ladder = _ladder(problem, found.best, found.base, parts)
+    ladder = _ladder(problem, found, parts)
     if not ladder.answer:
         return ladder
-    blocks, reproducible = _resampled(problem, found, ladder)
+    blocks, reproducible = resampled(problem, found, ladder)
     return replace(ladder, blocks=blocks, reproducible=reproducible)
 
 
-def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) -> Ladder:
+def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
+    reference, base = found.best, found.base
     projection = Projection(problem, reference)
+    likely = {frozenset(one.fit.structure.labels): one.score for one in found.all}
     if not reference.structure.parts:  # nothing to explain
         return Ladder(projection, (Rung(projection.ordered(reference.structure), 0.0),))
     plain = projection.structure(())
     if not projection.windows.count:  # too short for a free run
-        alone = Projected(plain, projection.start((), (), base.theta[:5]), np.zeros(0),
-                          converged=True)
+        alone = Projected(plain, projection.start((), (), base.theta), np.zeros(0), converged=True)
         return Ladder(projection, (Rung(alone, 0.0),))
-    starts = [projection.start((), (), own[:5]) for own in (reference.theta, base.theta)]
+    starts = [projection.start((), (), own) for own in (reference.theta, base.theta)]
     begun = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, begun.theta)
@@ -123,7 +131,7 @@ def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) 
     if whole > 0.0:
         while rungs[-1].explains_pct < ENOUGH and len(rungs) <= MOST_RUNGS:
             finer = rungs[-1].explains_pct >= EXPLAINS  # what the reference has, no more causes
-            step = _next(projection, rungs[-1].model, () if finer else parts, whole)
+            step = _next(projection, rungs[-1].model, () if finer else parts, whole, likely)
             if step is not None and not finer and _added(step).kind != 'named':
                 step = _first_of_two(projection, rungs[-1].model, step, parts) or step
             if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
@@ -135,12 +143,14 @@ def _ladder(problem: Problem, reference: Fit, base: Fit, parts: Sequence[Part]) 
     return replace(ladder, rungs=tuple(rungs))
 
 
-def _next(projection: Projection, model: Projected, parts: Sequence[Part],
-          whole: float) -> Projected | None:
+def _next(projection: Projection, model: Projected, parts: Sequence[Part], whole: float,
+          likely: Mapping[frozenset[str], float]) -> Projected | None:
     """The model with one more effect that comes nearest to the reference.
 
-    A named law that explains EXPLAINS is taken before a curve is tried; of its variants the
-    plainest one that takes nearly as much.
+    A named law that explains EXPLAINS is taken before a curve is tried. Of those that take nearly
+    as much the search's most probable one is taken, and of its variants the plainest.
+
+    likely: score of each structure that the search fitted, by its labels.
     """
     hopeful = _hopeful(projection, model, parts)
     tried: list[Projected] = []
@@ -157,7 +167,8 @@ def _next(projection: Projection, model: Projected, parts: Sequence[Part],
     needed = NAMED_FIRST * (model.total - best.total)
     named = [one for one in tried if _added(one).kind == 'named'
              and model.total - one.total >= needed > 0.0]
-    first = min(named, key=lambda one: one.total, default=best)
+    first = max(named, default=best, key=lambda one: (
+        likely.get(frozenset(one.structure.labels), -np.inf), -one.total))
     alike = [one for one in (named or [best]) if _added(one).name == _added(first).name]
     plainest = min(alike, key=lambda one: (len(_added(one).parameters), one.total))
     if plainest.total <= 0.0:  # the reference itself
@@ -223,7 +234,7 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part], *,
     q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
     left = missing - q @ (q.T @ missing)
     theirs = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
-              for part, where in reference.structure.placed()
+              for part, where in reference.structure.effects()
               if part.effect.label not in have and (own or part.effect.kind == 'named')]
     theirs = sorted(theirs, key=lambda one: -one[0])[:PROJECTED]
     have |= {part.effect.label for _, part, _ in theirs}
@@ -265,12 +276,13 @@ def _share(here: Along, part: Part, q: FloatArray,
 # ------------------------------------------------------------------ what comes again
 
 
-def _resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict[str, float]]:
+def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict[str, float]]:
     """Number of blocks; name of each effect of the answer → how often it is in it again.
 
     Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
     Bayesian bootstrap, Rubin 1981). With the same weights each fitted structure has another
-    evidence, so that another reference may lead, and each rung explains another share of it.
+    evidence, so that another reference may lead, and each rung explains another share of it. An
+    effect comes again where the answer explains enough and it is no negligible part of that.
     """
     block = problem.blocks(BLOCK_S)
     kept = found.all[:MOST_STRUCTURES]
@@ -286,6 +298,8 @@ def _resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dic
     at = np.searchsorted(problem.rows, ladder.projection.windows.starts)
     of_window = block[np.clip(at, 0, block.size - 1)]
     rungs = ladder.rungs[: ladder.answer + 1]
+    added = [{part.effect.name for part in rung.model.structure.parts
+              if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
     seen: Counter[str] = Counter()
     for which, count in Counter(leading.tolist()).most_common():
         reference = kept[which].fit
@@ -295,10 +309,9 @@ def _resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dic
                           else _missed(problem, reference, rungs))
         for draw in np.flatnonzero(leading == which):
             again = missed @ weights[draw, of_window]
-            enough = np.flatnonzero(again <= (1.0 - 0.01 * EXPLAINS) * again[0])
-            if enough.size:
-                parts = rungs[int(enough[0])].model.structure.parts
-                seen.update({part.effect.name for part in parts})
+            if again[-1] <= (1.0 - 0.01 * EXPLAINS) * again[0]:
+                causes = -np.diff(again) >= NEGLIGIBLE * again[0]
+                seen.update(set().union(*compress(added, causes)))
     answer = rungs[-1].model.structure.parts
     return blocks, {part.effect.name: seen[part.effect.name] / RESAMPLES for part in answer}
 

@@ -65,6 +65,7 @@ class Projection:
         self.windows: Windows = problem.data.windows(problem.spans)
         self.goal = self.run(reference.structure, reference.theta)
         self.noise = reference.theta[-len(reference.structure.noise) :]
+        self.base = len(reference.structure.base)
 
     def structure(self, parts: Sequence[Part]) -> Structure:
         """The reference's noise with other effects."""
@@ -98,8 +99,8 @@ class Projection:
 
     def start(self, parts: Sequence[Part], values: Sequence[FloatArray],
               base: FloatArray | None = None) -> FloatArray:
-        """(p,) start: the base's coordinates (the reference's by default), effects, noise."""
-        own = self.reference.theta[:5] if base is None else base
+        """(p,) start: the first coordinates of `base` (of the reference), effects, noise."""
+        own = (self.reference.theta if base is None else base)[: self.base]
         logs = [coordinates(part.effect.parameters, np.asarray(value, dtype=float))
                 for part, value in zip(parts, values, strict=True)]
         return np.concatenate([own, *logs, self.noise])
@@ -178,9 +179,14 @@ class Projection:
         return whole
 
     def _derivatives(self, structure: Structure, theta: FloatArray) -> FloatArray:
-        """(rows, own) derivatives of the runs by the coordinates of base and effects."""
-        return self._along(structure, theta, self._run(structure, theta),
-                           self.steps(structure, theta))
+        """(rows, own) derivatives of the runs by the coordinates of base and effects.
+
+        None by those that are held, which a law of the user's may stand for.
+        """
+        out = self._along(structure, theta, self._run(structure, theta),
+                          self.steps(structure, theta))
+        out[:, self.problem.held] = 0.0
+        return out
 
     def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """(own,) steps of numerical derivatives."""
@@ -199,8 +205,9 @@ class Projection:
     def ordered(self, structure: Structure) -> Projected:
         """The reference itself, which its own projection is, with its effects in another order."""
         own = {part.effect.label: self.reference.theta[where]
-               for part, where in self.reference.structure.placed()}
+               for part, where in self.reference.structure.effects()}
         theta = np.concatenate([
-            self.reference.theta[:5], *(own[label] for label in structure.labels), self.noise,
+            self.reference.theta[: self.base], *(own[label] for label in structure.labels),
+            self.noise,
         ])
         return Projected(structure, theta, np.zeros(self.windows.count), converged=True)

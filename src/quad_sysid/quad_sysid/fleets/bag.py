@@ -283,6 +283,7 @@ def _of_axis(tree: Mapping[str, Any], specs: Mapping[tuple[str, str, str], bool]
     return {'verdict': tree['verdict'], 'effects': ','.join(e['name'] for e in tree['effects']),
             'error_before': tree['error']['before'], 'error_after': tree['error']['after'],
             'effect_parameters': json.dumps(effects), 'gains': json.dumps(tree.get('gains')),
+            'base_units': {name: one['unit'] for name, one in known.items()},
             **{f'{name}{end}': known.get(name, {}).get(field)
                for name in BASE for end, field in (('', 'value'), ('_std', 'std'))}}
 

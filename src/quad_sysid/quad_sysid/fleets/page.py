@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quad_sysid.contract import AXES
+from quad_sysid.axes import EVERY
 from quad_sysid.fleets.drift import LEAST_FLIGHTS, LEVEL
 from quad_sysid.report.canvas import AFTER, BEFORE, MUTED, Picture, finish, panels, svg
 from quad_sysid.report.style import SHEET
@@ -149,7 +149,7 @@ def page(fleet: Fleet) -> str:
 def _drawn(fleet: Fleet) -> list[Quantity]:
     """The quantities that are drawn for the whole fleet, each with two flights at least."""
     return sorted((q for q in fleet.quantities if sum(len(s.values) for s in q.series) > 1),
-                  key=lambda q: (AXES.index(q.axis), '.' in q.name))
+                  key=lambda q: ([*EVERY].index(q.axis), '.' in q.name))
 
 
 def _figure(quantity: Quantity, aircraft: str | None = None, drift: Drift | None = None) -> str:

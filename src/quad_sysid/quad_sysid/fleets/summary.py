@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quad_sysid.contract import AXES
+from quad_sysid.axes import EVERY, units_of
 from quad_sysid.errors import BadInputError
 from quad_sysid.fleets.bag import ANSWERED, BASE, CANNOT_TELL, FAILED, Row
+from quad_sysid.units import unit_in
 
 if TYPE_CHECKING:
     from quad_sysid.fleets.drift import Drift, Found, Odd, Series
@@ -102,7 +103,7 @@ class Fleet:
         """Aircraft, axis, effect, flights in which it was found, flights answered."""
         out = []
         answered = [row for row in self.flights if row['status'] == ANSWERED]
-        for craft, axis in sorted({(row['aircraft'], axis) for row in answered for axis in AXES}):
+        for craft, axis in sorted({(row['aircraft'], axis) for row in answered for axis in EVERY}):
             flights = [row for row in answered if row['aircraft'] == craft
                        and row.get(f'{axis}_verdict') not in (None, CANNOT_TELL)]
             found = Counter(effect for row in flights
@@ -139,7 +140,7 @@ class Fleet:
         """Axis, name, unit and the series of each aircraft."""
         from quad_sysid.fleets.drift import Series
 
-        for axis in AXES:
+        for axis in EVERY:
             flights = [row for row in self.flights if row['status'] == ANSWERED
                        and row.get(f'{axis}_verdict') not in (None, CANNOT_TELL)]
             units, values = _values(axis, flights)
@@ -186,8 +187,11 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
     An effect that a flight does not show is no gap where its parameter vanishes without it: it is
     0 there, give or take half of the least that was found anywhere.
     """
-    units, values = dict(UNITS), dict[str, Values]()
+    own = units_of(axis)
+    units = {name: unit_in(own, unit) for name, unit in UNITS.items()}
+    values = dict[str, Values]()
     for row in flights:
+        units |= row.get(f'{axis}_base_units', {})
         for name in BASE:
             if (value := row.get(f'{axis}_{name}')) is not None:
                 values.setdefault(name, {})[row['bag']] = (

@@ -6,20 +6,21 @@ import csv
 import io
 from collections.abc import Sequence
 from typing import Any
-from urllib.parse import quote
 
-from quad_sysid.contract import AXES
+from quad_sysid.axes import EVERY
 from quad_sysid.fleets.bag import OF_AXIS, Row
 from quad_sysid.fleets.place import Place
 
 CSV, PARQUET = 'fleet.csv', 'fleet.parquet'
-UNNAMED = '__HIVE_DEFAULT_PARTITION__'
-"""What Hive, Spark and all that read its folders call a value that is missing."""
+UNNAMED = '-'
+"""Folder of the flights of no aircraft; a partition without a value is one that pandas refuses."""
+ESCAPED = {*map(chr, range(32)), *'"#%\'*/:=?\\{[]^\x7f'}
+"""What Hive, and so Spark, escapes in the name of a partition; a letter of any script is none."""
 COLUMNS = ('bag', 'aircraft', 'status', 'reason', 'start_ns', 'length_s', 'sample_rate_hz',
            'warnings', 'seconds', 'cpu_s', 'peak_mb', 'bytes',
-           *(f'{axis}_{name}' for axis in AXES for name in OF_AXIS))
+           *(f'{axis}_{name}' for axis in EVERY for name in OF_AXIS))
 TEXT = ('bag', 'aircraft', 'status', 'reason', *(
-    f'{axis}_{name}' for axis in AXES
+    f'{axis}_{name}' for axis in EVERY
     for name in ('verdict', 'effects', 'effect_parameters', 'gains')))
 WHOLE = ('start_ns', 'warnings', 'bytes')
 
@@ -40,19 +41,23 @@ def write(rows: Sequence[Row], out: Place) -> list[str]:
     for row in rows:
         by_aircraft.setdefault(row['aircraft'], []).append(row)
     for aircraft, some in by_aircraft.items():
-        folder = quote(aircraft, safe=' ') if aircraft else UNNAMED
-        out.write(f'{PARQUET}/aircraft={folder}/rows.parquet', _parquet(some, pa))
+        folder = ''.join(f'%{ord(c):02X}' if c in ESCAPED or aircraft == UNNAMED else c
+                         for c in aircraft) or UNNAMED
+        out.write(f'{PARQUET}/craft={folder}/rows.parquet', _parquet(some, pa))
     return [CSV, PARQUET]
 
 
 def _parquet(rows: Sequence[Row], pa: Any) -> bytes:
-    """One aircraft's rows; its name is that of the folder."""
+    """One aircraft's rows; types are the same in every file.
+
+    Its name stands in them too: readers take the folder of an aircraft 007 for the number 7.
+    """
     from pyarrow import parquet
 
     kinds = {True: pa.string(), False: pa.float64()}
     schema = pa.schema([
         (name, pa.int64() if name in WHOLE else kinds[name in TEXT])
-        for name in COLUMNS if name != 'aircraft'])
+        for name in COLUMNS])
     content = {name: [row.get(name) for row in rows] for name in schema.names}
     sink = pa.BufferOutputStream()
     parquet.write_table(pa.table(content, schema=schema), sink)

@@ -44,10 +44,12 @@ OLD_CHANNEL = re.compile(r'^Ch(an)?(?=\d)')
 ARMED, DISARMED = 10, 11
 """Id of EV."""
 OF_RATES = ('RATE.RDes', 'RATE.R', 'RATE.PDes', 'RATE.P', 'RATE.YDes', 'RATE.Y')
-LONGEST_PULSE = 3000.0
+MAX_PULSE = 3000.0
 """µs. No speed controller is sent a longer one."""
 CENTI = 0.01
-"""deg/s of RATE's unit in logs with TimeMS."""
+"""deg/s of RATE's unit in logs with TimeMS, and of a speed in cm/s."""
+FEWEST = 10
+"""Messages of CTUN that say how it climbs."""
 AS_FAST = 0.9
 """Share of the gyro's rate from which on RATE, which the controller saw, is preferred."""
 FASTER = ("set bit 0 (fast attitude) of LOG_BITMASK: RATE is then logged at the loop's rate, not "
@@ -79,14 +81,16 @@ WANTED = (
            'to rad/s, pitch and yaw turned', _mirrored_degrees),
     Wanted('acceleration', _of('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
            mirrored),
-    Wanted('velocity', _of('XKF1', 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
-    Wanted('position', _of('XKF1', 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu),
+    *(one for name in ('XKF1', 'NKF1') for one in (
+        Wanted('velocity', _of(name, 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
+        Wanted('position', _of(name, 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu))),
     Wanted('battery', _of('BAT', 'Volt'), 'V', 'as it is'),
 )
 OUTPUTS = Wanted('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
                  'as they are, pitch and yaw turned; U is in the unit of these outputs',
                  lambda values: values * [1.0, *MIRROR])
-MESSAGES = ('RATE', 'ATT', 'IMU', 'XKF1', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD', 'SIDS')
+MESSAGES = ('RATE', 'ATT', 'IMU', 'XKF1', 'NKF1', 'CTUN', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD',
+            'SIDS')
 NO_GAINS = ("ArduPilot's gains are not carried over: {}, so nobody knows what its outputs do to "
             'the motors')
 AT_HOVER = ("ArduPilot's gains are stated for the thrust of hover: between its outputs and the "
@@ -115,10 +119,32 @@ def read(path: Path) -> ForeignLog:
             table.messages or 'no message of use',
             'set LOG_BITMASK to log fast attitude (bit 0) and log again',
         )
+    _climb(reading)
     crafts, gains, warnings = _input(reading)
     return reading.log('an ArduPilot log', WANTED, crafts=crafts, armed=_armed(table),
                        gains=gains, faster=FASTER, warnings=tuple(warnings),
                        experiments=tuple(_experiments(table)))
+
+
+def _climb(reading: Reading) -> None:
+    """Take the vertical speed and the altitude of CTUN where no estimate of the place was logged.
+
+    CRt is in cm/s, in some versions in m/s: the slope of the altitude says which.
+    """
+    found = reading.table.stream('CTUN.CRt', 'CTUN.Alt')
+    if found is None or 'velocity' in reading.streams or len(found.time_s) < FEWEST:
+        return
+    rate, height = found.values.T
+    slope = np.gradient(height, found.time_s)
+    off = [np.nansum((factor * rate - slope) ** 2) for factor in (CENTI, 1.0)]
+    factor, unit = (CENTI, 'cm/s') if off[0] <= off[1] else (1.0, 'm/s')
+    for role, name, values, of, how in (
+        ('velocity', 'CRt', factor * rate, unit, 'the vertical speed alone, by its altitude'),
+        ('position', 'Alt', height, 'm', 'the altitude alone'),
+    ):
+        up = np.column_stack([np.full((rate.size, 2), np.nan), values])
+        reading.streams.pop(role, None)
+        reading.put(Wanted(role, (f'CTUN.{name}',), of, how), Stream(found.time_s, up))
 
 
 def _experiments(table: Table) -> Iterator[Experiment]:
@@ -172,7 +198,7 @@ def _load(path: Path) -> Table:
     if log.in_ms and 'RATE.R' in columns:
         for name in OF_RATES:
             columns[name] = columns.get(name, np.zeros(0)) * CENTI
-    return replace(table, told=(*_possible(table), *_damage(log, binary=binary)))
+    return replace(table, notes=(*_possible(table), *_damage(log, binary=binary)))
 
 
 def _damage(log: Log, *, binary: bool) -> Iterator[str]:
@@ -197,7 +223,7 @@ def _possible(table: Table) -> Iterator[str]:
                    'measures such rates')
     for name, values in table.columns.items():
         if name.startswith('RCOU.C'):
-            values[values > LONGEST_PULSE] = np.nan
+            values[values > MAX_PULSE] = np.nan
 
 
 def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[str]]:

@@ -46,7 +46,7 @@ POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
 DSHOT = (48.0, 2047.0)
 PULSE_US = (1000.0, 2000.0)
-MOST_VOLTS = 100.0
+MAX_VOLTS = 100.0
 """A larger battery value is in hundredths of a volt."""
 ONE_G = 9.80665
 FEWEST = 200
@@ -179,7 +179,7 @@ def _possible(table: Table, scale: float) -> Table:
     if not wrong.any():
         return table
     line = f'{int(wrong.sum())} of {wrong.size} frames left out: no gyro measures such rates'
-    return replace(table, told=(*table.told, line), columns={
+    return replace(table, notes=(*table.notes, line), columns={
         **table.columns, **{n: np.where(wrong, np.nan, table.columns[n]) for n in names}})
 
 
@@ -197,7 +197,7 @@ def _wanted(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Wanted,
     how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if turned else 'the frame is ours')
 
     def volts(values: FloatArray) -> FloatArray:
-        hundredths = units.get('vbatLatest') != 'V' and float(np.median(values)) > MOST_VOLTS
+        hundredths = units.get('vbatLatest') != 'V' and float(np.median(values)) > MAX_VOLTS
         return values * (1e-3 if units.get('vbatLatest') == 'mV' else
                          0.01 if hundredths else 1.0)
 
@@ -256,11 +256,11 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str], list[Adjustme
             'was it armed, and the medium not full?')
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
     columns = {names[i]: rows[:, k].copy() for k, i in enumerate(places)}
-    told = (f'damaged in {faults} places: what cannot be read there is left out',)[: bool(faults)]
+    notes = (f'damaged in {faults} places: what cannot be read there is left out',)[: bool(faults)]
     times = columns.get('time', np.zeros(len(rows)))
     adjusted = [Adjustment(1e-6 * float(times[min(row, len(times) - 1)]), function, value)
-                for row, function, value in events.found]
-    return (Table(f'{path}, log {log} of {count}', columns, header=header, told=told), {},
+                for row, function, value in events.changes]
+    return (Table(f'{path}, log {log} of {count}', columns, header=header, notes=notes), {},
             adjusted)
 
 
@@ -269,7 +269,7 @@ class _Events:
 
     def __init__(self) -> None:
         self.rows = 0
-        self.found: list[tuple[int, int, float]] = []
+        self.changes: list[tuple[int, int, float]] = []
 
     def __call__(self, reader: Iterator[int]) -> None:
         """Read one: its number, then a float or a number with a sign in the last bit."""
@@ -286,7 +286,7 @@ class _Events:
                 if not byte & more or shift > 28:
                     break
             value = float((raw >> 1) ^ -(raw & 1))
-        self.found.append((self.rows, function & ~AS_FLOAT, float(value)))
+        self.changes.append((self.rows, function & ~AS_FLOAT, float(value)))
 
 
 @contextmanager
@@ -372,7 +372,7 @@ def _read(path: Path) -> tuple[Table, dict[str, str]]:
                 header[cells[0]] = cells[1]
     units = {name: header_unit(cell) or '' for cell, name in bare.items()}
     columns = {bare[cell]: values for cell, values in read.columns.items()}
-    return Table(str(path), columns, header=header, told=read.told), units
+    return Table(str(path), columns, header=header, notes=read.notes), units
 
 
 def _speeds(table: Table, units: dict[str, str], count: int) -> list[Wanted]:
@@ -415,9 +415,9 @@ def _crafts(table: Table, count: int) -> tuple[Craft, ...]:
     said = table.header.get('yaw_motors_reversed', '').strip()
     mixers = [m for m, motors in BETAFLIGHT.items() if len(motors) == count]
     mixers = ['QUADX'] if count == 4 else mixers
-    found = (of_betaflight({'mixer': mixer, 'yaw_motors_reversed': out})
-             for mixer in mixers for out in ((said,) if said else ('0', '1')))
-    return tuple(one for one in found if isinstance(one, Craft))
+    crafts = (of_betaflight({'mixer': mixer, 'yaw_motors_reversed': out})
+              for mixer in mixers for out in ((said,) if said else ('0', '1')))
+    return tuple(one for one in crafts if isinstance(one, Craft))
 
 
 def _motor_range(table: Table, raw: FloatArray) -> tuple[float, float, str]:

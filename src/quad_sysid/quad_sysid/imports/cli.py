@@ -174,7 +174,7 @@ def table(done: Imported) -> list[str]:
         (f'{done.log.kind}, {record.n} samples at {1.0 / record.dt:.5g} Hz, '
          f'{record.n * record.dt:.1f} s'), '', *mapped(done.log),
     ]
-    for title, lines in (('clock and motors', done.told), ('missing', done.log.missing),
+    for title, lines in (('clock and motors', done.notes), ('missing', done.log.missing),
                          ('warnings', done.warnings)):
         if lines:
             out += ['', title, *(part for line in lines for part in wrapped(line, '    ', '  '))]

@@ -31,11 +31,11 @@ SPARSEST = 0.01
 PAUSE_S, PAUSE_INTERVALS = 2.0, 5.0
 """Pause inserted between two experiments."""
 TICKS = 0.05
-"""Share of rows with an unchanged time from which the clock is taken to tick more slowly than the
+"""Share of rows with an unchanged time from which the clock counts as ticking more slowly than the
 rows come; fewer are duplicates."""
 UNEVEN = 0.3
 """An interval this far from the median, as a share of it, is odd."""
-MOST_ODD = 0.03
+MAX_ODD = 0.03
 """Share of odd intervals up to which each sample keeps its own cycle."""
 JITTER_KEPT = 0.1
 """Largest jitter, cycles (99 % quantile), with which samples are not interpolated."""
@@ -43,11 +43,11 @@ BLOCK = 16
 """Number of intervals whose mean gives a rate."""
 STEADY = 0.2
 """Spread of these means up to which there is one rate with jitter."""
-HIGHEST_RATE_HZ = 20e3
+MAX_RATE_HZ = 20e3
 """Highest sample rate of flight controllers and rigs."""
-LONGEST_DRAWN = 2.5
+MAX_DRAWN = 2.5
 """Longest interval, cycles, that is interpolated; a longer one is a gap."""
-LONGEST_PAUSE = 3.0
+MAX_PAUSE = 3.0
 """Usual intervals for which a command is held."""
 FINEST = 4.0
 """Largest rate of a grid that is asked for, over that of the samples: between them is nothing."""
@@ -63,7 +63,7 @@ class Unrolled:
     """(m,) indices of the given rows, in order of time."""
     time_s: FloatArray
     """(m,) strictly increasing, from one second on if they do not count from 1970."""
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Cycles:
     """(n, w) NaN in gaps."""
     own: bool
     """Whether the cycles are those of the samples."""
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unrolled:
@@ -87,11 +87,11 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     Raises BadInputError, naming `where`, where the time never advances.
     """
     rows = np.flatnonzero(np.isfinite(time_s))
-    told = _left_out(len(time_s) - len(rows), 'rows without a time')
+    notes = _left_out(len(time_s) - len(rows), 'rows without a time')
     if len(rows) < 2:
         raise BadInputError(where, 'holds no times', remedy='name another column as the time')
     again = np.concatenate(([False], _alike(time_s, values, rows)))
-    told += _left_out(int(again.sum()), 'rows written twice')
+    notes += _left_out(int(again.sum()), 'rows written twice')
     rows = rows[~again]
     steps = np.diff(time_s[rows])
     if not (steps > 0.0).any():
@@ -99,13 +99,13 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     usual = float(np.median(steps[steps > 0.0]))
     jump = _jump(usual)
     long = [rows[part] for part in _stretches(time_s[rows], usual)]
-    told += _left_out(len(rows) - sum(map(len, long)), 'rows with a time far off')
+    notes += _left_out(len(rows) - sum(map(len, long)), 'rows with a time far off')
     if not long:
         raise BadInputError(where, 'jumps from row to row', f'{len(rows)} rows',
                             'name another column as the time')
     back = sum(int(np.count_nonzero(np.diff(time_s[part]) < 0.0)) for part in long)
     if back:
-        told.append(f'{back} rows ran back in time and were sorted')
+        notes.append(f'{back} rows ran back in time and were sorted')
     long = [part[np.argsort(time_s[part], kind='stable')] for part in long]
     pause = max(PAUSE_S, PAUSE_INTERVALS * usual)
     moments = [time_s[long[0]]]
@@ -114,11 +114,11 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
         moments.append(time_s[part] + (0.0 if 0.0 < step <= jump else pause - step))
     jumps = sum(float(m[0]) != float(time_s[p[0]]) for m, p in zip(moments, long, strict=True))
     if jumps:
-        told.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, placed {pause:.3g} s '
-                    'apart')
-    kept, moment = _spread(np.concatenate(long), np.concatenate(moments), told)
+        notes.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, placed {pause:.3g} s '
+                     'apart')
+    kept, moment = _spread(np.concatenate(long), np.concatenate(moments), notes)
     moment = moment if moment[0] > EPOCH_S else moment - moment[0] + 1.0
-    return Unrolled(kept, moment, tuple(told))
+    return Unrolled(kept, moment, tuple(notes))
 
 
 def _jump(usual: float) -> float:
@@ -149,15 +149,15 @@ def _alike(time_s: FloatArray, values: Sequence[FloatArray], rows: np.ndarray) -
 
 
 def _spread(
-    rows: np.ndarray, time_s: FloatArray, told: list[str]
+    rows: np.ndarray, time_s: FloatArray, notes: list[str]
 ) -> tuple[np.ndarray, FloatArray]:
     """Rows of equal time: spread between the ticks if there are many, left out if few."""
     repeated = np.concatenate(([False], np.diff(time_s) <= 0.0))
     if repeated.mean() <= TICKS:
-        told += _left_out(int(repeated.sum()), 'rows that repeat a time')
+        notes += _left_out(int(repeated.sum()), 'rows that repeat a time')
         return rows[~repeated], time_s[~repeated]
-    told.append(f'the clock ticks more slowly than the rows come ({100 * repeated.mean():.0f} '
-                '% repeat a time): rows are spread between the ticks')
+    notes.append(f'the clock ticks more slowly than the rows come ({100 * repeated.mean():.0f} '
+                 '% repeat a time): rows are spread between the ticks')
     ticks = np.flatnonzero(~repeated)
     end = time_s[-1] + (len(rows) - ticks[-1]) * (time_s[-1] - time_s[0]) / max(1, ticks[-1])
     places = np.append(ticks, len(rows)).astype(float)
@@ -186,11 +186,11 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     odd = int(np.count_nonzero(~near))
     head = f'{len(time_s)} samples, a median of {1.0 / usual:.4g} Hz, {odd} odd intervals'
     head = '; '.join([*wrong, head])
-    highest = min(HIGHEST_RATE_HZ, FINEST / usual)
+    highest = min(MAX_RATE_HZ, FINEST / usual)
     if grid_hz is not None and grid_hz > highest:
         raise BadInputError('--grid', f'must be at most {highest:.4g} Hz', f'{grid_hz:g} Hz',
                             f'the log has {1.0 / usual:.4g} Hz; leave --grid out')
-    even = near.mean() >= 1.0 - MOST_ODD
+    even = near.mean() >= 1.0 - MAX_ODD
     if grid_hz is not None:
         dt, why = 1.0 / grid_hz, 'as --grid says'
     elif even:
@@ -203,8 +203,8 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     else:
         dt, why = _uneven(steps), 'the rate is uneven'
     times = time_s[0] + dt * np.arange(int((time_s[-1] - time_s[0]) / dt + 1e-6) + 1)
-    drawn = draw(samples, times, LONGEST_DRAWN * max(dt, usual))
-    return Cycles(times, dt, drawn, own=False, told=(
+    drawn = draw(samples, times, MAX_DRAWN * max(dt, usual))
+    return Cycles(times, dt, drawn, own=False, notes=(
         f'{head}; rates interpolated on a grid of {1.0 / dt:.4g} Hz ({why}){_gaps(drawn, dt)}',
     ))
 
@@ -219,7 +219,7 @@ def _own(
     out[cells] = values[kept]
     more = f', {crowded} in an occupied cycle left out' if crowded else ''
     times = np.interp(np.arange(len(out)), cells, time_s)
-    return Cycles(times, dt, out, own=True, told=(
+    return Cycles(times, dt, out, own=True, notes=(
         f'{head}; each kept in its own cycle of {1.0 / dt:.4g} Hz{more}{_gaps(out, dt)}',
     ))
 
@@ -252,7 +252,7 @@ def _uneven(steps: FloatArray) -> float:
         if high - low < STEADY * high:
             usual = (means >= low) & (means <= high)
             return _rounded(float(means[usual].mean()))
-    return _rounded(float(np.quantile(steps, 1.0 - MOST_ODD)))
+    return _rounded(float(np.quantile(steps, 1.0 - MAX_ODD)))
 
 
 def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:
@@ -269,7 +269,7 @@ def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:
     after = np.clip(np.searchsorted(time_s, times), 1, len(time_s) - 1)
     wide = np.diff(time_s)[after - 1] > longest
     at_sample = np.minimum(np.abs(times - time_s[after]), np.abs(times - time_s[after - 1]))
-    outside = (times < time_s[0]) | (times > time_s[-1] + longest / LONGEST_DRAWN)
+    outside = (times < time_s[0]) | (times > time_s[-1] + longest / MAX_DRAWN)
     values[(wide & (at_sample > 1e-9)) | outside] = np.nan
     return values
 
@@ -280,7 +280,7 @@ def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
     at = np.searchsorted(stream.time_s, times + 0.5 * dt, side='right') - 1
     known = at >= 0
     at = np.maximum(at, 0)
-    known &= times - stream.time_s[at] <= LONGEST_PAUSE * max(usual, dt)
+    known &= times - stream.time_s[at] <= MAX_PAUSE * max(usual, dt)
     out = stream.values[at].copy()
     out[~known] = np.nan
     return np.asarray(out, dtype=np.float64)

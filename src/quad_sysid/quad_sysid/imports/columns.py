@@ -74,7 +74,7 @@ class ColumnOptions:
     sample_rate_hz: float | None = None
     """The rate of the rows where no column has their time."""
     frame: str = 'auto'
-    """`flu`, `frd`, or what the acceleration tells."""
+    """`flu`, `frd`, or `auto`: as the acceleration shows."""
     messages: Path | None = None
     """A folder of .msg files, for a bag without definitions."""
 
@@ -134,25 +134,25 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
         raise BadInputError(f'{options.file}', 'is a table, which needs --time',
                             remedy='quad-sysid import FILE alone proposes one; without a column '
                             'of times give --sample-rate')
-    found = {option: _stream(table, units, options.names(option), OPTIONS[option])
-             for option in OPTIONS if option != 'time'}
-    told = [*table.told, *_limited(options, units, table), *_in_our_frame(options, found)]
-    _unwrap(options, found)
-    odd += _compared(options, units, found)
+    streams = {option: _stream(table, units, options.names(option), OPTIONS[option])
+               for option in OPTIONS if option != 'time'}
+    notes = [*table.notes, *_limited(options, units, table), *_in_our_frame(options, streams)]
+    _unwrap(options, streams)
+    odd += _compared(options, units, streams)
     return ForeignLog(
         source=str(options.file), kind='a table', axes=options.axes,
-        rates=_placed(options, found['rate']), angles=_placed(options, found['angle']),
-        attitude_setpoint=_placed(options, found['reference']),
-        rate_setpoint=_placed(options, found['rate_reference']),
-        control=_wrench(options, found['control'] and _stream(
+        rates=_placed(options, streams['rate']), angles=_placed(options, streams['angle']),
+        attitude_setpoint=_placed(options, streams['reference']),
+        rate_setpoint=_placed(options, streams['rate_reference']),
+        control=_wrench(options, streams['control'] and _stream(
             table, units, (*options.control, *options.names('thrust')), OPTIONS['control']),
-            found['control']),
-        motors=found['motors'], acceleration=found['acceleration'],
-        velocity=found['velocity'], position=found['position'],
+            streams['control']),
+        motors=streams['motors'], acceleration=streams['acceleration'],
+        velocity=streams['velocity'], position=streams['position'],
         crafts=() if not options.motors or options.mixer == 'auto'
         else (mixer_of(options.mixer, options.motors),),
-        battery=found['battery'], mapped=_mapped(options, units, found), checks=tuple(odd),
-        clock=tuple(told), reversing={
+        battery=streams['battery'], mapped=_mapped(options, units, streams), checks=tuple(odd),
+        clock=tuple(notes), reversing={
             axis: _column(options, units, name, table.columns[name]).advise(units[name].reversed)
             for axis, name in zip(options.axes, options.control, strict=bool(options.control))
         },
@@ -170,7 +170,7 @@ def _unsigned(options: ColumnOptions, table: Table) -> Table:
     sense = f', against {", ".join(others)}' if others else ''
     line = (f'{", ".join(turned)} are negative, as motors that turn the other way{sense}: their '
             'magnitude is taken')
-    return replace(table, told=(*table.told, line), columns={
+    return replace(table, notes=(*table.notes, line), columns={
         **table.columns, **{name: -columns[name] for name in turned}})
 
 
@@ -188,9 +188,9 @@ def _limited(
                    f'{units[names[0]].name} and limited to it, as of disarmed motors')
 
 
-def _in_our_frame(options: ColumnOptions, found: dict[str, Stream | None]) -> Iterator[str]:
+def _in_our_frame(options: ColumnOptions, streams: dict[str, Stream | None]) -> Iterator[str]:
     """Turn what was measured forward, right, down to forward, left, up; say why."""
-    force = found['acceleration']
+    force = streams['acceleration']
     down = None if force is None else z_points_down(force.values[:, 2])
     if options.frame == 'auto' and down is None:
         if options.motors and len(options.axes) > 1:
@@ -200,14 +200,15 @@ def _in_our_frame(options: ColumnOptions, found: dict[str, Stream | None]) -> It
     turned = options.frame == 'frd' or (options.frame == 'auto' and bool(down))
     why = 'as --frame says' if options.frame != 'auto' or force is None else (
         f'the accelerometer shows {np.nanmedian(force.values[:, 2]):+.1f} m/s² on z')
+    signs = [MIRROR[AXES.index(axis)] for axis in options.axes]
     if turned:
         for role in ('rate', 'angle', 'reference', 'rate_reference', 'control'):
-            found[role] = _times(found[role], [MIRROR[AXES.index(axis)] for axis in options.axes])
-        found['acceleration'] = _times(force, MIRROR)
+            streams[role] = _times(streams[role], signs)
+        streams['acceleration'] = _times(force, MIRROR)
         yield f'forward, right, down ({why}): pitch and yaw turned to forward, left, up'
-    if down is not None and _opposed(options, found):
+    if down is not None and _opposed(options, streams):
         for role in ('angle', 'reference'):
-            found[role] = _times(found[role], [MIRROR[AXES.index(axis)] for axis in options.axes])
+            streams[role] = _times(streams[role], signs)
         yield f'the angles turn against the rates, whose frame gravity tells ({why}): turned'
 
 
@@ -215,16 +216,16 @@ def _times(stream: Stream | None, factors: Sequence[float] | FloatArray) -> Stre
     return stream and Stream(stream.time_s, stream.values * np.asarray(factors))
 
 
-def _opposed(options: ColumnOptions, found: Mapping[str, Stream | None]) -> bool:
+def _opposed(options: ColumnOptions, streams: Mapping[str, Stream | None]) -> bool:
     """Whether pitch and yaw, where they move, turn against their rates, and roll does not."""
-    rate, angle = found['rate'], found['angle']
+    rate, angle = streams['rate'], streams['angle']
     if rate is None or angle is None or rate.values.shape != angle.values.shape:
         return False
-    laid = cycles(rate, str(options.file))
-    drawn = draw(angle, laid.times, 3.0 / (angle.rate_hz or np.inf))
+    grid = cycles(rate, str(options.file))
+    drawn = draw(angle, grid.times, 3.0 / (angle.rate_hz or np.inf))
     signs = {}
     for i, axis in enumerate(options.axes):
-        both = turn_factor(laid.values[:, i], drawn[:, i], laid.dt)
+        both = turn_factor(grid.values[:, i], drawn[:, i], grid.dt)
         if both is not None and abs(both[0]) >= TOGETHER:
             signs[axis] = both[1] > 0.0
     others = [turns for axis, turns in signs.items() if axis != 'roll']
@@ -266,26 +267,26 @@ def _stream(
 
     Pulses beyond their range are limited to it.
     """
-    found = table.stream(*names)
-    if names and found is None:
+    stream = table.stream(*names)
+    if names and stream is None:
         raise BadInputError(table.source, 'has no two rows with a number in each of',
                             ', '.join(names), 'name other columns')
     def converted(i: int, name: str) -> FloatArray:
-        values = units[name](found.values[:, i]) if found else np.zeros(0)
+        values = units[name](stream.values[:, i]) if stream else np.zeros(0)
         return np.clip(values, *option.span) if option.span and units[name].name in BEYOND \
             else values
 
-    return found and Stream(found.time_s, np.column_stack([
+    return stream and Stream(stream.time_s, np.column_stack([
         converted(i, name) for i, name in enumerate(names)]))
 
 
-def _unwrap(options: ColumnOptions, found: dict[str, Stream | None]) -> None:
+def _unwrap(options: ColumnOptions, streams: dict[str, Stream | None]) -> None:
     """Make a heading continuous, and its reference within half a turn of it (median)."""
     if 'yaw' not in options.axes:
         return
-    i, angle = options.axes.index('yaw'), found['angle']
+    i, angle = options.axes.index('yaw'), streams['angle']
     for role in ('angle', 'reference'):
-        stream = found[role]
+        stream = streams[role]
         if stream is None:
             continue
         values = stream.values.copy()
@@ -294,9 +295,9 @@ def _unwrap(options: ColumnOptions, found: dict[str, Stream | None]) -> None:
         if role == 'reference' and angle is not None:
             apart = values[:, i] - np.interp(stream.time_s, angle.time_s, angle.values[:, i])
         values[:, i] -= 2.0 * np.pi * np.round(np.median(apart) / (2.0 * np.pi))
-        found[role] = Stream(stream.time_s, values)
+        streams[role] = Stream(stream.time_s, values)
         if role == 'angle':
-            angle = found[role]
+            angle = streams[role]
 
 
 def _placed(options: ColumnOptions, stream: Stream | None) -> Stream | None:
@@ -326,14 +327,14 @@ def _wrench(
 
 
 def _mapped(
-    options: ColumnOptions, units: Mapping[str, Unit], found: Mapping[str, Stream | None],
+    options: ColumnOptions, units: Mapping[str, Unit], streams: Mapping[str, Stream | None],
 ) -> tuple[Mapped, ...]:
     """The use of each column."""
     out = []
     placed = [(option, at, name) for option in OPTIONS
               for at, name in enumerate(options.names(option))]
     for option, at, name in placed:
-        unit, stream = units[name], found.get(option)
+        unit, stream = units[name], streams.get(option)
         place = 'motor' if option == 'motors' else option.replace('_', ' ')
         place += f' {at + 1}' if option == 'motors' else \
             f', {options.axes[at]}' if OPTIONS[option].per_axis else ''
@@ -436,15 +437,15 @@ def _column(
 
 
 def _compared(options: ColumnOptions, units: Mapping[str, Unit],
-              found: Mapping[str, Stream | None]) -> list[str]:
+              streams: Mapping[str, Stream | None]) -> list[str]:
     """Compare rates, angles and references; disagreements in words."""
-    base = found['rate'] or found['angle']
+    base = streams['rate'] or streams['angle']
     if base is None:
         return []
-    laid = cycles(base, str(options.file))
+    grid = cycles(base, str(options.file))
     on_grid = {
-        role: laid.values if stream is base else draw(stream, laid.times, 3.0 / stream.rate_hz)
-        for role in ('rate', 'angle', 'reference') if (stream := found[role]) is not None
+        role: grid.values if stream is base else draw(stream, grid.times, 3.0 / stream.rate_hz)
+        for role in ('rate', 'angle', 'reference') if (stream := streams[role]) is not None
     }
     odd = []
     for i, axis in enumerate(options.axes):
@@ -456,7 +457,7 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
         if 'angle' in columns:
             _check_angle(columns['angle'], axis)
         if 'rate' in columns:
-            odd += check_rate(columns['rate'], columns.get('angle'), laid.dt)
+            odd += check_rate(columns['rate'], columns.get('angle'), grid.dt)
         if 'reference' in columns and 'angle' in columns:
             check_reference(columns['reference'], columns['angle'])
     return odd

@@ -72,21 +72,21 @@ def read_binary(data: NDArray[np.uint8], wanted: Collection[str]) -> Log:
     kinds = _kinds(data)
     starts, numbers, skipped, bursts = _whole(data, kinds)
     log = Log(skipped=skipped, bursts=bursts)
-    found = {}
+    messages = {}
     for number, kind in kinds.items():
         if kind.name in wanted or kind.name == 'PARM':
             at = starts[numbers == number]
             if len(at):
-                found[kind.name] = at, _unpacked(data, at, kind)
-    clock = _clock({name: rows for name, (_, rows) in found.items()})
+                messages[kind.name] = at, _unpacked(data, at, kind)
+    clock = _clock({name: rows for name, (_, rows) in messages.items()})
     log.in_ms = clock == 'TimeMS'
     stamps = {name: TIMES[clock] * rows[clock].astype(float)
-              for name, (_, rows) in found.items() if clock in (rows.dtype.names or ())}
-    timed = [(found[name][0], times) for name, times in stamps.items()]
+              for name, (_, rows) in messages.items() if clock in (rows.dtype.names or ())}
+    timed = [(messages[name][0], times) for name, times in stamps.items()]
     places = np.concatenate([at for at, _ in timed]) if timed else np.zeros(0)
     order = np.argsort(places, kind='stable')
     known = np.concatenate([times for _, times in timed])[order] if timed else np.zeros(0)
-    for name, (at, rows) in found.items():
+    for name, (at, rows) in messages.items():
         if name == 'PARM':
             log.parameters |= {_text(n): float(v) for n, v in zip(rows['Name'], rows['Value'],
                                                                   strict=True)}
@@ -103,8 +103,8 @@ def read_binary(data: NDArray[np.uint8], wanted: Collection[str]) -> Log:
     return log
 
 
-def _clock(found: Mapping[str, NDArray[np.void]]) -> str:
-    fields = {name for rows in found.values() for name in rows.dtype.names or ()}
+def _clock(messages: Mapping[str, NDArray[np.void]]) -> str:
+    fields = {name for rows in messages.values() for name in rows.dtype.names or ()}
     return next((clock for clock in TIMES if clock in fields), 'TimeUS')
 
 

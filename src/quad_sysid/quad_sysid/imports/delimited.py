@@ -49,7 +49,7 @@ class Text:
     columns: dict[str, FloatArray]
     lines: NDArray[np.int64]
     """(n,) line number of each row, counted from 1."""
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     """What was repaired."""
     aliases: Mapping[str, str]
     """Other names by which a column may be asked for: its own without the unit of a units' row."""
@@ -64,7 +64,7 @@ class _Layout:
     header_line: int
     begin: int
     """Index of the first row among the lines that were looked at."""
-    told: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     aliases: dict[str, str] = field(default_factory=dict)
 
 
@@ -113,7 +113,7 @@ def read_text_table(
         if not np.isfinite(columns[layout.aliases.get(name, name)]).any():
             raise BadInputError(f'{source}, line {at[0]}, column {name}', 'holds no number')
     return Text({n: c for n, c in columns.items() if np.isfinite(c).any()}, at,
-                (*layout.told, *text.told), layout.aliases)
+                (*layout.notes, *text.notes), layout.aliases)
 
 
 def _absent(where: str, absent: Sequence[str], layout: _Layout) -> BadInputError:
@@ -132,7 +132,7 @@ class _Lines:
 
     lines: Iterable[str]
     first: int
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     comments: list[tuple[int, str]] = field(default_factory=list)
     """Those before the first row; the last may be the header."""
 
@@ -141,7 +141,7 @@ class _Lines:
         for number, line in enumerate(self.lines, self.first):
             if not line.endswith('\n'):
                 said = 'has no end: it may be cut off and is left out'
-                self.told = (f'line {number}, the last, {said}',)
+                self.notes = (f'line {number}, the last, {said}',)
             elif line.startswith('#'):
                 if not begun:
                     self.comments.append((number, line.lstrip('# \t')))
@@ -188,14 +188,14 @@ def _named(looked: Sequence[tuple[int, str]], header: int) -> _Layout:
     layout = _Layout(split, [name or f'column {i + 1}' for i, name in enumerate(names)],
                      number, header + 1)
     if header and number > looked[0][0]:
-        layout.told.append(f'{header} lines before the header left out')
+        layout.notes.append(f'{header} lines before the header left out')
     _number_repeated(layout)
     units = next(split([looked[header + 1][1]]), []) if header + 1 < len(looked) else []
     if (_as_wide(units, len(names)) and header + 2 < len(looked) and not _is_row(units)
             and _is_row(next(split([looked[header + 2][1]])))
             and any(written(unit.strip(' ()[]')) in WRITTEN.values() for unit in units)):
         layout.begin += 1
-        layout.told.append(f'line {looked[header + 1][0]} holds units, not numbers')
+        layout.notes.append(f'line {looked[header + 1][0]} holds units, not numbers')
         for i, unit in enumerate(units[: len(names)]):
             bare = unit.strip(' ()[]')
             if written(bare) in WRITTEN.values() and header_unit(layout.names[i]) is None:
@@ -216,8 +216,8 @@ def _number_repeated(layout: _Layout) -> None:
             fresh = [f'{name} #{k + 1}' for k in range(times)]
         for place, new in zip(places, fresh, strict=True):
             layout.names[place] = new
-        layout.told.append(f'{times} columns are called {name}: they are named '
-                           f'{", ".join(fresh)} in their order')
+        layout.notes.append(f'{times} columns are called {name}: they are named '
+                            f'{", ".join(fresh)} in their order')
 
 
 def _splitter(header: str) -> Callable[[Iterable[str]], Iterator[list[str]]]:

@@ -18,7 +18,7 @@ from quad_sysid.record import Record, Segment
 
 PAUSE_S = 1.0
 """Time without an injection that ends an experiment."""
-SHORTEST_S = 5.0
+MIN_DURATION_S = 5.0
 """A shorter one trains nothing."""
 
 
@@ -29,8 +29,8 @@ def runs_of(signal: str, injection: str, added: Stream) -> tuple[Experiment, ...
         on = np.flatnonzero(added.values[:, i] != 0.0)
         if not on.size:
             continue
-        parts = np.split(on, np.flatnonzero(np.diff(added.time_s[on]) > PAUSE_S) + 1)
-        for part in parts:
+        spans = np.split(on, np.flatnonzero(np.diff(added.time_s[on]) > PAUSE_S) + 1)
+        for part in spans:
             rows = slice(part[0], part[-1] + 1)
             out.append(Experiment(axis, signal, injection, Stream(
                 added.time_s[rows], added.values[rows, i : i + 1])))
@@ -47,11 +47,11 @@ def with_experiments(
     """
     excitation = np.full((record.n, len(AXES)), np.nan)
     segments: list[Segment] = []
-    told = []
+    text = []
     for one in experiments:
         begin, end = (float(t) - start_s for t in one.added.time_s[[0, -1]])
         begin, end = max(begin, 0.0), min(end, record.n * record.dt)
-        if end - begin < SHORTEST_S:
+        if end - begin < MIN_DURATION_S:
             continue
         rows = slice(int(np.ceil(begin / record.dt)), int(end / record.dt))
         times = start_s + record.dt * np.arange(rows.start, rows.stop)
@@ -61,11 +61,11 @@ def with_experiments(
         segments += [
             Segment(role, one.signal, one.axis, one.injection, begin + a, begin + b,
                     dict(one.parameters)) for role, a, b in blocks(end - begin)]
-        told.append(f'{one.axis} {end - begin:.0f} s')
+        text.append(f'{one.axis} {end - begin:.0f} s')
     if not segments:
         return record, ''
     segments.sort(key=lambda s: s.start_s)
     first = experiments[0]
     return replace(record, excitation=excitation, segments=tuple(segments)), (
-        f'the log holds experiments ({first.signal}, {first.injection}): {", ".join(told)}; their '
+        f'the log holds experiments ({first.signal}, {first.injection}): {", ".join(text)}; their '
         'segments train and validate')

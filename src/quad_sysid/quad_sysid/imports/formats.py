@@ -36,9 +36,9 @@ class Format:
     """With its article, such as `a PX4 log`."""
     recognises: Callable[[Source], bool]
     read: Callable[..., ForeignLog]
-    """Takes the path, and what `options` names."""
+    """A function of the path and of the options named below."""
     options: tuple[str, ...] = ()
-    """Of `log`, the number of the log where a file may hold several, and `messages`, a folder of
+    """Names of options: `log`, the number of the log in a file of several; `messages`, a folder of
     .msg files."""
     also_table: bool = False
     """Whether a user who names columns may read it as a table too."""

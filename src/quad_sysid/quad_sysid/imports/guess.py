@@ -79,11 +79,11 @@ RATE = _named('gyro', 'gyr', 'rate', 'rates', 'omega', r'\bang (ular )?vel', r'\
 GYRO = _named('gyro', 'gyr', 'p', 'q', 'r', r'\bg ?[xyz]\b')
 ANGLE = _named('roll', 'pitch', 'yaw', 'phi', 'theta', 'psi', 'angle', 'attitude', 'euler')
 POSE = _named('pose')
-"""Of a table without angles: a rig's pose is one."""
+"""Angles of a table that has no others: a rig's pose is one."""
 TORQUE = _named('torque', 'tau', 'moment', 'control', 'cmd', 'output', 'u', r'\bu ?[234]\b',
                 'input')
 TURNING = _named('torque', 'tau', 'moment', 'control', 'controller', 'cmd', 'output', 'thrust')
-"""What no measured angle is called."""
+"""Words that no measured angle has in its name."""
 FORCE = _named('acc', 'accel', 'acceleration', r'\ba ?[xyz]\b')
 NO_FORCE = _named('ang', 'angular', 'gyro', 'bias', 'world', 'ned', 'enu', 'lin', 'linear')
 THRUST = _named('thrust', 'throttle', 'collective')
@@ -116,7 +116,7 @@ class Guess:
     """Those that can be imported together: with a rate (or else an angle) and a command."""
     units: Mapping[str, str]
     timed: bool = True
-    """Whether a column of time was found, or the columns have times of their own."""
+    """Whether there is a column of time, or the columns have times of their own."""
 
     def role_of(self, column: str) -> str:
         """The guess for one column, in words."""
@@ -130,29 +130,29 @@ class Guess:
         elif OPTIONS[option].per_axis:
             word += f', {AXES[at]}'
         word += f' [{unit}]' if unit else ''
-        return word if column in self._taken(self.axes).get(option, ()) else f'{word}, not used'
+        return word if column in self._used(self.axes).get(option, ()) else f'{word}, not used'
 
-    def _taken(self, axes: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    def _used(self, axes: Sequence[str]) -> dict[str, tuple[str, ...]]:
         """The columns of each option that an import of these axes takes."""
-        taken = {
+        used = {
             option: tuple(name for axis, name in zip(AXES, names, strict=True) if axis in axes)
             if OPTIONS[option].per_axis else names
             for option, names in self.columns.items()
         }
-        return {option: names for option, names in taken.items() if all(names) and names}
+        return {option: names for option, names in used.items() if all(names) and names}
 
     def command(self, file: Path, axes: Sequence[str] = ()) -> str | None:
         """The command line that imports these axes, or all; None without rates or commands."""
-        taken = self._taken(axes or self.axes)
-        if not ({'rate', 'angle'} & taken.keys() and {'control', 'motors'} & taken.keys()
+        used = self._used(axes or self.axes)
+        if not ({'rate', 'angle'} & used.keys() and {'control', 'motors'} & used.keys()
                 and self.timed):
             return None
         words = ['quad-sysid', 'import', str(file), '--axis', ','.join(axes or self.axes)]
-        for option, names in taken.items():
+        for option, names in used.items():
             words += as_typed(option, names)
-        words += ['--mixer', 'auto'] if 'motors' in taken else []
+        words += ['--mixer', 'auto'] if 'motors' in used else []
         for column, unit in self.units.items():
-            if any(column in names for names in taken.values()):
+            if any(column in names for names in used.values()):
                 words += ['--unit', f'{column}={unit}'] if not column.startswith('-') else [
                     f'--unit={column}={unit}']
         out = '_'.join([file.name.partition('.')[0], *axes, 'bag'])
@@ -162,23 +162,23 @@ class Guess:
         """What the command of all axes asks for; None without one."""
         if self.command(file) is None:
             return None
-        taken = self._taken(self.axes)
+        used = self._used(self.axes)
         named = {option: names if OPTIONS[option].per_axis or OPTIONS[option].several else names[0]
-                 for option, names in taken.items()}
+                 for option, names in used.items()}
         units = {column: unit for column, unit in self.units.items()
-                 if any(column in names for names in taken.values())}
+                 if any(column in names for names in used.values())}
         return ColumnOptions(file=file, axes=self.axes, mixer='auto', units=units,
                              **cast('Any', named))
 
     def partial(self) -> dict[tuple[str, ...], list[str]]:
         """Options that only some of the axes have columns for, by these axes."""
-        found: dict[tuple[str, ...], list[str]] = {}
+        options: dict[tuple[str, ...], list[str]] = {}
         for option, names in self.columns.items():
-            if OPTIONS[option].per_axis and option not in self._taken(self.axes):
+            if OPTIONS[option].per_axis and option not in self._used(self.axes):
                 own = tuple(axis for axis in _axes(names) if axis in self.axes)
-                found.setdefault(own, []).append(option)
-        found.pop((), None)
-        return found
+                options.setdefault(own, []).append(option)
+        options.pop((), None)
+        return options
 
 
 def guesses(table: Table) -> Iterator[Guess]:
@@ -189,11 +189,11 @@ def guesses(table: Table) -> Iterator[Guess]:
 
 def guess(table: Table, time: str | None = None) -> Guess:  # noqa: C901 - option by option
     """Guess from names and values of all columns, with this one as the time."""
-    found: dict[str, tuple[str, ...]] = {}
+    columns: dict[str, tuple[str, ...]] = {}
     free = [n for n in table.columns if np.nanstd(table.columns[n]) > 0.0]
 
     def take(option: str, names: Sequence[str]) -> None:
-        found[option] = tuple(names)
+        columns[option] = tuple(names)
         for name in filter(None, names):
             free.remove(name)
 
@@ -203,25 +203,25 @@ def guess(table: Table, time: str | None = None) -> Guess:  # noqa: C901 - optio
         take('motors', motors)
     for option, pattern in (('rate', RATE), ('angle', ANGLE), ('control', TORQUE),
                             ('reference', ANGLE), ('rate_reference', RATE), ('angle', POSE)):
-        if option in found or (option == 'control' and motors):
+        if option in columns or (option == 'control' and motors):
             continue
         triples = _triples([n for n in free if _fits(option, n)], pattern)
-        if best := _widest(triples, _importable(found)):
+        if best := _widest(triples, _importable(columns)):
             take(option, best)
     for option, pattern in (('thrust', THRUST), ('battery', BATTERY)):
         named = [n for n in free if pattern.search(spaced(n))]
-        if named and (option == 'battery' or 'control' in found):
+        if named and (option == 'battery' or 'control' in columns):
             take(option, named[:1])
     forces = _triples([n for n in free if not NO_FORCE.search(spaced(n))], FORCE)
     if forces := [triple for triple in forces if all(triple) and _has_weight(table, triple)]:
         take('acceleration', forces[0])
-    ordered = {option: found[option] for option in OPTIONS if option in found}
+    ordered = {option: columns[option] for option in OPTIONS if option in columns}
     units = {
         name: unit for option, names in ordered.items()
         for name, unit in zip(filter(None, names), likely_units(table, option, names), strict=True)
         if unit and header_unit(name, OPTIONS[option].role) != unit
     }
-    return Guess(ordered, _importable(found), units, bool(time or table.times))
+    return Guess(ordered, _importable(columns), units, bool(time or table.times))
 
 
 def _has_weight(table: Table, triple: Triple) -> bool:
@@ -230,11 +230,11 @@ def _has_weight(table: Table, triple: Triple) -> bool:
     return size[2] > 2.0 * max(size[:2])
 
 
-def _importable(found: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
-    """The axes that what was found so far measures (by a rate, else an angle) and commands."""
-    measured = found.get('rate') or found.get('angle') or AXES
-    both = zip(AXES, measured, found.get('control') or AXES, strict=True)
-    return tuple(axis for axis, *columns in both if all(columns))
+def _importable(columns: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """The axes that these columns measure (by a rate, else an angle) and command."""
+    measured = columns.get('rate') or columns.get('angle') or AXES
+    both = zip(AXES, measured, columns.get('control') or AXES, strict=True)
+    return tuple(axis for axis, *pair in both if all(pair))
 
 
 def _widest(triples: Sequence[Triple], axes: Sequence[str]) -> Triple | None:
@@ -275,7 +275,7 @@ def lines(table: Table, file: Path) -> Iterator[str]:
                      number(np.nanmin(values), 4), number(np.nanmax(values), 4),
                      guessed.role_of(name)])
     yield f'{file}: {len(rows)} columns with numbers'
-    for line in table.told:
+    for line in table.notes:
         yield from wrapped(line, '  ')
     yield ''
     yield from Text(['column', 'Hz', 'lowest', 'highest', 'guess'], rows, (1, 2, 3)).text()
@@ -338,9 +338,9 @@ def _tried(table: Table, file: Path) -> tuple[Guess, str]:
 
 def quicker(rate_hz: float) -> list[str]:
     """A line on the grid that saves time, for samples that come fast."""
-    told = (f'at {rate_hz:.4g} Hz a fit takes minutes for each axis: --grid {GRID_HZ:g} makes a '
-            'bag that is fitted sooner')
-    return [told] if rate_hz > FAST_HZ else []
+    advice = (f'at {rate_hz:.4g} Hz a fit takes minutes for each axis: --grid {GRID_HZ:g} makes a '
+              'bag that is fitted sooner')
+    return [advice] if rate_hz > FAST_HZ else []
 
 
 def _times(table: Table) -> list[str]:
@@ -368,10 +368,10 @@ def _motors(table: Table, names: Sequence[str]) -> tuple[str, ...]:
     """The largest family of numbered columns that never cross zero."""
     families: dict[tuple[str, str], list[tuple[int, str]]] = {}
     for name in names:
-        found = MOTOR.match(name)
-        if found and one_sided(table.columns[name]):
-            families.setdefault((found['stem'], found['rest']), []).append(
-                (int(found['number']), name))
+        match = MOTOR.match(name)
+        if match and one_sided(table.columns[name]):
+            families.setdefault((match['stem'], match['rest']), []).append(
+                (int(match['number']), name))
     whole = [sorted(f) for f in families.values() if len(f) in (4, 6, 8)]
     return tuple(name for _, name in max(whole, key=len)) if whole else ()
 
@@ -389,9 +389,9 @@ def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[Triple]:
         last = whole.rpartition('. ')[2]
         part = last if any(p.search(last) for p in (pattern, *AXIS_NAMES)) else whole
         for i, axis in enumerate(AXIS_NAMES):
-            found = list(axis.finditer(part))
-            if found:
-                start, stop = (len(whole) - len(part) + at for at in found[-1].span())
+            match = list(axis.finditer(part))
+            if match:
+                start, stop = (len(whole) - len(part) + at for at in match[-1].span())
                 stem = f'{whole[:start]}*{whole[stop:]}'
                 if groups.get(stem, ['', '', ''])[i]:  # the same once more in another unit
                     stem += name[len(bare(name)):]

@@ -9,18 +9,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.imports.plausible import LOWEST_RATE_HZ, time_unit
+from quad_sysid.imports.plausible import MIN_RATE_HZ, time_unit
 from quad_sysid.imports.table import Table
 from quad_sysid.imports.units import ONE_G, OPTIONS, UNITS, Role, header_unit
 
 SMOOTH_TURN = 20.0
-"""99 % quantile of a rate, rad/s, above which it is taken for deg/s."""
-LARGEST_V = 1000.0
-"""A larger battery voltage is taken for mV."""
+"""99 % quantile of a rate, rad/s, above which it is read as deg/s."""
+MAX_V = 1000.0
+"""A larger battery voltage is read as mV."""
 
 
 def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
-    """The units of an option's columns, where name or size tells one that is not SI; else ''.
+    """The units of an option's columns, where name or size shows one that is not SI; else ''.
 
     Columns of one sensor share what is known of any of them. SI is named where the name's own unit
     is unknown. An empty name is no column.
@@ -51,7 +51,7 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
         unit = known if known in UNITS['time'] else time_unit(columns[0])
         steps = np.diff(columns[0][np.isfinite(columns[0])])
         usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-        if unit == 's' and usual * LOWEST_RATE_HZ > 1.0:
+        if unit == 's' and usual * MIN_RATE_HZ > 1.0:
             return ['s']  # so slow that it is asked for
         return ['' if unit == 's' else unit or '']
     if OPTIONS[option].role in ('rate', 'angle'):
@@ -67,7 +67,7 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
                      if 0.5 < size * factor / ONE_G < 2.0), f'{ONE_G / size:.4g}')
         return ['' if said or near == 'm/s2' else near] * len(names)
     if option == 'battery':
-        return ['mV' if float(np.nanmedian(columns[0])) > LARGEST_V else '']
+        return ['mV' if float(np.nanmedian(columns[0])) > MAX_V else '']
     if option == 'motors' and 1.0 < high <= 2200.0:
         flying = np.median([np.nanmedian(values) for values in columns])
         unit = 'percent' if high <= 100.0 else 'pulse_us' if flying >= 900.0 else 'dshot'
@@ -90,13 +90,13 @@ def _turn_units(names: Sequence[str], columns: Sequence[np.ndarray], role: Role)
     def named(name: str) -> str | None:
         if header_unit(name, role) in UNITS[role]:
             return header_unit(name, role)
-        found = re.search(r'_(rad|deg|dps)(s|ps)?([^a-z]|$)', name.lower())
-        return found and (si if found[1] == 'rad' else degrees)
+        match = re.search(r'_(rad|deg|dps)(s|ps)?([^a-z]|$)', name.lower())
+        return match and (si if match[1] == 'rad' else degrees)
 
     own = [named(name) for name in names]
-    told = {unit for unit in own if unit}
+    said = {unit for unit in own if unit}
     largest = max(float(np.nanquantile(np.abs(values), 0.99)) for values in columns)
     large = largest > (SMOOTH_TURN if rate else 2.0 * np.pi)
-    common = told.pop() if len(told) == 1 else degrees if large and not told else ''
+    common = said.pop() if len(said) == 1 else degrees if large and not said else ''
     units = [unit or common for unit in own]
     return ['' if unit == si else unit for unit in units]

@@ -43,7 +43,7 @@ LACKING = {
 NO_GAINS = "the controller's gains: no closed loop, no gain design"
 ASKED_FOR = 'the input is what the controller demanded: the limits of the motors are not in it'
 FAST_ENOUGH = 0.5
-"""Share of the rates' rate at which motors must be logged to be taken as the input."""
+"""Share of the rates' rate at which motors must be logged to be used as the input."""
 
 
 @dataclass(frozen=True)
@@ -175,18 +175,18 @@ class Reading:
     def take(self, *wanted: Wanted) -> None:
         """Take the first of each role whose columns were logged."""
         for one in wanted:
-            found = None if one.role in self.streams else self.table.stream(*one.columns)
-            if found is not None:
-                self.put(one, Stream(found.time_s, one.convert(found.values)))
+            stream = None if one.role in self.streams else self.table.stream(*one.columns)
+            if stream is not None:
+                self.put(one, Stream(stream.time_s, one.convert(stream.values)))
 
-    def put(self, one: Wanted, found: Stream) -> None:
+    def put(self, one: Wanted, stream: Stream) -> None:
         """Take a stream that was made of the columns of `one`."""
         message = one.columns[0].rpartition('.')[0]
         fields = dict.fromkeys(name.removeprefix(f'{message}.').partition('[')[0]
                                for name in one.columns)
         source = '.'.join(filter(None, (message, ', '.join(fields))))
-        self.streams[one.role] = found
-        self.mapped.append(Mapped(source, one.unit, TOPICS[one.role], one.how, found.rate_hz))
+        self.streams[one.role] = stream
+        self.mapped.append(Mapped(source, one.unit, TOPICS[one.role], one.how, stream.rate_hz))
 
     def log(self, kind: str, wanted: Sequence[Wanted], **more: Any) -> ForeignLog:
         """The log, with what is missing of `wanted`; `more` are its other fields."""
@@ -196,11 +196,11 @@ class Reading:
                    if role in first and role not in self.streams]
         no_gains = more.pop('no_gains', NO_GAINS)
         lacking += [] if more.get('gains') else [no_gains]
-        return ForeignLog(self.table.source, kind, clock=self.table.told,
+        return ForeignLog(self.table.source, kind, clock=self.table.notes,
                           **{'rates': None, **self.streams, **more},
                           mapped=tuple(self.mapped), missing=tuple(lacking))
 
-    def motors_fast(self, motors: Stream | None, asked: Stream | None) -> bool:
+    def motors_fast(self, motors: Stream | None, command: Stream | None) -> bool:
         """Whether the motors are the input, not what the controller asked for."""
         return motors is not None and (
-            asked is None or motors.rate_hz >= FAST_ENOUGH * self.streams['rates'].rate_hz)
+            command is None or motors.rate_hz >= FAST_ENOUGH * self.streams['rates'].rate_hz)

@@ -29,7 +29,7 @@ STREAMS = (
     'd_term',
 )
 """Fields of a ForeignLog that are streams."""
-LEAST_S = 5.0
+MIN_S = 5.0
 """A log that has less of the bag's flight is of another flight."""
 SLACK_S = 1.0
 
@@ -45,10 +45,10 @@ def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
     start_s = 1e-9 * live.t0_ns
     end_s = start_s + live.n * live.dt
     cut = _cut(read, start_s - offset_s - SLACK_S, end_s - offset_s + SLACK_S)
-    if cut.rates is None or len(cut.rates.time_s) < 2 or np.ptp(cut.rates.time_s) < LEAST_S:
+    if cut.rates is None or len(cut.rates.time_s) < 2 or np.ptp(cut.rates.time_s) < MIN_S:
         raise BadInputError(str(log), 'is of another flight than the bag', str(bag),
                             'the newest log was fetched; take the right one from the card')
-    record, told, warnings = record_of(cut)
+    record, repairs, warnings = record_of(cut)
     t0_ns = round(1e9 * (float(cut.rates.time_s[0]) + offset_s))
     after_s = 1e-9 * (t0_ns - live.t0_ns)  # of the log's first sample, in the bag
     record = replace(record, t0_ns=t0_ns)
@@ -56,19 +56,23 @@ def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
         record = _with_schedule(record, live, after_s)
     record = _in_our_unit(record, live.gains, read.gains, after_s)
     notes = {'log of the autopilot': log.name, 'bag of the flight': bag.name,
-             'import clock': '; '.join(told), 'import check': '; '.join(warnings)}
+             'import clock': '; '.join(repairs), 'import check': '; '.join(warnings)}
     return write_bag(record, out, BagOptions(notes=notes))
 
 
 def _cut(log: ForeignLog, begin_s: float, end_s: float) -> ForeignLog:
     """The part of a log between two of its times."""
-    def part(stream: Stream | None) -> Stream | None:
+    def part(name: str) -> Stream | None:
+        stream: Stream | None = getattr(log, name)
         if stream is None:
             return None
-        keep = (stream.time_s >= begin_s) & (stream.time_s <= end_s)
+        from_s = begin_s
+        if name == 'armed':  # a change holds until the next one: it was armed before the bag began
+            from_s = max(stream.time_s[stream.time_s <= begin_s], default=begin_s)
+        keep = (stream.time_s >= from_s) & (stream.time_s <= end_s)
         return Stream(stream.time_s[keep], stream.values[keep])
 
-    cut: dict[str, Any] = {name: part(getattr(log, name)) for name in STREAMS}
+    cut: dict[str, Any] = {name: part(name) for name in STREAMS}
     return replace(log, **cut)
 
 

@@ -18,7 +18,7 @@ from quad_sysid.files import read_by_library
 
 LEAST = 20
 """Least length of a vector that is a recording."""
-MOST_WIDE = 64
+MAX_WIDE = 64
 """Largest number of columns of a matrix."""
 
 
@@ -41,9 +41,9 @@ def read_mat(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     columns = {name: values for name, values in vectors.items() if len(values) == length}
     others = [name for name, values in vectors.items()
               if LEAST <= len(values) != length]
-    told = (f'{len(others)} vectors of another length than {length} left out: '
-            + ', '.join(others[:5]),) if others else ()
-    return columns, told
+    notes = (f'{len(others)} vectors of another length than {length} left out: '
+             + ', '.join(others[:5]),) if others else ()
+    return columns, notes
 
 
 def _vectors(name: str, value: Any) -> Iterator[tuple[str, FloatArray]]:
@@ -54,7 +54,7 @@ def _vectors(name: str, value: Any) -> Iterator[tuple[str, FloatArray]]:
     if not isinstance(value, np.ndarray):
         return
     if value.dtype == object:
-        for i, one in enumerate(value.ravel()[:MOST_WIDE]):
+        for i, one in enumerate(value.ravel()[:MAX_WIDE]):
             yield from _vectors(f'{name}[{i}]', one)
         return
     if value.dtype.kind not in 'biuf':
@@ -66,5 +66,5 @@ def _vectors(name: str, value: Any) -> Iterator[tuple[str, FloatArray]]:
     elif array.ndim > 1 and max(array.shape) >= LEAST:
         long = int(np.argmax(array.shape))
         flat = np.moveaxis(array, long, 0).reshape(array.shape[long], -1)
-        if flat.shape[1] <= MOST_WIDE:
+        if flat.shape[1] <= MAX_WIDE:
             yield from ((f'{name}[{i}]', flat[:, i].copy()) for i in range(flat.shape[1]))

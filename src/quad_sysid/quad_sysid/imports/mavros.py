@@ -22,7 +22,7 @@ from quad_sysid.imports.table import Table
 TOPIC = re.compile(r'^(?P<place>(?:/[^/.]+)*?)/mavros/(?P<topic>[^.]+)\.')
 """A topic of mavros: whose, and its name."""
 PULSES = (1000.0, 2000.0)
-LEAST_PULSE = 800.0
+MIN_PULSE = 800.0
 """µs. A channel that never gives more is not a motor's."""
 MOTORS = (4, 6, 8)
 FASTER = ('ask the autopilot for faster messages (service /mavros/set_message_interval), or '
@@ -62,7 +62,7 @@ CONTROLS = _of('target_actuator_control', *(f'controls[{i}]' for i in (3, 0, 1, 
 
 def is_bag(topics: Mapping[str, str]) -> bool:
     """Whether a bag with these topics holds what mavros says of an autopilot."""
-    names = [found['topic'] for topic in topics if (found := TOPIC.match(f'{topic}.'))]
+    names = [match['topic'] for topic in topics if (match := TOPIC.match(f'{topic}.'))]
     return any(name in ('imu/data', 'imu/data_raw') for name in names)
 
 
@@ -76,15 +76,15 @@ def read(path: Path, messages: Path | None = None) -> ForeignLog:
     warnings: list[str] = []
     channels = _channels(table)
     motors = table.stream(*channels) if channels else None
-    asked = table.stream(*CONTROLS)
-    if reading.motors_fast(motors, asked):
+    command = table.stream(*CONTROLS)
+    if reading.motors_fast(motors, command):
         low, high = PULSES
         reading.take(Wanted('motors', channels, 'µs', f'(pulse - {low:g}) / {high - low:g}; U by '
                             'what the motion shows',
                             lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
-    elif asked is not None:
+    elif command is not None:
         reading.put(Wanted('control', CONTROLS, '-1..1', 'as it is, pitch and yaw turned'),
-                    Stream(asked.time_s, asked.values * [1.0, *MIRROR]))
+                    Stream(command.time_s, command.values * [1.0, *MIRROR]))
         warnings.append(ASKED_FOR)
     else:
         raise BadInputError(table.source, 'holds no mavros/rc/out and no target_actuator_control',
@@ -96,7 +96,7 @@ def read(path: Path, messages: Path | None = None) -> ForeignLog:
 def _channels(table: Table) -> tuple[str, ...]:
     """The first channels of rc/out that move as motors do."""
     used = [name for i in range(max(MOTORS)) if (name := f'rc/out.channels[{i}]') in table.columns
-            and np.nanmax(table.columns[name]) > LEAST_PULSE]
+            and np.nanmax(table.columns[name]) > MIN_PULSE]
     count = max((n for n in MOTORS if n <= len(used)), default=0)
     return tuple(used[:count])
 
@@ -104,15 +104,15 @@ def _channels(table: Table) -> tuple[str, ...]:
 def _load(path: Path, messages: Path | None) -> Table:
     wanted = {one.columns[0].partition('.')[0] for one in WANTED} | {
         'rc/out', 'target_actuator_control'}
-    asked = [topic for topic in topics_of(path)
-             if (found := TOPIC.match(f'{topic}.')) and found['topic'] in wanted]
-    columns, times = read_messages(path, [f'{topic}.' for topic in asked], messages)
-    places = [found['place'] for name in columns if (found := TOPIC.match(name))]
+    topics = [topic for topic in topics_of(path)
+              if (match := TOPIC.match(f'{topic}.')) and match['topic'] in wanted]
+    columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
+    places = [match['place'] for name in columns if (match := TOPIC.match(name))]
     chosen = max(dict.fromkeys(places), key=places.count, default='')
     ours, clock = {}, {}
     for name, values in columns.items():
-        found = TOPIC.match(name)
-        if found and found['place'] == chosen:
-            own = f'{found["topic"]}.{name[found.end():]}'
+        match = TOPIC.match(name)
+        if match and match['place'] == chosen:
+            own = f'{match["topic"]}.{name[match.end():]}'
             ours[own], clock[own] = values, times[name]
     return Table(str(path), ours, clock)

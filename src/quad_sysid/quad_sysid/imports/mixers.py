@@ -86,12 +86,12 @@ def mixer_of(name: str, columns: Sequence[str]) -> Craft | Mixer:
     A matrix is YAML with `matrix:` of 4 rows U1..U4 by as many columns as --motors has.
     """
     where = f'--mixer {name}'
-    found = LAYOUTS.get(name.lower()) or _read(where, name)
-    count = found.count if isinstance(found, Craft) else found.inverse.shape[1]
+    mixer = LAYOUTS.get(name.lower()) or _read(where, name)
+    count = mixer.count if isinstance(mixer, Craft) else mixer.inverse.shape[1]
     if count != len(columns):
         raise BadInputError(where, f'is one of {count} motors',
                             f'{len(columns)} columns in --motors', 'use --mixer auto')
-    return found
+    return mixer
 
 
 def _read(where: str, name: str) -> Craft | Mixer:

@@ -13,29 +13,29 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import HIGHEST_RATE_HZ
+from quad_sysid.imports.clock import MAX_RATE_HZ
 from quad_sysid.imports.units import DEGREE, UNITS, Unit
 
-LOWEST_RATE_HZ = 20.0
+MIN_RATE_HZ = 20.0
 """Lowest sample rate of flight controllers and rigs."""
 USUAL_RATE_HZ = 250.0
-MOST_TURN_RAD = 0.5
+MAX_TURN_RAD = 0.5
 """Largest turn between two samples with which they show the motion."""
 FASTEST_RAD_S = 70.0
 """4000 deg/s, the widest full scale of gyros that fly."""
 WINDOW_S = 0.2
 """Window in which an angle's change is compared with the rate's integral: long against noise and
 filter lag, short against drift."""
-FEWEST_WINDOWS = 20
+MIN_WINDOWS = 20
 TOGETHER = 0.6
 """Least correlation for which a factor between two columns is meaningful."""
 NEAR = 0.4
 """Largest difference of a factor's logarithm that counts as near (a factor of 1.5)."""
 TOLERATED = 0.2
-LEAST_TICK = 0.5
+MIN_TICK = 0.5
 """Least interval of times in ms, us or ns, as it stands: they are whole numbers, or nearly so."""
 SLOWEST_HZ = 1.0
-"""Rate down to which times without a plausible unit are taken for seconds."""
+"""Rate down to which times without a plausible unit are read as seconds."""
 WEIGHT = (4.0, 20.0)
 """m/s². Median of a specific force that is that of a weight."""
 
@@ -80,18 +80,18 @@ def check_times(time: Column, speed: float | None = None) -> list[str]:
         return []
     step = float(np.median(np.diff(time.values)))
     rate = 1.0 / step
-    if LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ:
+    if MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
         return []
-    found = f'{rate:.4g} Hz in {time.unit.name}'
-    slow = rate < LOWEST_RATE_HZ and speed is not None and speed * step < MOST_TURN_RAD
+    measured = f'{rate:.4g} Hz in {time.unit.name}'
+    slow = rate < MIN_RATE_HZ and speed is not None and speed * step < MAX_TURN_RAD
     if time.named or slow:
-        return [f'{time.name} gives an unusual sample rate of {found}']
+        return [f'{time.name} gives an unusual sample rate of {measured}']
     guess = time_unit(time.values / time.unit.factor)
-    told = ' (seconds per unit)' if guess is None else \
+    advice = ' (seconds per unit)' if guess is None else \
         f' ({rate * time.unit.factor / UNITS["time"][guess][0]:.4g} Hz)'
     raise BadInputError(
-        time.where, 'gives an impossible sample rate', found,
-        f'name its unit, such as {time.advise(guess or "FACTOR")}{told}, or {time.advise("s")} '
+        time.where, 'gives an impossible sample rate', measured,
+        f'name its unit, such as {time.advise(guess or "FACTOR")}{advice}, or {time.advise("s")} '
         'if it is true',
     )
 
@@ -101,9 +101,9 @@ def time_unit(values: FloatArray) -> str | None:
     steps = np.diff(values[np.isfinite(values)])
     step = float(np.median(steps[steps > 0.0]))
     rates = {unit: 1.0 / (factor * step) for unit, (factor, _) in UNITS['time'].items()}
-    near = [unit for unit, rate in rates.items() if LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ
-            and (unit == 's' or step >= LEAST_TICK)]
-    slow = 's' if SLOWEST_HZ <= rates['s'] < LOWEST_RATE_HZ else None
+    near = [unit for unit, rate in rates.items() if MIN_RATE_HZ <= rate <= MAX_RATE_HZ
+            and (unit == 's' or step >= MIN_TICK)]
+    slow = 's' if SLOWEST_HZ <= rates['s'] < MIN_RATE_HZ else None
     return min(near, key=lambda unit: abs(math.log(rates[unit] / USUAL_RATE_HZ)), default=slow)
 
 
@@ -149,7 +149,7 @@ def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, 
     None where there is too little motion.
     """
     turned, changed = _over_windows(rate, angle, dt)
-    if len(turned) < FEWEST_WINDOWS or not (np.ptp(turned) and np.ptp(changed)):
+    if len(turned) < MIN_WINDOWS or not (np.ptp(turned) and np.ptp(changed)):
         return None
     together = float(np.corrcoef(turned, changed)[0, 1])
     return together, math.copysign(float(np.std(changed) / np.std(turned)), together)
@@ -167,10 +167,10 @@ def z_points_down(force: FloatArray) -> bool | None:
 
 def contradicted(rates: FloatArray, angles: FloatArray, dt: float) -> list[str]:
     """A line for each axis whose angles (n, 3) rad contradict the rates (n, 3) rad/s."""
-    found = [turn_factor(rates[:, i], angles[:, i], dt) for i in range(len(AXES))]
+    factors = [turn_factor(rates[:, i], angles[:, i], dt) for i in range(len(AXES))]
     return [
         f'the {axis} angle changes by {both[1]:.3g} times what the rate gives'
-        for axis, both in zip(AXES, found, strict=True)
+        for axis, both in zip(AXES, factors, strict=True)
         if both and abs(both[0]) >= TOGETHER and (both[1] < 0.0 or not _near(both[1], 1.0))
     ]
 
@@ -179,7 +179,7 @@ def check_reference(reference: Column, angle: Column) -> None:
     """Refuse a reference (n,) whose size is that of the angle (n,) times 180/pi or its inverse."""
     known = np.isfinite(reference.values) & np.isfinite(angle.values)
     a, b = reference.values[known], angle.values[known]
-    if len(a) < FEWEST_WINDOWS or not (np.ptp(a) and np.ptp(b)):
+    if len(a) < MIN_WINDOWS or not (np.ptp(a) and np.ptp(b)):
         return
     factor = float(np.std(b) / np.std(a))
     if np.corrcoef(a, b)[0, 1] >= TOGETHER:

@@ -36,7 +36,7 @@ ARMED = 2
 """arming_state of vehicle_status."""
 MULTIROTORS = (2, 3, 13, 14, 15, 29, 35)
 """MAV_TYPE of those that fly by their rotors alone."""
-FIRST_MOTOR, MOST_ESCS = 101, 8
+FIRST_MOTOR, MAX_ESCS = 101, 8
 """actuator_function of motor 1; entries of esc_status."""
 LINEAR = 0.98
 """R² of motors over torque set-point from which PX4's gains can be stated in our unit."""
@@ -119,18 +119,18 @@ def _of_bag(path: Path, messages: Path | None) -> Table:
     known = topics_of(path)
     asked = [topic for topic in known if (m := IN_BAG.match(f'{topic}.')) and m['topic'] in TOPICS]
     columns, times = read_messages(path, [f'{topic}.' for topic in asked], messages)
-    places = [found['place'] for name in columns if (found := IN_BAG.match(name))]
+    places = [match['place'] for name in columns if (match := IN_BAG.match(name))]
     chosen = max(dict.fromkeys(places), key=places.count, default='')
     ours: dict[str, FloatArray] = {}
     clock: dict[str, FloatArray] = {}
     for way in ('in', 'out'):  # what the autopilot says itself counts
         for name, values in columns.items():
-            found = IN_BAG.match(name)
-            if found and found['place'] == chosen and found['way'] == way:
-                own = f'{found["topic"]}.{name[found.end():]}'
+            match = IN_BAG.match(name)
+            if match and match['place'] == chosen and match['way'] == way:
+                own = f'{match["topic"]}.{name[match.end():]}'
                 ours[own], clock[own] = values, times[name]
     others = sorted(set(places) - {chosen})
-    return Table(str(path), ours, clock, told=tuple(
+    return Table(str(path), ours, clock, notes=tuple(
         [f'of several aircraft {chosen or "/"} is read; left out: {", ".join(others)}']
         if others else []))
 
@@ -155,23 +155,23 @@ def _load(path: Path) -> Table:
     columns: dict[str, FloatArray] = {}
     times: dict[str, FloatArray] = {}
     for data in {one.name: one for one in reversed(log.data_list)}.values():
-        found = data.data
-        if 'q_d[0]' in found:  # all zeros where the controller runs without a set-point
-            known = np.abs(found['q_d[0]']) + np.abs(found['q_d[3]']) > 0.0
-            found = {name: values[known] for name, values in found.items()}
-        stamps = np.asarray(found.get('timestamp_sample', found['timestamp']), dtype=float)
+        fields = data.data
+        if 'q_d[0]' in fields:  # all zeros where the controller runs without a set-point
+            known = np.abs(fields['q_d[0]']) + np.abs(fields['q_d[3]']) > 0.0
+            fields = {name: values[known] for name, values in fields.items()}
+        stamps = np.asarray(fields.get('timestamp_sample', fields['timestamp']), dtype=float)
         if not (stamps > 0).all():
-            stamps = np.asarray(found['timestamp'], dtype=float)
+            stamps = np.asarray(fields['timestamp'], dtype=float)
         columns |= {f'{data.name}.{name}': np.asarray(values, dtype=float)
-                    for name, values in found.items()}
-        times |= dict.fromkeys(_of(data.name, *found), stamps * 1e-6)
+                    for name, values in fields.items()}
+        times |= dict.fromkeys(_of(data.name, *fields), stamps * 1e-6)
     parameters = {
         str(name): float(value) for name, value in log.initial_parameters.items()
         if isinstance(value, int | float)
     }
-    told = ('parts of the log are damaged and left out: copy it anew',) if log.file_corruption \
+    notes = ('parts of the log are damaged and left out: copy it anew',) if log.file_corruption \
         else ()
-    return Table(str(path), columns, times, header=parameters, told=told)
+    return Table(str(path), columns, times, header=parameters, notes=notes)
 
 
 def _armed(table: Table) -> Stream | None:
@@ -198,10 +198,10 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         scale = None if torque is None or not crafts else _scale(
             Stream(motors.time_s, crafts[0].control(motors.values)), torque
         )
-        told = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
+        note = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')
         return (crafts, _gains(table, scale),
-                [] if scale else [told])
+                [] if scale else [note])
     if torque is None:
         raise BadInputError(
             table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
@@ -229,12 +229,12 @@ def _torque(table: Table, old: tuple[str, ...], new: tuple[str, ...]) -> Stream 
 
 def _craft(table: Table, count: int) -> tuple[tuple[Craft, ...], str]:
     """The craft by the log's parameters; none where only the motion can say it."""
-    found = of_px4(table.header)
-    if isinstance(found, Craft):
-        return (found,), 'as they are, in their places by the CA_ROTOR parameters'
+    crafts = of_px4(table.header)
+    if isinstance(crafts, Craft):
+        return (crafts,), 'as they are, in their places by the CA_ROTOR parameters'
     if count == 4 and 'CA_ROTOR_COUNT' not in table.header:  # before 1.13
         return (LAYOUTS['px4_quad_x'],), "as they are, in PX4's order of the Quad X"
-    return (), f'as they are; {found}: their places by what the motion shows'
+    return (), f'as they are; {crafts}: their places by what the motion shows'
 
 
 def _speeds(reading: Reading, count: int) -> None:
@@ -246,7 +246,7 @@ def _speeds(reading: Reading, count: int) -> None:
     if rpm is None or not np.nanmax(np.abs(rpm.values)) > 0.0:
         return
     values = np.full((len(rpm.time_s), count), np.nan)
-    for i in range(min(size, MOST_ESCS)):
+    for i in range(min(size, MAX_ESCS)):
         named = table.columns.get(f'esc_status.esc[{i}].actuator_function', np.zeros(1))
         motor = int(named[-1]) - FIRST_MOTOR if named[-1] >= FIRST_MOTOR else i
         if 0 <= motor < count:
@@ -272,9 +272,9 @@ def _scale(control: Stream, torque: Stream) -> Units | None:
 
 def _gains(table: Table, units: Units | None) -> dict[str, float]:
     """The contract's names; only the filters of the rates where nobody knows the `units`."""
-    found = PX4.gains(table.header, units or (1.0, 1.0, 1.0))
+    gains = PX4.gains(table.header, units or (1.0, 1.0, 1.0))
     filtered = 'vehicle_angular_velocity.xyz[0]' in table.columns
-    return {name: value for name, value in found.items()
+    return {name: value for name, value in gains.items()
             if (filtered if name.startswith('sensor.') else units is not None)}
 
 

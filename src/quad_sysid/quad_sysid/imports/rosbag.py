@@ -21,7 +21,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
 
-MOST_NUMBERS = 64
+MAX_NUMBERS = 64
 """Longest array in a message that becomes columns; a longer one is an image or a cloud."""
 MICRO = 1e-6
 """s of a time stamp of PX4."""
@@ -95,9 +95,9 @@ def _package(file: Path, folder: Path) -> str:
     for place in file.parents:
         described = place / 'package.xml'
         if described.is_file():
-            found = PACKAGE_NAME.search(described.read_text(encoding='utf-8', errors='replace'))
-            if found:
-                return found[1]
+            match = PACKAGE_NAME.search(described.read_text(encoding='utf-8', errors='replace'))
+            if match:
+                return match[1]
         if place == folder:
             break
     return file.parent.parent.name if file.parent.name == 'msg' else file.parent.name
@@ -118,8 +118,8 @@ class _Topic:
         self.stamps.append(stamp)
         for getter, count in self.getters:
             try:
-                found = getter(message)
-                row = [float(found)] if count == 0 else [float(x) for x in found][:count]
+                value = getter(message)
+                row = [float(value)] if count == 0 else [float(x) for x in value][:count]
             except (AttributeError, IndexError, TypeError, ValueError):
                 row = []
             self.values.extend(row + [math.nan] * (max(count, 1) - len(row)))
@@ -138,15 +138,15 @@ def read_messages(
     Of topics whose name begins a column in `wanted` (None: all). Raises BadInputError where the
     bag is damaged or holds no definitions of the messages that are wanted.
     """
-    found: dict[str, _Topic] = {}
+    topics: dict[str, _Topic] = {}
     unknown: dict[str, str] = {}
     with _opened(path, messages) as reader:
-        asked = [
+        connections = [
             c for c in reader.connections
             if wanted is None or any(name.startswith(f'{c.topic}.') for name in wanted)
         ]
         known = []
-        for one in asked:
+        for one in connections:
             if one.msgtype in reader.typestore.fielddefs:
                 known.append(one)
             else:
@@ -156,13 +156,13 @@ def read_messages(
         with read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'):
             for connection, received, raw in reader.messages(connections=known):
                 message = reader.deserialize(raw, connection.msgtype)
-                topic = found.get(connection.topic)
+                topic = topics.get(connection.topic)
                 if topic is None:
-                    topic = found[connection.topic] = _topic(message, connection.topic)
+                    topic = topics[connection.topic] = _topic(message, connection.topic)
                 topic.add(_stamp(message) or 1e-9 * received, message)
     columns: Columns = {}
     times: Columns = {}
-    for topic in found.values():
+    for topic in topics.values():
         own = topic.columns()
         columns |= own
         times |= dict.fromkeys(own, np.array(topic.stamps))
@@ -207,7 +207,7 @@ def _leaves(
     if isinstance(message, bool | int | float | np.number):
         yield name, _getter(path), 0
     elif isinstance(message, np.ndarray | list | tuple):
-        if not 0 < len(message) <= MOST_NUMBERS:
+        if not 0 < len(message) <= MAX_NUMBERS:
             return
         if all(isinstance(x, bool | int | float | np.number) for x in message):
             yield name, _getter(path), len(message)

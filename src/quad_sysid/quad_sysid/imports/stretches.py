@@ -15,7 +15,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.record import Record, Segment, finite_runs
 
 PIECE_S = 1.0
-MOST_LOST = 0.2
+MAX_LOST = 0.2
 """Largest share of gaps or ground in a piece."""
 AIRBORNE = 0.4
 """Share of the usual throttle below which the aircraft does not fly."""
@@ -26,11 +26,11 @@ STILL = 0.1
 """Share of the usual motion and command below which nothing is excited."""
 USUAL = 0.75
 """Quantile over the pieces that counts as usual."""
-AT_LIMIT, MOST_AT_LIMIT = 1e-3, 0.2
+AT_LIMIT, MAX_AT_LIMIT = 1e-3, 0.2
 """A motor this close to 0 or 1 stands at its limit; for this share of a piece it may."""
 NEARLY_ALL = 0.9
 """Usable share of a short record from which it keeps no segments."""
-SHORTEST_S = 3.0
+MIN_DURATION_S = 3.0
 """Shortest stretch, since windows begin a second after its start."""
 BLOCK_S = 5.0
 ROLES = ('train', 'train', 'validation', 'train', 'validation')
@@ -45,7 +45,7 @@ def with_stretches(record: Record, axes: tuple[str, ...] = AXES) -> Record:
     """
     size = max(1, round(PIECE_S / record.dt))
     edges = np.arange(0, max(size, record.n - size // 2), size)
-    why = _short(_reasons(record, edges, size), max(1, round(SHORTEST_S / PIECE_S)))
+    why = _short(_reasons(record, edges, size), max(1, round(MIN_DURATION_S / PIECE_S)))
     used = np.array([not reason for reason in why])
     seconds = float(used.sum()) * size * record.dt
     if not used.any() or (used.mean() >= NEARLY_ALL and seconds < len(ROLES) * BLOCK_S):
@@ -82,7 +82,7 @@ def blocks(length_s: float) -> list[tuple[str, float, float]]:
     return out
 
 
-def told(record: Record) -> str:
+def summary(record: Record) -> str:
     """One line on the used and the left out time, s."""
     if not record.segments:
         return ''
@@ -136,9 +136,9 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
         stuck = 0.0 if motors is None else float(np.mean(
             ((motors[piece] <= AT_LIMIT) | (motors[piece] >= 1.0 - AT_LIMIT)).any(axis=1)))
         out.append(
-            'gap' if lost > MOST_LOST else
-            'ground' if not flying[piece].mean() >= 1.0 - MOST_LOST else
-            'saturated' if stuck > MOST_AT_LIMIT else
+            'gap' if lost > MAX_LOST else
+            'ground' if not flying[piece].mean() >= 1.0 - MAX_LOST else
+            'saturated' if stuck > MAX_AT_LIMIT else
             'still' if still[0][i] or still[1][i] else ''
         )
     return out

@@ -83,7 +83,7 @@ class Table:
     """Line number of each row of a text, counted from 1."""
     header: Mapping[str, Any] = field(default_factory=dict)
     """The log's parameters, as it names them."""
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     """What was repaired, or could not be read."""
     aliases: Mapping[str, str] = field(default_factory=dict)
     """Other names of columns, by which a user may ask for them."""
@@ -99,20 +99,20 @@ class Table:
         Raises BadInputError where the time does not advance.
         """
         others = {n: values for n, values in self.columns.items() if n != name}
-        found = unroll(unit(self.columns[name]), list(others.values()),
-                       f'{self.source}, column {name}')
-        whole = len(found.rows) == len(self.columns[name])
-        columns = others if whole and (np.diff(found.rows) > 0).all() else {
-            n: values[found.rows] for n, values in others.items()}
-        return replace(self, columns=columns, times=dict.fromkeys(columns, found.time_s),
-                       told=(*self.told, *found.told))
+        unrolled = unroll(unit(self.columns[name]), list(others.values()),
+                          f'{self.source}, column {name}')
+        whole = len(unrolled.rows) == len(self.columns[name])
+        columns = others if whole and (np.diff(unrolled.rows) > 0).all() else {
+            n: values[unrolled.rows] for n, values in others.items()}
+        return replace(self, columns=columns, times=dict.fromkeys(columns, unrolled.time_s),
+                       notes=(*self.notes, *unrolled.notes))
 
     def at_rate(self, rate_hz: float) -> Table:
         """All columns with rows that come at this rate, Hz, from one second on."""
         n = len(next(iter(self.columns.values())))
         times = 1.0 + np.arange(n) / rate_hz
         return replace(self, times=dict.fromkeys(self.columns, times),
-                       told=(*self.told, f'rows at {rate_hz:g} Hz, as --sample-rate says'))
+                       notes=(*self.notes, f'rows at {rate_hz:g} Hz, as --sample-rate says'))
 
     def stream(self, *names: str) -> Stream | None:
         """(n, k) where all of the columns have a number; None where one is missing or empty.
@@ -170,8 +170,8 @@ def open_table(
     elif is_bag(path, head):
         table = Table(str(path), *read_messages(path, wanted, messages))
     elif head.startswith(b'MATLAB 5'):
-        columns, told = read_mat(path)
-        table = Table(str(path), columns, told=told)
+        columns, notes = read_mat(path)
+        table = Table(str(path), columns, notes=notes)
     else:
         refuse_others(path, head)
         text = True
@@ -216,10 +216,10 @@ def with_angles(table: Table) -> Table:
     """The table with roll, pitch and yaw, rad, of each quaternion beside it."""
     groups: dict[tuple[str, str, str], dict[str, str]] = {}
     for name in table.columns:
-        found = QUATERNION.match(name)
-        if found:
-            groups.setdefault((found['stem'], found['open'], found['close']), {})[
-                found['part'].lower()] = name
+        match = QUATERNION.match(name)
+        if match:
+            groups.setdefault((match['stem'], match['open'], match['close']), {})[
+                match['part'].lower()] = name
     columns, times = dict(table.columns), dict(table.times)
     for (stem, _, _), parts in groups.items():
         numbered = [p for p in '01234' if p in parts]
@@ -318,4 +318,4 @@ def read_csv(
 ) -> Table:
     """The table of a text, see delimited.py."""
     read = read_text_table(lines, source, wanted, first)
-    return Table(source, read.columns, lines=read.lines, told=read.told, aliases=read.aliases)
+    return Table(source, read.columns, lines=read.lines, notes=read.notes, aliases=read.aliases)

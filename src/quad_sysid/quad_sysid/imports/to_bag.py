@@ -1,7 +1,7 @@
 """A ForeignLog → a bag of the contract: every stream on the cycles of the rates, then write_bag.
 
 How times become cycles is clock.py's, what the motors do is motor_layout.py's; here both are
-asked, and what came of it is told.
+asked, and the result is reported.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.foresight import drawn_hz
-from quad_sysid.imports.clock import EPOCH_S, LONGEST_PAUSE, Cycles, cycles, draw, hold, mean_ahead
+from quad_sysid.imports.clock import EPOCH_S, MAX_PAUSE, Cycles, cycles, draw, hold, mean_ahead
 from quad_sysid.imports.experiments import with_experiments
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.mixers import Mixer, chosen, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
-from quad_sysid.imports.stretches import told as stretches_told
+from quad_sysid.imports.stretches import summary as stretches_summary
 from quad_sysid.motor_layout import (
     Pattern,
     commands_of,
@@ -40,7 +40,7 @@ SLOW = 0.5
 """Share of the rates' sample rate below which slow commands cause a warning."""
 LOST = 0.005
 """Share of lost samples from which on the logger is blamed."""
-LEAST_SAMPLES = 100
+MIN_SAMPLES = 100
 SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
 DERIVATIVE_HALF_WIDTH_S = 0.01
@@ -55,7 +55,7 @@ class Imported:
     log: ForeignLog
     record: Record
     """The record as written."""
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     """Repairs of times, and findings on motors."""
     warnings: tuple[str, ...]
 
@@ -68,17 +68,17 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
     if out.exists():
         raise BadInputError(str(out), 'exists and is not overwritten',
                             remedy='choose another --out')
-    record, told, warnings = record_of(log, grid_hz)
+    record, repairs, warnings = record_of(log, grid_hz)
     notes = {
         'import': f'{Path(log.source).name}, {log.kind}: ' + '; '.join(
             f'{m.source} [{m.unit}] as {m.topic}' + (f' ({m.how})' if m.how else '')
             for m in log.mapped
         ),
-        'import clock': '; '.join(told),
+        'import clock': '; '.join(repairs),
     }
     if log.checks or warnings:
         notes['import check'] = '; '.join([*log.checks, *warnings])
-    return Imported(write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(told),
+    return Imported(write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(repairs),
                     (*log.checks, *warnings))
 
 
@@ -90,60 +90,60 @@ def record_of(
     Raises BadInputError where the log holds too little.
     """
     base = log.rates or log.angles
-    if base is None or len(base.time_s) < LEAST_SAMPLES:
+    if base is None or len(base.time_s) < MIN_SAMPLES:
         raise BadInputError(log.source, 'has too few samples of the body rates',
                             0 if base is None else len(base.time_s),
-                            f'at least {LEAST_SAMPLES} are needed; log longer')
-    laid = cycles(base, log.source, grid_hz)
-    told, warnings = [*log.clock, *laid.told], list(log.warnings)
+                            f'at least {MIN_SAMPLES} are needed; log longer')
+    grid = cycles(base, log.source, grid_hz)
+    notes, warnings = [*log.clock, *grid.notes], list(log.warnings)
     gains = dict(log.gains)
-    rates, angles = _motion(log, laid, gains, told, warnings)
-    control, motors, craft = _commands(log, laid, rates, angles, told, warnings)
-    control, motors = _armed(log, laid, control, motors, warnings)
+    rates, angles = _motion(log, grid, gains, notes, warnings)
+    control, motors, craft = _commands(log, grid, rates, angles, notes, warnings)
+    control, motors = _armed(log, grid, control, motors, warnings)
     if not (np.nanstd(control, axis=0) > 0.0).any():
         raise BadInputError(log.source, 'holds commands that never change',
                             remedy='import a log of a flight')
-    if laid.dt > 1.0 / SLOWEST_HZ and log.faster:
-        warnings.append(f'{1.0 / laid.dt:.3g} Hz is too slow to show lag and delay: '
+    if grid.dt > 1.0 / SLOWEST_HZ and log.faster:
+        warnings.append(f'{1.0 / grid.dt:.3g} Hz is too slow to show lag and delay: '
                         f'{log.faster}')
     commands = log.control or log.motors
-    drawn = drawn_hz(control[:, 1:], laid.dt)
+    drawn = drawn_hz(control[:, 1:], grid.dt)
     if drawn:
         warnings.append(
             f'the commands are straight lines between samples at some {drawn:.3g} Hz: they were '
             'interpolated and not logged at this rate, so no effect can be claimed from them: log '
             'the commands at the full rate' + (f' ({log.faster})' if log.faster else ''))
-    if commands is not None and commands.rate_hz < SLOW / laid.dt:
+    if commands is not None and commands.rate_hz < SLOW / grid.dt:
         warnings.append(
             f'the commands were logged at {commands.rate_hz:.3g} Hz and the rates at '
-            f'{1.0 / laid.dt:.4g} Hz; between them the last one is held, so fast motion has the '
+            f'{1.0 / grid.dt:.4g} Hz; between them the last one is held, so fast motion has the '
             'wrong input: log the commands at the full rate' + (
                 f' ({log.faster})' if log.faster else '')
         )
     if log.kind == 'a table':  # a row is whole or a gap
         lost = np.asarray(np.isnan(control).any(axis=1))
         rates = np.where(lost[:, None], np.nan, rates)
-    start = laid.times[0] if laid.times[0] > EPOCH_S else 1.0
+    start = grid.times[0] if grid.times[0] > EPOCH_S else 1.0
     record = Record(
-        source=log.source, dt=laid.dt, t0_ns=round(start * 1e9),
+        source=log.source, dt=grid.dt, t0_ns=round(start * 1e9),
         rates=rates, control=control, wrench=None if motors is not None else control,
-        motors=motors, craft=craft, speeds=_speeds(log, laid, motors),
+        motors=motors, craft=craft, speeds=_speeds(log, grid, motors),
         desaturation='clip' if motors is not None else 'none', angles=angles,
-        acceleration=_drawn(log.acceleration, laid),
-        attitude_setpoint=_maybe_held(log.attitude_setpoint, laid),
-        rate_setpoint=_maybe_held(log.rate_setpoint, laid),
-        battery_v=_volts(log.battery, laid.times), **_moved(log, laid, angles),
+        acceleration=_drawn(log.acceleration, grid),
+        attitude_setpoint=_maybe_held(log.attitude_setpoint, grid),
+        rate_setpoint=_maybe_held(log.rate_setpoint, grid),
+        battery_v=_volts(log.battery, grid.times), **_moved(log, grid, angles),
         gains=(GainChange(0.0, gains),) if gains else (),
     )
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together',
                             remedy='log both during the same flight')
-    record, experiment = with_experiments(record, log.experiments, float(laid.times[0]))
+    record, experiment = with_experiments(record, log.experiments, float(grid.times[0]))
     if not experiment:
         record = with_stretches(record, log.axes)
-        experiment = stretches_told(record)
-    told += [experiment] if experiment else []
-    return record, told, [*warnings, *_gaps(record, log)]
+        experiment = stretches_summary(record)
+    notes += [experiment] if experiment else []
+    return record, notes, [*warnings, *_gaps(record, log)]
 
 
 def _gaps(record: Record, log: ForeignLog) -> list[str]:
@@ -161,65 +161,65 @@ def _gaps(record: Record, log: ForeignLog) -> list[str]:
 
 
 def _motion(
-    log: ForeignLog, laid: Cycles, gains: dict[str, float], told: list[str], warnings: list[str]
+    log: ForeignLog, grid: Cycles, gains: dict[str, float], notes: list[str], warnings: list[str]
 ) -> tuple[FloatArray, FloatArray | None]:
     """Rates (n, 3) and angles (n, 3); those that contradict the rates are left out."""
-    angles = _drawn(log.angles, laid)
+    angles = _drawn(log.angles, grid)
     if log.rates is None:
-        rates, how = _derivative(laid.values, laid.dt)
+        rates, how = _derivative(grid.values, grid.dt)
         gains['sensor.rate_from_angle_s'] = DERIVATIVE_HALF_WIDTH_S
-        told.append(f'rates by {how}')
+        notes.append(f'rates by {how}')
         return rates, angles
     if angles is not None and log.kind != 'a table':  # there they are refused
-        odd = contradicted(laid.values, angles, laid.dt)
+        odd = contradicted(grid.values, angles, grid.dt)
         warnings += [f'{line}: the angles are left out' for line in odd]
         angles = None if odd else angles
-    return laid.values, angles
+    return grid.values, angles
 
 
 def _commands(
-    log: ForeignLog, laid: Cycles, rates: FloatArray, angles: FloatArray | None,
-    told: list[str], warnings: list[str],
+    log: ForeignLog, grid: Cycles, rates: FloatArray, angles: FloatArray | None,
+    notes: list[str], warnings: list[str],
 ) -> tuple[FloatArray, FloatArray | None, Craft]:
     """U1..U4 (n, 4), and the motors (n, k) with their craft, where one is known."""
     if log.motors is None:
         if log.control is None:
             raise BadInputError(log.source, 'holds no commands',
                                 remedy='log the motors or the output of the controller')
-        control = _held(log.control, laid)
-        patterns = commands_of(rates, control[:, 1:], laid.dt, angles)
-        told += [pattern.sentence for pattern in patterns]
+        control = _held(log.control, grid)
+        patterns = commands_of(rates, control[:, 1:], grid.dt, angles)
+        notes += [pattern.sentence for pattern in patterns]
         warnings += opposite(patterns, log.reversing)
         return control, None, X
-    motors = _held(log.motors, laid)
-    rates = np.where(airborne(motors.mean(axis=1), laid.dt)[:, None], rates, np.nan)
-    patterns = patterns_of(rates, motors, laid.dt, angles)
-    told += [pattern.sentence for pattern in patterns]
-    found = chosen(log.crafts, patterns, rates, motors, laid.dt)
-    if found is None:
-        found = _by_motion(log, patterns, motors.shape[1], warnings)
+    motors = _held(log.motors, grid)
+    rates = np.where(airborne(motors.mean(axis=1), grid.dt)[:, None], rates, np.nan)
+    patterns = patterns_of(rates, motors, grid.dt, angles)
+    notes += [pattern.sentence for pattern in patterns]
+    craft = chosen(log.crafts, patterns, rates, motors, grid.dt)
+    if craft is None:
+        craft = _by_motion(log, patterns, motors.shape[1], warnings)
     else:
-        warnings += doubts(found.name, found.inverse, patterns, rates, motors, laid.dt, angles)
-    if isinstance(found, Mixer):
-        warnings.append(f'{found.name} is no place and spin of each motor, so the bag holds what '
+        warnings += doubts(craft.name, craft.inverse, patterns, rates, motors, grid.dt, angles)
+    if isinstance(craft, Mixer):
+        warnings.append(f'{craft.name} is no place and spin of each motor, so the bag holds what '
                         'the motors do together, not each of them')
-        return motors @ found.inverse.T, None, X
-    told.append(f'{found.name}: ' + ', '.join(
-        f'motor_{k} {place}' for k, place in enumerate(found.places, 1)))
-    return found.control(motors), motors, found
+        return motors @ craft.inverse.T, None, X
+    notes.append(f'{craft.name}: ' + ', '.join(
+        f'motor_{k} {place}' for k, place in enumerate(craft.places, 1)))
+    return craft.control(motors), motors, craft
 
 
 def _armed(
-    log: ForeignLog, laid: Cycles, control: FloatArray, motors: FloatArray | None,
+    log: ForeignLog, grid: Cycles, control: FloatArray, motors: FloatArray | None,
     warnings: list[str],
 ) -> tuple[FloatArray, FloatArray | None]:
     """Commands as they reach the motors: none while disarmed, whatever was demanded."""
     if log.armed is None:
         return control, motors
-    at = np.searchsorted(log.armed.time_s, laid.times, side='right') - 1
+    at = np.searchsorted(log.armed.time_s, grid.times, side='right') - 1
     off = log.armed.values[np.maximum(at, 0), 0] == 0.0
     if off.any():
-        warnings.append(f'disarmed for {off.sum() * laid.dt:.3g} s of {off.size * laid.dt:.3g} s: '
+        warnings.append(f'disarmed for {off.sum() * grid.dt:.3g} s of {off.size * grid.dt:.3g} s: '
                         'the motors stood still then, and the commands count as 0')
     stands = off[:, None]
     return np.where(stands, 0.0, control), None if motors is None else np.where(
@@ -241,31 +241,31 @@ def _by_motion(
     return mixer_of_patterns(certain, motors)
 
 
-def _held(stream: Stream, laid: Cycles) -> FloatArray:
-    if laid.own:
-        return hold(stream, laid.times, laid.dt)
-    return mean_ahead(stream, laid.times, laid.dt)
+def _held(stream: Stream, grid: Cycles) -> FloatArray:
+    if grid.own:
+        return hold(stream, grid.times, grid.dt)
+    return mean_ahead(stream, grid.times, grid.dt)
 
 
-def _speeds(log: ForeignLog, laid: Cycles, motors: FloatArray | None) -> FloatArray | None:
+def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatArray | None:
     """Rotor speeds (n, k) beside the motors that they belong to."""
     if log.speeds is None or motors is None or log.speeds.values.shape[1] != motors.shape[1]:
         return None
-    return joined(log.speeds.time_s, log.speeds.values, laid.times)
+    return joined(log.speeds.time_s, log.speeds.values, grid.times)
 
 
-def _maybe_held(stream: Stream | None, laid: Cycles) -> FloatArray | None:
-    return None if stream is None else hold(stream, laid.times, laid.dt)
+def _maybe_held(stream: Stream | None, grid: Cycles) -> FloatArray | None:
+    return None if stream is None else hold(stream, grid.times, grid.dt)
 
 
-def _drawn(stream: Stream | None, laid: Cycles) -> FloatArray | None:
+def _drawn(stream: Stream | None, grid: Cycles) -> FloatArray | None:
     """A smooth curve between samples; NaN in pauses and beyond the ends."""
     if stream is None or len(stream.time_s) < 2:
         return None
-    return draw(stream, laid.times, LONGEST_PAUSE / stream.rate_hz)
+    return draw(stream, grid.times, MAX_PAUSE / stream.rate_hz)
 
 
-def _moved(log: ForeignLog, laid: Cycles, angles: FloatArray | None) -> dict[str, Any]:
+def _moved(log: ForeignLog, grid: Cycles, angles: FloatArray | None) -> dict[str, Any]:
     """Speed along the heading and altitude, in the cycles in which they were logged."""
     seen, place = log.velocity, log.position
     if seen is None and place is not None and len(place.time_s) > 2:
@@ -273,21 +273,21 @@ def _moved(log: ForeignLog, laid: Cycles, angles: FloatArray | None) -> dict[str
         seen = Stream(place.time_s, np.asarray(slope))
     if seen is None or angles is None or len(seen.time_s) < 2:
         return {}
-    world = _in_cells(seen, laid)
+    world = _in_cells(seen, grid)
     x, y = world[:, 0], world[:, 1]
     c, s = np.cos(angles[:, 2]), np.sin(angles[:, 2])
     out = {'velocity': np.column_stack([c * x + s * y, c * y - s * x, world[:, 2]])}
     if place is not None:
-        out['altitude'] = _in_cells(place, laid)[:, 2]
+        out['altitude'] = _in_cells(place, grid)[:, 2]
     return out
 
 
-def _in_cells(stream: Stream, laid: Cycles) -> FloatArray:
+def _in_cells(stream: Stream, grid: Cycles) -> FloatArray:
     """(n, k) each sample in the cycle that is nearest; NaN in the others."""
-    out = np.full((laid.times.size, stream.values.shape[1]), np.nan)
-    cells = np.rint(np.interp(stream.time_s, laid.times, np.arange(laid.times.size))).astype(int)
-    inside = (stream.time_s >= laid.times[0] - laid.dt) & (
-        stream.time_s <= laid.times[-1] + laid.dt)
+    out = np.full((grid.times.size, stream.values.shape[1]), np.nan)
+    cells = np.rint(np.interp(stream.time_s, grid.times, np.arange(grid.times.size))).astype(int)
+    inside = (stream.time_s >= grid.times[0] - grid.dt) & (
+        stream.time_s <= grid.times[-1] + grid.dt)
     out[cells[inside]] = stream.values[inside]
     return out
 

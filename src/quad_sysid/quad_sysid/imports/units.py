@@ -132,10 +132,10 @@ IN_HEADER = re.compile(r'\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$')
 
 def header_unit(column: str, role: Role | None = None) -> str | None:
     """The unit in brackets at the end of a column's name; None where there is none."""
-    found = IN_HEADER.search(column)
-    if found is None or not found[1] or found[1].isdigit():
+    match = IN_HEADER.search(column)
+    if match is None or not match[1] or match[1].isdigit():
         return None
-    return written(found[1], role)
+    return written(match[1], role)
 
 
 def written(text: str, role: Role | None = None) -> str:

@@ -24,8 +24,8 @@ from quad_sysid.report.words import by_reason
 if TYPE_CHECKING:
     from quad_sysid.inspection.content import AxisContent, Content, Use
 
-MOST_SEGMENTS = 12
-MOST_WARNINGS = 8
+MAX_SEGMENTS = 12
+MAX_WARNINGS = 8
 SCHEMA = 'quad_sysid/inspection/1'
 
 
@@ -83,7 +83,7 @@ def lines(held: Content) -> list[str]:
         out += [*_axis(axis), '']
     out += ['usable for', *(line for use in held.uses for line in _use(use))]
     if held.warnings:
-        shown = held.warnings[:MOST_WARNINGS]
+        shown = held.warnings[:MAX_WARNINGS]
         more = len(held.warnings) - len(shown)
         out += ['', 'warnings', *(line for text in shown for line in wrapped(text, '  '))]
         out += [f'  and {more} more (--json)'] if more else []
@@ -94,7 +94,7 @@ def _topics(held: Content) -> Iterator[str]:
     rows = [
         [one.name, str(one.messages), '-' if one.rate_hz is None else f'{one.rate_hz:.4g}',
          f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_lost_s:.3f}' if one.gaps else '-']
-        for one in held.topics.found
+        for one in held.topics.present
     ]
     if not rows:  # a log, not a bag
         return
@@ -140,12 +140,12 @@ def _segments(held: Content) -> Iterator[str]:
     axes: dict[tuple[str, str, str, float, float], list[str]] = {}
     for s in held.segments:  # those of several axes at a time in one line
         axes.setdefault((s.role, s.signal, s.injection, s.start_s, s.end_s), []).append(s.axis)
-    for (role, signal, injection, start_s, end_s), of in [*axes.items()][:MOST_SEGMENTS]:
+    for (role, signal, injection, start_s, end_s), of in [*axes.items()][:MAX_SEGMENTS]:
         every = 'all' if len(of) > 1 and sorted(of) == sorted(AXES) else ', '.join(of)
         yield (f'  {role:<11} {signal:<10} {every:<6} {injection:<9} '
                f'{start_s:8.2f} to {end_s:8.2f} s')
-    if len(axes) > MOST_SEGMENTS:
-        yield f'  and {len(axes) - MOST_SEGMENTS} more (--json)'
+    if len(axes) > MAX_SEGMENTS:
+        yield f'  and {len(axes) - MAX_SEGMENTS} more (--json)'
 
 
 def _axis(one: AxisContent) -> Iterator[str]:
@@ -158,9 +158,9 @@ def _axis(one: AxisContent) -> Iterator[str]:
         yield '  not excited: the command stands still'
     elif one.excitation_order is not None:
         band = one.coherent_band_rad_s
-        told = f'{band[0]:.2g} to {band[1]:.3g} rad/s' if band else 'in no band'
+        span = f'{band[0]:.2g} to {band[1]:.3g} rad/s' if band else 'in no band'
         yield (f'  persistently exciting of order {one.excitation_order}; '
-               f'coherent {told}')
+               f'coherent {span}')
     for use in one.uses:
         yield from _use(use)
 

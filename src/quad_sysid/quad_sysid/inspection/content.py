@@ -29,11 +29,11 @@ from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.motor_layout import (
     Pattern,
     commands_of,
+    confirmed,
     doubts,
     opposite,
     patterns_of,
     places,
-    told,
 )
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import io_data
@@ -74,7 +74,7 @@ class TopicContent:
 class Topics:
     """All topics with messages, in the order of the contract, and warnings of the reader."""
 
-    found: tuple[TopicContent, ...]
+    present: tuple[TopicContent, ...]
     absent: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -88,11 +88,11 @@ def topics(path: Path) -> Topics:
             none = TOPIC_TYPES[topic] == TEXT
             stamps.setdefault(topic, []).append(
                 np.zeros(len(raws), np.int64) if none else _stamps(raws))
-    found = tuple(
+    present = tuple(
         _content(topic, np.concatenate(stamps[topic])) for topic in TOPIC_TYPES if topic in stamps
     )
     absent = tuple(topic for topic in TOPIC_TYPES if topic not in stamps)
-    return Topics(found, absent, tuple(storage.warnings))
+    return Topics(present, absent, tuple(storage.warnings))
 
 
 def _stamps(raws: Iterable[bytes]) -> npt.NDArray[np.int64]:
@@ -103,8 +103,8 @@ def _stamps(raws: Iterable[bytes]) -> npt.NDArray[np.int64]:
     as_little = np.frombuffer(words, '<u4').reshape(-1, 2).astype(np.int64)
     as_big = np.frombuffer(words, '>u4').reshape(-1, 2).astype(np.int64)
     parts = np.where(little[:, None], as_little, as_big)
-    found: npt.NDArray[np.int64] = parts[:, 0] * 1_000_000_000 + parts[:, 1]
-    return found
+    stamps: npt.NDArray[np.int64] = parts[:, 0] * 1_000_000_000 + parts[:, 1]
+    return stamps
 
 
 def _content(topic: str, stamps: npt.NDArray[np.int64]) -> TopicContent:
@@ -133,12 +133,12 @@ class Use:
     """Why it is not possible; if it is, on what condition."""
 
 
-def uses_of_axis(record: Record, data: AxisData, untold: str) -> tuple[Use, ...]:
+def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]:
     """What one axis' data allow: identification first, then what hangs on more signals.
 
-    untold: why the commands do not tell the rate; empty where they do.
+    `reason`: why the commands do not predict the rate; empty where they do.
     """
-    axis, refused = data.axis, untold
+    axis, refused = data.axis, reason
     try:
         check_usable(data, (record,))
     except NotInformativeError as error:
@@ -155,12 +155,12 @@ def uses_of_axis(record: Record, data: AxisData, untold: str) -> tuple[Use, ...]
         Use('indirect and joint approach', reference, '' if reference else other),
         Use('closed-loop check, gain design', reference and gains,
             '' if reference and gains else other if not reference else no_gains),
-        *(_effect(told, name, data) for told, name in _EFFECTS),
+        *(_effect(words, name, data) for words, name in _EFFECTS),
     )
 
 
-def _untold(data: AxisData) -> str:
-    """Why the commands do not tell the rate; empty where they do."""
+def _unpredictive(data: AxisData) -> str:
+    """Why the commands do not predict the rate; empty where they do."""
     ratio = improvement(data.rate, data.control, data.train, data.dt)
     if ratio >= DIFFERS:
         return ''
@@ -184,12 +184,12 @@ def _moves(data: AxisData, signal: np.ndarray | None) -> bool:
     return bool(np.isfinite(used).all() and np.ptp(used) > MOVES)
 
 
-def _effect(told: str, name: str, data: AxisData) -> Use:
+def _effect(words: str, name: str, data: AxisData) -> Use:
     """Whether any effect of this name can be tested on the data."""
     answers = [effect.prepare(data) for effect in EFFECTS if effect.name == name]
     refused = [one for one in answers if isinstance(one, str)]
     because = refused[0] if len(refused) == len(answers) else ''
-    return Use(f'find {told}', possible=not because, because=because)
+    return Use(f'find {words}', possible=not because, because=because)
 
 
 _EFFECTS = (
@@ -226,8 +226,8 @@ class AxisContent:
     excitation_order: int | None = None
     """Order to which the command is persistently exciting, at most RICHEST; 0: it stands still."""
     coherent_band_rad_s: tuple[float, float] | None = None
-    """Widest unbroken band of squared coherence above 0.6; None where the commands do not tell the
-    rate: feedback makes noise coherent with itself."""
+    """Widest unbroken band of squared coherence above 0.6; None where the commands do not predict
+    the rate: feedback makes noise coherent with itself."""
 
 
 @dataclass(frozen=True)
@@ -342,10 +342,10 @@ def described(craft: Craft) -> str:
 def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
     """What the motors, or without them the commands, do to the axes, and doubts about it."""
     if record.motors is None:
-        found = commands_of(record.rates, record.control[:, 1:], record.dt, record.angles)
-        return found, opposite(found, {})
-    layout = told(patterns_of(record.rates, record.motors, record.dt, record.angles),
-                  record.rates, record.motors, record.dt)
+        patterns = commands_of(record.rates, record.control[:, 1:], record.dt, record.angles)
+        return patterns, opposite(patterns, {})
+    layout = confirmed(patterns_of(record.rates, record.motors, record.dt, record.angles),
+                       record.rates, record.motors, record.dt)
     craft = record.craft
     return layout, doubts(f'the mixer of {craft.name}', craft.inverse, layout, record.rates,
                           record.motors, record.dt, record.angles) + places(layout, craft)[1]
@@ -378,18 +378,18 @@ def _axis(record: Record, axis: str) -> AxisContent:
                       because=str(error).removeprefix(f'{axis}: '))
         return AxisContent(axis, lengths['train'], lengths['validation'], 0,
                            evaluable=False, uses=(refused,))
-    untold = _untold(data)
-    found = AxisContent(axis, lengths['train'], lengths['validation'],
-                        data.windows(data.validation).count, _evaluable(record, data),
-                        uses_of_axis(record, data, untold))
+    reason = _unpredictive(data)
+    content = AxisContent(axis, lengths['train'], lengths['validation'],
+                          data.windows(data.validation).count, _evaluable(record, data),
+                          uses_of_axis(record, data, reason))
     if not data.train:
-        return found
+        return content
     command = _rms(data.command, data.train)
     reference = None if data.reference is None else _rms(data.reference, data.train)
-    return replace(found, rate_rms=_rms(data.rate, data.train), command_rms=command,
+    return replace(content, rate_rms=_rms(data.rate, data.train), command_rms=command,
                    reference_rms=reference,
                    excitation_order=_order(data, command),
-                   coherent_band_rad_s=None if untold else band_of(data))
+                   coherent_band_rad_s=None if reason else band_of(data))
 
 
 def _order(data: AxisData, command_rms: float | None) -> int | None:

@@ -12,7 +12,7 @@ import numpy as np
 from quad_sysid.bags import read_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import LONGEST_PAUSE, cycles, draw, hold
+from quad_sysid.imports.clock import MAX_PAUSE, cycles, draw, hold
 from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.log import ForeignLog, Stream
 from quad_sysid.imports.plausible import FASTEST_RAD_S
@@ -208,7 +208,7 @@ def _complete(found: Flown) -> Flown:
 
 
 def _drawn(stream: Stream, times: FloatArray) -> FloatArray:
-    return draw(stream, times, LONGEST_PAUSE / stream.rate_hz)
+    return draw(stream, times, MAX_PAUSE / stream.rate_hz)
 
 
 def _moving(rates: FloatArray) -> tuple[str, ...]:

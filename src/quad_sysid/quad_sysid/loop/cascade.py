@@ -17,7 +17,8 @@ from typing import Protocol
 
 import numpy as np
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.axes import EVERY, axis_of
+from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop import kernels
 from quad_sysid.loop.linear import ComplexArray, Loops
@@ -26,23 +27,23 @@ FIRMWARE_UNIT = np.degrees(1.0) / 1000.0
 """One firmware unit of gain (µs of motor pulse per deg/s) in normalised command per rad/s."""
 
 CONTRACT_NAMES = {
-    'angle_kp': 'angle.kp',
+    'angle_kp': '{place}.kp',
     'rate_kp': 'rate.kp',
     'rate_ki': 'rate.ki',
     'rate_kd': 'rate.kd',
     'd_filter_hz': 'rate.d_filter_hz',
     'output_limit': 'rate.output_limit',
     'integrator_limit': 'rate.integrator_limit',
-    'rate_limit': 'angle.rate_limit',
+    'rate_limit': '{place}.rate_limit',
 }
-"""Field of CascadeGains → the contract's name after `<axis>.`."""
-ELSEWHERE = {
+"""Field of CascadeGains → the contract's name after `<axis>.`; see `contract_names`."""
+FOREIGN_NAMES = {
     'kff': 'rate.kff',
     'target_filter_hz': 'rate.target_filter_hz',
     'error_filter_hz': 'rate.error_filter_hz',
     'output_filter_hz': 'rate.output_filter_hz',
 }
-"""The same of what only other firmware has."""
+"""The same for fields that only other firmware has."""
 NOTCH = {'d_notch_hz': 'rate.d_notch_hz', 'd_notch_bandwidth_hz': 'rate.d_notch_bandwidth_hz'}
 """Field of CascadeGains → the contract's name of what all axes share. Notches on the gyro lie
 before the logged rate: they are in the identified lag and delay."""
@@ -56,9 +57,27 @@ TUNED = ('angle_kp', 'rate_kp', 'rate_ki', 'rate_kd')
 """Gains that a designer may change; the others are constants of the firmware."""
 
 
+UNFILTERED_HZ = 1e6
+"""Cut-off of a filter of D that is none: the sensor's own filter is in the plant."""
+
+
+WORDS = {field: name.format(place='angle') for field, name in CONTRACT_NAMES.items()} \
+    | FOREIGN_NAMES | NOTCH
+"""Field of CascadeGains → what it is called where no axis is named."""
+
+
+def contract_names(axis: str) -> dict[str, str]:
+    """Field of CascadeGains → the contract's name (`roll.angle.kp`, `climb.height.kp`, …)."""
+    place = EVERY[axis].place
+    return {field: f'{axis}.{name.format(place=place)}' for field, name in CONTRACT_NAMES.items()}
+
+
 @dataclass(frozen=True)
 class CascadeGains:
-    """Gains of one axis, SI (contract, Gains and the form of the controller)."""
+    """Gains of one axis, SI (contract, Gains and the form of the controller).
+
+    Of an axis that moves in metres: height for angle, m/s for rad/s.
+    """
 
     angle_kp: float
     """1/s."""
@@ -80,9 +99,9 @@ class CascadeGains:
     target_filter_hz: float = 0.0
     """Cut-off of a first-order filter of the rate reference, Hz; of this and the next, 0: none."""
     error_filter_hz: float = 0.0
-    """Of the error of the rate."""
+    """Cut-off of a filter of the rate's error, Hz."""
     output_filter_hz: float = 0.0
-    """Of u, before its limit."""
+    """Cut-off of a filter of u before its limit, Hz; 0: none."""
     d_notch_hz: float = 0.0
     """Centre of a notch before D, Hz; 0: none."""
     d_notch_bandwidth_hz: float = 0.0
@@ -91,9 +110,8 @@ class CascadeGains:
 
     def __post_init__(self) -> None:
         """Check that all are finite and the constants positive; raises BadInputError."""
-        names = CONTRACT_NAMES | ELSEWHERE | NOTCH
         for item in fields(self):
-            value, name = getattr(self, item.name), f'gains: {names.get(item.name, item.name)}'
+            value, name = getattr(self, item.name), f'gains: {WORDS.get(item.name, item.name)}'
             if not np.isfinite(value):
                 raise BadInputError(name, 'must be finite', value)
             if item.name in CONTRACT_NAMES and item.name not in TUNED and value <= 0:
@@ -103,27 +121,28 @@ class CascadeGains:
 
     @classmethod
     def default(cls, axis: str) -> CascadeGains:
-        """The paper's start values; for yaw the contract's."""
-        if axis not in AXES:
-            raise BadInputError('gains', f'axis must be one of {", ".join(AXES)}', axis)
-        if axis == 'yaw':
-            return cls(2.0, 3.0 * FIRMWARE_UNIT, 0.02 * FIRMWARE_UNIT, 0.0)
-        return cls(3.0, 1.3 * FIRMWARE_UNIT, 0.01 * FIRMWARE_UNIT, 0.023 * FIRMWARE_UNIT)
+        """The paper's start values; for yaw the contract's, for the climb the firmware's.
+
+        For surge and sway some with which an aircraft of this kind holds its place.
+        """
+        axis_of('gains', axis)
+        return STARTS[axis]
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, float], axis: str) -> CascadeGains:
         """Gains by the contract's names (`roll.angle.kp`, …); missing ones have their defaults."""
-        start, names = cls.default(axis), CONTRACT_NAMES | ELSEWHERE
-        told = {field: f'{axis}.{name}' for field, name in names.items()} | NOTCH
+        start, notch = cls.default(axis), NOTCH if EVERY[axis].turns else {}
+        names = {**contract_names(axis), **notch,
+                **{field: f'{axis}.{name}' for field, name in FOREIGN_NAMES.items()}}
         return cls(**{field: float(values.get(name, getattr(start, field)))
-                      for field, name in told.items()},
+                      for field, name in names.items()},
                    d_on_error=values.get(f'{axis}.rate.d_on') in ('error', 1.0))
 
     def to_mapping(self, axis: str, *, constants: bool = False) -> dict[str, float]:
         """The contract's names and values; with `constants` filter and limits too."""
-        return {f'{axis}.{name}': float(getattr(self, field))
-                for field, name in CONTRACT_NAMES.items()
-                if constants or field in TUNED}
+        return {name: float(getattr(self, field))
+                for field, name in contract_names(axis).items()
+                if field in TUNED or (constants and getattr(self, field) < UNFILTERED_HZ)}
 
     def dynamics(self, dt: float) -> Dynamics:
         """The linear controller that the firmware computes: one cycle of it for each unit."""
@@ -172,6 +191,15 @@ class CascadeGains:
                for name in ('d', 'target', 'error', 'output')},
         }
         return kernels.Constants(*(float(known[name]) for name in kernels.Constants._fields))
+
+
+STARTS = dict.fromkeys(('roll', 'pitch'), CascadeGains(
+    3.0, 1.3 * FIRMWARE_UNIT, 0.01 * FIRMWARE_UNIT, 0.023 * FIRMWARE_UNIT)) | {
+    'yaw': CascadeGains(2.0, 3.0 * FIRMWARE_UNIT, 0.02 * FIRMWARE_UNIT, 0.0),
+    'climb': CascadeGains(1.0, 0.1, 0.05, 0.01, UNFILTERED_HZ, rate_limit=1.0,
+                          integrator_limit=0.2),
+} | dict.fromkeys(('surge', 'sway'), CascadeGains(
+    0.6, 0.12, 0.02, 0.0, UNFILTERED_HZ, output_limit=0.35, rate_limit=2.0, integrator_limit=0.15))
 
 
 def weight_of(cutoff_hz: float, dt: float) -> float:

@@ -12,19 +12,30 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Memory as Warming
+from quad_sysid.effects.likeness import Trim
+from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.stored import fitted_of, part_of, plant_of
+from quad_sysid.loop.cascade import CascadeGains, contract_names, reference_response
+from quad_sysid.loop.linear import loops_of
 from quad_sysid.loop.plant import LATE_S, Flying, around, plant_like
 from quad_sysid.model import AxisModel, EffectEstimate
 from quad_sysid.model.effect import Effect, Part, Signals
-from quad_sysid.model.structure import BASE, Structure
+from quad_sysid.model.structure import Structure
 
 HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
         'direction'}
 """Signals that one axis' loop contains or holds constant."""
-OTHER_AXES, BY_ITSELF = 'it depends on the other axes', 'it changes by itself'
+OTHER_AXES = 'it depends on the other axes'
+PLACE = 'it depends on the height, and gains must hold at any height'
+LEANING_RAD_S = (0.1, 4.0)
+"""Where a loop around the lean works."""
+ROUNDS = 4
+"""Steps to the command that holds an axis with effects."""
 SLOW_HZ = 10.0
 """What repeats itself slower than this is no vibration to a loop: its worst case counts."""
 
@@ -49,8 +60,6 @@ class Placed:
             return OTHER_AXES
         if effect.repeats_hz(self.p) and effect.term == 'torque':
             return 'it is a disturbance, whatever the loop does'
-        if effect.wanders and effect.term != 'gain':
-            return BY_ITSELF
         return ''
 
     def signals(self, at: Mapping[str, float], n: int = 1, **moved: Any) -> Signals:
@@ -62,7 +71,7 @@ class Placed:
     def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
         """(n,) acceleration, rad/s², at the usual values `at`, all signals but `moved` at rest.
 
-        What it remembers is settled.
+        Its memory is in steady state.
         """
         s, settings = self.signals(at, n, **moved), self.part.settings
         if self.effect.states:
@@ -84,8 +93,28 @@ def placed(model: AxisModel, effect: EffectEstimate) -> Placed:
     return Placed(part, fitted_of(part, effect))
 
 
+def _outside(model: AxisModel, effect: EffectEstimate) -> tuple[Placed, str]:
+    """An effect, and why the loop of its axis leaves it out; '' where it does not."""
+    one = placed(model, effect)
+    anywhere = 'angle' in one.effect.signals and not EVERY[model.axis].turns
+    return one, one.why_outside or (PLACE if anywhere else '')
+
+
 def _inside(model: AxisModel) -> list[Placed]:
-    return [one for one in (placed(model, e) for e in model.effects) if not one.why_outside]
+    return [one for one, why in (_outside(model, e) for e in model.effects) if not why]
+
+
+def in_flight(model: AxisModel) -> AxisModel:
+    """The model in the loop of the firmware: at its cycle, behind the sensor that it has.
+
+    A rotation was measured by that. A speed comes more rarely and from elsewhere, while the
+    firmware integrates its accelerometer, and the noise of that is not in the model.
+    """
+    gains, own = model.active_gains, EVERY[model.axis]
+    if own.turns or own.outer or 'loop.rate_hz' not in gains:
+        return model
+    return replace(model, dt=1.0 / gains['loop.rate_hz'], noise=None,
+                   gyro_filter_hz=gains.get('sensor.accel_filter_hz') or None)
 
 
 def _usual(model: AxisModel, effects: list[Placed]) -> dict[str, float]:
@@ -111,6 +140,30 @@ def whole_plant(model: AxisModel) -> Flying:
     return Flying(plant, around(at['throttle'], at['battery']))
 
 
+def behind_lean(model: AxisModel, inner: AxisModel) -> AxisModel:
+    """Surge or sway over the reference of the lean: behind the loop of pitch or roll (`inner`).
+
+    That loop, with the gains of its flight, as the lag and the delay that answer most like it.
+    Raises BadInputError where these gains are not known.
+    """
+    if contract_names(inner.axis)['angle_kp'] not in inner.active_gains:
+        raise BadInputError(model.axis, f'needs the gains with which {inner.axis} was flown',
+                            remedy='record /gains/active')
+    gains = CascadeGains.from_mapping(inner.active_gains, inner.axis)
+    plant, omega = loop_plant(inner), np.geomspace(*LEANING_RAD_S, 40)
+    response = loops_of([(plant, plant.trial.wide)]).response(omega)
+    answer = reference_response(gains, response, omega, inner.dt)[0]
+
+    def missed(p: FloatArray) -> FloatArray:
+        like = np.exp(-1j * omega * p[1]) / (1.0 + 1j * omega * p[0])
+        return np.concatenate([(like - answer).real, (like - answer).imag])
+
+    lag, delay = least_squares(missed, [0.2, 0.05], bounds=(0.0, 2.0)).x
+    added = {'lag': lag - model.value('lag'), 'delay': delay + model.value('lag')}
+    return replace(model, base=tuple(
+        replace(one, value=one.value + added.get(one.name, 0.0)) for one in model.base))
+
+
 def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Flying:
     """The plant that the controller sees; `moved`: throttle or battery (V) of another flight.
 
@@ -119,18 +172,32 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
     inside = _inside(model)
     flying = [one for one in inside
               if not one.effect.repeats_hz(one.p) and not one.effect.wanders]
-    p = np.array([model.value(spec.name) for spec in BASE])
+    law = Part(model.law) if model.law else None
+    p = np.array([model.value(name) for name in Structure(law=law).base_names])
     at = {**_usual(model, inside), **(moved or {})}
     p[0] *= schedule_factor(model, (moved or {}).get('battery'))
     p[2] = max(0.0, p[2]) + sum(
         one.effect.longest_s(one.p) for one in inside
         if 0.0 < one.effect.repeats_hz(one.p) < SLOW_HZ
     )
-    return plant_like(
+    parts = tuple(one.part for one in flying)
+    found = plant_like(
         model.axis, np.concatenate([p, *(one.p for one in flying)]), model.dt,
-        model.gyro_filter_hz, structure=Structure(tuple(one.part for one in flying)),
+        model.gyro_filter_hz, structure=Structure(parts, law=law),
         craft=model.craft, at=(at['throttle'], at['battery']),
     )
+    return found if EVERY[model.axis].turns else _about_trim(found)
+
+
+def _about_trim(flying: Flying) -> Flying:
+    """The same about the command that holds it: a climb flies beside the throttle of the hover."""
+    plant, at = flying.plant, 0.0
+    gain, out = float(plant.p[0]), flying
+    for _ in range(ROUNDS if plant.structure.parts else 1):
+        at -= out.held / gain if gain else 0.0
+        structure = replace(plant.structure, parts=(Part(Trim(at)), *plant.structure.parts))
+        out = replace(flying, plant=replace(plant, structure=structure))
+    return out
 
 
 def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
@@ -145,7 +212,7 @@ def schedule_factor(model: AxisModel, battery_v: float | None = None) -> float:
 
 
 def gain_range(model: AxisModel) -> tuple[float, float, float]:
-    """Least, usual and largest factor on the gain by what no signal of a loop tells; 1 without.
+    """Least, usual and largest factor on the gain by effects outside of the loop; 1 without.
 
     What it remembers, from cold on, what swings or wanders, and what changed over the flight.
     """
@@ -160,7 +227,7 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
             size = float(np.hypot(*one.p[1:3]))
             factors = np.array([1.0 - size, 1.0 + size])
         elif effect.wanders:
-            size = 2.0 * float(one.p[0]) * float(one.part.settings['unit'])
+            size = 2.0 * float(one.p[0])
             factors = np.array([1.0 - size, 1.0 + size])
         elif isinstance(effect, Warming):
             factors = effect.factors(one.p, one.part.settings)
@@ -176,8 +243,7 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
 
 def not_in_the_loop(model: AxisModel) -> dict[str, str]:
     """The effects that the loop of one axis leaves out, and why."""
-    found = ((e.name, placed(model, e).why_outside) for e in model.effects)
-    return {name: why for name, why in found if why}
+    return {e.name: why for e in model.effects if (why := _outside(model, e)[1])}
 
 
 def share_outside(model: AxisModel) -> dict[str, float]:
@@ -188,9 +254,9 @@ def share_outside(model: AxisModel) -> dict[str, float]:
     out: dict[str, float] = {}
     gain, command = model.value('gain'), np.abs(model.ranges.get('command', (0.0, 0.0))).max()
     at = usual_signals(model)
-    for found in model.effects:
-        one = placed(model, found)
-        if one.why_outside not in (OTHER_AXES, BY_ITSELF) or not gain * command > 0.0:
+    for effect in model.effects:
+        one = placed(model, effect)
+        if one.why_outside != OTHER_AXES or not gain * command > 0.0:
             continue
         moved: dict[str, Any] = {}
         for name, field in (('other rate', 'other_rates'), ('other angle', 'other_angles'),
@@ -199,12 +265,10 @@ def share_outside(model: AxisModel) -> dict[str, float]:
             moved[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
         rate = np.repeat(np.abs(model.ranges.get('rate', (0.0, 0.0))).max(), 4)
         s = one.signals(at, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
-        if one.effect.wanders:
-            s = replace(s, hidden=np.full((1, 4), 2.0 * float(one.p[0])))
-        elif one.effect.states:
+        if one.effect.states:
             continue
         pushed = one.effect.torque(s, one.p, one.part.settings)
         if pushed is None:
             pushed = gain * one.effect.command(s, one.p, one.part.settings)
-        out[found.name] = float(np.abs(pushed).max() / (gain * command))
+        out[effect.name] = float(np.abs(pushed).max() / (gain * command))
     return out

@@ -58,15 +58,15 @@ class Places(NamedTuple):
     split: int
     """Operations before the motors."""
     given: int
-    """The first register of what is known of a cycle."""
+    """The first register of the known signals of a cycle."""
     sent: int
     push: int
     motors: int
-    """Of the four numbers that come from the motors."""
+    """The first register of the four numbers that come from the motors."""
     state: int
-    """The first of the state."""
+    """The first register of the state."""
     following: IntArray
-    """(states,) of the state a cycle later."""
+    """(states,) registers of the state a cycle later."""
     shown: IntArray
     """(2,) measured rate and angle a cycle later."""
     commands: IntArray
@@ -206,6 +206,25 @@ def operate(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, b
         elif what == YIELDED:
             r[to] = yielded(r[more[a]], r[more[a + 1]], r[more[a + 2]], r[more[a + 3]],
                             r[more[a + 4]], r[more[a + 5]])
+
+
+@kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, WHOLE, WHOLES, WHOLE, WHOLE, TABLE)
+def carried(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, known: FloatArray,
+            state: int, following: IntArray, begin: int, end: int, out: FloatArray) -> None:
+    """States by their operations over the cycles [begin, end): `out` (m, n) at the start of each.
+
+    known (n, s): what is known of each cycle, in the first registers; the state of m numbers
+    stands from the register `state` on, those of a cycle later in `following` (m,).
+    """
+    m = following.size
+    for k in range(begin, end):
+        for i in range(m):
+            out[i, k] = r[state + i]
+        for i in range(known.shape[1]):
+            r[i] = known[k, i]
+        operate(code, more, tables, r, 0, code.shape[0])
+        for i in range(m):  # no state is read any more
+            r[state + i] = r[following[i]]
 
 
 @inner

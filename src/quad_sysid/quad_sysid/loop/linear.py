@@ -1,6 +1,6 @@
 """A plant as a linear loop sees it: every effect as the linear one that moves most like it.
 
-Along a motion of the amplitudes at which a loop is judged, each effect's law is fitted by least
+On a motion of the amplitudes at which a loop is judged, each effect's law is fitted by least
 squares: for a sine that is its describing function, and what is linear stays as it is. The plant
 with these linear effects is flown by its own laws, a cycle from each unit of its states. Nothing
 stands twice; from_model.py says which effects are in a loop, cascade.py what margins it has.
@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from quad_sysid.axes import TURNING, Level
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Linear
 from quad_sysid.effects.likeness import LinearChannels, LinearMap, LinearTorque
@@ -24,9 +25,7 @@ from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Signals, require
 from quad_sysid.model.structure import Structure
 
 ComplexArray = npt.NDArray[np.complex128]
-Level = tuple[float, float, float]
-WIDE: Level = (4.0, 0.35, 0.3)
-NEAR_REST: Level = (0.3, 0.05, 0.03)
+WIDE, NEAR_REST = TURNING.wide, TURNING.near_rest
 """Amplitudes of rate (rad/s), angle (rad) and command at which a loop is linearised."""
 STILL: Level = (2e-7, 2e-8, 1e-8)
 """Next to none: the slope at rest."""
@@ -37,7 +36,7 @@ SWINGS = 4
 LEAST, MOST = 64, 2000
 """Cycles of the motion."""
 FEW_STATES = 2
-"""Up to so many, a memory is fitted along the motion; more of them by small steps."""
+"""Up to so many, a memory is fitted on the motion; more of them by small steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +65,10 @@ class Loops:
 
 def loops_of(every: Sequence[tuple[Flying, Level]]) -> Loops:
     """Plants of one control cycle, each linear at its amplitudes."""
-    found = [_cycle(linear(one, level)) for one, level in every]
-    n = max(len(b) for _, b, _ in found)
-    a, b, c = (np.zeros((len(found), *shape)) for shape in ((n, n), (n,), (2, n)))
-    for i, (own, into, shown) in enumerate(found):
+    cycles = [_cycle(linear(one, level)) for one, level in every]
+    n = max(len(b) for _, b, _ in cycles)
+    a, b, c = (np.zeros((len(cycles), *shape)) for shape in ((n, n), (n,), (2, n)))
+    for i, (own, into, shown) in enumerate(cycles):
         m = len(into)
         a[i, :m, :m], b[i, :m], c[i, :, :m] = own, into, shown
     return Loops(a, b, c, every[0][0].dt)
@@ -107,9 +106,14 @@ def _many(around: Signals, n: int, sent: FloatArray) -> Signals:
 def linear(flying: Flying, level: Level) -> Flying:
     """The same with each effect's linear likeness in motion of these amplitudes."""
     plant = flying.plant
-    parts = [*_commands(flying, level[2]), *(
-        Part(_torque(flying, part, p, level)) for part, p in plant.pushing
-    )]
+    by_law = plant.structure.law is not None and not plant.p[0]
+    if by_law:  # which alone takes the command: at unit gain, less what that gain drives
+        plant = replace(plant, p=np.r_[1.0, plant.p[1:]])
+        flying = replace(flying, plant=plant)
+    torques = [_torque(flying, part, p, level) for part, p in plant.pushing]
+    if by_law:
+        torques[0].rows[-1, torques[0].states + 2] -= 1.0
+    parts = [*_commands(flying, level[2]), *map(Part, torques)]
     p = np.r_[plant.p[:4], 0.0]
     one = replace(plant, structure=Structure(tuple(parts)), p=p, rounds=1)
     return replace(flying, plant=one)
@@ -117,16 +121,18 @@ def linear(flying: Flying, level: Level) -> Flying:
 
 def linear_part(flying: Flying) -> Flying:
     """The same with those effects alone that answer alike in small and in wide motion."""
-    plant, kept, p = flying.plant, [], [flying.plant.p[:5]]
-    for part, at in plant.structure.placed():
+    plant, kept = flying.plant, []
+    bare = replace(plant.structure, parts=())
+    p = [plant.p[: len(bare.base)]]
+    for part, at in plant.structure.effects():
         alone = replace(flying, plant=replace(
-            plant, structure=Structure((part,)), p=np.r_[plant.p[:5], plant.p[at]]))
+            plant, structure=bare.plus(part), p=np.r_[p[0], plant.p[at]]))
         still, wide = (loops_of([(alone, level)]) for level in (STILL, WIDE))
         if np.allclose(still.a, wide.a, rtol=1e-3, atol=1e-6) and np.allclose(
                 still.b, wide.b, rtol=1e-3, atol=1e-6):
             kept.append(part)
             p.append(plant.p[at])
-    return replace(flying, plant=replace(plant, structure=Structure(tuple(kept)),
+    return replace(flying, plant=replace(plant, structure=replace(bare, parts=tuple(kept)),
                                          p=np.concatenate(p)))
 
 
@@ -146,15 +152,15 @@ def _length(dt: float, frequency: float, several: bool) -> int:
 def _fitted(
     x: FloatArray, rest: FloatArray, inputs: FloatArray, outputs: FloatArray
 ) -> FloatArray:
-    """(states + outputs, states + inputs) by least squares along a motion: the columns' rows."""
+    """(states + outputs, states + inputs) by least squares on a motion: the columns' rows."""
     known = np.column_stack([(x - rest[:, None]).T, inputs.T, np.ones(inputs.shape[1])])
     sizes = np.maximum(np.linalg.norm(known, axis=0), 1e-300)
-    found = np.linalg.lstsq(known / sizes, outputs.T, rcond=1e-9)[0] / sizes[:, None]
-    return np.asarray(found[:-1].T)
+    slopes = np.linalg.lstsq(known / sizes, outputs.T, rcond=1e-9)[0] / sizes[:, None]
+    return np.asarray(slopes[:-1].T)
 
 
 def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTorque:
-    """A torque's likeness: what it remembers and gives along the motion, or by small steps."""
+    """A torque's likeness: what it remembers and gives on the motion, or by small steps."""
     effect, settings, plant = part.effect, part.settings, flying.plant
     m, gain, dt, lag = effect.states, plant.p[0], plant.dt, float(plant.p[1])
     around = plant.told(flying.around)
@@ -223,14 +229,14 @@ def _commands(flying: Flying, size: float) -> list[Part]:
     for part, p in plant.sending:
         effect, settings = part.effect, part.settings
         if effect.states:
-            x = effect.begin(s, p, settings)  # of a command that has long been given
+            x = effect.begin(s, p, settings)  # in steady state
             drive = effect.actuate(drive, replace(s, hidden=x), p, settings)
             s = replace(s, hidden=effect.trace(s, p, settings, ((0, n),)))
         else:
             drive = effect.actuate(drive, s, p, settings)
         if type(effect).command is not Effect.command:
-            found = _map(part, p, s)
-            parts.append(Part(found))
+            likeness = _map(part, p, s)
+            parts.append(Part(likeness))
             s = replace(s, sent=effect.command(s, p, settings), hidden=None)
     known = np.column_stack([sideways, u, np.ones(n)])
     slopes = np.linalg.lstsq(known / size, drive.commands.T, rcond=None)[0][:2].T / size
@@ -241,7 +247,7 @@ def _commands(flying: Flying, size: float) -> list[Part]:
 
 
 def _map(part: Part, p: FloatArray, s: Signals) -> LinearMap:
-    """A map's likeness along a motion: as it is where it is linear, else of one state or none."""
+    """A map's likeness on a motion: as it is where it is linear, else of one state or none."""
     effect, settings, m = part.effect, part.settings, part.effect.states
     if isinstance(effect, Following):
         one, nothing = np.eye(m, m + 1), np.eye(1, m + 1, m)[0]

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from quad_sysid.axes import EVERY
+from quad_sysid.axes import EVERY, TURNING, Trial
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
@@ -33,6 +33,8 @@ class Flying:
     """(1,) what stays as it is, or (n,) of each cycle; but for what the loop itself moves."""
     settled: bool = True
     """Whether it begins in the middle of a flight, not at its start."""
+    trial: Trial = TURNING
+    """The motion by which its loop is judged."""
 
     @property
     def dt(self) -> float:
@@ -77,7 +79,7 @@ def plant_like(
         raise BadInputError('plant', 'gyro_filter_hz must be positive or None', gyro_filter_hz)
     plant = Plant(structure or Structure(), p, dt, sensor_of(gyro_filter_hz, None, dt), craft,
                   EVERY[axis].index)
-    return Flying(plant, around(*at))
+    return Flying(plant, around(*at), trial=EVERY[axis].trial)
 
 
 def around(throttle: float, battery_v: float | None = None) -> Signals:

@@ -2,6 +2,7 @@
 
 from quad_sysid.model.identified import (
     BEFORE,
+    LAW,
     AxisModel,
     Designer,
     EffectEstimate,
@@ -12,5 +13,5 @@ from quad_sysid.model.identified import (
     RungModel,
 )
 
-__all__ = ['BEFORE', 'AxisModel', 'Designer', 'EffectEstimate', 'GainProposal', 'NoiseEstimate',
-           'Outside', 'Parameter', 'RungModel']
+__all__ = ['BEFORE', 'LAW', 'AxisModel', 'Designer', 'EffectEstimate', 'GainProposal',
+           'NoiseEstimate', 'Outside', 'Parameter', 'RungModel']

@@ -180,6 +180,14 @@ class AxisData:
         found = known[name]
         return f'the bag holds no {MISSING[name]}' if found is None else found
 
+    def lacking_motors(self, *, single: bool = False) -> str:
+        """Why an effect of the motors, or of a single one, does not show; empty where it may."""
+        if not self.motors.shape[1] or np.ptp(self.training(self.motors), axis=0).max() < 1e-6:
+            return 'the bag holds no motor commands'
+        if single and all(isinstance(self.signal(f'other command {i}'), str) for i in (1, 2)):
+            return 'the other axes hardly move, so no single motor can be told apart'
+        return ''
+
     def _of_another(self, name: str, which: int) -> FloatArray | str:
         axis = self.other_axes[which]
         if name == 'other angle':

@@ -221,18 +221,12 @@ class Effect:
     term: str = 'torque'
     """The part of the base that it changes: torque, gain, damping, friction, lag, delay, command,
     or response (of the motors)."""
-    physics: str = ''
-    """The equation, with units, and its source."""
-    excite: str = ''
-    """The test flight that would show it."""
     variant: str = ''
     """Distinguishes effects of one name, such as the other axis of a coupling."""
     parameters: tuple[Spec, ...] = ()
     states: int = 0
     """Number of hidden states, which `advance` drives by the signals; of what acts on single
     motors, of each."""
-    free: bool = False
-    """Whether its form is free, as that of a curve: it describes what no law of the list says."""
     wanders: bool = False
     """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
     (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero
@@ -240,8 +234,28 @@ class Effect:
 
     def prepare(self, data: AxisData) -> Settings | str:
         """Settings from the training data, or a text: why it cannot be tested on them."""
-        found = (data.signal(name) for name in MISSING if name in self.signals)
-        return next((why for why in found if isinstance(why, str)), {})
+        why = self.lacking(data)
+        if not why and len(self.others) == 1:
+            return {'other': data.other_axes[self.others[0]]}
+        return why or {}
+
+    def lacking(self, data: AxisData) -> str:
+        """Why the data lack what it depends on; empty where they do not."""
+        found = (data.signal(word) for word in self.words
+                 if word in MISSING or word.startswith('other'))
+        why = next((one for one in found if isinstance(one, str)), '')
+        if not why and 'motors' in self.signals:
+            why = data.lacking_motors(single=len(self.motors) == 1)
+        return why
+
+    @property
+    def words(self) -> list[str]:
+        """Its signals in the words of AxisData.signal; what goes one way is left out."""
+        names = [s for s in self.signals
+                 if s in ('angle', 'throttle', 'battery', 'rate', 'command')]
+        kinds = [s.rstrip(' 12') for s in self.signals if s.startswith('other')]
+        kinds += ['other rate'] * ('product of other rates' in self.signals)
+        return names + [f'{kind} {which + 1}' for kind in kinds for which in self.others]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         """Command of the axis after the effect; s.sent is that before it."""

@@ -173,7 +173,7 @@ class Flight:
         acting = [one for one in structure.placed() if one[0].effect.moves_command]
         # what remembers the drive needs it from the start, all others from a pass to its end
         remembered = any({'command', 'history'} <= {*part.effect.signals}
-                         for part in structure.parts)
+                         for part, _ in structure.placed())
         key = p[1:3].tobytes() + bytes([remembered]) + b''.join(
             part.effect.label.encode() + p[where].tobytes() + repr(part.settings).encode()
             for part, where in acting
@@ -348,7 +348,7 @@ class Flight:
     ) -> Prediction:
         """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
         n, p, rate = self.data.rate.size, structure.natural(theta), self.rate
-        if all(part.effect.moves_command for part in structure.parts):
+        if all(part.effect.moves_command for part, _ in structure.placed()):
             sweeps = 1  # the physics is linear in the rate
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
@@ -361,7 +361,7 @@ class Flight:
             if derived is not None:
                 columns, bends, bent = self.columns(structure, theta, rate, derived)
                 by = by._replace(columns=columns, bends=bends, bent=bent)
-                filters = self._by_filter(structure, theta, damping)
+                filters = self._by_filter(structure, theta, damping, found)
             ran = self._run(push, found, by, filters)
             if not self.variance:
                 self.variance = float(np.nanmedian(np.abs(ran.innovation)) / 0.6745) ** 2
@@ -389,17 +389,18 @@ class Flight:
         return Prediction(innovation, jacobian, states, found, rate)
 
     def _by_filter(
-        self, structure: Structure, theta: FloatArray, damping: float
+        self, structure: Structure, theta: FloatArray, damping: float, found: tuple[Filter, ...]
     ) -> list[FloatArray]:
         """(p, 6 + 4 v) derivatives of Filter.gain and Filter.move, of each pass."""
-        def steady(at: FloatArray) -> FloatArray:
-            found = self.filters_of(structure, at[:-1], at[-1])
-            return np.stack([np.concatenate([one.gain, one.move]) for one in found])
+        def flat(filters: tuple[Filter, ...]) -> FloatArray:
+            return np.stack([np.concatenate([one.gain, one.move]) for one in filters])
 
-        at = np.r_[theta, damping]
         out = np.zeros((len(self.passes), theta.size, 6 + 4 * structure.lines))
+        here, at = flat(found), np.r_[theta, damping]
         for j in range(theta.size - structure.filtered, at.size):
-            out[:, j if j < theta.size else 3] = central(steady, at, j, FILTER_STEP)
+            ahead = at + FILTER_STEP * (np.arange(at.size) == j)
+            there = flat(self.filters_of(structure, ahead[:-1], ahead[-1]))
+            out[:, j if j < theta.size else 3] = (there - here) / FILTER_STEP
         return [*out]
 
     def _follow(

@@ -7,7 +7,7 @@ reads and writes its file.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
@@ -28,6 +28,8 @@ class Parameter:
     """95 % where there is no `std` (one-sided at a bound); in reports, not stored."""
 
 
+LAW = 'base'
+"""Kind of the law of a base of one's own, which is no effect."""
 UNLISTED = 'unlisted_physics'
 """Among an effect's rivals: a cause that the search did not compare with it."""
 
@@ -165,15 +167,22 @@ class AxisModel:
     units: Units | None = None
     """Of the arrays that it was identified from; None: of a bag, in the contract's."""
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
-    """Effects from outside quad_sysid.effects that `effects` and rivals may name."""
+    """Effects from outside quad_sysid.effects that `effects` and rivals may name; the first may be
+    the law of a base of one's own, whose parameters are in `base`."""
 
     def __repr__(self) -> str:
         parts = ' and '.join(effect.name for effect in self.effects)
         return '\n'.join([
-            f'{self.axis} at {1.0 / self.dt:.6g} Hz: the base' + (parts and f' with {parts}'),
+            f'{self.axis} at {1.0 / self.dt:.6g} Hz: {self.law.name if self.law else "the base"}'
+            + (parts and f' with {parts}'),
             *(f'  {name} {p.value:.4g}' + ('' if p.std is None else f' ± {p.std:.2g}') +
-              f' {p.unit}' for name, p in self._named),
+              f' {p.unit}' for name, p in self._named if self.shows(p)),
         ])
+
+    @property
+    def law(self) -> Effect | None:
+        """The law of a base of one's own; None of the built-in base."""
+        return next((one for one in self.own_effects if one.kind == LAW), None)
 
     @property
     def predicting(self) -> AxisModel:
@@ -190,6 +199,19 @@ class AxisModel:
         return [(p.name, p) for p in self.base] + [
             (f'{effect.name}.{p.name}', p) for effect in self.effects for p in effect.parameters
         ]
+
+    def in_units(self, p: Parameter) -> Parameter:
+        """In the units of the arrays, in which those of a law of the user's are as they stand."""
+        if self.units is None or (self.law and p.name.startswith(f'{self.law.name}.')):
+            return p
+        unit, factor = self.units.parameter(p.unit)
+        return replace(p, value=factor * p.value, unit=unit,
+                       std=None if p.std is None else abs(factor) * p.std,
+                       interval=p.interval and (factor * p.interval[0], factor * p.interval[1]))
+
+    def shows(self, p: Parameter) -> bool:
+        """Whether a parameter is one of the model, and no built-in term that a law replaces."""
+        return self.law is None or p.value != 0.0 or p.std is not None
 
     def value(self, name: str) -> float:
         """Value of a base parameter, or of `<effect>.<parameter>`."""

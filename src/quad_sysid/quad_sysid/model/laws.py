@@ -13,6 +13,25 @@ import numpy as np
 from quad_sysid.compiled import LINE, NUMBER, TABLE, WHOLE, inner, kernel
 
 
+@kernel(LINE, LINE, LINE, LINE, TABLE)
+def hats(x, factor, knots, mean, out):
+    """Derivatives of factor (n,) times a curve at x (n,) by its values at the knots: (n, k) `out`.
+
+    Linear between the knots and constant beyond them, less its mean.
+    """
+    last = knots.size - 1
+    for i in range(x.size):
+        for j in range(knots.size):
+            out[i, j] = -factor[i] * mean[j]
+        at = min(max(x[i], knots[0]), knots[last])
+        j = 0
+        while j < last - 1 and at >= knots[j + 1]:
+            j += 1
+        share = (at - knots[j]) / (knots[j + 1] - knots[j])
+        out[i, j] += factor[i] * (1.0 - share)
+        out[i, j + 1] += factor[i] * share
+
+
 @kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
 def play(command, width, start, stop, out):
     """What a backlash of +-width holds at the start of each cycle."""

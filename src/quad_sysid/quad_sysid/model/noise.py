@@ -149,3 +149,18 @@ def growth(found: Filter, steps: int) -> FloatArray:
         out[k] = c @ p @ c + found.after
         p = f @ p @ f.T + q
     return out
+
+
+def transitions(found: Filter, sensor: Sensor, slope: FloatArray, dt: float) -> FloatArray:
+    """(n, states, states) Filter.transition where the torque has its own slope (n,) in each cycle.
+
+    slope: over the rate, 1/s.
+    """
+    a, hold = 0.5 * dt * slope, found.move[1]
+    ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
+    out = np.tile(found.transition, (slope.size, 1, 1))
+    out[:, 0, 0], out[:, 0, 1] = ahead, push * hold
+    for i, (begin, half, end) in enumerate(sensor.step[:, 2:], 2):
+        out[:, i, 0] = begin + 0.5 * half * (1.0 + ahead) + end * ahead
+        out[:, i, 1] = (0.5 * half + end) * push * hold
+    return out

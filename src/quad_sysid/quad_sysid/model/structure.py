@@ -6,8 +6,10 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.effect import Part, Spec
@@ -47,50 +49,74 @@ class Structure:
     filter is computed once a cycle by the bilinear transformation (Oppenheim, Schafer, 7.1)."""
     shared: tuple[int, ...] = ()
     """Which of the other two axes (0, 1) share their disturbance with this one."""
+    law: Part | None = None
+    """A law of the user's that the base has beside its built-in terms (own_base.py)."""
 
     @property
+    def base(self) -> tuple[Spec, ...]:
+        """The base's parameters: the first ones of the vector."""
+        return BASE if self.law is None else BASE + self.law.effect.parameters
+
+    @cached_property
     def noise(self) -> tuple[Spec, ...]:
         """The noise's parameters: the last ones of the vector."""
         return (SHARED,) * len(self.shared) + NOISE + VIBRATION * self.lines
 
-    @property
+    @cached_property
     def filtered(self) -> int:
         """Number of noise parameters that shape the filter: the last ones of the vector."""
         return len(NOISE) + len(VIBRATION) * self.lines
 
-    @property
+    @cached_property
     def specs(self) -> tuple[Spec, ...]:
         """Specs in the order of the vector: base, effect by effect, noise."""
-        return BASE + tuple(s for part in self.parts for s in part.effect.parameters) + self.noise
+        own = tuple(s for part in self.parts for s in part.effect.parameters)
+        return self.base + own + self.noise
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names in that order: `gain`, …, `<effect>.<parameter>`, the noise."""
         return (
-            tuple(s.name for s in BASE)
+            self.base_names
             + tuple(f'{p.effect.name}.{s.name}' for p in self.parts for s in p.effect.parameters)
             + tuple(f'noise.{s.name}' for s in self.noise)
         )
 
-    @property
+    @cached_property
+    def base_names(self) -> tuple[str, ...]:
+        """Those of the base; a law's begin with its own, as an effect's do."""
+        built_in = tuple(s.name for s in BASE)
+        law = None if self.law is None else self.law.effect
+        return built_in + (tuple(f'{law.name}.{s.name}' for s in law.parameters) if law else ())
+
+    @cached_property
     def labels(self) -> tuple[str, ...]:
         """Labels of the effects."""
         return tuple(part.effect.label for part in self.parts)
 
-    @property
+    @cached_property
     def states(self) -> int:
         """Number of the filter's states: four, two of each line, one of each wandering effect."""
         return 4 + 2 * self.lines + sum(part.effect.wanders for part in self.parts)
 
+    @cached_property
+    def _logs(self) -> NDArray[np.bool_]:
+        return np.array([s.log for s in self.specs])
+
     def slices(self) -> list[slice]:
         """Each effect's slice of the vector."""
         counts = (len(part.effect.parameters) for part in self.parts)
-        ends = itertools.accumulate(counts, initial=len(BASE))
+        ends = itertools.accumulate(counts, initial=len(self.base))
         return [slice(begin, end) for begin, end in itertools.pairwise(ends)]
 
-    def placed(self) -> list[tuple[Part, slice]]:
+    def effects(self) -> list[tuple[Part, slice]]:
         """Each effect with its slice of the vector."""
         return list(zip(self.parts, self.slices(), strict=True))
+
+    def placed(self) -> list[tuple[Part, slice]]:
+        """The same with the law: all that acts beside the base's built-in terms."""
+        law = [] if self.law is None else [(self.law, slice(len(BASE), len(self.base)))]
+        return [*law, *self.effects()]
 
     def plus(self, part: Part) -> Structure:
         """The structure with one more effect."""
@@ -103,12 +129,15 @@ class Structure:
 
     def natural(self, theta: FloatArray) -> FloatArray:
         """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""
-        return natural(self.specs, theta)
+        return _natural(self._logs, theta)
 
 
 def natural(specs: Sequence[Spec], theta: FloatArray) -> FloatArray:
     """(p,) parameters in their units from coordinates of the fit: some are logarithms."""
-    logs = np.array([s.log for s in specs])
+    return _natural(np.array([s.log for s in specs]), theta)
+
+
+def _natural(logs: NDArray[np.bool_], theta: FloatArray) -> FloatArray:
     return np.where(logs, np.exp(np.clip(theta, -40.0, 40.0)), theta)
 
 

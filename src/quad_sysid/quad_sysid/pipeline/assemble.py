@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from quad_sysid.axes import EVERY
 from quad_sysid.blackbox import Model, coherence, frequency_response
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import QuadSysidError
@@ -33,18 +34,20 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
                candidates: Sequence[Effect] = EFFECTS, units: Units | None = None) -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, problem = findings.data, findings.verdict, findings.problem
-    ladder, reference = findings.ladder, findings.found.best
-    whole = covariance(problem, reference)
-    best = stored.readings(problem, reference, whole)
+    ladder, reference, law = findings.ladder, findings.found.best, problem.plain.law
+    found, whole = findings.found, covariance(problem, reference)
 
     def read(fitted: Fit) -> stored.Readings:
         if fitted is reference:
-            return best
-        if any(fitted is one.fit for one in findings.found.all):
-            return stored.readings(problem, fitted)
-        projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
-        return stored.readings(problem, fitted, ladder.projection.covariance(projected, whole))
+            own = whole
+        elif any(fitted is one.fit for one in found.all):
+            own = covariance(problem, fitted)
+        else:
+            projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
+            own = ladder.projection.covariance(projected, whole)
+        return stored.readings(problem, fitted, own + found.apart(fitted))
 
+    best = read(reference)
     chosen = verdict.chosen
     told, plain = read(chosen), read(verdict.base)
     judged = [
@@ -68,7 +71,8 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         ranges=ranges_of(data, (*reference.structure.parts, *chosen.structure.parts)),
         noise=stored.noise_of(reference), trusted_band_rad_s=band,
         craft=data.craft, units=units,
-        own_effects=tuple(effect for effect in candidates if effect not in EFFECTS),
+        own_effects=(*([] if law is None else [law.effect]),
+                     *(effect for effect in candidates if effect not in EFFECTS)),
     )
     explained = zip(ladder.rungs[1:], verdict.rung_fits[1:], verdict.rungs[1:], strict=True)
     # what predicts the held-out segments worse than the base is no reference for gains
@@ -90,20 +94,12 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
 def ranges_of(data: AxisData, parts: Sequence[Part]) -> dict[str, tuple[float, float]]:
     """Least and largest value in the training of rate, command and what the effects depend on."""
     out = {}
-    for name in ('rate', 'command', *(s for part in parts for s in signals_of(part.effect))):
+    for name in ('rate', 'command', *(word for part in parts for word in part.effect.words)):
         signal = data.signal(name)
         if not isinstance(signal, str):
             used = data.training(signal)
             out[name] = float(np.nanmin(used)), float(np.nanmax(used))
     return out
-
-
-def signals_of(effect: Effect) -> list[str]:
-    """The signals of an effect in the words of AxisData.signal; what goes one way is left out."""
-    names = [s for s in effect.signals if s in ('angle', 'throttle', 'battery', 'rate', 'command')]
-    kinds = [s.rstrip(' 12') for s in effect.signals if s.startswith('other')]
-    names += [f'{kind} {which + 1}' for kind in kinds for which in effect.others]
-    return names + ['other rate 1', 'other rate 2'] * ('product of other rates' in effect.signals)
 
 
 def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple[Outside, ...]:
@@ -118,7 +114,10 @@ def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple
         out = int(np.count_nonzero(beyond > BEYOND * (high - low)))
         if out:
             least, most = float(np.nanmin(flown)), float(np.nanmax(flown))
-            found.append(Outside(name, out * data.dt, least, most, low, high))
+            ends = (least, most, low, high)
+            shown = ends if model.units is None else (
+                model.units.signal_in(name, end) for end in ends)
+            found.append(Outside(name, out * data.dt, *shown))
     return tuple(sorted(found, key=lambda one: -one.seconds))
 
 
@@ -140,6 +139,10 @@ def band_of(data: AxisData, model: Model | None = None) -> tuple[float, float] |
     band of `model`'s gain, where it has one, is narrower than 3 dB to either side.
     """
     z = io_data(data, data.train)
+    if not EVERY[data.axis].turns:  # a speed is all slow motion, of which a window sees nothing
+        change = np.diff(z.y, prepend=z.y[:1])
+        change[[a for a, _ in z.segments]] = 0.0
+        z = replace(z, y=change)
     try:
         w, values = coherence(z, window=lag_window(z), joint=z.r is not None)
     except QuadSysidError:

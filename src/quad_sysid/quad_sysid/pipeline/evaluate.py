@@ -29,6 +29,7 @@ from quad_sysid.pipeline import blackbox_part
 from quad_sysid.pipeline.assemble import outside_of
 from quad_sysid.pipeline.usable import check_limits, same_craft, same_rate
 from quad_sysid.record import Record, finite_runs
+from quad_sysid.units import shown_in
 
 MOTION = 1.5
 """Error of holding the last rate over the measurement noise, below which nothing moved."""
@@ -44,7 +45,7 @@ NEEDS = {'other angle': "the other axes' angles in /imu/data",
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Errors of one axis on an unseen flight, rad/s."""
+    """Errors of one axis on an unseen flight, in the unit of its model's arrays or axis."""
 
     axis: str
     before: float
@@ -63,13 +64,15 @@ class Evaluation:
     blackbox_horizons: dict[float, float] = field(default_factory=dict)
     outside: tuple[Outside, ...] = ()
     """Where the flight leaves the range of the training."""
+    unit: str = 'rad/s'
 
     def __repr__(self) -> str:
         told = {'hold the last value': self.hold, 'base (before)': self.before,
                 'completed (after)': self.after, 'reference': self.reference,
                 'black box': self.blackbox}
         lines = [f'  {name} {value:.4g}' for name, value in told.items() if value is not None]
-        head = f'{self.axis}: RMS error of the rate, rad/s, over {self.windows} free runs of 0.5 s'
+        head = (f'{self.axis}: RMS error of the rate, {self.unit}, over {self.windows} free runs '
+                'of 0.5 s')
         return '\n'.join([head, *lines, *(f'  {one}' for one in self.outside)])
 
 
@@ -113,8 +116,9 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     after = of_this_flight(unseen, after)
     base = {p.name: p.value for p in model.plain or model.base}
     about = blackbox_part.about_base(replace(data, reference=None), base['gain'], base['bias'])
-    return Evaluation(
-        axis=model.axis,
+    unit, per_rate = shown_in(model.units, 'rad/s')
+    found = Evaluation(
+        axis=model.axis, unit=unit,
         before=rms(unseen.errors(before)),
         after=rms(unseen.errors(after)),
         one_step_before=unseen.one_step(before),
@@ -133,6 +137,20 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         else blackbox_part.horizons(about, blackbox, spans),
         outside=outside_of(model, data, spans),
     )
+    return found if per_rate == 1.0 else _scaled(found, per_rate)
+
+
+def _scaled(found: Evaluation, factor: float) -> Evaluation:
+    """The same errors in another unit."""
+    names = ('before', 'after', 'one_step_before', 'one_step_after', 'hold', 'reference',
+             'blackbox')
+    known = {name: value for name in names if (value := getattr(found, name)) is not None}
+    return replace(
+        found, **{name: factor * value for name, value in known.items()},
+        rungs=tuple((names, share, factor * error) for names, share, error in found.rungs),
+        horizons=tuple(Horizon(one.horizon_s, *(factor * e for e in (
+            one.hold, one.before, one.after))) for one in found.horizons),
+        blackbox_horizons={at: factor * e for at, e in found.blackbox_horizons.items()})
 
 
 def _of(unseen: Unseen, model: AxisModel) -> float:
@@ -147,7 +165,7 @@ def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) 
              'battery': data.battery_v is not None,
              'other rate': unseen.problem.flight.others is not None,
              'motors': bool(data.motors.shape[1]) and same_craft(record.craft, craft)}
-    for part in model.structure.parts:
+    for part, _ in model.structure.placed():
         for signal in part.effect.signals:
             need = next((n for n in NEEDS if n in signal), '')
             if need and not known[need]:
@@ -166,7 +184,7 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
 
     def at(phase: float) -> Stored:
         theta = model.theta.copy()
-        for part, where in zip(structure.parts, structure.slices(), strict=True):
+        for part, where in structure.effects():
             logs = [spec.log for spec in part.effect.parameters]
             p = structure.natural(model.theta)[where]
             other = part.effect.elsewhere(p, part.settings, phase)
@@ -216,7 +234,7 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
         raise BadInputError('simulate', 'u must be (n,) finite commands, n at least 2',
                             f'shape {command.shape}')
     stored, usual = completed(model), usual_signals(model)
-    for part in stored.structure.parts:
+    for part, _ in stored.structure.placed():
         if 'battery' in part.effect.signals and battery_v is None and not model.mean_battery_v:
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
                                 remedy='give battery_v in V, one value for each command')

@@ -17,7 +17,7 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import judge
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
-from quad_sysid.discover.search import Found, extended, scored, search
+from quad_sysid.discover.search import Found, extended, scored, search, settled
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError
 from quad_sysid.estimate.fit import Problem
@@ -26,11 +26,12 @@ from quad_sysid.foresight import drawn_hz
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Effect
+from quad_sysid.own_base import Base, lacking
 from quad_sysid.pipeline import assemble, blackbox_part
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, Residual
 from quad_sysid.pipeline.held_out import findings, of_black_box, of_grey_box
 from quad_sysid.pipeline.selection import with_blackbox
-from quad_sysid.pipeline.step_b import closed_loop
+from quad_sysid.pipeline.step_b import Loop, closed_loop, loop_of
 from quad_sysid.pipeline.usable import check_usable, refusal, together
 from quad_sysid.record import Record
 
@@ -51,6 +52,8 @@ class Options:
     no_designer_because: str = 'no designer is installed (quad_tuning offers one)'
     effects: tuple[Effect, ...] = EFFECTS
     """The candidates for what is missing."""
+    base: Base | None = None
+    """The user's own; None: gain, lag, delay, damping and bias."""
     halt: Callable[[], str] = lambda: ''
     """Why the search may add nothing more; '' as long as it may."""
 
@@ -83,7 +86,8 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         if s.excites(axis) or (s.role == 'idle' and 'because' not in s.parameters)
     )
     records = [record.for_axis(axis) for record in records]
-    rate = 1.0 / records[0].dt
+    rate, refused = 1.0 / records[0].dt, tuple(filter(None, map(refusal, records)))
+    warnings = (*(line for record in records for line in record.warnings), *refused)
     try:
         data = axis_data(records, axis)
         check_usable(data, records)
@@ -91,16 +95,19 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
                      for own in _commands(record, axis)), default=0.0)
         if drawn:
             options = replace(options, effects=())
-        told = found_effects(data, options, progress)
+        problem = None if options.base is None else options.base.problem(data, records[0].units)
+        told = found_effects(data, options, progress, problem)
     except NotInformativeError as error:
-        warnings = _warnings(records)
         reason = '; '.join([str(error), *(w for w in warnings if 'cut off' in w)])
         return AxisAnswer(
             axis, rate, segments, 'cannot_tell', reason, proposal=GainProposal(None, reason),
             warnings=warnings,
         )
     base = told.found.base
-    data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
+    if options.base is None:
+        data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
+    else:
+        warnings += lacking(options.base, told.problem, base)
     count = max(told.problem.data.motors.shape[1], FEWEST_MOTORS)
     searched = any(one.label not in told.found.reasons and max(one.motors, default=0) < count
                    and (not one.axes or axis in one.axes) for one in options.effects)
@@ -117,16 +124,17 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         axis, rate, segments, verdict, reason, findings=told, model=model,
         train=blackbox_part.io_data(data, data.train),
         outside=assemble.outside_of(model, data, data.validation),
-        warnings=_warnings(records),
+        warnings=warnings,
         attitude_reference=_joined([r.attitude_setpoint for r in records], data.index)
         if turns else None,
         rate_reference=_joined([r.rate_setpoint for r in records], data.index)
         if turns else None,
     )
-    swapped = next((line for line in map(refusal, records) if line), '')
     known: AxisAnswer
-    known, proposal = side_by_side([partial(_compared, answer, told, data, records, progress),
-                                    partial(_proposal, answer, options, swapped, progress)])
+    known, proposal = side_by_side([
+        partial(_compared, answer, told, data, loop_of(records, axis), progress),
+        partial(_proposal, answer, options, (*refused, '')[0], progress),
+    ])
     return replace(known, proposal=proposal)
 
 
@@ -137,21 +145,24 @@ def _commands(record: Record, axis: str) -> tuple[FloatArray, ...]:
     return (record.control[:, :1],) if EVERY[axis].index < 0 else ()
 
 
-def _compared(answer: AxisAnswer, told: Findings, data: AxisData, records: Sequence[Record],
+def _compared(answer: AxisAnswer, told: Findings, data: AxisData, loop: Loop,
               progress: Progress) -> AxisAnswer:
     """The answer with the black-box models, what all models leave, and the loop around them."""
     progress(f'{answer.axis}: black-box models')
-    answer = with_blackbox(answer, data, records)
-    answer = replace(answer, residuals=_residuals(answer, data, told))
-    return replace(answer, closed_loop=closed_loop(answer, records, data))
+    answer = with_blackbox(answer, data, loop)
+    return replace(answer, residuals=_residuals(answer, data, told),
+                   closed_loop=closed_loop(answer.model, loop, data))
 
 
-def found_effects(data: AxisData, options: Options,
-                  progress: Progress = lambda _: None) -> Findings:
-    """Search on the training segments, then the held-out ones. Raises NotInformativeError."""
+def found_effects(data: AxisData, options: Options, progress: Progress = lambda _: None,
+                  problem: Problem | None = None) -> Findings:
+    """Search on the training segments, then the held-out ones. Raises NotInformativeError.
+
+    problem: the training with a base of one's own.
+    """
     progress(f'{data.axis}: what is missing')
     try:
-        problem = Problem(data, data.train)
+        problem = problem or Problem(data, data.train)
         found = search(problem, options.effects, options.halt,
                        lambda line: progress(f'{data.axis}: {line}'))
         if not options.halt():
@@ -189,8 +200,9 @@ def with_own(problem: Problem, found: Found, effects: Sequence[Effect]) -> Found
     more = [scored(fit, found.prices) for fit in fits.values() if fit is not None]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
-    return replace(found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
-                   reasons=found.reasons | failed)
+    return settled(problem, replace(
+        found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
+        reasons=found.reasons | failed))
 
 
 def _reason(told: Findings, not_searched: str) -> str:
@@ -220,8 +232,10 @@ def _reason(told: Findings, not_searched: str) -> str:
             f'; the training {"also " if kept else ""}suggests {names}, which is not confirmed by '
             'the held-out segments or does not come again in resampled flights'
         )
+    if not verdict.chosen.converged:
+        reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'
     gain = verdict.chosen.value('gain')
-    if verdict.verdict != 'cannot_tell' and gain < 0.0:
+    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not told.problem.held:
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
             'the sign of the gyro before anything else'
@@ -231,11 +245,6 @@ def _reason(told: Findings, not_searched: str) -> str:
 
 def _below(p: float) -> str:
     return '< 0.0001' if p < 1e-4 else f'= {p:.2g}'
-
-
-def _warnings(records: Sequence[Record]) -> tuple[str, ...]:
-    return tuple(w for r in records
-                 for w in (*r.warnings, refusal(r)) if w)
 
 
 def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray | None:
@@ -267,10 +276,12 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
         return GainProposal(None, refused_because)
     if not answer.answered or answer.model is None:
         return GainProposal(None, answer.reason)
-    if not EVERY[answer.axis].turns:
-        return GainProposal(None, 'gains are designed for the attitude only')
-    if options.designer is None:
-        return GainProposal(None, options.no_designer_because)
+    if EVERY[answer.axis].outer:
+        return GainProposal(None, 'no firmware has its loop; quad-tune design MODEL.json --axis '
+                            f'{answer.axis} gives gains for one of your own')
+    if options.designer is None or options.base is not None:
+        return GainProposal(None, options.no_designer_because if options.base is None
+                            else 'gains are designed for the built-in base only')
     try:
         return options.designer(answer.model.predicting)
     except QuadSysidError as error:

@@ -34,7 +34,7 @@ from quad_sysid.pipeline.advice import Evidence, advice, rivalry
 from quad_sysid.pipeline.answer import Approach, AxisAnswer, ModelRow, Selection
 from quad_sysid.pipeline.assemble import band_of
 from quad_sysid.pipeline.blackbox_part import NOISE_ORDER, ORDERS, Fits, tried
-from quad_sysid.record import IOData, Record
+from quad_sysid.record import IOData
 
 KNOWN_CONTROLLER_PCT = 70.0
 """Least fit of the controller's computed command to the recorded one, %."""
@@ -171,12 +171,6 @@ def feedback(z: IOData, model: Model, gains: CascadeGains | None, *, behind_atti
     return False if excluded else None
 
 
-def through_controller(records: Sequence[Record], axis: str) -> bool:
-    """Whether training was excited in front of C1 or C2, so that a controller passed it on."""
-    return any(s.injection in ('attitude', 'rate') and s.signal not in ('none', 'unknown')
-               for r in records for s in r.segments if s.role == 'train' and s.excites(axis))
-
-
 def _few_levels(z: IOData) -> bool:
     u = z.inside(z.u)
     spread = float(u.std())
@@ -210,28 +204,25 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
     return gain * float(y.std() / u.std()) if u.std() > 0.0 else float('inf')
 
 
-def with_blackbox(answer: AxisAnswer, data: AxisData, records: Sequence[Record]) -> AxisAnswer:
+def with_blackbox(answer: AxisAnswer, data: AxisData, loop: step_b.Loop) -> AxisAnswer:
     """Add the table of models, the selected one, its error in the metric, and what to know."""
     gains = {} if answer.model is None else answer.model.active_gains
     try:
-        z = blackbox_part.io_data(data, data.train)
+        z = answer.train or blackbox_part.io_data(data, data.train)
         fits = blackbox_part.fit_models(z)
         known = f'{data.axis}.rate.kp' in gains
         cascade = CascadeGains.from_mapping(gains, data.axis) if known else None
-        behind = not any(  # what drives the loop from outside is the attitude set-point
-            s.injection in ('rate', 'control') for r in records for s in r.segments
-            if s.excites(data.axis)
-        )
+        behind = loop.behind_attitude
         closed = feedback(z, fits.search.model, cascade, behind_attitude=behind,
-                          through=through_controller(records, data.axis))
+                          through=loop.through)
         possible, controlled_by = approaches(z, cascade, behind_attitude=behind,
-                                             one_loop=_one_loop(records, data.axis), closed=closed)
+                                             one_loop=loop.of_one_set, closed=closed)
         others, refused = fit_others(z, fits, possible, controlled_by)
         rows = blackbox_part.rows_of(data, fits.models + others)
     except QuadSysidError as error:
         return replace(answer, warnings=(*answer.warnings, f'no black-box model: {error}'),
                        selection=Selection(advice=tuple(rivalry(answer.model))))
-    rows, why_not = _second_steps(rows, records, data.axis, closed=closed)
+    rows, why_not = _second_steps(rows, loop, closed=closed)
     selected = blackbox_part.select(rows, data)
     model = None if selected is None else rows[selected].step_a.model
     band = band_of(data, _box_jenkins(rows) or model)
@@ -256,14 +247,7 @@ def _box_jenkins(rows: Sequence[ModelRow]) -> Model | None:
                  and m.converged), None)
 
 
-def _one_loop(records: Sequence[Record], axis: str) -> bool:
-    """Whether all training segments were flown with one set of gains, as far as is known."""
-    flown = {tuple(sorted(step_b.gains_of_axis(r, axis, s.start_s).items()))
-             for r in records for s in r.segments if s.role == 'train' and s.excites(axis)}
-    return len(flown) <= 1
-
-
-def _second_steps(rows: tuple[ModelRow, ...], records: Sequence[Record], axis: str, *,
+def _second_steps(rows: tuple[ModelRow, ...], loop: step_b.Loop, *,
                   closed: bool | None) -> tuple[tuple[ModelRow, ...], str]:
     """Step B of every row, or why there is none; an axis in open loop stands by step A."""
     if closed is False:
@@ -271,7 +255,6 @@ def _second_steps(rows: tuple[ModelRow, ...], records: Sequence[Record], axis: s
             tuple(replace(row, passed_second_step=row.step_a.passed_first_step) for row in rows),
             "the axis was flown without feedback, as the paper's yaw; the free run decides",
         )
-    flights = step_b.flown(records, axis)
-    if isinstance(flights, str):
-        return rows, flights
-    return tuple(step_b.second_step(row, flights) for row in rows), ''
+    if not loop.flights:
+        return rows, loop.because
+    return tuple(step_b.second_step(row, loop.flights) for row in rows), ''

@@ -25,7 +25,7 @@ from quad_sysid.model import AxisModel
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Signals
 from quad_sysid.model.flight import Flight
-from quad_sysid.pipeline.answer import AxisAnswer, ClosedLoop, LoopRun, ModelRow
+from quad_sysid.pipeline.answer import ClosedLoop, LoopRun, ModelRow
 from quad_sysid.record import Record, Segment, finite_runs
 
 LEAST_FIT_PCT = 0.0
@@ -61,13 +61,42 @@ class Flown:
     """Angle at which the flight begins, rad; where none was measured, the reference's."""
 
 
-def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
-    """The runs that the records allow, or in words why there is none.
+@dataclass(frozen=True)
+class Loop:
+    """How the loop around an axis was flown: what the records say beside its data."""
+
+    flights: tuple[Flown, ...]
+    because: str
+    """Why there is no flight to compare."""
+    behind_attitude: bool
+    """Whether the attitude set-point drives it, and nothing that was added behind C1 or C2."""
+    through: bool
+    """Whether training was excited in front of C1 or C2, so that a controller passed it on."""
+    of_one_set: bool
+    """Whether all training was flown with one set of gains, as far as is known."""
+
+
+def loop_of(records: Sequence[Record], axis: str) -> Loop:
+    """The loop as the records of a flight or several say.
 
     Compared are the validation segments; of a flight without any, all but its idle ones.
     """
-    if not EVERY[axis].turns:
-        return 'the loop around a speed is not in the bag'
+    own = [(r, s) for r in records for s in r.segments if s.excites(axis)]
+    trained = [(r, s) for r, s in own if s.role == 'train']
+    flights, because = _flown(records, axis) if EVERY[axis].turns else (
+        (), 'the loop around a speed is not in the bag')
+    return Loop(
+        flights, because,
+        behind_attitude=not any(s.injection in ('rate', 'control') for _, s in own),
+        through=any(s.injection in ('attitude', 'rate') and s.signal not in ('none', 'unknown')
+                    for _, s in trained),
+        of_one_set=len({tuple(sorted(gains_of_axis(r, axis, s.start_s).items()))
+                        for r, s in trained}) <= 1,
+    )
+
+
+def _flown(records: Sequence[Record], axis: str) -> tuple[tuple[Flown, ...], str]:
+    """The runs that the records allow, or in words why there is none."""
     found: list[Flown] = []
     reasons: list[str] = []
     trained: Mapping[str, float] | None = None
@@ -84,13 +113,13 @@ def flown(records: Sequence[Record], axis: str) -> tuple[Flown, ...] | str:
             groups.setdefault(tuple(sorted(known.items())), []).append(segment)
         for key, segments in groups.items():
             changed = dict(key) != (trained or dict(key))
-            one = _flown(record, axis, dict(key), segments, changed, offset)
+            one = _under_gains(record, axis, dict(key), segments, changed, offset)
             if isinstance(one, str):
                 reasons.append(one)
             else:
                 found.append(one)
         offset += record.n
-    return tuple(found) or '; '.join(dict.fromkeys(reasons)) or 'no segment to compare'
+    return tuple(found), '; '.join(dict.fromkeys(reasons)) or 'no segment to compare'
 
 
 def gains_of_axis(record: Record, axis: str, time_s: float) -> dict[str, float]:
@@ -100,8 +129,8 @@ def gains_of_axis(record: Record, axis: str, time_s: float) -> dict[str, float]:
             if name.startswith(f'{axis}.') or name in NOTCH.values()}
 
 
-def _flown(record: Record, axis: str, values: Mapping[str, float], segments: Sequence[Segment],
-           changed: bool, offset: int) -> Flown | str:
+def _under_gains(record: Record, axis: str, values: Mapping[str, float],
+                 segments: Sequence[Segment], changed: bool, offset: int) -> Flown | str:
     """One run, or why it cannot be simulated."""
     index = AXES.index(axis)
     if record.attitude_setpoint is None:
@@ -177,22 +206,15 @@ def second_step(row: ModelRow, flights: Sequence[Flown]) -> ModelRow:
     )
 
 
-def closed_loop(answer: AxisAnswer, records: Sequence[Record],
-                data: AxisData) -> ClosedLoop | None:
+def closed_loop(model: AxisModel | None, loop: Loop, data: AxisData) -> ClosedLoop | None:
     """Simulated against measured rate on the validation segments of every flight; else None.
 
     The simulation runs on the recorded attitude reference and on the excitation that was applied
     behind C1 or C2, from the start of each record, with throttle, battery and the other axes as
     they were; a flight without them, or without gains, is left out.
     """
-    model = answer.model
-    if model is None:
-        return None
-    flights = flown(records, model.axis)
-    if isinstance(flights, str):
-        return None
-    runs = [one for one in flights if one.held_out and one.added is not None]
-    if not runs:
+    runs = [one for one in loop.flights if one.held_out and one.added is not None]
+    if model is None or not runs:
         return None
     plain = replace(model, base=model.plain or model.base, effects=(), noise=model.plain_noise)
     around = Flight(data, data.stretches).commanded(np.array([p.value for p in model.base]))

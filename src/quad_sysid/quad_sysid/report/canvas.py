@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from quad_sysid.pipeline.answer import AxisAnswer
 
 INK, MUTED, GRID = '#1b1f24', '#5f6b78', '#d5dae0'
 BLUE, ORANGE, GREEN, SKY, PINK = '#0072b2', '#d55e00', '#009e73', '#56b4e9', '#cc79a7'
@@ -57,6 +59,17 @@ class Picture:
         """(x label, y label) of every panel, the shared x label filled in."""
         shared = next((a.get_xlabel() for a in reversed(self.figure.axes) if a.get_xlabel()), '')
         return tuple((a.get_xlabel() or shared, a.get_ylabel()) for a in self.figure.axes)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture that the report of an axis may have."""
+
+    name: str
+    section: str
+    """The heading of report.html below which it stands."""
+    draw: Callable[[AxisAnswer], Picture | None]
+    """None where the answer lacks the data."""
 
 
 def panels(rows: int = 1, columns: int = 1, height_in: float = 3.0, *, share_x: bool = True,
@@ -148,8 +161,8 @@ def svg(picture: Picture, prefix: str) -> str:
 def embedded(picture: Picture, prefix: str) -> str:
     """The figure as an `<img>` for another page, such as a notebook."""
     coded = base64.b64encode(png(picture)).decode('ascii')
-    told = f'{escape(prefix)}: {escape(picture.title)}'
-    return f'<img alt="{told}" src="data:image/png;base64,{coded}">'
+    label = f'{escape(prefix)}: {escape(picture.title)}'
+    return f'<img alt="{label}" src="data:image/png;base64,{coded}">'
 
 
 _LONG = re.compile(r'-?\d+\.\d{3,}')

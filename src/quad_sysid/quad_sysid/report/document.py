@@ -22,12 +22,12 @@ from quad_sysid.pipeline.answer import (
     Selection,
 )
 from quad_sysid.record import Segment
-from quad_sysid.units import Units, spoken, unit_in
+from quad_sysid.units import Units, shown_in, spoken
 from quad_sysid.whole import Whole
 
 SCHEMA = 'quad_sysid/report/1'
-MOST_TRIED = 40
-MOST_PEAKS = 6
+MAX_TRIED = 40
+MAX_PEAKS = 6
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
 RESIDUALS = ('before', 'after', 'blackbox')
 SAID = ('metric', 'reason', 'advice', 'because')
@@ -83,12 +83,13 @@ def plain(value: Any) -> Any:
 
 def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
     model, findings = answer.model, answer.findings
-    own = [effect.label for effect in model.own_effects] if model else []
+    own = [one.label for one in model.own_effects if one is not model.law] if model else []
 
     def parameters(some: Sequence[Parameter]) -> list[dict[str, Any]]:
-        return [_parameter(p, inertia) for p in some]
+        return [_parameter(p, model, inertia) for p in some if model and model.shows(p)]
 
     units = answer.units
+    per_rate = shown_in(units, 'rad/s')[1]
     tree: dict[str, Any] = _worded(units, {
         'sample_rate_hz': answer.sample_rate_hz,
         'segments': [
@@ -100,22 +101,22 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'selected': answer.selected,
         'verdict': answer.verdict,
         'reason': answer.reason,
-        'effects': [_effect(e, inertia) for e in model.effects] if model else [],
-        'explanation': _explanation(findings),
+        'effects': [_effect(e, model, inertia) for e in model.effects] if model else [],
+        'explanation': _explanation(findings, per_rate),
         'reproducible': _reproducible(findings),
         'not_tested': [{'name': name, 'because': because}
                        for name, because in (findings.found.reasons.items() if findings else ())],
         'tried': _tried(findings, own) if findings else [],
         'own_effects': _own(findings, own) if findings else [],
         'base': {'parameters': parameters(model.plain if model else ()),
-                 'noise': _noise(model.plain_noise if model else None)},
+                 'noise': _noise(model.plain_noise if model else None, units)},
         'completed': {'parameters': parameters(model.base if model else ()),
-                      'noise': _noise(model.noise if model else None)},
+                      'noise': _noise(model.noise if model else None, units)},
         'error': _error(answer),
         'outside': [vars(one) for one in answer.outside],
         'trusted_band_rad_s': (model and model.trusted_band_rad_s) or None,
-        'residual': {name: _residual(answer.residuals[name]) if name in answer.residuals else None
-                     for name in RESIDUALS},
+        'residual': {name: _residual(answer.residuals[name], units)
+                     if name in answer.residuals else None for name in RESIDUALS},
         'warnings': answer.warnings,
         **_selection(answer.selection),
         **_gains(answer.proposal),
@@ -124,43 +125,44 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
 
 
 def _worded(units: Units | None, tree: Any, key: str = '') -> Any:
-    """The tree with the units and words of an axis that moves."""
+    """The tree with the words of an axis that moves."""
     if isinstance(tree, Mapping):
         return {name: _worded(units, one, name) for name, one in tree.items()}
     if isinstance(tree, list | tuple):
         return [_worded(units, one, key) for one in tree]
-    if isinstance(tree, str) and key in {'unit', *SAID}:
-        return unit_in(units, tree) if key == 'unit' else spoken(units, tree)
-    return tree
+    return spoken(units, tree) if isinstance(tree, str) and key in SAID else tree
 
 
-def _effect(effect: EffectEstimate, inertia: float | None) -> dict[str, Any]:
-    knots = effect.settings.get('knots')
+def _effect(effect: EffectEstimate, model: AxisModel, inertia: float | None) -> dict[str, Any]:
+    knots, units = effect.settings.get('knots'), model.units
+    if isinstance(knots, tuple | list) and units is not None:
+        knots = [units.signal_in(effect.signals[0], x) for x in knots]
+    shown = [model.in_units(p) for p in effect.parameters]
     return {
         'name': effect.name,
         'kind': effect.kind,
         'signals': effect.signals,
-        'parameters': [_parameter(p, inertia) for p in effect.parameters],
+        'parameters': [_parameter(p, model, inertia) for p in effect.parameters],
         'p_value': effect.p_value,
         'error_reduction_pct': effect.error_reduction_pct,
         'explains_pct': effect.explains_pct,
         'rivals': [{'name': name, 'probability': p} for name, p in effect.rivals],
         'probability': min(max(effect.probability, 0.0), 1.0),
         **({'variant': effect.variant} if effect.variant else {}),
-        **({'curve': {'x': knots, 'y': [p.value for p in effect.parameters
+        **({'curve': {'x': knots, 'y': [p.value for p in shown
                                         if p.name.startswith(('y', 'slope_'))]}}
            if isinstance(knots, tuple | list) else {}),
     }
 
 
-def _explanation(findings: Findings | None) -> list[dict[str, Any]]:
+def _explanation(findings: Findings | None, per_rate: float) -> list[dict[str, Any]]:
     """The rungs above the base: effects, the share that they explain, the held-out error."""
     if findings is None:
         return []
     rungs = zip(findings.ladder.rungs, findings.verdict.rungs, strict=True)
     return [
         {'effects': [part.effect.name for part in rung.model.structure.parts],
-         'explains_pct': rung.explains_pct, 'error': error,
+         'explains_pct': rung.explains_pct, 'error': per_rate * error,
          'answer': rung is findings.ladder.rungs[findings.ladder.answer]}
         for rung, error in list(rungs)[1:]
     ]
@@ -173,49 +175,49 @@ def _reproducible(findings: Findings | None) -> dict[str, Any]:
     return {'blocks': findings.ladder.blocks, **findings.ladder.reproducible}
 
 
-def _noise(noise: NoiseEstimate | None) -> list[dict[str, Any]]:
+def _noise(noise: NoiseEstimate | None, units: Units | None) -> list[dict[str, Any]]:
     """Torque disturbance and measurement noise; errors of these are not estimated."""
     if noise is None:
         return []
     return [
-        {'name': name, 'value': value, 'std': None, 'unit': unit}
+        {'name': name, 'value': factor * value, 'std': None, 'unit': shown}
         for name, value, unit in (
             ('disturbance_rms', noise.disturbance_rms, 'rad/s²'),
             ('disturbance_correlation', noise.correlation_s, 's'),
             ('measurement_rms', noise.measured_rms, 'rad/s'),
             *((f'vibration_frequency_{i}', line[1], 'Hz')
               for i, line in enumerate(noise.lines, 1)),
-        )
+        ) for shown, factor in (shown_in(units, unit),)
     ]
 
 
 def _tried(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     """Structures that were fitted, the most probable first; not all without effects of one's own.
 
-    Of each of these the best is told.
+    The best of each of these is listed.
     """
-    found = findings.found
-    base = next(one.score for one in found.all if not one.fit.structure.parts)
-    best = {_best_with(found, label) for label in own}
+    search = findings.found
+    base = next(one.score for one in search.all if not one.fit.structure.parts)
+    best = {_best_with(search, label) for label in own}
     return [
         {'effects': one.fit.structure.labels, 'log_evidence_over_base': one.score - base,
          'probability': float(p), 'converged': one.fit.converged}
-        for place, (one, p) in enumerate(zip(found.all, found.probabilities(), strict=True))
-        if place < MOST_TRIED or one in best
+        for place, (one, p) in enumerate(zip(search.all, search.probabilities(), strict=True))
+        if place < MAX_TRIED or one in best
     ]
 
 
 def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     """What became of the user's effects, by their labels."""
-    found = findings.found
+    search = findings.found
     out: list[dict[str, Any]] = []
-    base, leading = found.of_names(()), found.all[0]
+    base, leading = search.of_names(()), search.all[0]
     added = findings.verdict.chosen.structure.labels
     for label in own:
-        best = _best_with(found, label)
-        if label in found.reasons or best is None:
+        best = _best_with(search, label)
+        if label in search.reasons or best is None:
             out.append({'name': label, 'outcome': 'not_tested',
-                        'because': found.reasons.get(label, '')})
+                        'because': search.reasons.get(label, '')})
         else:
             out.append({
                 'name': label, 'outcome': 'added' if label in added else 'not_added',
@@ -227,12 +229,13 @@ def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     return out
 
 
-def _best_with(found: Found, label: str) -> Scored | None:
+def _best_with(search: Found, label: str) -> Scored | None:
     """The most probable structure with an effect."""
-    return next((one for one in found.all if label in one.fit.structure.labels), None)
+    return next((one for one in search.all if label in one.fit.structure.labels), None)
 
 
-def _parameter(parameter: Parameter, inertia: float | None) -> dict[str, Any]:
+def _parameter(found: Parameter, model: AxisModel, inertia: float | None) -> dict[str, Any]:
+    parameter = model.in_units(found)
     tree: dict[str, Any] = {'name': parameter.name, 'value': parameter.value,
                             'std': parameter.std, 'unit': parameter.unit}
     if parameter.std is not None:
@@ -240,20 +243,22 @@ def _parameter(parameter: Parameter, inertia: float | None) -> dict[str, Any]:
         tree['interval_95'] = [parameter.value - half, parameter.value + half]
     elif parameter.interval is not None:
         tree['interval_95'] = parameter.interval
-    if inertia is not None and parameter.unit.startswith('rad/s²'):
-        tree['torque'] = {'value': parameter.value * inertia,
-                          'unit': parameter.unit.replace('rad/s²', 'N m', 1)}
+    if inertia is not None and found.unit.startswith('rad/s²'):
+        tree['torque'] = {'value': found.value * inertia,
+                          'unit': found.unit.replace('rad/s²', 'N m', 1)}
     return tree
 
 
 def _error(answer: AxisAnswer) -> dict[str, Any]:
     findings, loop = answer.findings, answer.closed_loop
-    tree: dict[str, Any] = {'metric': METRIC, 'unit': 'rad/s', 'data': 'held-out',
+    unit, factor = shown_in(answer.units, 'rad/s')
+    tree: dict[str, Any] = {'metric': METRIC, 'unit': unit, 'data': 'held-out',
                             **dict.fromkeys(ERRORS)}
     if findings is None:
         return {**tree, 'horizons': []}
     verdict = findings.verdict
-    return {**tree, 'before': verdict.before, 'after': verdict.after,
+    return {**tree, 'windows': int(findings.before.errors.shape[0]), **_times(factor, {
+            'before': verdict.before, 'after': verdict.after,
             'blackbox': answer.blackbox_error, 'noise_floor': verdict.noise_floor,
             'reference': verdict.reference, 'one_step_before': verdict.one_step_before,
             'one_step_after': verdict.one_step_after,
@@ -262,17 +267,26 @@ def _error(answer: AxisAnswer) -> dict[str, Any]:
             'before_interval_95': findings.before.interval,
             'after_interval_95': findings.after.interval, 'hold_last_value': verdict.hold,
             'predicted_by_noise': verdict.predicted,
-            'windows': int(findings.before.errors.shape[0]),
-            'horizons': horizons_tree(verdict.horizons, answer.blackbox_horizons)}
+            'horizons': horizons_tree(verdict.horizons, answer.blackbox_horizons)})}
 
 
-def horizons_tree(found: Sequence[Horizon],
+def _times(factor: float, tree: Any) -> Any:
+    """A tree with its numbers but for horizons in another unit."""
+    if isinstance(tree, Mapping):
+        return {name: one if name == 'horizon_s' else _times(factor, one)
+                for name, one in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [_times(factor, one) for one in tree]
+    return None if tree is None else factor * tree
+
+
+def horizons_tree(horizons: Sequence[Horizon],
                   blackbox: Mapping[float, float]) -> list[dict[str, Any]]:
     """How the error grows, as the contract's `error.horizons`."""
     tree: list[dict[str, Any]] = plain([
         {'horizon_s': one.horizon_s, 'hold': one.hold, 'before': one.before, 'after': one.after,
          'blackbox': blackbox.get(one.horizon_s)}
-        for one in found
+        for one in horizons
     ])
     return tree
 
@@ -307,11 +321,13 @@ def _selection(selection: Selection) -> dict[str, Any]:
             'feedback': selection.feedback, 'advice': selection.advice}
 
 
-def _residual(residual: Residual) -> dict[str, Any]:
+def _residual(residual: Residual, units: Units | None) -> dict[str, Any]:
     """Tests of one model's residual: values only."""
     test, missing = residual.test, residual.missing
+    (unit, factor), (torque, per_torque) = (shown_in(units, si) for si in ('rad/s', 'rad/s²'))
     tree: dict[str, Any] = {
-        'data': 'held-out', 'samples': test.samples, 'rms': residual.rms, 'unit': 'rad/s',
+        'data': 'held-out', 'samples': test.samples, 'rms': factor * residual.rms,
+        'unit': unit,
         'confidence': test.confidence,
         'white': bool(test.residual_white), 'p_white': test.p_white,
         'autocorrelation_bound': test.autocorrelation_bound,
@@ -321,13 +337,12 @@ def _residual(residual: Residual) -> dict[str, Any]:
         'cross_bound': test.cross_bound,
         'largest_cross_correlation': _largest(test.cross_lags, test.cross_correlation),
         'peaks': [{'frequency_hz': f, 'over_surroundings_db': 10.0 * math.log10(ratio)}
-                  for f, ratio in residual.peaks[:MOST_PEAKS]],
+                  for f, ratio in residual.peaks[:MAX_PEAKS]],
     }
     if missing is not None:
         at_s, value = missing.largest
-        tree['missing_torque'] = {'unit': 'rad/s²', 'rms': missing.rms,
-                                  'expected_rms': missing.expected_rms, 'largest': value,
-                                  'at_s': at_s}
+        tree['missing_torque'] = {'unit': torque, 'at_s': at_s, **_times(per_torque, {
+            'rms': missing.rms, 'expected_rms': missing.expected_rms, 'largest': value})}
     return tree
 
 

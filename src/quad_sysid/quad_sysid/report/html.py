@@ -12,17 +12,11 @@ from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import sliders, tables, words, zoom
 from quad_sysid.report.canvas import Picture, embedded, svg
 from quad_sysid.report.next_flight import next_flight
-from quad_sysid.report.plots import Gallery, draw, gallery
+from quad_sysid.report.plots import PICTURES, Gallery, draw, gallery
 from quad_sysid.report.plots_data import zooming
 from quad_sysid.report.style import SHEET
 from quad_sysid.whole import URDF
 
-DATA = ('coherence',)
-MODELS = ('bode',)
-PREDICTION = ('free_run', 'horizon')
-EFFECTS = ('effect_shape', 'left_out', 'rivals')
-LEFT = ('correlations', 'residual_spectrum', 'missing_torque')
-LOOP = ('closed_loop', 'step', 'margins')
 SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals')
 """Picture of a notebook's cell: the first of these that exists."""
 COPY = """<script>document.querySelectorAll('[data-copy]').forEach(b => { b.onclick = () => {
@@ -99,10 +93,10 @@ def model_excerpt(model: AxisModel, parameters: Mapping[str, Parameter]) -> str:
 def _answer(axis: str, tree: Mapping[str, Any]) -> str:
     """The answer, which the page begins with."""
     style, line = words.headline(tree)
-    told = ''.join(f'<h3>{escape(question)}</h3><p>{escape(answer)}</p>'
-                   for question, answer in words.story(axis, tree))
+    story = ''.join(f'<h3>{escape(question)}</h3><p>{escape(answer)}</p>'
+                    for question, answer in words.story(axis, tree))
     return (f'<section class="answer {style}"><h2><span class="axis">{escape(axis)}</span>: '
-            f'{escape(line)}</h2>{_ladder(tree)}{_tiles(tree)}{told}</section>')
+            f'{escape(line)}</h2>{_ladder(tree)}{_tiles(tree)}{story}</section>')
 
 
 def _ladder(tree: Mapping[str, Any]) -> str:
@@ -158,30 +152,31 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
     active = model.active_gains if model is not None else {}
     shown = drawn.pictures
 
-    def figures(names: Sequence[str]) -> str:
-        found = ''.join(figure(axis, shown[name]) for name in names if name in shown)
-        return f'<div class="figures">{found}</div>' if found else ''
+    def figures(section: str, *but: str) -> str:
+        names = [one.name for one in PICTURES if one.section == section and one.name not in but]
+        parts = ''.join(figure(axis, shown[name]) for name in names if name in shown)
+        return f'<div class="figures">{parts}</div>' if parts else ''
 
     traces = ''
     if answer is not None and 'signals' in shown and (zooms := zooming(answer)):
         traces = _figure(axis, shown['signals'], zooms)
     sections = [
         ('Data', traces + _fold('Segments', tables.segments(tree).html()) + figures(
-            DATA if traces else ('signals', *DATA))),
+            'Data', *(['signals'] if traces else []))),
         ('Prediction on held-out data', tables.errors(tree).html() + tables.horizons(tree).html()
-         + figures(PREDICTION)),
+         + figures('Prediction on held-out data')),
         ('What the base lacks', tables.explanation(tree).html() + tables.effects(tree).html()
-         + tables.own(tree).html()
-         + tables.parameters(tree).html()
-         + figures(EFFECTS) + _fold('Everything that was tried',
-                              tables.tried(tree).html() + tables.untested(tree).html())),
-        ('What is left', tables.residuals(tree).html() + figures(LEFT)),
-        ('Black-box models', tables.models(tree).html() + figures(MODELS)
+         + tables.own(tree).html() + tables.parameters(tree).html()
+         + figures('What the base lacks')
+         + _fold('Everything that was tried',
+                 tables.tried(tree).html() + tables.untested(tree).html())),
+        ('What is left', tables.residuals(tree).html() + figures('What is left')),
+        ('Black-box models', tables.models(tree).html() + figures('Black-box models')
          + tables.approaches(tree).html()),
         ('Next flight', _next(axis, tree)),
         ('Advice', _notes(tree.get('advice', ()))),
         ('Loop and gains', tables.gains(tree, axis, active).html()
-         + copied(gain_lines(tree.get('gains') or active)) + figures(LOOP)),
+         + copied(gain_lines(tree.get('gains') or active)) + figures('Loop and gains')),
         ('Gains to try', '' if model is None else sliders.sliders(model, tree.get('gains') or {})),
         ('Warnings', _notes([
             *tree.get('warnings', []),

@@ -25,7 +25,7 @@ from quad_sysid.model.effect import Drive, Effect, Part, Signals, per_unit
 HALF_SPAN_S = 0.025
 BLOCK_S = 1.0
 BINS = 17
-LEAST_IN_A_BIN = 40
+MIN_IN_A_BIN = 40
 GRID = 301
 Z95 = 1.96
 
@@ -63,7 +63,7 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class Along:
+class Replay:
     """A fitted structure along the training segments."""
 
     problem: Problem
@@ -77,7 +77,7 @@ class Along:
         return flight.signals(values, halves, states, self.fit.rate)
 
     def acceleration(self, without: int | None = None) -> FloatArray:
-        """(n,) mean over each cycle, rad/s², also with one effect taken out."""
+        """(n,) mean over each cycle, rad/s², also without one effect."""
         structure, values = self.fit.structure, self.fit.values
         followed = self.followed()
         if without is not None:
@@ -126,34 +126,34 @@ class Along:
         return self.seen(self.acceleration() - self.acceleration(index))
 
 
-def variables(along: Along) -> dict[str, FloatArray]:
+def variables(replay: Replay) -> dict[str, FloatArray]:
     """Rate, angle (where measured) and the command behind delay and lag; (n,) each."""
-    s = along.signals
-    out = {'rate': along.at_samples(s.rate), 'command': along.at_samples(s.lagged)}
+    s = replay.signals
+    out = {'rate': replay.at_samples(s.rate), 'command': replay.at_samples(s.lagged)}
     if s.angle is not None:
-        out['angle'] = along.at_samples(s.angle)
+        out['angle'] = replay.at_samples(s.angle)
     return out
 
 
-def weight(along: Along, part: Part) -> FloatArray | None:
+def weight(replay: Replay, part: Part) -> FloatArray | None:
     """(n,) rad/s² that one unit of what the effect changes adds; None where that is not known."""
     if part.effect.states or part.effect.moves_command:
         return None
-    return along.seen(per_unit(part.effect.term, along.signals))
+    return replay.seen(per_unit(part.effect.term, replay.signals))
 
 
-def variable(along: Along, part: Part) -> FloatArray:
+def variable(replay: Replay, part: Part) -> FloatArray:
     """(n,) of the signal that an effect is drawn over, at the samples."""
-    if _frequency(along, part):
-        time = along.at_samples(along.signals.time)
-        return (2.0 * np.pi * _frequency(along, part) * time) % (2.0 * np.pi)
+    if _frequency(replay, part):
+        time = replay.at_samples(replay.signals.time)
+        return (2.0 * np.pi * _frequency(replay, part) * time) % (2.0 * np.pi)
     name = _name(part)
-    found = getattr(along.signals, OVER[name][0])
-    if isinstance(found, tuple):
-        found = found[0] * found[1] if name.startswith('product') else found[_which(part)]
-    elif found is None:
-        found = np.full_like(along.problem.data.rate, np.nan)
-    return along.at_samples(found)
+    values = getattr(replay.signals, OVER[name][0])
+    if isinstance(values, tuple):
+        values = values[0] * values[1] if name.startswith('product') else values[_which(part)]
+    elif values is None:
+        values = np.full_like(replay.problem.data.rate, np.nan)
+    return replay.at_samples(values)
 
 
 def _name(part: Part) -> str:
@@ -167,13 +167,13 @@ def _which(part: Part) -> int:
     return (*part.effect.others, 0)[0]
 
 
-def _frequency(along: Along, part: Part) -> float:
+def _frequency(replay: Replay, part: Part) -> float:
     """At which an effect repeats itself, Hz; 0: it does not."""
     if type(part.effect).repeats_hz is Effect.repeats_hz:
         return 0.0
-    index = along.fit.structure.parts.index(part)
-    where = along.fit.structure.slices()[index]
-    return part.effect.repeats_hz(along.fit.values[where])
+    index = replay.fit.structure.parts.index(part)
+    where = replay.fit.structure.slices()[index]
+    return part.effect.repeats_hz(replay.fit.values[where])
 
 
 def is_curve(part: Part) -> bool:
@@ -181,21 +181,20 @@ def is_curve(part: Part) -> bool:
     return part.effect.term not in ('command', 'response') and not part.effect.states
 
 
-def drawn(along: Along, index: int) -> Drawn:
+def drawn(replay: Replay, index: int) -> Drawn:
     """A curve's own physics over its variable, with the band of its parameters' errors."""
-    structure, theta = along.fit.structure, along.fit.theta
+    structure, theta = replay.fit.structure, replay.fit.theta
     part, where = structure.parts[index], structure.slices()[index]
     if part.effect.wanders:
-        inside = settled(along.problem.spans, along.problem.data.dt)
-        x, y = variable(along, part)[inside], along.followed()[index][inside]
-        return Drawn('time, s', LABELS[part.effect.term].replace('factor', 'change'), x,
-                     part.settings['unit'] * y, np.zeros(x.size))
-    evaluate, x, over = _picture(along, part)
+        inside = past_start(replay.problem.spans, replay.problem.data.dt)
+        x, y = variable(replay, part)[inside], replay.followed()[index][inside]
+        return Drawn('time, s', LABELS['gain'], x, y, np.zeros(x.size))
+    evaluate, x, over = _picture(replay, part)
 
     def at(moved: FloatArray) -> FloatArray:
         return evaluate(structure.natural(moved)[where])
 
-    raw = covariance(along.problem, along.fit)[where, where]
+    raw = covariance(replay.problem, replay.fit)[where, where]
     columns = []
     for j, deviation in enumerate(np.sqrt(np.diag(raw))):
         step = np.zeros(theta.size)
@@ -217,23 +216,23 @@ LABELS = {'torque': 'torque / inertia, rad/s²', 'gain': 'change of the gain, 1'
           'delay': 'change of the delay, s', 'lag': 'factor of the lag, 1'}
 
 
-def _picture(along: Along, part: Part) -> tuple[Evaluate, FloatArray, str]:
+def _picture(replay: Replay, part: Part) -> tuple[Evaluate, FloatArray, str]:
     """How to evaluate an effect, over what, and the label of that."""
     term = part.effect.term
-    inside = settled(along.problem.spans, along.problem.data.dt)
-    values = variable(along, part)[inside]
+    inside = past_start(replay.problem.spans, replay.problem.data.dt)
+    values = variable(replay, part)[inside]
     low, high = np.nanpercentile(values, [0.5, 99.5])
     x = np.linspace(low, high, GRID)
     name = _name(part)
-    over = f'{_named(along.problem.data, part, name)}, {OVER[name][1]}'
-    if _frequency(along, part):
+    over = f'{_named(replay.problem.data, part, name)}, {OVER[name][1]}'
+    if _frequency(replay, part):
         x, over = np.linspace(0.0, 2.0 * np.pi, GRID), 'phase, rad'
     if isinstance(part.effect, Clocked):
-        return partial(part.effect.later, x / (2.0 * np.pi * _frequency(along, part))), x, over
+        return partial(part.effect.later, x / (2.0 * np.pi * _frequency(replay, part))), x, over
     if term == 'lag':
         return _lag(part, x), x, over
     unit = {signal: value * np.ones(GRID) for signal, value in UNIT.get(term, {}).items()}
-    moved = unit | _moved(along, part, name, x)
+    moved = unit | _moved(replay, part, name, x)
 
     def evaluate(p: FloatArray) -> FloatArray:
         at = REST | dict(part.effect.usual(p, part.settings))
@@ -248,10 +247,10 @@ def _named(data: AxisData, part: Part, name: str) -> str:
     return 'acting command' if name == 'command' else name
 
 
-def _moved(along: Along, part: Part, name: str, x: FloatArray) -> dict[str, Any]:
+def _moved(replay: Replay, part: Part, name: str, x: FloatArray) -> dict[str, Any]:
     """The signals that go over `x` (GRID,) with the variable that an effect is drawn over."""
-    if _frequency(along, part):
-        return {'time': x / (2.0 * np.pi * _frequency(along, part))}
+    if _frequency(replay, part):
+        return {'time': x / (2.0 * np.pi * _frequency(replay, part))}
     if name.startswith('product'):
         return {'other_rates': (x, np.ones(x.size))}
     field = OVER[name][0]
@@ -287,7 +286,7 @@ def _half(dt: float) -> int:
     return max(1, round(HALF_SPAN_S / dt))
 
 
-def settled(spans: Sequence[Span], dt: float) -> npt.NDArray[np.int64]:
+def past_start(spans: Sequence[Span], dt: float) -> npt.NDArray[np.int64]:
     """Indices inside `spans`, less the 0.3 s at each start in which lag and filter settle."""
     margin = _half(dt) + round(0.3 / dt)
     none = np.zeros(0, dtype=np.int64)
@@ -302,16 +301,16 @@ def binned(x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins:
     standard error takes blocks of BLOCK_S as clusters (Liang and Zeger 1986).
     """
     f = np.ones_like(x) if weights is None else weights
-    inside = settled(spans, dt)
+    inside = past_start(spans, dt)
     good = inside[np.isfinite(x[inside]) & np.isfinite(y[inside]) & np.isfinite(f[inside])]
-    if good.size < 4 * LEAST_IN_A_BIN or np.ptp(x[good]) <= 0.0:
+    if good.size < 4 * MIN_IN_A_BIN or np.ptp(x[good]) <= 0.0:
         return None
     x, y, f = x[good], y[good], f[good]
     edges = _edges(x, bins)
     number = np.clip(np.searchsorted(edges, x, side='right') - 1, 0, edges.size - 2)
     count = np.bincount(number, minlength=edges.size - 1).astype(float)
     power = np.maximum(np.bincount(number, f**2, minlength=count.size), 1e-300)
-    keep = (count >= LEAST_IN_A_BIN) & (power > 1e-6 * power.max())
+    keep = (count >= MIN_IN_A_BIN) & (power > 1e-6 * power.max())
     if keep.sum() < 3:
         return None
     middle = np.bincount(number, x, minlength=count.size) / np.maximum(count, 1.0)

@@ -23,7 +23,7 @@ from quad_sysid.blackbox import Model, polynomial_model
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_json, write_whole
-from quad_sysid.model import AxisModel
+from quad_sysid.model import LAW, AxisModel
 from quad_sysid.model.effect import Effect
 
 SCHEMA = 'quad_sysid/model/3'
@@ -102,8 +102,9 @@ def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> di
                             REMEDY)
     for axis in axes:
         axis_of(f'{path}: axes', axis)
-    models = {axis: _model(axis, tree, f'{path}: axes.{axis}') for axis, tree in axes.items()}
     own = tuple(own_effects)
+    models = {axis: _model(axis, tree, f'{path}: axes.{axis}', own)
+              for axis, tree in axes.items()}
     return {
         axis: replace(model, own_effects=own, reference=None if model.reference is None
                       else replace(model.reference, own_effects=own))
@@ -142,15 +143,21 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
     return {axis: _polynomial(one, f'{path}: blackbox.{axis}') for axis, one in axes.items()}
 
 
-def _model(axis: str, tree: object, where: str) -> AxisModel:
+def _model(axis: str, tree: object, where: str, own: Sequence[Effect]) -> AxisModel:
     known = {f.name for f in fields(AxisModel)} - NOT_STORED
     given = dict(_keys(tree, where, known))
     reference = given.pop('reference', None)
     model = AxisModel(axis=axis, **_read_fields(AxisModel, given, where), reference=None
-                      if reference is None else _model(axis, reference, f'{where}.reference'))
-    if sorted(p.name for p in model.base) != sorted(BASE_NAMES):
+                      if reference is None else
+                      _model(axis, reference, f'{where}.reference', own))
+    named = [p.name for p in model.base]
+    law = {name.rpartition('.')[0] for name in named} - {''}
+    if not law <= {one.name for one in own if one.kind == LAW}:
+        raise BadInputError(f'{where}.base', "is a base of one's own, whose law is not here",
+                            ', '.join(law), 'hand it in: effects=(base.law(),)')
+    if sorted(name for name in named if '.' not in name) != sorted(BASE_NAMES):
         raise BadInputError(f'{where}.base', f'must list {", ".join(BASE_NAMES)}',
-                            ', '.join(p.name for p in model.base))
+                            ', '.join(named))
     if model.dt <= 0:
         raise BadInputError(f'{where}.dt', 'must be a positive number of seconds', model.dt)
     p = len(model.parameter_names)
@@ -177,8 +184,8 @@ def _refuse_negative(model: AxisModel, where: str) -> None:
 
 
 def _polynomial(tree: object, where: str) -> Model:
-    found = _keys(tree, where, set(BLACKBOX), more=True)
-    read = _read_fields(Model, {name: found[name] for name in BLACKBOX}, where)
+    content = _keys(tree, where, set(BLACKBOX), more=True)
+    read = _read_fields(Model, {name: content[name] for name in BLACKBOX}, where)
     try:
         checked = polynomial_model(
             **{name: read[name] for name in (*POLYNOMIALS, 'dt', 'nk', 'noise_variance')}
@@ -271,7 +278,7 @@ READERS: dict[Any, Callable[[Any, Any, str], Any]] = {
     str: _text, float: _number, int: lambda *given: int(_number(*given)), Mapping: _mapping,
     tuple: _tuple, np.ndarray: _array, npt.NDArray: _array,  # the origin from numpy 2.5 on
 }
-"""By the declared type; what it does not name is taken as it is."""
+"""Readers by the declared type; values of other types are used as they are."""
 
 
 def _read_fields(kind: Any, tree: Mapping[str, Any], where: str) -> dict[str, Any]:

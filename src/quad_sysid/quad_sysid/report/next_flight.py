@@ -9,8 +9,8 @@ from typing import Any
 from quad_sysid.axes import EVERY
 
 RIVAL = 0.05
-"""Probability from which a rival is one to be told apart."""
-MOST_REASONS = 6
+"""Probability from which a rival must be distinguished."""
+MAX_REASONS = 6
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,6 @@ def _untested(tree: Mapping[str, Any]) -> Iterator[Next]:
     reasons: dict[str, list[str]] = {}
     for item in tree.get('not_tested', ()):
         reasons.setdefault(item['because'], []).append(item['name'])
-    for because, names in sorted(reasons.items(), key=lambda r: len(r[1]))[:MOST_REASONS]:
+    for because, names in sorted(reasons.items(), key=lambda r: len(r[1]))[:MAX_REASONS]:
         shown = ', '.join(dict.fromkeys(names[:4])) + (' and others' if len(names) > 4 else '')
         yield Next(f'not tested: {shown}, since {because}')

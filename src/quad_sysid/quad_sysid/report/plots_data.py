@@ -21,6 +21,7 @@ from quad_sysid.report.canvas import (
     MUTED,
     ORANGE,
     PINK,
+    Drawing,
     Picture,
     finish,
     legend,
@@ -41,10 +42,10 @@ COHERENT = 0.6
 
 def signals(answer: AxisAnswer) -> Picture | None:
     """The whole record with its segments shaded."""
-    found = answer.findings
-    if found is None:
+    findings = answer.findings
+    if findings is None:
         return None
-    data = found.data
+    data = findings.data
     return Picture(
         'signals', 'Signals and segments',
         'The whole record. Blue stretches train the model, orange ones are held out and were '
@@ -55,10 +56,10 @@ def signals(answer: AxisAnswer) -> Picture | None:
 
 def zooming(answer: AxisAnswer) -> str:
     """The same for a page, where it zooms; empty without data."""
-    found = answer.findings
-    if found is None:
+    findings = answer.findings
+    if findings is None:
         return ''
-    data = found.data
+    data = findings.data
     rows = []
     for label, measured, reference in (
             ('rate, rad/s', data.rate, answer.rate_reference),
@@ -150,3 +151,9 @@ def trusted_words(answer: AxisAnswer) -> str:
 
 def _finite(values: FloatArray, z: IOData) -> bool:
     return all(bool(np.isfinite(values[a:b]).all()) for a, b in z.segments)
+
+
+DRAWINGS = (
+    Drawing('signals', 'Data', signals),
+    Drawing('coherence', 'Data', coherences),
+)

@@ -10,28 +10,29 @@ from quad_sysid.report.canvas import (
     INK,
     MUTED,
     OTHER,
+    Drawing,
     Picture,
     legend,
     panels,
 )
 from quad_sysid.report.plots_models import Z99, runs
 
-MOST_RIVALS = 5
+MAX_RIVALS = 5
 SHOWN = ('rate', 'angle', 'command')
 
 
 def left_out(answer: AxisAnswer) -> Picture | None:
     """What base and completed model leave out, over rate, angle and command."""
-    found = answer.findings
-    if found is None:
+    findings = answer.findings
+    if findings is None:
         return None
-    problem = found.problem
-    at = missing_torque.variables(missing_torque.Along(problem, found.after.fit))
+    problem = findings.problem
+    at = missing_torque.variables(missing_torque.Replay(problem, findings.after.fit))
     names = [name for name in SHOWN if name in at]
     figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False, apart=0.72)
     drawn = False
-    for held, colour, _, label in runs(found):
-        values = missing_torque.Along(problem, held.fit).left_out()
+    for held, colour, _, label in runs(findings):
+        values = missing_torque.Replay(problem, held.fit).left_out()
         for one, name in zip(axes, names, strict=True):
             points = missing_torque.binned(at[name], values, problem.spans, problem.data.dt)
             if points is None:
@@ -51,29 +52,29 @@ def left_out(answer: AxisAnswer) -> Picture | None:
         'left_out', 'What the model leaves out',
         'Mean angular acceleration that the model does not explain, over rate, angle and command '
         'in the training segments; bars are 99 % of the mean. A model that lacks nothing lies on '
-        'zero.' + ('' if found.added else ' No effect was added, so there is no after.'), figure,
+        'zero.' + ('' if findings.added else ' No effect was added: there is no after.'), figure,
     )
 
 
 def effect_shapes(answer: AxisAnswer) -> Picture | None:
     """Each effect that is a curve, with its band, against what the data say without it."""
-    found = answer.findings
-    parts = [] if found is None or not found.added else [
-        (index, part) for index, part in enumerate(found.after.fit.structure.parts)
+    findings = answer.findings
+    parts = [] if findings is None or not findings.added else [
+        (index, part) for index, part in enumerate(findings.after.fit.structure.parts)
         if missing_torque.is_curve(part)
     ]
-    if found is None or not parts:
+    if findings is None or not parts:
         return None
-    along = missing_torque.Along(found.problem, found.after.fit)
-    rest = along.left_out()
+    replay = missing_torque.Replay(findings.problem, findings.after.fit)
+    rest = replay.left_out()
     figure, axes = panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False, apart=0.75)
     for one, (index, part) in zip(axes, parts, strict=True):
-        shape = missing_torque.drawn(along, index)
-        weights = missing_torque.weight(along, part)
+        shape = missing_torque.drawn(replay, index)
+        weights = missing_torque.weight(replay, part)
         if weights is not None:
-            points = missing_torque.binned(missing_torque.variable(along, part),
-                                           along.added(index) + rest, found.problem.spans,
-                                           found.data.dt, 25, weights)
+            points = missing_torque.binned(missing_torque.variable(replay, part),
+                                           replay.added(index) + rest, findings.problem.spans,
+                                           findings.data.dt, 25, weights)
             if points is not None:
                 one.errorbar(points.x, points.mean, Z99 * points.spread, color=INK, marker='o',
                              ms=3, lw=0, elinewidth=0.8, capsize=1.5, label='data')
@@ -102,7 +103,7 @@ def rivals(answer: AxisAnswer) -> Picture | None:
     for effect in answer.model.effects if answer.model else ():
         others = sorted(effect.rivals, key=lambda rival: -rival[1])
         if others:
-            lists.append([(effect.name, effect.probability), *others[:MOST_RIVALS]])
+            lists.append([(effect.name, effect.probability), *others[:MAX_RIVALS]])
     if not lists:
         return None
     rows = sum(len(one) for one in lists)
@@ -124,3 +125,10 @@ def rivals(answer: AxisAnswer) -> Picture | None:
         'Blue: the chosen effect. Green: its alternatives, each fitted in its place; the '
         'probabilities of one panel sum to 1 over all rivals.', figure,
     )
+
+
+DRAWINGS = (
+    Drawing('effect_shape', 'What the base lacks', effect_shapes),
+    Drawing('left_out', 'What the base lacks', left_out),
+    Drawing('rivals', 'What the base lacks', rivals),
+)

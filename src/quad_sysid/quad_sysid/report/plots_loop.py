@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from quad_sysid.axes import EVERY
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.logview.step import ANGLE, Response, responses
 from quad_sysid.loop.cascade import CascadeGains, frequency_grid, margins, open_loop
-from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.linear import WIDE, loops_of
+from quad_sysid.loop.from_model import in_flight, loop_plant
+from quad_sysid.loop.linear import loops_of
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report.canvas import (
@@ -18,6 +19,7 @@ from quad_sysid.report.canvas import (
     INK,
     MEASURED,
     MUTED,
+    Drawing,
     Picture,
     finish,
     panels,
@@ -25,8 +27,6 @@ from quad_sysid.report.canvas import (
 from quad_sysid.report.plots_models import degrees
 
 SHOWN_S = 10.0
-STEP_RAD = float(np.radians(12.0))
-STEP_S = 2.0
 
 
 def overlay(answer: AxisAnswer) -> Picture | None:
@@ -78,16 +78,21 @@ def _sets(answer: AxisAnswer) -> list[tuple[str, CascadeGains, str, str]]:
 
 def step_response(answer: AxisAnswer) -> Picture | None:
     """A step of the attitude reference with flown and new gains."""
-    model, sets = answer.model, _sets(answer)
-    if model is None or not sets:
+    sets = _sets(answer)
+    if answer.model is None or not sets:
         return None
-    n = round(STEP_S / model.dt)
+    model = in_flight(answer.model)
+    plant = loop_plant(model)
+    size, units = plant.trial.step, answer.units
+    turns = units is None or units.motion == 'rad'
+    scale, unit = (np.degrees(1.0), 'deg') if units is None or turns else (
+        1.0 / units.per_motion, units.motion)
+    n = round(plant.trial.half_period_s / model.dt)
     lead = n // 10
-    reference = np.where(np.arange(n + lead) < lead, 0.0, STEP_RAD)
+    reference = np.where(np.arange(n + lead) < lead, 0.0, size)
     time_s = np.asarray((np.arange(n + lead) - lead) * model.dt, dtype=np.float64)
     figure, axes = panels(2, height_in=3.7, ratios=(1.7, 1.0))
-    axes[0].plot(time_s, np.degrees(reference), color=GREEN, lw=1.0, label='reference')
-    plant = loop_plant(model)
+    axes[0].plot(time_s, scale * reference, color=GREEN, lw=1.0, label='reference')
     for name, gains, colour, style in sets:
         try:
             flown = simulate_cascade(plant, gains, reference, model.dt)
@@ -95,22 +100,24 @@ def step_response(answer: AxisAnswer) -> Picture | None:
             return None
         if not np.isfinite(flown.angle).all():
             return None
-        axes[0].plot(time_s, np.degrees(flown.angle), color=colour, ls=style, lw=1.6,
+        axes[0].plot(time_s, scale * flown.angle, color=colour, ls=style, lw=1.6,
                      label=name)
         axes[1].plot(time_s, flown.control, color=colour, ls=style, lw=1.2)
     measured = _measured(answer)
     if measured is not None:
-        axes[0].plot(measured.time_s, np.degrees(STEP_RAD * measured.mean), color=MEASURED,
+        axes[0].plot(measured.time_s, scale * size * measured.mean, color=MEASURED,
                      lw=1.2, label='measured')
-        axes[0].fill_between(measured.time_s, np.degrees(STEP_RAD * measured.low),
-                             np.degrees(STEP_RAD * measured.high), color=MUTED, alpha=0.25,
+        axes[0].fill_between(measured.time_s, scale * size * measured.low,
+                             scale * size * measured.high, color=MUTED, alpha=0.25,
                              linewidth=0)
         axes[0].set_xlim(time_s[0], time_s[-1])
-    finish(axes, 'time since the step, s', 'angle, deg', 'command, norm.')
+    place = EVERY[model.axis].place
+    finish(axes, 'time since the step, s', f'{place}, {unit}', 'command, norm.')
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
     return Picture('step', 'Step before and after',
-                   f'A step of {np.degrees(STEP_RAD):.0f} degrees in the '
-                   'attitude reference, simulated with the identified model.'
+                   (f'A step of {scale * size:.0f} degrees in the attitude reference' if turns else
+                    f'A step of {scale * size:.2g} {unit} in the reference of the {place}')
+                   + ', simulated with the identified model.'
                    + (' Measured: the response of this flight with the flown gains, by '
                       'deconvolution, with its spread between windows.' if measured else '')
                    + why, figure)
@@ -118,45 +125,53 @@ def step_response(answer: AxisAnswer) -> Picture | None:
 
 def _measured(answer: AxisAnswer) -> Response | None:
     """The step response of the angle in flight; None where it cannot be measured."""
-    found, reference = answer.findings, answer.attitude_reference
-    if found is None or reference is None or found.data.angle is None:
+    findings, reference = answer.findings, answer.attitude_reference
+    if findings is None or reference is None or (angle := findings.data.angle) is None:
         return None
-    good = np.isfinite(found.data.rate)
-    return next(iter(responses(reference, found.data.angle, good, found.data.dt, ANGLE)), None)
+    good = np.isfinite(findings.data.rate)
+    return next(iter(responses(reference, angle, good, findings.data.dt, ANGLE)), None)
 
 
 def open_loop_margins(answer: AxisAnswer) -> Picture | None:
     """Loop gain and phase, broken at the command, before and after, with their margins."""
-    model, sets = answer.model, _sets(answer)
-    if model is None or not sets:
+    sets = _sets(answer)
+    if answer.model is None or not sets:
         return None
+    model = in_flight(answer.model)
     plant = loop_plant(model)
     omega = frequency_grid(model.dt, 400, 0.3)
-    response = loops_of([(plant, WIDE)]).response(omega)
+    response = loops_of([(plant, plant.trial.wide)]).response(omega)
     figure, axes = panels(2, height_in=4.1)
-    told = []
+    lines = []
     for name, gains, colour, style in sets:
         loop = open_loop(gains, response, omega, model.dt)
-        found = margins(loop, omega)
+        values = margins(loop, omega)
         phase = degrees(loop[0])
         axes[0].loglog(omega, np.abs(loop[0]), color=colour, ls=style, lw=1.4, label=name)
         axes[1].semilogx(omega, phase, color=colour, ls=style, lw=1.4)
-        crossover = float(found.crossover_rad_s[0])
+        crossover = float(values.crossover_rad_s[0])
         if np.isfinite(crossover):
             at = float(np.interp(np.log(crossover), np.log(omega), phase))
             axes[0].plot([crossover], [1.0], 'o', ms=4, color=colour)
             axes[1].plot([crossover], [at], 'o', ms=4, color=colour)
-        told.append(f'{name}: phase margin {found.phase_margin_deg[0]:.0f} deg, gain margin '
-                    f'{found.gain_margin_db[0]:.1f} dB, crossover {crossover:.3g} rad/s, peak '
-                    f'sensitivity {found.peak_sensitivity[0]:.2f}')
+        lines.append(f'{name}: phase margin {values.phase_margin_deg[0]:.0f} deg, gain margin '
+                     f'{values.gain_margin_db[0]:.1f} dB, crossover {crossover:.3g} rad/s, peak '
+                     f'sensitivity {values.peak_sensitivity[0]:.2f}')
     axes[0].axhline(1.0, color=MUTED, lw=0.8, ls=':')
     axes[1].axhline(-180.0, color=MUTED, lw=0.8, ls=':')
     axes[1].set_ylim(-540.0, 0.0)
     axes[1].set_yticks(range(-540, 1, 180))
     finish(axes, 'frequency, rad/s', 'loop gain, 1', 'phase, deg')
-    words = '; '.join(told)
+    words = '; '.join(lines)
     return Picture(
         'margins', 'The open loop and its margins',
         f'Broken at the command; dots mark the crossover. {words[:1].upper()}{words[1:]}. For the '
         'model itself, in wide motion; the table has the worst of all draws too.', figure,
     )
+
+
+DRAWINGS = (
+    Drawing('closed_loop', 'Loop and gains', overlay),
+    Drawing('step', 'Loop and gains', step_response),
+    Drawing('margins', 'Loop and gains', open_loop_margins),
+)

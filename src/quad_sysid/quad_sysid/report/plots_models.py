@@ -6,6 +6,7 @@ Free run, error over the horizon, one step ahead, residual tests, spectrum, torq
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +14,8 @@ import numpy as np
 from quad_sysid.blackbox import ResidualTest, frequency_response, spa
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
+from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, ComplexArray, loops_of
-from quad_sysid.loop.plant import plant_like
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import Windows
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, Residual
@@ -25,6 +26,7 @@ from quad_sysid.report.canvas import (
     INK,
     MUTED,
     OTHER,
+    Drawing,
     Picture,
     finish,
     legend,
@@ -39,20 +41,20 @@ if TYPE_CHECKING:
 SHOWN_WINDOWS = 10
 
 
-def runs(found: Findings) -> list[tuple[HeldOut, str, str, str]]:
+def runs(findings: Findings) -> list[tuple[HeldOut, str, str, str]]:
     """The base and, where effects were added, the completed model."""
-    both = [(found.before, BEFORE, '--', 'base'), (found.after, AFTER, '-', 'completed')]
-    return both if found.added else both[:1]
+    both = [(findings.before, BEFORE, '--', 'base'), (findings.after, AFTER, '-', 'completed')]
+    return both if findings.added else both[:1]
 
 
 def free_run(answer: AxisAnswer) -> Picture | None:
     """Measured rate against free runs of base and completed model over held-out windows."""
-    found = answer.findings
-    if found is None:
+    findings = answer.findings
+    if findings is None:
         return None
-    data = found.data
+    data = findings.data
     windows = data.windows(data.validation)
-    errors = found.before.errors
+    errors = findings.before.errors
     if not windows.count or errors.shape != (windows.count, windows.length):
         return None
     first, last = _lively(windows, data.rate)
@@ -60,7 +62,7 @@ def free_run(answer: AxisAnswer) -> Picture | None:
     time_s = np.arange(a, b) * data.dt
     figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
     axes[0].plot(time_s, data.rate[a:b], color=INK, lw=1.0, label='measured')
-    for one, colour, style, name in runs(found):
+    for one, colour, style, name in runs(findings):
         for w in range(first, last + 1):
             at = np.arange(windows.starts[w], windows.starts[w] + windows.length)
             wrong = one.errors[w]
@@ -91,15 +93,15 @@ def _lively(windows: Windows, rate: FloatArray) -> tuple[int, int]:
 
 def horizon(answer: AxisAnswer) -> Picture | None:
     """RMS of the free-run error over the time since the window's start."""
-    found = answer.findings
-    if found is None or not found.before.errors.size:
+    findings = answer.findings
+    if findings is None or not findings.before.errors.size:
         return None
     figure, (one,) = panels(height_in=2.6)
-    ahead = np.arange(found.before.errors.shape[1]) * found.data.dt
-    for held, colour, style, name in runs(found):
+    ahead = np.arange(findings.before.errors.shape[1]) * findings.data.dt
+    for held, colour, style, name in runs(findings):
         growth = np.sqrt(np.mean(held.errors**2, axis=0))
         one.plot(ahead, growth, color=colour, ls=style, lw=1.6, label=name)
-    one.axhline(found.verdict.noise_floor, color=GREEN, lw=1.0, ls=':', label='measurement noise')
+    one.axhline(findings.verdict.noise_floor, color=GREEN, lw=1, ls=':', label='measurement noise')
     one.set_ylim(bottom=0.0)
     finish([one], 'time since the start of the window, s', 'RMS error, rad/s')
     return Picture(
@@ -127,8 +129,8 @@ def bode(answer: AxisAnswer) -> Picture | None:
         axes[0].set_yscale('log')
     if answer.selected is not None:
         chosen = answer.rows[answer.selected].step_a.model
-        found = frequency_response(chosen, w)
-        _curve(axes, w, found.response, Z99 * found.magnitude_std, Z99 * found.phase_std,
+        estimate = frequency_response(chosen, w)
+        _curve(axes, w, estimate.response, Z99 * estimate.magnitude_std, Z99 * estimate.phase_std,
                OTHER, '--', chosen.name)
     response, magnitude, phase = _grey_box(model, w)
     _curve(axes, w, response, magnitude, phase, AFTER, '-', 'grey box')
@@ -184,10 +186,11 @@ def _grey_box(model: AxisModel, w: FloatArray) -> tuple[ComplexArray, FloatArray
     steps = [0.01 * float(np.sqrt(covariance[i, i])) or 1e-9 for i in index]
     moved = [{**values, name: values[name] + step}
              for name, step in zip(names, steps, strict=True)]
-    bases = [np.array([p['gain'], p['lag'], max(p['delay'], 0.0), p['damping'], 0.0])
-             for p in (values, *moved)]
+    bases = [tuple(replace(p, value=known[p.name]) for p in model.base)
+             for known in (values, *moved)]
     response, *near = loops_of([
-        (plant_like(model.axis, p, model.dt, model.gyro_filter_hz), WIDE) for p in bases
+        (loop_plant(replace(model, base=base, effects=(), active_gains={})), WIDE)
+        for base in bases
     ]).response(w)[0]
     if not index:
         return response, np.full(w.size, np.nan), np.full(w.size, np.nan)
@@ -215,8 +218,8 @@ def _known(answer: AxisAnswer) -> Iterator[tuple[Residual, str, str, str]]:
 
 def correlations(answer: AxisAnswer) -> Picture | None:
     """Auto- and cross-correlation of the one-step errors of every model, with their bounds."""
-    shown, found = list(_known(answer)), answer.findings
-    if not shown or found is None:
+    shown, findings = list(_known(answer)), answer.findings
+    if not shown or findings is None:
         return None
     figure, axes = panels(2, height_in=4.0, share_x=False, apart=0.72)
     reach = [0.0, 0.0]
@@ -226,7 +229,7 @@ def correlations(answer: AxisAnswer) -> Picture | None:
             (0, test.lags[1:], test.autocorrelation[1:], test.autocorrelation_bound),
             (1, test.cross_lags, test.cross_correlation, test.cross_bound),
         ):
-            at = (lags + OFFSET * number) * found.data.dt
+            at = (lags + OFFSET * number) * findings.data.dt
             axes[panel].vlines(at, 0.0, values, color=colour, lw=1.1)
             axes[panel].plot(at, values, 's' if number == 0 else 'o', ms=2.4, color=colour,
                              label=name)
@@ -240,16 +243,16 @@ def correlations(answer: AxisAnswer) -> Picture | None:
         one.set_ylabel(label)
         one.set_xlabel('lag, s')
     legend(axes[0])
-    told = '; '.join(f'{name}: {_told(r.test)}' for r, name, _, _ in shown)
+    texts = '; '.join(f'{name}: {_words(r.test)}' for r, name, _, _ in shown)
     return Picture(
         'correlations', 'What is left, cycle by cycle',
         'One-step errors on held-out data; lines bound 99 % of a single lag. A positive lag is '
         'the command before the error; at negative lags a closed loop alone gives correlation. '
-        f'{told[:1].upper()}{told[1:]}.', figure,
+        f'{texts[:1].upper()}{texts[1:]}.', figure,
     )
 
 
-def _told(test: ResidualTest) -> str:
+def _words(test: ResidualTest) -> str:
     """What the tests say, in words."""
     white, free = test.residual_white, test.residual_uncorrelated_with_input
     return (f'white {yes(white)} (p {equals(test.p_white)}), free of past commands {yes(free)} '
@@ -299,3 +302,13 @@ def torque(answer: AxisAnswer) -> Picture | None:
         "The torque disturbance that the model's Kalman filter sees on held-out data. The green "
         "band is what the last model's own noise predicts.", figure,
     )
+
+
+DRAWINGS = (
+    Drawing('free_run', 'Prediction on held-out data', free_run),
+    Drawing('horizon', 'Prediction on held-out data', horizon),
+    Drawing('bode', 'Black-box models', bode),
+    Drawing('correlations', 'What is left', correlations),
+    Drawing('residual_spectrum', 'What is left', spectrum),
+    Drawing('missing_torque', 'What is left', torque),
+)

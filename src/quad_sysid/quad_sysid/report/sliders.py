@@ -17,22 +17,23 @@ from typing import Any
 import numpy as np
 
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.cascade import TUNED, CascadeGains, frequency_grid
-from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.linear import NEAR_REST, WIDE, ComplexArray, loops_of
+from quad_sysid.loop.cascade import TUNED, CascadeGains, contract_names, frequency_grid
+from quad_sysid.loop.from_model import in_flight, loop_plant
+from quad_sysid.loop.linear import ComplexArray, loops_of
 from quad_sysid.model import AxisModel
+from quad_sysid.units import spoken
 
 SCRIPT = Path(__file__).with_name('sliders.js')
 POINTS = 200
-SECONDS = 1.2
-STEP_RAD, STEP_RAD_S = 0.2, 1.0
-"""The step of the angle's reference; of the rate's, where the flight held no angle."""
+SECONDS = 0.6
+"""Of the step, over half a period of the axis' trial."""
+STEP_RAD_S = 1.0
+"""The step of the rate's reference, where the flight held no angle."""
 STICK_S = 0.02
 """Time in which a rate set-point with feed-forward takes its step, as a stick does."""
 STYLE = """.tryout label{display:flex;flex-wrap:wrap;gap:4px 12px;align-items:center}
 .tryout input{flex:1 1 140px;min-width:0}.tryout output{min-width:8em}
 .tryout svg{width:100%;max-width:640px}"""
-NAMES = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
 
 
 def sliders(model: AxisModel, designed: Mapping[str, float]) -> str:
@@ -46,9 +47,10 @@ def sliders(model: AxisModel, designed: Mapping[str, float]) -> str:
         return ''
     return (f'<div class="tryout" role="group" aria-label="gains of {escape(model.axis)} to try">'
             f'<script type="application/json">{text}</script></div>'
-            '<p class="small">The found model, linear at wide motion, with the limits of the '
+            '<p class="small">The identified model, linear at wide motion, with the limits of the '
             'flight; margins are the smaller ones of wide motion and near rest. Noise: what of '
-            'the gyro reaches the command, beside the gains that flew.</p>')
+            + spoken(model.units, 'the gyro') + ' reaches the command, beside the gains that '
+            'flew.</p>')
 
 
 def script() -> str:
@@ -61,11 +63,12 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
     axis, active = model.axis, model.active_gains
     if not active.get(f'{axis}.rate.kp', 0.0) > 0.0:
         return None
+    model, names = in_flight(model), [contract_names(axis)[field] for field in TUNED]
     stick = f'{axis}.rate.tpa_kp' in active  # a blackbox log holds the stick's rate, no angle's
     flown = CascadeGains.from_mapping(
-        {f'{axis}.angle.kp': 0.0, **active} | ({f'{axis}.angle.kp': 0.0} if stick else {}), axis)
+        {names[0]: 0.0, **active} | ({names[0]: 0.0} if stick else {}), axis)
     plant, omega = loop_plant(model), frequency_grid(model.dt, POINTS, 0.5)
-    loops = loops_of([(plant, WIDE), (plant, NEAR_REST)])
+    loops = loops_of([(plant, plant.trial.wide), (plant, plant.trial.near_rest)])
     rate, angle = loops.response(omega)
     none = replace(flown, angle_kp=0.0, rate_kp=0.0, rate_ki=0.0, rate_kd=0.0, kff=0.0)
 
@@ -74,12 +77,13 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
 
     error = part(rate_kp=1.0)[0]
     return {
-        'axis': axis, 'dt': model.dt, 'steps': round(SECONDS / model.dt),
-        'size': STEP_RAD if flown.angle_kp else STEP_RAD_S,
-        'names': [f'{axis}.{name}' for name in NAMES],
+        'axis': axis, 'dt': model.dt,
+        'steps': round(SECONDS * plant.trial.half_period_s / model.dt),
+        'size': plant.trial.step if flown.angle_kp else STEP_RAD_S,
+        'names': names,
         'flown': [float(getattr(flown, field)) for field in TUNED],
-        'designed': [float(designed.get(f'{axis}.{name}', getattr(flown, field)))
-                     for name, field in zip(NAMES, TUNED, strict=True)] if designed else None,
+        'designed': [float(designed.get(name, getattr(flown, field)))
+                     for name, field in zip(names, TUNED, strict=True)] if designed else None,
         'constants': {**_finite(flown.constants(model.dt)._asdict()),
                       'kff_slope': active.get(f'{axis}.rate.kff_slope', 0.0)},
         'rise_s': STICK_S if f'{axis}.rate.kff_slope' in active else 1e-9,

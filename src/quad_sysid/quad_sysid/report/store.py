@@ -38,7 +38,7 @@ def clear(folder: Path) -> None:
     """
     drawn = folder / 'pictures'
     files = [folder / name for name in ('report.json', 'model.json', 'report.html', URDF)]
-    files += [drawn / f'{axis}_{name}.png' for axis in EVERY for name, _ in plots.PICTURES]
+    files += [drawn / f'{axis}_{one.name}.png' for axis in EVERY for one in plots.PICTURES]
     try:
         for file in files:
             file.unlink(missing_ok=True)
@@ -60,20 +60,20 @@ def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAns
     page has its own inside). With neither, nothing is drawn.
     """
     check_own(folder)
-    with unfinished(check_place(folder)) as room:
-        _write(room, report, answers, html=html, pictures=pictures)
+    with unfinished(check_place(folder)) as draft:
+        _write(draft, report, answers, html=html, pictures=pictures)
         if urdf:
-            write_whole(room / URDF, urdf)
+            write_whole(draft / URDF, urdf)
         with held():
             make_folder(folder)
             clear(folder)
-            _move(room, folder)
+            _move(draft, folder)
 
 
-def _move(room: Path, folder: Path) -> None:
-    """All files of a room to their places in a folder."""
-    for path in sorted(room.rglob('*'), key=lambda path: path.name == 'report.json'):
-        target = folder / path.relative_to(room)
+def _move(draft: Path, folder: Path) -> None:
+    """Move all files of the draft to their places in a folder."""
+    for path in sorted(draft.rglob('*'), key=lambda path: path.name == 'report.json'):
+        target = folder / path.relative_to(draft)
         try:
             if path.is_dir():
                 target.mkdir(exist_ok=True)

@@ -8,11 +8,16 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from quad_sysid.report.words import FIGURES, bound, chance, named, number, values, yes
+from quad_sysid.axes import units_of
+from quad_sysid.loop.cascade import contract_names
+from quad_sysid.report.words import FIGURES, bound, chance, figure, named, number, values, yes
+from quad_sysid.units import unit_in
 
 Tree = Mapping[str, Any]
 WIDTH = 78
 MODELS = (('before', 'base'), ('after', 'completed'), ('blackbox', 'black box'))
+GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_kd': 's²/rad',
+              'd_filter_hz': 'Hz'}
 WIDE = ('outcome', 'because', 'parameters')
 """Columns with sentences."""
 
@@ -255,21 +260,21 @@ def _counted(names: Sequence[str]) -> str:
 def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> Table:
     """Gains before and after, then the designer's figures before and after."""
     figures, new = tree.get('gain_figures') or {}, tree.get('gains') or {}
-    units = {'angle.kp': '1/s', 'rate.kp': 's/rad', 'rate.ki': '1/rad', 'rate.kd': 's²/rad',
-             'rate.d_filter_hz': 'Hz'}
+    units = {name: unit_in(units_of(axis), GAIN_UNITS[field])
+             for field, name in contract_names(axis).items() if field in GAIN_UNITS}
     rows = [
         [name, number(figures.get(f'{name}_before', active.get(name)), 4),
          number(new.get(name), 4), unit]
-        for name, unit in ((f'{axis}.{n}', unit) for n, unit in units.items())
-        if name in new or name in active
+        for name, unit in units.items() if name in new or name in active
     ]
-    return Table(['', 'before', 'after', 'unit'], [*rows, *figure_rows(figures)], (1, 2))
+    return Table(['', 'before', 'after', 'unit'], [*rows, *figure_rows(figures, axis)], (1, 2))
 
 
-def figure_rows(figures: Mapping[str, float]) -> list[list[str]]:
-    """A designer's figures before and after, in the order of reading."""
+def figure_rows(figures: Mapping[str, float], axis: str) -> list[list[str]]:
+    """A designer's figures of an axis before and after, in the order of reading."""
     rows = []
-    for key, (label, unit, factor) in FIGURES.items():
+    for key in FIGURES:
+        label, unit, factor = figure(key, axis)
         pair = [figures.get(f'{key}_before'), figures.get(key)]
         if pair != [None, None]:
             rows.append([label, *(number(None if v is None else v * factor) for v in pair), unit])
@@ -289,29 +294,31 @@ def segments(tree: Tree) -> Table:
 def approaches(tree: Tree) -> Table:
     """The paper's Table 1 on this record: which approach the signals allow."""
     rows = [[a['name'], yes(a['possible']), a['because']] for a in tree.get('approaches', [])]
-    told = {True: 'The data show feedback from the rate to the command.',
-            False: 'The data exclude feedback.',
-            None: 'The data neither show nor exclude feedback.'}[tree.get('feedback')]
-    return Table(['approach', 'possible', 'because'], rows, caption=told)
+    feedback = {True: 'The data show feedback from the rate to the command.',
+                False: 'The data exclude feedback.',
+                None: 'The data neither show nor exclude feedback.'}[tree.get('feedback')]
+    return Table(['approach', 'possible', 'because'], rows, caption=feedback)
 
 
 def residuals(tree: Tree) -> Table:
     """The tests of each model's one-step errors on the held-out data."""
-    rows, unit = [], tree['error']['unit']
+    rows, unit, acceleration = [], tree['error']['unit'], 'rad/s²'
     for key, name in MODELS:
-        found = (tree.get('residual') or {}).get(key)
-        if not found or (key == 'after' and not tree['effects']):
+        tests = (tree.get('residual') or {}).get(key)
+        if not tests or (key == 'after' and not tree['effects']):
             continue
-        torque = found.get('missing_torque') or {}
+        torque = tests.get('missing_torque') or {}
+        acceleration = torque.get('unit', acceleration)
         rows.append([
-            name, number(found['rms']), f'{yes(found["white"])} (p {chance(found["p_white"])})',
-            f'{yes(found["uncorrelated_with_input"])} (p {chance(found["p_input"])})',
-            ', '.join(f'{p["frequency_hz"]:.1f} Hz' for p in found['peaks'][:3]) or 'none',
+            name, number(tests['rms']), f'{yes(tests["white"])} (p {chance(tests["p_white"])})',
+            f'{yes(tests["uncorrelated_with_input"])} (p {chance(tests["p_input"])})',
+            ', '.join(f'{p["frequency_hz"]:.1f} Hz' for p in tests['peaks'][:3]) or 'none',
             *(number(torque[part]) if torque else '' for part in ('rms', 'expected_rms')),
         ])
     return Table(
         ['model', f'RMS, {unit}', 'white', 'free of past commands', 'peaks',
-         f'{"torque" if unit == "rad/s" else "force"}, {unit}²', 'expected'], rows, (1, 5, 6),
+         f'{"torque" if acceleration[0] in "rd" else "force"}, {acceleration}', 'expected'],
+        rows, (1, 5, 6),
         caption='One-step errors on held-out data, tests at 99 %. Torque: RMS of the disturbance '
         "that the model's filter sees; expected: what its own noise model says.",
     )

@@ -64,8 +64,8 @@ def _details(tree: Mapping[str, Any]) -> list[str]:
 
 def growth(tree: Mapping[str, Any]) -> list[str]:
     """Growth of the error, and the horizon up to which the model is useful."""
-    told = '' if tree.get('verdict') == 'cannot_tell' else words.horizon_words(tree['error'])
-    return [*tables.horizons(tree).text(), *wrapped(told.strip())]
+    text = '' if tree.get('verdict') == 'cannot_tell' else words.horizon_words(tree['error'])
+    return [*tables.horizons(tree).text(), *wrapped(text.strip())]
 
 
 def _gains(axis: str, tree: Mapping[str, Any]) -> list[str]:

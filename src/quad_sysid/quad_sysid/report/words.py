@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quad_sysid.axes import units_of
 from quad_sysid.model.identified import UNLISTED
+from quad_sysid.units import spoken
 
 Tree = Mapping[str, Any]
 
@@ -50,7 +52,7 @@ VERDICTS = {
 }
 """Verdict → its style and headline."""
 
-MOST_VALUES = 6
+MAX_VALUES = 6
 """Parameters of an effect that a sentence lists."""
 FIGURES = {
     'rise_time_s': ('rise time', 's', 1.0), 'overshoot_pct': ('overshoot', '%', 1.0),
@@ -68,6 +70,17 @@ FIGURES = {
     'unstable_draws': ('unstable draws', '1', 1.0),
 }
 """A designer's figure → its label, unit and factor into that unit, in order of reading."""
+
+
+def figure(key: str, axis: str) -> tuple[str, str, float]:
+    """Label, unit and factor into it of a designer's figure of an axis."""
+    label, unit, factor = FIGURES[key]
+    units = units_of(axis)
+    if units is None:
+        return label, unit, factor
+    return spoken(units, label), *((units.motion, 1.0) if '_rad' in key and unit == 'deg'
+                                   else (unit, factor))
+
 
 FORMS = {'steps': 'motors that take their command in whole steps',
          'held': 'motors that hold a command for several cycles',
@@ -109,7 +122,7 @@ def values(effect: Tree) -> str:
     if 'curve' in effect:
         y, what = effect['curve']['y'], 'slopes' if first == 'slope_0' else 'values'
         return f'{what} {number(min(y))} to {number(max(y))}'
-    if len(effect['parameters']) > MOST_VALUES:
+    if len(effect['parameters']) > MAX_VALUES:
         return parameter(effect['parameters'][0]) + '; the others stand in report.json'
     return '; '.join(parameter(p) for p in effect['parameters'])
 
@@ -187,12 +200,12 @@ def _worth(tree: Tree) -> str:
 
 def reach(error: Tree) -> float | None:
     """Longest horizon, s, at which the model at most halves the error of holding the rate."""
-    worth = [
+    horizons = [
         h['horizon_s'] for h in error.get('horizons', ())
         if h['after'] is not None and h['hold'] is not None
         and CLEARLY * h['after'] <= h['hold']
     ]
-    return max(worth, default=None)
+    return max(horizons, default=None)
 
 
 def horizon_words(error: Tree) -> str:
@@ -271,7 +284,7 @@ def _gains(axis: str, tree: Tree) -> str:
     figures = tree.get('gain_figures') or {}
     changes = []
     for key in ('rise_time_s', 'overshoot_pct', 'rms_tracking_rad', 'worst_phase_margin_deg'):
-        label, unit, factor = FIGURES[key]
+        label, unit, factor = figure(key, axis)
         old, new = figures.get(f'{key}_before'), figures.get(key)
         if old is not None and new is not None:
             changes.append(f'{label} {number(old * factor)} to {number(new * factor)} {unit}')
@@ -318,5 +331,5 @@ def _interval(interval: Sequence[float] | None) -> str:
 
 def left_out(effects: Mapping[str, str]) -> str:
     """Which effects the margins of a design do not hold; '' where they hold all."""
-    told = '; '.join(f'{name}, since {why}' for name, why in effects.items())
-    return told and f'not in the margins: {told}'
+    reasons = '; '.join(f'{name}, since {why}' for name, why in effects.items())
+    return reasons and f'not in the margins: {reasons}'

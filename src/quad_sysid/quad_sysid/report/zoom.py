@@ -1,4 +1,4 @@
-"""Time series of a page that zoom, with nothing loaded from elsewhere: zoom.js draws them.
+"""Time series of a page that zoom, with nothing loaded from the network: zoom.js draws them.
 
 Samples are 16 bit; a long flight is embedded as the lowest and highest of each bin, so that a
 page stays below its limit.
@@ -70,11 +70,11 @@ def group(rows: Sequence[Row], dt: float, marks: Sequence[Mark] = (), budget: in
             'rows': [{'label': row.label, 'lines': [_line(line, every) for line in row.lines]}
                      for row in rows],
             'marks': [{'start': m.start_s, 'end': m.end_s, 'colour': m.colour} for m in marks]}
-    told = escape('; '.join(f'{row.label}: {", ".join(line.name for line in row.lines)}'
-                            for row in rows))
+    names = escape('; '.join(f'{row.label}: {", ".join(line.name for line in row.lines)}'
+                             for row in rows))
     text = json.dumps(data, separators=(',', ':'), allow_nan=False).replace('<', '\\u003c')
     fine = '' if every == 1 else f' Drawn by the lowest and highest of {every} samples each.'
-    return (f'<div class="zoom" aria-label="{told}"><script type="application/json">{text}'
+    return (f'<div class="zoom" aria-label="{names}"><script type="application/json">{text}'
             f'</script></div><p class="small">{HELP}{fine}</p>')
 
 

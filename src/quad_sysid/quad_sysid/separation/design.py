@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
 
+from quad_sysid.axes import EVERY
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import library
@@ -103,8 +104,8 @@ def _part(injection: str, signal: str, parameters: Mapping[str, float], amplitud
 NOTHING = 'nothing'
 SIMULATED_S = 30.0
 """Longest simulated flight, s; longer ones only repeat it."""
-SHORTEST_S = 10.0
-JUST_FOUND_NATS = 12.0
+MIN_DURATION_S = 10.0
+DETECTABLE_NATS = 12.0
 """Evidence, nats, at which a plain PRBS of the whole length just finds an effect: its prior costs
 some 7, and 5 remain. A rival that the model does not contain is made that strong."""
 PER_PARAMETER = 4.0
@@ -112,7 +113,7 @@ PER_PARAMETER = 4.0
 ANGLE_SHARE = 0.9
 """Share of the guard's angle that a flight may use."""
 CERTAIN = 0.95
-WORTH_IT = 0.95
+NEARLY_BEST = 0.95
 """Share of the best figure from which a simpler flight is preferred."""
 FITTED = 8
 """Number of candidates, best by linear scores, that are fitted."""
@@ -135,9 +136,9 @@ class Rival:
         if self.acting is None or self.acting.effect.kind == 'shape':
             return self.name
         read = self.acting.effect.readable(self.acting.p, self.acting.part.settings)
-        told = (f'{name} {value:.3g} {unit if unit != "1" else ""}'.strip()
-                for name, (value, unit) in read.items())
-        return f'{self.name} ({", ".join(told)})'
+        values = (f'{name} {value:.3g} {unit if unit != "1" else ""}'.strip()
+                  for name, (value, unit) in read.items())
+        return f'{self.name} ({", ".join(values)})'
 
     def parts(self, data: AxisData) -> list[Part]:
         """Its variants, as an identification would try them on this flight."""
@@ -192,19 +193,26 @@ def rivals_of(model: AxisModel) -> Names:
 
     Raises NotInformativeError where no effect has one.
     """
-    found = [(p, e.name, name) for e in model.effects for name, p in e.listed_rivals if p > 0.0]
-    if not found:
+    rivals = [(p, e.name, name) for e in model.effects for name, p in e.listed_rivals if p > 0.0]
+    if not rivals:
         raise NotInformativeError(
             f'{model.axis}: no effect of this model has a rival of any probability; '
             'name the two: --separate A B'
         )
-    _, effect, rival = max(found)
+    _, effect, rival = max(rivals)
     return effect, rival
 
 
 def nearest(models: Mapping[str, AxisModel]) -> AxisModel:
-    """The axis whose effects have the most probable rival; the first where none has any."""
-    return max(models.values(), key=lambda model: max(
+    """The axis whose effects have the most probable rival; the first where none has any.
+
+    Raises BadInputError where none of them turns.
+    """
+    turning = [model for model in models.values() if EVERY[model.axis].turns]
+    if not turning:
+        raise BadInputError('--model', 'must hold roll, pitch or yaw: a flight is designed to '
+                            'separate effects of these', ', '.join(models))
+    return max(turning, key=lambda model: max(
         (p for e in model.effects for _, p in e.listed_rivals), default=-1.0
     ))
 
@@ -220,7 +228,7 @@ def separate(aircraft: Aircraft, names: Names, seconds: float = 60.0,
     """Rank flights of `seconds` by how well they separate two effects (one may be `nothing`).
 
     Strengths come from `model` where it has the effect; another effect is made just strong enough
-    to be found. `own` are effects of the caller that may be named too. Raises BadInputError for
+    to be detected. `own` are effects of the caller that may be named too. Raises BadInputError for
     unknown names or a length out of range, NotInformativeError where no safe flight shows either.
     """
     effects = library((*own, *(model.own_effects if model else ())))
@@ -236,7 +244,7 @@ def _separate(aircraft: Aircraft, names: Names, seconds: float, model: AxisModel
     usual = plain_prbs(aircraft.axis, length)
     helped = list(with_pilot(usual, signals))
     rich = helped[-1] if helped else usual
-    first, second = _sized(aircraft, names, model, rich, JUST_FOUND_NATS * length / seconds,
+    first, second = _sized(aircraft, names, model, rich, DETECTABLE_NATS * length / seconds,
                            effects)
     flights = _Flights(aircraft, first, second)
     plain = flights.rows([usual])[0]
@@ -260,7 +268,7 @@ def _separate(aircraft: Aircraft, names: Names, seconds: float, model: AxisModel
         raise NotInformativeError(
             f'no flight within the limits shows {names[0]} or {names[1]} on {aircraft.axis}'
         )
-    if plain.worst.score > WORTH_IT * rows[0].worst.score:
+    if plain.worst.score > NEARLY_BEST * rows[0].worst.score:
         rows.sort(key=lambda row: row is not plain)
     return Separation(aircraft, first, second, seconds, tuple(rows), plain, len(candidates),
                       refused)
@@ -272,7 +280,7 @@ def _pilot(plain: Row, helped: Sequence[Row | None]) -> Row:
     best = max([plain, *known], key=lambda row: row.worst.nats)
     return next(
         row for row in (plain, *known, best)
-        if row is best or row.worst.score > WORTH_IT * best.worst.score
+        if row is best or row.worst.score > NEARLY_BEST * best.worst.score
     )
 
 
@@ -284,8 +292,8 @@ def _check(names: Names, seconds: float, effects: Sequence[Effect]) -> None:
                                 f'use {", ".join(all_names)}')
     if names[0] == names[1]:
         raise BadInputError('--separate', 'needs two different effects', ' '.join(names))
-    if not SHORTEST_S <= seconds <= 600.0:
-        raise BadInputError('--seconds', f'must be from {SHORTEST_S:g} to 600', seconds)
+    if not MIN_DURATION_S <= seconds <= 600.0:
+        raise BadInputError('--seconds', f'must be from {MIN_DURATION_S:g} to 600', seconds)
 
 
 def _sized(aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation,
@@ -293,14 +301,14 @@ def _sized(aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Exci
     """Both rivals with their strengths; an unknown one gets as much evidence as the known."""
     seen = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
     given = [None if model is None else effect_of(model, name) for name in names]
-    worth = max((seen.trace(one) for one in given if one is not None), default=wanted)
+    evidence = max((seen.trace(one) for one in given if one is not None), default=wanted)
     out = []
-    for name, found in zip(names, given, strict=True):
-        acting = found
+    for name, known in zip(names, given, strict=True):
+        acting = known
         if acting is None and name != NOTHING:
             part = _prepared(name, seen.problem.data, effects)
             price = PER_PARAMETER * min(len(part.effect.parameters), 4)
-            acting = seen.sized(part, max(worth, wanted + price))
+            acting = seen.sized(part, max(evidence, wanted + price))
         out.append(Rival(name, acting, variants(name, effects)))
     return out[0], out[1]
 
@@ -354,7 +362,7 @@ class _Flights:
         """The same row, judged by fits."""
         return self._weighed(row, Judged.fitted)
 
-    def _weighed(self, row: Row, worth: Callable[[Judged, Sequence[Part]], float]) -> Row:
+    def _weighed(self, row: Row, evidence: Callable[[Judged, Sequence[Part]], float]) -> Row:
         ways: list[Apart | None] = []
         for seen, true, other in zip(self.seen[id(row.excitation)], self.rivals, self.rivals[::-1],
                                      strict=True):
@@ -362,8 +370,8 @@ class _Flights:
             if true.acting is None:
                 ways.append(None)
                 continue
-            own = worth(seen, [true.acting.part])
-            others = worth(seen, other.parts(data))
+            own = evidence(seen, [true.acting.part])
+            others = evidence(seen, other.parts(data))
             seconds = sum(b - a for a, b in seen.problem.spans) * data.dt
             share = 1.0 if own <= 0.0 else min(max(others / own, 0.0), 1.0)
             ways.append(Apart(own - others, share, seconds))

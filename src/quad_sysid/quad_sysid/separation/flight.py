@@ -1,6 +1,6 @@
 """Simulated flights in closed loop: an aircraft with given effects, several excitations at once.
 
-The aircraft is an identified model or the paper's, flown by the room loop.
+The aircraft is an identified model or the paper's, flown by the package loop.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Aircraft:
     battery_v: float = VOLTS
     throttle: float = THROTTLE
     craft: Craft = X
-    told: str = "the paper's plant"
+    source: str = "the paper's plant"
     """Where the values come from, for the user."""
 
 
@@ -65,15 +65,18 @@ def paper_aircraft(axis: str) -> Aircraft:
     return Aircraft(axis, np.array(PAPER[axis]), CascadeGains.default(axis))
 
 
-def aircraft_of(model: AxisModel, less: str, told: str) -> Aircraft:
+def aircraft_of(model: AxisModel, less: str, source: str) -> Aircraft:
     """The aircraft of an identified model, without the effect `less` if it has it.
 
     Raises BadInputError for an unknown effect or a gain that is not positive.
     """
+    if model.law is not None:
+        raise BadInputError('separate', 'flies the built-in base only', model.law.name,
+                            'design_experiment takes a base of your own')
     known = f'{model.axis}.rate.kp' in model.active_gains
     theta = np.array([model.value(spec.name) for spec in BASE])
     if not theta[0] > 0.0:
-        raise BadInputError(told,
+        raise BadInputError(source,
                             f'{model.axis} cannot be flown in a loop, its gain is not positive',
                             f'{theta[0]:.4g}', 'check mixer and gyro, identify again')
     return Aircraft(
@@ -82,7 +85,7 @@ def aircraft_of(model: AxisModel, less: str, told: str) -> Aircraft:
         gains=CascadeGains.from_mapping(model.active_gains, model.axis) if known
         else CascadeGains.default(model.axis),
         dt=model.dt, gyro_filter_hz=model.gyro_filter_hz, noise=model.noise or PAPER_NOISE,
-        battery_v=model.mean_battery_v or VOLTS, craft=model.craft, told=told,
+        battery_v=model.mean_battery_v or VOLTS, craft=model.craft, source=source,
     )
 
 

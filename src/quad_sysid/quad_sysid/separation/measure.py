@@ -99,14 +99,14 @@ class Judged:
                 theta = np.r_[self.base.theta[:count], start, self.base.theta[count:]]
                 structure = self.base.structure.plus(score.part)
                 try:
-                    found = fit(self.problem, structure, theta, rate=self.base.rate)
+                    fitted = fit(self.problem, structure, theta, rate=self.base.rate)
                 except (FloatingPointError, np.linalg.LinAlgError):
                     continue
-                best = max(best, found.evidence - self.base.evidence)
+                best = max(best, fitted.evidence - self.base.evidence)
         return best
 
     def trace(self, one: Placed) -> float:
-        """Nats that an effect is worth along this flight, beyond what the base can take up."""
+        """Evidence for an effect on this flight, nats, beyond what the base can explain."""
         flight, base = self.problem.flight, self.base
         count = base.theta.size - len(NOISE)
         values = base.values
@@ -125,10 +125,10 @@ class Judged:
         return 0.5 * float(c @ c - np.sum((q.T @ c) ** 2))
 
     def sized(self, part: Part, wanted: float) -> Placed:
-        """The effect as strong as is worth `wanted` nats along this flight, about.
+        """The effect at about the strength that gives `wanted` nats on this flight.
 
-        Parameters that are zero without the effect are scaled (several along a draw from their
-        prior); otherwise the first parameter is searched over its prior.
+        Parameters that are zero without the effect are scaled (several in a direction drawn from
+        their prior); otherwise the first parameter is searched over its prior.
         """
         specs = part.effect.parameters
         starts = list(part.effect.starts(self.problem.data, part.settings))
@@ -139,21 +139,21 @@ class Judged:
         if free:
             precision = part.effect.precision(part.settings, self.problem.sizes_of(part))
             root = np.linalg.cholesky(np.linalg.inv(precision[np.ix_(free, free)]))
-            along = root @ np.random.default_rng(0).standard_normal(len(free))
+            direction = root @ np.random.default_rng(0).standard_normal(len(free))
             if len(free) == 1:
-                along = np.abs(along)
+                direction = np.abs(direction)
             scale = 0.1
             for _ in range(8):
-                p[free] = scale * along
-                worth = self.trace(Placed(part, p))
-                scale *= float(np.clip(math.sqrt(wanted / max(worth, 1e-12)), 0.05, 20.0))
-            p[free] = scale * along
+                p[free] = scale * direction
+                nats = self.trace(Placed(part, p))
+                scale *= float(np.clip(math.sqrt(wanted / max(nats, 1e-12)), 0.05, 20.0))
+            p[free] = scale * direction
             return Placed(part, p)
         spread = specs[0].spread or 1.0
         reach = np.linspace(-REACH, REACH, GRID)
         grid = p[0] * np.exp(reach) if specs[0].log else p[0] + 0.5 * spread * reach
-        worths = [self.trace(Placed(part, np.r_[value, p[1:]])) for value in grid]
-        away = np.abs(np.log(np.maximum(worths, 1e-12) / wanted))
+        levels = [self.trace(Placed(part, np.r_[value, p[1:]])) for value in grid]
+        away = np.abs(np.log(np.maximum(levels, 1e-12) / wanted))
         return Placed(part, np.r_[grid[int(np.argmin(away))], p[1:]])
 
 
@@ -164,10 +164,10 @@ def judged(aircraft: Aircraft, data: AxisData) -> Judged:
     base = np.r_[aircraft.theta[0], np.log(np.maximum(aircraft.theta[1:3], 1e-4)),
                  aircraft.theta[3:]]
     known = np.log([max(noise.ratios.get(s.name, math.exp(s.centre)), 1e-3) for s in NOISE])
-    found = fit(problem, Structure(), np.r_[base, known])
-    problem.measure(found)
+    fitted = fit(problem, Structure(), np.r_[base, known])
+    problem.measure(fitted)
     if aircraft.acting:
         structure = Structure(tuple(one.part for one in aircraft.acting))
         own = [coordinates(one.effect.parameters, one.p) for one in aircraft.acting]
-        found = fit(problem, structure, np.concatenate([base, *own, known]))
-    return Judged(problem, found)
+        fitted = fit(problem, structure, np.concatenate([base, *own, known]))
+    return Judged(problem, fitted)

@@ -11,62 +11,62 @@ from quad_sysid.separation.flight import THROTTLE_STEP, THROTTLE_STEP_S, Excitat
 from quad_sysid.signals.schedule import AMPLITUDES, Part
 
 NONE = 0.005
-"""A share below this is told as none."""
+"""A share below this is reported as none."""
 SHOWN = 8
 WIDTH = 80
 ROW = '{:>2} {:<39}{:>6}{:>9}{:>8}{:>8}{:>7}'
 IDLE = '{segment: idle, duration_s: 3.0}'
 
 
-def text(found: Separation) -> str:
+def text(result: Separation) -> str:
     """The table of flights and the reason, in lines of 80 columns."""
-    return '\n'.join(_lines(found))
+    return '\n'.join(_lines(result))
 
 
-def _lines(found: Separation) -> Iterator[str]:
-    a = found.aircraft
-    yield f'{found.first.name} or {found.second.name} on {a.axis}: which flight separates them'
+def _lines(result: Separation) -> Iterator[str]:
+    a = result.aircraft
+    yield f'{result.first.name} or {result.second.name} on {a.axis}: which flight separates them'
     yield from textwrap.wrap(
-        f'plant: {a.told}, gain {a.theta[0]:.3g}, lag {1e3 * a.theta[1]:.0f} ms, '
-        f'delay {1e3 * a.theta[2]:.0f} ms; assumed: {found.first.words()}; '
-        f'{found.second.words()}', WIDTH,
+        f'plant: {a.source}, gain {a.theta[0]:.3g}, lag {1e3 * a.theta[1]:.0f} ms, '
+        f'delay {1e3 * a.theta[2]:.0f} ms; assumed: {result.first.words()}; '
+        f'{result.second.words()}', WIDTH,
     )
     yield ''
     yield ROW.format('', '', 'angle', 'apart', 'apart', 'right', '95 %')
-    yield ROW.format('', f'flight of {found.seconds:g} s', '°', 'first', 'second', 'one', 'after')
-    for number, row in enumerate(found.rows[:SHOWN], 1):
-        yield _row(str(number), row, found.seconds)
-    if found.plain not in found.rows[:SHOWN]:
-        yield _row('', found.plain, found.seconds)
+    yield ROW.format('', f'flight of {result.seconds:g} s', '°', 'first', 'second', 'one', 'after')
+    for number, row in enumerate(result.rows[:SHOWN], 1):
+        yield _row(str(number), row, result.seconds)
+    if result.plain not in result.rows[:SHOWN]:
+        yield _row('', result.plain, result.seconds)
     yield ''
     yield from textwrap.wrap(
         'apart: log evidence, in nats, of this effect over the other in a flight in which it is '
         'the true one. right one: probability that the true one has the larger evidence. '
         '95 % after: seconds until that probability is 95 %.', WIDTH,
     )
-    shown = [row.excitation for row in found.rows[:SHOWN]]
+    shown = [row.excitation for row in result.rows[:SHOWN]]
     if any(e.before is not None for e in shown):
         yield '+P: after a plain PRBS for a third of the time, which identifies the base.'
     if any(e.throttle_steps for e in shown):
         yield '+T: the pilot steps the throttle.'
     if any(e.others_move for e in shown):
         yield '+A: the pilot moves the other two axes.'
-    if found.refused:
+    if result.refused:
         yield from textwrap.wrap(
-            f'Of {found.tried} candidates {found.refused} would go near the angle at which the '
+            f'Of {result.tried} candidates {result.refused} would go near the angle at which the '
             'excitation node ends a flight, or move too little to identify the base; the best of '
             'the others are shown.', WIDTH,
         )
     yield ''
-    yield from textwrap.wrap(why(found), WIDTH)
+    yield from textwrap.wrap(why(result), WIDTH)
 
 
-def why(found: Separation) -> str:
+def why(result: Separation) -> str:
     """Why the first flight is the one to fly."""
-    best, plain = found.best, found.plain
+    best, plain = result.best, result.plain
     gain = best.worst.nats / plain.worst.nats if plain.worst.nats > 0.0 else math.inf
-    harder = found.first if best.worst is best.first else found.second
-    other = found.second if best.worst is best.first else found.first
+    harder = result.first if best.worst is best.first else result.second
+    other = result.second if best.worst is best.first else result.first
     matched = plain.first if best.worst is best.first else plain.second
     words = f'Fly {name_of(best.excitation)}: '
     if best is plain:
@@ -84,9 +84,9 @@ def why(found: Separation) -> str:
     words += (f'{more} of the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '
               f'{math.degrees(best.peak_angle):.0f}°; PRBS {plain.rate_rms:.2f} rad/s and '
               f'{math.degrees(plain.peak_angle):.0f}°).')
-    if best.worst.over(found.seconds).probability < CERTAIN:
+    if best.worst.over(result.seconds).probability < CERTAIN:
         words += (
-            f' {found.seconds:g} s are not enough for {100 * CERTAIN:.0f} %: '
+            f' {result.seconds:g} s are not enough for {100 * CERTAIN:.0f} %: '
             f'fly {_seconds(best.worst.seconds_for(CERTAIN))}, in several flights if need be.'
         )
     return words + pilot_of(best.excitation)
@@ -141,18 +141,18 @@ def _seconds(value: float) -> str:
     return f'{math.ceil(value)} s' if value < 5994.0 else 'never'
 
 
-def schedule(found: Separation) -> str:
+def schedule(result: Separation) -> str:
     """YAML of the excitation node: trains with the best flight, validates on its like."""
-    best = found.best.excitation
+    best = result.best.excitation
     part = best.part
-    scale = found.seconds / sum(p.duration_s for p in best.parts)
+    scale = result.seconds / sum(p.duration_s for p in best.parts)
     trains = [_entry('train', p, p.parameters, scale * p.duration_s) for p in best.parts]
-    checks = [_entry('validation', part, _like(part), max(15.0, 0.4 * found.seconds))]
+    checks = [_entry('validation', part, _like(part), max(15.0, 0.4 * result.seconds))]
     if best.before is not None:
         checks.insert(0, _entry('validation', best.before, _like(best.before), 15.0))
     rows = [*(row for entry in (*trains, *checks) for row in (IDLE, entry)), IDLE]
-    head = [f'Tells {found.first.name} and {found.second.name} on {part.axis} apart:',
-            *textwrap.wrap(why(found), WIDTH - 2)]
+    head = [f'Tells {result.first.name} and {result.second.name} on {part.axis} apart:',
+            *textwrap.wrap(why(result), WIDTH - 2)]
     lines = [*(f'# {line}' for line in head), 'schedule:', '  mount: rig', '  segments:']
     return '\n'.join([*lines, *(f'    - {row}' for row in rows)]) + '\n'
 

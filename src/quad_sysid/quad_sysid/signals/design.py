@@ -9,13 +9,13 @@ import math
 from dataclasses import dataclass
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.signals.schedule import AMPLITUDES, LONGEST_S, RAMP_S
+from quad_sysid.signals.schedule import AMPLITUDES, MAX_DURATION_S, RAMP_S
 from quad_sysid.signals.waveforms import TAPS
 
 PERIODS = (3.0, 5.0)
 """Eq. (9): N * clock = 3 to 5 of the longest time constant."""
 SAMPLES_PER_CLOCK = 2
-LONGEST_PERIOD_S = 120.0
+MAX_PERIOD_S = 120.0
 """Length of the training, s, up to which a whole period is flown unless a length is asked for."""
 SPARED = 0.63
 """Share of the training that holds a period of each frequency that the monitor counts."""
@@ -133,9 +133,9 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
                             f'{high_rad_s:g} rad/s',
                             f'at most {most:.4g} rad/s ({SAMPLES_PER_CLOCK} samples per clock)')
     shortest = max(2.0 * RAMP_S, 2.0 * math.pi / (SPARED * high_rad_s))
-    if train_s is not None and not shortest <= train_s <= LONGEST_S:
+    if train_s is not None and not shortest <= train_s <= MAX_DURATION_S:
         raise BadInputError('--seconds', f'must lie in {shortest:.3g} s (a period of HIGH, and '
-                            f'the ramps) to {LONGEST_S:g} s', train_s)
+                            f'the ramps) to {MAX_DURATION_S:g} s', train_s)
     clocks = 1.0 / (low_rad_s * samples / sample_rate_hz)
     wanted = round(math.log2(4.0 * clocks + 1.0)) if train_s is None else \
         math.ceil(math.log2(2.0 * math.pi * clocks + 1.0))
@@ -147,23 +147,23 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
                   validation_bits=bits - 1 if bits > min(TAPS) else bits + 1,
                   square_period_s=round(2.0 * math.pi / middle, 3),
                   unit_s=round(0.3 * 2.0 * math.pi / (high_rad_s / 3.0), 3),
-                  train_s=train_s or math.ceil(min(period_s, LONGEST_PERIOD_S)))
+                  train_s=train_s or math.ceil(min(period_s, MAX_PERIOD_S)))
 
 
 def _reach(d: Design) -> str:
     """What the training covers, and what would reach LOW."""
-    told = (f'training {d.train_s:g} s: covers {d.flown_low_rad_s:.3g} to '
-            f'{d.covered_rad_s[1]:.4g} rad/s')
+    covered = (f'training {d.train_s:g} s: covers {d.flown_low_rad_s:.3g} to '
+               f'{d.covered_rad_s[1]:.4g} rad/s')
     if d.flown_low_rad_s <= d.low_rad_s:
-        return told
+        return covered
     needed = math.ceil(2.0 * math.pi / (SPARED * d.low_rad_s))
-    if needed > LONGEST_S:
-        remedy = f'that takes {needed} s, and a segment lasts at most {LONGEST_S:g} s: raise LOW'
+    if needed > MAX_DURATION_S:
+        remedy = f'that takes {needed} s; a segment lasts at most {MAX_DURATION_S:g} s: raise LOW'
     elif d.low_rad_s * (2 ** max(TAPS) - 1) * d.clock_s < 2.0 * math.pi:
         remedy = f'a register has at most {max(TAPS)} bits: fly a second schedule of lower HIGH'
     else:
         remedy = f'--seconds {needed} does'
-    return f'{told}, which does not reach LOW ({d.low_rad_s:g} rad/s): {remedy}'
+    return f'{covered}, which does not reach LOW ({d.low_rad_s:g} rad/s): {remedy}'
 
 
 def _lines(d: Design) -> list[str]:

@@ -54,7 +54,7 @@ class Readings:
     failsafe: bool = False
     battery_v: float | None = None
     battery_age_s: float | None = None
-    """Of the last voltage that was measured."""
+    """Age of the last voltage that was measured."""
     refused: bool = False
     """The STM32 says that it refuses the excitation."""
 
@@ -77,7 +77,7 @@ def check(limits: Limits, readings: Readings, axis: str, yaw_start: float = 0.0)
 
 
 def _lines(limits: Limits, r: Readings) -> Iterator[Abort]:
-    """Of the receiver, then of the link."""
+    """Reasons of the receiver, then of the link."""
     if r.failsafe:
         yield Abort('the receiver is in failsafe', immediate=True)
     if r.rc_age_s is not None and r.rc_age_s > limits.rc_stale_s:
@@ -135,7 +135,7 @@ def _battery(limits: Limits, r: Readings) -> Iterator[Abort]:
 
 STALL_S = 0.05
 """Time between two ticks above which the node counts as stalled."""
-LONGEST_S = 1.0
+MAX_DURATION_S = 1.0
 """Most stalled time that is left out, in one piece or several; running time restores it second by
 second. A longer stall counts as age, because nothing watched the aircraft."""
 
@@ -146,13 +146,13 @@ class Stall:
     def __init__(self) -> None:
         self._last: float | None = None
         self._left_out_s = 0.0
-        self._allowed_s = LONGEST_S
+        self._allowed_s = MAX_DURATION_S
         self.stood_still_s = 0.0
         """Length of the stall before the last tick, s; 0: none."""
 
     def begin(self, now_s: float) -> None:
         """Start at `now_s`, before the first tick, and forget earlier ticks."""
-        self._last, self.stood_still_s, self._allowed_s = now_s, 0.0, LONGEST_S
+        self._last, self.stood_still_s, self._allowed_s = now_s, 0.0, MAX_DURATION_S
 
     def tick(self, now_s: float) -> None:
         """Register a tick, before ages are judged in it."""
@@ -160,7 +160,7 @@ class Stall:
         self._last = now_s
         self.stood_still_s = gap if gap > STALL_S else 0.0
         if not self.stood_still_s:
-            self._allowed_s = min(self._allowed_s + gap, LONGEST_S)
+            self._allowed_s = min(self._allowed_s + gap, MAX_DURATION_S)
         elif gap <= self._allowed_s:
             self._allowed_s -= gap
             self._left_out_s += gap

@@ -18,7 +18,7 @@ from quad_sysid.signals.waveforms import Silence, Waveform, parameter_names, wav
 
 ROLES = ('train', 'validation', 'idle')
 MOUNTS = ('rig', 'hover')
-LONGEST_S = 3600.0
+MAX_DURATION_S = 3600.0
 """Longest segment, s: an hour."""
 RAMP_S = 0.5
 AMPLITUDE_DEG = 12.0
@@ -136,7 +136,7 @@ def parse_schedule(content: object, source: str) -> Schedule:
         same = before.injection == part.injection and (before.axis == CLIMB) == (
             part.axis == CLIMB)
         if 'idle' not in {before.role, part.role} and not same:
-            # set-points and announcements travel apart: a late one would be taken in a wrong unit
+            # set-points and announcements are separate: a late one would be read in a wrong unit
             raise BadInputError(f'{source}, segment {number}',
                                 f'follows one of injection {before.injection}', part.injection,
                                 'put an idle segment between them')
@@ -149,9 +149,9 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
         raise BadInputError(where, 'must be a mapping of keys', repr(entry))
     role = _choice(entry, 'segment', '', ROLES, where)
     signal = str(entry.get('signal', 'none'))
-    asked = _choice(entry, 'axis', 'roll', tuple(EVERY), where)
-    axis = EVERY[asked].excited_as or asked
-    climbs, moves = axis == CLIMB, axis != asked
+    choice = _choice(entry, 'axis', 'roll', tuple(EVERY), where)
+    axis = EVERY[choice].excited_as or choice
+    climbs, moves = axis == CLIMB, axis != choice
     injection = _choice(entry, 'injection', 'control' if climbs else 'attitude',
                         ('control',) if climbs else ('attitude',) if moves else tuple(AMPLITUDES),
                         where)
@@ -160,7 +160,7 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
             where, f'segment {role} with signal {signal}',
             remedy='an idle segment has signal none; train and validation need a signal',
         )
-    duration = _number(entry, 'duration_s', math.nan, where, 0.0, LONGEST_S)
+    duration = _number(entry, 'duration_s', math.nan, where, 0.0, MAX_DURATION_S)
     if duration <= 0.0:
         raise BadInputError(where, 'duration_s must be positive', duration)
     if role == 'idle':

@@ -47,7 +47,7 @@ LOWEST, HIGHEST = 1, 100
 def own_domain() -> Iterator[int]:
     """A domain id that nobody on this machine uses, held until the block ends.
 
-    Raises OSError where all of them are taken.
+    Raises OSError where all of them are in use.
     """
     span = HIGHEST - LOWEST + 1
     first = os.getpid() % span
@@ -124,28 +124,28 @@ class Crew:
     lockstep: bool = False
     """Whether they share simulated time, which waits for the slowest of them."""
     clock: Clock = field(default_factory=Clock)
-    _room: tempfile.TemporaryDirectory[str] | None = None
-    """Of the socket, whose path must be short."""
+    _folder: tempfile.TemporaryDirectory[str] | None = None
+    """The folder of the socket, whose path must be short."""
 
     @property
     def socket(self) -> Path | None:
         """Where the processes meet in lockstep."""
-        return None if self._room is None else Path(self._room.name) / 'lockstep'
+        return None if self._folder is None else Path(self._folder.name) / 'lockstep'
 
     def __enter__(self) -> Crew:
         """Make the log folder and, in lockstep, take part."""
         (self.folder / 'logs').mkdir(parents=True, exist_ok=True)
         if self.lockstep:
-            self._room = tempfile.TemporaryDirectory(prefix='quad_')
-            self.clock = Participant(Path(self._room.name) / 'lockstep', 'observer')
+            self._folder = tempfile.TemporaryDirectory(prefix='quad_')
+            self.clock = Participant(Path(self._folder.name) / 'lockstep', 'observer')
         return self
 
     def __exit__(self, *_: object) -> None:
         """Stop everything."""
         self.stop()
-        if self._room is not None:
+        if self._folder is not None:
             self.clock.close()
-            self._room.cleanup()
+            self._folder.cleanup()
 
     def environment(self) -> dict[str, str]:
         """The whole environment of this process, confined to the run's domain and folder."""

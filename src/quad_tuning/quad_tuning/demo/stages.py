@@ -1,7 +1,7 @@
 """One function per stage of a flight campaign: connect, fly a schedule, identify, update gains.
 
 Each starts the processes it needs, waits for what the topics say, and raises StageFailedError.
-The order of the stages and what is told of them is story.py's.
+The order of the stages and their messages are in story.py.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 60.0,
 """Patience of the stages, s."""
 IDENTIFICATION = 'identification: identification'
 """Its entry in the diagnostics."""
-SETTLED_S = 1.0
+STREAM_S = 1.0
 """How long the stream must have flowed before a flight begins, in s of samples at 250 Hz."""
 
 
@@ -58,7 +58,7 @@ class Campaign:
     crew: Crew
     observer: Observer
     say: Callable[[str], None]
-    told: dict[str, Any] = field(default_factory=dict)
+    status: dict[str, Any] = field(default_factory=dict)
     asked_s: float = 0.0
     """When the new gains were sent, s on the run's clock."""
 
@@ -73,8 +73,8 @@ class Campaign:
         def meanwhile() -> None:
             self.crew.check(stage)
             segment = self.observer.segment
-            if segment and segment != self.told.get('segment'):
-                self.told['segment'] = segment
+            if segment and segment != self.status.get('segment'):
+                self.status['segment'] = segment
                 if segment.get('signal') != 'none':
                     self.say('  {segment}: {signal} on {axis} ({injection})'.format(**segment))
 
@@ -101,7 +101,7 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
                              {'folder': str(campaign.folder), 'prefix': 'flight'})
     observer = campaign.observer
     observer.count_imu(on=True)
-    campaign.wait('connect', '/imu/data', lambda: observer.imu_count > 250 * SETTLED_S, CONNECT_S)
+    campaign.wait('connect', '/imu/data', lambda: observer.imu_count > 250 * STREAM_S, CONNECT_S)
     observer.count_imu(on=False)
     campaign.wait('connect', '/gains/active', lambda: bool(observer.active_gains), CONNECT_S)
     # its first report: in lockstep it knows the time from then on, before it refuses to record
@@ -151,7 +151,7 @@ def await_report(campaign: Campaign) -> Path:
     _, text, values = said[node]
     if state() == 'failed':
         raise StageFailedError('identify', text)
-    campaign.told |= {name: values.get(name, '') for name in ('update', 'gains')}
+    campaign.status |= {name: values.get(name, '') for name in ('update', 'gains')}
     campaign.asked_s = campaign.crew.clock.now_s()
     return Path(values['report'])
 
@@ -159,9 +159,9 @@ def await_report(campaign: Campaign) -> Path:
 def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
     """Wait until gains were sent and the STM32 has read them back; s from sending to that."""
     observer = campaign.observer
-    if not str(campaign.told.get('update')).startswith('sent'):
-        raise StageFailedError('update', f'no gains were sent: {campaign.told.get("update")}')
-    wanted = {name: float(value) for name, value in json.loads(campaign.told['gains']).items()}
+    if not str(campaign.status.get('update')).startswith('sent'):
+        raise StageFailedError('update', f'no gains were sent: {campaign.status.get("update")}')
+    wanted = {name: float(value) for name, value in json.loads(campaign.status['gains']).items()}
     if not changed(old, wanted):
         raise StageFailedError('update', 'the gains that were sent are the ones already flown')
     campaign.wait('update', 'acknowledgement on /gains/active',

@@ -1,4 +1,4 @@
-"""The story the demo tells: which aircraft, which flights, in which order, told as it happens."""
+"""What the demo does: which aircraft, which flights, in which order, with a message for each."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class FlightSummary:
 
 @dataclass(frozen=True)
 class Outcome:
-    """All that the summary tells."""
+    """The content of the summary."""
 
     axis: str
     first: FlightSummary
@@ -129,7 +129,7 @@ class Outcome:
     folder: Path
     files: Sequence[tuple[str, Path]]
     seconds: float
-    """Of the whole demo."""
+    """Duration of the whole demo."""
 
 
 def lines(outcome: Outcome) -> list[str]:
@@ -156,16 +156,16 @@ def lines(outcome: Outcome) -> list[str]:
 
 def _found(outcome: Outcome) -> list[str]:
     report = outcome.report
-    found = [row('verdict', report['verdict'])]
+    lines = [row('verdict', report['verdict'])]
     for effect in report['effects']:
-        found.append(row('effect', f'{effect["name"]} (probability {effect["probability"]:.2f})'))
-        found += [row('', f'{p["name"]} {p["value"]:.4g} {p["unit"]}')
+        lines.append(row('effect', f'{effect["name"]} (probability {effect["probability"]:.2f})'))
+        lines += [row('', f'{p["name"]} {p["value"]:.4g} {p["unit"]}')
                   for p in effect['parameters'][:3]]
     error = report['error']
-    found.append(row('error', f'{error["metric"]}, {error["unit"]}'))
-    found.append(row('', before_after('held-out', error)))
-    found.append(row('', before_after('second flight, never seen', outcome.unseen)))
-    return found
+    lines.append(row('error', f'{error["metric"]}, {error["unit"]}'))
+    lines.append(row('', before_after('held-out', error)))
+    lines.append(row('', before_after('second flight, never seen', outcome.unseen)))
+    return lines
 
 
 def _gains(outcome: Outcome) -> list[str]:

@@ -74,10 +74,10 @@ def sqlite_fault(file: Path) -> str:
         return 'its last page is torn'
     try:
         with closing(sqlite3.connect(address(file), uri=True)) as base:
-            (told,) = base.execute('PRAGMA quick_check(1)').fetchone()
+            (text,) = base.execute('PRAGMA quick_check(1)').fetchone()
     except (sqlite3.Error, UnicodeDecodeError) as error:
-        told = str(error)
-    return '' if told == 'ok' else ' '.join(told.removeprefix('*** in database main ***').split())
+        text = str(error)
+    return '' if text == 'ok' else ' '.join(text.removeprefix('*** in database main ***').split())
 
 
 def sqlite_remedy(file: Path) -> str:

@@ -122,8 +122,8 @@ def next_record(data: Data, position: int, stop: int, *, plain: bool) -> int | N
 
     `plain`: the file has messages outside of chunks, which are sought too.
     """
-    for found in (_PLAIN if plain else _IN_CHUNKS).finditer(data, position, stop):
-        start = found.start()
+    for match in (_PLAIN if plain else _IN_CHUNKS).finditer(data, position, stop):
+        start = match.start()
         end = end_of(data, start, stop)
         if end is None:
             continue

@@ -1,8 +1,8 @@
 """The intact messages of an mcap file, damaged or not, in one pass over its records.
 
 A chunk counts if its checksum is right; any other record counts if its content agrees with its
-length and another record follows it. Elsewhere the next record is sought byte by byte, so that a
-wrong length hides nothing. Neither summary nor index is needed. Messages are not decoded here.
+length and another record follows it. Otherwise the next record is searched byte by byte, so that
+a wrong length hides nothing. Neither summary nor index is needed. Messages are not decoded here.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ _UNPACK: dict[bytes, Callable[[bytes], bytes]] = {
     b'zstd': zstd.decompress,
     b'lz4': lz4.frame.decompress,
 }
-"""By the compression's name as in MCAP."""
+"""Decompressors by the name of the compression in MCAP."""
 _UNPACK_PART: dict[bytes, Callable[[bytes], bytes]] = {
     b'': bytes,
     b'zstd': lambda packed: zstd.ZstdDecompressor().decompress(packed),
     b'lz4': lambda packed: lz4.frame.LZ4FrameDecompressor().decompress(packed),
 }
-"""The same where the end is missing."""
+"""Decompressors for content whose end is missing."""
 
 
 class Message(NamedTuple):
@@ -76,7 +76,7 @@ class McapScan:
     def __init__(self, data: Data) -> None:
         """Take a file's bytes, which begin with `MAGIC`; they must stay open for the pass."""
         self.data = data
-        self.found = 0
+        self.returned = 0
         """Messages returned, of all topics."""
         self.stated: int | None = None
         """Messages by the statistics of a file that was closed; None without them."""
@@ -108,12 +108,12 @@ class McapScan:
     @property
     def others(self) -> Counter[tuple[str, str]]:
         """Messages that `batches` was not asked for, by topic and type."""
-        found: Counter[tuple[str, str]] = Counter()
+        counts: Counter[tuple[str, str]] = Counter()
         for channel, count in self._others.items():
             topic = self._names.channels.get(channel)
             if topic is not None:
-                found[topic.name, topic.kind] += count
-        return found
+                counts[topic.name, topic.kind] += count
+        return counts
 
     def messages(self) -> Iterator[Message]:
         """All intact messages in the file's order."""
@@ -125,7 +125,7 @@ class McapScan:
                     channel, _, time_ns, _ = MESSAGE_HEAD.unpack_from(body)
                     topic = self._named(channel)
                     self.unnamed += topic is None
-                    self.found += topic is not None
+                    self.returned += topic is not None
                     if topic is not None:
                         yield Message(topic, time_ns, body[MESSAGE_HEAD.size :])
                 elif not self._names.take(opcode, body):
@@ -161,12 +161,12 @@ class McapScan:
                     sinks.clear()
             count = sum(map(len, batch.values()))
             if count >= BATCH:
-                self.found += count
+                self.returned += count
                 yield batch
                 batch = {}
                 sinks.clear()
         yield batch
-        self.found += sum(map(len, batch.values())) + self._others.total() - self.unnamed
+        self.returned += sum(map(len, batch.values())) + self._others.total() - self.unnamed
         self.lost = self._count_lost()
 
     def contents(self) -> Iterator[bytes]:
@@ -196,16 +196,16 @@ class McapScan:
     def _chunked(self, stop: int) -> bool:
         """Whether the messages of the file are in chunks."""
         header = end_of(self.data, len(MAGIC), stop)
-        found = next_record(self.data, len(MAGIC), stop, plain=False)
-        starts = [at for at in (header, found) if at is not None and at < stop]
+        second = next_record(self.data, len(MAGIC), stop, plain=False)
+        starts = [at for at in (header, second) if at is not None and at < stop]
         return any(self.data[at] in {CHUNK, MESSAGE_INDEX} for at in starts)
 
     def _next(self, before: int, position: int, stop: int) -> int:
         """Start of the record that follows the one before, but not at `position`; or `stop`."""
-        found = next_record(self.data, before + 1, stop, plain=self._plain)
-        if found == position:
-            found = next_record(self.data, position + 1, stop, plain=self._plain)
-        return stop if found is None else found
+        start = next_record(self.data, before + 1, stop, plain=self._plain)
+        if start == position:
+            start = next_record(self.data, position + 1, stop, plain=self._plain)
+        return stop if start is None else start
 
     def _record(self, position: int, stop: int) -> tuple[int | None, bytes]:
         """End of the record here, None where there is no intact one, and what it adds."""
@@ -250,7 +250,7 @@ class McapScan:
         return self._names.channels.get(channel)
 
     def _count_lost(self) -> int:
-        return self.unnamed if self.stated is None else max(self.stated - self.found, 0)
+        return self.unnamed if self.stated is None else max(self.stated - self.returned, 0)
 
 
 def _packed(data: Data, position: int, end: int) -> tuple[bytes, bytes]:

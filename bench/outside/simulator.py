@@ -2,13 +2,15 @@
 
 It shares no line with the analysis or with the virtual STM32. An effect is a class with a
 `step(situation) -> Change`, called once per millisecond; it keeps its state in itself and is
-deterministic, so that a deep copy of it goes on as it would have done.
+deterministic, so that a deep copy of it goes on as it would have done. What its writer knew of the
+aircraft is below: the data sheet.
 """
 
 from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,8 +22,11 @@ MIX = np.array([[1.0, 1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 
                 [1.0, 1.0, -1.0, -1.0]])
 """(motor, U1..U4)."""
 UNMIX = MIX.T / 4.0
-GAIN = np.array([450.0, 400.0, 60.0])
+SIDE = ((1.0, -1.0, -1.0, 1.0), (1.0, 1.0, -1.0, -1.0), (1.0, -1.0, 1.0, -1.0))
+"""By axis: +1 where the thrust of the motor turns it up."""
+GAIN_OF = (450.0, 400.0, 60.0)
 """rad/s² per unit command of roll, pitch, yaw."""
+GAIN = np.array(GAIN_OF)
 DAMPING = np.array([0.5, 0.5, 0.3])
 LAG_S = 0.042
 DELAY_CYCLES = 2
@@ -33,6 +38,20 @@ TORQUE_NOISE = 0.03
 GUST, GUST_S = 0.25, 0.4
 """RMS in rad/s² and correlation time in s of the slow disturbance."""
 AXES = ('roll', 'pitch', 'yaw')
+G = 9.81
+MASS = 1.2
+"""kg"""
+INERTIA = 0.012
+"""kg m², about roll or pitch."""
+HOVER = 0.5
+"""Command and thrust of a motor in hover."""
+
+
+def drive(speed, axis):
+    """Angular acceleration that the motors deliver about an axis, rad/s²."""
+    a, b, c, d = speed.tolist()
+    p, q, r, t = SIDE[axis]
+    return 0.25 * GAIN_OF[axis] * (p * a + q * b + r * c + t * d)
 
 
 @dataclass
@@ -78,6 +97,23 @@ class Change:
     """(3,) what the gyro shows beside the true rate, before its filter, rad/s."""
 
 
+@dataclass(frozen=True)
+class Plant:
+    """An effect, and from where it came."""
+
+    name: str
+    effect: Callable[[float], object]
+    """By its strength."""
+    opened: str
+    """The set with which it was opened, of SETS."""
+    place: int
+    """In that set; the seed of its flights follows from it."""
+    rig: bool
+    """On a rig of one axis, or in free flight."""
+    may_be: tuple[str, ...] = ()
+    """Names of our table that are no lie: what it contains, or cannot be distinguished from."""
+
+
 class Nothing:
     """No effect."""
 
@@ -91,7 +127,7 @@ class Aircraft:
     def __init__(self, effect, axis: int, rig: bool) -> None:
         self.effect, self.axis = effect, axis
         self.rate, self.angle, self.acceleration = np.zeros(3), np.zeros(3), np.zeros(3)
-        self.speed = np.full(4, 0.5)
+        self.speed = np.full(4, HOVER)
         self.seen, self.seen_slope = np.zeros(3), np.zeros(3)
         self.free = np.array([i == axis or not rig for i in range(3)], dtype=float)
         self.fade = math.exp(-H / LAG_S)

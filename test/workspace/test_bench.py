@@ -1,0 +1,33 @@
+"""What the benchmarks publish: the plants of each set as they were, the pages as their data."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+
+BENCH = Path(__file__).resolve().parents[2] / 'bench'
+
+
+def test_a_set_of_effects_from_outside_stays_as_it_was_opened(monkeypatch):
+    """The physics is grouped by family; set, place, rig and the seed of a flight may not move."""
+    monkeypatch.syspath_prepend(str(BENCH))
+    import outside
+
+    assert sum(map(len, outside.FAMILIES.values())) == len(outside.PLANTS)  # no name twice
+    for opened in outside.SETS:
+        places = sorted(one.place for one in outside.PLANTS.values() if one.opened == opened)
+        assert places == list(range(12))
+    listed = '\n'.join(
+        f'{case.opened} {case.effect} {case.strength} {case.seed} {case.axis} '
+        f'{case.plant.rig} {" ".join(case.plant.may_be)}' for case in outside.cases('', 0.3)
+    )
+    assert hashlib.sha256(listed.encode()).hexdigest()[:16] == '4e4c40250e50ab0d'
+
+
+def test_the_pages_show_their_data():
+    """`make bench-results` would change nothing."""
+    done = subprocess.run([sys.executable, BENCH / 'results.py', '--check'], capture_output=True,
+                          text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, ''), done.stderr
