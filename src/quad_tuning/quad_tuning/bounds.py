@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from quad_sysid.autopilot_table import AUTOPILOT, AXES, TABLES
 from quad_sysid.loop.cascade import CONTRACT_NAMES, ELSEWHERE, TUNED, CascadeGains
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
@@ -30,6 +31,20 @@ ROWS = {row.name: row for row in (*PER_AXIS, *OPTIONAL) if row.bound is not None
 """The contract's name after `<axis>.` → its row in the bridge's table."""
 BOUNDS: dict[str, Bound] = {name: row.bound for name, row in ROWS.items() if row.bound}
 BOUNDS['rate.kd'] = replace(BOUNDS['rate.kd'], upper=0.02)  # more amplifies the gyro's noise
+
+
+def bounds_of(axis: str, active: Mapping[str, float]) -> dict[str, Bound]:
+    """The hard bounds of an axis' gains, and within them what an autopilot's parameters may be."""
+    table = TABLES.get(int(active.get(AUTOPILOT, 0.0)))
+    if table is None:
+        return BOUNDS
+    unit, number = active.get(f'{axis}.rate.output_limit', 1.0), AXES.index(axis)
+    found = dict(BOUNDS)
+    for ours, (low, high) in table.limits(number, (unit, unit, unit)).items():
+        name = ours.partition('.')[2]
+        bound = BOUNDS[name]
+        found[name] = replace(bound, lower=max(bound.lower, low), upper=min(bound.upper, high))
+    return found
 
 
 def check_finite(gains: Mapping[str, float]) -> None:

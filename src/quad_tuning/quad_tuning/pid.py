@@ -10,7 +10,7 @@ continues from those that lie apart; violated loops are added as constraints unt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -37,6 +37,7 @@ from quad_tuning.assess import (
 from quad_tuning.bounds import BOUNDS, DESIGNED, check_finite
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
+from quad_tuning.gain_table import Bound
 
 REACH = 16.0
 """Largest factor between flown and new gain; the bounds apply too."""
@@ -140,7 +141,7 @@ class Problem:
 
 
 def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Requirements,
-         fixed: Collection[str] = ()) -> Problem:
+         fixed: Collection[str] = (), bounds: Mapping[str, Bound] = BOUNDS) -> Problem:
     """The problem of one axis; raises DesignRefusedError where the flown loop diverges.
 
     `fixed` are fields of CascadeGains that do not change.
@@ -148,7 +149,7 @@ def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Require
     check_finite({f'flown.{CONTRACT_NAMES[f]}': getattr(active, f) for f in DESIGNED})
     low, high = [], []
     for field in DESIGNED:
-        bound, value = BOUNDS[CONTRACT_NAMES[field]], getattr(active, field)
+        bound, value = bounds[CONTRACT_NAMES[field]], getattr(active, field)
         if field in fixed:
             low.append(value)
             high.append(value)
@@ -367,14 +368,14 @@ class PidDesign:
 
 def retune(plant: Flying, active: CascadeGains, ensemble: Ensemble,
            needs: Requirements | None = None,
-           fixed: Collection[str] = ()) -> PidDesign:
+           fixed: Collection[str] = (), bounds: Mapping[str, Bound] = BOUNDS) -> PidDesign:
     """The best gains within the bounds that satisfy every loop of the ensemble.
 
     `fixed` are fields of CascadeGains that do not change. Deterministic. Raises DesignRefusedError
     where no gains in the box meet the requirements.
     """
     needs = needs or Requirements()
-    problem = pose(plant, active, ensemble, needs, fixed)
+    problem = pose(plant, active, ensemble, needs, fixed, bounds)
     points, kept = search(problem), True
     if not points:
         kept = False

@@ -152,7 +152,7 @@ class Autopilot:
             stream.reached, stream.next_ask_ns, stream.pause_ns = False, 0, PAUSE_NS[0]
 
     def log_comes(self, *, now: bool) -> None:
-        """Whether its log is being fetched: all streams give way to that, and nobody is to blame."""
+        """Whether its log is being fetched: all streams give way, and nobody is to blame."""
         if self._log_comes and not now:
             self.restarted()
             self._look_ns = self._looked_ns = 0
