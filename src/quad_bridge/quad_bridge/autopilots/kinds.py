@@ -122,8 +122,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
         (f'FLTMODE_GCSBLOCK {blocked}', not blocked & 1 << 20,
          'clear bit 20: DO_SET_MODE may not enter SYSTEM ID'),
         (f'MOT_HOVER_LEARN {learns}', not learns,
-         'set it to 0 once it has hovered for a minute: the unit of the gains follows what it '
-         'learns'),
+         'set it to 0 after a minute of hover: the unit of the gains follows what it learns'),
     ]  # fmt: skip
     del version
     return found
