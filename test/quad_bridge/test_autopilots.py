@@ -167,10 +167,10 @@ def test_gains_are_read_written_watched_and_confirmed(flying, name):
     active = line.updates.active
     assert active['roll.rate.kp'] == pytest.approx(unit * before, rel=1e-4)
     assert active['sensor.gyro_filter_hz'] == 40.0
-    wanted = 1.6 * unit * before
-    line.ask(roll_rate_kp=wanted)
-    line.fly(2.0)
-    assert line.controller.parameters[P[name]] == pytest.approx(1.6 * before, rel=1e-5)
+    wanted = 2.4 * unit * before
+    line.ask(roll_rate_kp=wanted)  # in two steps: answers to questions come after the second
+    line.fly(5.0)
+    assert line.controller.parameters[P[name]] == pytest.approx(2.4 * before, rel=1e-5)
     assert line.updates.state is State.WATCHING
     assert line.kept()['trial']['good'][P[name]] == pytest.approx(before)
     line.fly(10.0)
@@ -404,6 +404,7 @@ def test_a_wrong_chirp_is_refused_in_one_line(flying):
     for given, words in (
         ({'amplitude': 0.9}, 'SID_MAGNITUDE must be at most 0.25'),
         ({'sweep_s': 6.0}, 'too short for SYSTEM ID'),
+        ({'sweep_s': 24.0, 'f0_hz': 0.2}, 'and 10.5 s must be left of 24'),  # as its steady start
         ({'f0_hz': math.nan}, 'needs f0_hz'),
         ({'axis': 'nose'}, "axis 'nose'"),
     ):

@@ -112,7 +112,7 @@ class SerialBridge(ManagedNode):
             f.GainsState: self._on_gains_frame,
             f.RcChannels: self._on_sticks,
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
-            f.StatusText: lambda frame, _: self._say_once(f'{self._link.name}: {frame.text}'),
+            f.StatusText: self._on_text,
             f.LogEntry: self._logs.take,
             f.LogData: self._logs.take,
         }
@@ -261,6 +261,10 @@ class SerialBridge(ManagedNode):
     def _on_gains_frame(self, frame: f.ParamValue | f.GainsState, now_ns: int) -> None:
         if self._aircraft.has_gains:
             self._gains.take(frame, 1e-9 * now_ns)
+
+    def _on_text(self, frame: f.StatusText, _: int) -> None:
+        self._logs.heard(frame.text)
+        self._say_once(f'{self._link.name}: {frame.text}')
 
     def _on_aircraft(self, aircraft: Aircraft) -> None:
         """Another aircraft is on the line, by its heartbeat."""
