@@ -139,7 +139,7 @@ LARGEST_RELATIVE_STD = {'gain': 0.2, 'lag': 0.4}
 LARGEST_DELAY_STD_CYCLES = 1.5
 LARGEST_OUTSIDE = 0.25
 """Largest acceleration of what the loop cannot hold, over the drive's."""
-LEAST_ROOM = 0.05
+MIN_ROOM = 0.05
 """Throttle that must be left on either side of the hover."""
 BAND_REACH = 2.0
 """Factor (one octave) by which the crossover may leave the model's trusted band."""
@@ -254,7 +254,7 @@ def within_thrust(gains: CascadeGains, model: AxisModel) -> CascadeGains:
     if span is None or hover is None:
         return gains
     room = min(hover - span[0], span[1] - hover)
-    if room < LEAST_ROOM:
+    if room < MIN_ROOM:
         raise DesignRefusedError(
             f'{model.axis}: it hovers at a throttle of {hover:.2f}, and the loop has '
             f'{span[0]:g} .. {span[1]:g}: too little is left to climb and sink by'

@@ -48,7 +48,7 @@ MAX_PULSE = 3000.0
 """µs. No speed controller is sent a longer one."""
 CENTI = 0.01
 """deg/s of RATE's unit in logs with TimeMS, and of a speed in cm/s."""
-FEWEST = 10
+MIN_MESSAGES = 10
 """Messages of CTUN that say how it climbs."""
 AS_FAST = 0.9
 """Share of the gyro's rate from which on RATE, which the controller saw, is preferred."""
@@ -132,7 +132,7 @@ def _climb(reading: Reading) -> None:
     CRt is in cm/s, in some versions in m/s: the slope of the altitude says which.
     """
     logged = reading.table.stream('CTUN.CRt', 'CTUN.Alt')
-    if logged is None or 'velocity' in reading.streams or len(logged.time_s) < FEWEST:
+    if logged is None or 'velocity' in reading.streams or len(logged.time_s) < MIN_MESSAGES:
         return
     rate, height = logged.values.T
     slope = np.gradient(height, logged.time_s)
