@@ -36,7 +36,7 @@ ONLY_PARSED = {
     'quad-tune rollback': 'needs ROS; test_gain_history.py rolls back',
     'quad-tune send': 'needs a bridge; test_update_node.py and test_gain_updates.py send',
     'quad-tune history': 'needs gains that flew; test_gain_history.py',
-    'quad-tune design result/model.json --axis': 'needs a model of the climb or surge; test_climb.py',
+    'quad-tune design result/model.json --axis': 'needs a model of such an axis; test_climb.py',
     'quad-sysid import': 'its files are not at hand; test_foreign_logs.py, test_import_tables.py',
     'quad-sysid fleet': 'starts processes; test_fleet.py',
     'quad-sysid app': 'serves until it is ended; test_app.py',
