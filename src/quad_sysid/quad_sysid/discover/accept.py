@@ -233,7 +233,8 @@ def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Ver
     base = rungs[0]
     answer = ladder.rungs[ladder.answer].model
     p_all = unseen.p_value(rungs[ladder.answer], base) if ladder.answer else 1.0
-    chosen, claims = base, []
+    chosen = base
+    claims: list[Claim] = []
     while ladder.answer and p_all <= LEVEL:
         fitted = models.comparable(answer)
         if not isinstance(fitted, Fit):  # what is left cannot follow a flight
