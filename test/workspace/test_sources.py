@@ -60,7 +60,8 @@ def read(path: Path) -> tuple[str, set[str], set[str]]:
         elif isinstance(node, ast.Call):
             name = getattr(node.func, 'id', getattr(node.func, 'attr', ''))
             calls.add(name)
-            imports |= {node.args[0].value} if name == 'importorskip' else set()
+            if name == 'importorskip' and isinstance(node.args[0], ast.Constant):
+                imports.add(node.args[0].value)
     return ast.get_docstring(tree) or '', {name.partition('.')[0] for name in imports}, calls
 
 
