@@ -31,8 +31,6 @@ MOST_COMMAND = 0.5
 """Largest normalised command."""
 LONGEST_DT_S = 0.05
 """Errors are those of free runs of 0.5 s, which need some samples."""
-EVEN = 1e-6
-"""Relative difference of intervals that rounding causes."""
 PHYSICAL = ('V', 'mV', 'A', 'mA', 'N', 'mN', 'N m', 'mN m', 'W', 'Pa', 'bar', 'K', 'rad', 'deg',
             'm', 'mm', 'rad/s', 'deg/s', 'rpm', 'm/s', 'mm/s', 'counts')
 """Units of an input without a range of its own: the largest value counts as full command."""

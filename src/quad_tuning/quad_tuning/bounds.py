@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from quad_sysid.autopilot_table import AUTOPILOT, TABLES
 from quad_sysid.axes import EVERY
 from quad_sysid.loop.cascade import FOREIGN_NAMES, TUNED, CascadeGains, contract_names
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
@@ -49,6 +50,19 @@ for _axis in AXES:  # more amplifies the gyro's noise
 
 CONSTANT = Bound(0.0, math.inf)
 """Of a filter that a firmware does not have: a design leaves it as it is."""
+
+
+def bounds_of(axis: str, active: Mapping[str, float]) -> dict[str, Bound]:
+    """The hard bounds of an axis' gains, and within them what an autopilot's parameters may be."""
+    table = TABLES.get(int(active.get(AUTOPILOT, 0.0)))
+    if table is None:
+        return BOUNDS
+    unit, number = active.get(f'{axis}.rate.output_limit', 1.0), AXES.index(axis)
+    limits = dict(BOUNDS)
+    for ours, (low, high) in table.limits(number, (unit, unit, unit)).items():
+        bound = BOUNDS[ours]
+        limits[ours] = replace(bound, lower=max(bound.lower, low), upper=min(bound.upper, high))
+    return limits
 
 
 def check_finite(gains: Mapping[str, float]) -> None:

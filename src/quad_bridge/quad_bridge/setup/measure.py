@@ -22,6 +22,12 @@ ON_US = 1750.0  # a switch is on above it (SWITCHED_US of the firmware)
 SNAP_RAD = np.radians(15.0)
 """A board that is turned by a quarter turn, within this, is meant to be turned by one."""
 MIN_COVERED = 1.2  # least span in each axis, in radii of the compass: both ends are seen
+ALONE = 0.5  # of the largest change: a second channel that moves by more is a mix
+MAX_OFF_G = 0.35  # one of six positions that is this far off the best board was not held
+SCALE = (0.8, 1.2)  # of a sound accelerometer: data sheets say 3 %
+MAX_OFFSET_M_S2 = 5.0  # half of gravity; more is a broken axis
+FEWEST_FIELDS = 50  # some seconds of a compass
+BATTERY_ON_V = 0.5
 ROUND_SHARE = 0.15  # largest distance of the field's points from a sphere, in radii
 
 FORCES = {
@@ -78,7 +84,7 @@ def moved(before: Sequence[float], after: Sequence[float], what: str) -> int:
     order = np.argsort(change)[::-1]
     if change[order[0]] < MIN_MOVE_US:
         raise RefusedError(f'{what}: no channel moved by {MIN_MOVE_US:g} µs')
-    if change[order[1]] > 0.5 * change[order[0]]:
+    if change[order[1]] > ALONE * change[order[0]]:
         pair = sorted(int(i) + 1 for i in order[:2])
         raise RefusedError(f'{what}: channels {pair[0]} and {pair[1]} moved: switch mixes off')
     return int(order[0]) + 1
@@ -125,10 +131,11 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
     rotation = left @ right
     off = force - offset - place @ (rotation / scale)
     worst = int(np.argmax(np.linalg.norm(off, axis=1)))
-    if np.linalg.det(rotation) < 0.0 or np.linalg.norm(off[worst]) > 0.35 * GRAVITY_M_S2:
+    if np.linalg.det(rotation) < 0.0 or np.linalg.norm(off[worst]) > MAX_OFF_G * GRAVITY_M_S2:
         raise RefusedError(f'the six positions do not fit one board: {list(FORCES)[worst]!r} is '
                            'the furthest off; take them again')  # fmt: skip
-    if not np.all((scale > 0.8) & (scale < 1.2)) or np.abs(offset).max() > 5.0:
+    if not np.all((scale > SCALE[0]) & (scale < SCALE[1])) \
+            or np.abs(offset).max() > MAX_OFFSET_M_S2:
         numbers = f'offset {np.round(offset, 2)} m/s², scale {np.round(scale, 3)}'
         raise RefusedError(f'{numbers}: no sound accelerometer; hold it still in each position')
     square = np.round(rotation)
@@ -148,7 +155,7 @@ def compass(raw: FloatArray) -> Values:
     |m|^2 = 2 c m + r^2 - |c|^2, linear in the centre c. Raises RefusedError where they cover too
     little of it, or are no sphere.
     """
-    if len(raw) < 50:
+    if len(raw) < FEWEST_FIELDS:
         raise RefusedError(f'the compass: {len(raw)} fields are too few; is there one?')
     solved, *_ = np.linalg.lstsq(
         np.column_stack([2.0 * raw, np.ones(len(raw))]), (raw**2).sum(axis=1), rcond=None
@@ -169,7 +176,7 @@ def compass(raw: FloatArray) -> Values:
 
 def divider(shown_v: float, true_v: float, now: float) -> Values:
     """The battery's divider, by a voltmeter."""
-    if not (shown_v > 0.5 and true_v > 0.5):
+    if not (shown_v > BATTERY_ON_V and true_v > BATTERY_ON_V):
         raise RefusedError(f'the board shows {shown_v:.2f} V: is the battery on?')
     return {'battery.divider': now * true_v / shown_v}
 

@@ -34,6 +34,7 @@ NAMES = tuple(row.name for row in SET_UP)
 COMPASS_S, SPIN_S = 30.0, 1.0
 PLACES = '1 rear left, 2 rear right, 3 front right, 4 front left'
 CLOCKWISE = (1, 3)
+MIN_RANGE_US = 200.0  # of the motors' pulses: a fifth of the usual 1000
 _STICKS = (
     ('throttle', 'all the way down', 'all the way up'),
     ('roll', 'all the way left', 'all the way right'),
@@ -155,8 +156,10 @@ class Wizard:
         for end, words in (('min', 'a motor that stands'), ('max', 'full throttle')):
             name = f'motors.pulse_{end}_us'
             values[name] = self._number(f'pulse of {words}, µs', self._now(name), 800.0, 2200.0)
-        if not values['motors.pulse_max_us'] >= values['motors.pulse_min_us'] + 200.0:
-            raise RefusedError('full throttle must be at least 200 µs above standing')
+        if not values['motors.pulse_max_us'] >= values['motors.pulse_min_us'] + MIN_RANGE_US:
+            raise RefusedError(
+                f'full throttle must be at least {MIN_RANGE_US:g} µs above standing'
+            )
         return values
 
     def _positions(self) -> dict[str, float]:

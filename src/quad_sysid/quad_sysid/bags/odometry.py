@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quad_sysid.bags.cdr import Stamped
-from quad_sysid.bags.orientation import euler_from_quaternion, quaternions
+from quad_sysid.bags.orientation import MIN_NORM, euler_from_quaternion, quaternions
 from quad_sysid.bags.stamps import Grid
 from quad_sysid.contract import FloatArray
 from quad_sysid.motion import altitude_of, in_body, lean, over_level, vertical_motion
@@ -25,6 +25,13 @@ LEAST = 10
 MOVES_M = 0.05
 """Positions that spread less say nothing of how fast the aircraft is."""
 SLOWEST_BARO_S = 0.5
+SMOOTH_S = 0.2
+"""Slopes of positions are compared with the twist as means over this: their noise is white."""
+CLOSER = 0.5
+"""The twist is in the world's frame if it is that much closer to the slopes there: where the body
+hardly turns both are about as close, and what the message says counts."""
+AIR_PA = (1e4, 1.2e5)
+"""Air, from 16 km of altitude to below the sea's level."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,7 @@ def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
     position, quaternion, twist = values[:, :3], values[:, 3:7], values[:, 7:]
     leans: FloatArray | None = None
     norm = np.linalg.norm(quaternion, axis=1)
-    if (norm > 0.5).all() and np.abs(quaternion[:, :3]).max() > 1e-9:
+    if (norm > MIN_NORM).all() and np.abs(quaternion[:, :3]).max() > 1e-9:
         attitude = euler_from_quaternion(quaternion / norm[:, None])
         leans = grid.place(stamps, lean(attitude))
     elif angles is not None:  # positions only: the attitude is that of /imu/data
@@ -100,14 +107,14 @@ def _along_heading(position: FloatArray, twist: FloatArray, attitude: FloatArray
         warnings.append(f'{ODOM}: its twist is not filled in; the speed is the slope of its '
                         'positions')
         return derived
-    wide = max(1, round(0.2 / float(np.median(np.diff(time)))))
+    wide = max(1, round(SMOOTH_S / float(np.median(np.diff(time)))))
 
     def apart(one: FloatArray) -> float:
         kernel = np.full(wide, 1.0 / wide)
         return float(sum(np.mean(np.convolve(column, kernel, 'valid')**2)
                          for column in (one - derived).T))
 
-    if apart(world) < 0.5 * apart(body):
+    if apart(world) < CLOSER * apart(body):
         warnings.append(f'{ODOM}: its twist is in the frame of the world, by its positions')
         return world
     return body
@@ -120,7 +127,7 @@ def _vertical(stream: Stamped | None, grid: Grid, angles: FloatArray,
         return Moving()
     stamps, rows = np.unique(stream.stamps, return_index=True)
     pressure = stream.values[rows, 0]
-    good = np.isfinite(pressure) & (pressure > 1e4) & (pressure < 1.2e5)
+    good = np.isfinite(pressure) & (pressure > AIR_PA[0]) & (pressure < AIR_PA[1])
     stamps, pressure = stamps[good], pressure[good]
     if pressure.size < LEAST or not np.ptp(pressure) > 0.0 \
             or np.median(np.diff(stamps)) > 1e9 * SLOWEST_BARO_S:

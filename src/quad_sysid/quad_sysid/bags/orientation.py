@@ -7,6 +7,8 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 
 UNMEASURED = -1.0
+MIN_NORM = 0.5
+"""Below it four numbers are zeros or noise, and no quaternion of norm 1."""
 """First number of a covariance whose quantity is not measured (REP-145)."""
 
 
@@ -28,7 +30,7 @@ def euler_angles(orientation: FloatArray) -> FloatArray:
     """
     quaternion, covariance = orientation[:, :4], orientation[:, 4]
     norm = np.linalg.norm(quaternion, axis=1)
-    known = np.isfinite(norm) & (norm > 0.5) & (covariance != UNMEASURED)
+    known = np.isfinite(norm) & (norm > MIN_NORM) & (covariance != UNMEASURED)
     angles = np.full((len(orientation), 3), np.nan)
     angles[known] = euler_from_quaternion(quaternion[known] / norm[known, None])
     angles[known, 2] = np.unwrap(angles[known, 2])

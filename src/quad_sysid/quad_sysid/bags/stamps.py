@@ -25,6 +25,10 @@ JUMP_NS = 1_000_000_000
 """A step beyond it, either way, may be a clock that was set."""
 MAX_GAP_S = 600.0
 RATE_TOLERANCE = 0.15
+ONE_CYCLE = 0.5
+"""A step that is off by less, as a share, is one cycle and neither none nor two."""
+CRYSTAL = 2e-4
+"""Two clocks differ by less than this share, so an interval that is so near whole µs is meant."""
 BLOCK = 32
 """Differences per block in which the rate is checked."""
 JITTER_WARNING = 0.25
@@ -89,7 +93,7 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
     rows = _one_rate(stamps, rows, nominal, source, topic, warnings)
     times = stamps[rows]
     steps = np.diff(times)
-    near = np.abs(steps / nominal - 1.0) < 0.5
+    near = np.abs(steps / nominal - 1.0) < ONE_CYCLE
     if near.mean() > 0.5:  # the median of steps that jitter is a per cent off, their mean is not
         nominal = float(steps[near].mean())
     cells, phase = count_cycles(steps / nominal)
@@ -224,8 +228,13 @@ def _interval(times: IntArray, cells: IntArray) -> float:
     counts = np.diff(cells)
     near = counts <= 2
     mean_ns = float(np.diff(times)[near].sum() / counts[near].sum())
-    whole = round(mean_ns / 1000.0) * 1000.0
-    return (whole if whole and abs(whole / mean_ns - 1.0) < 2e-4 else mean_ns) * 1e-9
+    return in_whole_us(mean_ns * 1e-9)
+
+
+def in_whole_us(dt: float) -> float:
+    """A mean interval, s, in whole µs where that is what was meant."""
+    whole = round(dt * 1e6) / 1e6
+    return whole if whole and abs(whole / dt - 1.0) < CRYSTAL else dt
 
 
 def _tell_gaps(cells: IntArray, dt: float, topic: str, warnings: list[str]) -> None:

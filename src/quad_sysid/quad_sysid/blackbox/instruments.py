@@ -30,6 +30,8 @@ CONVERGED = 0.02
 """Largest change of a parameter at convergence, in standard errors."""
 SWINGING = 6
 """Rounds after which the rounds are averaged."""
+SINGULAR = 1e14
+"""Condition of scaled instruments from which on a double holds no digit of the solution."""
 UNSTABLE = 'the estimate is unstable; its instruments were made with reflected poles'
 
 
@@ -140,7 +142,7 @@ def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
     if not ((scale > 0.0).all() and (unit > 0.0).all() and np.isfinite(unit).all()):
         raise BadInputError(where, 'an instrument is zero or diverges', remedy='lower the orders')
     cross = sum(((w / unit).T @ (x / scale) for x, w, _ in blocks), np.zeros((scale.size,) * 2))
-    if np.linalg.cond(cross) > 1e14:
+    if np.linalg.cond(cross) > SINGULAR:
         raise BadInputError(where, 'the instruments do not excite all parameters',
                             remedy='lower the orders')
     right = sum(((w / unit).T @ y for _, w, y in blocks), np.zeros(scale.size))

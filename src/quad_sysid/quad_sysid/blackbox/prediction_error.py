@@ -57,6 +57,8 @@ OVERSHOT = 0.2
 """Slope behind a full step, against that before it, from which a shorter one is tried."""
 WANDERS = 0.02
 """Power of the residual's changes, against its own, below which it wanders as with a drift."""
+SINGULAR = 1e12
+"""Condition of the scaled slopes from which on their inverse gives no standard errors."""
 REINSERTED = 3
 """Places of a nearly cancelling pair from which the descent is tried again."""
 
@@ -338,7 +340,7 @@ def with_covariance(point: Point) -> Model:
     own = [g @ free for g in point.gradients]
     scale = _scale(free.T @ point.hessian @ free)
     r = upper(np.vstack([upper(g / scale) for g in own]))
-    if r.shape[0] != free.shape[1] or np.linalg.cond(r) > 1e12:
+    if r.shape[0] != free.shape[1] or np.linalg.cond(r) > SINGULAR:
         return model
     inverse = free @ (np.linalg.solve(r, np.eye(r.shape[0])) / scale[:, None])
     if not model.C.size == model.D.size == model.A.size == 1:

@@ -16,6 +16,12 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 
 SETTLED_BAND = 0.05
 """Settled: remaining within this share of the step around the final value."""
+FEWEST = 10
+"""Samples of a response."""
+MIN_REACHED = 0.1
+"""Of the step: what settles lower has no rise time, and its overshoot would be of noise."""
+MAX_STANDING = 0.5
+"""Of the step: a response that stood further off before it is not scaled by where it stood."""
 EDGE_SHARE = 0.25
 """Share of its range by which the reference changes within one sample at an edge."""
 
@@ -54,11 +60,11 @@ def step_figures(response: npt.ArrayLike, dt: float) -> StepFigures:
     y = np.asarray(response, dtype=float)
     if y.ndim != 1 or not np.isfinite(y).all():
         raise BadInputError('figures', 'response must be (n,) and finite', y.shape)
-    if y.size < 10:
-        raise BadInputError('step_figures', 'needs 10 samples or more', y.size)
+    if y.size < FEWEST:
+        raise BadInputError('step_figures', f'needs {FEWEST} samples or more', y.size)
     settled = float(np.mean(y[-max(2, y.size // 5) :]))
     nan = float('nan')
-    if settled < 0.1:
+    if settled < MIN_REACHED:
         return StepFigures(nan, nan, nan, 100.0 * (1.0 - settled))
     way = y / settled
     low, high = _first_crossing(way, 0.1), _first_crossing(way, 0.9)
@@ -128,7 +134,7 @@ def _edge_responses(r: FloatArray, y: FloatArray,
         begin = float(np.mean(y[start - lead : start]))
         offset = (begin - float(r[start - 1])) / step
         # the step is scaled by where the response stood, so that a standing error is not a step
-        scale = step * (1.0 - offset) if abs(offset) < 0.5 else step
+        scale = step * (1.0 - offset) if abs(offset) < MAX_STANDING else step
         responses.append((y[start:stop] - begin) / scale)
         steps.append(step)
     return responses, steps

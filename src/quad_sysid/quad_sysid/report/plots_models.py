@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHOWN_WINDOWS = 10
+SHOWN_COHERENCE = 0.2
+"""Below it a point of the empirical response is mostly noise, and is not drawn."""
 
 
 def runs(findings: Findings) -> list[tuple[HeldOut, str, str, str]]:
@@ -120,7 +122,7 @@ def bode(answer: AxisAnswer) -> Picture | None:
     figure, axes = panels(2, height_in=4.3, ratios=(1.25, 1.0))
     try:
         data = spa(train)
-        good = data.coherence > 0.2
+        good = data.coherence > SHOWN_COHERENCE
         axes[0].loglog(data.w[good], np.abs(data.response[good]), '.', ms=3.5, color=INK,
                        label='data')
         axes[1].semilogx(data.w[good], degrees(data.response[good]), '.', ms=3.5, color=INK)

@@ -104,7 +104,7 @@ def _part(injection: str, signal: str, parameters: Mapping[str, float], amplitud
 NOTHING = 'nothing'
 SIMULATED_S = 30.0
 """Longest simulated flight, s; longer ones only repeat it."""
-MIN_DURATION_S = 10.0
+MIN_DURATION_S, MAX_DURATION_S = 10.0, 600.0
 DETECTABLE_NATS = 12.0
 """Evidence, nats, at which a plain PRBS of the whole length just finds an effect: its prior costs
 some 7, and 5 remain. A rival that the model does not contain is made that strong."""
@@ -292,18 +292,19 @@ def _check(names: Names, seconds: float, effects: Sequence[Effect]) -> None:
                                 f'use {", ".join(all_names)}')
     if names[0] == names[1]:
         raise BadInputError('--separate', 'needs two different effects', ' '.join(names))
-    if not MIN_DURATION_S <= seconds <= 600.0:
-        raise BadInputError('--seconds', f'must be from {MIN_DURATION_S:g} to 600', seconds)
+    if not MIN_DURATION_S <= seconds <= MAX_DURATION_S:
+        raise BadInputError('--seconds', f'must be from {MIN_DURATION_S:g} to {MAX_DURATION_S:g}',
+                            seconds)
 
 
 def _sized(aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation,
            wanted: float, effects: Sequence[Effect]) -> tuple[Rival, Rival]:
     """Both rivals with their strengths; an unknown one gets as much evidence as the known."""
     seen = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
-    given = [None if model is None else effect_of(model, name) for name in names]
-    evidence = max((seen.trace(one) for one in given if one is not None), default=wanted)
+    placed = [None if model is None else effect_of(model, name) for name in names]
+    evidence = max((seen.trace(one) for one in placed if one is not None), default=wanted)
     out = []
-    for name, known in zip(names, given, strict=True):
+    for name, known in zip(names, placed, strict=True):
         acting = known
         if acting is None and name != NOTHING:
             part = _prepared(name, seen.problem.data, effects)

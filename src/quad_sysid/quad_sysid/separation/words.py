@@ -13,6 +13,10 @@ from quad_sysid.signals.schedule import AMPLITUDES, Part
 NONE = 0.005
 """A share below this is reported as none."""
 SHOWN = 8
+NEVER_S = 6000.0
+"""More than a hundred minutes is no flight."""
+NOTICED = 0.01
+"""Shares that differ by less are the same to a reader."""
 WIDTH = 80
 ROW = '{:>2} {:<39}{:>6}{:>9}{:>8}{:>8}{:>7}'
 IDLE = '{segment: idle, duration_s: 3.0}'
@@ -77,7 +81,7 @@ def why(result: Separation) -> str:
         share = best.worst.mimicked
         words += (f'in this flight {other.name} cannot imitate {harder.name}' if share < NONE else
                   f'{other.name} explains {share:.0%} of the evidence for {harder.name}')
-        if matched is not None and matched.mimicked > share + 0.01:
+        if matched is not None and matched.mimicked > share + NOTICED:
             words += f', with the plain PRBS it explains {matched.mimicked:.0%}'
         words += '; the evidence between them is '
     more = f'{gain:.1f} times that' if gain < 1e3 else 'far more than that'
@@ -138,7 +142,7 @@ def _row(number: str, row: Row, seconds: float) -> str:
 
 
 def _seconds(value: float) -> str:
-    return f'{math.ceil(value)} s' if value < 5994.0 else 'never'
+    return f'{math.ceil(value)} s' if value < NEVER_S else 'never'
 
 
 def schedule(result: Separation) -> str:
