@@ -51,14 +51,17 @@ def overhead(bags: int, *, identify: bool) -> None:
                 every = bag.jobs(flights, Path(room, f'out_{cluster}_{workers}'),
                                  search_effects=False)
                 marks: list[tuple[float, float]] = []
+                begun = time.monotonic()
                 rows = engine.run(
                     every, workers, cluster, work=bag.look if identify else answer,
                     show=lambda _, m=marks: m.append((time.monotonic(), time.process_time())))
                 wall, cpu = ((b - a) / (len(rows) - 1)
                              for a, b in zip(marks[0], marks[-2], strict=True))
-                own = sum(row['seconds'] for row in rows) / len(rows)
+                own, used = (sum(row.get(name, 0.0) for row in rows) / len(rows)
+                             for name in ('seconds', 'cpu_s'))
                 print(f'{cluster or "threads"}, {workers} workers: {1e3 * wall:.1f} ms a bag, '
-                      f'{1e3 * cpu:.1f} ms of CPU here; its own work {1e3 * own:.1f} ms',
+                      f'{1e3 * cpu:.1f} ms of CPU here; its own work {1e3 * own:.1f} ms, '
+                      f'{1e3 * used:.1f} ms of CPU; {marks[-2][0] - begun:.1f} s with the start',
                       flush=True)
 
 

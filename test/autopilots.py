@@ -126,6 +126,7 @@ class Autopilot:
         """`mode` is custom_mode of the heartbeat."""
         self.edit: Callable[[str, object], object] = lambda _name, message: message
         """What is done to each message before it is sent; None leaves it out."""
+        self.share = 1.0  # of the rates that the line has left over
         self._late: deque[tuple[int, bytes]] = deque()
         self._owed: dict[str, float] = {}
 
@@ -152,7 +153,7 @@ class Autopilot:
                 2, self.kind.autopilot, mode, self.mode, 4, 3
             ))
         for name, hz in self.streams.items():
-            owed = self._owed.get(name, 0.0) + hz * 1e-6 * STEP_US
+            owed = self._owed.get(name, 0.0) + self.share * hz * 1e-6 * STEP_US
             self._owed[name] = owed % 1.0
             if owed >= 1.0 - 1e-9:
                 self._owed[name] = max(owed - 1.0, 0.0)

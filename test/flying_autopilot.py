@@ -43,6 +43,7 @@ PX4's Quad X: front right, rear left, front left, rear right."""
 OFFBOARD, POSITION_MODE, STABILIZED = 6 << 16, 3 << 16, 7 << 16
 STABILIZE, LOITER, GUIDED_NOGPS, SYSTEM_ID = 0, 5, 20, 25
 LIFT_OFF_S = 0.5
+ASKED_STEPS = 55  # until ArduPilot answers a question for a parameter, about
 PX4_GAINS = {
     **{f'MC_{a}_P': 6.5 for a in ('ROLL', 'PITCH')}, 'MC_YAW_P': 2.8,
     **{f'MC_{a}RATE_{n}': v for a in ('ROLL', 'PITCH')
@@ -125,7 +126,7 @@ class Flying(Autopilot):
         self.heading = None
         self.sid_s = None
         self.injected = 0.0
-        self.log, self.log_number = b'', 1
+        self.log, self.log_number, self.landed_s = b'', 1, -math.inf
         self.sending = deque()
         self.sends = 20  # LOG_DATA in a cycle
         self.timed_us = 0  # of the last message with rates or angles
@@ -153,11 +154,12 @@ class Flying(Autopilot):
     def land(self):
         self.armed, self.up_s, self.mode = False, -1.0, self.pilot_mode
         self.motors = np.zeros(4)
-        self.log = self.finished_log()
+        self.log, self.landed_s = self.finished_log(), self.now_s
 
     def cycle(self):
         if self.armed:
             self.step_physics()
+        self.share = 0.25 if self.sending and not self.px4 else 1.0  # streams give way to its log
         out = super().cycle()
         for _ in range(min(self.sends, len(self.sending))):
             out += self.pack(self.sending.popleft())
@@ -327,6 +329,7 @@ class Flying(Autopilot):
                                                   (deg * att_sp[:, i], deg * angle[:, i]))])[::5]),
                     'BAT': (('TimeUS', 'Instance', 'Volt'),
                             np.column_stack([t, 0 * t, volts])[::50]),
+                    'EV': (('TimeUS', 'Id'), [(t[0], 10), (t[-1], 11)]),  # armed, disarmed
                 }  # fmt: skip
                 if sid.any():
                     messages['SIDD'] = (('TimeUS', 'Time', 'Targ'),
@@ -381,10 +384,15 @@ class Flying(Autopilot):
             self.targets.append(self.now_s)
         elif kind == 'PARAM_SET':
             yield from self._set(message)
+        elif kind == 'PARAM_REQUEST_READ' and not self.px4:  # from a queue, with the value of now
+            for answer in super()._answers(message):
+                self._late.append((self.step + ASKED_STEPS, self.pack(answer)))
         elif kind == 'LOG_REQUEST_LIST':
             if self.px4 or not self.armed:  # ArduPilot says nothing while armed
+                open_s = 15.0 - (self.now_s - self.landed_s)  # ArduPilot writes on so long
+                size = len(self.log) // (2 if open_s > 0.0 and not self.px4 else 1)
                 yield mav.MAVLink_log_entry_message(
-                    self.log_number, 1, self.log_number, 0, len(self.log))
+                    self.log_number, 1, self.log_number, 0, size)
         elif kind == 'LOG_REQUEST_DATA' and message.id == self.log_number:
             self.sending.clear()
             for at in range(message.ofs, min(message.ofs + message.count, len(self.log)), 90):
@@ -413,6 +421,9 @@ class Flying(Autopilot):
             self.sending.append(mav.MAVLink_autopilot_version_message(
                 0, version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, self.uid))
             return ACCEPTED
+        if command == ARM_DISARM and message.param1 and self.sending and not self.px4:
+            self.sending.appendleft(mav.MAVLink_statustext_message(3, b'Arm: Downloading logs'))
+            return DENIED
         if command == ARM_DISARM:
             (self.take_off if message.param1 else self.land)()
             return ACCEPTED

@@ -21,7 +21,7 @@ from quad_sysid.contract import control_from_motors
 from quad_sysid.craft import from_urdf
 from quad_sysid.loop import kernels
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.from_model import behind_lean, loop_plant
+from quad_sysid.loop.from_model import behind_lean, loop_plant, not_in_the_loop
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.motion import altitude_of, lean, over_level, vertical_motion
 from quad_sysid.record import GainChange, Record, Segment
@@ -104,7 +104,11 @@ def test_climb_without_a_ground_lacks_nothing(climbed):
 
 
 def test_climb_near_the_ground_names_it():
-    tree = answer(GROUND, 'climb').report['axes']['climb']
+    """Radius and ground to 10 %; its loop leaves it out and flies about the hover."""
+    found = answer(GROUND, 'climb')
+    tree, model = found.report['axes']['climb'], found.answer.model
+    assert [*not_in_the_loop(model)] == ['ground_effect']
+    assert abs(loop_plant(model).held) < 1e-6
     assert [effect['name'] for effect in tree['effects']] == ['ground_effect']
     radius, ground = tree['effects'][0]['parameters']
     assert (radius['unit'], ground['unit']) == ('m', 'm')

@@ -47,7 +47,7 @@ class Bench(Line):
         self.aircraft = Aircraft(profile, seed=1, effect=effect)
         self.endpoint = endpoint(self.aircraft, Receiver(events=tuple(events)))
         self.settings = GainSettings(folder=folder, **settings)
-        self.news, self.cycle = [], None
+        self.notes, self.cycle = [], None
         self.peak_rad = 0.0
         super().__init__(self.endpoint, host0_ns=1_000_000_000)
 
@@ -87,8 +87,8 @@ class Bench(Line):
             self.updates.know(record)
         self.updates.tick(self.now_s)
         super().tick()
-        self.news += [item.text for item in self.updates.news]
-        self.updates.news.clear()
+        self.notes += [item.text for item in self.updates.notes]
+        self.updates.notes.clear()
 
     def handle(self, event):
         frame = getattr(event, 'frame', None)
@@ -105,13 +105,13 @@ class Bench(Line):
 
     def fly_until(self, said, seconds=40.0):
         """Fly until a line of news holds `said`; the line."""
-        begin = len(self.news)
+        begin = len(self.notes)
         for _ in range(round(seconds * 20)):
             self.fly(0.05)
-            found = [text for text in self.news[begin:] if said in text]
+            found = [text for text in self.notes[begin:] if said in text]
             if found:
                 return found[0]
-        raise AssertionError(f'nothing said of {said!r}: {self.news[begin:]}')
+        raise AssertionError(f'nothing said of {said!r}: {self.notes[begin:]}')
 
     def ask(self, **parameters):
         """An update; `roll_rate_kp` stands for `roll.rate.kp`."""

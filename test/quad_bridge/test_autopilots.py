@@ -67,7 +67,7 @@ class Cockpit(Line):
         self.updates = GainUpdates(GainSettings(folder=self.folder), self.history)
         self.relay = ExcitationRelay(100, None, self.connected)
         self.connected.on_change = self.changed
-        self.news = []
+        self.notes = []
         self.link.opened()
 
     def changed(self, aircraft):
@@ -98,8 +98,8 @@ class Cockpit(Line):
             self.updates.know(record)
         self.link.tick(self.now_ns)
         self.updates.tick(1e-9 * self.now_ns)
-        self.news += [item.text for item in self.updates.news]
-        self.updates.news.clear()
+        self.notes += [item.text for item in self.updates.notes]
+        self.updates.notes.clear()
         self.poll()
 
     def poll(self):
@@ -167,17 +167,17 @@ def test_gains_are_read_written_watched_and_confirmed(flying, name):
     active = line.updates.active
     assert active['roll.rate.kp'] == pytest.approx(unit * before, rel=1e-4)
     assert active['sensor.gyro_filter_hz'] == 40.0
-    wanted = 1.6 * unit * before
-    line.ask(roll_rate_kp=wanted)
-    line.fly(2.0)
-    assert line.controller.parameters[P[name]] == pytest.approx(1.6 * before, rel=1e-5)
+    wanted = 2.4 * unit * before
+    line.ask(roll_rate_kp=wanted)  # in two steps: answers to questions come after the second
+    line.fly(5.0)
+    assert line.controller.parameters[P[name]] == pytest.approx(2.4 * before, rel=1e-5)
     assert line.updates.state is State.WATCHING
     assert line.kept()['trial']['good'][P[name]] == pytest.approx(before)
     line.fly(10.0)
     assert line.updates.state is State.IDLE
     assert line.updates.active['roll.rate.kp'] == pytest.approx(wanted, rel=1e-4)
     assert 'trial' not in line.kept()
-    assert any('confirmed' in text for text in line.news)
+    assert any('confirmed' in text for text in line.notes)
 
 
 def test_gains_that_fly_badly_go_back_within_the_watch(flying):
@@ -221,7 +221,7 @@ def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):
     line.controller.parameters[p] = 0.9 * before  # over another line: nobody tells us
     line.fly(2.0)
     assert line.controller.parameters[p] == before
-    assert 'by another program' in ' '.join(line.news)
+    assert 'by another program' in ' '.join(line.notes)
     line.controller.parameters[p] = other = 0.8 * before
     line.hear(line.controller.pack(line.controller.value(p)))
     line.fly(2.0)
@@ -404,6 +404,7 @@ def test_a_wrong_chirp_is_refused_in_one_line(flying):
     for given, words in (
         ({'amplitude': 0.9}, 'SID_MAGNITUDE must be at most 0.25'),
         ({'sweep_s': 6.0}, 'too short for SYSTEM ID'),
+        ({'sweep_s': 24.0, 'f0_hz': 0.2}, 'and 10.5 s must be left of 24'),  # as its steady start
         ({'f0_hz': math.nan}, 'needs f0_hz'),
         ({'axis': 'nose'}, "axis 'nose'"),
     ):

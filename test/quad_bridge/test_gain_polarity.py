@@ -38,7 +38,7 @@ def test_the_first_update_of_an_axis_waits_for_its_pulses_the_next_bridge_knows_
     made = bench(polarity='auto')
     assert 'checking the polarity of roll' in made.ask(**ROLL)
     made.fly_until('in force')
-    assert 'polarity: roll right' in made.news
+    assert 'polarity: roll right' in made.notes
     assert np.degrees(made.peak_rad) < 3.0
     again = bench(polarity='manual')
     assert 'writing' in again.ask(**ROLL)

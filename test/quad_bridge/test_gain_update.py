@@ -128,7 +128,7 @@ class Walk:
         for _ in range(20):
             self.exchange()
         self.cycle(f.Flag.ARMED)
-        self.gains.news.clear()
+        self.gains.notes.clear()
 
     state = property(lambda self: self.gains.state)
 
@@ -264,10 +264,10 @@ class Walk:
         g, flown = self.gains, self.flown()
         in_force = bool(g._update and g._update.written)
         self.armed = in_force and (self.armed or bool(g._flags & f.Flag.ARMED))
-        for item in g.news:
+        for item in g.notes:
             if item.active is not None:
                 assert item.active['roll.rate.kp'] == flown
-        g.news.clear()
+        g.notes.clear()
         assert any(abs(flown - gated) < 1e-6 for gated in g.protocol.gated), 'never gated'
         if self.flown('good') != self.good:
             self.good = self.flown('good')
@@ -360,7 +360,7 @@ class Bench:
             if record is not None and not self.history.leave(g.aircraft):
                 g.know(record)
             g.tick(self.now_s)
-            new, g.news = g.news, []
+            new, g.notes = g.notes, []
             yield from (item.text for item in new)
 
     def until(self, said):

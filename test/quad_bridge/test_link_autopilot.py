@@ -167,6 +167,21 @@ def test_slow_answers_to_timesync_are_told_as_that(taken_s, words, one_way):
     stamps_are_true(line, off_ms=2.5)
 
 
+def test_streams_that_give_way_to_its_log_are_not_asked_for_and_nobody_is_blamed():
+    line = flown(Autopilot(ARDUPILOT), 4.0)
+    autopilot = line.link.autopilot
+    asked, line.controller.share = autopilot.asked, 0.25
+    autopilot.log_comes(now=True)
+    line.fly(4.0)
+    assert autopilot.asked == asked
+    assert not autopilot.slow_ones(line.now_ns)
+    line.controller.share = 1.0
+    autopilot.log_comes(now=False)
+    line.fly(4.0)
+    assert late_rate_hz(line, '/imu/data') == pytest.approx(250.0, abs=2)
+    assert not autopilot.lowered
+
+
 def test_an_autopilot_that_restarts_is_raised_again_and_nobody_is_blamed():
     line = flown(Autopilot(PX4, boot_us=60_000_000), 3.0)
     line.controller = Autopilot(PX4, boot_us=-3_000_000)

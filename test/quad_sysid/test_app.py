@@ -54,16 +54,6 @@ class Server:
     def job(self, **asked):
         return self.ask('/jobs', json.dumps(asked).encode())
 
-    def until(self, number, states):
-        """The job once it is in one of these states."""
-        end = time.monotonic() + PATIENCE_S
-        while time.monotonic() < end:
-            job = next(j for j in json.loads(self.ask('/jobs')[1]) if j['number'] == number)
-            if job['state'] in states:
-                return job
-            time.sleep(0.2)
-        raise AssertionError(job)
-
 
 @pytest.fixture(scope='module')
 def server(tmp_path_factory, plain_bag):
@@ -126,17 +116,6 @@ def test_what_is_dropped_gets_a_safe_name_and_a_limit(server):
     assert after - before == {'_img src_x__.csv', '_img src_x___2.csv'}
     for name in after - before:
         (server.folder / name).unlink()
-
-
-def test_a_running_job_is_stopped_and_the_next_one_runs(server):
-    first, second = (json.loads(server.job(kind=kind, files=['my_flight'], axis='roll')[1])
-                     for kind in ('identify', 'inspect'))
-    server.until(first['number'], ('running',))
-    assert server.ask(f'/jobs/{first["number"]}/stop', b'')[0] == 200
-    assert server.until(first['number'], ('stopped', 'done'))['state'] == 'stopped'
-    done = server.until(second['number'], ('done', 'failed'))
-    assert done['state'] == 'done'
-    assert 'usable for' in server.ask(f'/jobs/{second["number"]}/text')[1]
 
 
 def test_a_log_that_is_to_be_identified_is_made_a_bag_first(tmp_path):

@@ -14,6 +14,7 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
+from quad_sysid.discover import accept
 from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.base import best_base
 from quad_sysid.discover.screen import candidates, screen
@@ -200,6 +201,29 @@ def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept(ru
     assert verdict.chosen.structure.labels == labels[:1]
     assert verdict.after < 0.7 * verdict.before
     assert verdict.probabilities[0] > 0.9
+
+
+def test_a_claim_stands_where_the_model_without_it_cannot_follow_the_flight(rubbed, monkeypatch):
+    """No fit of it exists then; its free runs diverge, which speaks for the effect."""
+    data, problem, base = rubbed
+    fitted = extended(problem, base, score_of(problem, base, 'coulomb_friction'))
+    found = Found(base, (Scored(fitted, 9.0), Scored(base, 0.0)), {})
+
+    def runs_away(_, model):
+        theta = model.theta[: base.theta.size].copy()
+        theta[3] = -1e4
+        return [replace(model, structure=base.structure, theta=theta)]
+
+    def fitted_or_not(self, model, own=accept._Models.fitted):
+        if model.theta[3] == -1e4:
+            raise FloatingPointError
+        return own(self, model)
+
+    monkeypatch.setattr(accept._Models, 'each_left_out', runs_away)
+    monkeypatch.setattr(accept._Models, 'fitted', fitted_or_not)
+    verdict = judged(data, problem, found)
+    assert verdict.chosen.structure.labels == ('coulomb_friction',)
+    assert verdict.claims[0].p_value < 0.01
 
 
 def test_a_gust_at_an_angle_is_no_coupling_and_its_twin_is():

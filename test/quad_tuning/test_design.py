@@ -10,6 +10,7 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
+from quad_sysid.autopilot_table import ARDUPILOT, AUTOPILOT
 from quad_sysid.axes import TURNING
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.stored import estimate_of
@@ -25,7 +26,9 @@ from quad_tuning import ensemble as ensembles
 from quad_tuning import pid
 from quad_tuning.assess import Requirements, meets, promise
 from quad_tuning.bounds import (
+    BOUNDS,
     DESIGNED,
+    bounds_of,
     check_bounds,
     check_finite,
     check_polarity,
@@ -251,6 +254,16 @@ def test_a_gain_that_flies_on_other_firmware_is_a_start_though_beyond_our_bounds
     low, high = reachable('rate_ki', gains.rate_ki)
     assert gains.rate_ki == pytest.approx(high) == pytest.approx(1.12)
     assert low < 1.0
+
+
+def test_gains_for_an_autopilot_are_gains_that_its_parameters_can_be():
+    units = (0.4, 0.4, 0.4)
+    bounds = bounds_of('roll', {AUTOPILOT: 3.0, 'roll.rate.output_limit': units[0]})
+    most = {f'roll.{name}': bounds[f'roll.{name}'].upper
+            for name in ('angle.kp', 'rate.kp', 'rate.ki')}
+    assert most == {'roll.angle.kp': 12.0, 'roll.rate.kp': 0.2, 'roll.rate.ki': 0.4}
+    assert ARDUPILOT.parameters(most, {}, units)['ATC_ANG_RLL_P'] == 12.0
+    assert bounds_of('roll', {}) is BOUNDS
 
 
 def test_an_axis_driven_by_another_ones_command_is_refused(model):

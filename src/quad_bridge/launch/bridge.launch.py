@@ -15,13 +15,13 @@ from quad_bridge.nodes.launched import BRIDGE, LOGGER, arguments, deferred, node
 
 def nodes(context: LaunchContext) -> list[Any]:
     """Bridge and logger, which records at once unless `record:=false`."""
-    given = context.launch_configurations
-    record = ParameterValue(given['record'], value_type=bool)
+    arguments = context.launch_configurations
+    record = ParameterValue(arguments['record'], value_type=bool)
     bridge, logger = values(context, BRIDGE), values(context, LOGGER) | {'autostart': record}
-    if given['log'] == 'inside':
+    if arguments['log'] == 'inside':
         bridge |= {'log': 'inside', **{f'bag_logger.{name}': one for name, one in logger.items()}}
     nodes = [node(context, 'quad_bridge', 'serial_bridge', bridge)]
-    if given['log'] == 'true':
+    if arguments['log'] == 'true':
         nodes.append(node(context, 'quad_bridge', 'bag_logger', logger))
     return nodes
 

@@ -36,8 +36,8 @@ Commands = Any
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line; its subparsers too."""
 
-    def __init__(self, *given: Any, **more: Any) -> None:
-        super().__init__(*given, **more)
+    def __init__(self, *names: Any, **more: Any) -> None:
+        super().__init__(*names, **more)
         self.set_defaults(parser=self)  # the innermost parser, whose --help helps
 
     @classmethod
@@ -190,8 +190,8 @@ def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
 def _check_paths(options: argparse.Namespace) -> None:
     """Refuse paths that a command could not use, before it computes."""
     reads, writes = getattr(options, 'reads', ''), getattr(options, 'writes', '')
-    given = getattr(options, reads) if reads else []
-    for path in given if isinstance(given, list) else [given]:
+    paths = getattr(options, reads) if reads else []
+    for path in paths if isinstance(paths, list) else [paths]:
         check_there(path)
     if writes and options.out is not None:
         check_place(Path(options.out), folder=writes == 'folder')

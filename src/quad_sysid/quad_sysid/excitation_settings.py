@@ -64,9 +64,9 @@ def settings_from(
 
 def find_schedule(name: str, share: Callable[[], Path]) -> Path:
     """Path of a schedule: as given, or shipped under that name in the share directory."""
-    given = Path(name).expanduser()
-    if given.suffix or given.exists():
-        return given
+    path = Path(name).expanduser()
+    if path.suffix or path.exists():
+        return path
     try:
         folder = share() / 'config'
     except KeyError as error:

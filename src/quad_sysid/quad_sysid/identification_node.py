@@ -89,8 +89,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if len(data) > MAX_BYTES or len(self._seen) >= MAX_BAGS:
             return
         event = deserialize_message(data, ParameterEvent)
-        said = parameters(event)
-        bag, state = str(said.get('path', '')), said.get('state')
+        values = parameters(event)
+        bag, state = str(values.get('path', '')), values.get('state')
         earlier, stranger = info['source_timestamp'] < self._begun_ns, self._stranger(event.node)
         if state == 'recording' and not earlier and not stranger and len(self._begun) < MAX_BAGS:
             self._begun.add(bag)
@@ -183,9 +183,9 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
     def _better(self, bag: str) -> str:
         """The bag, or one of the autopilot's own log of the same flight, which is faster."""
-        said = self._log
-        path, offset_s = str(said.get('path', '')), said.get('offset_s')
-        if said.get('state') != 'complete' or not isinstance(offset_s, float):
+        values = self._log
+        path, offset_s = str(values.get('path', '')), values.get('offset_s')
+        if values.get('state') != 'complete' or not isinstance(offset_s, float):
             return bag
         from quad_sysid.imports.log_of_flight import joined
         from quad_sysid.report.store import free_folder
@@ -285,14 +285,14 @@ def _wanted(node: Any) -> dict[str, Any]:
     descriptor = ParameterDescriptor(
         description='axes to identify; empty: those that the bag excites', read_only=True
     )
-    given = node.declare_parameter('axes', [''], descriptor).value
+    axes = node.declare_parameter('axes', [''], descriptor).value
     texts = {
         'train': ros_node.declared(node, 'train', '', 'A:B, s; empty: as the bag says'),
         'validate': ros_node.declared(node, 'validate', '', 'A:B, s; empty: as the bag says'),
         'inertia': ros_node.declared(node, 'inertia', '', 'IX,IY,IZ, kg m²; adds torques in N m'),
     }
     try:
-        return session.asked([name for name in given if name], **texts)
+        return session.asked([name for name in axes if name], **texts)
     except QuadSysidError as error:
         words = str(error).replace('--', '')  # options of the command are parameters here
         raise QuadBridgeError(f'parameter {words}') from error

@@ -154,9 +154,9 @@ class Record:
             raise BadInputError('Record', 'dt must be a positive number of seconds', self.dt)
         n = np.shape(self.rates)[0] if np.ndim(self.rates) else 0
         for name, width in WIDTHS.items():
-            given = getattr(self, name)
-            if given is not None:
-                object.__setattr__(self, name, _frozen(name, given, n, width))
+            array = getattr(self, name)
+            if array is not None:
+                object.__setattr__(self, name, _frozen(name, array, n, width))
         if self.attitude_setpoint is not None:
             yaw = None if self.angles is None else self.angles[:, 2]
             setpoint = _unwrapped(self.attitude_setpoint, yaw)
@@ -442,28 +442,28 @@ class IOData:
         return np.concatenate([signal[start:stop] for start, stop in self.segments])
 
 
-def _signal(name: str, given: object, where: str = 'IOData') -> FloatArray:
-    """`given` as real numbers, or BadInputError naming the argument."""
+def _signal(name: str, value: object, where: str = 'IOData') -> FloatArray:
+    """`value` as real numbers, or BadInputError naming the argument."""
     try:
-        array = np.asarray(given)
+        array = np.asarray(value)
         real = None if array.dtype.kind == 'c' else np.asarray(array, dtype=float)
     except (TypeError, ValueError):
         real = None
     if real is None:
-        kind = getattr(given, 'dtype', type(given).__name__)
+        kind = getattr(value, 'dtype', type(value).__name__)
         raise BadInputError(where, f'{name} must hold real numbers', kind)
     return real
 
 
-def _frozen(name: str, given: object, n: int, width: int | None) -> FloatArray:
+def _frozen(name: str, value: object, n: int, width: int | None) -> FloatArray:
     """An array of a Record as float64 that nobody can write to; BadInputError for other shapes."""
-    array = _signal(name, given, 'Record')
+    array = _signal(name, value, 'Record')
     columns = array.shape[1:] if width is None else (width,) if width else ()
     if array.ndim != (1 if width == 0 else 2) or array.shape != (n, *columns) or not n:
         wanted = ', '.join(['n', *([] if width == 0 else [str(width or 'motors')])])
         raise BadInputError('Record', f'{name} must be ({wanted}) with n as in rates',
                             f'{array.shape} for n = {n}')
-    if array is given and array.flags.writeable:
+    if array is value and array.flags.writeable:
         array = array.copy()
     array.flags.writeable = False
     return array
@@ -473,13 +473,13 @@ def _is_interval(dt: object) -> bool:
     return isinstance(dt, (int, float, np.number)) and bool(np.isfinite(dt) and dt > 0)
 
 
-def _spans(given: object, n: int) -> tuple[tuple[int, int], ...]:
+def _spans(value: object, n: int) -> tuple[tuple[int, int], ...]:
     """Index ranges inside 0..n that do not overlap, in the given order; empty: the whole."""
     try:
-        spans = tuple((operator.index(a), operator.index(b)) for a, b in given)  # type: ignore[attr-defined]
+        spans = tuple((operator.index(a), operator.index(b)) for a, b in value)  # type: ignore[attr-defined]
     except (TypeError, ValueError) as error:
         raise BadInputError('IOData', 'segments must be pairs of whole numbers (start, stop)',
-                            given) from error
+                            value) from error
     for start, stop in spans:
         if not 0 <= start < stop <= n:
             raise BadInputError('IOData', f'a segment must lie in 0..{n}', (start, stop))

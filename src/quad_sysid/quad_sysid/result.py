@@ -239,10 +239,10 @@ def sent_with(figures: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
     `predicted` is for the watch in flight; `flown` are the gains that the design improves, which
     the aircraft must have.
     """
-    predicted = {f'{axis}.{name}': round(said[name], 6)
-                 for axis, said in figures.items() for name in PROMISES if name in said}
+    predicted = {f'{axis}.{name}': round(own[name], 6)
+                 for axis, own in figures.items() for name in PROMISES if name in own}
     flown = {name.removesuffix(BEFORE): value
-             for axis, said in figures.items() for name, value in said.items()
+             for axis, own in figures.items() for name, value in own.items()
              if name.startswith(f'{axis}.') and name.endswith(BEFORE)}
     return {'predicted': json.dumps(predicted), 'flown': json.dumps(flown)}
 
@@ -351,13 +351,13 @@ def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,
     """The records of flights, with the segments that were asked for."""
     from quad_sysid.arrays import with_parts
 
-    given: list[Any] = [flights] if isinstance(flights, Record | str | Path) \
+    every: list[Any] = [flights] if isinstance(flights, Record | str | Path) \
         else list(flights or ())
-    if not given:
+    if not every:
         raise BadInputError('identify', 'has no flight', repr(flights),
                             'name a bag, or hand in arrays: u=…, y=…, dt=…')
     records = []
-    for flight in given:
+    for flight in every:
         if not isinstance(flight, Record):
             show(f'reading {flight}')
         one = flight if isinstance(flight, Record) else read_bag(flight)

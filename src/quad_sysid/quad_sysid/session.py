@@ -52,13 +52,13 @@ def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
     return saved
 
 
-def _inertia(given: str) -> dict[str, float]:
+def _inertia(text: str) -> dict[str, float]:
     """`IX,IY,IZ` in kg m² by axis."""
     try:
-        values = [float(part) for part in given.split(',')]
+        values = [float(part) for part in text.split(',')]
     except ValueError:
         values = []
     if len(values) != len(AXES) or not all(0.0 < v < 1e3 for v in values):
-        raise BadInputError('--inertia', 'needs three positive numbers IX,IY,IZ', repr(given),
+        raise BadInputError('--inertia', 'needs three positive numbers IX,IY,IZ', repr(text),
                             'for example --inertia 0.0135,0.014,0.024')
     return dict(zip(AXES, values, strict=True))

@@ -24,10 +24,10 @@ def generate_launch_description() -> LaunchDescription:
     """Describe the virtual STM32 and rig.launch.py on its pseudo-terminal."""
     defaults = {'profile': 'demo_rig', 'link': 'stm32', 'folder': '.', 'auto_update': 'false',
                 'lockstep': 'false'}
-    given = {name: LaunchConfiguration(name) for name in defaults}
+    arguments = {name: LaunchConfiguration(name) for name in defaults}
     executable = ExecutableInPackage(package='quad_bridge', executable='virtual_stm32')
-    stm32 = [executable, '--profile', given['profile'], '--link', given['link']]
-    socket, lockstep = [given['link'], '.lockstep'], given['lockstep']
+    stm32 = [executable, '--profile', arguments['profile'], '--link', arguments['link']]
+    socket, lockstep = [arguments['link'], '.lockstep'], arguments['lockstep']
     rig = Path(get_package_share_directory('quad_tuning')) / 'launch' / 'rig.launch.py'
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=value) for name, value in defaults.items()),
@@ -38,8 +38,8 @@ def generate_launch_description() -> LaunchDescription:
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(str(rig)),
             launch_arguments={
-                'port': given['link'], 'folder': given['folder'],
-                'auto_update': given['auto_update'], 'schedule': 'schedule_demo',
+                'port': arguments['link'], 'folder': arguments['folder'],
+                'auto_update': arguments['auto_update'], 'schedule': 'schedule_demo',
             }.items(),
         ),
     ])

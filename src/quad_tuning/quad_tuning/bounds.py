@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from quad_sysid.autopilot_table import AUTOPILOT, TABLES
 from quad_sysid.axes import EVERY
 from quad_sysid.loop.cascade import FOREIGN_NAMES, TUNED, CascadeGains, contract_names
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
@@ -49,6 +50,19 @@ for _axis in AXES:  # more amplifies the gyro's noise
 
 CONSTANT = Bound(0.0, math.inf)
 """Of a filter that a firmware does not have: a design leaves it as it is."""
+
+
+def bounds_of(axis: str, active: Mapping[str, float]) -> dict[str, Bound]:
+    """The hard bounds of an axis' gains, and within them what an autopilot's parameters may be."""
+    table = TABLES.get(int(active.get(AUTOPILOT, 0.0)))
+    if table is None:
+        return BOUNDS
+    unit, number = active.get(f'{axis}.rate.output_limit', 1.0), AXES.index(axis)
+    limits = dict(BOUNDS)
+    for ours, (low, high) in table.limits(number, (unit, unit, unit)).items():
+        bound = BOUNDS[ours]
+        limits[ours] = replace(bound, lower=max(bound.lower, low), upper=min(bound.upper, high))
+    return limits
 
 
 def check_finite(gains: Mapping[str, float]) -> None:
@@ -125,7 +139,7 @@ LARGEST_RELATIVE_STD = {'gain': 0.2, 'lag': 0.4}
 LARGEST_DELAY_STD_CYCLES = 1.5
 LARGEST_OUTSIDE = 0.25
 """Largest acceleration of what the loop cannot hold, over the drive's."""
-LEAST_ROOM = 0.05
+MIN_ROOM = 0.05
 """Throttle that must be left on either side of the hover."""
 BAND_REACH = 2.0
 """Factor (one octave) by which the crossover may leave the model's trusted band."""
@@ -240,7 +254,7 @@ def within_thrust(gains: CascadeGains, model: AxisModel) -> CascadeGains:
     if span is None or hover is None:
         return gains
     room = min(hover - span[0], span[1] - hover)
-    if room < LEAST_ROOM:
+    if room < MIN_ROOM:
         raise DesignRefusedError(
             f'{model.axis}: it hovers at a throttle of {hover:.2f}, and the loop has '
             f'{span[0]:g} .. {span[1]:g}: too little is left to climb and sink by'

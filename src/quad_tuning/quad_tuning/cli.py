@@ -82,9 +82,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    given = [name for name in BRYSON if getattr(arguments, f'max_{name}') is not None]
-    if given and arguments.method != 'lqr':
-        raise BadInputError(f'--max-{given[0]}', 'belongs to --method lqr, which is not given')
+    named = [name for name in BRYSON if getattr(arguments, f'max_{name}') is not None]
+    if named and arguments.method != 'lqr':
+        raise BadInputError(f'--max-{named[0]}', 'belongs to --method lqr, which is not given')
     models = load_models(arguments.model, own_effects(arguments.effects))
     chosen = models if arguments.axis == 'all' else pick(models, arguments.axis, arguments.model)
     answers = {axis: _answer(model, models, arguments) for axis, model in chosen.items()}
@@ -126,9 +126,9 @@ def _answer(model: AxisModel, models: Mapping[str, AxisModel],
     from quad_tuning.lqr import Weights, propose_lqr  # python-control takes its time
 
     asked = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
-    given = {name: positive(f'--max-{name}', value) for name, value in asked if value is not None}
+    limits = {name: positive(f'--max-{name}', value) for name, value in asked if value is not None}
     try:
-        lqr = propose_lqr(model, Weights(**given))
+        lqr = propose_lqr(model, Weights(**limits))
     except DesignRefusedError as refusal:
         return {'gains': None, 'refused_because': str(refusal), 'figures': {}}
     return {'gains': lqr.gains, 'refused_because': '', 'left_out': not_in_the_loop(model),

@@ -21,6 +21,7 @@ from quad_tuning.assess import Requirements, assess, promise
 from quad_tuning.bounds import (
     BAND_REACH,
     DESIGNED,
+    bounds_of,
     check_band,
     check_bounds,
     check_inside,
@@ -83,7 +84,8 @@ def propose(model: AxisModel, requirements: Requirements | None = None,
     known = told(active, model.axis, model.active_gains)
     fixed = DESIGNED[len(known) :]  # the filter of D, where the flight did not tell it
     try:
-        found = retune(plant, active, loops, needs, fixed=fixed)
+        found = retune(plant, active, loops, needs, fixed=fixed,
+                       bounds=bounds_of(model.axis, model.active_gains))
         _check_worth(found, needs)
         way = way_to(found.gains, active, loops)
     except DesignRefusedError as refusal:

@@ -301,13 +301,13 @@ def read_gains(path: Path, *, bounded: bool = True) -> dict[str, float]:
         raise BadInputError(f'{path}: gains', 'are of an outer loop of your own only, which no '
                             'firmware here has', remedy='design roll, pitch, yaw or climb')
     for axis, one in flown.items():
-        for name, given in one['gains'].items():
+        for name, raw in one['gains'].items():
             where = f'{path}: axes.{axis}.gains.{name}'
             bound = DEFAULT_BOUNDS.get(name)
             if bound is None:
                 raise BadInputError(where, 'is no gain that a design changes',
                                     remedy='docs/reference/gains.md lists them')
-            gains[name] = value = finite(given, where)
+            gains[name] = value = finite(raw, where)
             if bounded and not bound.lower <= value <= bound.upper:
                 span = f'{bound.lower:g} .. {bound.upper:g} {ROWS[name].unit}'
                 raise BadInputError(where, f'must lie in {span}', f'{value:g}', AGAIN)

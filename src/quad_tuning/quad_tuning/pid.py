@@ -10,7 +10,7 @@ continues from those that lie apart; violated loops are added as constraints unt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import WORDS, CascadeGains, margins
+from quad_sysid.loop.cascade import WORDS, CascadeGains, contract_names, margins
 from quad_sysid.loop.linear import ComplexArray
 from quad_sysid.loop.plant import Flying
 from quad_tuning.assess import (
@@ -33,9 +33,10 @@ from quad_tuning.assess import (
     reference_square,
     tracking,
 )
-from quad_tuning.bounds import DESIGNED, bound_of, check_finite
+from quad_tuning.bounds import BOUNDS, CONSTANT, DESIGNED, check_finite
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
+from quad_tuning.gain_table import Bound
 
 REACH = 16.0
 """Largest factor between flown and new gain; the bounds apply too."""
@@ -139,7 +140,7 @@ class Problem:
 
 
 def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Requirements,
-         fixed: Collection[str] = ()) -> Problem:
+         fixed: Collection[str] = (), bounds: Mapping[str, Bound] = BOUNDS) -> Problem:
     """The problem of one axis; raises DesignRefusedError where the flown loop diverges.
 
     `fixed` are fields of CascadeGains that do not change.
@@ -147,7 +148,8 @@ def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Require
     check_finite({f'flown.{WORDS[f]}': getattr(active, f) for f in DESIGNED})
     low, high = [], []
     for field in DESIGNED:
-        bound, value = bound_of(ensemble.axis, field), getattr(active, field)
+        name = contract_names(ensemble.axis)[field]
+        bound, value = bounds.get(name, CONSTANT), getattr(active, field)
         if field in fixed:
             low.append(value)
             high.append(value)
@@ -367,14 +369,14 @@ class PidDesign:
 
 def retune(plant: Flying, active: CascadeGains, ensemble: Ensemble,
            needs: Requirements | None = None,
-           fixed: Collection[str] = ()) -> PidDesign:
+           fixed: Collection[str] = (), bounds: Mapping[str, Bound] = BOUNDS) -> PidDesign:
     """The best gains within the bounds that satisfy every loop of the ensemble.
 
     `fixed` are fields of CascadeGains that do not change. Deterministic. Raises DesignRefusedError
     where no gains in the box meet the requirements.
     """
     needs = needs or Requirements()
-    problem = pose(plant, active, ensemble, needs, fixed)
+    problem = pose(plant, active, ensemble, needs, fixed, bounds)
     points, kept = search(problem), True
     if not points:
         kept = False

@@ -23,6 +23,9 @@ Request = f.ParamSet | f.ParamRequestRead
 TRIES = 4
 REPEAT_S, LOOK_S = 0.25, 0.25  # between two tries; between two looks at what is on trial
 AT_ONCE = 8  # names that are asked for at the same time
+STALE_S = 1.0
+"""So long after a write an answer may still bear the value of before: ArduPilot answers questions
+in a queue of its own, later than writes."""
 STUBBORN_S = 1.0  # between two tries to write a good value back, once the first have failed
 
 
@@ -74,6 +77,8 @@ class ParameterGains:
         self._outcome, self._reason = What.REVERTED, ''
         self._foreign = 0
         self._looked = 0
+        self._replaced: dict[str, tuple[float, float]] = {}
+        """By a write of ours: the value of before, and until when it may still come."""
 
     @property
     def busy(self) -> str:
@@ -190,13 +195,16 @@ class ParameterGains:
 
     def take(self, frame: f.ParamValue | f.GainsState, now_s: float) -> None:
         """Take a parameter's value, whoever has asked for it."""
-        del now_s
         if not isinstance(frame, f.ParamValue) or frame.name not in self._watched():
             return
         name, value = frame.name, number(frame, bytewise=self._bytewise)
-        if not math.isfinite(value):
+        replaced, until_s = self._replaced.get(name, (math.nan, 0.0))
+        late = value == replaced and now_s < until_s and name not in self._queue
+        if late or not math.isfinite(value):
             return
         before = self.values.get(name)
+        if before is not None and value == self._queue.get(name) != before:
+            self._replaced[name] = before, now_s + STALE_S
         self.values[name], self._kinds[name] = value, frame.kind
         if self.state is State.READING:
             self._read()

@@ -111,6 +111,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
     bits = int(known.get('LOG_BITMASK', 0))
     has_sid = 'SID_AXIS' in known
     blocked = int(known.get('FLTMODE_GCSBLOCK', 0))
+    learns = int(known.get('MOT_HOVER_LEARN', 0))
     found = [
         (f'log LOG_BITMASK {bits}', bits & 3 == 3,
          f'set LOG_BITMASK to {bits | 3} (bits 0, 1 fast and medium attitude)'),
@@ -119,6 +120,8 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
          'boards of 1 MB flash lack it from 4.5 on, and GUIDED_NOGPS too'),
         (f'FLTMODE_GCSBLOCK {blocked}', not blocked & 1 << 20,
          'clear bit 20: DO_SET_MODE may not enter SYSTEM ID'),
+        (f'MOT_HOVER_LEARN {learns}', not learns,
+         'set it to 0 after a minute of hover: the unit of the gains follows what it learns'),
     ]  # fmt: skip
     del version
     return found
@@ -126,7 +129,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
 
 KINDS = (
     Kind(
-        12, 'PX4', PX4, bytewise=True,
+        PX4.number, 'PX4', PX4, bytewise=True,
         pilot_modes={7 << 16: 'Stabilized', 2 << 16: 'Altitude', 3 << 16: 'Position'},
         means=Means(6 << 16, 'OFFBOARD', _px4_mode),
         units=_px4_units,
@@ -137,12 +140,13 @@ KINDS = (
         modes={1 << 16: 'Manual', 5 << 16: 'Acro'},
     ),
     Kind(
-        3, 'ArduPilot', ARDUPILOT, bytewise=False,
+        ARDUPILOT.number, 'ArduPilot', ARDUPILOT, bytewise=False,
         pilot_modes={0: 'Stabilize', 1: 'Acro', 2: 'AltHold', 5: 'Loiter', 16: 'PosHold'},
         means=Means(20, 'GUIDED_NOGPS', _ardupilot_mode, climb=True),
         units=_ardupilot_units,
         wants_hz={'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0},
-        reads=(*OF_MOTORS, 'LOG_BITMASK', 'FLTMODE_GCSBLOCK', 'SCHED_LOOP_RATE', 'SID_AXIS'),
+        reads=(*OF_MOTORS, 'MOT_HOVER_LEARN', 'LOG_BITMASK', 'FLTMODE_GCSBLOCK', 'SCHED_LOOP_RATE',
+               'SID_AXIS'),
         advice=_ardupilot_advice, log_suffix='.bin', fetches_armed=False, log_closes_s=16.0,
         modes={25: 'SYSTEM ID', 9: 'Land', 6: 'RTL'}, system_id=True,
     ),

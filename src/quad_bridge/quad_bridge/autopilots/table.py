@@ -21,6 +21,8 @@ Units = tuple[float, float, float]
 Limits = tuple[float, float]
 DEGREE = math.pi / 180.0
 D_FILTER = 'rate.d_filter_hz'
+AUTOPILOT = 'loop.autopilot'
+"""A constant beside the gains: whose they are (MAV_AUTOPILOT), and so what they may be."""
 
 
 class UnfitError(ValueError):
@@ -51,6 +53,8 @@ class Row:
 class Table:
     """The gains of one autopilot."""
 
+    number: int
+    """MAV_AUTOPILOT."""
     axes: tuple[str, str, str]
     rows: tuple[Row, ...]
     shared: tuple[Row, ...]
@@ -92,7 +96,7 @@ class Table:
 
     def gains(self, known: Mapping[str, float], units: Units) -> dict[str, float]:
         """Contract names, SI, of known parameters; limits and filters of 0 are none."""
-        found = {}
+        found = {AUTOPILOT: float(self.number)}
         for ours, axis, row, theirs in self.of_axes():
             if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
                 found[ours] = float(known[theirs] * self.factor(row, axis, known, units))
@@ -104,6 +108,16 @@ class Table:
         for row in self.shared:
             if known.get(row.theirs, 0.0) > 0.0:
                 found[row.ours] = float(known[row.theirs] * row.factor)
+        return found
+
+    def limits(self, axis: int, units: Units) -> dict[str, Limits]:
+        """Lowest and highest value, ours, of each gain of an axis that can be written."""
+        found = {}
+        for ours, i, row, _ in self.of_axes():
+            span = (row.yaw_limits if i == 2 else None) or row.limits
+            if i == axis and span is not None:
+                factor = self.factor(row, axis, {}, units)
+                found[ours] = span[0] * factor, span[1] * factor
         return found
 
     def parameters(
@@ -133,6 +147,7 @@ class Table:
 
 
 PX4 = Table(
+    12,
     ('ROLL', 'PITCH', 'YAW'),
     (
         Row('angle.kp', 'MC_{}_P', (0.0, 12.0), (0.0, 5.0)),
@@ -153,6 +168,7 @@ PX4 = Table(
     'MC_{}RATE_K',
 )
 ARDUPILOT = Table(
+    3,
     ('RLL', 'PIT', 'YAW'),
     (
         Row('angle.kp', 'ATC_ANG_{}_P', (3.0, 12.0)),
@@ -169,6 +185,7 @@ ARDUPILOT = Table(
     (Row('sensor.gyro_filter_hz', 'INS_GYRO_FILTER'),),
     d_on_error=True,
 )
+TABLES = {table.number: table for table in (PX4, ARDUPILOT)}
 
 
 def px4_units(

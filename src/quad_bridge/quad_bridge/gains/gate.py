@@ -117,10 +117,10 @@ def _predictions(pairs: Mapping[str, float]) -> dict[str, Predicted]:
     return {axis: Predicted(**figures) for axis, figures in values.items()}
 
 
-def numbers(wanted: Mapping[str, object]) -> dict[str, float]:
+def numbers(target: Mapping[str, object]) -> dict[str, float]:
     """The values as floats. Raises RefusedError where one is a string, a bool or too large."""
     values: dict[str, float] = {}
-    for name, value in wanted.items():
+    for name, value in target.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise RefusedError(f'{shorten(name)}: must be a number: found {reprlib.repr(value)}')
         try:
@@ -160,45 +160,45 @@ def check_flown(request: GainRequest, active: Mapping[str, float]) -> None:
             )
 
 
-def refuse_climb(wanted: Mapping[str, float], flags: int, *, flying: bool) -> None:
+def refuse_climb(target: Mapping[str, float], flags: int, *, flying: bool) -> None:
     """Raise RefusedError for gains of the height mode while the pilot has the throttle."""
-    climbs = any(name.startswith(f'{CLIMB}.') for name in wanted)
+    climbs = any(name.startswith(f'{CLIMB}.') for name in target)
     if climbs and flying and not flags & Flag.HOLD:
         raise RefusedError('climb gains are tried in the height mode: switch it on first')
 
 
 def steps(
-    wanted: Mapping[str, float], active: Mapping[str, float], bounds: Mapping[str, Bound]
+    target: Mapping[str, float], active: Mapping[str, float], bounds: Mapping[str, Bound]
 ) -> list[dict[str, float]]:
-    """The sets (contract names, SI) that lead from `active` to `wanted`, one after the other.
+    """The sets (contract names, SI) that lead from `active` to `target`, one after the other.
 
-    In each step each gain goes as far as it may; the last one is `wanted`. What has no effect as
+    In each step each gain goes as far as it may; the last one is `target`. What has no effect as
     yet (a state feedback without a share) is set whole. Raises RefusedError with the first fault;
     nothing is let through in part.
     """
-    if not wanted:
+    if not target:
         raise RefusedError('no gain in changed_parameters; send one such as roll.rate.kp')
-    for name, value in wanted.items():
+    for name, value in target.items():
         _check_one(name, value, active, bounds)
     for axis in AXES:
-        _check_needs(axis, wanted, {**active, **wanted})
-    path, now = list[dict[str, float]](), {name: active[name] for name in wanted}
-    now.update({name: value for name, value in wanted.items() if _idle(name, active)})
-    while any(float32(now[name]) != float32(value) for name, value in wanted.items()):
+        _check_needs(axis, target, {**active, **target})
+    path, now = list[dict[str, float]](), {name: active[name] for name in target}
+    now.update({name: value for name, value in target.items() if _idle(name, active)})
+    while any(float32(now[name]) != float32(value) for name, value in target.items()):
         if len(path) == MAX_STEPS:
             raise RefusedError(f'more than {MAX_STEPS} steps; send intermediate values first')
-        now = {name: _towards(now[name], value, bounds[name]) for name, value in wanted.items()}
+        now = {name: _towards(now[name], value, bounds[name]) for name, value in target.items()}
         path.append(now)
-    path = path or [dict(wanted)]
+    path = path or [dict(target)]
     for step in path:
-        for axis in {name.partition('.')[0] for name in wanted if '.lqr.' in name}:
+        for axis in {name.partition('.')[0] for name in target if '.lqr.' in name}:
             _check_observer(axis, {**active, **step})
     return path
 
 
-def _check_needs(axis: str, wanted: Mapping[str, float], gains: Mapping[str, float]) -> None:
+def _check_needs(axis: str, target: Mapping[str, float], gains: Mapping[str, float]) -> None:
     for name, needed, words in _NEEDS:
-        if wanted.get(f'{axis}.{name}', 0.0) > 0.0:
+        if target.get(f'{axis}.{name}', 0.0) > 0.0:
             for other in needed:
                 if not gains.get(f'{axis}.{other}', 0.0) > 0.0:
                     raise RefusedError(f'{axis}.{name}: {words.format(f"{axis}.{other}")}')
@@ -223,9 +223,9 @@ def _idle(name: str, active: Mapping[str, float]) -> bool:
     return bool(switch) and active.get(switch, 1.0) == 0.0
 
 
-def _towards(now: float, wanted: float, bound: Bound) -> float:
+def _towards(now: float, target: float, bound: Bound) -> float:
     low, high = bound.one_step(now)
-    return min(max(wanted, low, bound.lower), high, bound.upper)
+    return min(max(target, low, bound.lower), high, bound.upper)
 
 
 def _check_one(

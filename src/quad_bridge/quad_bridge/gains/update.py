@@ -2,7 +2,7 @@
 
 What to do with a set; how it gets to the STM32 and what is proven of it is protocol.py's. Cycles,
 frames and ticks come in with their time (s on a steady clock); what is to be published or logged
-waits in `news`. Time of the watch passes in flight only: nothing is good that has not flown well.
+waits in `notes`. The watch counts time in flight only: a set is good once it has flown well.
 The state diagram stands in docs/reference/gain_machines.md.
 """
 
@@ -72,7 +72,7 @@ class GainSettings:
 
 
 @dataclass(frozen=True)
-class News:
+class Note:
     """One event: a line, and the active gains where they are now known."""
 
     text: str
@@ -109,7 +109,7 @@ class GainUpdates:
         self, settings: GainSettings, history: History, protocol: GainProtocol | None = None
     ) -> None:
         """`protocol` is the aircraft's: how its sets of gains are written and read back."""
-        self.news: list[News] = []
+        self.notes: list[Note] = []
         self.refused = ''
         """Why the last update was refused, failed or reverted; empty after a good one."""
         self.refusals = self.commits = self.rollbacks = 0
@@ -194,7 +194,7 @@ class GainUpdates:
         """Take on what a message or a service asks for; what happens next, in words.
 
         `age_s` is how long ago it was said, by its stamp. Raises RefusedError; the refusal is in
-        `news` too. Else `reply` is called with the outcome.
+        `notes` too. Else `reply` is called with the outcome.
         """
         source = gate.shorten(str(parameters.get('source', 'unknown source')))
         try:
@@ -463,7 +463,7 @@ class GainUpdates:
             for reply in going_back:
                 reply(True, 'the gains of before are in force')
             text = f'{len(self.active)} gains and constants read back'
-            self.news.append(News(text, active=self.active))
+            self.notes.append(Note(text, active=self.active))
         elif event.what is What.COMMITTED:
             self._committed(event)
         elif event.what is What.CONFIRMED:
@@ -483,7 +483,7 @@ class GainUpdates:
     def _confirmed(self, event: GainEvent) -> None:
         self._ended('confirmed', event.reason, flown=True)
         self._flown = False  # as the next one's "before", which this flight may still give
-        self.news.append(News(f'the new gains are confirmed: they flew well for {WATCH_S:g} s'))
+        self.notes.append(Note(f'the new gains are confirmed: they flew well for {WATCH_S:g} s'))
         for reply in self._going_back:
             reply(False, 'the STM32 had confirmed the gains')
         self._going_back.clear()
@@ -513,7 +513,7 @@ class GainUpdates:
         self.state = State.WATCHING
         self._log('active', self.active, step=step, steps=steps)
         text = f'step {step} of {steps} of {update.request.source} is in force'
-        self.news.append(News(text, active=self.active))
+        self.notes.append(Note(text, active=self.active))
         if last:
             update.tell(done=True)
         elif self._flying_s is None:
@@ -547,8 +547,8 @@ class GainUpdates:
 
     def _fault(self, text: str) -> None:
         self.refused = text
-        if not self.news or self.news[-1].text != text:  # repeats are reported once
-            self.news.append(News(text, fault=True))
+        if not self.notes or self.notes[-1].text != text:  # repeats are reported once
+            self.notes.append(Note(text, fault=True))
 
     def _log(self, state: str, active: Mapping[str, float] | None = None, **more: object) -> None:
         update = self._update
@@ -577,7 +577,7 @@ class GainUpdates:
         reply, self._checked = self._checked, None
         if reply is not None:
             reply(words)
-        self.news.append(News(f'polarity: {words}', fault=bool(self.polarity.faults())))
+        self.notes.append(Note(f'polarity: {words}', fault=bool(self.polarity.faults())))
         pending, self._pending = self._pending, None
         if pending is not None:
             self._after_check(*pending, trouble)

@@ -58,7 +58,7 @@ SOURCES = {
     BATTERY: ('BATTERY_STATUS', 'SYS_STATUS'),
 }
 """Topics that standard messages can feed, the better one first."""
-WANTED_HZ = {
+TARGET_HZ = {
     INERTIAL: 250.0, MOTORS: 250.0, ROTORS: 250.0, STICKS: 50.0, COMPASS: 50.0, PRESSURE: 50.0,
     BATTERY: 10.0,
 }  # fmt: skip
@@ -71,9 +71,9 @@ BETAFLIGHT = {'ATTITUDE', 'RC_CHANNELS_RAW', 'VFR_HUD'}
 """Messages of Betaflight, which calls itself generic; its ATTITUDE has no rates at all."""
 
 
-def fitted(wanted: Mapping[str, float], budget: float) -> dict[str, float]:
+def fitted(targets: Mapping[str, float], budget: float) -> dict[str, float]:
     """Rates that a line of `budget` bytes per second carries: the fast ones give way first."""
-    rates = dict(wanted)
+    rates = dict(targets)
     while load(rates) > budget and max(rates.values(), default=0.0) > MIN_HZ:
         top = max(rates.values())
         rates = {n: max(0.9 * hz, MIN_HZ) if hz > 0.95 * top else hz for n, hz in rates.items()}
@@ -250,9 +250,9 @@ class Autopilot:
         for stream in self._streams.values():
             stream.rate_hz, stream.count = stream.count / passed_s, 0
         commands = []
-        for name, wanted_hz in self._wanted(now_ns).items():
+        for name, target_hz in self._targets(now_ns).items():
             stream = self._streams.setdefault(name, _Stream())
-            if stream.rate_hz >= ENOUGH * wanted_hz:
+            if stream.rate_hz >= ENOUGH * target_hz:
                 stream.pause_ns, stream.requests, stream.reached = PAUSE_NS[0], 0, True
                 stream.next_ask_ns = 0
             elif now_ns >= stream.next_ask_ns:
@@ -261,26 +261,26 @@ class Autopilot:
                 stream.next_ask_ns = now_ns + stream.pause_ns
                 stream.pause_ns = min(2 * stream.pause_ns, PAUSE_NS[1])
                 stream.requests += 1
-                interval_us = float(round(1e6 / wanted_hz))
+                interval_us = float(round(1e6 / target_hz))
                 commands.append(Command(SET_MESSAGE_INTERVAL, (float(IDS[name]), interval_us)))
         self.requests += len(commands)
         return commands
 
     def rates(self, now_ns: int) -> dict[str, tuple[float, float]]:
         """Messages that feed a topic, with their rate and the wanted one, Hz."""
-        wanted = self._wanted(now_ns)
+        targets = self._targets(now_ns)
         return {
-            name: (stream.rate_hz, wanted[name])
+            name: (stream.rate_hz, targets[name])
             for name, stream in sorted(self._streams.items())
-            if name in wanted and stream.rate_hz > 0.0
+            if name in targets and stream.rate_hz > 0.0
         }
 
     def slow_ones(self, now_ns: int) -> list[str]:
         """Messages that come more rarely than wanted although they were asked for."""
         return [] if self._log_comes else [
             name
-            for name, (rate_hz, wanted_hz) in self.rates(now_ns).items()
-            if rate_hz < ENOUGH * wanted_hz and self._streams[name].requests > 1
+            for name, (rate_hz, target_hz) in self.rates(now_ns).items()
+            if rate_hz < ENOUGH * target_hz and self._streams[name].requests > 1
         ]
 
     @property
@@ -302,23 +302,23 @@ class Autopilot:
         """The best message that brings the content of a topic now."""
         return next((n for n in SOURCES[topic] if self._alive(topic, n, now_ns)), None)
 
-    def _wanted(self, now_ns: int) -> dict[str, float]:
+    def _targets(self, now_ns: int) -> dict[str, float]:
         """Message to wanted rate: of each topic the source and the better ones.
 
         Where nothing comes, one more after each request that brought nothing.
         """
-        wanted = {'ATTITUDE': WANTED_HZ[INERTIAL]}  # beside another source it has the angles
+        targets = {'ATTITUDE': TARGET_HZ[INERTIAL]}  # beside another source it has the angles
         for topic, names in SOURCES.items():
             source = self._source(topic, now_ns)
             for name in names:
                 also = TELEMETRY if name == TELEMETRY[0] and source == name else (name,)
-                wanted |= {n: max(WANTED_HZ[topic], wanted.get(n, 0.0)) for n in also}
+                targets |= {n: max(TARGET_HZ[topic], targets.get(n, 0.0)) for n in also}
                 stream = self._streams.get(name)
                 tried = stream is not None and (stream.requests or stream.rate_hz > 0.0)
                 if name == source or (source is None and not tried):
                     break
-        wanted |= {name: hz for name, hz in self.also_hz.items() if name not in wanted}
-        return fitted(wanted, self.budget)
+        targets |= {name: hz for name, hz in self.also_hz.items() if name not in targets}
+        return fitted(targets, self.budget)
 
     def _measured(self, name: str, rates: Vector3 | None) -> Vector3 | None:
         """Rates, or None where they are exactly zero although the angles have moved."""

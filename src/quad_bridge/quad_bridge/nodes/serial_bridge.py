@@ -32,7 +32,7 @@ from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
 from quad_bridge.gains.table import with_mixing
-from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, News, Reply, State
+from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, Note, Reply, State
 from quad_bridge.link.autopilot import (
     BATTERY,
     COMPASS,
@@ -112,7 +112,7 @@ class SerialBridge(ManagedNode):
             f.GainsState: self._on_gains_frame,
             f.RcChannels: self._on_sticks,
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
-            f.StatusText: lambda frame, _: self._say_once(f'{self._link.name}: {frame.text}'),
+            f.StatusText: self._on_text,
             f.LogEntry: self._logs.take,
             f.LogData: self._logs.take,
         }
@@ -262,6 +262,10 @@ class SerialBridge(ManagedNode):
         if self._aircraft.has_gains:
             self._gains.take(frame, 1e-9 * now_ns)
 
+    def _on_text(self, frame: f.StatusText, _: int) -> None:
+        self._logs.heard(frame.text)
+        self._say_once(f'{self._link.name}: {frame.text}')
+
     def _on_aircraft(self, aircraft: Aircraft) -> None:
         """Another aircraft is on the line, by its heartbeat."""
         self._gains.use(aircraft.gains)
@@ -367,7 +371,7 @@ class SerialBridge(ManagedNode):
             self._gains.tick(clock().now_s())
             self._poll_gains(now_ns)
             self._flush()
-            news, self._gains.news = self._gains.news, []
+            notes, self._gains.notes = self._gains.notes, []
         self._operator.tick()
         self._gain_services.tick()
         self._sensor_services.tick()
@@ -376,12 +380,12 @@ class SerialBridge(ManagedNode):
             end = self._relay.tick(clock().now_s())
         if end is not None:
             self._forward(end)
-        for item in news:
+        for item in notes:
             self._tell(item)
-        if news and clock().now_s() - self._reported_s > REPORT_S:
+        if notes and clock().now_s() - self._reported_s > REPORT_S:
             self._on_report()
 
-    def _tell(self, item: News) -> None:
+    def _tell(self, item: Note) -> None:
         if item.fault:
             self.get_logger().error(item.text)
         else:

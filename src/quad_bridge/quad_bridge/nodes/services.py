@@ -27,7 +27,7 @@ from quad_bridge.motor_test import MotorTest
 from quad_bridge.nodes import conversion
 from quad_bridge.nodes.managed_node import answered
 from quad_bridge.nodes.qos import HEARD
-from quad_bridge.sensors.live import LiveSensors, Wanted
+from quad_bridge.sensors.live import EstimateRequest, LiveSensors
 from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.frames import CommandAck, Frame
 
@@ -229,13 +229,13 @@ class SensorServices:
 
     def tick(self) -> None:
         """Make the estimate that arming or a recording asks for; report a change at once."""
-        wanted, since_ns = self._sensors.wanted(), self._sensors.current.since_ns
-        if wanted is not None:
+        request, since_ns = self._sensors.request(), self._sensors.current.since_ns
+        if request is not None:
             try:
-                self._node.get_logger().info(self._sensors.estimate(wanted))
+                self._node.get_logger().info(self._sensors.estimate(request))
             except RefusedError as error:
                 self._node.get_logger().info(str(error))
-        if wanted is not None or since_ns != self._since_ns:
+        if request is not None or since_ns != self._since_ns:
             self._since_ns = since_ns
             self._report()
 
@@ -244,11 +244,11 @@ class SensorServices:
             self._sensors.want('recording')
 
     def _on_calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        wanted = Wanted('asked for', self._sensors.standing())
-        if wanted.samples and not self._sensors.idle:
+        request = EstimateRequest('asked for', self._sensors.standing())
+        if request.samples and not self._sensors.idle:
             return answered(response, False, 'the last estimate has not been published yet')
         try:
-            return answered(response, True, self._sensors.estimate(wanted))
+            return answered(response, True, self._sensors.estimate(request))
         except RefusedError as error:
             return answered(response, False, str(error))
 

@@ -30,7 +30,7 @@ Sample = tuple[float, float, float, float, float, float, float]
 """Device time in s, rates in rad/s, accelerations in m/s², FLU."""
 
 
-class Wanted(NamedTuple):
+class EstimateRequest(NamedTuple):
     """A requested estimate, with the samples at rest at that time."""
 
     why: str
@@ -49,7 +49,7 @@ class LiveSensors:
         self._standing: deque[Sample] = deque(maxlen=MAX_SAMPLES)
         self._correct = correct
         self._armed = False
-        self._wanted: Wanted | None = None
+        self._request: EstimateRequest | None = None
         self._fresh: Correction | None = self.current
         """Applies from the next stamp on; none at first, whatever another bridge subtracted."""
 
@@ -118,29 +118,29 @@ class LiveSensors:
         """Have an estimate made of the samples at rest, if there are any."""
         samples = self.standing()
         if samples:
-            self._wanted = Wanted(why, samples)
+            self._request = EstimateRequest(why, samples)
 
-    def wanted(self) -> Wanted | None:
+    def request(self) -> EstimateRequest | None:
         """The request that `want` has left, once."""
-        wanted, self._wanted = self._wanted, None
-        return wanted
+        request, self._request = self._request, None
+        return request
 
-    def estimate(self, wanted: Wanted) -> str:
+    def estimate(self, request: EstimateRequest) -> str:
         """Estimate and apply; what to say. Raises RefusedError; an earlier estimate stays."""
-        rows = np.array(wanted.samples, dtype=float).reshape(-1, 7)
+        rows = np.array(request.samples, dtype=float).reshape(-1, 7)
         try:
-            if self._armed and not wanted.samples:
+            if self._armed and not request.samples:
                 what = 'it is armed: disarm it first; biases are estimated with the motors off'
                 raise RefusedError(what)  # noqa: TRY301
             estimate = estimate_at_rest(rows[:, 0], rows[:, 1:4], rows[:, 4:])
         except RefusedError as why:
             self.warned = len(rows) > 0 and float(np.ptp(rows[:, 0])) >= MIN_S
             earlier = '; the earlier one stays' if self.rest is not None else ''
-            self.words = f'gyro bias not estimated ({wanted.why}): {why}{earlier}'
+            self.words = f'gyro bias not estimated ({request.why}): {why}{earlier}'
             raise RefusedError(self.words) from why
         bias = ', '.join(f'{v:+.5f}' for v in estimate.gyro_bias)
         now = datetime.now(timezone.utc)
-        self.words = f'gyro bias {bias} rad/s at rest, {wanted.why} {now:%H:%M:%S} UTC'
+        self.words = f'gyro bias {bias} rad/s at rest, {request.why} {now:%H:%M:%S} UTC'
         self.warned, self.rest = False, estimate
         if self._correct:
             with self._lock:

@@ -109,14 +109,14 @@ def segments_from(events: Sequence[Event], seconds: Callable[[int], float],
 
 def desaturation_from(events: Sequence[Event]) -> str:
     """What the aircraft does with commands that its motors cannot give, `mixer.desaturation`."""
-    said = [str(event.values[DESATURATION]) for event in events if DESATURATION in event.values]
-    return said[-1] if said and said[-1] in DESATURATIONS else DESATURATIONS[0]
+    values = [str(event.values[DESATURATION]) for event in events if DESATURATION in event.values]
+    return values[-1] if values and values[-1] in DESATURATIONS else DESATURATIONS[0]
 
 
 def idle_from(events: Sequence[Event]) -> float:
     """The smallest command of a motor in flight, `mixer.idle`; 0 where nothing says so."""
-    said = [event.values[IDLE] for event in events if IDLE in event.values]
-    return float(said[-1]) if said and isinstance(said[-1], int | float) else 0.0
+    values = [event.values[IDLE] for event in events if IDLE in event.values]
+    return float(values[-1]) if values and isinstance(values[-1], int | float) else 0.0
 
 
 def gains_from(events: Sequence[Event], seconds: Callable[[int], float]) -> tuple[GainChange, ...]:

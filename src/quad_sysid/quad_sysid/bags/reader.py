@@ -188,8 +188,8 @@ def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:
 def _check_count(motors: int, craft: Craft, source: str, *, described: bool) -> None:
     """Raise BadInputError where the commands are of more or fewer motors than the craft has."""
     if motors != craft.count:
-        said = f'of {craft.count}' if described else 'missing, so there are four'
-        raise BadInputError(source, f'{MOTORS} is of {motors} motors, {DESCRIPTION} is {said}',
+        count = f'of {craft.count}' if described else 'missing, so there are four'
+        raise BadInputError(source, f'{MOTORS} is of {motors} motors, {DESCRIPTION} is {count}',
                             remedy='record the description of this craft, a URDF with joints '
                             f'motor_1 to motor_{motors}')
 

@@ -147,7 +147,7 @@ def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
 
 
 def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
-           given: Model | None) -> Model:
+           start: Model | None) -> Model:
     """The given start, or the plant between noise-free output and the command that follows it.
 
     The first of them that is stable behind the controller.
@@ -156,7 +156,7 @@ def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
     plain = {'C': one, 'D': one, 'structure': 'OE', 'orders': {'nb': nb, 'nf': nf, 'nk': nk},
              'approach': 'indirect', 'warnings': ()}
     for order in (None, *STAGE_ORDERS):
-        model = given
+        model = start
         if order is not None:
             clean, u = noise_free('indirect', z, z.y, order), np.zeros_like(z.u)
             for a, b in z.segments:

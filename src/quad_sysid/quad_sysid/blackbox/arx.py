@@ -146,10 +146,10 @@ def _first_best(values: FloatArray, k: IntArray) -> int:
 
 def _orders(name: str, value: int | Iterable[int], least: int) -> list[int]:
     """Sorted distinct orders of one range."""
-    given = [value] if isinstance(value, (int, np.integer)) else list(value)
-    if not given:
-        raise BadInputError('search_arx', f'{name} must not be empty', given)
-    return sorted({check_order('search_arx', name, order, least) for order in given})
+    orders = [value] if isinstance(value, (int, np.integer)) else list(value)
+    if not orders:
+        raise BadInputError('search_arx', f'{name} must not be empty', orders)
+    return sorted({check_order('search_arx', name, order, least) for order in orders})
 
 
 def _losses(r: FloatArray, nas: list[int], nbs: list[int], nks: list[int]) -> FloatArray:

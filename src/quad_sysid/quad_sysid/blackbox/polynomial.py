@@ -215,8 +215,8 @@ def polynomial_model(B: Sequence[float] | FloatArray, *, dt: float,
                      F: Sequence[float] | FloatArray = (1.0,), nk: int | None = None,
                      noise_variance: float = 1.0, structure: str | None = None) -> Model:
     """Build a model from known polynomials; B with its leading zeros, from which nk is read."""
-    given = {'A': A, 'B': B, 'C': C, 'D': D, 'F': F}
-    polys = {key: np.asarray(poly, dtype=float) for key, poly in given.items()}
+    named = {'A': A, 'B': B, 'C': C, 'D': D, 'F': F}
+    polys = {key: np.asarray(poly, dtype=float) for key, poly in named.items()}
     for key, poly in polys.items():
         if poly.ndim != 1 or poly.size == 0 or not np.isfinite(poly).all():
             raise BadInputError('polynomial_model', f'{key} must be a finite 1-D polynomial',

@@ -235,8 +235,12 @@ def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Ver
     p_all = unseen.p_value(rungs[ladder.answer], base) if ladder.answer else 1.0
     chosen, claims = base, []
     while ladder.answer and p_all <= LEVEL:
-        chosen = models.fitted(answer)
-        without = [models.fitted(one) for one in models.each_left_out(answer)]
+        fitted = models.comparable(answer)
+        if not isinstance(fitted, Fit):  # what is left cannot follow a flight
+            chosen, claims = base, []
+            break
+        chosen = fitted
+        without = [models.comparable(one) for one in models.each_left_out(answer)]
         claims = [_claim(unseen, chosen, other, part.effect.name, ladder)
                   for part, other in zip(answer.structure.parts, without, strict=True)]
         kept = [i for i, one in enumerate(claims) if one.stands]
@@ -271,7 +275,7 @@ def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Ver
     )
 
 
-def _claim(unseen: Unseen, chosen: Fit, without: Fit, name: str, ladder: Ladder) -> Claim:
+def _claim(unseen: Unseen, chosen: Fit, without: Fitted, name: str, ladder: Ladder) -> Claim:
     p, error, other = unseen.p_value(chosen, without), *(
         rms(unseen.errors(one)) for one in (chosen, without)
     )
@@ -327,11 +331,22 @@ class _Models:
                                 self._loud(model.theta), rate=reference.rate,
                                 still=tuple(physics)), self.likeliest.get(labels))
             able = [one for one in fits if one is not None]
+            if not able:  # then with the noise as it is
+                as_it_is = fitted_from(self.problem, model.structure, self._loud(model.theta),
+                                       rate=reference.rate, most_steps=0)
+                able = [] if as_it_is is None else [as_it_is]
             if not able:
                 raise FloatingPointError(f'{" and ".join(labels) or "the base"} diverges')
             self.known[labels] = min([one for one in able if one.converged] or able,
                                      key=self._trained)
         return self.known[labels]
+
+    def comparable(self, model: Projected) -> Fitted:
+        """The same for a comparison only; what cannot follow a flight is run as it is."""
+        try:
+            return self.fitted(model)
+        except FloatingPointError:
+            return Stored(model.structure, model.theta, self.projection.reference.tail)
 
     def _trained(self, fitted: Fit) -> float:
         """Error of the free run over the training's windows, from the fit's own states, rad/s."""

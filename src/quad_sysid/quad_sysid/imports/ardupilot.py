@@ -28,8 +28,8 @@ from quad_sysid.imports.log import (
     Experiment,
     ForeignLog,
     Reading,
+    Signal,
     Stream,
-    Wanted,
 )
 from quad_sysid.imports.mixers import MIRROR, angles_from_ned, enu, mirrored
 from quad_sysid.imports.plausible import FASTEST_RAD_S
@@ -48,7 +48,7 @@ MAX_PULSE = 3000.0
 """µs. No speed controller is sent a longer one."""
 CENTI = 0.01
 """deg/s of RATE's unit in logs with TimeMS, and of a speed in cm/s."""
-FEWEST = 10
+MIN_MESSAGES = 10
 """Messages of CTUN that say how it climbs."""
 AS_FAST = 0.9
 """Share of the gyro's rate from which on RATE, which the controller saw, is preferred."""
@@ -68,25 +68,25 @@ def _of(message: str, *fields: str) -> tuple[str, ...]:
     return tuple(f'{message}.{field}' for field in fields)
 
 
-SEEN = Wanted('rates', _of('RATE', 'R', 'P', 'Y'), 'deg/s',
-              'to rad/s, FRD to FLU: pitch and yaw turned', _mirrored_degrees)
-GYRO = Wanted('rates', _of('IMU', 'GyrX', 'GyrY', 'GyrZ'), 'rad/s',
+CONTROL_RATES = Signal('rates', _of('RATE', 'R', 'P', 'Y'), 'deg/s',
+                       'to rad/s, FRD to FLU: pitch and yaw turned', _mirrored_degrees)
+GYRO = Signal('rates', _of('IMU', 'GyrX', 'GyrY', 'GyrZ'), 'rad/s',
               'FRD to FLU: pitch and yaw turned', mirrored)
-WANTED = (
-    Wanted('angles', _of('ATT', 'Roll', 'Pitch', 'Yaw'), 'deg',
+SIGNALS = (
+    Signal('angles', _of('ATT', 'Roll', 'Pitch', 'Yaw'), 'deg',
            'to rad, FRD in NED to FLU in ENU', _ned_degrees),
-    Wanted('attitude_setpoint', _of('ATT', 'DesRoll', 'DesPitch', 'DesYaw'), 'deg',
+    Signal('attitude_setpoint', _of('ATT', 'DesRoll', 'DesPitch', 'DesYaw'), 'deg',
            'to rad, FRD in NED to FLU in ENU', _ned_degrees),
-    Wanted('rate_setpoint', _of('RATE', 'RDes', 'PDes', 'YDes'), 'deg/s',
+    Signal('rate_setpoint', _of('RATE', 'RDes', 'PDes', 'YDes'), 'deg/s',
            'to rad/s, pitch and yaw turned', _mirrored_degrees),
-    Wanted('acceleration', _of('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
+    Signal('acceleration', _of('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
            mirrored),
     *(one for name in ('XKF1', 'NKF1') for one in (
-        Wanted('velocity', _of(name, 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
-        Wanted('position', _of(name, 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu))),
-    Wanted('battery', _of('BAT', 'Volt'), 'V', 'as it is'),
+        Signal('velocity', _of(name, 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
+        Signal('position', _of(name, 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu))),
+    Signal('battery', _of('BAT', 'Volt'), 'V', 'as it is'),
 )
-OUTPUTS = Wanted('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
+OUTPUTS = Signal('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
                  'as they are, pitch and yaw turned; U is in the unit of these outputs',
                  lambda values: values * [1.0, *MIRROR])
 MESSAGES = ('RATE', 'ATT', 'IMU', 'XKF1', 'NKF1', 'CTUN', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD',
@@ -109,10 +109,10 @@ OF_CHIRP = {'Mag': 'magnitude', 'FSt': 'start_hz', 'FSp': 'stop_hz', 'TR': 'leng
 def read(path: Path) -> ForeignLog:
     """Read a dataflash log; raises BadInputError where it is none or lacks rates or commands."""
     table = _load(path)
-    seen, gyro = (table.stream(*one.columns) for one in (SEEN, GYRO))
+    seen, gyro = (table.stream(*one.columns) for one in (CONTROL_RATES, GYRO))
     first = seen is not None and (gyro is None or seen.rate_hz >= AS_FAST * gyro.rate_hz)
     reading = Reading(table)
-    reading.take(SEEN if first else GYRO, *WANTED)
+    reading.take(CONTROL_RATES if first else GYRO, *SIGNALS)
     if 'rates' not in reading.streams:
         raise BadInputError(
             table.source, 'holds no RATE and no IMU messages',
@@ -121,7 +121,7 @@ def read(path: Path) -> ForeignLog:
         )
     _climb(reading)
     crafts, gains, warnings = _input(reading)
-    return reading.log('an ArduPilot log', WANTED, crafts=crafts, armed=_armed(table),
+    return reading.log('an ArduPilot log', SIGNALS, crafts=crafts, armed=_armed(table),
                        gains=gains, faster=FASTER, warnings=tuple(warnings),
                        experiments=tuple(_experiments(table)))
 
@@ -131,11 +131,11 @@ def _climb(reading: Reading) -> None:
 
     CRt is in cm/s, in some versions in m/s: the slope of the altitude says which.
     """
-    found = reading.table.stream('CTUN.CRt', 'CTUN.Alt')
-    if found is None or 'velocity' in reading.streams or len(found.time_s) < FEWEST:
+    logged = reading.table.stream('CTUN.CRt', 'CTUN.Alt')
+    if logged is None or 'velocity' in reading.streams or len(logged.time_s) < MIN_MESSAGES:
         return
-    rate, height = found.values.T
-    slope = np.gradient(height, found.time_s)
+    rate, height = logged.values.T
+    slope = np.gradient(height, logged.time_s)
     off = [np.nansum((factor * rate - slope) ** 2) for factor in (CENTI, 1.0)]
     factor, unit = (CENTI, 'cm/s') if off[0] <= off[1] else (1.0, 'm/s')
     for role, name, values, of, how in (
@@ -144,7 +144,7 @@ def _climb(reading: Reading) -> None:
     ):
         up = np.column_stack([np.full((rate.size, 2), np.nan), values])
         reading.streams.pop(role, None)
-        reading.put(Wanted(role, (f'CTUN.{name}',), of, how), Stream(found.time_s, up))
+        reading.put(Signal(role, (f'CTUN.{name}',), of, how), Stream(logged.time_s, up))
 
 
 def _experiments(table: Table) -> Iterator[Experiment]:
@@ -163,9 +163,9 @@ def _experiments(table: Table) -> Iterator[Experiment]:
             continue
         axis, injection, factor = INJECTED[int(axes[at])]
         values = factor * MIRROR[AXES.index(axis)] * added.values[rows]
-        said = {name: float(table.columns[f'SIDS.{own}'][at]) for own, name in OF_CHIRP.items()
-                if f'SIDS.{own}' in table.columns}
-        yield Experiment(axis, 'chirp', injection, Stream(added.time_s[rows], values), said)
+        chirp = {name: float(table.columns[f'SIDS.{own}'][at]) for own, name in OF_CHIRP.items()
+                 if f'SIDS.{own}' in table.columns}
+        yield Experiment(axis, 'chirp', injection, Stream(added.time_s[rows], values), chirp)
 
 
 def _armed(table: Table) -> Stream | None:
@@ -210,7 +210,7 @@ def _damage(log: Log, *, binary: bool) -> Iterator[str]:
 
 def _possible(table: Table) -> Iterator[str]:
     """Leave out, in place, rates that no gyro can measure; say how many."""
-    for one, largest in ((SEEN, FASTEST_RAD_S / DEGREE), (GYRO, FASTEST_RAD_S)):
+    for one, largest in ((CONTROL_RATES, FASTEST_RAD_S / DEGREE), (GYRO, FASTEST_RAD_S)):
         if one.columns[0] not in table.columns:
             continue
         wrong = np.any([~(np.abs(table.columns[c]) <= largest) for c in one.columns], axis=0)
@@ -238,7 +238,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         high = table.header.get('MOT_PWM_MAX', 0.0) or 2000.0
         how = f'in the places of {craft.name}' if isinstance(craft, Craft) else (
             f'{craft}: their places by what the motion shows')
-        reading.take(Wanted('motors', pulses, 'µs', f'(pulse - {low:g}) / {high - low:g}; {how}',
+        reading.take(Signal('motors', pulses, 'µs', f'(pulse - {low:g}) / {high - low:g}; {how}',
                             lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
         _speeds(reading, channels)
         if not isinstance(craft, Craft):
@@ -267,5 +267,5 @@ def _speeds(reading: Reading, channels: tuple[int, ...]) -> None:
     for motor, instance in enumerate(own):
         mine = which == instance
         values[mine, motor] = rpm[mine] * RPM
-    reading.put(Wanted('speeds', ('ESC.RPM',), 'rpm', 'to rad/s'),
+    reading.put(Signal('speeds', ('ESC.RPM',), 'rpm', 'to rad/s'),
                 Stream(table.times['ESC.RPM'], values))

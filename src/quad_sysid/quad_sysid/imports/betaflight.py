@@ -34,8 +34,8 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Mapped,
     Reading,
+    Signal,
     Stream,
-    Wanted,
 )
 from quad_sysid.imports.mixers import MIRROR, ned_angles
 from quad_sysid.imports.plausible import FASTEST_RAD_S
@@ -54,7 +54,7 @@ FEWEST = 200
 """Least number of frames of a flight."""
 UNIT_AS_INTEGER = 8127.0
 """INDIflight's 1.0 of a command or a quaternion, (127 << 6) - 1."""
-WANTED = frozenset({
+FIELDS = frozenset({
     'time', 'gyroADC', 'motor', 'setpoint', 'axisRate', 'accSmooth', 'vbatLatest', 'vbat',
     'attitude', 'roll', 'pitch', 'heading', 'u', 'quat', 'gyroSp', 'debug', 'eRPM', 'erpm',
     'gyroUnfilt', 'axisD', 'rcCommand',
@@ -101,10 +101,10 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     table = _possible(table, _rate_unit(table, units.get('gyroADC[0]', '')))
     indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
         'u[0]' in table.columns
-    wanted = _wanted(table, units, indi=indi)
+    signals = _signals(table, units, indi=indi)
     motors, crafts = _motors(table, indi=indi)
     reading = Reading(table)
-    reading.take(*wanted, motors, *_speeds(table, units, len(motors.columns)))
+    reading.take(*signals, motors, *_speeds(table, units, len(motors.columns)))
     kept = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
     reading.mapped += [Mapped('header', '-', 'note', kept)] if kept else []
     header = {str(name): str(value) for name, value in table.header.items()}
@@ -112,7 +112,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     known = tuning(header, throttle, span)
     reading.mapped += [Mapped('header.rollPID, …', '-', '/gains/active', known.how)] * bool(
         known.gains)
-    return reading.log('a blackbox log', wanted, crafts=crafts, faster=FASTER, gains=known.gains,
+    return reading.log('a blackbox log', signals, crafts=crafts, faster=FASTER, gains=known.gains,
                        gain_changes=changes(header, adjusted, throttle, span),
                        no_gains=NO_GAINS, experiments=tuple(_chirps(reading)))
 
@@ -188,13 +188,13 @@ def _several(name: str, count: int) -> tuple[str, ...]:
     return tuple(f'{name}[{i}]' for i in range(count))
 
 
-def _wanted(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Wanted, ...]:
-    """What is taken of a log besides the motors, by its header's units and scales."""
-    columns, said = table.columns, units.get('gyroADC[0]', '')
+def _signals(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Signal, ...]:
+    """The channels of a log besides the motors, by its header's units and scales."""
+    columns, gyro = table.columns, units.get('gyroADC[0]', '')
     # whether the sensors' z axis points down, by the specific force in flight
     turned = indi and bool(np.nanmean(columns.get('accSmooth[2]', np.zeros(1))) <= 0.0)
     frame = MIRROR if turned else np.ones(3)
-    scale = _rate_unit(table, said)
+    scale = _rate_unit(table, gyro)
     how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if turned else 'the frame is ours')
 
     def volts(values: FloatArray) -> FloatArray:
@@ -205,25 +205,25 @@ def _wanted(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Wanted,
     largest = np.nanmax(np.abs(columns.get('roll', np.zeros(1))))
     degrees = units.get('roll') == 'deg' or (not units.get('roll') and largest > np.pi)
     out = [
-        Wanted('rates', _several('gyroADC', 3), said or 'deg/s', how, lambda v: v * scale * frame),
-        *(Wanted('rate_setpoint', _several(name, 3), 'deg/s', how, lambda v: v * scale * frame)
+        Signal('rates', _several('gyroADC', 3), gyro or 'deg/s', how, lambda v: v * scale * frame),
+        *(Signal('rate_setpoint', _several(name, 3), 'deg/s', how, lambda v: v * scale * frame)
           for name in ('setpoint', 'axisRate', 'gyroSp')),
-        Wanted('angles', _several('quat', 4), 'raw', 'FRD in NED to FLU in ENU',
+        Signal('angles', _several('quat', 4), 'raw', 'FRD in NED to FLU in ENU',
                lambda v: ned_angles(v / UNIT_AS_INTEGER)),
         _angles(('roll', 'pitch', 'heading'), *(('deg', DEGREE) if degrees else ('rad', 1.0))),
         _angles(_several('attitude', 3), '0.1 deg', 0.1 * DEGREE),
-        Wanted('rates_before', _several('gyroUnfilt', 3), said or 'deg/s',
+        Signal('rates_before', _several('gyroUnfilt', 3), gyro or 'deg/s',
                f'times {scale:.6g}, before the filters', lambda v: v * scale * frame),
-        *(Wanted('d_term', _several('axisD', count), 'raw', 'times 0.001, the D part',
+        *(Signal('d_term', _several('axisD', count), 'raw', 'times 0.001, the D part',
                  lambda v: v / PIDSUM) for count in (3, 2)),
-        *(Wanted('battery', (name,), units.get(name) or 'raw', 'to V', volts)
+        *(Signal('battery', (name,), units.get(name) or 'raw', 'to V', volts)
           for name in ('vbatLatest', 'vbat')),
     ]
     unit = units.get('accSmooth[0]', '')
     counts = {'m/s2': ONE_G, 'm/s/s': ONE_G, 'g': 1.0}.get(unit) or float(
         table.header.get('acc_1G') or 2048)
     if counts > 0.0:  # else a board without an accelerometer
-        out.append(Wanted('acceleration', _several('accSmooth', 3), unit or 'raw',
+        out.append(Signal('acceleration', _several('accSmooth', 3), unit or 'raw',
                           f'{counts:g} are {ONE_G} m/s²', lambda v: v * (ONE_G / counts) * frame))
     return tuple(out)
 
@@ -246,7 +246,7 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str], list[Adjustme
     with read_by_library(path, f'log {log} of {count} cannot be decoded', remedy):
         parser: Any = Parser.load(str(path), log, allow_invalid_header=True)
         names = list(parser.field_names)
-        places = [i for i, name in enumerate(names) if name.partition('[')[0] in WANTED]
+        places = [i for i, name in enumerate(names) if name.partition('[')[0] in FIELDS]
         with _events() as events:
             rows, faults = _frames(parser, places, len(names), events)
     if len(rows) < FEWEST:
@@ -366,7 +366,7 @@ def _read(path: Path) -> tuple[Table, dict[str, str]]:
             if cells[:1] == ['loopIteration']:
                 bare = {cell: cell.partition(' (')[0] for cell in cells}
                 bare = {cell: name for cell, name in bare.items()
-                        if name.partition('[')[0] in WANTED}
+                        if name.partition('[')[0] in FIELDS}
                 read = read_csv(chain([line], lines), str(path), list(bare), number)
                 break
             if len(cells) == 2:
@@ -376,17 +376,17 @@ def _read(path: Path) -> tuple[Table, dict[str, str]]:
     return Table(str(path), columns, header=header, notes=read.notes), units
 
 
-def _speeds(table: Table, units: dict[str, str], count: int) -> list[Wanted]:
+def _speeds(table: Table, units: dict[str, str], count: int) -> list[Signal]:
     """Rotor speeds: electrical turns in hundreds a minute, a pole pair for each of the rotor."""
     poles = float(table.header.get('motor_poles') or POLES)
     factor, how = 100.0 * RPM / (0.5 * poles), f'of {poles:g} poles, to rad/s'
     if units.get('eRPM[0]') == 'rpm':
         factor, how = RPM, 'to rad/s'
-    return [Wanted('speeds', _several(name, count), units.get(f'{name}[0]') or '100 eRPM', how,
+    return [Signal('speeds', _several(name, count), units.get(f'{name}[0]') or '100 eRPM', how,
                    lambda values: values * factor) for name in ('eRPM', 'erpm')]
 
 
-def _motors(table: Table, *, indi: bool) -> tuple[Wanted, tuple[Craft, ...]]:
+def _motors(table: Table, *, indi: bool) -> tuple[Signal, tuple[Craft, ...]]:
     """Motor commands (n, k) 0..1, and the crafts that the header leaves open."""
     name = 'u' if 'u[0]' in table.columns else 'motor'
     slots = [slot for slot in _several(name, 8) if slot in table.columns]
@@ -403,7 +403,7 @@ def _motors(table: Table, *, indi: bool) -> tuple[Wanted, tuple[Craft, ...]]:
     how = f'({name} - {low:g}) / {high - low:g} ({why}); in the places of ' + (
         crafts[0].name if len(crafts) == 1 else 'what the motion shows' if not crafts else
         f"Betaflight's {count} motors that the motion fits best (the header does not say)")
-    return Wanted('motors', columns, 'raw', how,
+    return Signal('motors', columns, 'raw', how,
                   lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)), crafts
 
 
@@ -413,11 +413,11 @@ def _crafts(table: Table, count: int) -> tuple[Craft, ...]:
     It names the sense of the propellers, which recent versions leave out, and no mixer: four
     motors are taken for a Quad X.
     """
-    said = table.header.get('yaw_motors_reversed', '').strip()
+    reversed_yaw = table.header.get('yaw_motors_reversed', '').strip()
     mixers = [m for m, motors in BETAFLIGHT.items() if len(motors) == count]
     mixers = ['QUADX'] if count == 4 else mixers
     crafts = (of_betaflight({'mixer': mixer, 'yaw_motors_reversed': out})
-              for mixer in mixers for out in ((said,) if said else ('0', '1')))
+              for mixer in mixers for out in ((reversed_yaw,) if reversed_yaw else ('0', '1')))
     return tuple(one for one in crafts if isinstance(one, Craft))
 
 
@@ -432,7 +432,7 @@ def _motor_range(table: Table, raw: FloatArray) -> tuple[float, float, str]:
     return *PULSE_US, 'pulses of 1000 to 2000 µs, judging by the values'
 
 
-def _angles(columns: tuple[str, ...], unit: str, factor: float) -> Wanted:
+def _angles(columns: tuple[str, ...], unit: str, factor: float) -> Signal:
     """Roll, pitch and the heading, as blackbox_decode simulates or Betaflight logs them."""
 
     def convert(values: FloatArray) -> FloatArray:
@@ -440,5 +440,5 @@ def _angles(columns: tuple[str, ...], unit: str, factor: float) -> Wanted:
         raw[:, 2] = np.unwrap(raw[:, 2] + 0.5 * np.pi)
         return np.asarray(raw)
 
-    return Wanted('angles', columns, unit,
+    return Signal('angles', columns, unit,
                   'to rad; heading clockwise from north to yaw from east', convert)

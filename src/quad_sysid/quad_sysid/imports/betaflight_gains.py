@@ -57,13 +57,13 @@ class Tuning:
 
 def firmware_of(header: Mapping[str, str]) -> str:
     """`betaflight` or `inav`, whose scales are known; '' for others."""
-    said = ' '.join(str(header.get(name, '')) for name in (
+    text = ' '.join(str(header.get(name, '')) for name in (
         'Firmware revision', 'Firmware type', 'firmwareType', 'firmware')).lower()
-    if 'inav' in said:
+    if 'inav' in text:
         return 'inav'
     others = ('indiflight', 'rotorflight', 'emuflight', 'quicksilver')
-    return '' if any(name in said for name in others) else (
-        'betaflight' if 'betaflight' in said or 'cleanflight' in said else '')
+    return '' if any(name in text for name in others) else (
+        'betaflight' if 'betaflight' in text or 'cleanflight' in text else '')
 
 
 def tuning(header: Mapping[str, str], throttle: float | None, motor_us: float = PIDSUM) -> Tuning:

@@ -134,8 +134,8 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
             '--mixer', 'applies to --motors only; --control columns need no mixer',
             options.mixer, 'leave it out or give --motors',
         )
-    names = {name: columns_of(given) for name, option in OPTIONS.items()
-             if (given := getattr(options, name)) and (option.per_axis or option.several)}
+    names = {name: columns_of(value) for name, option in OPTIONS.items()
+             if (value := getattr(options, name)) and (option.per_axis or option.several)}
     return _write(read_columns(ColumnOptions(
         file=options.file, axes=_axes(options, names.get('rate') or names.get('angle', ())),
         time=options.time, thrust=options.thrust, mixer=options.mixer or 'x',

@@ -96,9 +96,9 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     steps = np.diff(time_s[rows])
     if not (steps > 0.0).any():
         raise BadInputError(where, 'does not increase', remedy='name another column as the time')
-    usual = float(np.median(steps[steps > 0.0]))
-    jump = _jump(usual)
-    long = [rows[part] for part in _stretches(time_s[rows], usual)]
+    interval = float(np.median(steps[steps > 0.0]))
+    jump = _jump(interval)
+    long = [rows[part] for part in _stretches(time_s[rows], interval)]
     notes += _left_out(len(rows) - sum(map(len, long)), 'rows with a time far off')
     if not long:
         raise BadInputError(where, 'jumps from row to row', f'{len(rows)} rows',
@@ -107,7 +107,7 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     if back:
         notes.append(f'{back} rows ran back in time and were sorted')
     long = [part[np.argsort(time_s[part], kind='stable')] for part in long]
-    pause = max(PAUSE_S, PAUSE_INTERVALS * usual)
+    pause = max(PAUSE_S, PAUSE_INTERVALS * interval)
     moments = [time_s[long[0]]]
     for part in long[1:]:
         step = time_s[part[0]] - moments[-1][-1]
@@ -121,15 +121,15 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     return Unrolled(kept, moment, tuple(notes))
 
 
-def _jump(usual: float) -> float:
+def _jump(interval: float) -> float:
     """Step, s, beyond which another experiment begins."""
-    return max(JUMP_S, JUMP_INTERVALS * usual)
+    return max(JUMP_S, JUMP_INTERVALS * interval)
 
 
-def _stretches(time_s: FloatArray, usual: float) -> list[np.ndarray]:
+def _stretches(time_s: FloatArray, interval: float) -> list[np.ndarray]:
     """Indices of the rows between jumps of the clock, without those of wrong stamps."""
     steps = np.diff(time_s)
-    jumps = (steps < -BACK * usual) | (steps > _jump(usual))
+    jumps = (steps < -BACK * interval) | (steps > _jump(interval))
     parts = np.split(np.arange(len(time_s)), np.flatnonzero(jumps) + 1)
     return [part for part in parts if len(part) >= min(FEWEST, len(time_s))]
 
@@ -170,26 +170,26 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     `grid_hz` overrides the rate of the grid. Raises BadInputError where it is far above the
     samples', or, naming `where`, where their times leave almost all of the grid empty.
     """
-    usual = float(np.median(np.diff(samples.time_s)))
-    near_others = _stretches(samples.time_s, usual)
+    interval = float(np.median(np.diff(samples.time_s)))
+    near_others = _stretches(samples.time_s, interval)
     kept = np.concatenate(near_others) if near_others else np.arange(len(samples.time_s))
     wrong = _left_out(len(samples.time_s) - len(kept), 'samples with a time far off')
     samples = Stream(samples.time_s[kept], samples.values[kept])
     time_s, values = samples.time_s, samples.values
     span = time_s[-1] - time_s[0]
-    if SPARSEST * span > usual * len(time_s):
+    if SPARSEST * span > interval * len(time_s):
         raise BadInputError(where, 'has times that are damaged, or pauses almost throughout',
-                            f'{len(time_s)} samples of {usual:.3g} s within {span:.3g} s',
+                            f'{len(time_s)} samples of {interval:.3g} s within {span:.3g} s',
                             'copy it anew, or import a part of it')
     steps = np.diff(time_s)
-    near = np.abs(steps / usual - 1.0) <= UNEVEN
+    near = np.abs(steps / interval - 1.0) <= UNEVEN
     odd = int(np.count_nonzero(~near))
-    head = f'{len(time_s)} samples, a median of {1.0 / usual:.4g} Hz, {odd} odd intervals'
+    head = f'{len(time_s)} samples, a median of {1.0 / interval:.4g} Hz, {odd} odd intervals'
     head = '; '.join([*wrong, head])
-    highest = min(MAX_RATE_HZ, FINEST / usual)
+    highest = min(MAX_RATE_HZ, FINEST / interval)
     if grid_hz is not None and grid_hz > highest:
         raise BadInputError('--grid', f'must be at most {highest:.4g} Hz', f'{grid_hz:g} Hz',
-                            f'the log has {1.0 / usual:.4g} Hz; leave --grid out')
+                            f'the log has {1.0 / interval:.4g} Hz; leave --grid out')
     even = near.mean() >= 1.0 - MAX_ODD
     if grid_hz is not None:
         dt, why = 1.0 / grid_hz, 'as --grid says'
@@ -203,7 +203,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     else:
         dt, why = _uneven(steps), 'the rate is uneven'
     times = time_s[0] + dt * np.arange(int((time_s[-1] - time_s[0]) / dt + 1e-6) + 1)
-    drawn = draw(samples, times, MAX_DRAWN * max(dt, usual))
+    drawn = draw(samples, times, MAX_DRAWN * max(dt, interval))
     return Cycles(times, dt, drawn, own=False, notes=(
         f'{head}; rates interpolated on a grid of {1.0 / dt:.4g} Hz ({why}){_gaps(drawn, dt)}',
     ))
@@ -270,11 +270,11 @@ def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:
 
 def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
     """The active value at each time: the last one, at most half a cycle later."""
-    usual = 1.0 / stream.rate_hz if stream.rate_hz else np.inf
+    interval = 1.0 / stream.rate_hz if stream.rate_hz else np.inf
     at = np.searchsorted(stream.time_s, times + 0.5 * dt, side='right') - 1
     known = at >= 0
     at = np.maximum(at, 0)
-    known &= times - stream.time_s[at] <= MAX_PAUSE * max(usual, dt)
+    known &= times - stream.time_s[at] <= MAX_PAUSE * max(interval, dt)
     out = stream.values[at].copy()
     out[~known] = np.nan
     return np.asarray(out, dtype=np.float64)

@@ -85,15 +85,15 @@ class ColumnOptions:
 
         changed: dict[str, Any] = {}
         for option in OPTIONS:
-            given = getattr(self, option)
-            changed[option] = one(given) if isinstance(given, str) else given and tuple(
-                map(one, given))
+            value = getattr(self, option)
+            changed[option] = one(value) if isinstance(value, str) else value and tuple(
+                map(one, value))
         return replace(self, **changed, units={one(n): unit for n, unit in self.units.items()})
 
     def names(self, option: str) -> tuple[str, ...]:
         """The columns of an option."""
-        given = getattr(self, option)
-        return (given,) if isinstance(given, str) else given or ()
+        value = getattr(self, option)
+        return (value,) if isinstance(value, str) else value or ()
 
 
 def parse_units(items: list[str]) -> dict[str, str]:
@@ -310,20 +310,20 @@ def _placed(options: ColumnOptions, stream: Stream | None) -> Stream | None:
 
 
 def _wrench(
-    options: ColumnOptions, given: Stream | None, turned: Stream | None
+    options: ColumnOptions, control: Stream | None, turned: Stream | None
 ) -> Stream | None:
     """U1..U4 (n, 4) of control columns, the thrust behind them: U1 in the middle without it.
 
     `turned` are the control columns in our frame.
     """
-    if given is None or turned is None:
+    if control is None or turned is None:
         return None
-    out = np.zeros((len(given.values), 4))
-    out[:, 0] = given.values[:, -1] if options.thrust else MIDDLE_COMMAND
-    at = np.searchsorted(turned.time_s, given.time_s)
+    out = np.zeros((len(control.values), 4))
+    out[:, 0] = control.values[:, -1] if options.thrust else MIDDLE_COMMAND
+    at = np.searchsorted(turned.time_s, control.time_s)
     for i, axis in enumerate(options.axes):
         out[:, 1 + AXES.index(axis)] = turned.values[at, i]
-    return Stream(given.time_s, out)
+    return Stream(control.time_s, out)
 
 
 def _mapped(

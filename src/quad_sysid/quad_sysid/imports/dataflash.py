@@ -67,14 +67,14 @@ class Log:
     """Whether the times are those of a log before 2015."""
 
 
-def read_binary(data: NDArray[np.uint8], wanted: Collection[str]) -> Log:
-    """The messages of the kinds `wanted`, and the parameters, of a log's bytes."""
+def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
+    """The messages of these names, and the parameters, of a log's bytes."""
     kinds = _kinds(data)
     starts, numbers, skipped, bursts = _whole(data, kinds)
     log = Log(skipped=skipped, bursts=bursts)
     messages = {}
     for number, kind in kinds.items():
-        if kind.name in wanted or kind.name == 'PARM':
+        if kind.name in names or kind.name == 'PARM':
             at = starts[numbers == number]
             if len(at):
                 messages[kind.name] = at, _unpacked(data, at, kind)
@@ -239,7 +239,7 @@ def _text(raw: bytes) -> str:
     return raw.rstrip(b'\0').decode('latin-1')
 
 
-def read_text(lines: Iterable[str], wanted: Collection[str]) -> Log:
+def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
     """The same from a text log: lines of names and numbers, described by its FMT lines."""
     log, labels = Log(), {}
     rows: dict[str, list[list[float]]] = {}
@@ -252,7 +252,7 @@ def read_text(lines: Iterable[str], wanted: Collection[str]) -> Log:
             continue
         name, _, rest = line.partition(',')
         name = name.strip()
-        if name not in labels or (name not in wanted and name != 'PARM'):
+        if name not in labels or (name not in kinds and name != 'PARM'):
             continue
         cells = [cell.strip() for cell in rest.split(',')]
         known = labels[name]

@@ -140,8 +140,8 @@ class _Lines:
         begun = False
         for number, line in enumerate(self.lines, self.first):
             if not line.endswith('\n'):
-                said = 'has no end: it may be cut off and is left out'
-                self.notes = (f'line {number}, the last, {said}',)
+                why = 'has no end: it may be cut off and is left out'
+                self.notes = (f'line {number}, the last, {why}',)
             elif line.startswith('#'):
                 if not begun:
                     self.comments.append((number, line.lstrip('# \t')))

@@ -75,12 +75,12 @@ def format_of(path: Path) -> Format | None:
 
 def read_log(path: Path, known: Format, log: int = 1, messages: Path | None = None) -> ForeignLog:
     """Read a log; `log` counts those of a file that holds several. Raises BadInputError."""
-    given: dict[str, Any] = {'log': log, 'messages': messages}
+    values: dict[str, Any] = {'log': log, 'messages': messages}
     for name, unset in (('log', 1), ('messages', None)):
-        if given[name] != unset and name not in known.options:
+        if values[name] != unset and name not in known.options:
             what = 'holds one log' if name == 'log' else 'needs no definitions'
-            raise BadInputError(f'{path}: --{name}', f'{known.name} {what}', given[name],
+            raise BadInputError(f'{path}: --{name}', f'{known.name} {what}', values[name],
                                 'leave it out')
     with plain(path) as unpacked:
-        read = known.read(unpacked, **{name: given[name] for name in known.options})
+        read = known.read(unpacked, **{name: values[name] for name in known.options})
     return replace(read, source=str(path)) if unpacked != path else read

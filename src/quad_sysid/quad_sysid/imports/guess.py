@@ -414,13 +414,13 @@ def read_any(path: Path, log: int = 1, messages: Path | None = None) -> ForeignL
         if options is None:
             continue
         try:
-            found = read_columns(options, content)
-            record_of(found)
+            read = read_columns(options, content)
+            record_of(read)
         except BadInputError as error:
             refused = refused or str(error)
         else:
             doubt = f'the columns were guessed: check them with quad-sysid import {path}'
-            return replace(found, checks=(*found.checks, doubt))
+            return replace(read, checks=(*read.checks, doubt))
     raise BadInputError(
         str(path), 'is a table whose columns cannot be guessed', refused or None,
         'quad-sysid import FILE lists them; import it with the right ones, then give the bag')

@@ -62,10 +62,10 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
         return [whole] * len(names)  # signed by their spin
     if option == 'acceleration':
         size = max(float(np.nanmedian(np.abs(values))) for values in columns)
-        said = header_unit(names[0], 'acceleration') in UNITS['acceleration']
+        named = header_unit(names[0], 'acceleration') in UNITS['acceleration']
         near = next((unit for unit, (factor, _) in UNITS['acceleration'].items()
                      if 0.5 < size * factor / ONE_G < 2.0), f'{ONE_G / size:.4g}')
-        return ['' if said or near == 'm/s2' else near] * len(names)
+        return ['' if named or near == 'm/s2' else near] * len(names)
     if option == 'battery':
         return ['mV' if float(np.nanmedian(columns[0])) > MAX_V else '']
     if option == 'motors' and 1.0 < high <= 2200.0:
@@ -94,9 +94,9 @@ def _turn_units(names: Sequence[str], columns: Sequence[np.ndarray], role: Role)
         return match and (si if match[1] == 'rad' else degrees)
 
     own = [named(name) for name in names]
-    said = {unit for unit in own if unit}
+    given = {unit for unit in own if unit}
     largest = max(float(np.nanquantile(np.abs(values), 0.99)) for values in columns)
     large = largest > (SMOOTH_TURN if rate else 2.0 * np.pi)
-    common = said.pop() if len(said) == 1 else degrees if large and not said else ''
+    common = given.pop() if len(given) == 1 else degrees if large and not given else ''
     units = [unit or common for unit in own]
     return ['' if unit == si else unit for unit in units]

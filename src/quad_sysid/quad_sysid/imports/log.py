@@ -1,7 +1,7 @@
 """A foreign log as read: streams in SI units and our frames, and the table of fields.
 
 A reader (px4.py, ardupilot.py, betaflight.py) opens its file as a Table and says with rows of
-Wanted what each column is; columns.py takes that from the user. to_bag.py lays the result on one
+Signal what each column is; columns.py has that from the user. to_bag.py puts the result on one
 grid. No files.
 """
 
@@ -151,8 +151,8 @@ class ForeignLog:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """A stream of the contract in columns of a log."""
+class Signal:
+    """A stream of the contract, as columns of a log."""
 
     role: str
     """Field of ForeignLog, a key of TOPICS."""
@@ -172,14 +172,14 @@ class Reading:
     streams: dict[str, Stream] = field(default_factory=dict)
     mapped: list[Mapped] = field(default_factory=list)
 
-    def take(self, *wanted: Wanted) -> None:
+    def take(self, *signals: Signal) -> None:
         """Take the first of each role whose columns were logged."""
-        for one in wanted:
+        for one in signals:
             stream = None if one.role in self.streams else self.table.stream(*one.columns)
             if stream is not None:
                 self.put(one, Stream(stream.time_s, one.convert(stream.values)))
 
-    def put(self, one: Wanted, stream: Stream) -> None:
+    def put(self, one: Signal, stream: Stream) -> None:
         """Take a stream that was made of the columns of `one`."""
         message = one.columns[0].rpartition('.')[0]
         fields = dict.fromkeys(name.removeprefix(f'{message}.').partition('[')[0]
@@ -188,10 +188,10 @@ class Reading:
         self.streams[one.role] = stream
         self.mapped.append(Mapped(source, one.unit, TOPICS[one.role], one.how, stream.rate_hz))
 
-    def log(self, kind: str, wanted: Sequence[Wanted], **more: Any) -> ForeignLog:
-        """The log, with what is missing of `wanted`; `more` are its other fields."""
+    def log(self, kind: str, signals: Sequence[Signal], **more: Any) -> ForeignLog:
+        """The log, with what it lacks of these channels; `more` are its other fields."""
         first = {one.role: one.columns[0].rpartition('.')[0] or one.columns[0]
-                 for one in reversed(wanted)}
+                 for one in reversed(signals)}
         lacking = [f'{first[role]}: {text}' for role, text in LACKING.items()
                    if role in first and role not in self.streams]
         no_gains = more.pop('no_gains', NO_GAINS)

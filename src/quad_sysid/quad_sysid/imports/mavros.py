@@ -14,7 +14,7 @@ import numpy as np
 from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.log import ASKED_FOR, ForeignLog, Reading, Stream, Wanted
+from quad_sysid.imports.log import ASKED_FOR, ForeignLog, Reading, Signal, Stream
 from quad_sysid.imports.mixers import MIRROR
 from quad_sysid.imports.rosbag import read_messages, topics_of
 from quad_sysid.imports.table import Table
@@ -41,21 +41,21 @@ def _of(topic: str, *fields: str) -> tuple[str, ...]:
     return tuple(f'{topic}.{field}' for field in fields)
 
 
-WANTED = (
-    *(Wanted('rates', _of(topic, *(f'angular_velocity.{x}' for x in 'xyz')), 'rad/s',
+SIGNALS = (
+    *(Signal('rates', _of(topic, *(f'angular_velocity.{x}' for x in 'xyz')), 'rad/s',
              'as it is, the frame is ours') for topic in ('imu/data_raw', 'imu/data')),
-    Wanted('angles', _of('imu/data', *(f'orientation.{x}' for x in 'xyzw')), '1', 'as it is',
+    Signal('angles', _of('imu/data', *(f'orientation.{x}' for x in 'xyzw')), '1', 'as it is',
            _angles),
-    Wanted('acceleration', _of('imu/data', *(f'linear_acceleration.{x}' for x in 'xyz')), 'm/s²',
+    Signal('acceleration', _of('imu/data', *(f'linear_acceleration.{x}' for x in 'xyz')), 'm/s²',
            'as it is'),
-    *(Wanted('attitude_setpoint', _of(topic, *(f'{field}.{x}' for x in 'xyzw')), '1', 'as it is',
+    *(Signal('attitude_setpoint', _of(topic, *(f'{field}.{x}' for x in 'xyzw')), '1', 'as it is',
              _angles) for topic, field in (
         ('setpoint_raw/target_attitude', 'orientation'), ('setpoint_raw/attitude', 'orientation'),
         ('setpoint_attitude/attitude', 'pose.orientation'))),
-    *(Wanted('rate_setpoint', _of(topic, *(f'{field}.{x}' for x in 'xyz')), 'rad/s', 'as it is')
+    *(Signal('rate_setpoint', _of(topic, *(f'{field}.{x}' for x in 'xyz')), 'rad/s', 'as it is')
       for topic, field in (('setpoint_raw/target_attitude', 'body_rate'),
                            ('setpoint_raw/attitude', 'body_rate'))),
-    Wanted('battery', _of('battery', 'voltage'), 'V', 'as it is'),
+    Signal('battery', _of('battery', 'voltage'), 'V', 'as it is'),
 )
 CONTROLS = _of('target_actuator_control', *(f'controls[{i}]' for i in (3, 0, 1, 2)))
 
@@ -70,7 +70,7 @@ def read(path: Path, messages: Path | None = None) -> ForeignLog:
     """Read a bag of mavros; raises BadInputError where it lacks rates or commands."""
     table = _load(path, messages)
     reading = Reading(table)
-    reading.take(*WANTED)
+    reading.take(*SIGNALS)
     if 'rates' not in reading.streams:
         raise BadInputError(table.source, 'holds no mavros/imu/data', table.messages, FASTER)
     warnings: list[str] = []
@@ -79,17 +79,17 @@ def read(path: Path, messages: Path | None = None) -> ForeignLog:
     command = table.stream(*CONTROLS)
     if reading.motors_fast(motors, command):
         low, high = PULSES
-        reading.take(Wanted('motors', channels, 'µs', f'(pulse - {low:g}) / {high - low:g}; U by '
+        reading.take(Signal('motors', channels, 'µs', f'(pulse - {low:g}) / {high - low:g}; U by '
                             'what the motion shows',
                             lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
     elif command is not None:
-        reading.put(Wanted('control', CONTROLS, '-1..1', 'as it is, pitch and yaw turned'),
+        reading.put(Signal('control', CONTROLS, '-1..1', 'as it is, pitch and yaw turned'),
                     Stream(command.time_s, command.values * [1.0, *MIRROR]))
         warnings.append(ASKED_FOR)
     else:
         raise BadInputError(table.source, 'holds no mavros/rc/out and no target_actuator_control',
                             table.messages, f'record /mavros/rc/out; {FASTER}')
-    return reading.log('a bag of mavros', WANTED, no_gains=NO_GAINS, faster=FASTER,
+    return reading.log('a bag of mavros', SIGNALS, no_gains=NO_GAINS, faster=FASTER,
                        warnings=tuple(warnings))
 
 
@@ -102,10 +102,10 @@ def _channels(table: Table) -> tuple[str, ...]:
 
 
 def _load(path: Path, messages: Path | None) -> Table:
-    wanted = {one.columns[0].partition('.')[0] for one in WANTED} | {
+    known = {one.columns[0].partition('.')[0] for one in SIGNALS} | {
         'rc/out', 'target_actuator_control'}
     topics = [topic for topic in topics_of(path)
-              if (match := TOPIC.match(f'{topic}.')) and match['topic'] in wanted]
+              if (match := TOPIC.match(f'{topic}.')) and match['topic'] in known]
     columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
     places = [match['place'] for name in columns if (match := TOPIC.match(name))]
     chosen = max(dict.fromkeys(places), key=places.count, default='')

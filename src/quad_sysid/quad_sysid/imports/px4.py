@@ -25,8 +25,8 @@ from quad_sysid.imports.log import (
     Experiment,
     ForeignLog,
     Reading,
+    Signal,
     Stream,
-    Wanted,
 )
 from quad_sysid.imports.mixers import MIRROR, enu, mirrored, ned_angles
 from quad_sysid.imports.rosbag import read_messages, topics_of
@@ -58,27 +58,27 @@ def _vector(topic: str, field: str, size: int = 3) -> tuple[str, ...]:
     return _of(topic, *(f'{field}[{i}]' for i in range(size)))
 
 
-WANTED = (
-    Wanted('rates', _vector('vehicle_angular_velocity', 'xyz'), 'rad/s',
+SIGNALS = (
+    Signal('rates', _vector('vehicle_angular_velocity', 'xyz'), 'rad/s',
            'FRD to FLU: pitch and yaw turned', mirrored),
-    Wanted('rates', _vector('sensor_combined', 'gyro_rad'), 'rad/s',
+    Signal('rates', _vector('sensor_combined', 'gyro_rad'), 'rad/s',
            'FRD to FLU: pitch and yaw turned', mirrored),
-    Wanted('angles', _vector('vehicle_attitude', 'q', 4), '1', 'FRD in NED to FLU in ENU',
+    Signal('angles', _vector('vehicle_attitude', 'q', 4), '1', 'FRD in NED to FLU in ENU',
            ned_angles),
-    Wanted('acceleration', _vector('vehicle_acceleration', 'xyz'), 'm/s²', 'y and z turned',
+    Signal('acceleration', _vector('vehicle_acceleration', 'xyz'), 'm/s²', 'y and z turned',
            mirrored),
-    Wanted('acceleration', _vector('sensor_combined', 'accelerometer_m_s2'), 'm/s²',
+    Signal('acceleration', _vector('sensor_combined', 'accelerometer_m_s2'), 'm/s²',
            'y and z turned', mirrored),
-    Wanted('attitude_setpoint', _vector('vehicle_attitude_setpoint', 'q_d', 4), '1',
+    Signal('attitude_setpoint', _vector('vehicle_attitude_setpoint', 'q_d', 4), '1',
            'FRD in NED to FLU in ENU', ned_angles),
-    Wanted('rate_setpoint', _of('vehicle_rates_setpoint', *AXES), 'rad/s',
+    Signal('rate_setpoint', _of('vehicle_rates_setpoint', *AXES), 'rad/s',
            'pitch and yaw turned', mirrored),
-    Wanted('velocity', _of('vehicle_local_position', 'vx', 'vy', 'vz'), 'm/s', 'NED to ENU', enu),
-    Wanted('position', _of('vehicle_local_position', 'x', 'y', 'z'), 'm', 'NED to ENU', enu),
-    Wanted('battery', _of('battery_status', 'voltage_v'), 'V', 'as it is'),
+    Signal('velocity', _of('vehicle_local_position', 'vx', 'vy', 'vz'), 'm/s', 'NED to ENU', enu),
+    Signal('position', _of('vehicle_local_position', 'x', 'y', 'z'), 'm', 'NED to ENU', enu),
+    Signal('battery', _of('battery_status', 'voltage_v'), 'V', 'as it is'),
 )
 TOPICS = (
-    *dict.fromkeys(one.columns[0].partition('.')[0] for one in WANTED), 'actuator_motors',
+    *dict.fromkeys(one.columns[0].partition('.')[0] for one in SIGNALS), 'actuator_motors',
     'vehicle_torque_setpoint', 'vehicle_thrust_setpoint', 'actuator_controls_0', 'actuator_armed',
     'vehicle_status', 'esc_status', AUTOTUNE,
 )
@@ -102,14 +102,14 @@ def is_bag(topics: Mapping[str, str]) -> bool:
 
 def _read(table: Table, kind: str, faster: str) -> ForeignLog:
     reading = Reading(table)
-    reading.take(*WANTED)
+    reading.take(*SIGNALS)
     if 'rates' not in reading.streams:
         raise BadInputError(
             table.source, 'holds no vehicle_angular_velocity and no sensor_combined',
             table.messages or 'no topic of use', f'{faster}; then log again',
         )
     crafts, gains, warnings = _input(reading)
-    return reading.log(kind, WANTED, crafts=crafts, armed=_armed(table), gains=gains,
+    return reading.log(kind, SIGNALS, crafts=crafts, armed=_armed(table), gains=gains,
                        faster=faster, warnings=(*_vehicle(table), *warnings),
                        experiments=_experiments(table))
 
@@ -175,9 +175,9 @@ def _load(path: Path) -> Table:
 
 
 def _armed(table: Table) -> Stream | None:
-    said = table.stream('actuator_armed.armed')
-    if said is not None:
-        return said
+    armed = table.stream('actuator_armed.armed')
+    if armed is not None:
+        return armed
     state = table.stream('vehicle_status.arming_state')
     return None if state is None else Stream(state.time_s, 1.0 * (state.values == ARMED))
 
@@ -193,7 +193,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
     motors = table.stream(*columns)
     if motors is not None and reading.motors_fast(motors, torque):
         crafts, how = _craft(table, count)
-        reading.take(Wanted('motors', columns, '0..1', how))
+        reading.take(Signal('motors', columns, '0..1', how))
         _speeds(reading, count)
         scale = None if torque is None or not crafts else _scale(
             Stream(motors.time_s, crafts[0].control(motors.values)), torque
@@ -208,7 +208,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
             'actuator_controls_0', table.messages,
             f'{FASTER}; then log again',
         )
-    reading.put(Wanted(
+    reading.put(Signal(
         'control', old if old[0] in table.columns else new, '-1..1',
         "as it is, pitch and yaw turned; U is in the unit of PX4's torque set-point",
     ), torque)
@@ -251,7 +251,7 @@ def _speeds(reading: Reading, count: int) -> None:
         motor = int(named[-1]) - FIRST_MOTOR if named[-1] >= FIRST_MOTOR else i
         if 0 <= motor < count:
             values[:, motor] = np.abs(rpm.values[:, i]) * RPM
-    reading.put(Wanted('speeds', ('esc_status.esc_rpm',), 'rpm', 'to rad/s, positive in flight'),
+    reading.put(Signal('speeds', ('esc_status.esc_rpm',), 'rpm', 'to rad/s, positive in flight'),
                 Stream(rpm.time_s, values))
 
 

@@ -131,11 +131,11 @@ class _Topic:
 
 
 def read_messages(
-    path: Path, wanted: Collection[str] | None = None, messages: Path | None = None
+    path: Path, names: Collection[str] | None = None, messages: Path | None = None
 ) -> tuple[Columns, Columns]:
     """Every number of every message as `/topic.field.x`, and its times, s.
 
-    Of topics whose name begins a column in `wanted` (None: all). Raises BadInputError where the
+    Of topics whose name begins a column in `names` (None: all). Raises BadInputError where the
     bag is damaged or holds no definitions of the messages that are wanted.
     """
     topics: dict[str, _Topic] = {}
@@ -143,7 +143,7 @@ def read_messages(
     with _opened(path, messages) as reader:
         connections = [
             c for c in reader.connections
-            if wanted is None or any(name.startswith(f'{c.topic}.') for name in wanted)
+            if names is None or any(name.startswith(f'{c.topic}.') for name in names)
         ]
         known = []
         for one in connections:
@@ -151,7 +151,7 @@ def read_messages(
                 known.append(one)
             else:
                 unknown[one.topic] = one.msgtype
-        if unknown and (wanted is not None or not known):
+        if unknown and (names is not None or not known):
             raise _undefined(path, unknown, messages)
         with read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'):
             for connection, received, raw in reader.messages(connections=known):

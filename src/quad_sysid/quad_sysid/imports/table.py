@@ -156,9 +156,9 @@ def _at(one: Stream, times: FloatArray) -> FloatArray:
 
 
 def open_table(
-    path: Path, wanted: Sequence[str] | None = None, messages: Path | None = None
+    path: Path, names: Sequence[str] | None = None, messages: Path | None = None
 ) -> Table:
-    """Read a file as columns: `wanted`, or (None) all that contain a number.
+    """Read the columns `names` of a file, or (None) all that contain a number.
 
     `messages` is a folder of .msg files, for a bag without definitions. Raises BadInputError for
     a file that cannot be read, a missing column, and a text where a number should be.
@@ -168,24 +168,24 @@ def open_table(
     if head[:1] == bytes([SD_MAGIC]):
         table = Table(str(path), *sd_card(path.read_bytes(), str(path)))
     elif is_bag(path, head):
-        table = Table(str(path), *read_messages(path, wanted, messages))
+        table = Table(str(path), *read_messages(path, names, messages))
     elif head.startswith(b'MATLAB 5'):
         columns, notes = read_mat(path)
         table = Table(str(path), columns, notes=notes)
     else:
         refuse_others(path, head)
         text = True
-        derived = wanted is not None and any(name.endswith(EULER) for name in wanted)
+        derived = names is not None and any(name.endswith(EULER) for name in names)
         with text_lines(path) as lines:
-            table = read_csv(lines, str(path), None if derived else wanted)
-        if wanted is not None and not derived:
+            table = read_csv(lines, str(path), None if derived else names)
+        if names is not None and not derived:
             return table
     table = with_angles(table)
-    if wanted is None:
+    if names is None:
         return table if text else replace(table, columns={
             name: values for name, values in table.columns.items() if np.isfinite(values).any()})
-    named = [table.aliases.get(name, name) for name in wanted]
-    absent = [name for name, own in zip(wanted, named, strict=True) if own not in table.columns]
+    named = [table.aliases.get(name, name) for name in names]
+    absent = [name for name, own in zip(names, named, strict=True) if own not in table.columns]
     if absent:
         raise _absent(str(path), absent, list(table.columns))
     return replace(table, columns={name: table.columns[name] for name in dict.fromkeys(named)})

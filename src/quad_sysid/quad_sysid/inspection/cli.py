@@ -46,99 +46,99 @@ def add(commands: Commands) -> None:
 def _run(options: argparse.Namespace) -> int:
     from quad_sysid.inspection.content import content  # numba and scipy: only where needed
 
-    held = content(options.bag)
+    report = content(options.bag)
     if options.out is not None:
         from quad_sysid.files import check_page, write_whole
         from quad_sysid.inspection.page import MARK, page
 
         check_page(options.out, MARK, 'inspect')
-        write_whole(options.out, page(held))
+        write_whole(options.out, page(report))
     if options.json:
-        print(json.dumps(tree(held), indent=1))
+        print(json.dumps(tree(report), indent=1))
     elif not options.quiet:
-        print('\n'.join(lines(held)))
-    if held.unusable:
-        print(f'quad-sysid: {held.unusable}', file=sys.stderr)
+        print('\n'.join(lines(report)))
+    if report.unusable:
+        print(f'quad-sysid: {report.unusable}', file=sys.stderr)
         return BAD_ARGUMENTS
-    answers = [use.possible for one in held.axes for use in one.uses]
+    answers = [use.possible for one in report.axes for use in one.uses]
     if not any(answers):
-        why = by_reason({one.axis: '; '.join(u.because for u in one.uses) for one in held.axes})
+        why = by_reason({one.axis: '; '.join(u.because for u in one.uses) for one in report.axes})
         print(f'quad-sysid: {options.bag}: {why}', file=sys.stderr)
         return NOT_ANSWERED
     return 0
 
 
-def tree(held: Content) -> Mapping[str, Any]:
+def tree(content: Content) -> Mapping[str, Any]:
     """What `--json` prints: the dataclasses' fields by name."""
-    return {'schema': SCHEMA, **asdict(held)}
+    return {'schema': SCHEMA, **asdict(content)}
 
 
-def lines(held: Content) -> list[str]:
+def lines(content: Content) -> list[str]:
     """One page."""
-    out = [held.source, *_topics(held)]
-    if held.unusable:
-        return [*out, '', *wrapped(f'not usable: {held.unusable}', '')]
-    out += ['', *_flight(held), '', *_segments(held), '']
-    for axis in held.axes:
+    out = [content.source, *_topics(content)]
+    if content.unusable:
+        return [*out, '', *wrapped(f'not usable: {content.unusable}', '')]
+    out += ['', *_flight(content), '', *_segments(content), '']
+    for axis in content.axes:
         out += [*_axis(axis), '']
-    out += ['usable for', *(line for use in held.uses for line in _use(use))]
-    if held.warnings:
-        shown = held.warnings[:MAX_WARNINGS]
-        more = len(held.warnings) - len(shown)
+    out += ['usable for', *(line for use in content.uses for line in _use(use))]
+    if content.warnings:
+        shown = content.warnings[:MAX_WARNINGS]
+        more = len(content.warnings) - len(shown)
         out += ['', 'warnings', *(line for text in shown for line in wrapped(text, '  '))]
         out += [f'  and {more} more (--json)'] if more else []
     return out
 
 
-def _topics(held: Content) -> Iterator[str]:
+def _topics(content: Content) -> Iterator[str]:
     rows = [
         [one.name, str(one.messages), '-' if one.rate_hz is None else f'{one.rate_hz:.4g}',
          f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_lost_s:.3f}' if one.gaps else '-']
-        for one in held.topics.present
+        for one in content.topics.present
     ]
     if not rows:  # a log, not a bag
         return
     yield from Table(['topic', 'messages', 'rate, Hz', 'seconds', 'gaps', 'longest, s'], rows,
                      range(1, 6)).text()
-    if held.topics.absent:
-        yield from wrapped(f'missing: {", ".join(held.topics.absent)}', '')
+    if content.topics.absent:
+        yield from wrapped(f'missing: {", ".join(content.topics.absent)}', '')
 
 
-def _flight(held: Content) -> Iterator[str]:
-    rate = held.sample_rate_hz or 0.0
-    lost = f'{held.lost_pct:.2g} % of the cycles lost'
-    if held.longest_gap_s:
-        lost += f', the longest gap {held.longest_gap_s:.3f} s'
-    yield f'flight    {held.length_s:.1f} s at {rate:.4g} Hz, {lost}'
-    if held.motors_at_limit_pct:
-        shares = ', '.join(f'{share:.2g}' for share in held.motors_at_limit_pct)
+def _flight(content: Content) -> Iterator[str]:
+    rate = content.sample_rate_hz or 0.0
+    lost = f'{content.lost_pct:.2g} % of the cycles lost'
+    if content.longest_gap_s:
+        lost += f', the longest gap {content.longest_gap_s:.3f} s'
+    yield f'flight    {content.length_s:.1f} s at {rate:.4g} Hz, {lost}'
+    if content.motors_at_limit_pct:
+        shares = ', '.join(f'{share:.2g}' for share in content.motors_at_limit_pct)
         yield f'motors    at 0 or 1 for {shares} % of the time'
     else:
-        known = 'known from the wrench only' if held.craft else 'not known, nor is the mixer'
+        known = 'known from the wrench only' if content.craft else 'not known, nor is the mixer'
         yield f'motors    not recorded: limits are {known}'
-    if held.craft:
-        yield from wrapped(held.craft, '          ', first='craft     ')
-    for line in held.rotors:
+    if content.craft:
+        yield from wrapped(content.craft, '          ', first='craft     ')
+    for line in content.rotors:
         yield from wrapped(line, '          ', first='rotors    ')
-    for pattern in held.layout:
+    for pattern in content.layout:
         yield from wrapped(pattern.sentence, '          ')
-    if held.battery:
-        b = held.battery
+    if content.battery:
+        b = content.battery
         yield f'battery   {b.first:.2f} V to {b.last:.2f} V, lowest {b.lowest:.2f} V'
     else:
         yield 'battery   not measured'
-    axes = dict.fromkeys(name.partition('.')[0] for name in held.gains)
+    axes = dict.fromkeys(name.partition('.')[0] for name in content.gains)
     known = ', '.join(axis for axis in axes if axis != 'sensor')
-    if 'sensor.gyro_filter_hz' in held.gains:
+    if 'sensor.gyro_filter_hz' in content.gains:
         known += ' and the gyro filter'
     yield f'gains     {"of " + known if known else "unknown (/gains/active is missing)"}'
 
 
-def _segments(held: Content) -> Iterator[str]:
-    note = ' (the bag names none: split in time)' if held.split else ''
+def _segments(content: Content) -> Iterator[str]:
+    note = ' (the bag names none: split in time)' if content.split else ''
     yield f'segments{note}'
     axes: dict[tuple[str, str, str, float, float], list[str]] = {}
-    for s in held.segments:  # those of several axes at a time in one line
+    for s in content.segments:  # those of several axes at a time in one line
         axes.setdefault((s.role, s.signal, s.injection, s.start_s, s.end_s), []).append(s.axis)
     for (role, signal, injection, start_s, end_s), of in [*axes.items()][:MAX_SEGMENTS]:
         every = 'all' if len(of) > 1 and sorted(of) == sorted(AXES) else ', '.join(of)

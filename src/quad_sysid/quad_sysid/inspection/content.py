@@ -303,9 +303,9 @@ def content(path: str | Path) -> Content:
             return Content(source, held, unusable=str(error), warnings=held.warnings)
     else:
         log = read_any(Path(path))
-        record, told, doubts_of_it = record_of(log)
+        record, notes, doubts_of_it = record_of(log)
         record = replace(record, warnings=(
-            *log.checks, *doubts_of_it, *told[:1], *record.warnings))
+            *log.checks, *doubts_of_it, *notes[:1], *record.warnings))
     named = any(s.role in ('train', 'validation') for s in record.segments)
     with threadpool_limits(limits=1):
         return of_record(split_segments(record), held, split=not named)

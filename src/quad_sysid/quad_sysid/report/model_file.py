@@ -145,9 +145,9 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
 
 def _model(axis: str, tree: object, where: str, own: Sequence[Effect]) -> AxisModel:
     known = {f.name for f in fields(AxisModel)} - NOT_STORED
-    given = dict(_keys(tree, where, known))
-    reference = given.pop('reference', None)
-    model = AxisModel(axis=axis, **_read_fields(AxisModel, given, where), reference=None
+    content = dict(_keys(tree, where, known))
+    reference = content.pop('reference', None)
+    model = AxisModel(axis=axis, **_read_fields(AxisModel, content, where), reference=None
                       if reference is None else
                       _model(axis, reference, f'{where}.reference', own))
     named = [p.name for p in model.base]
@@ -174,11 +174,11 @@ def _model(axis: str, tree: object, where: str, own: Sequence[Effect]) -> AxisMo
 
 def _refuse_negative(model: AxisModel, where: str) -> None:
     """Raise BadInputError for a lag, delay or variance that no plant can have."""
-    given = {f'base.{name}.value': model.value(name) for name in ('lag', 'delay')}
+    values = {f'base.{name}.value': model.value(name) for name in ('lag', 'delay')}
     if model.covariance is not None:
         names = (f'covariance.{name}' for name in model.parameter_names)
-        given |= dict(zip(names, map(float, np.diag(model.covariance)), strict=True))
-    for name, value in given.items():
+        values |= dict(zip(names, map(float, np.diag(model.covariance)), strict=True))
+    for name, value in values.items():
         if value < 0.0:  # NaN: a variance at a bound
             raise BadInputError(f'{where}.{name}', 'must not be negative', value, AGAIN)
 
@@ -275,7 +275,7 @@ def _tuple(kinds: Any, tree: Any, where: str) -> tuple[Any, ...]:
 
 
 READERS: dict[Any, Callable[[Any, Any, str], Any]] = {
-    str: _text, float: _number, int: lambda *given: int(_number(*given)), Mapping: _mapping,
+    str: _text, float: _number, int: lambda *args: int(_number(*args)), Mapping: _mapping,
     tuple: _tuple, np.ndarray: _array, npt.NDArray: _array,  # the origin from numpy 2.5 on
 }
 """Readers by the declared type; values of other types are used as they are."""

@@ -9,7 +9,6 @@ from html import escape
 from typing import Any
 
 from quad_sysid.axes import units_of
-from quad_sysid.loop.cascade import contract_names
 from quad_sysid.report.words import FIGURES, bound, chance, figure, named, number, values, yes
 from quad_sysid.units import unit_in
 
@@ -259,6 +258,8 @@ def _counted(names: Sequence[str]) -> str:
 
 def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> Table:
     """Gains before and after, then the designer's figures before and after."""
+    from quad_sysid.loop.cascade import contract_names  # seconds, which other tables need not
+
     figures, new = tree.get('gain_figures') or {}, tree.get('gains') or {}
     units = {name: unit_in(units_of(axis), GAIN_UNITS[field])
              for field, name in contract_names(axis).items() if field in GAIN_UNITS}

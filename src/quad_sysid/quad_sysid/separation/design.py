@@ -301,10 +301,10 @@ def _sized(aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Exci
            wanted: float, effects: Sequence[Effect]) -> tuple[Rival, Rival]:
     """Both rivals with their strengths; an unknown one gets as much evidence as the known."""
     seen = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
-    given = [None if model is None else effect_of(model, name) for name in names]
-    evidence = max((seen.trace(one) for one in given if one is not None), default=wanted)
+    placed = [None if model is None else effect_of(model, name) for name in names]
+    evidence = max((seen.trace(one) for one in placed if one is not None), default=wanted)
     out = []
-    for name, known in zip(names, given, strict=True):
+    for name, known in zip(names, placed, strict=True):
         acting = known
         if acting is None and name != NOTHING:
             part = _prepared(name, seen.problem.data, effects)

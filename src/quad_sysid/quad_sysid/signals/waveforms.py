@@ -191,11 +191,11 @@ def waveform(name: str, parameters: Mapping[str, object], where: str) -> Wavefor
     if strange:
         raise BadInputError(where, f'unknown key {shortened(", ".join(strange))} for {name}',
                             remedy=f'it takes {", ".join(known) or "none"}')
-    given = {key: _number(value, key, where) for key, value in parameters.items()}
+    numbers = {key: _number(value, key, where) for key, value in parameters.items()}
     try:
-        built: Waveform = kind(**given)
+        built: Waveform = kind(**numbers)
     except TypeError as error:
-        absent = [f for f in known if f not in given and f != 'seed']
+        absent = [f for f in known if f not in numbers and f != 'seed']
         raise BadInputError(where, f'signal {name} needs {", ".join(absent)}',
                             remedy='add it') from error
     try:

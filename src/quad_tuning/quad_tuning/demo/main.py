@@ -11,7 +11,7 @@ from types import FrameType
 
 from quad_sysid.report.store import free_folder
 from quad_tuning.demo.processes import StageFailedError
-from quad_tuning.demo.story import Teller, tell
+from quad_tuning.demo.story import Console, run_demo
 
 
 def fresh_folder(folder: Path) -> Path | None:
@@ -46,11 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out = options.out.absolute()
     try:
         aside = fresh_folder(out)
-        teller = Teller()
+        console = Console()
         if aside is not None:
-            teller.say(f'kept the results of an earlier run as {aside.name}')
+            console.say(f'kept the results of an earlier run as {aside.name}')
         lockstep = options.lockstep or options.qemu
-        for line in tell(out, options.seed, teller, lockstep=lockstep, qemu=options.qemu):
+        for line in run_demo(out, options.seed, console, lockstep=lockstep, qemu=options.qemu):
             sys.stdout.write(line + '\n')
     except (StageFailedError, OSError) as error:
         simulated = options.lockstep or options.qemu or isinstance(error, OSError)

@@ -46,9 +46,9 @@ class Aircraft:
         options = {'--profile': self.profile, '--mount': self.mount, '--axis': self.axis,
                    '--seed': self.seed, '--link': link, '--effect-module': self.effect_module,
                    '--lockstep': lockstep}
-        given = [str(part) for option in options.items() if option[1] is not None
-                 for part in option]
-        return [executable('quad_bridge', 'virtual_stm32'), *given, *['--qemu'] * self.qemu]
+        arguments = [str(part) for option in options.items() if option[1] is not None
+                     for part in option]
+        return [executable('quad_bridge', 'virtual_stm32'), *arguments, *['--qemu'] * self.qemu]
 
 
 @dataclass
@@ -141,14 +141,14 @@ def start_identification(campaign: Campaign, *, auto_update: bool, axes: Sequenc
 
 def await_report(campaign: Campaign) -> Path:
     """Wait for the answer about the bag that was just completed; path of its report.json."""
-    said = campaign.observer.diagnostics
+    diagnostics = campaign.observer.diagnostics
     node = IDENTIFICATION
 
     def state() -> str:
-        return said[node][2].get('state', '') if node in said else ''
+        return diagnostics[node][2].get('state', '') if node in diagnostics else ''
 
     campaign.wait('identify', 'answer', lambda: state() in {'done', 'failed'}, IDENTIFY_S)
-    _, text, values = said[node]
+    _, text, values = diagnostics[node]
     if state() == 'failed':
         raise StageFailedError('identify', text)
     campaign.status |= {name: values.get(name, '') for name in ('update', 'gains')}

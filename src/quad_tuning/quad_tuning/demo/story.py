@@ -32,7 +32,7 @@ EVALUATE_S = 60.0
 
 
 @dataclass(frozen=True)
-class Teller:
+class Console:
     """Progress lines on stdout, each with the seconds since the demo began."""
 
     began: float = field(default_factory=time.monotonic)
@@ -48,42 +48,42 @@ class Teller:
         sys.stdout.flush()
 
 
-def tell(out: Path, seed: int, teller: Teller, *, lockstep: bool = False,
-         qemu: bool = False) -> list[str]:
+def run_demo(out: Path, seed: int, console: Console, *, lockstep: bool = False,
+             qemu: bool = False) -> list[str]:
     """Close the loop once, results in `out`; the lines of the summary.
 
     Raises StageFailedError; in any case all processes are stopped.
     """
     with (own_domain() as domain, Crew(out, domain, lockstep=lockstep) as crew,
           Observer(domain, crew.clock) as observer):
-        campaign = Campaign(crew, observer, teller.say)
-        return lines(_close_the_loop(campaign, seed, teller, qemu=qemu))
+        campaign = Campaign(crew, observer, console.say)
+        return lines(_close_the_loop(campaign, seed, console, qemu=qemu))
 
 
-def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool) -> Outcome:
+def _close_the_loop(campaign: Campaign, seed: int, console: Console, *, qemu: bool) -> Outcome:
     out = campaign.folder
-    teller.say('virtual STM32 on the rig, serial bridge')
+    console.say('virtual STM32 on the rig, serial bridge')
     bearing = HERE / 'friction_bearing.py'
     connect(campaign, Aircraft('plain', AXIS, seed, effect_module=bearing, qemu=qemu))
-    teller.say('first flight, with the gains of the paper')
+    console.say('first flight, with the gains of the paper')
     start_identification(campaign, auto_update=True, axes=[AXIS])
     shared = Path(get_package_share_directory('quad_sysid'))
     first = fly(campaign, 'flight_1', shared / 'config' / 'schedule_demo.yaml')
-    teller.say('bag complete; the identification node works on it')
+    console.say('bag complete; the identification node works on it')
     report_path = await_report(campaign)
     report = _axis_report(report_path)
-    teller.say(f'verdict: {report["verdict"]}')
+    console.say(f'verdict: {report["verdict"]}')
     waited = await_new_gains(campaign, first.gains)
-    teller.say(f'new gains sent; all steps in force {waited:.1f} s later')
+    console.say(f'new gains sent; all steps in force {waited:.1f} s later')
     campaign.crew.stop('identification')
-    teller.say('second flight, with the new gains')
+    console.say('second flight, with the new gains')
     second = fly(campaign, 'flight_2', HERE / 'second_flight.yaml')
     campaign.crew.stop()
     squares = [flown_square(flight.bag, AXIS) for flight in (first, second)]
     names = ('old gains', 'new gains')
     draw_square(out / 'square_wave.png', dict(zip(names, squares, strict=True)))
     unseen = _evaluate(report_path.with_name('model.json'), second.bag)
-    teller.say('both flights compared')
+    console.say('both flights compared')
     return Outcome(
         axis=AXIS, report=report, unseen=unseen, acknowledged_after_s=waited, folder=out,
         first=FlightSummary(first.seconds, first.gains, squares[0].figures),
@@ -95,7 +95,7 @@ def _close_the_loop(campaign: Campaign, seed: int, teller: Teller, *, qemu: bool
                ('pictures of the report', report_path.with_name('pictures')),
                ('picture of both square waves', out / 'square_wave.png'),
                ('for quad-tune history --folder', out / 'aircraft')],
-        seconds=teller.seconds,
+        seconds=console.seconds,
     )
 
 

@@ -1,0 +1,42 @@
+"""A flight of ArduCopter's own firmware: the bridge's bag, the log it fetched, and the truth.
+
+ArduCopter 4.7 in its simulator (frame quad, plus), roll rate gains halved, a chirp by SYSTEM ID at
+the mixer's input, flown by our excitation node. The bag is thinned to 50 Hz, the log has RATE,
+ATT, SIDD, SIDS, BAT, EV and some parameters. ROS time is the autopilot's plus 1000 s.
+"""
+
+import lzma
+from pathlib import Path
+
+import pytest
+
+import quad_sysid
+from quad_sysid.imports.log_of_flight import joined
+
+DATA = Path(__file__).resolve().parents[1] / 'data/ardupilot_sitl'
+OFFSET_S = 1000.0
+THRUST_N, ARM_M, INERTIA = 3.0 * 9.80665 / 4.0 / 0.39, 0.35, 3.0 * 0.25 * 0.175**2
+"""Of one motor at full command and 12.6 V; of the frame; kg m²."""
+LIFT, AIR = 0.35 * 12.6 / 12.8 + 0.65 * (12.6 / 12.8) ** 2, 0.9444
+"""What ArduPilot divides by: battery's lift by MOT_BAT_VOLT_MAX and MOT_THST_EXPO, air density."""
+GAIN = THRUST_N * ARM_M / INERTIA / LIFT / AIR
+"""rad/s² per unit of RATE.ROut: two motors with half of it each."""
+DAMPING = 1.99
+"""1/s: drag of the rotors' inflow 1.93, of the simulator's rotation 0.06."""
+UNIT = 0.02532673 / 0.0675
+"""Our command per RATE.ROut: as the bridge read it in flight (roll.rate.kp, ATC_RAT_RLL_P)."""
+
+
+def test_its_log_beside_the_bag_has_the_truth(tmp_path):
+    log = tmp_path / 'log.bin'
+    log.write_bytes(lzma.decompress((DATA / 'log.bin.xz').read_bytes()))
+    bag = joined(DATA / 'bag', log, OFFSET_S, tmp_path / 'flight_log')
+    record = quad_sysid.read_bag(bag)
+    assert record.dt == pytest.approx(0.0025, rel=1e-3)  # the log's rate, not the bag's
+    (chirp,) = [s for s in record.segments if s.signal == 'chirp']
+    assert (chirp.axis, chirp.injection) == ('roll', 'control')
+    model = quad_sysid.identify(bag, axes=['roll'], effects=()).answers['roll'].model
+    assert model.value('gain') == pytest.approx(GAIN / UNIT, rel=0.03)
+    assert model.value('damping') == pytest.approx(DAMPING, abs=0.3)
+    assert model.value('lag') < 0.001  # its motors answer at once
+    assert model.value('delay') < 0.001
