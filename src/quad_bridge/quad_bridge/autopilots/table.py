@@ -96,13 +96,14 @@ class Table:
 
     def gains(self, known: Mapping[str, float], units: Units) -> dict[str, float]:
         """Contract names, SI, of known parameters; limits and filters of 0 are none."""
-        found = {AUTOPILOT: float(self.number)}
+        found = {}
         for ours, axis, row, theirs in self.of_axes():
             if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
                 found[ours] = float(known[theirs] * self.factor(row, axis, known, units))
         for name, unit in zip(AXES, units, strict=True):
             if f'{name}.rate.kp' in found:
                 found[f'{name}.rate.output_limit'] = float(unit)
+                found[AUTOPILOT] = float(self.number)
                 if self.d_on_error:
                     found[f'{name}.rate.d_on'] = 1.0
         for row in self.shared:
