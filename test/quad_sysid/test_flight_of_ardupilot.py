@@ -8,7 +8,6 @@ ATT, SIDD, SIDS, BAT, EV and some parameters. ROS time is the autopilot's plus 1
 import lzma
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import quad_sysid
@@ -24,7 +23,6 @@ GAIN = THRUST_N * ARM_M / INERTIA / LIFT / AIR
 """rad/s² per unit of RATE.ROut: two motors with half of it each."""
 DAMPING = 1.99
 """1/s: drag of the rotors' inflow 1.93, of the simulator's rotation 0.06."""
-FILTER_S = 0.012
 UNIT = 0.02532673 / 0.0675
 """Our command per RATE.ROut: as the bridge read it in flight (roll.rate.kp, ATC_RAT_RLL_P)."""
 
@@ -37,21 +35,8 @@ def test_its_log_beside_the_bag_has_the_truth(tmp_path):
     assert record.dt == pytest.approx(0.0025, rel=1e-3)  # the log's rate, not the bag's
     assert {(s.axis, s.injection) for s in record.segments if s.signal == 'chirp'} == {
         ('roll', 'control')}  # fmt: skip
-    gain, damping = fitted(record)
-    assert gain == pytest.approx(GAIN / UNIT, rel=0.02)
-    assert damping == pytest.approx(DAMPING, abs=0.4)
-
-
-def fitted(record):
-    """Gain and damping of roll by least squares: changes of its rate over a tenth of a second.
-
-    The gyro's filter of 20 Hz holds the rate back by FILTER_S.
-    """
-    late, window = round(FILTER_S / record.dt), round(0.1 / record.dt)
-    rate, command = np.nan_to_num(record.rates[:, 0]), np.nan_to_num(record.control[:, 1])
-    angle, push = (np.r_[0.0, np.cumsum(x)] * record.dt for x in (rate, command))
-    i = np.arange(late, len(rate) - window)
-    pushed, turned = push[i + window - late] - push[i - late], angle[i + window] - angle[i]
-    table = np.column_stack([pushed, -turned, np.full(len(i), window * record.dt)])
-    (gain, damping, _), *_ = np.linalg.lstsq(table, rate[i + window] - rate[i], rcond=None)
-    return gain, damping
+    model = quad_sysid.identify(bag, axes=['roll'], effects=()).answers['roll'].model
+    assert model.value('gain') == pytest.approx(GAIN / UNIT, rel=0.03)
+    assert model.value('damping') == pytest.approx(DAMPING, abs=0.3)
+    assert model.value('lag') < 0.001  # its motors answer at once
+    assert model.value('delay') < 0.001

@@ -25,6 +25,9 @@ FAR_BEHIND = 30.0
 """Nats by which a fit that was begun may lag behind and still be brought to convergence."""
 ROUGH_NATS = 0.3
 """A step that gains less ends the fits of a contest; what is chosen goes on (search.settled)."""
+STARTS = ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (1, 0.002, 0.002), (-1, 0.04, 0.01))
+"""Sign of the gain, lag and delay (s) that a base starts from: usual motors, a late log, slow
+motors, a drive that answers at once, and a drive that is wired the wrong way."""
 MOST_LINES = 3
 """Most vibration lines in the noise."""
 
@@ -35,7 +38,7 @@ def best_base(problem: Problem) -> Fit:
     A few steps from each start; then the best are fitted to convergence.
     """
     starts: list[FloatArray] = []
-    for way, lag, delay in ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (-1, 0.04, 0.01)):
+    for way, lag, delay in STARTS:
         start = start_of(problem)
         start[0] *= way
         start[1], start[2] = math.log(lag), math.log(delay)
