@@ -170,10 +170,10 @@ def test_slow_answers_to_timesync_are_told_as_that(taken_s, words, one_way):
 def test_streams_that_give_way_to_its_log_are_not_asked_for_and_nobody_is_blamed():
     line = flown(Autopilot(ARDUPILOT), 4.0)
     autopilot = line.link.autopilot
-    asked, line.controller.share = autopilot.asked, 0.25
+    asked, line.controller.share = autopilot.requests, 0.25
     autopilot.log_comes(now=True)
     line.fly(4.0)
-    assert autopilot.asked == asked
+    assert autopilot.requests == asked
     assert not autopilot.slow_ones(line.now_ns)
     line.controller.share = 1.0
     autopilot.log_comes(now=False)

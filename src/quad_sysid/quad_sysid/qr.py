@@ -33,7 +33,8 @@ def upper(x: FloatArray) -> FloatArray:
 
 
 def _of_gram(x: FloatArray) -> FloatArray | None:
-    gram = x.T @ x
+    with np.errstate(over='ignore', invalid='ignore'):  # which the next line refuses
+        gram = x.T @ x
     size = np.sqrt(np.diag(gram))
     if not (np.isfinite(size).all() and (size > 0.0).all()):
         return None
