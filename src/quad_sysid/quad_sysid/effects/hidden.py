@@ -184,42 +184,35 @@ class Response(Linear):
         return (s.drive,)
 
 
-class Memory(Smooth, Linear):
-    """One term of the base as a smooth curve of what a signal has lately been (Wiener 1958).
+class Memory(Shape, Linear):
+    """One term of the base follows what a signal has lately been, not what it is.
 
     Airspeed follows the lean. What a signal's power heats is cold when a flight begins, and the
-    base's parameters are those of the usual power.
+    base's parameters are those of the usual power; the power of the time is constant.
     """
 
     states = 1
-    first = 1
 
     def __init__(self, term: str, signal: str) -> None:
         self.leans = 'angle' in signal
         self.parameters = (
             Spec('time_constant', 's', spread=1.2, centre=math.log(3.0), log=True,
                  starts=(0.3, 1.5, 8.0, 40.0)),
-            *self.valued(Spec('y', UNITS[term])),
+            Spec('change', UNITS[term]),
         )
-        self.shaped(term, signal, 'memory curve', 'history')
+        self.shaped(term, signal, 'memory', 'history')
 
     def prepare(self, data: AxisData) -> Settings | str:
         signal = data.signal(self.signal)
         if isinstance(signal, str):
             return signal
+        if self.signal == 'time':
+            return {}
         used = data.training(signal)
         if not np.nanstd(used) > SLOW_MOVES * abs(np.nanmean(used)):
             return f'{self.signal} hardly moves during training'
         rest = float(np.nanmean(used)) if self.leans else 0.0
-        settings = {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
-        quick = np.array(self.parameters[0].starts[:1])
-        seen = data.training(self.begun(data, quick, settings)[0])
-        low, high = np.nanpercentile(seen, [0.5, 99.5])
-        usual, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, COUNT)
-        return {
-            **settings, 'knots': tuple(knots.tolist()),
-            'mean': tuple(float(np.interp(usual, knots, hat)) for hat in np.eye(COUNT)),
-        }
+        return {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
 
     def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
         return (self._push(signal_of(s, self.signal), settings),)
@@ -228,10 +221,12 @@ class Memory(Smooth, Linear):
         return np.stack(self.inputs(s, settings)) if self.leans else np.ones((1, *s.time.shape))
 
     def factors(self, p: FloatArray, settings: Settings) -> FloatArray:
-        """Factors on what it changes, over the range of what it remembers."""
-        return 1.0 + over_knots(np.array(settings['knots']), p[1:], settings)
+        """Factors on what it changes, cold and warm."""
+        return 1.0 + np.array([-p[1], 0.0, p[1]])
 
     def _push(self, signal: FloatArray, settings: Settings) -> FloatArray:
+        if self.signal == 'time':
+            return np.ones_like(signal)
         unit, away = settings['unit'], signal - settings['rest']
         return away / math.sqrt(unit) if self.leans else away**2 / unit
 
@@ -249,6 +244,37 @@ class Memory(Smooth, Linear):
         step = step_of(*behind_lag(float(p[0])), data.dt)
         followed(whole.flights or ((0, push.size),), push, *step, out)
         return np.ascontiguousarray(out[:, here])
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        x = required(s.hidden)[0] - (not self.leans)
+        return p[1] * x * per_unit(self.term, s)
+
+
+class MemoryCurve(Smooth, Memory):
+    """As a smooth curve of what a signal has lately been (Wiener 1958)."""
+
+    first = 1
+
+    def __init__(self, term: str, signal: str) -> None:
+        super().__init__(term, signal)
+        self.parameters = (self.parameters[0], *self.valued(Spec('y', UNITS[term])))
+        self.shaped(term, signal, 'memory curve', 'history')
+
+    def prepare(self, data: AxisData) -> Settings | str:
+        settings = super().prepare(data)
+        if isinstance(settings, str):
+            return settings
+        quick = np.array(self.parameters[0].starts[:1])
+        seen = data.training(self.begun(data, quick, settings)[0])
+        low, high = np.nanpercentile(seen, [0.5, 99.5])
+        rest, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, COUNT)
+        return {
+            **settings, 'knots': tuple(knots.tolist()),
+            'mean': tuple(float(np.interp(rest, knots, hat)) for hat in np.eye(COUNT)),
+        }
+
+    def factors(self, p: FloatArray, settings: Settings) -> FloatArray:
+        return 1.0 + over_knots(np.array(settings['knots']), p[1:], settings)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         curve = over_knots(required(s.hidden)[0], p[1:], settings)
@@ -309,9 +335,10 @@ class Shown(Linked, Shape):
 
 
 REMEMBERED = {
-    'torque': ('angle', 'throttle', 'other angle 1', 'other angle 2'),
-    'gain': ('command', 'throttle'), 'damping': ('rate', 'throttle'),
-    'friction': ('rate', 'throttle'),
+    'torque': ('angle', 'throttle', 'time', 'other angle 1', 'other angle 2'),
+    'gain': ('command', 'throttle', 'time'),
+    'damping': ('rate', 'throttle', 'time'),
+    'friction': ('rate', 'throttle', 'time'),
 }
 """Term → the signals whose past it may follow."""
 
@@ -376,5 +403,6 @@ HIDDEN: tuple[Effect, ...] = (
         term='gain',
     ),
     *(Memory(term, signal) for term, signals in REMEMBERED.items() for signal in signals),
-    Shown(),
+    *(MemoryCurve(term, signal) for term, signals in REMEMBERED.items() for signal in signals
+      if signal != 'time'), Shown(),
 )
