@@ -8,7 +8,7 @@ steps, the base's starts and the bands of lines where they are used.
 
 EXPECTED = 0.05
 """Prior probability that an effect is missing, divided equally among the laws that can be tried,
-and within each law among its variants (lines and curves, motors, other axes). The 5 % of a test."""
+and within each law among its variants (line or curve, motors, other axes). The 5 % of a test."""
 
 # how far the search goes: more costs time only
 
