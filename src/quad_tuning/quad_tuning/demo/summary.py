@@ -175,7 +175,7 @@ def _gains(outcome: Outcome) -> list[str]:
     table = [row('gains', f'{"":16s}{"before":>10s}{"after":>10s}')]
     for name in sorted(shown):
         old = outcome.first.gains.get(name, math.nan)
-        unit = ROWS[name.partition('.')[2]].unit
+        unit = ROWS[name].unit
         table.append(row('', f'{name:16s}{old:10.4g}{outcome.second.gains[name]:10.4g}  {unit}'))
     table.append(row('', f'in force {outcome.acknowledged_after_s:.1f} s after sending '
                          '(steps, with 3 s of watch between)'))
