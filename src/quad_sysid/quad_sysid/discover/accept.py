@@ -31,6 +31,8 @@ from quad_sysid.model.noise import growth, transitions
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
+AT_ONCE = 20
+"""Draws of random signs that are run side by side, which bounds the memory."""
 AT_MOST = 10.0
 """Largest rate of a free run over the largest measured one."""
 HUGE = 1e100
@@ -440,17 +442,16 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     windows = unseen.windows
     if windows.count < 2:
         return ''
-    through = _through(unseen, fitted)
     at = windows.starts[:, None] + np.arange(windows.length)
     innovations = np.nan_to_num(unseen.predict(fitted).innovation[at])
     rng = np.random.default_rng(0)
     drawn = np.array([
-        _size_and_spread(np.einsum('wi,wij->wj', innovations * rng.choice(
-            (-1.0, 1.0), innovations.shape), through, optimize=True))
-        for _ in range(FLIPS)
+        _size_and_spread(errors) for _ in range(0, FLIPS, AT_ONCE)
+        for errors in _caused(unseen, fitted, innovations * rng.choice(
+            (-1.0, 1.0), (AT_ONCE, *innovations.shape)))
     ])
     derived = unseen.problem.flight.sensor.derived  # innovations are of the angle there
-    own = _size_and_spread(np.einsum('wi,wij->wj', innovations, through) if derived
+    own = _size_and_spread(_caused(unseen, fitted, innovations[None])[0] if derived
                            else unseen.errors(fitted))
     ratio = own / np.median(drawn, axis=0)
     size, spread = np.where(own > drawn.max(axis=0), ratio, 1.0)
@@ -461,20 +462,18 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     return ''
 
 
-def _through(unseen: Unseen, fitted: Fitted) -> FloatArray:
-    """(windows, length, length) what the innovation of each cycle does to the errors after it."""
+def _caused(unseen: Unseen, fitted: Fitted, innovations: FloatArray) -> FloatArray:
+    """Errors (k, windows, length) that innovations of that shape cause in the free runs."""
     windows, flight, prediction = unseen.windows, unseen.problem.flight, unseen.predict(fitted)
-    found, count, length = prediction.filter, windows.count, windows.length
+    known, dt = prediction.filter, unseen.problem.data.dt
     values = fitted.structure.natural(fitted.theta)
     slope = flight.pushed(fitted.structure, values, prediction.rate).slope
-    moves = transitions(found, flight.sensor, slope, unseen.problem.data.dt)
-    out, states = np.zeros((count, length, length)), np.zeros((count, found.gain.size, length))
-    for j in range(length):
-        out[:, :, j] = found.output @ states
-        out[:, j, j] = 1.0
-        states[:, :, j] = found.gain
-        states = moves[windows.starts + j] @ states
-    return out
+    errors, state = innovations.copy(), np.zeros((*innovations.shape[:2], known.gain.size))
+    for j in range(windows.length):
+        errors[..., j] += state @ known.output
+        moves = transitions(known, flight.sensor, slope[windows.starts + j], dt)
+        state = np.einsum('wij,kwj->kwi', moves, state + innovations[..., j, None] * known.gain)
+    return errors
 
 
 def _squares(errors: FloatArray) -> FloatArray:
