@@ -91,14 +91,9 @@ def check_bounds(gains: Mapping[str, float], flown: Mapping[str, float] | None =
             )
 
 
-def bound_of(axis: str, field: str) -> Bound:
-    """The bound of one gain (field of CascadeGains); of a constant, what it is."""
-    return BOUNDS.get(contract_names(axis)[field], CONSTANT)
-
-
-def reachable(field: str, active: float, axis: str = AXES[0]) -> tuple[float, float]:
+def reachable(field: str, active: float, axis: str) -> tuple[float, float]:
     """Lowest and highest value of one gain (field of CascadeGains) that one update may set."""
-    bound = bound_of(axis, field)
+    bound = BOUNDS.get(contract_names(axis)[field], CONSTANT)
     (low, high), (least, most) = bound.one_step(active), _with_flown(bound, active)
     return max(low, least), min(high, most)
 
@@ -114,8 +109,7 @@ def told(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[st
     return {name: float(getattr(gains, field)) for name, field in names.items() if name in active}
 
 
-def steps_to(wanted: CascadeGains, active: CascadeGains,
-             axis: str = AXES[0]) -> tuple[CascadeGains, ...]:
+def steps_to(wanted: CascadeGains, active: CascadeGains, axis: str) -> tuple[CascadeGains, ...]:
     """The steps from `active` to `wanted`, each within the limit."""
     path: list[CascadeGains] = []
     now = active
