@@ -20,7 +20,8 @@ import numpy.typing as npt
 from quad_sysid.bags.split import split_segments
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND, MIN_SAMPLES, record_of
 from quad_sysid.imports.units import UNITS, Role, written
 from quad_sysid.record import IOData, Record, Segment, finite_runs

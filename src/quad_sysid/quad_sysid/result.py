@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from quad_sysid.arrays import Parts, Samples, Table
+    from quad_sysid.blackbox import Model
     from quad_sysid.model.effect import Effect
     from quad_sysid.own_base import Base
     from quad_sysid.pipeline.answer import AxisAnswer
@@ -448,6 +449,22 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
                             axis or None, f'take one of {", ".join(models)}')
     completed(models[axis])  # raises where an effect is not known
     return Identified(**vars(models[axis]))
+
+
+def model_of(given: object) -> Identified | Model:
+    """The model of what a function of the public API takes for one: a result, a file, a model."""
+    from quad_sysid.blackbox import Model
+
+    if isinstance(given, Result):
+        return given.model
+    if isinstance(given, str | Path):
+        return read_model(given)
+    if isinstance(given, Identified | Model):
+        return given
+    if isinstance(given, AxisModel):
+        return Identified(**vars(given))
+    raise BadInputError('model', 'must be a model, a result or the path of a model.json',
+                        type(given).__name__)
 
 
 def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float = 60.0, *,

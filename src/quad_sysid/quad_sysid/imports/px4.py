@@ -18,6 +18,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import LAYOUTS, Craft, of_px4
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
+from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.experiments import runs_of
 from quad_sysid.imports.log import (
     ASKED_FOR,
@@ -26,7 +27,6 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
-    Stream,
 )
 from quad_sysid.imports.mixers import MIRROR, enu, mirrored, ned_angles
 from quad_sysid.imports.rosbag import read_messages, topics_of
