@@ -115,7 +115,6 @@ class Flying(Autopilot):
         self.volts = 12.4
         self.target, self.targets = None, deque(maxlen=200)
         """The last SET_ATTITUDE_TARGET, and when they came."""
-        self.refused_modes = self.ignores_modes = False
         self.written = []  # PARAM_SET as they were taken: name and value
         self.rows, self.said = [], []  # of its log: a row per cycle; SIDS
         self.filters = [[Low() for _ in range(5)] for _ in range(3)]
@@ -434,8 +433,6 @@ class Flying(Autopilot):
     def _set_mode(self, message):
         wanted = int(message.param2) << 16 | int(message.param3) << 24 if self.px4 else int(
             message.param2)
-        if self.ignores_modes:
-            return ACCEPTED
         if wanted == OFFBOARD:
             streamed = len(self.targets) > 50 and self.now_s - self.targets[-50] < 2.0
             if not streamed or not self.armed:

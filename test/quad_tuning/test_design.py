@@ -109,7 +109,7 @@ def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, 
     assert said['disturbance_rms_rad'] < said['disturbance_rms_rad_before']
 
 
-@pytest.mark.usefixtures('few_draws')
+@pytest.mark.usefixtures('quick')
 def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
     """Stiction that drops with speed, in no list of ours: RMS falls, at rest the axis rests.
 
@@ -212,7 +212,7 @@ def with_stds(*variances):
         (lambda m: with_base(m, 'delay', 0.08), 'gains that flew are unstable'),
     ],
 )
-@pytest.mark.usefixtures('few_draws')
+@pytest.mark.usefixtures('quick')
 def test_a_model_that_allows_no_design_is_refused_with_the_reason(model, change, said):
     proposal = design(change(model()))
     assert proposal.gains is None
