@@ -391,8 +391,13 @@ class Flying(Autopilot):
             if self.px4 or not self.armed:  # ArduPilot says nothing while armed
                 open_s = 15.0 - (self.now_s - self.landed_s)  # ArduPilot writes on so long
                 size = len(self.log) // (2 if open_s > 0.0 and not self.px4 else 1)
-                yield mav.MAVLink_log_entry_message(
-                    self.log_number, 1, self.log_number, 0, size)
+                if self.px4:  # from 0, in the directory's order, `last` is their count
+                    yield mav.MAVLink_log_entry_message(0, 3, 3, 90, 1000)
+                    yield mav.MAVLink_log_entry_message(self.log_number, 3, 3, 200, size)
+                    yield mav.MAVLink_log_entry_message(2, 3, 3, 100, 2000)
+                else:
+                    yield mav.MAVLink_log_entry_message(
+                        self.log_number, 1, self.log_number, 0, size)
         elif kind == 'LOG_REQUEST_DATA' and message.id == self.log_number:
             self.sending.clear()
             for at in range(message.ofs, min(message.ofs + message.count, len(self.log)), 90):
