@@ -358,7 +358,7 @@ class Flying(Autopilot):
             'ATTITUDE': lambda: mav.MAVLink_attitude_message(ms, *self.angles, *self.measured),
             'HIGHRES_IMU': lambda: mav.MAVLink_highres_imu_message(
                 us, 0.0, 0.0, -9.81, *self.measured, 0.2, 0.1, -0.4,
-                1000.0 - u / 8.43, 0, 0, 20.0, 0x0FFF),
+                (1000.0 - u / 8.43) * (100.0 if self.px4 else 1.0), 0, 0, 20.0, 0x0FFF),
             'SCALED_IMU': lambda: mav.MAVLink_scaled_imu_message(
                 ms, 0, 0, -1000, *(round(1000 * v) for v in self.measured), 200, 100, -400),
             'SERVO_OUTPUT_RAW': lambda: mav.MAVLink_servo_output_raw_message(
