@@ -75,6 +75,8 @@ def test_px4_is_raised_from_the_rates_at_which_its_streams_came():
     assert last.accel == pytest.approx((0.0, 0.0, -GRAVITY), abs=1e-5)
     assert last.gyro[1:] == pytest.approx((-0.25, 0.125))
     assert last.attitude[1:] == pytest.approx((0.2, 0.3))
+    airs = [i.frame.pressure_hpa for i in line.out if i.topic == '/baro']
+    assert airs[-1] == pytest.approx(1000.0)  # 1.16 sends Pa
     stamps_are_true(line)
 
 

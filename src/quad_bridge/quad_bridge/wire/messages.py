@@ -26,6 +26,7 @@ _UPDATED = {
 }
 """Field of SlowSensors to its bits in HIGHRES_IMU's `fields_updated`, and its columns."""
 _PRESSURE = 0x200
+_MOST_HPA = 2000.0  # what is more is in Pa: PX4 1.16 sends the pressure so
 _TARGET = 'target_system target_component'
 _BODY_RATES = ('body_roll_rate', 'body_pitch_rate', 'body_yaw_rate')
 
@@ -109,6 +110,8 @@ def _slow_sensors(m: Fields) -> f.SlowSensors:
         for name, (bits, columns) in _UPDATED.items()
     }
     pressure = m['abs_pressure'] if updated & _PRESSURE else None
+    if pressure is not None and pressure > _MOST_HPA:
+        pressure *= 0.01
     return f.SlowSensors(m['time_usec'], vectors['mag_gauss'], pressure, m['temperature'],
                        vectors['gyro'], vectors['accel'])  # fmt: skip
 
