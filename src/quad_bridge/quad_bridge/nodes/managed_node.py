@@ -15,6 +15,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 
 from quad_bridge.errors import QuadBridgeError, RefusedError
+from quad_bridge.lockstep import clock
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.node_time import TimedNode
@@ -102,6 +103,19 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         """Create a publisher; `topic` relative to the namespace."""
         made = self.create_publisher(kind, relative(topic), qos)
         return self._keep(made, self.destroy_publisher)
+
+    def stream(self, kind: Any, topic: str, qos: Any) -> Callable[[bytes], None]:
+        """Create a publisher of serialised messages; what publishes one."""
+        made = self.publisher(kind, topic, qos)
+        if clock().simulated:
+            return made.publish  # type: ignore[no-any-return]
+        handle = made.handle
+
+        def publish(data: bytes) -> None:
+            with handle:  # as rclpy's own, which looks at the type of each message besides
+                handle.publish_raw(data)
+
+        return publish
 
     def service(
         self, kind: Any, name: str, callback: Callable[..., Any], group: Any = None

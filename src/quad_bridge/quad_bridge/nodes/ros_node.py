@@ -34,7 +34,7 @@ from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.nodes.fence import Fence
 
 T = TypeVar('T', str, bool, int, float, list[str])
-WAKE_S = 0.1  # how long a signal may wait: rclpy's wait does not return for one
+WAKE_S = 0.5  # how long a signal may wait: rclpy's wait does not return for one
 RCLError = rclpy_implementation.RCLError
 WRONG = (QuadBridgeError, ParameterException, NameValidationException)
 """Errors that a wrong parameter or name makes a node's constructor raise."""
