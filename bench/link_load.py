@@ -1,12 +1,14 @@
 """The link under load: virtual STM32, bridge, logger and a subscriber as processes of their own.
 
-    make bench-link ARGS='--seconds 250=300,500=120,1000=60,excite=60'
+    make bench-link ARGS='--seconds 250=300,500=120,1000=60,excite=60,attack=60'
 
 Per rate: cycles lost from wire to bag, CPU of each process and how long it waited for it, latency
 from the last byte of a cycle's frame to the subscriber's callback, memory. Beside them, at the
 same time, bare rclpy in a domain of its own: a publisher of the same five messages at the same
-rate, and a raw subscriber of them. `--inside` has the bridge log itself. The last line is one JSON
-object. The processes' own part is link_load_roles.py.
+rate, and a raw subscriber of them. `--inside` has the bridge log itself. The case `excite` has a
+running excitation, `attack` whatever anybody may say to the bridge, with what of it was obeyed and
+how the aircraft moved. The last line is one JSON object. The processes' own part is
+link_load_roles.py, the attacker link_load_attack.py.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from rosbags.highlevel import AnyReader
 
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 ROLES = str(Path(__file__).with_name('link_load_roles.py'))
+ATTACK = str(Path(__file__).with_name('link_load_attack.py'))
 NODE = 'from quad_bridge.start import {0}; {0}()'
 CYCLE_TOPICS = (
     '/imu/data', '/motors/command', '/control/wrench', '/setpoint/attitude', '/setpoint/rates',
@@ -145,6 +148,27 @@ def lost(folder: Path, rate: float) -> dict[str, int]:
     return {'cycles_in_bag': cycles, 'lost': missing, 'said': told}
 
 
+def attacked(folder: Path) -> dict[str, Any]:
+    """What the attacker was answered, what became of gains and excitation, how it moved, rad/s."""
+    (bag,) = folder.glob('flight_*')
+    with AnyReader([bag]) as reader:
+        wanted = [c for c in reader.connections if c.topic in {'/imu/data', '/gains/active',
+                                                               '/excitation/applied'}]  # fmt: skip
+        heard: dict[str, list[Any]] = {connection.topic: [] for connection in wanted}
+        for connection, _, raw in reader.messages(wanted):
+            heard[connection.topic].append(reader.deserialize(raw, connection.msgtype))
+    imu, calm = heard['/imu/data'], 5 * 250  # cycles; the attacker begins ten seconds after it
+    rates = np.array([(m.angular_velocity.x, m.angular_velocity.y) for m in imu])
+    sets = {str([(p.name, p.value.double_value) for p in m.changed_parameters])
+            for m in heard.get('/gains/active', [])}  # fmt: skip
+    return {
+        **json.loads((folder / 'attack.json').read_text()), 'sets_of_gains': len(sets),
+        'excited_cycles': len(heard.get('/excitation/applied', [])),
+        'rms_before': round(float(np.sqrt((rates[:calm] ** 2).mean())), 4),
+        'rms_attacked': round(float(np.sqrt((rates[4 * calm :] ** 2).mean())), 4),
+    }  # fmt: skip
+
+
 def said(reader: AnyReader) -> dict[str, str]:
     """Where it was lost: the last counts of the nodes in /diagnostics."""
     wanted = {
@@ -160,8 +184,8 @@ def said(reader: AnyReader) -> dict[str, str]:
     return found
 
 
-def link(rate: float, seconds: float, folder: Path, *, excite: bool, inside: bool) -> Any:
-    """The suite in one domain, bare rclpy in another, at the same time."""
+def link(rate: float, seconds: float, folder: Path, *, beside: str, inside: bool) -> Any:
+    """The suite in one domain, bare rclpy in another, at once; `beside`: one more process."""
     run, bare = Processes(), folder / 'bare'
     bare.mkdir()
     logger = {'folder': folder, 'autostart': 'true', 'reserve_mb': 0}
@@ -178,15 +202,18 @@ def link(rate: float, seconds: float, folder: Path, *, excite: bool, inside: boo
         run.start('ears', ROLES, 'ears', str(folder))
         run.start('raw', ROLES, 'raw', str(bare), domain=1)
         run.start('bare ears', ROLES, 'ears', str(bare), domain=1)
-        if excite:
-            run.start('exciter', ROLES, 'exciter', str(folder))
+        if beside == 'attacker':
+            run.start(beside, ATTACK, str(folder))
+        elif beside:
+            run.start(beside, ROLES, beside, str(folder))
         wait_for(folder, 'flight_*/*.mcap', least_bytes=1_000_000)
         figures = run.measure(seconds)
     finally:
-        run.end('exciter', 'bag_logger', 'ears', 'serial_bridge', 'stm32')
+        run.end(beside, 'bag_logger', 'ears', 'serial_bridge', 'stm32')
         run.end('raw', 'bare ears', 'bare')
     heard = np.load(bare / 'ears.npy')
     return {
+        **({'attack': attacked(folder)} if beside == 'attacker' else {}),
         'processes': figures, **lost(folder, rate), 'latency': latency(folder, rate),
         'bare': quantiles(1e-6 * (heard[:, 1] - heard[:, 0])),
         'raw_heard': int((bare / 'raw.count').read_text()),
@@ -195,7 +222,7 @@ def link(rate: float, seconds: float, folder: Path, *, excite: bool, inside: boo
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--seconds', default='250=300,500=120,1000=60,excite=60')
+    parser.add_argument('--seconds', default='250=300,500=120,1000=60,excite=60,attack=60')
     parser.add_argument('--inside', action='store_true', help='the bridge logs itself')
     given = parser.parse_args()
     told: dict[str, Any] = {'schema': 'quad_bridge/link_load/2', 'cores': os.cpu_count()}
@@ -203,11 +230,11 @@ def main() -> None:
           '   median  p99 ms   bare  p99')  # fmt: skip
     for part in given.seconds.split(','):
         name, _, seconds = part.partition('=')
-        rate = 250.0 if name == 'excite' else float(name)
+        beside = {'excite': 'exciter', 'attack': 'attacker'}.get(name, '')
+        rate = 250.0 if beside else float(name)
         load = os.getloadavg()[0]
         with tempfile.TemporaryDirectory() as place:
-            found = link(rate, float(seconds), Path(place), excite=name == 'excite',
-                         inside=given.inside)  # fmt: skip
+            found = link(rate, float(seconds), Path(place), beside=beside, inside=given.inside)
         late, bared = found['latency'], found['bare']
         cpu = {n: figures['cpu_percent'] for n, figures in found['processes'].items()}
         logger = cpu.get('bag_logger', 0.0)

@@ -164,6 +164,8 @@ def exciter(_: Path) -> None:
     message, begin_s, count = Vector3Stamped(), time.monotonic(), 0
     while not stopped.yes:
         time.sleep(max(0.0, begin_s + count / 250.0 - time.monotonic()))
+        sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
         message.vector.x = 0.1 * math.sin(0.1 * count)
         setpoint.publish(message)
         count += 1

@@ -305,8 +305,10 @@ class Link:
     def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
         """Events of another autopilot's messages; none once a control cycle was received."""
         self._heard_us = 1000 * frame.time_ms if isinstance(frame, f.Attitude) else frame.time_us
+        if self.last_cycle is not None:
+            return
         inertial = self.autopilot.inertial(frame, now_ns)
-        if inertial is None or self.last_cycle is not None:
+        if inertial is None:
             return
         before_us, self._inertial_us = self._inertial_us, inertial.time_us
         if inertial.time_us < before_us - RESTART_US:
