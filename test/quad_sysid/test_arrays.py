@@ -299,6 +299,33 @@ def test_the_model_speaks_the_units_of_its_arrays(result):
     assert found.model.residuals(z).residual_uncorrelated_with_input in (True, False)
 
 
+def test_pictures_speak_the_units_of_the_arrays(result):
+    found, flight = result
+    labels = {'signals': ('time, s', 'rate, rpm'), 'free_run': ('time, s', 'rate, rpm'),
+              'horizon': ('time since the start of the window, s', 'RMS error, rpm'),
+              'left_out': ('rate, rpm', 'left out, rev/s²'),
+              'effect_shape': ('rate, rpm', 'torque / inertia, rev/s²')}
+    drawn = {name: found.plot(name) for name in labels}
+    for name, (x, y) in labels.items():
+        first, last = drawn[name].axes[0], drawn[name].axes[-1]
+        assert (first.get_xlabel() or last.get_xlabel(), first.get_ylabel()) == (x, y), name
+    rate, command = drawn['signals'].axes[0], drawn['signals'].axes[-1]
+    assert command.get_ylabel() == 'command, V'
+    np.testing.assert_allclose(command.lines[-1].get_ydata(), 20.0 * flight.control[:, 1])
+    np.testing.assert_allclose(rate.lines[-1].get_ydata(), 30.0 / math.pi * flight.rates[:, 0])
+    effect = drawn['effect_shape'].axes[0].lines[-2].get_ydata()
+    assert np.abs(effect).max() == pytest.approx(6.0 / (2.0 * math.pi), rel=0.05)
+    from quad_sysid.units import COMMAND, Units, scale
+
+    slide = Units('V', 0.05, 0.0, 'mm/s', 1e-3, 'mm', 1e-3)
+    assert {scale(slide, name, unit).label: scale(slide, name, unit)(np.ones(1))[0]
+            for name, unit in (('rate', 'rad/s'), ('torque / inertia', 'rad/s²'),
+                               ('gain', f'rad/s per {COMMAND}'), ('error', '(rad/s)²/Hz'),
+                               ('acting command', COMMAND))} == pytest.approx({
+        'speed, mm/s': 1e3, 'acceleration, mm/s²': 1e3, 'gain, mm/s per V': 50.0,
+        'error, (mm/s)²/Hz': 1e6, 'acting command, V': 20.0})
+
+
 def test_every_function_takes_what_the_others_return(result, tmp_path):
     found, flight = result
     model = found.model
