@@ -373,7 +373,7 @@ def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, n
     else:
         line.controller.take_off()
         line.fly(0.3)
-        refuses('it does not')
+        refuses('not in the air')
 
 
 @both
