@@ -247,7 +247,7 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     line = flying('px4')
     height = line.aircraft.flight.height_m
     line.segment()
-    line.excite(10.0, 0.1)
+    line.excite(6.0, 0.1)
     assert line.controller.mode == OFFBOARD
     applied = [c.excitation for c in line.cycles[-500:]]
     assert max(a[0] for a in applied) == pytest.approx(0.1, abs=1e-3)
@@ -265,7 +265,7 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
 def test_rates_are_excited_too_and_stale_fields_do_no_harm(flying):
     line = flying('ardupilot')
     line.segment(injection='rate', axis='pitch')
-    for k in range(2000):
+    for k in range(1500):
         value = 0.3 if k % 100 < 50 else -0.3
         line.relay.setpoint(0.0, value, 0.0, 1e-9 * line.now_ns)
         line.run()
@@ -278,14 +278,14 @@ def test_rates_are_excited_too_and_stale_fields_do_no_harm(flying):
 def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
     line = flying('ardupilot')
     before = dict(line.controller.parameters)
-    line.segment(signal='chirp', injection='control', axis='pitch', amplitude=0.06, f0_hz=0.8,
-                 f1_hz=8.0, sweep_s=20.0, ramp_s=0.5)
-    line.fly(10.0)
+    line.segment(signal='chirp', injection='control', axis='pitch', amplitude=0.06, f0_hz=1.0,
+                 f1_hz=8.0, sweep_s=12.0, ramp_s=0.5)
+    line.fly(6.0)
     assert line.controller.mode == SYSTEM_ID
     assert line.controller.parameters['SID_AXIS'] == 11
     assert line.controller.parameters['SID_MAGNITUDE'] == pytest.approx(0.06)
     assert any(c.flags & f.Flag.EXCITATION for c in line.cycles[-10:])
-    line.fly(10.5)
+    line.fly(6.5)
     assert line.controller.mode == STABILIZE  # by itself, within the segment
     line.relay.segment({'segment': 'idle', 'signal': 'none'})
     line.fly(2.0)
@@ -373,7 +373,7 @@ def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, n
     else:
         line.controller.take_off()
         line.fly(0.3)
-        refuses('it does not')
+        refuses('not in the air')
 
 
 @both

@@ -376,10 +376,20 @@ class Bench:
 
 
 def test_gains_stay_on_trial_on_the_ground_and_are_good_after_ten_seconds_of_flight(tmp_path):
-    bench, told = Bench(tmp_path), []
-    bench.gains.ask({'roll.rate.kp': 0.15}, bench.now_s, lambda *x: told.append(x))
+    bench, told = Bench(tmp_path, sources=('test', 'design*')), []
+    found = bench.stored
+    assert (found['reason'], found['gains']['roll.rate.kp']) == (
+        'read from the STM32', pytest.approx(0.1),
+    )  # fmt: skip
+    asked = {'roll.rate.kp': 0.15, 'source': 'designer', 'model': 'model.json',
+             'aircraft': bench.gains.aircraft}  # fmt: skip
+    bench.gains.ask(asked, bench.now_s, lambda *x: told.append(x))
     assert not told
     assert not any('confirmed' in text for text in bench.goes_on(40.0))
+    active = bench.stored
+    assert (active['source'], active['model'], active['gains']['roll.rate.kp']) == (
+        'designer', 'model.json', pytest.approx(0.15),
+    )  # fmt: skip
     assert told == [(True, '')]  # read back, and no more
     assert 'on trial on the ground' in bench.gains.status().message
     bench.flags, bench.throttle = f.Flag.ARMED, 0.0  # the motors turn, but do not control
@@ -390,6 +400,7 @@ def test_gains_stay_on_trial_on_the_ground_and_are_good_after_ten_seconds_of_fli
     bench.until('confirmed: they flew well')
     assert bench.now_s - begin_s == pytest.approx(10.0, abs=0.3)
     assert (bench.stored['state'], bench.stored['flown']) == ('confirmed', True)
+    assert bench.stored['update'] == active['update']
     assert bench.stm32.of([KP], 'good') == pytest.approx((0.15,))
 
 
