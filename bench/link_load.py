@@ -5,10 +5,11 @@
 Per rate: cycles lost from wire to bag, CPU of each process and how long it waited for it, latency
 from the last byte of a cycle's frame to the subscriber's callback, memory. Beside them, at the
 same time, bare rclpy in a domain of its own: a publisher of the same five messages at the same
-rate, and a raw subscriber of them. `--inside` has the bridge log itself. The case `excite` has a
-running excitation, `attack` whatever anybody may say to the bridge, with what of it was obeyed and
-how the aircraft moved. The last line is one JSON object. The processes' own part is
-link_load_roles.py, the attacker link_load_attack.py.
+rate, as bytes, from objects that are used again and from new ones, and a raw subscriber.
+`--inside` has the bridge log itself. The case `excite` has a running excitation, `attack` whatever
+anybody may say to the bridge, with what of it was obeyed and how the aircraft moved. The last line
+is one JSON object. The processes' own part is link_load_roles.py, the attacker's
+link_load_attack.py.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ class Processes:
 
     def __init__(self) -> None:
         self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self.window_ns = 0, 0  # of the measurement, on the steady clock
 
     def start(self, name: str, *command: str, domain: int = 0) -> None:
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(1 + 2 * (os.getpid() % 100) + domain)}
@@ -91,6 +93,7 @@ class Processes:
         early = {n: memory_mb(p) for n, p in pids.items()}
         time.sleep(0.8 * seconds)
         passed_s = time.monotonic() - began_s
+        self.window_ns = round(1e9 * began_s), round(1e9 * (began_s + passed_s))
         return {
             name: {
                 'cpu_percent': round(100.0 * (cpu_s(pid) - before[name]) / passed_s, 1),
@@ -211,11 +214,16 @@ def link(rate: float, seconds: float, folder: Path, *, beside: str, inside: bool
     finally:
         run.end(beside, 'bag_logger', 'ears', 'serial_bridge', 'stm32')
         run.end('raw', 'bare ears', 'bare')
-    heard = np.load(bare / 'ears.npy')
+    heard, wire = np.load(bare / 'ears.npy'), np.load(folder / 'wire.npy')
+    begin_ns, end_ns = run.window_ns
+    sent_hz = 1e9 * float(((wire > begin_ns) & (wire < end_ns)).sum()) / (end_ns - begin_ns)
     return {
         **({'attack': attacked(folder)} if beside == 'attacker' else {}),
         'processes': figures, **lost(folder, rate), 'latency': latency(folder, rate),
         'bare': quantiles(1e-6 * (heard[:, 1] - heard[:, 0])),
+        'bare_us': json.loads((bare / 'bare.json').read_text()),
+        'bridge_us': round(1e4 * figures['serial_bridge']['cpu_percent'] / sent_hz, 1),
+        'sent_hz': round(sent_hz, 1),
         'raw_heard': int((bare / 'raw.count').read_text()),
     }  # fmt: skip
 
@@ -225,9 +233,9 @@ def main() -> None:
     parser.add_argument('--seconds', default='250=300,500=120,1000=60,excite=60,attack=60')
     parser.add_argument('--inside', action='store_true', help='the bridge logs itself')
     given = parser.parse_args()
-    told: dict[str, Any] = {'schema': 'quad_bridge/link_load/2', 'cores': os.cpu_count()}
-    print('case      cycles  lost  bridge %  bare %  ratio  logger %  raw %  ratio'
-          '   median  p99 ms   bare  p99')  # fmt: skip
+    told: dict[str, Any] = {'schema': 'quad_bridge/link_load/3', 'cores': os.cpu_count()}
+    print('case      cycles  lost  bridge, µs   bytes  reused    anew  to reused  to anew'
+          '  logger %  raw %  ratio   median  p99 ms   bare  p99')  # fmt: skip
     for part in given.seconds.split(','):
         name, _, seconds = part.partition('=')
         beside = {'excite': 'exciter', 'attack': 'attacker'}.get(name, '')
@@ -238,9 +246,11 @@ def main() -> None:
         late, bared = found['latency'], found['bare']
         cpu = {n: figures['cpu_percent'] for n, figures in found['processes'].items()}
         logger = cpu.get('bag_logger', 0.0)
+        ours, others = found['bridge_us'], found['bare_us']
         print(
-            f'{name:8} {found["cycles_in_bag"]:7d} {found["lost"]:5d} {cpu["serial_bridge"]:9.1f}'
-            f' {cpu["bare"]:7.1f} {cpu["serial_bridge"] / cpu["bare"]:6.2f} {logger:9.1f}'
+            f'{name:8} {found["cycles_in_bag"]:7d} {found["lost"]:5d} {ours:11.0f}'
+            f' {others["bytes"]:7.0f} {others["reused"]:7.0f} {others["anew"]:7.0f}'
+            f' {ours / others["reused"]:10.2f} {ours / others["anew"]:8.2f} {logger:9.1f}'
             f' {cpu["raw"]:6.1f} {logger / cpu["raw"]:6.2f} {late["median_ms"]:8.2f}'
             f' {late["p99_ms"]:7.2f} {bared["median_ms"]:6.2f} {bared["p99_ms"]:4.1f}',
             flush=True,
