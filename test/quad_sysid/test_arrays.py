@@ -213,6 +213,7 @@ BAD = {
     'infinity': ({'y': np.where(np.arange(N) == 7, np.inf, Y)}, 'y holds infinity: found sample'),
     'only NaN': ({'u': np.full(N, np.nan)}, 'u holds no number: found NaN throughout'),
     'time runs back': ({'dt': None, 't': DT * np.abs(np.arange(N) - 9.0)}, 't must increase'),
+    't is dt': ({'dt': None, 't': DT}, 't must be (n,) times: found 0.004; the interval is dt=…'),
     'short t': ({'dt': None, 't': DT * np.arange(N - 1)}, 't must be as long as u'),
     't holds NaN': ({'dt': None, 't': np.full(N, np.nan)}, 't holds NaN: found sample 0'),
     'unknown unit': ({'units': {'u': 'furlong'}}, "units: u is no known unit: found 'furlong'"),
@@ -245,6 +246,7 @@ def test_bad_arrays_are_refused_in_one_line(name):
 @pytest.mark.parametrize(('call', 'words'), [
     (lambda: qs.identify([]), 'has no flight'),
     (qs.identify, 'has no flight'),
+    (lambda: qs.identify(U, Y, dt=DT), 'axes must be names: found ndarray; hand in arrays by'),
     (lambda: qs.identify(object()), 'are of a kind that cannot be read: found object'),
     (lambda: qs.identify('bag', u=U, y=Y, dt=DT), 'flights or arrays, not both'),
     (lambda: qs.identify(u=U, y=Y, dt=DT, seconds=-1.0), 'seconds must be'),
@@ -254,7 +256,7 @@ def test_bad_arrays_are_refused_in_one_line(name):
      'Record: rates must be (n, 3)'),
     (lambda: qs.Record('mine', 0.1, np.zeros((9, 3)), np.zeros((8, 4))),
      'control must be (n, 4) with n as in rates: found (8, 4) for n = 9'),
-], ids=range(9))
+], ids=range(10))
 def test_what_cannot_be_identified_is_said_in_one_line(call, words):
     with pytest.raises(qs.BadInputError) as refused:
         call()
@@ -363,6 +365,9 @@ def test_result_and_model_are_copied_pickled_and_written_without_loss(result):
         assert str(one) == str(found)
         assert one.effects == found.effects
         assert one.gains == found.gains
+    assert repr(found) == 'roll: effects_added coulomb_friction'
+    with pytest.raises(qs.BadInputError, match='a result of from_json has no pictures'):
+        one.plot('free_run')
     with pytest.raises(qs.BadInputError, match='no result'):
         qs.Result.from_json(json.dumps({}))
 

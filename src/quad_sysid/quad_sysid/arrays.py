@@ -343,6 +343,8 @@ def _times(time: Any, dt: Any, n: int,
     per_s = _factor('t', units.get('t', 's'), {k: f for k, (f, _) in UNITS['time'].items()})
     if dt is not None and time is not None:
         raise BadInputError(WHERE, 'take dt or t, not both', remedy='leave one out')
+    if time is not None and np.ndim(time) == 0:
+        raise BadInputError(WHERE, 't must be (n,) times', repr(time), 'the interval is dt=…')
     if dt is not None:
         number = isinstance(dt, int | float | np.number) and not isinstance(dt, bool | np.bool_)
         if not number or not (math.isfinite(float(dt)) and dt > 0):
