@@ -15,7 +15,6 @@ from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import derivative_steps, fit
 from quad_sysid.explain.ladder import Rung, explain, resampled
 from quad_sysid.explain.models import Models
-from quad_sysid.explain.projection import Projection
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
 
@@ -87,7 +86,8 @@ def test_what_is_missed_of_a_hundredth_of_the_motion_is_no_cause(rubbed_answer, 
     """However small the noise: the base is the answer then."""
     told = rubbed_answer.findings
     assert not told.ladder.negligible
-    monkeypatch.setattr(Projection, 'motion', 1.01e4 * told.ladder.rungs[0].model.total)
+    monkeypatch.setattr(told.ladder.projection, 'motion',
+                        1.01e4 * told.ladder.rungs[0].model.total)
     assert told.ladder.negligible
     assert told.ladder.answer == 0
 
