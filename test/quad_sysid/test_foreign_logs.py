@@ -246,8 +246,9 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
         messages, added, axis = ardupilot_messages(flight), 0.06 * np.sin(9.0 * t), 1
         stamps = messages['RATE'][1][on, 0]
         messages['SIDS'] = ('TimeUS', 'Ax', 'Mag'), np.array([[stamps[0], 11.0, 0.06]])
+        injected = np.where(t < 5.8, added, 0.0)  # the mode goes on when its chirp has ended
         messages['SIDD'] = ('TimeUS', 'Time', 'Targ'), np.column_stack(
-            [stamps, t[on], -added[on]])
+            [messages['RATE'][1][t >= 0.2, 0], t[t >= 0.2], -injected[t >= 0.2]])
         path = dataflash(tmp_path / 'log', messages, {'FRAME_CLASS': 1, 'FRAME_TYPE': 1})
         said = 'chirp', 'pitch', 'control'
     else:

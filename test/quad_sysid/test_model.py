@@ -14,7 +14,6 @@ import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
-from quad_sysid.discover import accept
 from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.base import best_base
 from quad_sysid.discover.screen import candidates, screen
@@ -24,6 +23,7 @@ from quad_sysid.effects.events import Held, PeriodicDelay
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
+from quad_sysid.explain.models import Models
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData, axis_data, part_of
 from quad_sysid.model.effect import Part
@@ -214,13 +214,13 @@ def test_a_claim_stands_where_the_model_without_it_cannot_follow_the_flight(rubb
         theta[3] = -1e4
         return [replace(model, structure=base.structure, theta=theta)]
 
-    def fitted_or_not(self, model, own=accept._Models.fitted):
+    def fitted_or_not(self, model, own=Models.fitted):
         if model.theta[3] == -1e4:
             raise FloatingPointError
         return own(self, model)
 
-    monkeypatch.setattr(accept._Models, 'each_left_out', runs_away)
-    monkeypatch.setattr(accept._Models, 'fitted', fitted_or_not)
+    monkeypatch.setattr(Models, 'each_left_out', runs_away)
+    monkeypatch.setattr(Models, 'fitted', fitted_or_not)
     verdict = judged(data, problem, found)
     assert verdict.chosen.structure.labels == ('coulomb_friction',)
     assert verdict.claims[0].p_value < 0.01

@@ -40,7 +40,6 @@ from quad_sysid.discover.constants import (
 )
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem, start_of, stays_bounded
-from quad_sysid.estimate.stored import noise_of
 from quad_sysid.model.effect import Effect, Part, required
 from quad_sysid.model.structure import NOISE, VIBRATION, coordinates
 
@@ -268,7 +267,7 @@ class _Search:
         """Whether one more effect changes next to nothing, however sure it is.
 
         Free runs of both differ by less than NEGLIGIBLE of what the base misses of the larger one,
-        or by less than that share of the motion and than the gyro's noise.
+        or of the motion.
         """
         problem = self.problem
         windows = problem.data.windows(problem.spans)
@@ -283,8 +282,7 @@ class _Search:
         rate = problem.data.rate[windows.starts[:, None] + np.arange(windows.length)]
         motion = float(np.mean((rate - rate[:, :1]) ** 2))
         change, missed = (float(np.mean((full - one) ** 2)) for one in (less, least))
-        small = min(NEGLIGIBLE**2 * motion, noise_of(more).measured_rms ** 2)
-        return change < max(NEGLIGIBLE * missed, small)
+        return change < max(NEGLIGIBLE * missed, NEGLIGIBLE**2 * motion)
 
     def spare(self) -> bool:
         """Leave out each effect of the best structure in turn; whether that was better."""

@@ -44,6 +44,8 @@ that it does not draw an estimate; as all structures have it, comparisons hardly
 NOTHING, HARDLY = (0.0, math.log(1e-5), math.log(1e-6), 0.0, 0.0), 1e-6
 """Coordinates of a base whose terms are nothing, and how far one that is held may be off."""
 SMALL_NATS = 0.02
+LONGEST_STEP = 1.5
+"""Of a logarithm: of a delay of minutes a derivative says nothing, and no step leads back."""
 AT_MOST = 10.0
 """Largest rate of a free run over the largest measured one."""
 BOUNDED_S = 1.0
@@ -316,7 +318,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
             damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
             step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(theta.size)], rcond=None)[0]
             step[list(still)] = 0.0
-            trial = theta + step
+            trial = theta + np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
             trial = np.where(positive, np.maximum(trial, 0.0), trial)
             ahead, new, tail_ahead = evaluated(trial, found.rate, 2, by=steps)
             if new > value - 1e-9:

@@ -20,7 +20,6 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import (
     BLOCK_S,
-    DIFFERS,
     ENOUGH,
     EXPLAINS,
     LEAST_OF_BEST,
@@ -35,11 +34,9 @@ from quad_sysid.discover.constants import (
 from quad_sysid.discover.screen import Along, linear_of
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
-from quad_sysid.estimate.stored import noise_of
 from quad_sysid.explain.models import Models
 from quad_sysid.explain.projection import Projected, Projection
 from quad_sysid.model.effect import Effect, Part
-from quad_sysid.model.noise import growth
 from quad_sysid.model.structure import coordinates, natural
 
 
@@ -83,23 +80,21 @@ class Ladder:
 
     @property
     def negligible(self) -> bool:
-        """Whether what the base misses is small beside the motion, and hardly adds to the error.
+        """Whether what the base misses is small beside the motion."""
+        return self.rungs[0].model.total < self.small
 
-        By less than the factor DIFFERS to what noise causes in the same windows.
-        """
-        if self.predicts_pct < 100.0 * (1.0 - NEGLIGIBLE):
-            return False
-        reference, goal = self.projection.reference, self.projection.goal
-        missed = self.rungs[0].model.total / goal.size
-        spread = np.mean(growth(reference.prediction.filter, goal.shape[1]))
-        return bool(missed < (DIFFERS**2 - 1.0) * noise_of(reference).gyro_rms ** 2 * spread)
+    @property
+    def small(self) -> float:
+        """What may be missed, a hundredth of the motion, as a sum of squares, (rad/s)²."""
+        return NEGLIGIBLE**2 * self.projection.motion
 
     @property
     def answer(self) -> int:
-        """The lowest rung that explains EXPLAINS; 0 where the base misses next to nothing."""
+        """The lowest rung that explains EXPLAINS, or that misses next to nothing of the motion."""
         if len(self.rungs) == 1:
             return 0
-        enough = (i for i, rung in enumerate(self.rungs) if rung.explains_pct >= EXPLAINS)
+        enough = (i for i, rung in enumerate(self.rungs)
+                  if rung.explains_pct >= EXPLAINS or rung.model.total < self.small)
         return next(enough, len(self.rungs) - 1)
 
 
@@ -137,7 +132,8 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
         return ladder
     if whole > 0.0:
         apart: frozenset[str] = frozenset()  # labels of what runs away beside the rung
-        while rungs[-1].explains_pct < ENOUGH and len(rungs) <= MOST_RUNGS:
+        while (rungs[-1].explains_pct < ENOUGH and rungs[-1].model.total >= ladder.small
+               and len(rungs) <= MOST_RUNGS):
             finer = rungs[-1].explains_pct >= EXPLAINS  # what the reference has, no more causes
             step = _next(projection, rungs[-1].model, () if finer else parts, whole, likely, apart)
             if step is not None and not finer and _added(step).kind != 'named':
@@ -322,7 +318,7 @@ def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict
                           else _missed(problem, reference, rungs))
         for draw in np.flatnonzero(leading == which):
             again = missed @ weights[draw, of_window]
-            if again[-1] <= (1.0 - 0.01 * EXPLAINS) * again[0]:
+            if again[-1] <= max((1.0 - 0.01 * EXPLAINS) * again[0], ladder.small):
                 causes = -np.diff(again) >= NEGLIGIBLE * again[0]
                 seen.update(set().union(*compress(added, causes)))
     answer = rungs[-1].model.structure.parts
