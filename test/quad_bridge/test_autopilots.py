@@ -316,7 +316,7 @@ def in_mode(px4, ardupilot):
 REFUSED = {
     'a mode of its own': (in_mode(4 << 16, 6), 'the pilot must fly'),
     'no hover': (lambda line: line.controller.sticks.__setitem__(0, 0.9), 'does not hover'),
-    'no sticks': (without('RC_CHANNELS', 'RC_CHANNELS_RAW'), 'sticks'),
+    'no sticks': (without('RC_CHANNELS', 'RC_CHANNELS_RAW', 'MANUAL_CONTROL'), 'sticks'),
     'just taken off': (lambda line: line.controller.take_off(), 'it'),
     'a stale line': (without('ATTITUDE', 'HIGHRES_IMU', 'SCALED_IMU'), 'the line is stale'),
     'on the ground': (lambda line: line.controller.land(), 'not armed'),
@@ -368,7 +368,7 @@ ABORTS = {
     'battery': (lambda line: setattr(line.controller, 'volts', 11.0), 'battery has sunk'),
     'another mode': (in_mode(STABILIZED, LOITER), 'was left by'),
     'schedule silent': (None, 'schedule has been silent'),
-    'receiver': (without('RC_CHANNELS', 'RC_CHANNELS_RAW'), 'not received'),
+    'receiver': (without('RC_CHANNELS', 'RC_CHANNELS_RAW', 'MANUAL_CONTROL'), 'not received'),
 }
 
 
