@@ -67,7 +67,7 @@ class Kind:
 
 ALL = dict.fromkeys(
     ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE', 'SERVO_OUTPUT_RAW', 'RC_CHANNELS', 'RC_CHANNELS_RAW',
-     'SCALED_PRESSURE', 'BATTERY_STATUS', 'SYS_STATUS'), 250.0)  # fmt: skip
+     'MANUAL_CONTROL', 'SCALED_PRESSURE', 'BATTERY_STATUS', 'SYS_STATUS'), 250.0)  # fmt: skip
 PX4_PLACES = ((0.15, 0.2), (-0.15, -0.2), (0.15, -0.2), (-0.15, 0.2))  # forward, right
 PX4 = Kind(
     autopilot=12,
@@ -192,6 +192,7 @@ class Autopilot:
                 ms, 8, *sticks, *([UNUSED] * 10), 255
             ),
             'RC_CHANNELS_RAW': lambda: mav.MAVLink_rc_channels_raw_message(ms, 0, *sticks, 255),
+            'MANUAL_CONTROL': lambda: mav.MAVLink_manual_control_message(1, 200, 0, -600, -100, 0),
             'VFR_HUD': lambda: mav.MAVLink_vfr_hud_message(0.0, 0.0, 17, 20, 0.0, 0.0),
             'SCALED_PRESSURE': lambda: mav.MAVLink_scaled_pressure_message(ms, 990.0, 0.0, 2000),
             'BATTERY_STATUS': lambda: mav.MAVLink_battery_status_message(

@@ -39,6 +39,7 @@ from quad_bridge.link.autopilot import Inertial, fitted, load
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Arrived, Described, Stamped
 from quad_bridge.motor_outputs import motor_outputs
+from quad_bridge.virtual.physics import POSITION, VELOCITY
 from quad_bridge.wire import frames as f
 
 KINDS = {
@@ -247,8 +248,12 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     line = flying('px4')
     height = line.aircraft.flight.height_m
     line.segment()
+    line.excite(3.0, 0.1)
+    assert line.controller.mode == OFFBOARD
+    line.controller.craft.machine.state[VELOCITY : VELOCITY + 2] = 1.2, -0.8  # a gust
     line.excite(6.0, 0.1)
     assert line.controller.mode == OFFBOARD
+    assert max(abs(line.controller.craft.machine.state[POSITION : POSITION + 2])) < 1.0
     applied = [c.excitation for c in line.cycles[-500:]]
     assert max(a[0] for a in applied) == pytest.approx(0.1, abs=1e-3)
     assert min(a[0] for a in applied) == pytest.approx(-0.1, abs=1e-3)

@@ -155,6 +155,7 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         topics['vehicle_thrust_setpoint'] = {
             'timestamp': stamps, 'xyz': flight.control[:, :1] * [0.0, 0.0, -1.0],
         }
+        topics['actuator_motors']['control'][: N // 6] = 0.0  # on the ground, where torque goes on
 
     record, _ = px4({'MC_ROLL_P': 6.5, 'MC_ROLLRATE_P': 0.15, 'MC_ROLLRATE_K': 2.0,
                      'MC_YAWRATE_P': 0.2, 'MC_ROLLRATE_MAX': 180.0}, with_torque)

@@ -198,6 +198,9 @@ FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
         m['time_boot_ms'], tuple(m[n] for n in _CHANNELS[:8]), m['rssi'], m['port'],
         'RC_CHANNELS_RAW',
     ),
+    d.MAVLINK_MSG_ID_MANUAL_CONTROL: lambda m: f.RcChannels(
+        None, tuple(1500 + m[n] // 2 for n in 'yxzr'), name='MANUAL_CONTROL'
+    ),
     d.MAVLINK_MSG_ID_SYS_STATUS: _battery,
     d.MAVLINK_MSG_ID_ESC_STATUS: lambda m: f.RotorSpeeds(
         m['index'], tuple(abs(float(v)) for v in m['rpm']), m['time_usec']
