@@ -97,7 +97,7 @@ class Frames:
         floor = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1), axis=1)
         stands = (self.mean > PEAK * floor) & (self.frequency_hz >= LOWEST_PEAK_HZ)
         edges = np.flatnonzero(np.diff(np.concatenate(([False], stands, [False]))))
-        found = []
+        out = []
         for a, b in edges.reshape(-1, 2):
             power = float((self.mean[a:b] - floor[a:b]).sum() * line)
             at = float(self.frequency_hz[a:b] @ self.mean[a:b] / self.mean[a:b].sum())
@@ -105,8 +105,8 @@ class Frames:
             if rotor_hz and rotor_hz > 0.0:
                 whole = max(1, round(at / rotor_hz))
                 order = float(whole) if abs(at / rotor_hz / whole - 1.0) < ON_ORDER else None
-            found.append(Peak(at, float(np.sqrt(power)), order))
-        return tuple(sorted(found, key=lambda p: -p.rms)[:PEAKS])
+            out.append(Peak(at, float(np.sqrt(power)), order))
+        return tuple(sorted(out, key=lambda p: -p.rms)[:PEAKS])
 
 
 def frames(signal: FloatArray, good: npt.NDArray[np.bool_], dt: float) -> Frames | None:

@@ -152,14 +152,14 @@ def responses(setpoint: FloatArray, output: FloatArray, good: npt.NDArray[np.boo
     used = held.largest >= least if held is not None else np.zeros(0, bool)
     if held is None or used.sum() < FEWEST:
         return ()
-    found = []
+    out = []
     for name, low, high in (('all', least, np.inf), *loop.classes):
         inside = (held.largest >= low) & (held.largest < high)
         if inside.sum() < FEWEST or (name != 'all' and inside.sum() == used.sum()):
             continue
         one = _response(held, inside, step, loop.quantity, name)
-        found += [one] if one is not None else []
-    return tuple(found)
+        out += [one] if one is not None else []
+    return tuple(out)
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:

@@ -66,14 +66,14 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program | None:
     listing = Listing()
     try:
         fields = {
-            name: None if not there else (listing.given(1), listing.given(1))
-            if name.startswith('other') else listing.given(1)
+            name: None if not there else (listing.inputs(1), listing.inputs(1))
+            if name.startswith('other') else listing.inputs(1)
             for name, there in zip(GIVEN, known, strict=True)
         }
-        sent, push, motors = listing.given(1), listing.given(1), listing.given(4, 1)
+        sent, push, motors = listing.inputs(1), listing.inputs(1), listing.inputs(4, 1)
         first = len(listing.start)
         turning, hidden = (_inputs(listing, x) for x in (rest.turning, rest.hidden))
-        s = plant.told(replace(given, **fields, sent=sent))  # type: ignore[arg-type]
+        s = plant.with_own(replace(given, **fields, sent=sent))  # type: ignore[arg-type]
         s = plant.with_motors(s)
         drive, after = plant.send(hidden, s)
         split = len(listing.code)
@@ -106,7 +106,7 @@ def _inputs(listing: Listing, x: Any) -> Any:
         return None
     if isinstance(x, tuple):
         return tuple(_inputs(listing, one) for one in x)
-    return listing.given(*x.shape)
+    return listing.inputs(*x.shape)
 
 
 def _places(listing: Listing, x: Any) -> npt.NDArray[np.int64]:

@@ -177,8 +177,8 @@ class AxisData:
             'time': self.clock, 'angle': self.angle, 'battery': self.battery_v, 'rate': self.rate,
             'command': self.command, 'throttle': self.control[:, 0],
         }
-        found = known[name]
-        return f'the bag holds no {MISSING[name]}' if found is None else found
+        values = known[name]
+        return f'the bag holds no {MISSING[name]}' if values is None else values
 
     def lacking_motors(self, *, single: bool = False) -> str:
         """Why an effect of the motors, or of a single one, does not show; empty where it may."""
@@ -327,11 +327,11 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
 
 def _prepare(record: Record, axis: str) -> dict[str, Any]:
     """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
-    n, own, found = record.n, EVERY[axis], record.motion(axis)
-    rate, control, motors = found.rate, found.control, found.motors
+    n, own, motion = record.n, EVERY[axis], record.motion(axis)
+    rate, control, motors = motion.rate, motion.control, motion.motors
     if motors is None:
         motors = np.zeros((n, 0)) if record.desaturation == 'none' else \
-            found.share[:, None] * record.craft.commands(record.control)
+            motion.share[:, None] * record.craft.commands(record.control)
     good = np.isfinite(rate) & np.isfinite(control[:, own.index + 1])
     if not good.any():
         raise NotInformativeError(
@@ -344,7 +344,7 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
     out: dict[str, Any] = {
         'rate': across_short_gaps(np.where(good, rate, np.nan), record.dt, gap),
         'lost': ~good,
-        'angle': nothing if found.position is None else found.position,
+        'angle': nothing if motion.position is None else motion.position,
         'other_angles': np.column_stack([position for _, position in beside]),
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
@@ -360,10 +360,10 @@ def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
     """(n,) rate and position of another axis; NaN where the record does not hold them."""
     nothing = np.full(record.n, np.nan)
     try:
-        found = record.motion(axis)
+        motion = record.motion(axis)
     except NotInformativeError:
         return nothing, nothing
-    return found.rate, nothing if found.position is None else found.position
+    return motion.rate, nothing if motion.position is None else motion.position
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
