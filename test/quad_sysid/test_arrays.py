@@ -197,18 +197,13 @@ BAD = {
     'u must be': ({'u': U[:-1]}, 'y must be as long as u: found 2000 and 1999'),
     'two channels': ({'y': np.stack([Y, Y], axis=1)}, 'y must be (n,), one channel: found shape'),
     'constant u': ({'u': 0.0 * U}, 'u never changes: found 0 throughout'),
-    'constant y': ({'y': 0.0 * Y + 2.0}, 'y never changes: found 2 throughout'),
     'negative dt': ({'dt': -0.1}, 'dt must be a positive number of seconds: found -0.1'),
-    'dt is NaN': ({'dt': math.nan}, 'dt must be a positive number of seconds: found nan'),
     'dt is text': ({'dt': '4 ms'}, "dt must be a positive number of seconds: found '4 ms'"),
     'no dt': ({'dt': None}, 'lack dt or t'),
     'dt and t': ({'t': DT * np.arange(N)}, 'take dt or t, not both'),
     'slow': ({'dt': 1.0}, 'dt has intervals that are too long: found 1 s; at most 0.05 s, since'),
-    'one sample': ({'u': U[:1], 'y': Y[:1]}, 'need 100 samples at least: found 1'),
     'empty': ({'u': [], 'y': []}, 'need 100 samples at least: found 0'),
-    'scalar': ({'u': 3.0}, 'u must be (n,), one channel: found shape ()'),
     'texts': ({'y': ['a'] * N}, 'y must hold real numbers'),
-    'objects': ({'y': [object()] * N}, 'y must hold real numbers: found objects'),
     'complex': ({'y': Y + 1j}, 'y must hold real numbers: found complex128'),
     'infinity': ({'y': np.where(np.arange(N) == 7, np.inf, Y)}, 'y holds infinity: found sample'),
     'only NaN': ({'u': np.full(N, np.nan)}, 'u holds no number: found NaN throughout'),
@@ -219,7 +214,6 @@ BAD = {
     'unknown unit': ({'units': {'u': 'furlong'}}, "units: u is no known unit: found 'furlong'"),
     'other unit': ({'units': {'y': 'V'}}, "units: y is not a unit of it: found 'V'; use rad/s"),
     'unit of none': ({'units': {'z': 'V'}}, "units names what is no argument: found 'z'"),
-    'zero unit': ({'units': {'y': 0.0}}, 'units: y is no known unit: found 0.0'),
     'no output': ({'y': None}, 'lack y or angle'),
     'no input': ({'u': None}, 'lack u, the input'),
     'strange signal': ({'signals': {'wind': Y}}, "signals holds an unknown one: found 'wind'"),
@@ -227,7 +221,6 @@ BAD = {
     'short mask': ({'train': np.ones(9, bool)}, 'train must be a mask as long as u: found (9,)'),
     'fraction': ({'train': 1.5}, 'train as a fraction must be between 0 and 1: found 1.5'),
     'overlap': ({'train': 0.7, 'validate': 0.7}, 'train and validate overlap: found 800 samples'),
-    'no part': ({'train': slice(10, 10)}, 'train holds no sample'),
     'no column': ({'u': 'volts'}, "u names a column of no frame: found 'volts'"),
     'no axis': ({'axis': 'bank'}, "axis must be one of roll, pitch, yaw: found 'bank'"),
     'lists': ({'u': [U, U], 'y': [Y, Y, Y]}, 'needs lists of as many experiments: found u has 2'),
@@ -235,12 +228,9 @@ BAD = {
 
 
 @pytest.mark.parametrize('name', BAD)
-def test_bad_arrays_are_refused_in_one_line(name):
+def test_bad_arrays_are_refused_in_one_line(refusal, name):
     changes, words = BAD[name]
-    with pytest.raises(qs.BadInputError) as refused:
-        record(**changes)
-    assert words in str(refused.value)
-    assert '\n' not in str(refused.value)
+    assert words in refusal(record, **changes)
 
 
 @pytest.mark.parametrize(('call', 'words'), [
@@ -257,10 +247,8 @@ def test_bad_arrays_are_refused_in_one_line(name):
     (lambda: qs.Record('mine', 0.1, np.zeros((9, 3)), np.zeros((8, 4))),
      'control must be (n, 4) with n as in rates: found (8, 4) for n = 9'),
 ], ids=range(10))
-def test_what_cannot_be_identified_is_said_in_one_line(call, words):
-    with pytest.raises(qs.BadInputError) as refused:
-        call()
-    assert words in str(refused.value)
+def test_what_cannot_be_identified_is_said_in_one_line(refusal, call, words):
+    assert words in refusal(call)
 
 
 @pytest.fixture(scope='module')

@@ -148,16 +148,21 @@ def _climb(reading: Reading) -> None:
 
 
 def _experiments(table: Table) -> Iterator[Experiment]:
-    """What SYSTEM ID mode injected (SIDD), each time as its settings (SIDS) say."""
+    """What SYSTEM ID mode injected (SIDD), each time as its settings (SIDS) say.
+
+    The mode goes on, and logs zeros, when its chirp has ended: that excites nothing any more.
+    """
     added, axes = table.stream('SIDD.Targ'), table.columns.get('SIDS.Ax', np.zeros(0))
     if added is None or not axes.size:
         return
     settings = table.times['SIDS.Ax']
     parts = np.flatnonzero(np.diff(added.time_s) > PAUSE_S) + 1
     parts = np.union1d(parts, np.searchsorted(added.time_s, settings))
-    for rows in np.split(np.arange(added.time_s.size), parts[(parts > 0)]):
-        if rows.size < 2:
+    for part in np.split(np.arange(added.time_s.size), parts[(parts > 0)]):
+        on = part[np.flatnonzero(added.values[part])]
+        if on.size < 2:
             continue
+        rows = np.arange(on[0], on[-1] + 1)
         at = max(int(np.searchsorted(settings, added.time_s[rows[0]], side='right')) - 1, 0)
         if int(axes[at]) not in INJECTED:
             continue

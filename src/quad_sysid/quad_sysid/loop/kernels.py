@@ -24,7 +24,7 @@ MEMORY = 8
 """Numbers that a controller remembers; the notch has the last two."""
 (ADD, SUBTRACT, MULTIPLY, DIVIDE, MAXIMUM, MINIMUM, POWER, GREATER, GREATER_EQUAL, LESS,
  LESS_EQUAL, NEGATIVE, ABSOLUTE, SIGN, EXP, LOG, SQRT, SIN, COS, TANH, FLOOR, RINT, WHERE, INTERP,
- LOOSE, YIELDED) = CODES.values()
+ LOOSE, YIELDED, _) = CODES.values()
 
 
 class Constants(NamedTuple):
@@ -239,15 +239,10 @@ def before(line: FloatArray, newest: int, channel: int, age: float) -> float:
 
 
 @inner
-def ahead(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
-          line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
-    """One cycle of a plant by its operations: the state in the registers r a cycle later.
-
-    The command, the acceleration and what is known of the cycle are in r already; line (d, c) and
-    w (c,) commands under way, from `newest` on, and behind their lags. Gives the new `newest`.
-    """
+def driven(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: int,
+           dt: float) -> int:
+    """The motors in a cycle, between the operations on what was sent and those on the axis."""
     own, lags = np.zeros(4), np.zeros((3, 3))
-    operate(code, more, tables, r, 0, at.split)
     newest = (newest + line.shape[0] - 1) % line.shape[0]
     r[at.motors] = r[at.motors + 1] = r[at.motors + 2] = r[at.motors + 3] = 0.0
     for c in range(w.size):
@@ -262,6 +257,19 @@ def ahead(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: Flo
         r[at.motors + 1] += at.row[c] * own[1] * 2.0 / dt
         r[at.motors + 2] += at.row[c] * own[2]
         r[at.motors + 3] += at.row[c] * own[3]
+    return newest
+
+
+@inner
+def ahead(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
+          line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
+    """One cycle of a plant by its operations: the state in the registers r a cycle later.
+
+    The command, the acceleration and what is known of the cycle are in r already; line (d, c) and
+    w (c,) commands under way, from `newest` on, and behind their lags. Gives the new `newest`.
+    """
+    operate(code, more, tables, r, 0, at.split)
+    newest = driven(at, r, line, w, newest, dt)
     operate(code, more, tables, r, at.split, code.shape[0])
     m = at.following.size
     following = np.empty(m)
@@ -277,6 +285,20 @@ def cycle(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: Flo
           line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
     """`ahead`, for a controller in Python."""
     return int(ahead(at, code, more, tables, r, line, w, newest, dt))
+
+
+@kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, WHOLE, WHOLE)
+def part(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, begin: int,
+         end: int) -> None:
+    """Some operations, where laws in Python stand between them."""
+    operate(code, more, tables, r, begin, end)
+
+
+@kernel(PLACES, LINE, TABLE, LINE, WHOLE, NUMBER)
+def motors(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: int,
+           dt: float) -> int:
+    """`driven`, alike."""
+    return int(driven(at, r, line, w, newest, dt))
 
 
 @kernel(GAINS, PLACES, WHOLE[:, ::1], WHOLES, LINE, LINE, LINE, TABLE, LINE, TABLE, TABLE, TABLE,

@@ -3,13 +3,13 @@
 A Traced stands where a law expects an array: numpy's functions then note what they would compute.
 The list is run by compiled code (loop/kernels.py), so that a law is written once and is as fast as
 a compiled one. What cannot be noted, such as a branch on a value, raises Untraceable; such a law
-flies cycle by cycle in Python.
+is called in its place in the list.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,11 @@ Indices = NDArray[np.int64]
 OPERATIONS = (
     'add', 'subtract', 'multiply', 'divide', 'maximum', 'minimum', 'power', 'greater',
     'greater_equal', 'less', 'less_equal', 'negative', 'absolute', 'sign', 'exp', 'log', 'sqrt',
-    'sin', 'cos', 'tanh', 'floor', 'rint', 'where', 'interp', 'loose', 'yielded',
+    'sin', 'cos', 'tanh', 'floor', 'rint', 'where', 'interp', 'loose', 'yielded', 'called',
 )
-"""What the compiled code can do, by numpy's names; of the last four, numbers stand in `more`."""
+"""What the compiled code can do, by numpy's names; of the last five, numbers stand in `more`."""
 CODES = {name: code for code, name in enumerate(OPERATIONS)}
-SEVERAL = {CODES[name] for name in ('where', 'interp', 'loose', 'yielded')}
+SEVERAL = {CODES[name] for name in ('where', 'interp', 'loose', 'yielded', 'called')}
 """Whose operands stand in `more`."""
 
 
@@ -45,6 +45,8 @@ class Listing:
         self.start: list[float] = []
         """Of every register: constants as they are, 0 where an input or a result goes."""
         self.tables: list[float] = []
+        self.calls: list[Call] = []
+        """The laws of the operation `called`, whose last operand is a place here."""
         self._known: dict[tuple[Any, ...], int] = {}
         self._constants: dict[float, int] = {}
         self._fixed: set[int] = set()
@@ -91,6 +93,25 @@ class Listing:
             self.results.append(results)
             self._known[key] = first
         return self._known[key]
+
+    def call(self, made: Made, given: Any, like: Sequence[FloatArray]) -> list[Traced]:
+        """The results, of the shapes of `like`, of a law that is called.
+
+        given: what it takes, a tree of tuples and mappings with Traced at its ends.
+        """
+        operands: list[int] = []
+        with_ends(given, lambda one: operands.extend(one.at.ravel().tolist()))
+        ends = np.cumsum([one.size for one in like])
+        first = self.note('called', operands, (len(self.calls),), int(ends[-1]))
+        places = np.split(np.arange(first, first + ends[-1]), ends[:-1])
+        self.calls.append(Call(made, given, places))
+        return [Traced(self, own.reshape(one.shape))
+                for own, one in zip(places, like, strict=True)]
+
+    def called(self, code: Indices) -> list[tuple[int, Call]]:
+        """Which of the operations (m, 4) are laws in Python."""
+        return [(k, self.calls[int(self.start[self.more[a + b - 1]])])
+                for k, (what, _, a, b) in enumerate(code) if what == CODES['called']]
 
     def table(self, numbers: tuple[float, ...]) -> int:
         """Where these numbers stand in `tables`."""
@@ -219,6 +240,50 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         if function not in FUNCTIONS:
             raise Untraceable(function.__name__)
         return FUNCTIONS[function](*arguments, **more)
+
+
+Made = Callable[[Any], Callable[[], Sequence[FloatArray]]]
+"""A law of what it takes: called again and again, it gives results of what stands there then."""
+
+
+class Call(NamedTuple):
+    """A law in Python among the operations."""
+
+    made: Made
+    given: Any
+    results: Sequence[Indices]
+    """The registers of each."""
+
+    def on(self, r: FloatArray) -> Callable[[], None]:
+        """The call on these registers, which the law sees as arrays that are not copied."""
+        gathered: list[tuple[FloatArray, Indices]] = []
+
+        def seen(one: Traced) -> FloatArray:
+            at = one.at.ravel()
+            if (np.diff(at) == 1).all():
+                return r[at[0] : at[-1] + 1].reshape(one.shape)
+            gathered.append((np.empty(at.size), at))
+            return gathered[-1][0].reshape(one.shape)
+
+        law = self.made(with_ends(self.given, seen))
+        places = [r[own[0] : own[-1] + 1] for own in self.results]
+
+        def call() -> None:
+            for values, at in gathered:
+                values[:] = r[at]
+            for place, result in zip(places, law(), strict=True):
+                place[:] = result.ravel()
+
+        return call
+
+
+def with_ends(tree: Any, by: Callable[[Traced], Any]) -> Any:
+    """A tree of tuples and mappings with something else where it ends in what is Traced."""
+    if isinstance(tree, Mapping):
+        return {name: with_ends(one, by) for name, one in tree.items()}
+    if isinstance(tree, tuple):
+        return tuple(with_ends(one, by) for one in tree)
+    return by(tree) if isinstance(tree, Traced) else tree
 
 
 def _listing(*values: Any) -> Listing:
