@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quad_sysid.axes import units_of
+from quad_sysid.errors import p_value
 from quad_sysid.model.identified import UNLISTED
 from quad_sysid.units import spoken
 
@@ -139,15 +140,12 @@ def yes(value: bool) -> str:
 
 def chance(p: float | None) -> str:
     """A p-value or probability without false precision."""
-    if p is None:
-        return '–'
-    return '< 0.0001' if p < 1e-4 else f'{p:.2g}'
+    return '–' if p is None else p_value(p).removeprefix('= ')
 
 
 def equals(p: float | None) -> str:
     """`= 0.03` or `< 0.0001`, to follow `p`."""
-    text = chance(p)
-    return text if text.startswith('<') else f'= {text}'
+    return '= –' if p is None else p_value(p)
 
 
 def lowered(percent: float) -> str:
