@@ -18,9 +18,15 @@ from quad_sysid.logview.spectrum import Frames, frames
 
 NOISE_HZ = 80.0
 """From here on what the gyro shows is called noise: no aircraft of this kind turns so fast."""
+LEAST_BAND = 1.2
+"""Factor by which a spectrum must reach beyond NOISE_HZ for an RMS above it."""
 AT_LIMIT = 1e-3
 """Distance from 0 or 1 within which a motor stands at its limit."""
-LONGEST_LATENCY_S = 0.3
+LONGEST_LATENCY_S, LONGEST_ANGLE_LATENCY_S = 0.3, 1.0
+DELAYS = 60
+"""Latencies that are tried up to the longest."""
+LEAST_TRACKED_S = 2.0
+"""Time with set-point and measurement from which tracking is stated."""
 SEEN = 0.5
 """Share of a signal's samples with which it counts as measured."""
 
@@ -61,9 +67,13 @@ class AxisLook:
     @property
     def noise_rms(self) -> float | None:
         """RMS of the filtered gyro above NOISE_HZ, rad/s; None for a log that is too slow."""
-        if self.gyro is None or self.gyro.frequency_hz[-1] < 1.2 * NOISE_HZ:
-            return None
-        return self.gyro.rms(NOISE_HZ)
+        return None if self.gyro is None else noise_rms(self.gyro)
+
+
+def noise_rms(signal: Frames) -> float | None:
+    """RMS above NOISE_HZ; None for a log that is too slow."""
+    fast = signal.frequency_hz[-1] >= LEAST_BAND * NOISE_HZ
+    return signal.rms(NOISE_HZ) if fast else None
 
 
 @dataclass(frozen=True)
@@ -250,12 +260,12 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
               good: npt.NDArray[np.bool_], dt: float) -> tuple[Tracking, ...]:
     """The error as it is, and beside the set-point delayed so that it is least."""
     known = good & np.isfinite(setpoint) & np.isfinite(measured)
-    if known.sum() < 2.0 / dt or not float(np.ptp(setpoint[known])) > 0.0:
+    if known.sum() < LEAST_TRACKED_S / dt or not float(np.ptp(setpoint[known])) > 0.0:
         return ()
     power = float(np.mean(setpoint[known] ** 2))
     error = float(np.sqrt(np.mean((setpoint - measured)[known] ** 2)))
     best, latency = error, 0.0
-    most = LONGEST_LATENCY_S if quantity == 'rate' else 1.0
+    most = LONGEST_LATENCY_S if quantity == 'rate' else LONGEST_ANGLE_LATENCY_S
     for k in _delays(round(most / dt)):
         both = known[k:] & known[:len(known) - k]
         left = float(np.sqrt(np.mean((setpoint[:len(setpoint) - k] - measured[k:])[both] ** 2)))
@@ -266,7 +276,7 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
 
 def _delays(most: int) -> list[int]:
     """Delays in samples: all small ones, then in steps of some per cent."""
-    return sorted({round(k) for k in np.geomspace(1, max(most, 2), 60)})
+    return sorted({round(k) for k in np.geomspace(1, max(most, 2), DELAYS)})
 
 
 def _motors(flown: Flown) -> tuple[MotorLook, ...]:

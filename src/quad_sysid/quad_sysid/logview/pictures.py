@@ -35,6 +35,8 @@ COLOURS = {'all': INK, 'small': SKY, 'medium': BLUE, 'large': ORANGE}
 STRETCHES = (BLUE, ORANGE, GREEN, PINK, SKY, MUTED)
 MOST_PIXELS = 300
 """Columns and rows of a map."""
+COLUMN_S = 0.25
+"""Shortest column of a spectrogram."""
 RANGE_DB = 50.0
 
 
@@ -166,7 +168,7 @@ def time_map(look: Measured) -> Picture | None:
     figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
     for one, (axis, frames) in zip(drawn, maps.items(), strict=True):
         edges = np.linspace(0.0, look.flown.length_s, min(
-            MOST_PIXELS, max(2, math.ceil(look.flown.length_s / 0.25))) + 1)
+            MOST_PIXELS, max(2, math.ceil(look.flown.length_s / COLUMN_S))) + 1)
         group = np.digitize(frames.time_s, edges) - 1
         values = np.full((len(edges) - 1, len(frames.frequency_hz)), np.nan)
         for c in np.unique(group[group < len(values)]):

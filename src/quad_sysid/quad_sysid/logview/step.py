@@ -32,6 +32,8 @@ DECAYS = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 """Time constants that are tried for the prior, as shares of the response."""
 SIZES = (0.01, 0.1, 1.0, 10.0, 100.0)
 """Sizes that are tried for the prior, in units of a response that ends at 1."""
+RIDGE = 1e-6
+"""Share of the mean power added where the noise is estimated without a prior."""
 COARSE = 50
 """Samples of the response with which the prior is sought, and the spread between windows."""
 FEWEST = 10
@@ -239,7 +241,7 @@ def _prior(gram: FloatArray, cross: FloatArray, power: float, rows: int,
            lags: int) -> tuple[float, float, float]:
     """Decay and size of the prior with the highest evidence, and the variance of the noise."""
     m = len(cross)
-    plain = np.linalg.solve(gram + 1e-6 * np.trace(gram) / m * np.eye(m), cross)
+    plain = np.linalg.solve(gram + RIDGE * np.trace(gram) / m * np.eye(m), cross)
     noise = max((power - float(plain @ cross)) / rows, 1e-9 * power / rows)
     best, chosen = np.inf, (DECAYS[0], 1.0)
     for share in DECAYS:

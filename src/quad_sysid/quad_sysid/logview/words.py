@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.logview.measure import NOISE_HZ, AxisLook, Measured, Part
+from quad_sysid.logview.measure import NOISE_HZ, AxisLook, Measured, Part, noise_rms
 from quad_sysid.logview.response import LoopResponse
 from quad_sysid.logview.spectrum import Frames, Peak
 from quad_sysid.logview.step import Response
@@ -21,6 +21,10 @@ UNEVEN_PCT = 5.0
 """A motor's command this far from the mean of all is said in words."""
 LIMITED_PCT = 0.5
 """Share of the time at a limit from which it is said."""
+MISSED_PCT = 5.0
+"""Distance of a step's end from the step from which it is said."""
+MOST_GAINS = 6
+"""Changed gains that a title names."""
 
 
 def lines(look: Measured) -> list[str]:
@@ -102,7 +106,7 @@ def _figures(step: Response) -> str:
     parts += [f'{f.overshoot_pct:.0f} % overshoot']
     parts += [f'settled after {_ms(f.settling_time_s)}' if np.isfinite(f.settling_time_s)
               else f'not settled within {step.time_s[-1]:.2g} s']
-    if abs(f.final_error_pct) >= 5.0:
+    if abs(f.final_error_pct) >= MISSED_PCT:
         parts.append(f'ending at {100.0 - f.final_error_pct:.0f} % of it')
     return ', '.join(parts)
 
@@ -136,7 +140,7 @@ def _title(part: Part) -> str:
     s = part.stretch
     if not s.changed:
         return '' if not s.start_s else f'{s.start_s:.1f} to {s.end_s:.1f} s: '
-    changed = ', '.join(f'{n} {s.gains[n]:.4g}' for n in s.changed[:6])
+    changed = ', '.join(f'{n} {s.gains[n]:.4g}' for n in s.changed[:MOST_GAINS])
     return f'{s.start_s:.1f} to {s.end_s:.1f} s, from here on {changed}: '
 
 
@@ -201,9 +205,9 @@ def noise(part: Part) -> Table:
                 ('gyro', one.gyro, DEG, 'deg/s'), ('D part', one.d_term, 100.0, '% command')):
             if frames is None:
                 continue
+            high = noise_rms(frames)
             rows.append([axis, name, f'{scale * frames.rms(1.0):.3g}',
-                         f'{scale * frames.rms(NOISE_HZ):.3g}'
-                         if frames.frequency_hz[-1] > 1.2 * NOISE_HZ else '–', unit,
+                         '–' if high is None else f'{scale * high:.3g}', unit,
                          _peaks(frames.peaks(), scale)])
     return Table(['axis', 'signal', 'RMS', f'above {NOISE_HZ:g} Hz', 'unit', 'peaks'], rows,
                  (2, 3))

@@ -37,6 +37,10 @@ RESTING = 0.05
 """rad/s. Equal largest values below this are the resolution of a gyro at rest, not its limit."""
 LEAST_SHARE = 0.05
 """Least size of another axis' command, relative to this axis'."""
+LARGE_PCT = 97.0
+"""Percentile of a magnitude that counts as large: a few spikes do not."""
+LEAST_SPAN = 1e-6
+"""Range of a motor's command below which it does not move."""
 MEASURED = 0.95
 """Least share of the training in which another axis' rate is known."""
 LEAST_RATE = 0.05
@@ -182,7 +186,8 @@ class AxisData:
 
     def lacking_motors(self, *, single: bool = False) -> str:
         """Why an effect of the motors, or of a single one, does not show; empty where it may."""
-        if not self.motors.shape[1] or np.ptp(self.training(self.motors), axis=0).max() < 1e-6:
+        motors = self.training(self.motors)
+        if not motors.shape[1] or np.ptp(motors, axis=0).max() < LEAST_SPAN:
             return 'the bag holds no motor commands'
         if single and all(isinstance(self.signal(f'other command {i}'), str) for i in (1, 2)):
             return 'the other axes hardly move, so no single motor can be told apart'
@@ -394,7 +399,7 @@ def filled(values: FloatArray) -> FloatArray:
 
 def high(x: FloatArray) -> float:
     """97th percentile of |x|, at least 1e-9."""
-    return max(float(np.nanpercentile(np.abs(x), 97.0)), 1e-9)
+    return max(float(np.nanpercentile(np.abs(x), LARGE_PCT)), 1e-9)
 
 
 def typical_acceleration(data: AxisData, spans: Sequence[Span]) -> float:

@@ -32,6 +32,8 @@ def required(value: Present | None) -> Present:
     return value
 
 
+LEAST_TRANSITION = 1e-4
+"""Rate, rad/s, over which dry friction changes its sign at least."""
 SMALL = 1e-4
 """Step of a parameter for numerical derivatives."""
 
@@ -148,7 +150,7 @@ def per_unit(term: str, s: Signals, transition: float = math.exp(TRANSITION.cent
     if term == 'lag':  # of a change that is slow beside the lag itself
         return s.drive - s.command
     if term == 'friction':
-        return -np.tanh(s.rate / max(transition, 1e-4))
+        return -np.tanh(s.rate / max(transition, LEAST_TRANSITION))
     return np.ones_like(s.rate)
 
 

@@ -25,6 +25,7 @@ from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
 from quad_sysid.model.effect import Part, Signals, required
 from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
 from quad_sysid.model.plant import (
+    LEAST_LAG,
     Acting,
     Plant,
     Turning,
@@ -41,6 +42,12 @@ SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
 FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
+SMOOTHED = 5
+"""Cycles over which the gyro is averaged for the first trajectory."""
+MOST_DRIVES = 40
+"""Drives that are kept: the steps of all derivatives, not those of a whole search."""
+NORMAL_MEDIAN = 0.6745
+"""Median magnitude of a normal variable, in standard deviations."""
 FINER = 0.1
 """Share of a step by which a torque's parameter is moved, so that its curvature does not enter: an
 event's edge, a frequency over a long flight."""
@@ -141,8 +148,9 @@ class Flight:
         self.disturbances, self.variance = np.zeros((data.rate.size, 2)), 0.0
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
         self._windows: tuple[Windows | None, list[Signals]] = (None, [])
-        # smoothed over five cycles and advanced by the filter's delay
-        self.rate = self._ahead(np.convolve(self.gyro, np.full(5, 0.2), mode='same'))
+        # smoothed, and advanced by the filter's delay
+        smooth = np.full(SMOOTHED, 1.0 / SMOOTHED)
+        self.rate = self._ahead(np.convolve(self.gyro, smooth, mode='same'))
 
     def seen_through(self, *, stepped: bool = False) -> tuple[Sensor, ...]:
         """The sensor of each pass, as its flight was flown."""
@@ -194,7 +202,7 @@ class Flight:
         when = [np.ascontiguousarray(required(x)) for x in (drive.ages, drive.fraction)]
         for start, stop in data.stretches if remembered else self.passes:
             recursion.motors(*channels, drive.factors, *when, data.dt, start, stop, halves, states)
-        if len(self._drives) > 40:
+        if len(self._drives) > MOST_DRIVES:
             self._drives.clear()
         self._drives[key] = halves, states
         return halves, states
@@ -218,7 +226,7 @@ class Flight:
         return replace(
             self.commanded(p), rate=rate, drive=gain * lagged, command=command, lagged=lagged,
             angle=None if self.angle is None else self.angle + (0.5 * data.dt + self.late) * rate,
-            change=(command - gain * states[0]) / max(float(p[1]), 0.25 * data.dt),
+            change=(command - gain * states[0]) / max(float(p[1]), LEAST_LAG * data.dt),
         )
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
@@ -364,7 +372,7 @@ class Flight:
                 filters = self._by_filter(structure, theta, damping, steady)
             ran = self._run(push, steady, by, filters)
             if not self.variance:
-                self.variance = float(np.nanmedian(np.abs(ran.innovation)) / 0.6745) ** 2
+                self.variance = float(np.nanmedian(np.abs(ran.innovation)) / NORMAL_MEDIAN) ** 2
             if not np.isfinite(ran.rate).all() or np.abs(ran.rate).max() > 1e6:
                 return Prediction(np.full(n, np.inf), None, ran.states, steady, rate)
             rate = ran.rate

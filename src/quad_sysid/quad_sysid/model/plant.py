@@ -23,6 +23,8 @@ from quad_sysid.model.effect import Drive, Part, Signals, required
 from quad_sysid.model.noise import Sensor
 from quad_sysid.model.structure import Structure
 
+LEAST_LAG = 0.25
+"""Cycles: a shorter lag counts as so long where the drive's slope is needed."""
 SLOPE_STEP = 1e-4
 """Step of the rate for the slope of a torque, rad/s."""
 SHORTEST_S = 1e-5
@@ -221,7 +223,8 @@ class Plant:
         drive, command = self.p[0] * halves, self.p[0] * states[1]
         return s.but(drive=0.5 * (drive[0] + drive[1]), command=command,
                      lagged=0.5 * (halves[0] + halves[1]),
-                     change=(command - self.p[0] * states[0]) / max(self.p[1], 0.25 * self.dt))
+                     change=(command - self.p[0] * states[0])
+                     / max(self.p[1], LEAST_LAG * self.dt))
 
     def turn(
         self, x: Turning, s: Signals, halves: FloatArray, states: FloatArray,
