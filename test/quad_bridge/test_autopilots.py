@@ -29,7 +29,7 @@ from quad_bridge.autopilots.check import lines, report
 from quad_bridge.autopilots.check import main as check
 from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.autopilots.guard import Guard
-from quad_bridge.autopilots.system_id import wanted
+from quad_bridge.autopilots.system_id import sid_parameters
 from quad_bridge.autopilots.table import ARDUPILOT, PX4, UnfitError
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
@@ -425,8 +425,8 @@ def test_a_wrong_chirp_is_refused_in_one_line():
         ({'f0_hz': math.nan}, 'needs f0_hz'),
     ):
         with pytest.raises(ValueError, match=words):
-            wanted(0, f.Injection.CONTROL, {**CHIRP, **given})
-    given = wanted(2, f.Injection.ATTITUDE, CHIRP)
+            sid_parameters(0, f.Injection.CONTROL, {**CHIRP, **given})
+    given = sid_parameters(2, f.Injection.ATTITUDE, CHIRP)
     assert (given['SID_AXIS'], given['SID_MAGNITUDE']) == (3, math.degrees(0.05))
 
 

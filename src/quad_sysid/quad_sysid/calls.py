@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from quad_sysid.blackbox import FrequencyResponse, Model
     from quad_sysid.contract import FloatArray
-    from quad_sysid.fleets.summary import Fleet
+    from quad_sysid.fleets.page import Fleet
     from quad_sysid.inspection.content import Content
     from quad_sysid.model import GainProposal
 
@@ -132,7 +132,7 @@ def fleet(flights: str | Path | Sequence[Record], out: str | Path = '',
     day, such as 2026-05-31 or 90d. Raises BadInputError where there is no bag.
     """
     from quad_sysid.fleets import bag, engine
-    from quad_sysid.fleets.summary import Fleet
+    from quad_sysid.fleets.page import Fleet
 
     options: dict[str, Any] = {'axes': tuple(axes), 'search_effects': search_effects,
                                'limit_s': limit_s}

@@ -80,7 +80,7 @@ class Identified(AxisModel):
         """
         from quad_sysid.model.data import SETTLE_S, Windows
 
-        unseen, fitted, spans = self._along(flight)
+        unseen, fitted, spans = self._filtered(flight)
         data = unseen.problem.data
         rate = np.full(data.rate.size, np.nan)
         if horizon == 1:
@@ -105,7 +105,7 @@ class Identified(AxisModel):
         """Fit on a flight in per cent, 100 (1 - ||y - ŷ|| / ||y - mean y||); see `predict`."""
         from quad_sysid.blackbox import fit_percent
 
-        unseen, _, _ = self._along(flight)
+        unseen, _, _ = self._filtered(flight)
         predicted = self.predict(flight, horizon)
         rate = unseen.problem.data.rate
         return fit_percent(rate if self.units is None else self.units.rate_in(rate), predicted)
@@ -114,7 +114,7 @@ class Identified(AxisModel):
         """Tests of the one-step errors on a flight: whiteness, and independence of the input."""
         from quad_sysid.blackbox import innovation_test
 
-        unseen, fitted, spans = self._along(flight)
+        unseen, fitted, spans = self._filtered(flight)
         data = unseen.problem.data
         z = IOData(np.nan_to_num(data.command), np.nan_to_num(data.rate), data.dt, segments=spans)
         return innovation_test(unseen.predict(fitted).innovation, z)
@@ -217,7 +217,7 @@ class Identified(AxisModel):
 
         return model_excerpt(self, self.parameters)
 
-    def _along(self, flight: Record | IOData | str | Path,
+    def _filtered(self, flight: Record | IOData | str | Path,
                ) -> tuple[Unseen, Stored, tuple[tuple[int, int], ...]]:
         """The flight behind the model's filter, the model, and the spans that count."""
         from quad_sysid.discover.accept import Unseen

@@ -115,9 +115,9 @@ class Base:
         """Raise BadInputError where the law gives no derivative of each state that needs one."""
         zeros = dict.fromkeys((*self.states, *self.inputs), np.zeros(2))
         try:
-            found = self.moved(zeros, zeros, {p.name: p.start for p in self.parameters}, 0.01)
+            slopes = self.moved(zeros, zeros, {p.name: p.start for p in self.parameters}, 0.01)
             for name in (self.output, *self.hidden):
-                np.broadcast_to(np.asarray(found[name], dtype=float), 2)
+                np.broadcast_to(np.asarray(slopes[name], dtype=float), 2)
         except Exception as error:
             raise BadInputError(where, 'its law cannot be evaluated',
                                 f'{type(error).__name__}: {error}',
@@ -194,8 +194,8 @@ class _Law(Effect):
         """Acceleration, rad/s²; silent: without a command."""
         x, u = self._seen(s, settings)
         x |= {name: required(s.hidden)[i] for i, name in enumerate(self.base.hidden)}
-        found = self.base.moved(x, u, self._named(p), s.dt or 1e-3)[self.base.output]
-        return np.array(np.broadcast_to(self.units.per_rate * np.asarray(found), s.rate.shape),
+        slope = self.base.moved(x, u, self._named(p), s.dt or 1e-3)[self.base.output]
+        return np.array(np.broadcast_to(self.units.per_rate * np.asarray(slope), s.rate.shape),
                         dtype=np.float64)
 
     def _ahead(self, hidden: Any, x: Values, u: Values, p: Values, dt: float) -> list[Any]:
@@ -222,11 +222,11 @@ class _Law(Effect):
         named, out = self._named(p), np.zeros((self.states, s.time.size))
         x, u = self._seen(s, settings)
         listing = Listing()
-        given = {name: listing.given() for name in (*x, *u)}
-        hidden = listing.given(self.states)
+        noted = {name: listing.inputs() for name in (*x, *u)}
+        hidden = listing.inputs(self.states)
         try:
-            ahead = self._ahead(hidden, {name: given[name] for name in x},
-                                {name: given[name] for name in u}, named, s.dt)
+            ahead = self._ahead(hidden, {name: noted[name] for name in x},
+                                {name: noted[name] for name in u}, named, s.dt)
             following = np.array([int(listing.places(one)) for one in ahead])
         except (Untraceable, TypeError, ValueError):
             return self._numbers(x, u, named, s.dt, stretches, out)
@@ -272,14 +272,14 @@ def lacking(base: Base, problem: Problem, fitted: Fit | None = None) -> tuple[st
     structure, theta = (problem.plain, start_of(problem)) if fitted is None else (
         fitted.structure, fitted.theta)
     sizes, own = problem.sizes(structure), structure.placed()[0][1]
-    found = problem.flight.predict(structure, theta, sweeps=3, steps=derivative_steps(sizes))
-    if found.jacobian is None:
+    prediction = problem.flight.predict(structure, theta, sweeps=3, steps=derivative_steps(sizes))
+    if prediction.jacobian is None:
         raise NotInformativeError(f'base {base.name}: it runs away at the start values; start '
                                   'nearer, or simulate it first')
     names = [one.name for one in base.parameters]
-    columns = found.jacobian[problem.rows][:, own] * sizes[own]
+    columns = prediction.jacobian[problem.rows][:, own] * sizes[own]
     length = np.linalg.norm(columns, axis=0)
-    noise = float(np.nanstd(found.innovation[problem.rows]))
+    noise = float(np.nanstd(prediction.innovation[problem.rows]))
     lines = [f'{name}: the data do not depend on it' for name, size in zip(
         names, length, strict=True) if size < noise]
     moving = [i for i, size in enumerate(length) if size >= noise]

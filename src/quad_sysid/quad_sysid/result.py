@@ -465,20 +465,20 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
     return Identified(**vars(models[axis]))
 
 
-def model_of(given: object) -> Identified | Model:
+def model_of(model: object) -> Identified | Model:
     """The model of what a function of the public API takes for one: a result, a file, a model."""
     from quad_sysid.blackbox import Model
 
-    if isinstance(given, Result):
-        return given.model
-    if isinstance(given, str | Path):
-        return read_model(given)
-    if isinstance(given, Identified | Model):
-        return given
-    if isinstance(given, AxisModel):
-        return Identified(**vars(given))
+    if isinstance(model, Result):
+        return model.model
+    if isinstance(model, str | Path):
+        return read_model(model)
+    if isinstance(model, Identified | Model):
+        return model
+    if isinstance(model, AxisModel):
+        return Identified(**vars(model))
     raise BadInputError('model', 'must be a model, a result or the path of a model.json',
-                        type(given).__name__)
+                        type(model).__name__)
 
 
 def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float = 60.0, *,

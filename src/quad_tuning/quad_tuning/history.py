@@ -263,10 +263,10 @@ def read_design(path: Path) -> tuple[dict[str, float], dict[str, str]]:
     gains = read_gains(path, bounded=False)
     sent = {name.partition('.')[0] for name in gains}
     figures = {axis: {name: finite(value, f'{path}: axes.{axis}.figures.{name}')
-                      for name, value in said.items()}
+                      for name, value in figures_of.items()}
                for axis, one in read_axes(path).items() if axis in sent
-               for said in [one.get('figures', one.get('gain_figures'))]
-               if isinstance(said, Mapping)}
+               for figures_of in [one.get('figures', one.get('gain_figures'))]
+               if isinstance(figures_of, Mapping)}
     return gains, sent_with(figures)
 
 

@@ -74,7 +74,7 @@ class Takeover:
         self._ask_back = False  # whether the mode from before is to be asked for, once
         self._axis = 0
         self._wanted, self._wanted_s = 0.0, -math.inf
-        self._since_s = self._sent_s = self._asked_s = -math.inf
+        self._since_s = self._sent_s = self._requested_s = -math.inf
         self._sent: deque[tuple[float, Vector3, Vector3]] = deque(maxlen=64)
         """When, the set-point in the unit of the injection, and its part without excitation."""
 
@@ -132,17 +132,18 @@ class Takeover:
                                       and self._flight.mode == self._start.mode)
             self._go(Phase.LEAVING if entered and not left else Phase.IDLE, now_s)
 
-    def target(self, told: f.AttitudeTarget) -> None:
+    def target(self, reported: f.AttitudeTarget) -> None:
         """Take what the autopilot follows: what it is beyond our own reference was added."""
         self.applied = ZERO
         if self.phase is not Phase.FLYING or not self._sent:
             return
         rate = self.injection is Injection.RATE  # beside rates, attitude and time are stale
-        found = told.rates if rate else angles_of(told.q)
+        followed = reported.rates if rate else angles_of(reported.q)
         _, _, reference = min(
-            self._sent, key=lambda one: sum(abs(d) for d in self._differ(found, one[1], rate=rate))
+            self._sent,
+            key=lambda one: sum(abs(d) for d in self._differ(followed, one[1], rate=rate))
         )
-        added = self._differ(found, reference, rate=rate)
+        added = self._differ(followed, reference, rate=rate)
         self.applied = tuple(added[i] if i == self._axis else 0.0 for i in range(3))  # type: ignore[assignment]
 
     def poll(self, now_s: float) -> list[f.Frame]:
@@ -176,8 +177,8 @@ class Takeover:
                 self._go(Phase.FLYING, now_s)
             elif since_s > ENTER_S:
                 self.end(f'{self._means.name} was not entered in {ENTER_S:g} s', now_s, abort=True)
-            elif now_s - self._asked_s > AGAIN_S:
-                self._asked_s = now_s
+            elif now_s - self._requested_s > AGAIN_S:
+                self._requested_s = now_s
                 out.append(self._means.set_mode(self._means.mode))
 
     def _leave(self, start: Guard, now_s: float, out: list[f.Frame]) -> None:
@@ -189,8 +190,8 @@ class Takeover:
             self._go(Phase.IDLE, now_s)
         elif waited_s > LEAVE_S and now_s - self._flight.beat_s > LEAVE_S:
             self._go(Phase.IDLE, now_s)  # nobody hears: the autopilot's own loss of OFFBOARD acts
-        elif (ours or self._ask_back) and now_s - self._asked_s > AGAIN_S:
-            self._asked_s, self._ask_back = now_s, False
+        elif (ours or self._ask_back) and now_s - self._requested_s > AGAIN_S:
+            self._requested_s, self._ask_back = now_s, False
             out.append(self._means.set_mode(start.mode))
 
     def _abort_fault(self, start: Guard, now_s: float) -> str:
@@ -256,6 +257,6 @@ class Takeover:
 
     def _go(self, phase: Phase, now_s: float) -> None:
         self.phase, self._since_s = phase, now_s
-        self._asked_s = -math.inf
+        self._requested_s = -math.inf
         if phase is Phase.IDLE:
             self.applied, self._start = ZERO, None

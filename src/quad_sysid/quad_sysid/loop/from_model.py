@@ -181,12 +181,12 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
         if 0.0 < one.effect.repeats_hz(one.p) < SLOW_HZ
     )
     parts = tuple(one.part for one in flying)
-    found = plant_like(
+    plant = plant_like(
         model.axis, np.concatenate([p, *(one.p for one in flying)]), model.dt,
         model.gyro_filter_hz, structure=Structure(parts, law=law),
         craft=model.craft, at=(at['throttle'], at['battery']),
     )
-    return found if EVERY[model.axis].turns else _about_trim(found)
+    return plant if EVERY[model.axis].turns else _about_trim(plant)
 
 
 def _about_trim(flying: Flying) -> Flying:

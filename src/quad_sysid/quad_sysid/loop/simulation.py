@@ -25,7 +25,7 @@ from quad_sysid.model.effect import Drive, Effect, Signals, required
 from quad_sysid.model.plant import Plant, State, Turning
 from quad_sysid.model.traced import Call, Listing, Untraceable, with_ends
 
-GIVEN = ('throttle', 'battery_v', 'time', 'other_rates', 'other_commands', 'other_angles')
+OUTSIDE = ('throttle', 'battery_v', 'time', 'other_rates', 'other_commands', 'other_angles')
 """Fields of Signals that are known of a cycle whatever the loop does."""
 
 
@@ -75,12 +75,12 @@ class _Noted:
         own = getattr(self.effect, name)
         return partial(self._noted, own) if name in LAWS else own
 
-    def _noted(self, law: Callable[..., Any], *given: Any) -> Any:
+    def _noted(self, law: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            return law(*given)
+            return law(*arguments)
         except (Untraceable, TypeError, IndexError, ValueError):
             pass
-        *first, s, p, settings = given
+        *first, s, p, settings = arguments
         tree = {'s': vars(s), 'first': tuple(
             vars(one) if isinstance(one, Drive) else one for one in first)}
 
@@ -118,14 +118,14 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program:
     noted = replace(plant, structure=replace(plant.structure, parts=tuple(
         replace(part, effect=_Noted(part.effect, listing)) for part in plant.structure.parts)))
     fields = {
-        name: None if not there else (listing.given(1), listing.given(1))
-        if name.startswith('other') else listing.given(1)
-        for name, there in zip(GIVEN, known, strict=True)
+        name: None if not there else (listing.inputs(1), listing.inputs(1))
+        if name.startswith('other') else listing.inputs(1)
+        for name, there in zip(OUTSIDE, known, strict=True)
     }
-    sent, push, motors = listing.given(1), listing.given(1), listing.given(4, 1)
+    sent, push, motors = listing.inputs(1), listing.inputs(1), listing.inputs(4, 1)
     first = len(listing.start)
     turning, hidden = (_inputs(listing, x) for x in (rest.turning, rest.hidden))
-    s = plant.told(replace(given, **fields, sent=sent))  # type: ignore[arg-type]
+    s = plant.with_own(replace(given, **fields, sent=sent))  # type: ignore[arg-type]
     s = plant.with_motors(s)
     drive, after = noted.send(hidden, s)
     split = len(listing.code)
@@ -157,7 +157,7 @@ def _inputs(listing: Listing, x: Any) -> Any:
         return None
     if isinstance(x, tuple):
         return tuple(_inputs(listing, one) for one in x)
-    return listing.given(*x.shape)
+    return listing.inputs(*x.shape)
 
 
 def _places(listing: Listing, x: Any) -> npt.NDArray[np.int64]:
@@ -180,7 +180,7 @@ class Running:
     def __init__(self, made: Program, flying: Flying, x: State) -> None:
         plant = flying.plant
         self.made, self.dt, self._newest = made, plant.dt, 0
-        self.known = [getattr(flying.around, name) for name in GIVEN]
+        self.known = [getattr(flying.around, name) for name in OUTSIDE]
         self.registers = made.start.copy()
         numbers = _numbers((*x.turning, *x.hidden))
         at = made.places
@@ -224,7 +224,7 @@ class Running:
 
 def running(flying: Flying, rate: float = 0.0, angle: float = 0.0) -> Running:
     """The plant from a rate and an angle on, rad/s and rad, motors at rest."""
-    known = tuple(getattr(flying.around, name) is not None for name in GIVEN)
+    known = tuple(getattr(flying.around, name) is not None for name in OUTSIDE)
     out = Running(program(flying.plant, known), flying, flying.begin(rate, angle))
     given = out.rows(flying.around.time.size)[0]
     out.registers[: given.size] = given

@@ -65,7 +65,7 @@ class Listing:
             self._fixed.add(self._constants[value])
         return self._constants[value]
 
-    def given(self, *shape: int) -> Traced:
+    def inputs(self, *shape: int) -> Traced:
         """Registers that are filled before a run."""
         places = [self.place() for _ in range(int(np.prod(shape)))]
         return Traced(self, np.array(places, dtype=np.int64).reshape(shape))
@@ -75,20 +75,20 @@ class Listing:
         """The register of the first result of an operation, which is noted once."""
         if name not in CODES:
             raise Untraceable(name)
-        given = (*operands, *(self.constant(x) for x in numbers))
-        if results == 1 and self._fixed.issuperset(given) and hasattr(np, name) \
+        places = (*operands, *(self.constant(x) for x in numbers))
+        if results == 1 and self._fixed.issuperset(places) and hasattr(np, name) \
                 and name not in ('interp', 'where'):
-            return self.constant(float(getattr(np, name)(*(self.start[i] for i in given))))
-        key = (name, *given)
+            return self.constant(float(getattr(np, name)(*(self.start[i] for i in places))))
+        key = (name, *places)
         if key not in self._known:
             first = self.place()
             for _ in range(results - 1):
                 self.place()
             if CODES[name] in SEVERAL:
-                a, b = len(self.more), len(given)
-                self.more.extend(given)
+                a, b = len(self.more), len(places)
+                self.more.extend(places)
             else:
-                a, b = (*given, 0)[:2]
+                a, b = (*places, 0)[:2]
             self.code.append((CODES[name], first, a, b))
             self.results.append(results)
             self._known[key] = first
@@ -122,13 +122,13 @@ class Listing:
 
     def needed(self, results: Sequence[int], split: int) -> tuple[NDArray[np.int64], int]:
         """The operations (m, 4) that these results need, and how many are of the first `split`."""
-        wanted, kept = set(results), []
+        registers, kept = set(results), []
         for i in reversed(range(len(self.code))):
             code, first, a, b = self.code[i]
-            if not wanted.isdisjoint(range(first, first + self.results[i])):
+            if not registers.isdisjoint(range(first, first + self.results[i])):
                 kept.append(i)
                 several = code in SEVERAL
-                wanted.update(self.more[a : a + b] if several else (a, b))
+                registers.update(self.more[a : a + b] if several else (a, b))
         rows = [self.code[i] for i in reversed(kept)]
         return (np.array(rows, dtype=np.int64).reshape(-1, 4),
                 sum(i < split for i in kept))
@@ -234,12 +234,12 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
             return self.listing.each('multiply', inputs[0], inputs[0])
         return self.listing.each(ufunc.__name__, *inputs)
 
-    def __array_function__(self, function: Callable[..., Any], _: Any, given: tuple[Any, ...],
+    def __array_function__(self, function: Callable[..., Any], _: Any, arguments: tuple[Any, ...],
                            more: dict[str, Any]) -> Any:
         """The same for functions that are no ufuncs."""
         if function not in FUNCTIONS:
             raise Untraceable(function.__name__)
-        return FUNCTIONS[function](*given, **more)
+        return FUNCTIONS[function](*arguments, **more)
 
 
 Made = Callable[[Any], Callable[[], Sequence[FloatArray]]]
@@ -300,8 +300,8 @@ def _joined(join: Callable[..., Any]) -> Callable[..., Traced]:
 
 def _moved(function: Callable[..., Any]) -> Callable[..., Traced]:
     """A function that only moves elements."""
-    def moved(x: Traced, *given: Any, **more: Any) -> Traced:
-        return Traced(x.listing, np.array(function(x.at, *given, **more)))
+    def moved(x: Traced, *arguments: Any, **more: Any) -> Traced:
+        return Traced(x.listing, np.array(function(x.at, *arguments, **more)))
 
     return moved
 

@@ -19,7 +19,7 @@ from quad_sysid.discover.accept import judge
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
 from quad_sysid.discover.search import Found, extended, scored, search, settled
 from quad_sysid.effects import EFFECTS
-from quad_sysid.errors import NotInformativeError, QuadSysidError
+from quad_sysid.errors import NotInformativeError, QuadSysidError, p_value
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.explain import explain
 from quad_sysid.foresight import drawn_hz
@@ -218,7 +218,7 @@ def _reason(told: Findings, not_searched: str) -> str:
         names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
         reason = (
             f'with {names} the model predicts the held-out segments better than the base alone '
-            f'(by chance alone: p {_below(max(claim.p_value for claim in verdict.claims))})'
+            f'(by chance alone: p {p_value(max(claim.p_value for claim in verdict.claims))})'
         ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
     elif not_searched:
         reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')
@@ -247,10 +247,6 @@ def _reason(told: Findings, not_searched: str) -> str:
             'the sign of the gyro before anything else'
         )
     return reason
-
-
-def _below(p: float) -> str:
-    return '< 0.0001' if p < 1e-4 else f'= {p:.2g}'
 
 
 def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray | None:
