@@ -43,7 +43,7 @@ def test_a_good_update_is_written_whole_watched_and_confirmed(bench, tmp_path):
     made.fly_until('confirmed')
     assert made.now_s - begin == pytest.approx(10.0, abs=0.3)
     found, active, confirmed = history(tmp_path)
-    assert (found['reason'], found['gains'][ANGLE]) == ('read from the STM32', 3.0)
+    assert (found['reason'], found['gains'][ANGLE]) == ('read from the aircraft', 3.0)
     assert (active['source'], active['model'], active['gains'][ANGLE]) == (
         'designer', 'model.json', 5.0,
     )  # fmt: skip
