@@ -251,7 +251,7 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     line.excite(3.0, 0.1)
     assert line.controller.mode == OFFBOARD
     line.controller.craft.machine.state[VELOCITY : VELOCITY + 2] = 1.2, -0.8  # a gust
-    line.excite(6.0, 0.1)
+    line.excite(7.0, 0.1)
     assert line.controller.mode == OFFBOARD
     assert max(abs(line.controller.craft.machine.state[POSITION : POSITION + 2])) < 1.0
     applied = [c.excitation for c in line.cycles[-500:]]
