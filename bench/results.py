@@ -102,6 +102,23 @@ def twice(rows: Sequence[Row]) -> str:
     ])
 
 
+def demo(rows: Sequence[Row]) -> str:
+    """The demo's first flight, other noise each time (demo.py)."""
+    cause = 'coulomb_friction'
+    sizes = [size for r in rows for size in r['torque']]
+    return table(['', 'flights'], [
+        [f'`{cause}` on the first rung', share([r['first_rung'][:1] == [cause] for r in rows])],
+        [f'`{cause}` is claimed', share([cause in [c[0] for c in r['claims']] for r in rows])],
+        ['anything else is claimed', share([any(c[0] != cause for c in r['claims'])
+                                            for r in rows])],
+        ['its size, rad/s²', f'{min(sizes):.3f} to {max(sizes):.3f}' if sizes else '–'],
+        ['held-out error without it, with it, of the reference, mean, rad/s',
+         ', '.join(f'{np.mean([r[key] for r in rows]):.4f}'
+                   for key in ('before', 'after', 'reference'))],
+        ['CPU time, median', f'{np.median([r["seconds"] for r in rows]):.0f} s'],
+    ])
+
+
 def intervals(rows: Sequence[Row]) -> str:
     """Gain, lag and damping within their 95 % intervals (intervals.py)."""
     out = []
@@ -182,7 +199,7 @@ TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
     'named': ('rows*.jsonl', named), 'disturbances': ('hard_*.jsonl', disturbances),
     'outside': ('outside_*.jsonl', outside), 'twice': ('twice.jsonl', twice),
     'calibration': ('twice.jsonl', calibration), 'ablation': ('ablation.jsonl', ablation),
-    'intervals': ('intervals.jsonl', intervals),
+    'intervals': ('intervals.jsonl', intervals), 'demo': ('demo.jsonl', demo),
 }
 """Name in the page → files of its rows, and how it is made."""
 

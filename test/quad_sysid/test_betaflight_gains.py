@@ -48,7 +48,6 @@ def test_inavs_numbers_are_a_part_of_the_motors_range():
 
 def test_unknown_firmwares_have_no_gains():
     assert tuning({**BETAFLIGHT, 'Firmware revision': 'Rotorflight 4.3.0'}, 0.5).gains == {}
-    assert tuning({'Firmware revision': 'Betaflight 4.5.1'}, 0.5).gains == {}
 
 
 def test_a_gain_changed_in_flight_is_a_set_from_there_on():

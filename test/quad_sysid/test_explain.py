@@ -14,6 +14,7 @@ from quad_sysid.discover.search import Found, Scored
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import derivative_steps, fit
 from quad_sysid.explain.ladder import Rung, explain, resampled
+from quad_sysid.explain.models import Models
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
 
@@ -65,6 +66,30 @@ def test_a_reference_that_no_smaller_model_explains_comes_again_as_a_whole(rubbe
     assert blocks > 1
     assert again.keys() == {'coulomb_friction', 'quadratic_drag'}
     assert again['coulomb_friction'] == again['quadratic_drag'] > 0.1
+
+
+def test_a_rung_that_runs_away_leaves_the_others_and_the_axis(rubbed_answer, monkeypatch):
+    """What follows no flight beside the base falls out; the ladder goes on with what does."""
+    told = rubbed_answer.findings
+    parts, _ = candidates(told.problem, EFFECTS)
+
+    def follows(_self, model):
+        return model.structure.labels[-1:] != ('coulomb_friction',)
+
+    monkeypatch.setattr(Models, 'follows', follows)
+    ladder = explain(told.problem, told.found, parts)
+    assert len(ladder.rungs) > 1
+    assert not any(rung.labels == ('coulomb_friction',) for rung in ladder.rungs[:-1])
+
+
+def test_what_is_missed_of_a_hundredth_of_the_motion_is_no_cause(rubbed_answer, monkeypatch):
+    """However small the noise: the base is the answer then."""
+    told = rubbed_answer.findings
+    assert not told.ladder.negligible
+    monkeypatch.setattr(told.ladder.projection, 'motion',
+                        1.01e4 * told.ladder.rungs[0].model.total)
+    assert told.ladder.negligible
+    assert told.ladder.answer == 0
 
 
 def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):

@@ -20,8 +20,10 @@ import pytest
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.foresight import drawn_hz
+from quad_sysid.imports.table import open_table
 
 LOGS = Path(__file__).resolve().parents[2] / '../shared/data/logs'
+BESIDE = pytest.mark.skipif(not LOGS.is_dir(), reason='no shared/data/logs beside the checkout')
 DT, N = 0.004, 3000
 MIX = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, -1, -1, 1], [1, 1, -1, -1]], dtype=float)
 """Motors rear left, rear right, front right, front left from U1..U4."""
@@ -127,6 +129,12 @@ class Made:
 MADE = {
     'a row of units': Made(with_units_row, ('holds units', '1 lines before the header')),
     'header in a comment': Made(commented_header),
+    'degrees, milliseconds, pulses': Made(lambda: text_of({
+        'timestamp': 5e4 + 1e3 * FLOWN['t'],
+        **{f'gyro.{a}': np.degrees(FLOWN[f'g{a}']) for a in 'xyz'},
+        **{a: np.degrees(FLOWN[a]) for a in ANGLES}, 'altitude': 0.1 * FLOWN['t'],
+        **{f'motor[{i}]': 1000.0 + 1000.0 * FLOWN[m] for i, m in enumerate(MOTORS)}}),
+        angles=True),
     'dates': Made(lambda: text_of({'Date and time': DATES, **some(*PLAIN[1:])})),
     'a slow clock': Made(lambda: text_of({'gps_time': SLOW_CLOCK, **some(*PLAIN)}),
                          ('--time t ',)),
@@ -211,12 +219,7 @@ def test_a_mat_file_comes_back_as_flown(tmp_path, monkeypatch, capsys):
 def test_what_is_no_table_is_called_by_its_name(tmp_path, refusal, first, words):
     file = tmp_path / 'log.csv'
     file.write_bytes(first + b'\n1,2,3\n' * 50)
-    assert words in refusal(main_or_raise, ['import', str(file)])
-
-
-def main_or_raise(words: list[str]) -> None:
-    from quad_sysid.imports.table import open_table
-    open_table(Path(words[1]))
+    assert words in refusal(open_table, file)
 
 
 @dataclass(frozen=True)
@@ -248,9 +251,8 @@ FOUND = {
 
 
 @pytest.mark.parametrize('name', FOUND)
+@BESIDE
 def test_a_log_that_was_found_comes_back_as_flown(name, tmp_path, monkeypatch, capsys):
-    if not LOGS.is_dir():
-        pytest.skip('shared/data/logs is not beside the checkout')
     case = FOUND[name]
     monkeypatch.chdir(tmp_path)
     _, words = listed(LOGS / name, capsys)
@@ -282,9 +284,8 @@ def test_a_log_that_was_found_comes_back_as_flown(name, tmp_path, monkeypatch, c
     ('blackbox_header_only.bbl', 'holds no frames'),
     ('px4_humble_db3', 'give a checkout of px4_msgs that fits: --messages FOLDER'),
 ])
+@BESIDE
 def test_a_log_that_holds_nothing_to_read_is_one_line(name, words, capsys):
-    if not LOGS.is_dir():
-        pytest.skip('shared/data/logs is not beside the checkout')
     assert main(['import', str(LOGS / name)]) == 2
     error = capsys.readouterr().err
     assert words in error
@@ -301,9 +302,8 @@ float32[12] control
 """
 
 
+@BESIDE
 def test_a_bag_without_definitions_is_read_by_those_of_a_folder(tmp_path, monkeypatch, capsys):
-    if not LOGS.is_dir():
-        pytest.skip('shared/data/logs is not beside the checkout')
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / 'checkout' / 'msg'
     folder.mkdir(parents=True)

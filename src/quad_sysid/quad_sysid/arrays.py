@@ -20,7 +20,8 @@ import numpy.typing as npt
 from quad_sysid.bags.split import split_segments
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND, MIN_SAMPLES, record_of
 from quad_sysid.imports.units import UNITS, Role, written
 from quad_sysid.record import IOData, Record, Segment, finite_runs
@@ -342,6 +343,8 @@ def _times(time: Any, dt: Any, n: int,
     per_s = _factor('t', units.get('t', 's'), {k: f for k, (f, _) in UNITS['time'].items()})
     if dt is not None and time is not None:
         raise BadInputError(WHERE, 'take dt or t, not both', remedy='leave one out')
+    if time is not None and np.ndim(time) == 0:
+        raise BadInputError(WHERE, 't must be (n,) times', repr(time), 'the interval is dt=…')
     if dt is not None:
         number = isinstance(dt, int | float | np.number) and not isinstance(dt, bool | np.bool_)
         if not number or not (math.isfinite(float(dt)) and dt > 0):

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.identified import Identified, model_of
+from quad_sysid.identified import Identified
 from quad_sysid.model import AxisModel
 from quad_sysid.record import IOData, Record
-from quad_sysid.result import Result, identify
+from quad_sysid.result import Result, identify, model_of
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -27,7 +27,7 @@ from quad_sysid.record import IOData, Record
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from quad_sysid.blackbox import FrequencyResponse, Model, ResidualTest
+    from quad_sysid.blackbox import FrequencyResponse, ResidualTest
     from quad_sysid.discover.accept import Unseen
     from quad_sysid.estimate.stored import Stored
     from quad_sysid.loop.cascade import CascadeGains
@@ -260,20 +260,3 @@ class Identified(AxisModel):
         control[:, 0] = self.mean_throttle or 0.0
         control[:, 1 + EVERY[self.axis].index] = u
         return replace(data, axis=self.axis, control=control), spans
-
-
-def model_of(given: object) -> Identified | Model:
-    """The model of what a function of the public API takes for one: a result, a file, a model."""
-    from quad_sysid.blackbox import Model
-    from quad_sysid.result import Result, read_model
-
-    if isinstance(given, Result):
-        return given.model
-    if isinstance(given, str | Path):
-        return read_model(given)
-    if isinstance(given, Identified | Model):
-        return given
-    if isinstance(given, AxisModel):
-        return Identified(**vars(given))
-    raise BadInputError('model', 'must be a model, a result or the path of a model.json',
-                        type(given).__name__)

@@ -17,7 +17,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.loop.cascade import FOREIGN_NAMES, TUNED, CascadeGains, contract_names
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
-from quad_sysid.units import spoken, unit_in
+from quad_sysid.units import spoken
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.gain_table import AXES, CLIMB, OPTIONAL, PER_AXIS, Bound, Gain
 
@@ -161,10 +161,9 @@ def _refuse(model: AxisModel, reasons: Iterator[str]) -> None:
 
 
 def _wrong_way(model: AxisModel) -> Iterator[str]:
-    gain = next(p for p in model.base if p.name == 'gain')
+    gain = model.in_units(next(p for p in model.base if p.name == 'gain'))
     order = "check the motors' order and spin, and the gyro's axes"
-    units = model.units
-    rate, unit = spoken(units, 'rate'), unit_in(units, 'rad/s²')
+    rate, unit = spoken(model.units, 'rate'), gain.unit
     if not math.isfinite(gain.value):
         yield f'the plant gain is {gain.value}; identify again'
     if gain.value <= 0.0:

@@ -208,6 +208,8 @@ class Connected(Aircraft):
     ) -> None:  # fmt: skip
         self._quad = Quad(standard)
         self.now: Aircraft = self._quad
+        self.autopilot: AutopilotAircraft | None = None
+        """It, where it is no aircraft of ours."""
         self.on_change: Callable[[Aircraft], None] = lambda _: None
         self._allow = {'allow_gains': allow_gains, 'allow_excitation': allow_excitation}
         self._now_s = now_s
@@ -216,11 +218,6 @@ class Connected(Aircraft):
     def gains(self) -> Any:  # type: ignore[override]
         """Its sets of gains."""
         return self.now.gains
-
-    @property
-    def autopilot(self) -> AutopilotAircraft | None:
-        """It, where it is no aircraft of ours."""
-        return self.now if isinstance(self.now, AutopilotAircraft) else None
 
     @property
     def last_cycle(self) -> f.Cycle | None:
@@ -249,9 +246,10 @@ class Connected(Aircraft):
         known = self.autopilot
         if (known.kind if known is not None else None) is kind:
             return
-        self.now = self._quad if kind is None else AutopilotAircraft(
+        self.autopilot = None if kind is None else AutopilotAircraft(
             kind, beat.system, now_s=self._now_s, **self._allow
         )
+        self.now = self.autopilot or self._quad
         self.on_change(self.now)
 
     def cannot(self, ability: Ability) -> str:

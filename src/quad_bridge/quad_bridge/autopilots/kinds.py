@@ -56,6 +56,8 @@ class Kind:
     log_closes_s: float
     """After landing: until it writes to the log no more. Who asks before cuts the log short, and
     ArduPilot begins another one then."""
+    logs_by_time: bool = False
+    """Whether its list of logs is in no order: PX4 lists a directory as it finds it."""
     modes: Mapping[int, str] = field(default_factory=dict)
     system_id: bool = False
 
@@ -137,7 +139,7 @@ KINDS = (
         reads=('SDLOG_PROFILE', 'MC_AIRMODE', 'MAV_FWDEXTSP', 'COM_RC_OVERRIDE', 'COM_OF_LOSS_T',
                'IMU_GYRO_RATEMAX', 'IMU_INTEG_RATE'),
         advice=_px4_advice, log_suffix='.ulg', fetches_armed=True, log_closes_s=2.0,
-        modes={1 << 16: 'Manual', 5 << 16: 'Acro'},
+        logs_by_time=True, modes={1 << 16: 'Manual', 5 << 16: 'Acro'},
     ),
     Kind(
         ARDUPILOT.number, 'ArduPilot', ARDUPILOT, bytewise=False,

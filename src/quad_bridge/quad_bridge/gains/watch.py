@@ -113,6 +113,7 @@ class GainWatch:
         self._every = max(1, round(rate_hz / MAX_HZ))
         self._held: list[tuple[Sequence[float], ...]] = []
         self._dt, self._climb = self._every / rate_hz, ClimbWatch()
+        self._block = round(BLOCK_S / self._dt)  # rows
         centres = np.array(CENTRES_RAD_S)
         self._b, self._a = _bank(centres, self._dt)
         periods = 2.0 * math.pi / np.append(centres, RMS_CUT_RAD_S)
@@ -195,35 +196,44 @@ class GainWatch:
         """
         self._climb.step(up, self._dt / self._every)
         self._held.append((rates, injected, attitude, reference))
-        if len(self._held) == self._every:
-            rows = np.array(self._held)
-            self._held.clear()
-            means = np.add.reduce(rows[:, :2]) / self._every
-            self._step(means[0], means[1], *rows[-1, 2:])
+        # only who compares must hurry; one turn over many rows costs a fraction of as many turns
+        rows = 1 if self._bound is not None else self._block - self._rows % self._block
+        if len(self._held) >= rows * self._every:
+            self._run()
 
-    def _step(
-        self, rates: FloatArray, injected: FloatArray, attitude: FloatArray, reference: FloatArray
-    ) -> None:
+    def _run(self) -> None:
+        """Work through the rows that are whole: means of rates, the last attitude."""
+        count = len(self._held) // self._every
+        held = np.array(self._held[: count * self._every])
+        del self._held[: count * self._every]
+        rows = held.reshape(count, self._every, 4, 3)
+        rates, injected = np.moveaxis(np.add.reduce(rows[:, :, :2], axis=1) / self._every, 1, 0)
+        attitude, reference = np.moveaxis(rows[:, -1, 2:], 1, 0)
         if self._last is None:
-            self._last = self._slow = reference
-        turn = reference - self._last
+            self._last = self._slow = reference[0]
+        turn = reference - np.concatenate((self._last[np.newaxis], reference[:-1]))
         turn -= 2.0 * math.pi * np.round(turn / (2.0 * math.pi))
-        self._last = reference
-        self._slow = self._slow + self._dt / FOLLOW_S * (reference - self._slow)
-        moved = np.abs(reference - self._slow) + TURN_S * np.abs(injected)
-        follows = FOLLOW_FACTOR * moved[:2]
-        self._distance = np.abs(attitude + LEAD_S * rates - reference)[:2]
-        self._allowed = np.maximum(follows, self._allowed * (1.0 - self._dt / FOLLOW_S))
-        signals = np.array((rates, turn / self._dt + injected))[:, np.newaxis, :]
+        self._last = reference[-1]
+        signals = np.stack((rates, turn / self._dt + injected), axis=1)[:, :, np.newaxis]
+        slow, energies = np.empty_like(reference), np.empty((count, *self._energy.shape))
         memory, b, a = self._memory, self._b, self._a
-        out = b[0] * signals + memory[0]
-        memory[0] = b[1] * signals - a[0] * out + memory[1]
-        memory[1] = b[2] * signals - a[1] * out
-        self._energy += self._share * (out * out - self._energy)
-        self._explained = np.maximum(self._energy[1], self._explained * self._fade)
-        self._rows += 1
+        for k, signal in enumerate(signals):
+            self._slow = self._slow + self._dt / FOLLOW_S * (reference[k] - self._slow)
+            out = b[0] * signal + memory[0]
+            memory[0] = b[1] * signal - a[0] * out + memory[1]
+            memory[1] = b[2] * signal - a[1] * out
+            self._energy += self._share * (out * out - self._energy)
+            slow[k], energies[k] = self._slow, self._energy
+        moved = np.abs(reference - slow) + TURN_S * np.abs(injected)
+        distance = np.abs(attitude + LEAD_S * rates - reference)[:, :2]
+        follows = FOLLOW_FACTOR * moved[:, :2]
+        allowed = _fading(follows, self._allowed, 1.0 - self._dt / FOLLOW_S)
+        explained = _fading(energies[:, 1], self._explained, self._fade)
+        self._distance, self._allowed = distance[-1], allowed[-1]
+        self._explained = explained[-1]
+        self._rows += count
         if self._bound is None:
-            self._remember()
+            self._remember(energies[:, 0] - self._peak * explained, distance - allowed)
         else:
             self._compare(self._bound)
 
@@ -234,6 +244,8 @@ class GainWatch:
 
         Only `axes` are looked at: what gains have not changed, they have not spoilt.
         """
+        if len(self._held) >= self._every:
+            self._run()
         self._watched = np.array([axis in axes for axis in AXES])
         predicted = predicted or {}
         if CLIMB in axes:
@@ -298,16 +310,16 @@ class GainWatch:
         most: FloatArray = MARGIN**2 * before + self._floor
         return most
 
-    def _remember(self) -> None:
-        if self._rows * self._dt < SETTLE_S:
+    def _remember(self, excess: FloatArray, beyond: FloatArray) -> None:
+        """Take rows of energies that no reference explains, and of angles beyond what one does."""
+        numbers = self._rows - len(excess) + np.arange(1, len(excess) + 1)
+        settled = numbers * self._dt >= SETTLE_S
+        if not settled.any():
             return
-        excess = self._energy[0] - self._peak * self._explained
-        self._worst = np.maximum(self._worst, excess)
+        self._worst = np.maximum(self._worst, excess[settled].max(axis=0))
         fade = 1.0 - self._dt / BEFORE_S
-        self._allowed_before = np.maximum(
-            self._distance - self._allowed, self._allowed_before * fade
-        )
-        if self._rows % round(BLOCK_S / self._dt) == 0:
+        self._allowed_before = _fading(beyond[settled], self._allowed_before, fade)[-1]
+        if self._rows % self._block == 0:
             self._blocks.append(self._worst)
             self._worst = np.zeros_like(self._worst)
 
@@ -322,6 +334,14 @@ class GainWatch:
         self._far_s = np.where(far, self._far_s + self._dt, 0.0)
         over = (self._energy[0] > bound + self._peak * self._explained) & self._watched
         self._over_s = np.where(over, self._over_s + self._dt, 0.0)
+
+
+def _fading(values: FloatArray, before: FloatArray, fade: FloatArray | float) -> FloatArray:
+    """In each row the largest value so far, which fades from row to row; `before` the first."""
+    ages = np.arange(1, len(values) + 1).reshape(-1, *[1] * before.ndim)
+    faded = np.power(fade, ages)
+    largest = np.maximum.accumulate(np.concatenate((before[np.newaxis], values / faded)))
+    return np.asarray(largest[1:] * faded)
 
 
 def _bank(centres: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:

@@ -19,7 +19,7 @@ import numpy as np
 from quad_sysid.axes import EVERY, units_of
 from quad_sysid.errors import BadInputError
 from quad_sysid.fleets.bag import ANSWERED, BASE, CANNOT_TELL, FAILED, Row
-from quad_sysid.units import unit_in
+from quad_sysid.units import shown_in
 
 if TYPE_CHECKING:
     from quad_sysid.fleets.drift import Drift, Found, Odd, Series
@@ -188,7 +188,7 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
     0 there, give or take half of the least that was found anywhere.
     """
     own = units_of(axis)
-    units = {name: unit_in(own, unit) for name, unit in UNITS.items()}
+    units = {name: shown_in(own, unit)[0] for name, unit in UNITS.items()}
     values = dict[str, Values]()
     for row in flights:
         units |= row.get(f'{axis}_base_units', {})

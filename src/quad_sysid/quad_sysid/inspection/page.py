@@ -7,8 +7,8 @@ from html import escape
 from pathlib import PurePath
 
 from quad_sysid.contract import AXES
-from quad_sysid.inspection.cli import lines
 from quad_sysid.inspection.content import Content, MotorPlace
+from quad_sysid.inspection.text import lines
 from quad_sysid.report.style import SHEET
 from quad_sysid.report.tables import Table
 

@@ -12,9 +12,9 @@ import numpy as np
 from quad_sysid.bags import read_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import MAX_PAUSE, cycles, draw, hold
+from quad_sysid.imports.clock import MAX_PAUSE, Stream, cycles, draw, hold
 from quad_sysid.imports.guess import read_any
-from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.stretches import airborne
 from quad_sysid.imports.table import head_of, is_bag
