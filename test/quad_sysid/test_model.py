@@ -47,7 +47,8 @@ TORQUES = [e for e in EFFECTS if e.name in ('quadratic_drag', 'coulomb_friction'
 
 def judged(data, problem, found):
     """The verdict on what a search left."""
-    return judge(data, problem, found, explain(problem, found, candidates(problem, TORQUES)[0]))
+    ladder = explain(problem, found, candidates(problem, TORQUES)[0])
+    return judge(Unseen(data, data.validation), problem, found, ladder)
 
 
 def based(data):

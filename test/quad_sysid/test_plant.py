@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from unittest import mock
 
 import control as control_system
 import numpy as np
@@ -16,8 +17,7 @@ import pytest
 from quad_sysid.contract import motors_from_wrench
 from quad_sysid.craft import X
 from quad_sysid.effects import EFFECTS
-from quad_sysid.effects.hidden import Linear, Memory
-from quad_sysid.effects.loads import Load
+from quad_sysid.effects.hidden import Linear, Load, Memory
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.exports import to_control
 from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
@@ -162,7 +162,7 @@ class Branches(Effect):
         return -p[0] * (pull + np.arctan(3.0 * s.rate))
 
     def advance(self, x, s, *_):
-        return x + s.dt * np.stack([math.sin(s.angle[0]) - x[0], np.arctan(s.rate)])
+        return x + s.dt * np.stack([np.arctan(s.angle) - x[0], np.arctan(s.rate - x[1])])
 
 
 class Bends(Effect):
@@ -178,6 +178,30 @@ class Bends(Effect):
         slow = 2.0 if s.sent[0] < 0.0 else 1.0
         return Drive(drive.commands, drive.row, slow * drive.lag, ages=drive.ages,
                      fraction=drive.fraction)
+
+
+class Creeps(Effect):
+    """A user's memory whose law compiled code has all words for."""
+
+    name, states, signals = 'creeps', 2, ('rate', 'angle', 'history')
+
+    def advance(self, x, s, *_):
+        gone = np.where(s.rate > 0.1, x[0] - x[1], np.tanh(x[0] + s.angle))
+        return np.stack([x[0] + s.dt * (s.rate - gone), np.maximum(x[1], 0.9 * gone)])
+
+
+def test_a_memory_along_a_flight_is_its_law_cycle_by_cycle_compiled_where_that_is_possible():
+    """To 1e-12, in each stretch from where it begins."""
+    data = replace(flight_of_commands(), rate=np.sin(4.0 * DT * np.arange(N)))
+    s = Flight(data, data.stretches).commanded(BASE).but(rate=data.rate, angle=data.angle)
+    spans, begun = ((0, 100), (110, N)), np.full((2, N), 0.2)
+    first = [begun[:, 0]] * 2
+    for effect, called in ((Creeps(), 0), (Branches(), 1)):
+        with mock.patch.object(type(effect), 'cycles', side_effect=effect.cycles) as plain:
+            along = effect.trace(s, BASE[:1], {}, spans, begun)
+        assert plain.call_count == called
+        expected = effect.cycles(s, BASE[:1], {}, spans, first)
+        np.testing.assert_allclose(along, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(('effect', 'p'), [(Branches(), 4.0), (Bends(), 0.04)])

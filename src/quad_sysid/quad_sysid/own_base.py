@@ -23,12 +23,10 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.fit import Fit, Problem, derivative_steps, start_of
-from quad_sysid.loop import kernels
 from quad_sysid.model import LAW
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Effect, Part, Settings, Signals, Spec, required
 from quad_sysid.model.structure import BASE
-from quad_sysid.model.traced import Listing, Untraceable
 from quad_sysid.units import Units
 
 Values: TypeAlias = Mapping[str, Any]
@@ -212,42 +210,18 @@ class _Law(Effect):
         """Hidden states a cycle later."""
         return np.stack(self._ahead(x, *self._seen(s, settings), self._named(p), s.dt))
 
-    def trace(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-              begun: FloatArray | None = None) -> FloatArray:
-        """(states, n) hidden states at the start of each cycle, from 0 in each stretch.
-
-        The law is noted once and runs compiled; what cannot be noted goes from number to number.
-        """
-        del begun
+    def cycles(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+               first: Sequence[FloatArray]) -> FloatArray:
+        """As Effect, from number to number."""
         named, out = self._named(p), np.zeros((self.states, s.time.size))
-        x, u = self._seen(s, settings)
-        listing = Listing()
-        noted = {name: listing.inputs() for name in (*x, *u)}
-        hidden = listing.inputs(self.states)
-        try:
-            ahead = self._ahead(hidden, {name: noted[name] for name in x},
-                                {name: noted[name] for name in u}, named, s.dt)
-            following = np.array([int(listing.places(one)) for one in ahead])
-        except (Untraceable, TypeError, ValueError):
-            return self._numbers(x, u, named, s.dt, stretches, out)
-        code, _ = listing.needed(following.tolist(), 0)
-        known = np.ascontiguousarray(np.stack([*x.values(), *u.values()], axis=1))
-        for start, stop in stretches:
-            kernels.carried(code, np.array([*listing.more, 0]), np.array([*listing.tables, 0.0]),
-                            np.array(listing.start), known, int(hidden.at[0]), following, start,
-                            stop, out)
-        return out
-
-    def _numbers(self, x: Values, u: Values, named: Values, dt: float, stretches: Sequence[Span],
-                 out: FloatArray) -> FloatArray:
-        """The same in Python, from number to number."""
-        listed, inputs = ({name: value.tolist() for name, value in one.items()} for one in (x, u))
-        for start, stop in stretches:
-            hidden = [0.0] * self.states
+        x, u = ({name: value.tolist() for name, value in one.items()}
+                for one in self._seen(s, settings))
+        for (start, stop), begin in zip(stretches, first, strict=True):
+            hidden: Any = begin.tolist()
             for k in range(start, stop):
                 out[:, k] = hidden
-                hidden = self._ahead(hidden, {name: value[k] for name, value in listed.items()},
-                                     {name: value[k] for name, value in inputs.items()}, named, dt)
+                hidden = self._ahead(hidden, {name: value[k] for name, value in x.items()},
+                                     {name: value[k] for name, value in u.items()}, named, s.dt)
         return out
 
 

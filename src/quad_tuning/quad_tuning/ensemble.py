@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.likeness import Trim
 from quad_sysid.estimate.stored import estimate_of, library
 from quad_sysid.loop.cascade import (
     Controller,
@@ -33,6 +32,7 @@ from quad_sysid.loop.from_model import (
     placed,
     usual_signals,
 )
+from quad_sysid.loop.likeness import Trim
 from quad_sysid.loop.linear import ComplexArray, Loops, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter

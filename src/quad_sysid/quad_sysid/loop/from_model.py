@@ -17,10 +17,10 @@ from scipy.optimize import least_squares
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Memory as Warming
-from quad_sysid.effects.likeness import Trim
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.stored import fitted_of, part_of, plant_of
 from quad_sysid.loop.cascade import CascadeGains, contract_names, reference_response
+from quad_sysid.loop.likeness import Trim
 from quad_sysid.loop.linear import loops_of
 from quad_sysid.loop.plant import LATE_S, Flying, around, plant_like
 from quad_sysid.model import AxisModel, EffectEstimate

@@ -9,22 +9,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import types
 
 from quad_sysid.compiled import BLOCK, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.laws import loose_ahead, yielded
+from quad_sysid.model.laws import IntArray, operate
 from quad_sysid.model.recursion import motor_ahead
-from quad_sysid.model.traced import CODES
 
-IntArray = npt.NDArray[np.int64]
 INTEGRAL, LAST, D_PART, TARGET, ERROR, OUTPUT, NOTCH = range(7)
 MEMORY = 8
 """Numbers that a controller remembers; the notch has the last two."""
-(ADD, SUBTRACT, MULTIPLY, DIVIDE, MAXIMUM, MINIMUM, POWER, GREATER, GREATER_EQUAL, LESS,
- LESS_EQUAL, NEGATIVE, ABSOLUTE, SIGN, EXP, LOG, SQRT, SIN, COS, TANH, FLOOR, RINT, WHERE, INTERP,
- LOOSE, YIELDED, _) = CODES.values()
 
 
 class Constants(NamedTuple):
@@ -130,101 +124,6 @@ def control_each(gains: Constants, memory: FloatArray, inputs: FloatArray, angle
     for i in range(angle.size):
         _, u = control(gains, memory[i], inputs[i, 0], angle[i], rate[i], inputs[i, 1])
         out[i] = u + inputs[i, 2]
-
-
-@inner
-def over(table: FloatArray, at: int, n: int, x: float) -> float:
-    """numpy.interp over n knots, which stand at a place of the table with their values behind."""
-    if x <= table[at]:
-        return float(table[at + n])
-    for i in range(1, n):
-        if x < table[at + i]:
-            low = table[at + n + i - 1]
-            slope = (table[at + n + i] - low) / (table[at + i] - table[at + i - 1])
-            return float(slope * (x - table[at + i - 1]) + low)
-    return float(table[at + 2 * n - 1])
-
-
-@inner
-def operate(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, begin: int,
-            end: int) -> None:
-    """Do the operations [begin, end) of `code` (m, 4) on the registers r."""
-    for k in range(begin, end):
-        what, to, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3]
-        if what == ADD:
-            r[to] = r[a] + r[b]
-        elif what == SUBTRACT:
-            r[to] = r[a] - r[b]
-        elif what == MULTIPLY:
-            r[to] = r[a] * r[b]
-        elif what == DIVIDE:
-            r[to] = r[a] / r[b]
-        elif what == MAXIMUM:
-            r[to] = max(r[a], r[b])
-        elif what == MINIMUM:
-            r[to] = min(r[a], r[b])
-        elif what == POWER:
-            r[to] = r[a] ** r[b]
-        elif what == GREATER:
-            r[to] = 1.0 if r[a] > r[b] else 0.0
-        elif what == GREATER_EQUAL:
-            r[to] = 1.0 if r[a] >= r[b] else 0.0
-        elif what == LESS:
-            r[to] = 1.0 if r[a] < r[b] else 0.0
-        elif what == LESS_EQUAL:
-            r[to] = 1.0 if r[a] <= r[b] else 0.0
-        elif what == NEGATIVE:
-            r[to] = -r[a]
-        elif what == ABSOLUTE:
-            r[to] = abs(r[a])
-        elif what == SIGN:
-            r[to] = 1.0 if r[a] > 0.0 else -1.0 if r[a] < 0.0 else r[a]
-        elif what == EXP:
-            r[to] = math.exp(r[a])
-        elif what == LOG:
-            r[to] = math.log(r[a])
-        elif what == SQRT:
-            r[to] = math.sqrt(r[a])
-        elif what == SIN:
-            r[to] = math.sin(r[a])
-        elif what == COS:
-            r[to] = math.cos(r[a])
-        elif what == TANH:
-            r[to] = math.tanh(r[a])
-        elif what == FLOOR:
-            r[to] = np.floor(r[a])
-        elif what == RINT:
-            r[to] = np.rint(r[a])
-        elif what == WHERE:
-            r[to] = r[more[a + 1]] if r[more[a]] != 0.0 else r[more[a + 2]]
-        elif what == INTERP:
-            r[to] = over(tables, int(r[more[a + 1]]), int(r[more[a + 2]]), r[more[a]])
-        elif what == LOOSE:
-            r[to], r[to + 1], r[to + 2] = loose_ahead(
-                r[more[a]], r[more[a + 1]], r[more[a + 4]], r[more[a + 5]], r[more[a + 6]],
-                r[more[a + 2]], r[more[a + 3]])
-        elif what == YIELDED:
-            r[to] = yielded(r[more[a]], r[more[a + 1]], r[more[a + 2]], r[more[a + 3]],
-                            r[more[a + 4]], r[more[a + 5]])
-
-
-@kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, WHOLE, WHOLES, WHOLE, WHOLE, TABLE)
-def carried(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, known: FloatArray,
-            state: int, following: IntArray, begin: int, end: int, out: FloatArray) -> None:
-    """States by their operations over the cycles [begin, end): `out` (m, n) at the start of each.
-
-    known (n, s): what is known of each cycle, in the first registers; the state of m numbers
-    stands from the register `state` on, those of a cycle later in `following` (m,).
-    """
-    m = following.size
-    for k in range(begin, end):
-        for i in range(m):
-            out[i, k] = r[state + i]
-        for i in range(known.shape[1]):
-            r[i] = known[k, i]
-        operate(code, more, tables, r, 0, code.shape[0])
-        for i in range(m):  # no state is read any more
-            r[state + i] = r[following[i]]
 
 
 @inner

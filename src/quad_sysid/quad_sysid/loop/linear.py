@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from quad_sysid.axes import TURNING, Level
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.actuators import Following
 from quad_sysid.effects.hidden import Linear
-from quad_sysid.effects.likeness import LinearChannels, LinearMap, LinearTorque
-from quad_sysid.effects.maps import Following
+from quad_sysid.loop.likeness import LinearChannels, LinearMap, LinearTorque
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Signals, required
 from quad_sysid.model.structure import Structure

@@ -356,17 +356,40 @@ class Effect:
     ) -> FloatArray:
         """(states, n) hidden states at the start of each cycle, in each stretch from its start.
 
-        What `advance` says, along arrays (n,); built-in effects do it by compiled loops.
+        What `advance` says of arrays (n,): what it makes of its states is noted once and repeated
+        by compiled code.
         """
-        out: FloatArray | None = None
-        for start, stop in stretches:
-            x = self.begin(s.at(start), p, settings) if begun is None else begun[:, start]
-            if out is None:
-                out = np.zeros((x.shape[0], s.time.size))
+        from quad_sysid.model import laws  # numba is slow to import
+        from quad_sysid.model.traced import Listing, Untraceable
+
+        first = [self.begin(s.at(start), p, settings) if begun is None else begun[:, start]
+                 for start, _ in stretches]
+        listing, out = Listing(s.time.size), np.zeros((len(first[0]), s.time.size))
+        x = listing.given(len(out), 1)
+        try:
+            following = listing.places(self.advance(x, s, p, settings)).ravel()
+        except (Untraceable, TypeError, IndexError, ValueError):
+            return self.cycles(s, p, settings, stretches, first)
+        code, known, at = listing.repeated(following)
+        for (start, stop), begin in zip(stretches, first, strict=True):
+            registers = np.array(listing.start)
+            registers[: len(out)] = begin
+            laws.carried(code, np.array([*listing.more, 0]), np.array([*listing.tables, 0.0]),
+                         registers, known, at, following, start, stop, out)
+        return out
+
+    def cycles(
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        first: Sequence[FloatArray],
+    ) -> FloatArray:
+        """The same in Python, where `advance` cannot be noted; from `first` (states,) of each."""
+        out = np.zeros((len(first[0]), s.time.size))
+        for (start, stop), begin in zip(stretches, first, strict=True):
+            x = begin
             for k in range(start, stop):
                 out[:, k] = x
                 x = self.advance(x, s.at(k), p, settings)
-        return required(out)
+        return out
 
     def longest_s(self, p: FloatArray) -> float:
         """By how much at most it makes the delay longer, s."""

@@ -8,6 +8,7 @@ is called in its place in the list.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -34,9 +35,14 @@ class Untraceable(Exception):  # noqa: N818 - no fault of anyone's
 
 
 class Listing:
-    """The operations so far; each number has a register, and constants have theirs."""
+    """The operations so far; each number has a register, and constants have theirs.
 
-    def __init__(self) -> None:
+    cycles: the length of arrays along a flight, which have a register for the number of a cycle.
+    """
+
+    def __init__(self, cycles: int = 0) -> None:
+        self.cycles = cycles
+        self._along: dict[int, tuple[Any, Indices]] = {}
         self.code: list[tuple[int, int, int, int]] = []
         """Operation, where its first result goes, and two operands or a place in `more`."""
         self.results: list[int] = []
@@ -133,11 +139,33 @@ class Listing:
         return (np.array(rows, dtype=np.int64).reshape(-1, 4),
                 sum(i < split for i in kept))
 
+    def repeated(self, following: Indices) -> tuple[Indices, FloatArray, Indices]:
+        """The operations (m, 4) from a state to that of a cycle later, along arrays.
+
+        With the rows (r, cycles) that they read, and the registers (r,) of these.
+        """
+        code, _ = self.needed(following.tolist(), 0)
+        read = {*following.tolist()}
+        for what, _, a, b in code.tolist():
+            read.update(self.more[a : a + b] if what in SEVERAL else (a, b))
+        used = [(row, place) for value, places in self._along.values()
+                for row, place in zip(value.reshape(-1, self.cycles), places.ravel(), strict=True)
+                if place in read]
+        known = np.array([row for row, _ in used]).reshape(len(used), self.cycles)
+        return code, known, np.array([place for _, place in used], dtype=np.int64)
+
     def places(self, value: Any) -> Indices:
         """The registers of an array, a number or what is Traced."""
         if isinstance(value, Traced):
             return value.at
+        if id(value) in self._along:
+            return self._along[id(value)][1]
         array = np.asarray(value, dtype=np.float64)
+        if self.cycles and array.shape[-1:] == (self.cycles,):
+            shape = *array.shape[:-1], 1
+            places = np.array([self.place() for _ in range(math.prod(shape))]).reshape(shape)
+            self._along[id(value)] = value, places
+            return places
         return np.array([self.constant(x) for x in array.ravel()],
                         dtype=np.int64).reshape(array.shape)
 
