@@ -138,7 +138,7 @@ def test_page_is_self_contained_well_formed_and_the_same_for_the_same_answer(
          'rate_reference': None, 'rows': (), 'selected': None},
         {'selected': None, 'train': None, 'segments': (), 'blackbox_error': None,
          'proposal': GainProposal(None, 'too noisy')},
-        {'findings': None, 'closed_loop': None}, {'model': None, 'closed_loop': None},
+        {'findings': None, 'closed_loop': None},
         {'findings': None, 'model': None, 'rows': (), 'selected': None, 'closed_loop': None,
          'proposal': GainProposal(None, 'the same'), 'train': None, 'verdict': 'cannot_tell',
          'reason': 'roll: the command never moves; excite it'},
