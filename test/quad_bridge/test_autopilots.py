@@ -258,7 +258,7 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     assert max(a[0] for a in applied) == pytest.approx(0.1, abs=1e-3)
     assert min(a[0] for a in applied) == pytest.approx(-0.1, abs=1e-3)
     assert all(a[1] == a[2] == 0.0 for a in applied)
-    assert all(c.injection == f.Injection.ATTITUDE for c in line.cycles[-500:])
+    assert all(c.injection == f.Injection.ATTITUDE for c in line.cycles[-200:])
     assert abs(line.aircraft.flight.height_m - height) < 0.5
     line.relay.segment({'segment': 'idle', 'signal': 'none'})
     line.fly(3.0)
