@@ -31,8 +31,10 @@ FLOOR_DEG = 1.5  # a smaller oscillation is ignored, whatever its amplitude was 
 FLOOR_RMS_RAD_S = 0.3
 """A smaller rate RMS is ignored: gusts that begin with the update cause it on a slow aircraft."""
 SOUND_RMS_RAD_S = 0.5
-"""Rate RMS of a sound aircraft in gusts, where none of its flights is known. It swings in no
-octave (0.25 rad/s RMS at most in bench/watch.py), so that there the floor alone is allowed."""
+"""Rate RMS of a sound aircraft in gusts, where none of its flights is known."""
+GUSTS_RAD_S = 20.0
+"""Gusts shake no aircraft faster: what swings so is its loop (a sound one 0.17 rad/s RMS at
+most in bench/watch.py), and without a flight before the floor alone is allowed there."""
 FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06  # horizon of the angle that is predicted by the rate: a reversal takes that long
@@ -128,7 +130,7 @@ class GainWatch:
         self._floor = (np.append(octaves, FLOOR_RMS_RAD_S) ** 2)[:, np.newaxis]
         most = np.append(octaves, SOUND_RMS_RAD_S)[:, np.newaxis] ** 2
         self._usual = np.repeat(most, 3, axis=1)  # most that a good flight may leave behind
-        self._unknown = self._usual * (np.arange(len(most)) == len(centres))[:, np.newaxis]
+        self._unknown = self._usual * np.append(centres < GUSTS_RAD_S, 1.0)[:, np.newaxis]
         self._sound = self._unknown
         self._blocks: deque[FloatArray] = deque(maxlen=round(BEFORE_S / BLOCK_S))
         self._bound: FloatArray | None = None
