@@ -1,13 +1,16 @@
 """What is wrong with a node's arguments or parameters ends it with status 2 and one line."""
 
+import os
 import runpy
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import pytest
 from node_process import node_command, program
 
+from quad_bridge import start as begins
 from quad_bridge.topics import NODES
 
 MADE = runpy.run_path(str(Path(__file__).parents[2] / 'tools/policies.py'))
@@ -69,6 +72,19 @@ def test_help_says_where_the_parameters_are(start, run):
     process = run(*program('monitor'), '--help')
     assert (process.wait(), process.said) == (0, '')
     assert process.printed.startswith('usage: monitor [--ros-args -p NAME:=VALUE')
+
+
+@pytest.mark.parametrize(('wished', 'found'), [(None, 'LOCALHOST'), ('SUBNET', 'SUBNET')])
+def test_nodes_are_found_on_this_computer_only_unless_that_is_wished(monkeypatch, wished, found):
+    monkeypatch.setenv(begins.RANGE, wished or '')
+    if wished is None:
+        monkeypatch.delenv(begins.RANGE)
+    monkeypatch.setenv(begins.PROFILES, 'the user has chosen')
+    monkeypatch.setattr(begins, '_guard', lambda *_: None)
+    said, begun = [], SimpleNamespace(main=lambda: said.append(os.environ[begins.RANGE]))
+    monkeypatch.setattr(begins.importlib, 'import_module', lambda _: begun)
+    begins.begin('a_node')
+    assert said == [found]
 
 
 SEND = ('import quad_tuning.update_node as node; node.LISTEN_S = 500.0; '

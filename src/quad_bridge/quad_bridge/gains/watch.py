@@ -32,6 +32,9 @@ FLOOR_RMS_RAD_S = 0.3
 """A smaller rate RMS is ignored: gusts that begin with the update cause it on a slow aircraft."""
 SOUND_RMS_RAD_S = 0.5
 """Rate RMS of a sound aircraft in gusts, where none of its flights is known."""
+GUSTS_RAD_S = 20.0
+"""Gusts shake no aircraft faster: what swings so is its loop (a sound one 0.17 rad/s RMS at
+most in bench/watch.py), and without a flight before the floor alone is allowed there."""
 DISTANT_DEG, DISTANT_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06  # horizon of the angle that is predicted by the rate: a reversal takes that long
@@ -125,9 +128,10 @@ class GainWatch:
         self._patience[-1] = 0.3
         octaves = np.clip(centres * math.radians(FLOOR_DEG) / math.sqrt(2.0), 0.2, 0.5)
         self._floor = (np.append(octaves, FLOOR_RMS_RAD_S) ** 2)[:, np.newaxis]
-        self._sound = self._usual = np.repeat(
-            np.append(octaves, SOUND_RMS_RAD_S)[:, np.newaxis] ** 2, 3, axis=1
-        )
+        most = np.append(octaves, SOUND_RMS_RAD_S)[:, np.newaxis] ** 2
+        self._usual = np.repeat(most, 3, axis=1)  # most that a good flight may leave behind
+        self._unknown = self._usual * np.append(centres < GUSTS_RAD_S, 1.0)[:, np.newaxis]
+        self._sound = self._unknown
         self._blocks: deque[FloatArray] = deque(maxlen=round(BEFORE_S / BLOCK_S))
         self._bound: FloatArray | None = None
         self.restart()
@@ -169,11 +173,11 @@ class GainWatch:
     def good(self) -> bool:
         """Whether this flight has gone well for ten seconds, by what a sound aircraft may do."""
         whole = len(self._blocks) == self._blocks.maxlen
-        return whole and bool((self._before() <= self._most(self._usual)).all())
+        return whole and bool((self._before() <= self._most(self._unknown)).all())
 
     def know(self, before: object) -> None:
         """Take `before` of the aircraft's last good flight; what is none leaves none known."""
-        self._sound = self._usual
+        self._sound = self._unknown
         try:
             levels = np.array(before, dtype=float)
         except (TypeError, ValueError):
