@@ -214,16 +214,16 @@ def link(rate: float, seconds: float, folder: Path, *, beside: str, inside: bool
     finally:
         run.end(beside, 'bag_logger', 'ears', 'serial_bridge', 'stm32')
         run.end('raw', 'bare ears', 'bare')
-    heard, wire = np.load(bare / 'ears.npy'), np.load(folder / 'wire.npy')
+    heard, ours_ns = np.load(bare / 'ears.npy'), np.load(folder / 'ears.npy')[:, 1]
     begin_ns, end_ns = run.window_ns
-    sent_hz = 1e9 * float(((wire > begin_ns) & (wire < end_ns)).sum()) / (end_ns - begin_ns)
+    heard_hz = 1e9 * float(((ours_ns > begin_ns) & (ours_ns < end_ns)).sum()) / (end_ns - begin_ns)
     return {
         **({'attack': attacked(folder)} if beside == 'attacker' else {}),
         'processes': figures, **lost(folder, rate), 'latency': latency(folder, rate),
         'bare': quantiles(1e-6 * (heard[:, 1] - heard[:, 0])),
         'bare_us': json.loads((bare / 'bare.json').read_text()),
-        'bridge_us': round(1e4 * figures['serial_bridge']['cpu_percent'] / sent_hz, 1),
-        'sent_hz': round(sent_hz, 1),
+        'bridge_us': round(1e4 * figures['serial_bridge']['cpu_percent'] / heard_hz, 1),
+        'heard_hz': round(heard_hz, 1),
         'raw_heard': int((bare / 'raw.count').read_text()),
     }  # fmt: skip
 

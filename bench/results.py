@@ -139,19 +139,27 @@ def intervals(rows: Sequence[Row]) -> str:
 
 
 def calibration(rows: Sequence[Row]) -> str:
-    """What `probability` and `reproducible` promise, and how often the other flight agrees."""
-    claims = [(p, again, name in {other for other, *_ in b['claims']})
-              for r in rows for a, b in (r['flights'], r['flights'][::-1])
-              for name, p, _, again in a['claims']]
+    """What `probability` and `reproducible` promise: does the other flight agree, is it so?
+
+    True is what was planted; whose plant has no name of the list counts for the first only.
+    """
+    claims = []
+    for r in rows:
+        planted = r['plant'].split(' + ') if r['kind'] in ('named', 'pair') else None
+        for a, b in (r['flights'], r['flights'][::-1]):
+            others = {other for other, *_ in b['claims']}
+            claims += [((p, again), name in others, None if planted is None else name in planted)
+                       for name, p, _, again in a['claims']]
     out = []
     for low, high in pairwise(EDGES):
         cells = []
-        for which in (0, 1):
-            inside = [one[2] for one in claims
-                      if one[which] is not None and low <= one[which] < high]
+        for which, held in ((0, 1), (0, 2), (1, 1), (1, 2)):
+            inside = [one[held] for one in claims if one[held] is not None
+                      and one[0][which] is not None and low <= one[0][which] < high]
             cells.append(share(inside) if inside else '–')
         out.append([f'{low:g} to {min(high, 1.0):g}', *cells])
-    return table(['said', 'by `probability`, agreed', 'by `reproducible`, agreed'], out)
+    return table(['said', 'by `probability`, agreed', 'true', 'by `reproducible`, agreed', 'true'],
+                 out)
 
 
 SETS = ('set', 'noise', 'flights that count', 'something is reported (target 95 %)',

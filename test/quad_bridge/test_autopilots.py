@@ -251,7 +251,7 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     line.excite(3.0, 0.1)
     assert line.controller.mode == OFFBOARD
     line.controller.craft.machine.state[VELOCITY : VELOCITY + 2] = 1.2, -0.8  # a gust
-    line.excite(6.0, 0.1)
+    line.excite(7.0, 0.1)
     assert line.controller.mode == OFFBOARD
     assert max(abs(line.controller.craft.machine.state[POSITION : POSITION + 2])) < 1.0
     applied = [c.excitation for c in line.cycles[-500:]]
@@ -297,6 +297,11 @@ def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
     assert line.controller.parameters == before
     assert max(abs(row[-1]) for row in line.controller.rows if math.isfinite(row[-1])) > 0.05
     assert line.aircraft.cannot(Ability.EXCITE) == ''
+    for given, words in (({'amplitude': 0.9}, 'at most 0.25'), ({'axis': 'nose'}, "axis 'nose'")):
+        line.segment(signal='chirp', injection='control', **{**CHIRP, **given})
+        line.fly(0.5)
+        assert words in line.connected.cannot(Ability.EXCITE)
+        assert line.controller.parameters == before
 
 
 NOW_S = 100.0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from quad_sysid.discover import base
 from quad_sysid.discover.accept import p_value
 from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Found, Scored
@@ -90,6 +91,18 @@ def test_what_is_missed_of_a_hundredth_of_the_motion_is_no_cause(rubbed_answer, 
                         1.01e4 * told.ladder.rungs[0].model.total)
     assert told.ladder.negligible
     assert told.ladder.answer == 0
+
+
+def test_both_readings_of_lag_and_damping_are_kept_where_the_data_do_not_decide(
+    rubbed_answer, monkeypatch
+):
+    """Another maximum that is as probable; not the same one, nor one that falls behind."""
+    problem, fitted = rubbed_answer.findings.problem, rubbed_answer.findings.found.base
+    far = fitted.theta + 40.0 * np.sqrt(np.diag(np.linalg.inv(fitted.hessian)))
+    for theta, behind, kept in ((far, 1.0, True), (fitted.theta, 1.0, False), (far, 9.0, False)):
+        other = replace(fitted, theta=theta, evidence=fitted.evidence - behind)
+        monkeypatch.setattr(base, '_other_order', lambda *_, other=other: other)
+        assert (base.second_reading(problem, fitted) is other) is kept
 
 
 def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):

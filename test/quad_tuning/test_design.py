@@ -131,10 +131,12 @@ def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
 
 
 @pytest.mark.usefixtures('few_draws')
-def test_every_search_ends_at_the_same_gains(model):
-    """Starts from five points of the grid that lie apart."""
+@pytest.mark.parametrize('starts', [3, pytest.param(5, marks=pytest.mark.long)])
+def test_every_search_ends_at_the_same_gains(model, monkeypatch, starts):
+    """Starts from so many points of the grid that lie apart."""
+    monkeypatch.setattr(pid, 'STARTS', starts)
     first = pid.retune(loop_plant(model()), ACTIVE, loops_of(model()))
-    assert first.agreeing == first.searches == 5
+    assert first.agreeing == first.searches == starts
 
 
 @pytest.mark.usefixtures('quick')

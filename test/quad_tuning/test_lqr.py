@@ -101,6 +101,7 @@ def test_shares_of_it_beside_the_cascade_are_safe_and_the_whole_is_itself(model)
     assert closed_loop_radius(beside(found, shaky, 0.25), loops.cycle).max() >= 1.0
 
 
+@pytest.mark.usefixtures('few_draws')
 def test_what_cannot_be_is_refused(model):
     m = model()
     with pytest.raises(DesignRefusedError, match='no LQR keeps the margins'):

@@ -284,7 +284,7 @@ def table(sets: Sequence[GainSet]) -> str:
         origin = ' and '.join(filter(None, (one.bag, one.model)))
         below = '; '.join(filter(None, (words, why, origin and f'of {origin}')))
         rows.append([str(one.number), one.time[:19], one.outcome,
-                     one.source or 'read from the STM32', below])
+                     one.source or 'read from the aircraft', below])
         before = one.gains
     head = ['', 'time (UTC)', 'outcome', 'source', 'changed']
     return '\n'.join(Table(head, rows, (0,)).text(below=4))
