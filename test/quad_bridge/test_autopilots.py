@@ -226,7 +226,7 @@ def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):
     line.hear(line.controller.pack(line.controller.value(p)))
     line.fly(2.0)
     assert line.controller.parameters[p] == other  # is left alone
-    with pytest.raises(RefusedError, match='until the bridge starts anew'):
+    with pytest.raises(RefusedError, match='until the bridge is restarted'):
         line.ask(roll_rate_kp=kp)
 
 

@@ -168,6 +168,13 @@ def test_training_and_validation_are_what_was_asked_for(changes, train, validati
     assert spans['validation'] == pytest.approx(validation)
 
 
+def test_a_narrow_oscillation_of_few_samples_is_warned_of():
+    for samples, warned in ((9, True), (60, False)):
+        y = np.sin(2.0 * np.pi * np.arange(N) / samples) + 0.1 * RNG.standard_normal(N)
+        assert ('9 samples per oscillation' in ' '.join(record(y=y).warnings)) == warned
+    assert 'oscillation' not in ' '.join(record(y=RNG.standard_normal(N)).warnings)
+
+
 def test_several_experiments_are_lists_and_share_the_scale_of_the_input():
     from quad_sysid.arrays import records_of
 

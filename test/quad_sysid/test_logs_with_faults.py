@@ -211,7 +211,7 @@ def test_a_mat_file_comes_back_as_flown(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize(('first', 'words'), [
     (b'PK\x03\x04', 'is an archive (.zip, .xlsx, …); unpack it'),
-    (b'MATLAB 7.3 MAT-file', 'save it anew with -v7'),
+    (b'MATLAB 7.3 MAT-file', 'save it again with -v7'),
     (b'\x89HDF\r\n\x1a\n', 'is HDF5'),
     (b'version https://git-lfs.github.com/spec/v1\n', 'git lfs pull'),
     (b'<!DOCTYPE html>\n', 'download the file itself'),

@@ -32,6 +32,10 @@ MOST_COMMAND = 0.5
 """Largest normalised command."""
 LONGEST_DT_S = 0.05
 """Errors are those of free runs of 0.5 s, which need some samples."""
+FEWEST_PER_OSCILLATION = 15
+"""Samples below which a narrow oscillation is warned of: a model takes one step per sample."""
+NARROW = 1.3
+"""Factor to either side of the median frequency between which half of the power is narrow."""
 PHYSICAL = ('V', 'mV', 'A', 'mA', 'N', 'mN', 'N m', 'mN m', 'W', 'Pa', 'bar', 'K', 'rad', 'deg',
             'm', 'mm', 'rad/s', 'deg/s', 'rpm', 'm/s', 'mm/s', 'counts')
 """Units of an input without a range of its own: the largest value counts as full command."""
@@ -501,11 +505,26 @@ def _record(one: _Columns, units: Units, texts: Mapping[str, Any], axis: str, so
     record, _, warnings = record_of(log)
     if one.dt is not None and abs(record.dt - one.dt) <= 1e-3 * one.dt:
         record = record.at_interval(one.dt)
-    record = replace(record, units=units, warnings=(*record.warnings, *warnings))
     measured = np.asarray(angle if rate is None else rate)
+    record = replace(record, units=units, warnings=(
+        *record.warnings, *warnings, *_too_coarse(measured, record.dt)))
     begun = float(one.time_s[int(np.isfinite(measured).argmax())])
     return split_segments(with_parts(record, one.time_s - begun, (axis,), train, validate),
                           axes=(axis,))
+
+
+def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:
+    """A warning where what was measured oscillates too fast for its sampling; else nothing."""
+    known = np.nan_to_num(measured - np.nanmean(measured))
+    power = np.abs(np.fft.rfft(known)) ** 2
+    frequency_hz = np.fft.rfftfreq(known.size, dt)
+    middle = frequency_hz[int(np.searchsorted(np.cumsum(power), 0.5 * power.sum()))]
+    near = (frequency_hz > middle / NARROW) & (frequency_hz < middle * NARROW)
+    if middle * dt * FEWEST_PER_OSCILLATION < 1.0 or power[near].sum() < 0.5 * power.sum():
+        return ()
+    text = (f'what was measured oscillates at {middle:.3g} Hz, {1.0 / (middle * dt):.0f} samples '
+            'per oscillation; a model takes one step per sample and wants thirty: sample faster')
+    return (text,)
 
 
 def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: Any,

@@ -1,6 +1,6 @@
 """Notches where the frame shakes at a frequency that the controller passes on to the motors. Pure.
 
-A peak of the gyro's spectrum is worth a notch where the command that the controller makes of it is
+A peak of the gyro's spectrum gets a notch where the command that the controller makes of it is
 more than LEAST_COMMAND, and where the notch takes little of the phase margin. What D alone passes
 on gets the notch before D, which costs the least; the rest gets one on the gyro.
 """
@@ -18,7 +18,7 @@ from quad_sysid.logview.spectrum import Peak
 from quad_sysid.loop.cascade import HIGHEST, CascadeGains
 
 LEAST_COMMAND = 0.003
-"""RMS of the command that a peak makes, of the whole range, from which it is worth a notch."""
+"""RMS of the command that a peak makes, of the whole range, from which it gets a notch."""
 MOST_PHASE_DEG = 4.0
 """That one notch may take at the crossover."""
 WIDTH_SHARE, LEAST_WIDTH_HZ, NARROWEST_HZ = 0.25, 10.0, 5.0

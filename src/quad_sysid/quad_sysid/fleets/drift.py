@@ -9,7 +9,7 @@ never counts as less than the errors of the estimates.
 A drift is the most significant of these shapes, each beside a level: a ramp from any flight on
 (from the first: a straight line) and a step between any two; its p-value is multiplied by their
 number. It must remain when any one flight is left out, so that no single flight makes a drift. An
-odd flight lies outside of what the others of its aircraft foretell. Both are held to one level
+odd flight lies outside what the others of its aircraft predict. Both are held to one level
 over all that is asked of the fleet (Holm 1979). Numbers only: no rows, no words, no files.
 """
 

@@ -194,7 +194,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     if SPARSEST * span > interval * len(time_s):
         raise BadInputError(where, 'has times that are damaged, or pauses almost throughout',
                             f'{len(time_s)} samples of {interval:.3g} s within {span:.3g} s',
-                            'copy it anew, or import a part of it')
+                            'copy it again, or import a part of it')
     steps = np.diff(time_s)
     near = np.abs(steps / interval - 1.0) <= UNEVEN
     odd = int(np.count_nonzero(~near))

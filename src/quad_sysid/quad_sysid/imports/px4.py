@@ -147,13 +147,13 @@ def _experiments(table: Table) -> tuple[Experiment, ...]:
 
 
 def _load(path: Path) -> Table:
-    with read_by_library(path, 'is not a whole ULog', 'copy it anew from the aircraft'):
+    with read_by_library(path, 'is not a whole ULog', 'copy it again from the aircraft'):
         from pyulog import ULog
 
         log: Any = ULog(str(path), list(TOPICS), disable_str_exceptions=True)
     if not log.data_list and log.file_corruption:
         raise BadInputError(str(path), 'is cut off or damaged before its first data',
-                            f'{path.stat().st_size} bytes', 'copy it anew from the aircraft')
+                            f'{path.stat().st_size} bytes', 'copy it again from the aircraft')
     columns: dict[str, FloatArray] = {}
     times: dict[str, FloatArray] = {}
     for data in {one.name: one for one in reversed(log.data_list)}.values():
@@ -171,7 +171,7 @@ def _load(path: Path) -> Table:
         str(name): float(value) for name, value in log.initial_parameters.items()
         if isinstance(value, int | float)
     }
-    notes = ('parts of the log are damaged and left out: copy it anew',) if log.file_corruption \
+    notes = ('parts of the log are damaged and left out: copy it again',) if log.file_corruption \
         else ()
     return Table(str(path), columns, times, header=parameters, notes=notes)
 

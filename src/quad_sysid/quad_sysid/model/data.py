@@ -190,7 +190,7 @@ class AxisData:
         if not motors.shape[1] or np.ptp(motors, axis=0).max() < LEAST_SPAN:
             return 'the bag holds no motor commands'
         if single and all(isinstance(self.signal(f'other command {i}'), str) for i in (1, 2)):
-            return 'the other axes hardly move, so no single motor can be told apart'
+            return 'the other axes hardly move, so no single motor can be distinguished'
         return ''
 
     def _of_another(self, name: str, which: int) -> FloatArray | str:

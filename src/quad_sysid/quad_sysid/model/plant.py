@@ -204,7 +204,7 @@ class Plant:
     ) -> tuple[Drive, tuple[FloatArray | None, ...]]:
         """What becomes of the command s.sent, and what its effects remember a cycle later.
 
-        s: as of `told`.
+        s: as of `with_own`.
         """
         seen: list[Signals] = []
 
