@@ -71,12 +71,13 @@ def main() -> int:
     """Fly, answer, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--flights', type=int, default=20)
+    parser.add_argument('--first', type=int, default=1, help='seed of the first one')
     parser.add_argument('--out', type=Path, default=Path('bench/out'), help='folder for rows')
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     first: Counter[str] = Counter()
     with (options.out / 'demo.jsonl').open('w') as file:
-        for seed in range(1, options.flights + 1):
+        for seed in range(options.first, options.first + options.flights):
             row = answered(seed)
             file.write(json.dumps(row) + '\n')
             file.flush()

@@ -56,7 +56,7 @@ def best_base(problem: Problem) -> Fit:
     if base is None:
         raise FloatingPointError('no start of the base holds')
     ended = fitted_from(problem, base.structure, base.theta, rate=base.rate)
-    base = _beside(problem, ended or base)
+    base = _beside(problem, most_probable((base, ended)) or base)
     if problem.flight.sensor.noisy:
         averaged = replace(base.structure, averaged=True)
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))

@@ -364,8 +364,8 @@ def settled(problem: Problem, found: Found) -> Found:
     out = replace(found, all=tuple(sorted(able, key=lambda one: -one.score)))
     while out.best.structure.parts and len(out.all) > 1 and not stays_bounded(
             problem, out.best, out.best.prediction):
-        best = out.best
-        out = replace(out, all=tuple(one for one in out.all if one.fit is not best))
+        runaway = out.best
+        out = replace(out, all=tuple(one for one in out.all if one.fit is not runaway))
     return replace(out, other=second_reading(problem, out.best))
 
 

@@ -77,7 +77,7 @@ class Models:
 
     def _loud(self, theta: FloatArray) -> FloatArray:
         """The same start with a torque disturbance a hundred times as large."""
-        out = theta.copy()
+        out: FloatArray = theta.copy()
         out[out.size - self.projection.noise.size + DISTURBANCE] += math.log(100.0)
         return out
 
