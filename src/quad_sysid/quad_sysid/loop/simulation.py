@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from quad_sysid.loop import kernels
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel
-from quad_sysid.model.effect import Drive, Effect, Signals, required
+from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
 from quad_sysid.model.plant import Plant, State, Turning
 from quad_sysid.model.traced import Call, Listing, Untraceable, with_ends
 
@@ -115,8 +115,13 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program:
     one = replace(given, battery_v=np.zeros(1), sent=np.zeros(1))
     rest = plant.begin(plant.with_motors(one), np.zeros(1), np.zeros(1))
     listing = Listing()
-    noted = replace(plant, structure=replace(plant.structure, parts=tuple(
-        replace(part, effect=_Noted(part.effect, listing)) for part in plant.structure.parts)))
+
+    def with_notes(part: Part) -> Part:
+        return replace(part, effect=cast('Effect', _Noted(part.effect, listing)))
+
+    own = plant.structure
+    noted = replace(plant, structure=replace(
+        own, law=own.law and with_notes(own.law), parts=tuple(map(with_notes, own.parts))))
     fields = {
         name: None if not there else (listing.inputs(1), listing.inputs(1))
         if name.startswith('other') else listing.inputs(1)

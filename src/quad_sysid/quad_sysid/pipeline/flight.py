@@ -40,8 +40,8 @@ class AxisFlight:
         data, own, first = axis_data(records, axis), EVERY[axis], records[0]
         check_usable(data, records)
         # of surge and sway the command is the lean, which nobody interpolates
-        commands = [record.control[:, 1:] if own.turns else record.control[:, :1]
-                    for record in records if own.turns or own.index < 0]
+        drawn = [drawn_hz(record.control[:, 1:] if own.turns else record.control[:, :1], record.dt)
+                 for record in records if own.turns or own.index < 0]
         trained = [s.start_s for s in first.segments if s.role == 'train']
 
         def joined(setpoints: Sequence[FloatArray | None]) -> FloatArray | None:
@@ -50,6 +50,6 @@ class AxisFlight:
 
         return cls(
             data, loop_of(records, axis), dict(first.gains_at(min(trained, default=0.0))),
-            first.units, max((drawn_hz(one, first.dt) for one in commands), default=0.0),
+            first.units, max(drawn, default=0.0),
             joined([record.attitude_setpoint for record in records]),
             joined([record.rate_setpoint for record in records]))

@@ -95,7 +95,8 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         flight = AxisFlight.of(records, axis)
         if flight.drawn_hz:
             options = replace(options, effects=())
-        problem = options.base and options.base.problem(flight.data, flight.units)
+        problem = None if options.base is None else \
+            options.base.problem(flight.data, flight.units)
         findings = found_effects(flight.data, options, progress, problem)
     except NotInformativeError as error:
         reason = '; '.join([str(error), *(w for w in answer.warnings if 'cut off' in w)])

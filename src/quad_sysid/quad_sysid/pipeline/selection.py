@@ -226,12 +226,13 @@ def with_blackbox(answer: AxisAnswer, data: AxisData, loop: step_b.Loop,
     rows, why_not = _second_steps(rows, loop, closed=closed)
     selected = blackbox_part.select(rows, data)
     model = None if selected is None else rows[selected].step_a.model
-    errors = {} if model is None else {
-        'blackbox_error': blackbox_part.window_error(data, model, data.validation),
-        'blackbox_horizons': blackbox_part.horizons(data, model, data.validation)}
     band = support.band(_box_jenkins(rows) or model)
     answer = replace(answer, model=replace(known, trusted_band_rad_s=band), rows=rows,
-                     selected=selected, selection=Selection(possible, closed), **errors)
+                     selected=selected, selection=Selection(possible, closed))
+    if model is not None:
+        answer = replace(
+            answer, blackbox_error=blackbox_part.window_error(data, model, data.validation),
+            blackbox_horizons=blackbox_part.horizons(data, model, data.validation))
     told = *advice(answer, fits, support, why_not), *fits.refused, *refused
     return replace(answer, selection=replace(answer.selection, advice=told))
 

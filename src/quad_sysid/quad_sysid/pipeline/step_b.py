@@ -1,7 +1,7 @@
 """Models in the simulated cascade against the recording: step B of the paper.
 
 Every flight and every set of gains that it was flown with is a run of its own, so that a change
-of gains tests the model as in the paper. The cascade itself stands in the room `loop`.
+of gains tests the model as in the paper. The cascade itself stands in `loop`.
 """
 
 from __future__ import annotations
@@ -47,6 +47,8 @@ class Flown:
     """(n,) measured, rad/s."""
     rows: FloatArray
     """(m,) indices that are compared."""
+    injected: bool
+    """Whether an excitation acted behind the attitude reference in the compared segments."""
     added: tuple[FloatArray, FloatArray] | None
     """(n,) each: excitation behind C1, rad/s, and behind C2; None where the bag lacks it."""
     held_out: bool
@@ -147,6 +149,7 @@ def _under_gains(record: Record, axis: str, values: Mapping[str, float],
                  gains_changed=changed, signals=tuple(dict.fromkeys(s.signal for s in segments)),
                  reference=reference, rate=record.rates[:, index],
                  rows=np.concatenate([np.arange(a, b) for a, b in runs]),
+                 injected=any(s.injection in ('rate', 'control') for s in segments),
                  added=excitations(record, axis),
                  held_out=all(s.role == 'validation' for s in segments), offset=offset,
                  angle_lead_s=angle_lead_s(angle, record.rates[:, index], record.dt),
