@@ -209,6 +209,7 @@ BAD = {
     'infinity': ({'y': np.where(np.arange(N) == 7, np.inf, Y)}, 'y holds infinity: found sample'),
     'only NaN': ({'u': np.full(N, np.nan)}, 'u holds no number: found NaN throughout'),
     'time runs back': ({'dt': None, 't': DT * np.abs(np.arange(N) - 9.0)}, 't must increase'),
+    't is dt': ({'dt': None, 't': DT}, 't must be (n,) times: found 0.004; the interval is dt=…'),
     'short t': ({'dt': None, 't': DT * np.arange(N - 1)}, 't must be as long as u'),
     't holds NaN': ({'dt': None, 't': np.full(N, np.nan)}, 't holds NaN: found sample 0'),
     'unknown unit': ({'units': {'u': 'furlong'}}, "units: u is no known unit: found 'furlong'"),
@@ -237,6 +238,7 @@ def test_bad_arrays_are_refused_in_one_line(refusal, name):
 @pytest.mark.parametrize(('call', 'words'), [
     (lambda: qs.identify([]), 'has no flight'),
     (qs.identify, 'has no flight'),
+    (lambda: qs.identify(U, Y, dt=DT), 'axes must be names: found ndarray; hand in arrays by'),
     (lambda: qs.identify(object()), 'are of a kind that cannot be read: found object'),
     (lambda: qs.identify('bag', u=U, y=Y, dt=DT), 'flights or arrays, not both'),
     (lambda: qs.identify(u=U, y=Y, dt=DT, seconds=-1.0), 'seconds must be'),
@@ -246,7 +248,7 @@ def test_bad_arrays_are_refused_in_one_line(refusal, name):
      'Record: rates must be (n, 3)'),
     (lambda: qs.Record('mine', 0.1, np.zeros((9, 3)), np.zeros((8, 4))),
      'control must be (n, 4) with n as in rates: found (8, 4) for n = 9'),
-], ids=range(9))
+], ids=range(10))
 def test_what_cannot_be_identified_is_said_in_one_line(refusal, call, words):
     assert words in refusal(call)
 
@@ -289,6 +291,33 @@ def test_the_model_speaks_the_units_of_its_arrays(result):
     assert found.model.residuals(z).residual_uncorrelated_with_input in (True, False)
 
 
+def test_pictures_speak_the_units_of_the_arrays(result):
+    found, flight = result
+    labels = {'signals': ('time, s', 'rate, rpm'), 'free_run': ('time, s', 'rate, rpm'),
+              'horizon': ('time since the start of the window, s', 'RMS error, rpm'),
+              'left_out': ('rate, rpm', 'left out, rev/s²'),
+              'effect_shape': ('rate, rpm', 'torque / inertia, rev/s²')}
+    drawn = {name: found.plot(name) for name in labels}
+    for name, (x, y) in labels.items():
+        first, last = drawn[name].axes[0], drawn[name].axes[-1]
+        assert (first.get_xlabel() or last.get_xlabel(), first.get_ylabel()) == (x, y), name
+    rate, command = drawn['signals'].axes[0], drawn['signals'].axes[-1]
+    assert command.get_ylabel() == 'command, V'
+    np.testing.assert_allclose(command.lines[-1].get_ydata(), 20.0 * flight.control[:, 1])
+    np.testing.assert_allclose(rate.lines[-1].get_ydata(), 30.0 / math.pi * flight.rates[:, 0])
+    effect = drawn['effect_shape'].axes[0].lines[-2].get_ydata()
+    assert np.abs(effect).max() == pytest.approx(6.0 / (2.0 * math.pi), rel=0.05)
+    from quad_sysid.units import COMMAND, Units, scale
+
+    slide = Units('V', 0.05, 0.0, 'mm/s', 1e-3, 'mm', 1e-3)
+    assert {scale(slide, name, unit).label: scale(slide, name, unit)(np.ones(1))[0]
+            for name, unit in (('rate', 'rad/s'), ('torque / inertia', 'rad/s²'),
+                               ('gain', f'rad/s per {COMMAND}'), ('error', '(rad/s)²/Hz'),
+                               ('acting command', COMMAND))} == pytest.approx({
+        'speed, mm/s': 1e3, 'acceleration, mm/s²': 1e3, 'gain, mm/s per V': 50.0,
+        'error, (mm/s)²/Hz': 1e6, 'acting command, V': 20.0})
+
+
 def test_every_function_takes_what_the_others_return(result, tmp_path):
     found, flight = result
     model = found.model
@@ -326,6 +355,9 @@ def test_result_and_model_are_copied_pickled_and_written_without_loss(result):
         assert str(one) == str(found)
         assert one.effects == found.effects
         assert one.gains == found.gains
+    assert repr(found) == 'roll: effects_added coulomb_friction'
+    with pytest.raises(qs.BadInputError, match='a result of from_json has no pictures'):
+        one.plot('free_run')
     with pytest.raises(qs.BadInputError, match='no result'):
         qs.Result.from_json(json.dumps({}))
 

@@ -13,7 +13,8 @@ import pytest
 
 from quad_sysid.errors import BadInputError
 from quad_sysid.fleets.drift import Series, _mean
-from quad_sysid.fleets.summary import DAY_NS, Fleet
+from quad_sysid.fleets.page import Fleet
+from quad_sysid.fleets.summary import DAY_NS
 
 SIZES = {'gain': 450.0, 'lag': 0.04, 'delay': 0.008, 'damping': 0.4, 'bias': 0.2}
 FIRST = 20_600.0
@@ -86,7 +87,7 @@ def test_a_wearing_bearing_and_a_weakening_motor_are_named_and_dated():
     assert max(map(len, text.splitlines())) <= 80
     # within the last months the motor is seen still, and other groups have other means
     assert len(found.only(since='2026-09-01').flights) < 0.6 * 300
-    (one,) = {len(q.found.mean.levels) for q in found.only(group_by='none').quantities}
+    (one,) = {len(q.statistics.mean.levels) for q in found.only(group_by='none').quantities}
     assert one == 1
     with pytest.raises(BadInputError, match='group_by'):
         found.only(group_by='month')

@@ -156,6 +156,7 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         topics['vehicle_thrust_setpoint'] = {
             'timestamp': stamps, 'xyz': flight.control[:, :1] * [0.0, 0.0, -1.0],
         }
+        topics['actuator_motors']['control'][: N // 6] = 0.0  # on the ground, where torque goes on
 
     record, _ = px4({'MC_ROLL_P': 6.5, 'MC_ROLLRATE_P': 0.15, 'MC_ROLLRATE_K': 2.0,
                      'MC_YAWRATE_P': 0.2, 'MC_ROLLRATE_MAX': 180.0}, with_torque)
@@ -246,8 +247,9 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
         messages, added, axis = ardupilot_messages(flight), 0.06 * np.sin(9.0 * t), 1
         stamps = messages['RATE'][1][on, 0]
         messages['SIDS'] = ('TimeUS', 'Ax', 'Mag'), np.array([[stamps[0], 11.0, 0.06]])
+        injected = np.where(t < 5.8, added, 0.0)  # the mode goes on when its chirp has ended
         messages['SIDD'] = ('TimeUS', 'Time', 'Targ'), np.column_stack(
-            [stamps, t[on], -added[on]])
+            [messages['RATE'][1][t >= 0.2, 0], t[t >= 0.2], -injected[t >= 0.2]])
         path = dataflash(tmp_path / 'log', messages, {'FRAME_CLASS': 1, 'FRAME_TYPE': 1})
         said = 'chirp', 'pitch', 'control'
     else:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quad_sysid.imports.clock import cycles, hold, unroll
-from quad_sysid.imports.log import Stream
+from quad_sysid.imports.clock import Stream, cycles, hold, unroll
 
 DT, N = 0.004, 2000
 T = DT * np.arange(N)

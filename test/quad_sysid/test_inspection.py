@@ -12,8 +12,8 @@ from flown_axis import Axis, Plan, fly
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER
-from quad_sysid.inspection.cli import lines
 from quad_sysid.inspection.content import content
+from quad_sysid.inspection.text import lines
 
 
 @pytest.fixture(scope='module')

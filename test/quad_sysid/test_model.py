@@ -8,27 +8,28 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
-from quad_sysid.discover import accept
 from quad_sysid.discover.accept import Unseen, judge
-from quad_sysid.discover.base import best_base
+from quad_sysid.discover.base import best_base, both_orders
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.events import Held, PeriodicDelay
-from quad_sysid.estimate.fit import Problem, fit
+from quad_sysid.estimate.fit import Fit, Problem, Tail, fit
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
+from quad_sysid.explain.models import Models
 from quad_sysid.model import recursion
 from quad_sysid.model.data import axis_data, part_of
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Flight
-from quad_sysid.model.structure import Structure
+from quad_sysid.model.structure import NOISE, Structure
 from quad_sysid.record import GainChange
 
 DT = 0.01
@@ -46,7 +47,8 @@ TORQUES = [e for e in EFFECTS if e.name in ('quadratic_drag', 'coulomb_friction'
 
 def judged(data, problem, found):
     """The verdict on what a search left."""
-    return judge(data, problem, found, explain(problem, found, candidates(problem, TORQUES)[0]))
+    ladder = explain(problem, found, candidates(problem, TORQUES)[0])
+    return judge(Unseen(data, data.validation), problem, found, ladder)
 
 
 def based(data):
@@ -168,13 +170,13 @@ def test_a_claim_stands_where_the_model_without_it_cannot_follow_the_flight(rubb
         theta[3] = -1e4
         return [replace(model, structure=base.structure, theta=theta)]
 
-    def fitted_or_not(self, model, own=accept._Models.fitted):
+    def fitted_or_not(self, model, own=Models.fitted):
         if model.theta[3] == -1e4:
             raise FloatingPointError
         return own(self, model)
 
-    monkeypatch.setattr(accept._Models, 'each_left_out', runs_away)
-    monkeypatch.setattr(accept._Models, 'fitted', fitted_or_not)
+    monkeypatch.setattr(Models, 'each_left_out', runs_away)
+    monkeypatch.setattr(Models, 'fitted', fitted_or_not)
     verdict = judged(data, problem, found)
     assert verdict.chosen.structure.labels == ('coulomb_friction',)
     assert verdict.claims[0].p_value < 0.01
@@ -305,3 +307,20 @@ def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
             least = 1e-3 * size
     by_turns = {'shape:delay:time/held', 'shape:delay:time/periodic'}
     assert set(wrong) - by_turns == {'shape:gain:command/steps'}
+
+
+@pytest.mark.parametrize(('lead', 'slower'), [(5.0, False), (25.0, True)])
+def test_motors_slower_than_the_body_must_be_far_more_probable(monkeypatch, lead, slower):
+    values = [160.0, math.log(0.05), math.log(0.01), 1.0, 0.0]
+    theta = np.array([*values, *(spec.centre for spec in NOISE)])
+    quick = Fit(Structure(), theta, Tail(1.0, 4.0), 100.0, 0.0, np.eye(9), np.eye(9), True, None)
+
+    def refitted(_problem, structure, start, **_):
+        at = start.copy()
+        return replace(quick, structure=structure, theta=at, log_posterior=100.0 + lead)
+
+    monkeypatch.setattr('quad_sysid.discover.base.fitted_from', refitted)
+    monkeypatch.setattr(Fit, 'rate', None)
+    chosen = both_orders(SimpleNamespace(held=[]), quick)
+    assert (chosen.value('lag') * chosen.value('damping') > 1.0) is slower
+    assert chosen.value('gain') / chosen.value('lag') == pytest.approx(160.0 / 0.05)

@@ -62,19 +62,20 @@ def propose_notches(peaks: Mapping[str, tuple[Peak, ...]], gains: Mapping[str, f
     `gains` are those that are to fly, by the contract's names; `crossover_rad_s` by axis.
     """
     cascades = {axis: CascadeGains.from_mapping(gains, axis) for axis in AXES}
-    found: list[NotchProposal] = []
+    notches: list[NotchProposal] = []
     free = [f'sensor.notch_{k}' for k in range(1, GYRO_NOTCHES + 1)
             if not gains.get(f'sensor.notch_{k}_hz')]
     crossing_hz = max(crossover_rad_s.values(), default=0.0) / (2.0 * np.pi)
     shakes = [(_command(cascades[axis], peak, dt), axis, peak)
               for axis, several in peaks.items() for peak in several]
     for command, axis, peak in sorted(shakes, key=lambda one: -one[0]):
-        near = any(abs(one.frequency_hz - peak.frequency_hz) < SAME_HZ for one in found)
+        near = any(abs(one.frequency_hz - peak.frequency_hz) < SAME_HZ for one in notches)
         if command < LEAST_COMMAND or near:
             continue
         without_d = _command(_plain(cascades[axis]), peak, dt)
-        taken = any(one.place == 'rate.d_notch' for one in found) or gains.get('rate.d_notch_hz')
-        by_d = without_d < (1.0 - BY_D) * command and not taken
+        occupied = gains.get('rate.d_notch_hz') or any(
+            one.place == 'rate.d_notch' for one in notches)
+        by_d = without_d < (1.0 - BY_D) * command and not occupied
         if by_d and peak.frequency_hz <= D_HIGHEST_HZ:
             place = 'rate.d_notch'
         elif free:
@@ -83,9 +84,9 @@ def propose_notches(peaks: Mapping[str, tuple[Peak, ...]], gains: Mapping[str, f
             continue
         made = _notch(place, axis, peak, command, cascades[axis], crossing_hz, dt)
         if made is not None:
-            found.append(made)
+            notches.append(made)
             free = [one for one in free if one != place]
-    return tuple(found)
+    return tuple(notches)
 
 
 def _command(gains: CascadeGains, peak: Peak, dt: float) -> float:

@@ -115,7 +115,7 @@ class Mean:
 
 
 @dataclass(frozen=True)
-class Found:
+class OverFleet:
     """One parameter over a fleet."""
 
     mean: Mean
@@ -135,7 +135,7 @@ def holm(p_values: Sequence[float], level: float) -> list[bool]:
     return marks
 
 
-def over_fleet(every: Sequence[Sequence[Series]]) -> list[Found]:
+def over_fleet(every: Sequence[Sequence[Series]]) -> list[OverFleet]:
     """What the series of each parameter show, at LEVEL over all parameters, aircraft, flights."""
     shared = [_scale([one for one in series if not one.comes_and_goes]) for series in every]
     scales = [[_scale([one]) if one.comes_and_goes else scale for one in series]
@@ -151,7 +151,7 @@ def over_fleet(every: Sequence[Sequence[Series]]) -> list[Found]:
                     for one in _odd(s, scale, claimed.get(s.aircraft))])
     marks = iter(holm([o.p_value for some in odd for o in some], LEVEL))
     odd = [[replace(o, claimed=next(marks)) for o in some] for some in odd]
-    return [Found(_mean(series, [scale.tau for scale in own],
+    return [OverFleet(_mean(series, [scale.tau for scale in own],
                         {o.bag for o in outside if o.claimed}), tuple(some), tuple(outside))
             for series, own, some, outside in zip(every, scales, drifts, odd, strict=True)]
 
@@ -345,5 +345,5 @@ def _reml(y: FloatArray, v: FloatArray) -> float:
         mean = (w * y).sum() / w.sum()
         return float((w * (y - mean)**2).sum() - np.log(w).sum() + np.log(w.sum()))
 
-    found = optimize.minimize_scalar(loss, bounds=(0.0, 4.0 * spread), method='bounded')
-    return float(found.x) if found.fun < loss(0.0) else 0.0
+    best = optimize.minimize_scalar(loss, bounds=(0.0, 4.0 * spread), method='bounded')
+    return float(best.x) if best.fun < loss(0.0) else 0.0

@@ -18,6 +18,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import LAYOUTS, Craft, of_px4
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
+from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.experiments import runs_of
 from quad_sysid.imports.log import (
     ASKED_FOR,
@@ -26,7 +27,6 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
-    Stream,
 )
 from quad_sysid.imports.mixers import MIRROR, enu, mirrored, ned_angles
 from quad_sysid.imports.rosbag import read_messages, topics_of
@@ -38,6 +38,8 @@ MULTIROTORS = (2, 3, 13, 14, 15, 29, 35)
 """MAV_TYPE of those that fly by their rotors alone."""
 FIRST_MOTOR, MAX_ESCS = 101, 8
 """actuator_function of motor 1; entries of esc_status."""
+FREE = (0.02, 0.98)
+"""Commands between which a motor is at none of its ends."""
 LINEAR = 0.98
 """R² of motors over torque set-point from which PX4's gains can be stated in our unit."""
 FASTER = ('set SDLOG_PROFILE to 25, that is bit 4 (high rate) and bit 3 (system identification) '
@@ -195,8 +197,10 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         crafts, how = _craft(table, count)
         reading.take(Signal('motors', columns, '0..1', how))
         _speeds(reading, count)
+        # on the ground, at take-off and at landing motors stand at an end, where nothing is linear
+        free = ((motors.values > FREE[0]) & (motors.values < FREE[1])).all(axis=1)
         scale = None if torque is None or not crafts else _scale(
-            Stream(motors.time_s, crafts[0].control(motors.values)), torque
+            Stream(motors.time_s[free], crafts[0].control(motors.values[free])), torque
         )
         note = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')

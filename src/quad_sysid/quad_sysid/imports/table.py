@@ -27,10 +27,9 @@ from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
-from quad_sysid.imports.clock import draw, unroll
+from quad_sysid.imports.clock import Stream, draw, unroll
 from quad_sysid.imports.crazyflie_sd import SD_MAGIC, sd_card
 from quad_sysid.imports.delimited import read_text_table
-from quad_sysid.imports.log import Stream
 from quad_sysid.imports.matlab import read_mat
 from quad_sysid.imports.rosbag import read_messages
 from quad_sysid.imports.units import Unit

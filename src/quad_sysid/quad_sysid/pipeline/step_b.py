@@ -47,8 +47,6 @@ class Flown:
     """(n,) measured, rad/s."""
     rows: FloatArray
     """(m,) indices that are compared."""
-    injected: bool
-    """Whether an excitation acted behind the attitude reference in the compared segments."""
     added: tuple[FloatArray, FloatArray] | None
     """(n,) each: excitation behind C1, rad/s, and behind C2; None where the bag lacks it."""
     held_out: bool
@@ -149,7 +147,6 @@ def _under_gains(record: Record, axis: str, values: Mapping[str, float],
                  gains_changed=changed, signals=tuple(dict.fromkeys(s.signal for s in segments)),
                  reference=reference, rate=record.rates[:, index],
                  rows=np.concatenate([np.arange(a, b) for a, b in runs]),
-                 injected=any(s.injection in ('rate', 'control') for s in segments),
                  added=excitations(record, axis),
                  held_out=all(s.role == 'validation' for s in segments), offset=offset,
                  angle_lead_s=angle_lead_s(angle, record.rates[:, index], record.dt),
