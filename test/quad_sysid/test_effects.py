@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from unittest import mock
@@ -645,6 +645,8 @@ class Planted:
     alone: bool = True
     """Whether it is all that is found."""
     plan: Plan = BRIEF
+    quick: bool = True
+    """Whether it is flown outside of `make test-long`."""
 
     def __str__(self) -> str:
         return self.label
@@ -666,12 +668,12 @@ PLANTED = [
     # gusts of the axis' own beside what another axis' command does to it
     Planted(lambda: {**coloured(6, 3.0, 0.05)(), 'other_commands': other_commands,
                      'command': lambda t, u, _v: u + 0.15 * other_commands(t)[0]},
-            'cross_axis_input', 1.5, ((0.15, 0.0, 0.02),)),
+            'cross_axis_input', 1.5, ((0.15, 0.0, 0.02),), quick=False),
 ]
 
 
-def among(label: str, rivals: Collection[str] = RIVALS) -> tuple[Effect, ...]:
-    return tuple(e for e in EFFECTS if e.label in rivals or e.label.startswith(label))
+def only(*labels: str) -> tuple[Effect, ...]:
+    return tuple(e for e in EFFECTS if e.label in labels)
 
 
 def answer_of(record: Record, **options):
@@ -704,10 +706,12 @@ def check_sure_of(effect) -> None:
     assert total == pytest.approx(1.0, abs=1e-9)
 
 
-@pytest.mark.parametrize('one', PLANTED, ids=str)
+@pytest.mark.parametrize('one', [
+    pytest.param(one, marks=[] if one.quick else pytest.mark.long) for one in PLANTED], ids=str)
 def test_what_acts_is_named_measured_and_foreseen_in_another_flight(one):
     """One of each kind; bench/effects.py plants all that are named, and pairs, among all."""
-    answer = answer_to(one.changes, 1, plan=one.plan, effects=among(one.label))
+    answer = answer_to(one.changes, 1, plan=one.plan, effects=tuple(
+        e for e in EFFECTS if e.label in RIVALS or e.label.startswith(one.label)))
     assert answer.verdict == 'effects_added', answer.reason
     effects = answer.model.effects
     effect = max(effects, key=lambda e: e.error_reduction_pct)
@@ -733,7 +737,7 @@ def test_friction_is_named_and_measured_among_all_effects(rubbed_answer):
 
 def test_a_gain_that_wanders_is_followed_in_another_flight_on_its_own_path():
     answer = answer_to(drifting(1, 0.3, 5.0), 1, plan=SHORT,
-                       effects=among('shape:gain:time', ()))
+                       effects=only('shape:gain:time/wandering', 'shape:gain:time/smooth'))
     (effect,) = answer.model.effects
     assert (effect.name, effect.variant) == ('shape:gain:time', 'wandering')
     found = {p.name: p.value for p in effect.parameters}
@@ -749,7 +753,7 @@ def test_a_spring_that_swings_an_aircraft_whose_motors_stand_is_no_answer():
     """It foresees the rates well, and the commands nothing: their gain would be a guess."""
     swings = {'torque': lambda _t, _rate, angle: -20.0 * math.sin(angle), 'torque_noise': 0.2,
               'command': lambda *_: 0.0}
-    answer = answer_to(lambda: swings, 1, effects=among('pendulum_stiffness', ('dead_zone',)))
+    answer = answer_to(lambda: swings, 1, effects=only('pendulum_stiffness'))
     assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
     assert 'commands do not predict' in answer.reason
 
@@ -816,7 +820,7 @@ def test_validation_does_not_touch_what_is_chosen(rubbed_flight):
         name: np.concatenate((getattr(rubbed_flight, name)[:cut], getattr(other, name)[cut:]))
         for name in columns
     })
-    few = among('coulomb_friction', ('quadratic_drag', 'dead_zone'))
+    few = only('coulomb_friction', 'quadratic_drag')
     ours, another = (answer_of(flight, effects=few).model
                      for flight in (rubbed_flight, mixed))
     assert [e.name for e in ours.effects] == ['coulomb_friction']

@@ -192,6 +192,7 @@ def test_a_table_comes_back_as_flown_by_the_command_that_is_printed(
     motors = np.column_stack([FLOWN[m] for m in MOTORS])
     motors = np.where(FLOWN['t'][:, None] < 0.2, 0.0, motors) if '900' in name else motors
     check(record, np.column_stack([FLOWN[r] for r in RATES]), motors @ MIX[:, 1:] / 4.0, case.lost)
+    np.testing.assert_allclose(record.motors, motors, atol=1e-6)
     assert record.dt == pytest.approx(DT)
     if case.angles:
         angles = np.column_stack([FLOWN[a] for a in ANGLES])
