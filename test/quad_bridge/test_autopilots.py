@@ -29,7 +29,7 @@ from quad_bridge.autopilots.check import lines, report
 from quad_bridge.autopilots.check import main as check
 from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.autopilots.guard import Guard
-from quad_bridge.autopilots.system_id import wanted
+from quad_bridge.autopilots.system_id import sid_parameters
 from quad_bridge.autopilots.table import ARDUPILOT, PX4, UnfitError
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
@@ -39,6 +39,7 @@ from quad_bridge.link.autopilot import Inertial, fitted, load
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Arrived, Described, Stamped
 from quad_bridge.motor_outputs import motor_outputs
+from quad_bridge.virtual.physics import POSITION, VELOCITY
 from quad_bridge.wire import frames as f
 
 KINDS = {
@@ -225,7 +226,7 @@ def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):
     line.hear(line.controller.pack(line.controller.value(p)))
     line.fly(2.0)
     assert line.controller.parameters[p] == other  # is left alone
-    with pytest.raises(RefusedError, match='until the bridge starts anew'):
+    with pytest.raises(RefusedError, match='until the bridge is restarted'):
         line.ask(roll_rate_kp=kp)
 
 
@@ -247,9 +248,13 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     line = flying('px4')
     height = line.aircraft.flight.height_m
     line.segment()
-    line.excite(6.0, 0.1)
+    line.excite(3.0, 0.1)
     assert line.controller.mode == OFFBOARD
-    applied = [c.excitation for c in line.cycles[-200:]]
+    line.controller.craft.machine.state[VELOCITY : VELOCITY + 2] = 1.2, -0.8  # a gust
+    line.excite(7.0, 0.1)
+    assert line.controller.mode == OFFBOARD
+    assert max(abs(line.controller.craft.machine.state[POSITION : POSITION + 2])) < 1.0
+    applied = [c.excitation for c in line.cycles[-500:]]
     assert max(a[0] for a in applied) == pytest.approx(0.1, abs=1e-3)
     assert min(a[0] for a in applied) == pytest.approx(-0.1, abs=1e-3)
     assert all(a[1] == a[2] == 0.0 for a in applied)
@@ -420,8 +425,8 @@ def test_a_wrong_chirp_is_refused_in_one_line():
         ({'f0_hz': math.nan}, 'needs f0_hz'),
     ):
         with pytest.raises(ValueError, match=words):
-            wanted(0, f.Injection.CONTROL, {**CHIRP, **given})
-    given = wanted(2, f.Injection.ATTITUDE, CHIRP)
+            sid_parameters(0, f.Injection.CONTROL, {**CHIRP, **given})
+    given = sid_parameters(2, f.Injection.ATTITUDE, CHIRP)
     assert (given['SID_AXIS'], given['SID_MAGNITUDE']) == (3, math.degrees(0.05))
 
 

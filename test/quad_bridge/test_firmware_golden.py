@@ -15,7 +15,7 @@ from probe import PATIENCE_S
 from quad_bridge.wire import dialect
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.frames import Cycle, Standard
-from quad_bridge.wire.messages import FROM_MESSAGE
+from quad_bridge.wire.messages import FROM_MESSAGE, OFTEN
 from quad_bridge.wire.signing import Signing
 
 FRAMES = json.loads(Path(__file__).with_name('golden_frames.json').read_text(encoding='utf-8'))
@@ -24,7 +24,7 @@ each = pytest.mark.parametrize('golden', FRAMES, ids=lambda g: f'{g["message"]}-
 
 def test_every_message_of_our_own_is_there():
     named = {g['message'] for g in FRAMES}
-    used = {dialect.mavlink_map[number].msgname for number in FROM_MESSAGE}
+    used = {dialect.mavlink_map[number].msgname for number in {**FROM_MESSAGE, **OFTEN}}
     assert used <= named
 
 

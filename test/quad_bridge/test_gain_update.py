@@ -379,7 +379,7 @@ def test_gains_stay_on_trial_on_the_ground_and_are_good_after_ten_seconds_of_fli
     bench, told = Bench(tmp_path, sources=('test', 'design*')), []
     found = bench.stored
     assert (found['reason'], found['gains']['roll.rate.kp']) == (
-        'read from the STM32', pytest.approx(0.1),
+        'read from the aircraft', pytest.approx(0.1),
     )  # fmt: skip
     asked = {'roll.rate.kp': 0.15, 'source': 'designer', 'model': 'model.json',
              'aircraft': bench.gains.aircraft}  # fmt: skip

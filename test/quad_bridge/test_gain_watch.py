@@ -79,6 +79,15 @@ def test_gusts_out_of_calm_air_are_no_alarm_and_a_shaken_aircraft_is(rms, heard)
     assert any(alarms) is heard
 
 
+@pytest.mark.parametrize(('size', 'heard'), [(0.3, False), (1.0, True)])
+def test_a_first_flight_may_turn_but_not_swing(size, heard):
+    """1 rad/s at 50 rad/s is an amplitude of 1.1 degrees; nothing is known of the aircraft."""
+    watch = GainWatch(250.0)
+    watch.begin()
+    assert (fed(watch, 5.0, size, 50.0) is not None) is heard
+    assert watch.alarm() is None or 'oscillation near 64 rad/s' in str(watch.alarm())
+
+
 def test_what_was_there_before_is_no_alarm_unless_the_design_promised_less():
     for ratio, heard in ((1.0, False), (0.5, True)):
         watch = GainWatch(250.0)

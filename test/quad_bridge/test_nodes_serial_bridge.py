@@ -16,7 +16,9 @@ from quad_bridge.topics import NODES
 from quad_bridge.wire import frames as f
 
 CONFIG = Path(__file__).resolve().parents[2] / 'src' / 'quad_bridge' / 'config'
-CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4
+CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE, SHUTDOWN = 1, 2, 3, 4, 5
+STATES = {CONFIGURE: 2, CLEANUP: 1, ACTIVATE: 3, DEACTIVATE: 2, SHUTDOWN: 4}
+"""The state behind each transition, which nav2's lifecycle manager asks for at once."""
 LINK, CLOCK, RECORDING = 'serial_bridge: link', 'serial_bridge: clock', 'bag_logger: recording'
 PER_CYCLE = ('/motors/command', '/control/wrench', '/setpoint/rates', '/setpoint/attitude')
 
@@ -161,10 +163,15 @@ def test_two_aircraft_keep_apart_and_one_logs_inside_its_bridge(tmp_path, probe,
 
 def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
     node = bridge(managed=True)
-    heard = probe.listen('/imu/data')
+    heard = probe.listen('/imu/data', reliable=False)  # by SensorDataQoS, as it chooses
+
+    def goes(transition):
+        assert probe.transition('/serial_bridge', transition)
+        now = probe.call('/serial_bridge/get_state', 'lifecycle_msgs/srv/GetState')
+        assert now.current_state.id == STATES[transition]
 
     def silent_after(transition):
-        assert probe.transition('/serial_bridge', transition)
+        goes(transition)
         begin, ended_ns = far.controller.number, time.time_ns()
         probe.until(lambda: far.controller.number > begin + 125)
         stamps = [message.header.stamp for message in heard]  # what is under way may come late
@@ -183,17 +190,19 @@ def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
     opens('offers', *(f'/serial_bridge/{name}' for name in NODES['serial_bridge'].offers))
     opens('hears')
     for _ in range(2):
-        assert probe.transition('/serial_bridge', ACTIVATE)
+        goes(ACTIVATE)
         probe.until(lambda: len(heard) > 50)
         opens('hears', *NODES['serial_bridge'].hears)
         silent_after(DEACTIVATE)
         opens('hears')
-    assert probe.transition('/serial_bridge', CLEANUP)
+    goes(CLEANUP)
     opens('offers')
     assert not probe.transition('/serial_bridge', ACTIVATE)  # not before configure
-    assert probe.transition('/serial_bridge', CONFIGURE)
-    assert probe.transition('/serial_bridge', ACTIVATE)
+    for transition in (CONFIGURE, ACTIVATE):
+        goes(transition)
     probe.until(lambda: len(heard) > 50)
+    for transition in (DEACTIVATE, CLEANUP, SHUTDOWN):
+        goes(transition)
     assert node.end() == 0
 
 
