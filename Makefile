@@ -17,7 +17,7 @@ ARGS ?=
 # cache of bytecode, also where the shell has it switched off; they begin in the order of test/conftest.py
 PYTEST := $(RUN) PYTHONDONTWRITEBYTECODE= exec python -m pytest --timeout 600 -n $$(($(shell nproc) + 2)) --dist loadgroup --no-loadscope-reorder
 
-.PHONY: build-test build-lint build-docs build-others help demo flight qemu pictures app-picture test test-qemu test-browser test-others test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-mixer bench-link bench-effects-speed bench-peers bench-likelihood bench-intervals bench-outside bench-twice bench-ablation bench-fleet bench-results wheel docs lock shell clean
+.PHONY: build-test build-lint build-docs build-others help demo flight qemu pictures app-picture test test-qemu test-browser test-others test-long build lint firmware-table bench bench-effects bench-log bench-tuning bench-watch bench-mixer bench-link bench-effects-speed bench-peers bench-likelihood bench-intervals bench-outside bench-twice bench-ablation bench-demo bench-fleet bench-results wheel docs lock shell clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -53,7 +53,7 @@ test-qemu: build-test  ## the STM32's ELF in QEMU: gains under faults, and the w
 	@$(PYTEST) -m qemu $(ARGS)
 
 test-browser: build-test  ## the pages and the app in Debian's Chromium (a minute or two)
-	@$(PYTEST) -m browser $(if $(ARGS),$(ARGS),test/quad_sysid/test_app.py test/quad_sysid/test_report_browser.py)
+	@$(PYTEST) -m browser $(if $(ARGS),$(ARGS),test/quad_sysid/test_app.py)
 
 test-others: build-others  ## with an S3 server, pandas, polars, xarray and duckdb, which nothing else needs (a minute)
 	@export PYTHONPATH=$$PWD/.venv/others; $(PYTEST) -n 0 -m others $(if $(ARGS),$(ARGS),test/quad_sysid/test_fleet.py test/quad_sysid/test_arrays.py)
@@ -105,6 +105,9 @@ bench-ablation: build  ## groups of candidates left out where they matter (two h
 
 bench-twice: build  ## each aircraft flown twice: does the answer come again? (an hour; ARGS='--plants 12')
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/effects_twice.py $(ARGS)
+
+bench-demo: build  ## the demo's first flight with other noise each time (five minutes; ARGS='--flights 8')
+	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/demo.py $(ARGS)
 
 bench-fleet: build  ## what a fleet costs beside its bags, one worker and two (ten minutes; ARGS=--drift)
 	@$(RUN) OPENBLAS_NUM_THREADS=1 exec python bench/fleet.py $(ARGS)

@@ -7,6 +7,7 @@ the effect is off. Where the truth gains less than a factor of 1.5 there is litt
 flight does not count.
 
     python bench/effects_outside.py --noise 0.3 --only cables --out bench/out
+    python bench/effects_outside.py --noise 0.3 --sealed FILE --drawn 46
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Any
 
 from effects_answer import searched
 from effects_judge import SPOILED, UNNAMED, WORTH
-from outside import PLANTS, SETS, Case, cases, record_of, simulator
+from outside import SETS, Case, cases, record_of, simulator
 from threadpoolctl import threadpool_limits
 
 from quad_sysid.effects import EFFECTS
@@ -51,10 +52,11 @@ def answered(case: Case) -> dict[str, Any]:
     wrong = [
         e.name for e in model.effects
         if e.probability > 0.5 and not e.name.startswith(UNNAMED)
-        and e.name not in PLANTS[case.effect].may_be
+        and e.name not in case.plant.may_be
     ]
     return {
-        **vars(case), 'verdict': found.verdict.verdict, 'wrong': wrong,
+        **vars(case), 'file': '', 'verdict': found.verdict.verdict, 'wrong': wrong,
+        'rungs': [[*rung.labels] for rung in found.ladder.rungs], 'reference': error.reference,
         'effects': [[e.name, e.variant, e.probability] for e in model.effects],
         'before': error.before, 'after': error.after, 'true': true,
         'gap': (error.before - error.after) / (error.before - true),
@@ -81,21 +83,28 @@ def main() -> int:
     parser.add_argument('--noise', type=float, default=1.0, help='of gyro and gusts, a factor')
     parser.add_argument('--jobs', type=int, default=os.cpu_count() or 1)
     parser.add_argument('--out', type=Path, default=Path('bench/out'), help='folder for rows')
+    parser.add_argument('--sealed', default='', metavar='FILE',
+                        help='the plants of a set that nobody here has read')
+    parser.add_argument('--drawn', type=int, metavar='SEED', help='one strength each')
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context('spawn')) as pool:
-        waiting = [pool.submit(answered, case) for case in cases(options.only, options.noise)]
+    name = Path(options.sealed).parent.name if options.sealed else options.only or 'all'
+    path = options.out / f'outside_{name}_{options.noise:g}.jsonl'
+    with (ProcessPoolExecutor(options.jobs, mp_context=get_context('spawn')) as pool,
+          path.open('w') as file):
+        waiting = [pool.submit(answered, case)
+                   for case in cases(options.only, options.noise, options.sealed, options.drawn)]
         for future in as_completed(waiting):
             row = future.result()
             rows.append(row)
-            said = ', '.join(f'{name} {variant} {p:.2f}' for name, variant, p in row['effects'])
+            file.write(json.dumps(row) + '\n')
+            file.flush()
+            said = ', '.join(f'{one} {variant} {p:.2f}' for one, variant, p in row['effects'])
             errors = ' '.join(f'{1e3 * row[key]:6.1f}' for key in ('before', 'after', 'true'))
             print(f'{row["effect"]:34} {row["strength"]} {errors} {100 * row["gap"]:5.0f} % '
                   f'{"" if row["counts"] else "does not count "}{row["verdict"]} {said}',
                   flush=True)
-    path = options.out / f'outside_{options.only or "all"}_{options.noise:g}.jsonl'
-    path.write_text(''.join(json.dumps(row) + '\n' for row in rows))
     print(json.dumps(summary(rows)))
     return 0
 

@@ -2,8 +2,9 @@
 
 A table stands between `<!-- name -->` and `<!-- end -->` in docs/results.md or docs/results/. It
 is computed from the rows that a benchmark wrote (`TABLES`; copy them from bench/out to
-bench/results), or is `bench/results/name.csv` as it stands. Where a name has no data nothing
-changes; nothing is flown here.
+bench/results), or is `bench/results/name.csv` as it stands. A single figure stands in a sentence
+between `<!-- name.column -->` and `<!-- end -->`. Where a name has no data nothing changes;
+nothing is flown here.
 
     python bench/results.py --check       # fails where a page differs from its data
 """
@@ -25,7 +26,11 @@ from intervals import WITHIN
 
 ROWS = Path(__file__).parent / 'results'
 DOCS = Path(__file__).parents[1] / 'docs'
+PAGES = (DOCS / 'results.md', DOCS / 'what_is_missing.md',
+         *sorted((DOCS / 'results').glob('*.md')))
 PLACE = re.compile(r'(<!-- (\w+) -->\n)(.*?)(<!-- end -->)', re.DOTALL)
+FIGURE = re.compile(r'(<!-- (\w+)\.(\w+) -->)(.*?)(<!-- end -->)')
+"""One figure in a sentence: file and column of its first row."""
 EDGES = (0.0, 0.5, 0.8, 0.95, 0.99, 1.01)
 Row = dict[str, Any]
 
@@ -102,6 +107,23 @@ def twice(rows: Sequence[Row]) -> str:
     ])
 
 
+def demo(rows: Sequence[Row]) -> str:
+    """The demo's first flight, other noise each time (demo.py)."""
+    cause = 'coulomb_friction'
+    sizes = [size for r in rows for size in r['torque']]
+    return table(['', 'flights'], [
+        [f'`{cause}` on the first rung', share([r['first_rung'][:1] == [cause] for r in rows])],
+        [f'`{cause}` is claimed', share([cause in [c[0] for c in r['claims']] for r in rows])],
+        ['anything else is claimed', share([any(c[0] != cause for c in r['claims'])
+                                            for r in rows])],
+        ['its size, rad/s²', f'{min(sizes):.3f} to {max(sizes):.3f}' if sizes else '–'],
+        ['held-out error without it, with it, of the reference, mean, rad/s',
+         ', '.join(f'{np.mean([r[key] for r in rows]):.4f}'
+                   for key in ('before', 'after', 'reference'))],
+        ['CPU time, median', f'{np.median([r["seconds"] for r in rows]):.0f} s'],
+    ])
+
+
 def intervals(rows: Sequence[Row]) -> str:
     """Gain, lag and damping within their 95 % intervals (intervals.py)."""
     out = []
@@ -117,19 +139,27 @@ def intervals(rows: Sequence[Row]) -> str:
 
 
 def calibration(rows: Sequence[Row]) -> str:
-    """What `probability` and `reproducible` promise, and how often the other flight agrees."""
-    claims = [(p, again, name in {other for other, *_ in b['claims']})
-              for r in rows for a, b in (r['flights'], r['flights'][::-1])
-              for name, p, _, again in a['claims']]
+    """What `probability` and `reproducible` promise: does the other flight agree, is it so?
+
+    True is what was planted; whose plant has no name of the list counts for the first only.
+    """
+    claims = []
+    for r in rows:
+        planted = r['plant'].split(' + ') if r['kind'] in ('named', 'pair') else None
+        for a, b in (r['flights'], r['flights'][::-1]):
+            others = {other for other, *_ in b['claims']}
+            claims += [((p, again), name in others, None if planted is None else name in planted)
+                       for name, p, _, again in a['claims']]
     out = []
     for low, high in pairwise(EDGES):
         cells = []
-        for which in (0, 1):
-            inside = [one[2] for one in claims
-                      if one[which] is not None and low <= one[which] < high]
+        for which, held in ((0, 1), (0, 2), (1, 1), (1, 2)):
+            inside = [one[held] for one in claims if one[held] is not None
+                      and one[0][which] is not None and low <= one[0][which] < high]
             cells.append(share(inside) if inside else '–')
         out.append([f'{low:g} to {min(high, 1.0):g}', *cells])
-    return table(['said', 'by `probability`, agreed', 'by `reproducible`, agreed'], out)
+    return table(['said', 'by `probability`, agreed', 'true', 'by `reproducible`, agreed', 'true'],
+                 out)
 
 
 SETS = ('set', 'noise', 'flights that count', 'something is reported (target 95 %)',
@@ -182,7 +212,7 @@ TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
     'named': ('rows*.jsonl', named), 'disturbances': ('hard_*.jsonl', disturbances),
     'outside': ('outside_*.jsonl', outside), 'twice': ('twice.jsonl', twice),
     'calibration': ('twice.jsonl', calibration), 'ablation': ('ablation.jsonl', ablation),
-    'intervals': ('intervals.jsonl', intervals),
+    'intervals': ('intervals.jsonl', intervals), 'demo': ('demo.jsonl', demo),
 }
 """Name in the page → files of its rows, and how it is made."""
 
@@ -203,8 +233,15 @@ def made(name: str) -> str | None:
     return table(head, cells)
 
 
+def figure(name: str, column: str) -> str:
+    """A column of the first row of a file."""
+    with (ROWS / f'{name}.csv').open(encoding='utf-8', newline='') as lines:
+        return next(csv.DictReader(lines))[column]
+
+
 def filled(page: str) -> str:
-    """The page with the tables of today's data."""
+    """The page with the tables and figures of today's data."""
+    page = FIGURE.sub(lambda at: f'{at[1]}{figure(at[2], at[3])}{at[5]}', page)
     return PLACE.sub(
         lambda at: f'{at[1]}{new}\n{at[4]}' if (new := made(at[2])) else at[0], page)
 
@@ -212,7 +249,7 @@ def filled(page: str) -> str:
 def main() -> int:
     """Write what has data into the pages; `--check` compares only."""
     behind = []
-    for path in (DOCS / 'results.md', *sorted((DOCS / 'results').glob('*.md'))):
+    for path in PAGES:
         old = path.read_text('utf-8')
         new = filled(old)
         if new != old:

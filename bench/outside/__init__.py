@@ -7,7 +7,13 @@ entry, so that a set can be flown as it was. The physics is as its writer left i
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
 
 from quad_sysid.contract import control_from_motors
 from quad_sysid.record import GainChange, Record, Segment
@@ -40,6 +46,22 @@ PLANTS = {plant.name: plant for family in FAMILIES.values() for plant in family}
 STRENGTHS = (0.7, 1.3)
 
 
+@cache
+def sealed(file: str) -> dict[str, Plant]:
+    """Plants of a file that is no module here yet: it is flown before anybody reads it.
+
+    It imports `simulator` and ends with its PLANTS.
+    """
+    sys.modules['simulator'] = simulator
+    spec = importlib.util.spec_from_file_location(f'sealed_{Path(file).parent.name}', file)
+    if spec is None or spec.loader is None:
+        raise ImportError(file)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return {plant.name: plant for plant in module.PLANTS}
+
+
 @dataclass(frozen=True)
 class Case:
     """One effect at one strength: two flights, one to learn from and one to be judged by."""
@@ -50,10 +72,12 @@ class Case:
     seed: int
     axis: int
     noise: float
+    file: str = ''
+    """Of a sealed set."""
 
     @property
     def plant(self) -> Plant:
-        return PLANTS[self.effect]
+        return sealed(self.file)[self.effect] if self.file else PLANTS[self.effect]
 
     def flown(self, *, unseen: bool, there: bool = True) -> simulator.Flown:
         """A flight; with `there` false by the same aircraft without the effect."""
@@ -64,13 +88,22 @@ class Case:
         )
 
 
-def cases(opened: str, noise: float) -> list[Case]:
-    """All cases of a set, or of all, in the order of their opening."""
-    plants = sorted(PLANTS.values(), key=lambda one: (SETS.index(one.opened), one.place))
+def cases(opened: str, noise: float, file: str = '', drawn: int | None = None) -> list[Case]:
+    """All cases of a set, or of all, in the order of their opening; or of a sealed set's file.
+
+    drawn: a seed that draws one of both strengths for each effect.
+    """
+    own = sealed(file).values() if file else PLANTS.values()
+    plants = sorted(own, key=lambda one: (one.opened not in SETS or SETS.index(one.opened),
+                                          one.place))
+    rng = np.random.default_rng(drawn)
+    chosen = [range(len(STRENGTHS)) if drawn is None else [int(rng.integers(len(STRENGTHS)))]
+              for _ in plants]
     return [
-        Case(one.name, one.opened, strength, 100 + 10 * one.place + j, (one.place + j) % 2, noise)
-        for one in plants if opened in ('', one.opened)
-        for j, strength in enumerate(STRENGTHS)
+        Case(one.name, one.opened, STRENGTHS[j], 100 + 10 * one.place + j, (one.place + j) % 2,
+             noise, file)
+        for one, own_strengths in zip(plants, chosen, strict=True)
+        if opened in ('', one.opened) for j in own_strengths
     ]
 
 

@@ -52,7 +52,7 @@ def fed(watch, seconds, size, omega, axis=0, start=0, rate_hz=250.0):
     return None
 
 
-@pytest.mark.parametrize('rate_hz', [50.0, 100.0, 250.0, 500.0, 1000.0])
+@pytest.mark.parametrize('rate_hz', [50.0, 250.0, 1000.0])
 @pytest.mark.parametrize('omega', [6.0, 12.0, 25.0, 50.0])
 def test_a_new_oscillation_is_heard_and_named_at_every_rate_of_the_loop(omega, rate_hz):
     watch = GainWatch(rate_hz)

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from quad_sysid.discover import base
 from quad_sysid.discover.accept import p_value
 from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Found, Scored
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import derivative_steps, fit
-from quad_sysid.explain.ladder import Rung, explain, resampled
+from quad_sysid.explain.ladder import explain
+from quad_sysid.explain.models import Models
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
 
@@ -47,24 +49,40 @@ def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
     assert ladder.answer == 1
 
 
-def test_a_reference_that_no_smaller_model_explains_comes_again_as_a_whole(rubbed_answer):
-    """Where no candidate leads to it, its effects stand on one rung, and each is counted."""
+def test_a_rung_that_runs_away_leaves_the_others_and_the_axis(rubbed_answer, monkeypatch):
+    """What follows no flight beside the base falls out; the ladder goes on with what does."""
     told = rubbed_answer.findings
-    problem, best = told.problem, told.found.best
-    parts, _ = candidates(problem, [e for e in EFFECTS if e.label in
-                                    ('coulomb_friction', 'quadratic_drag')])
-    structure = replace(best.structure, parts=tuple(parts))
-    values = [np.array([2.0, np.log(0.02)]), np.array([1.0])]
-    theta = np.concatenate([best.theta[:5], *values, best.theta[-4:]])
-    reference = fit(problem, structure, theta)
-    base = told.found.base
-    found = Found(base, (Scored(reference, 9.0), Scored(base, 0.0)), {})
-    ladder = explain(problem, found, [])
-    whole = Rung(ladder.projection.ordered(structure), 100.0)
-    blocks, again = resampled(problem, found, replace(ladder, rungs=(ladder.rungs[0], whole)))
-    assert blocks > 1
-    assert again.keys() == {'coulomb_friction', 'quadratic_drag'}
-    assert again['coulomb_friction'] == again['quadratic_drag'] > 0.1
+    parts, _ = candidates(told.problem, EFFECTS)
+
+    def follows(_self, model):
+        return model.structure.labels[-1:] != ('coulomb_friction',)
+
+    monkeypatch.setattr(Models, 'follows', follows)
+    ladder = explain(told.problem, told.found, parts)
+    assert len(ladder.rungs) > 1
+    assert not any(rung.labels == ('coulomb_friction',) for rung in ladder.rungs[:-1])
+
+
+def test_what_is_missed_of_a_hundredth_of_the_motion_is_no_cause(rubbed_answer, monkeypatch):
+    """However small the noise: the base is the answer then."""
+    told = rubbed_answer.findings
+    assert not told.ladder.negligible
+    monkeypatch.setattr(told.ladder.projection, 'motion',
+                        1.01e4 * told.ladder.rungs[0].model.total)
+    assert told.ladder.negligible
+    assert told.ladder.answer == 0
+
+
+def test_both_readings_of_lag_and_damping_are_kept_where_the_data_do_not_decide(
+    rubbed_answer, monkeypatch
+):
+    """Another maximum that is as probable; not the same one, nor one that falls behind."""
+    problem, fitted = rubbed_answer.findings.problem, rubbed_answer.findings.found.base
+    far = fitted.theta + 40.0 * np.sqrt(np.diag(np.linalg.inv(fitted.hessian)))
+    for theta, behind, kept in ((far, 1.0, True), (fitted.theta, 1.0, False), (far, 9.0, False)):
+        other = replace(fitted, theta=theta, evidence=fitted.evidence - behind)
+        monkeypatch.setattr(base, '_other_order', lambda *_, other=other: other)
+        assert (base.second_reading(problem, fitted) is other) is kept
 
 
 def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):

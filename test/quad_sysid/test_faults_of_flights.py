@@ -9,7 +9,8 @@ import pytest
 from flown_axis import DT, GAINS, SHORT, UNSEEN, Axis, fly
 
 from quad_sysid import comparison
-from quad_sysid.discover.accept import Unseen, stays_bounded
+from quad_sysid.discover.accept import Unseen
+from quad_sysid.estimate.fit import stays_bounded
 from quad_sysid.estimate.stored import completed, estimate_of
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.evaluate import evaluate, simulate
@@ -112,7 +113,7 @@ def test_what_runs_away_is_no_explanation_and_a_flight_says_where_it_leaves_the_
     spring = estimate_of('pendulum_stiffness', [-6.0])
     for effects, bounded in (((), True), ((spring,), True), ((unstable,), False)):
         model = completed(replace(true_model, effects=effects))
-        assert stays_bounded(unseen, model) is bounded
+        assert stays_bounded(unseen.problem, model, unseen.predict(model)) is bounded
     told = evaluate(replace(true_model, ranges={'rate': (-0.2, 0.2), 'command': (-1.0, 1.0)}),
                     plain_flight).outside
     (rate,) = told

@@ -383,7 +383,7 @@ class GainUpdates:
         """Whether it is armed with the throttle up."""
         flies = bool(frame.flags & ARMED) and frame.control[0] >= LOW_THROTTLE
         if flies is (self._flying_s is None):
-            self.watch.anew()
+            self.watch.restart()
             self._flying_s = now_s if flies else None
         return flies
 

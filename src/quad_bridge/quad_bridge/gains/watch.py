@@ -35,7 +35,7 @@ SOUND_RMS_RAD_S = 0.5
 GUSTS_RAD_S = 20.0
 """Gusts shake no aircraft faster: what swings so is its loop (a sound one 0.17 rad/s RMS at
 most in bench/watch.py), and without a flight before the floor alone is allowed there."""
-FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
+DISTANT_DEG, DISTANT_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06  # horizon of the angle that is predicted by the rate: a reversal takes that long
 FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
@@ -134,11 +134,11 @@ class GainWatch:
         self._sound = self._unknown
         self._blocks: deque[FloatArray] = deque(maxlen=round(BEFORE_S / BLOCK_S))
         self._bound: FloatArray | None = None
-        self.anew()
+        self.restart()
         self._watched = np.ones(3, bool)
         self._peak = np.full(3, PEAK**2)
 
-    def anew(self) -> None:
+    def restart(self) -> None:
         """Forget: it takes off or has landed, and how it was handled says nothing of a flight."""
         channels = (len(CENTRES_RAD_S) + 1, 3)
         self._held.clear()
@@ -150,7 +150,7 @@ class GainWatch:
         self._last: FloatArray | None = None
         self._slow = np.zeros(3)
         self._distance, self._allowed = np.zeros(2), np.zeros(2)
-        self._allowed_before, self._far_s = np.zeros(2), np.zeros(2)
+        self._allowed_before, self._distant_s = np.zeros(2), np.zeros(2)
         self._near = np.zeros(2, bool)  # it has come to its reference, from how it stood
         self._rows = 0
 
@@ -261,7 +261,7 @@ class GainWatch:
         self._peak = np.array([p.peak**2 for p in predictions])
         before = self._before() if self._blocks else self._sound
         self._near[:] = bool(self._blocks)
-        self._far_s[:] = 0.0
+        self._distant_s[:] = 0.0
         self._bound = self._most(ratio * before)
         self._over_s[:] = 0.0
 
@@ -280,8 +280,8 @@ class GainWatch:
         swings = self._climb.alarm()
         if swings is not None:
             return swings
-        if (self._far_s > FAR_PATIENCE_S).any():
-            i = int(np.argmax(self._far_s))
+        if (self._distant_s > DISTANT_PATIENCE_S).any():
+            i = int(np.argmax(self._distant_s))
             measured, limit = np.degrees((self._distance[i], self._limit()[i]))
             return f'{AXES[i]}: away from its reference {measured:.2f} deg, bound {limit:.2f}'
         late = self._over_s > self._patience
@@ -329,13 +329,13 @@ class GainWatch:
 
     def _limit(self) -> FloatArray:
         """(2,) rad that roll and pitch may be away from their reference."""
-        return math.radians(FAR_DEG) + self._allowed + MARGIN * self._allowed_before
+        return math.radians(DISTANT_DEG) + self._allowed + MARGIN * self._allowed_before
 
     def _compare(self, bound: FloatArray) -> None:
-        far = self._distance > self._limit()
-        self._near |= ~far | (self._rows * self._dt > UPRIGHT_S)
-        far &= self._near & self._watched[:2]
-        self._far_s = np.where(far, self._far_s + self._dt, 0.0)
+        distant = self._distance > self._limit()
+        self._near |= ~distant | (self._rows * self._dt > UPRIGHT_S)
+        distant &= self._near & self._watched[:2]
+        self._distant_s = np.where(distant, self._distant_s + self._dt, 0.0)
         over = (self._energy[0] > bound + self._peak * self._explained) & self._watched
         self._over_s = np.where(over, self._over_s + self._dt, 0.0)
 

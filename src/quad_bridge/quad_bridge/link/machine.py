@@ -264,7 +264,10 @@ class Link:
         sticks = self.autopilot.sticks(frame, now_ns)
         if sticks is not None:
             self._arrived(sticks, now_ns)
-            self.stamping.other(STICKS, sticks, frame.time_ms * 1000, 1000, now_ns)
+            if frame.time_ms is None:
+                self.stamping.untimed(STICKS, sticks)
+            else:
+                self.stamping.other(STICKS, sticks, frame.time_ms * 1000, 1000, now_ns)
 
     def _slow_sensors(self, frame: f.SlowSensors, now_ns: int) -> None:
         self._inertial(frame, now_ns)

@@ -22,6 +22,7 @@ _PARAMETERS = tuple(f'param{i}' for i in range(1, 8))
 _UPDATED = {'accel': 0x07, 'gyro': 0x38, 'mag_gauss': 0x1C0}
 """Field of SlowSensors to its bits in HIGHRES_IMU's `fields_updated`, in the message's order."""
 _PRESSURE = 0x200
+_MOST_HPA = 2000.0  # what is more is in Pa: PX4 1.16 sends the pressure so
 _TARGET = 'target_system target_component'
 _BODY_RATES = ('body_roll_rate', 'body_pitch_rate', 'body_yaw_rate')
 
@@ -82,6 +83,8 @@ def _highres_imu(payload: bytes) -> f.SlowSensors:
         for first, bits in zip((1, 4, 7), _UPDATED.values(), strict=True)
     )
     pressure = v[10] if updated & _PRESSURE else None
+    if pressure is not None and pressure > _MOST_HPA:
+        pressure *= 0.01
     return f.SlowSensors(v[0], mag, pressure, v[13], gyro, accel)
 
 
@@ -194,6 +197,9 @@ FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
     d.MAVLINK_MSG_ID_RC_CHANNELS_RAW: lambda m: f.RcChannels(
         m['time_boot_ms'], tuple(m[n] for n in _CHANNELS[:8]), m['rssi'], m['port'],
         'RC_CHANNELS_RAW',
+    ),
+    d.MAVLINK_MSG_ID_MANUAL_CONTROL: lambda m: f.RcChannels(
+        None, tuple(1500 + m[n] // 2 for n in 'yxzr'), name='MANUAL_CONTROL'
     ),
     d.MAVLINK_MSG_ID_SYS_STATUS: _battery,
     d.MAVLINK_MSG_ID_ESC_STATUS: lambda m: f.RotorSpeeds(

@@ -9,20 +9,19 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import stats
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.base import fit_without, fitted_from
+from quad_sysid.discover.base import fit_without
 from quad_sysid.discover.constants import AGAIN, DIFFERS, FLIPS, LEAST_BLOCKS, LEVEL
 from quad_sysid.discover.search import Found
-from quad_sysid.estimate.fit import Fit, Problem
+from quad_sysid.estimate.fit import Fit, Problem, stays_bounded
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.explain.ladder import Ladder
-from quad_sysid.explain.projection import Projected
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.flight import Prediction
 from quad_sysid.model.identified import UNLISTED
@@ -33,11 +32,7 @@ SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
 AT_ONCE = 20
 """Draws of random signs that are run side by side, which bounds the memory."""
-AT_MOST = 10.0
-"""Largest rate of a free run over the largest measured one."""
 HUGE = 1e100
-DISTURBANCE = 1
-"""Place of the disturbance among the parameters of the noise."""
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 
@@ -223,14 +218,13 @@ def rms(errors: FloatArray) -> float:
     return value if not math.isnan(value) else math.inf
 
 
-def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Verdict:
-    """Open the validation segments, once: confirm or withdraw each claimed effect.
+def judge(unseen: Unseen, problem: Problem, found: Found, ladder: Ladder) -> Verdict:
+    """Confirm or withdraw each claimed effect on the validation segments.
 
     What is claimed, and in which order, the training has decided (explain/ladder.py).
     """
-    unseen = Unseen(data, data.validation)
     unseen.predict(found.base)  # which measures the innovations that wandering effects follow
-    models = _Models(problem, found, ladder)
+    models = ladder.models
     rungs = [models.fitted(rung.model) for rung in ladder.rungs]
     base = rungs[0]
     answer = ladder.rungs[ladder.answer].model
@@ -254,7 +248,7 @@ def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Ver
             break
         answer = models.with_only(answer, kept)
     told = _commands_tell(problem, unseen, chosen)
-    if not told or not stays_bounded(unseen, chosen):
+    if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen, claims = base, []
     parts = chosen.structure.parts
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
@@ -284,98 +278,6 @@ def _claim(unseen: Unseen, chosen: Fit, without: Fitted, name: str, ladder: Ladd
     )
     again = ladder.reproducible.get(name, 1.0)
     return Claim(p, other, again, stands=p <= LEVEL and error < other and again >= AGAIN)
-
-
-def stays_bounded(unseen: Unseen, fitted: Fitted) -> bool:
-    """Whether its free runs stay near what was flown, also begun at twice the rate or against it.
-
-    Within AT_MOST times the largest measured rate: what runs away from there explains nothing,
-    and would not hold on a livelier flight.
-    """
-    flight, prediction = unseen.problem.flight, unseen.predict(fitted)
-    windows = unseen.long if unseen.long.count else unseen.windows
-    if not windows.count:
-        return True
-    rate = unseen.problem.data.rate
-    largest = float(np.nanmax(np.abs(rate)))
-    measured = rate[windows.starts[:, None] + np.arange(windows.length)]
-    for offset in (-largest, 0.0, largest):
-        states = prediction.states.copy()
-        states[:, 0] += offset
-        begun = replace(prediction, states=states)
-        with np.errstate(over='ignore', invalid='ignore'):
-            errors = flight.free_run(fitted.structure, fitted.theta, windows, prediction=begun)
-            if not np.nanmax(np.nan_to_num(np.abs(errors + measured), nan=np.inf)
-                             [np.isfinite(measured)], initial=0.0) <= AT_MOST * largest:
-                return False
-    return True
-
-
-class _Models:
-    """Projected models with the noise that the training gives them, each fitted once."""
-
-    def __init__(self, problem: Problem, found: Found, ladder: Ladder) -> None:
-        self.problem, self.projection = problem, ladder.projection
-        self.likeliest = {tuple(sorted(one.fit.structure.labels)): one.fit
-                          for one in reversed(found.all)}
-        self.known: dict[tuple[str, ...], Fit] = {}
-
-    def fitted(self, model: Projected) -> Fit:
-        """The model with its physics as projected and its noise fitted by the likelihood.
-
-        Where the most likely parameters run better over the training's windows, those.
-        """
-        reference, labels = self.projection.reference, tuple(sorted(model.structure.labels))
-        if labels == tuple(sorted(reference.structure.labels)):
-            return reference
-        if labels not in self.known:
-            physics = range(model.theta.size - self.projection.noise.size)
-            fits = (fitted_from(self.problem, model.structure, model.theta,
-                                self._loud(model.theta), rate=reference.rate,
-                                still=tuple(physics)), self.likeliest.get(labels))
-            able = [one for one in fits if one is not None]
-            if not able:  # then with the noise as it is
-                as_it_is = fitted_from(self.problem, model.structure, self._loud(model.theta),
-                                       rate=reference.rate, most_steps=0)
-                able = [] if as_it_is is None else [as_it_is]
-            if not able:
-                raise FloatingPointError(f'{" and ".join(labels) or "the base"} diverges')
-            self.known[labels] = min([one for one in able if one.converged] or able,
-                                     key=self._trained)
-        return self.known[labels]
-
-    def comparable(self, model: Projected) -> Fitted:
-        """The same for a comparison only; what cannot follow a flight is run as it is."""
-        try:
-            return self.fitted(model)
-        except FloatingPointError:
-            return Stored(model.structure, model.theta, self.projection.reference.tail)
-
-    def _trained(self, fitted: Fit) -> float:
-        """Error of the free run over the training's windows, from the fit's own states, rad/s."""
-        flight, windows = self.problem.flight, self.projection.windows
-        with np.errstate(all='ignore'):
-            return rms(flight.free_run(fitted.structure, fitted.theta, windows,
-                                       prediction=fitted.prediction))
-
-    def _loud(self, theta: FloatArray) -> FloatArray:
-        """The same start with a torque disturbance a hundred times as large."""
-        out = theta.copy()
-        out[out.size - self.projection.noise.size + DISTURBANCE] += math.log(100.0)
-        return out
-
-    def each_left_out(self, model: Projected) -> list[Projected]:
-        """The model without each of its effects, the rest projected anew."""
-        count = len(model.structure.parts)
-        return [self.with_only(model, [j for j in range(count) if j != i]) for i in range(count)]
-
-    def with_only(self, model: Projected, kept: Sequence[int]) -> Projected:
-        """The model with some of its effects only, projected anew."""
-        gone = [i for i in range(len(model.structure.parts)) if i not in kept]
-        slices = model.structure.slices()
-        columns = [j for i in gone for j in range(slices[i].start, slices[i].stop)]
-        return self.projection.project(model.structure.minus(*gone),
-                                       np.delete(model.theta, columns))
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:

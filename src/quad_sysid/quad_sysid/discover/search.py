@@ -23,6 +23,7 @@ from quad_sysid.discover.base import (
     fit_without,
     fitted_from,
     most_probable,
+    second_reading,
     shares,
 )
 from quad_sysid.discover.constants import (
@@ -38,8 +39,7 @@ from quad_sysid.discover.constants import (
     SEARCHED,
 )
 from quad_sysid.discover.screen import Score, candidates, screen
-from quad_sysid.estimate.fit import Fit, Problem, start_of
-from quad_sysid.estimate.stored import noise_of
+from quad_sysid.estimate.fit import Fit, Problem, start_of, stays_bounded
 from quad_sysid.model.effect import Effect, Part, required
 from quad_sysid.model.structure import NOISE, VIBRATION, coordinates
 
@@ -88,6 +88,8 @@ class Found:
     """Why effects were not tried, by their labels."""
     prices: Mapping[str, float] = field(default_factory=dict)
     """Log prior of each effect, by its label."""
+    other: Fit | None = None
+    """The best structure with lag and damping in each other's place, where that is as probable."""
 
     @property
     def best(self) -> Fit:
@@ -265,7 +267,7 @@ class _Search:
         """Whether one more effect changes next to nothing, however sure it is.
 
         Free runs of both differ by less than NEGLIGIBLE of what the base misses of the larger one,
-        or by less than that share of the motion and than the gyro's noise.
+        or of the motion.
         """
         problem = self.problem
         windows = problem.data.windows(problem.spans)
@@ -280,8 +282,7 @@ class _Search:
         rate = problem.data.rate[windows.starts[:, None] + np.arange(windows.length)]
         motion = float(np.mean((rate - rate[:, :1]) ** 2))
         change, missed = (float(np.mean((full - one) ** 2)) for one in (less, least))
-        small = min(NEGLIGIBLE**2 * motion, noise_of(more).measured_rms ** 2)
-        return change < max(NEGLIGIBLE * missed, small)
+        return change < max(NEGLIGIBLE * missed, NEGLIGIBLE**2 * motion)
 
     def spare(self) -> bool:
         """Leave out each effect of the best structure in turn; whether that was better."""
@@ -349,7 +350,8 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
 def settled(problem: Problem, found: Found) -> Found:
     """The same with those that may be chosen brought to convergence; what does not get there goes.
 
-    It stays where nothing near it converges either.
+    It stays where nothing near it converges either. What leads and runs away in a free run goes
+    too: it predicts the next sample only.
     """
     best = found.all[0].score
     near = [one.fit for one in found.all if one.score > best - NEAR and not one.fit.converged]
@@ -359,7 +361,12 @@ def settled(problem: Problem, found: Found) -> Found:
     known = [ended.get(one.fit.structure.labels, one) for one in found.all]
     kept = [one for one in known if one.fit.converged or one.score <= best - NEAR]
     able = kept if any(one.score > best - NEAR for one in kept) else known
-    return replace(found, all=tuple(sorted(able, key=lambda one: -one.score)))
+    out = replace(found, all=tuple(sorted(able, key=lambda one: -one.score)))
+    while out.best.structure.parts and len(out.all) > 1 and not stays_bounded(
+            problem, out.best, out.best.prediction):
+        runaway = out.best
+        out = replace(out, all=tuple(one for one in out.all if one.fit is not runaway))
+    return replace(out, other=second_reading(problem, out.best))
 
 
 def _brief(problem: Problem, base: Fit) -> Problem | None:

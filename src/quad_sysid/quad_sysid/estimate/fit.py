@@ -44,6 +44,12 @@ that it does not draw an estimate; as all structures have it, comparisons hardly
 NOTHING, HARDLY = (0.0, math.log(1e-5), math.log(1e-6), 0.0, 0.0), 1e-6
 """Coordinates of a base whose terms are nothing, and how far one that is held may be off."""
 SMALL_NATS = 0.02
+LONGEST_STEP = 1.5
+"""Of a logarithm: of a delay of minutes a derivative says nothing, and no step leads back."""
+AT_MOST = 10.0
+"""Largest rate of a free run over the largest measured one."""
+BOUNDED_S = 1.0
+"""Length of the runs that have to stay within it."""
 MOST_STEPS = 40
 
 
@@ -312,7 +318,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
             damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
             step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(theta.size)], rcond=None)[0]
             step[list(still)] = 0.0
-            trial = theta + step
+            trial = theta + np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
             trial = np.where(positive, np.maximum(trial, 0.0), trial)
             ahead, new, tail_ahead = evaluated(trial, found.rate, 2, by=steps)
             if new > value - 1e-9:
@@ -334,6 +340,31 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         + math.log(2.0) * int(positive.sum())
     )
     return Fit(structure, theta, tail, value, evidence, r.T @ r, precision, converged, found)
+
+
+def stays_bounded(problem: Problem, fitted: Fit, prediction: Prediction) -> bool:
+    """Whether its free runs stay near what was flown, also begun at twice the rate or against it.
+
+    Within AT_MOST times the largest measured rate: what runs away from there explains nothing,
+    and would not hold on a livelier flight. prediction: of the fit along this flight.
+    """
+    data, flight = problem.data, problem.flight
+    long = data.windows(problem.spans, BOUNDED_S)
+    windows = long if long.count else data.windows(problem.spans)
+    if not windows.count:
+        return True
+    largest = float(np.nanmax(np.abs(data.rate)))
+    measured = data.rate[windows.starts[:, None] + np.arange(windows.length)]
+    for offset in (-largest, 0.0, largest):
+        states = prediction.states.copy()
+        states[:, 0] += offset
+        with np.errstate(all='ignore'):
+            errors = flight.free_run(fitted.structure, fitted.theta, windows,
+                                     prediction=replace(prediction, states=states))
+            if not np.nanmax(np.nan_to_num(np.abs(errors + measured), nan=np.inf)
+                             [np.isfinite(measured)], initial=0.0) <= AT_MOST * largest:
+                return False
+    return True
 
 
 def covariance(problem: Problem, fitted: Fit) -> FloatArray:

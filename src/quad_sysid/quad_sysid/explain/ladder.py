@@ -20,7 +20,6 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import (
     BLOCK_S,
-    DIFFERS,
     ENOUGH,
     EXPLAINS,
     LEAST_OF_BEST,
@@ -35,10 +34,9 @@ from quad_sysid.discover.constants import (
 from quad_sysid.discover.screen import Along, linear_of
 from quad_sysid.discover.search import Found
 from quad_sysid.estimate.fit import Fit, Problem
-from quad_sysid.estimate.stored import noise_of
+from quad_sysid.explain.models import Models
 from quad_sysid.explain.projection import Projected, Projection
 from quad_sysid.model.effect import Effect, Part
-from quad_sysid.model.noise import growth
 from quad_sysid.model.structure import coordinates, natural
 
 
@@ -59,7 +57,7 @@ class Rung:
 class Ladder:
     """The rungs from the base upwards."""
 
-    projection: Projection
+    models: Models
     rungs: tuple[Rung, ...]
     blocks: int = 0
     reproducible: dict[str, float] = field(default_factory=dict)
@@ -67,6 +65,11 @@ class Ladder:
     answer, whatever its variant."""
     predicts_pct: float = 0.0
     """Share of the motion's RMS that the base already predicts, as the reference sees it."""
+
+    @property
+    def projection(self) -> Projection:
+        """Onto whose runs the rungs are projected."""
+        return self.models.projection
 
     def explains(self, label: str) -> float:
         """Percent that an effect takes away on the rung that adds it."""
@@ -77,23 +80,21 @@ class Ladder:
 
     @property
     def negligible(self) -> bool:
-        """Whether what the base misses is small beside the motion, and hardly adds to the error.
+        """Whether what the base misses is small beside the motion."""
+        return self.rungs[0].model.total < self.small
 
-        By less than the factor DIFFERS to what noise causes in the same windows.
-        """
-        if self.predicts_pct < 100.0 * (1.0 - NEGLIGIBLE):
-            return False
-        reference, goal = self.projection.reference, self.projection.goal
-        missed = self.rungs[0].model.total / goal.size
-        spread = np.mean(growth(reference.prediction.filter, goal.shape[1]))
-        return bool(missed < (DIFFERS**2 - 1.0) * noise_of(reference).gyro_rms ** 2 * spread)
+    @property
+    def small(self) -> float:
+        """What may be missed, a hundredth of the motion, as a sum of squares, (rad/s)²."""
+        return NEGLIGIBLE**2 * self.projection.motion
 
     @property
     def answer(self) -> int:
-        """The lowest rung that explains EXPLAINS; 0 where the base misses next to nothing."""
+        """The lowest rung that explains EXPLAINS, or that misses next to nothing of the motion."""
         if len(self.rungs) == 1:
             return 0
-        enough = (i for i, rung in enumerate(self.rungs) if rung.explains_pct >= EXPLAINS)
+        enough = (i for i, rung in enumerate(self.rungs)
+                  if rung.explains_pct >= EXPLAINS or rung.model.total < self.small)
         return next(enough, len(self.rungs) - 1)
 
 
@@ -112,30 +113,37 @@ def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
 def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
     reference, base = found.best, found.base
     projection = Projection(problem, reference)
+    models = Models(found, projection)
     likely = {frozenset(one.fit.structure.labels): one.score for one in found.all}
     if not reference.structure.parts:  # nothing to explain
-        return Ladder(projection, (Rung(projection.ordered(reference.structure), 0.0),))
+        return Ladder(models, (Rung(projection.ordered(reference.structure), 0.0),))
     plain = projection.structure(())
     if not projection.windows.count:  # too short for a free run
         alone = Projected(plain, projection.start((), (), base.theta), np.zeros(0), converged=True)
-        return Ladder(projection, (Rung(alone, 0.0),))
+        return Ladder(models, (Rung(alone, 0.0),))
     starts = [projection.start((), (), own) for own in (reference.theta, base.theta)]
     begun = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, begun.theta)
     whole, rungs = lowest.total, [Rung(lowest, 0.0)]
     predicts = 100.0 * (1.0 - np.sqrt(min(whole / max(projection.motion, 1e-30), 1.0)))
-    ladder = Ladder(projection, (rungs[0],), predicts_pct=float(predicts))
+    ladder = Ladder(models, (rungs[0],), predicts_pct=float(predicts))
     if ladder.negligible:
         return ladder
     if whole > 0.0:
-        while rungs[-1].explains_pct < ENOUGH and len(rungs) <= MOST_RUNGS:
+        apart: frozenset[str] = frozenset()  # labels of what runs away beside the rung
+        while (rungs[-1].explains_pct < ENOUGH and rungs[-1].model.total >= ladder.small
+               and len(rungs) <= MOST_RUNGS):
             finer = rungs[-1].explains_pct >= EXPLAINS  # what the reference has, no more causes
-            step = _next(projection, rungs[-1].model, () if finer else parts, whole, likely)
+            step = _next(projection, rungs[-1].model, () if finer else parts, whole, likely, apart)
             if step is not None and not finer and _added(step).kind != 'named':
-                step = _first_of_two(projection, rungs[-1].model, step, parts) or step
+                step = _first_of_two(projection, rungs[-1].model, step, parts, apart) or step
             if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
                 break
+            if not models.follows(step):
+                apart |= {_added(step).label}
+                continue
+            apart = frozenset()
             rungs.append(Rung(step, 100.0 * (1.0 - step.total / whole)))
         if rungs[-1].explains_pct < ENOUGH:
             finest = projection.ordered(reference.structure)
@@ -144,15 +152,15 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
 
 
 def _next(projection: Projection, model: Projected, parts: Sequence[Part], whole: float,
-          likely: Mapping[frozenset[str], float]) -> Projected | None:
-    """The model with one more effect that comes nearest to the reference.
+          likely: Mapping[frozenset[str], float], apart: frozenset[str]) -> Projected | None:
+    """The model with one more effect, none of `apart`, that comes nearest to the reference.
 
     A named law that explains EXPLAINS is taken before a curve is tried. Of those that take nearly
     as much the search's most probable one is taken, and of its variants the plainest.
 
     likely: score of each structure that the search fitted, by its labels.
     """
-    hopeful = _hopeful(projection, model, parts)
+    hopeful = _hopeful(projection, model, parts, apart)
     tried: list[Projected] = []
     for kinds in (('named',), ('shape', 'mode', 'event')):
         tried += side_by_side([
@@ -177,25 +185,26 @@ def _next(projection: Projection, model: Projected, parts: Sequence[Part], whole
 
 
 def _first_of_two(projection: Projection, model: Projected, curve: Projected,
-                  parts: Sequence[Part]) -> Projected | None:
+                  parts: Sequence[Part], apart: frozenset[str]) -> Projected | None:
     """The model with the first of two named laws that stand before the curve; None: no two do.
 
     What two causes do may look like one curve: a drag and a spring that the gyro integrates look
     like one over the rate and its past. The second law halves what one may leave.
     """
     enough = curve.total + 0.5 * (1.0 - NAMED_FIRST) * (model.total - curve.total)
-    for first in _with_named(projection, model, parts):
-        for both in _with_named(projection, first, parts):
+    for first in _with_named(projection, model, parts, apart):
+        for both in _with_named(projection, first, parts, apart):
             if both.total <= enough:
                 return projection.project(first.structure, first.theta)
     return None
 
 
-def _with_named(projection: Projection, model: Projected,
-                parts: Sequence[Part]) -> list[Projected]:
+def _with_named(projection: Projection, model: Projected, parts: Sequence[Part],
+                apart: frozenset[str]) -> list[Projected]:
     """The model with each of the most hopeful named laws, best first."""
+    hopeful = _hopeful(projection, model, parts, apart, own=False)
     ahead = side_by_side([partial(_extended, projection, model, part, values)
-                          for part, values in _hopeful(projection, model, parts, own=False)])
+                          for part, values in hopeful])
     return sorted(ahead, key=lambda one: one.total)
 
 
@@ -214,8 +223,8 @@ def _extended(projection: Projection, model: Projected, part: Part,
     return projection.project(structure, start, coarse=True)
 
 
-def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part], *,
-             own: bool = True) -> list[tuple[Part, FloatArray]]:
+def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
+             apart: frozenset[str], *, own: bool = True) -> list[tuple[Part, FloatArray]]:
     """The named laws and the effects of the reference that explain most of the missing torque.
 
     Not own: of the reference's effects the named ones only.
@@ -225,7 +234,7 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part], *,
     """
     reference, problem, flight = projection.reference, projection.problem, projection.flight
     structure, theta, rate = model.structure, model.theta, reference.rate
-    have = set(structure.labels)
+    have = {*structure.labels, *apart}
     here = Along(problem, structure, theta, rate)
     wanted = Along(problem, reference.structure, reference.theta, rate).acceleration
     missing = (wanted - here.acceleration)[problem.rows]
@@ -309,7 +318,7 @@ def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict
                           else _missed(problem, reference, rungs))
         for draw in np.flatnonzero(leading == which):
             again = missed @ weights[draw, of_window]
-            if again[-1] <= (1.0 - 0.01 * EXPLAINS) * again[0]:
+            if again[-1] <= max((1.0 - 0.01 * EXPLAINS) * again[0], ladder.small):
                 causes = -np.diff(again) >= NEGLIGIBLE * again[0]
                 seen.update(set().union(*compress(added, causes)))
     answer = rungs[-1].model.structure.parts

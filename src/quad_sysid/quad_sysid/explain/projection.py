@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.estimate.fit import Fit, Problem, derivative_steps
+from quad_sysid.estimate.fit import LONGEST_STEP, Fit, Problem, derivative_steps
 from quad_sysid.model.data import Windows
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Prediction, Run
@@ -29,8 +30,6 @@ ENOUGH = 1e-3
 """A step that lowers the sum of squares by a smaller share ends the projection."""
 ROUGHLY = 2e-2
 """The same where candidates are compared."""
-LONGEST_STEP = 1.5
-"""Of a logarithm."""
 RANGE = (-14.0, 8.0)
 """Of a logarithm: what is smaller than e^-14 of its unit acts as nothing."""
 HUGE = 1e6
@@ -195,7 +194,7 @@ class Projection:
         steps = derivative_steps(sizes)
         return np.maximum(steps[:own], 1e-3 * np.abs(np.where(logs, 0.0, theta[:own])))
 
-    @property
+    @cached_property
     def motion(self) -> float:
         """Sum of squares of the reference's rates about where each run starts, (rad/s)²."""
         starts = self.windows.starts

@@ -19,6 +19,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, ardupilot_channels, of_ardupilot
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
+from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.dataflash import Log, is_binary, read_binary, read_text
 from quad_sysid.imports.experiments import PAUSE_S
 from quad_sysid.imports.log import (
@@ -29,7 +30,6 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
-    Stream,
 )
 from quad_sysid.imports.mixers import MIRROR, angles_from_ned, enu, mirrored
 from quad_sysid.imports.plausible import FASTEST_RAD_S
@@ -148,16 +148,21 @@ def _climb(reading: Reading) -> None:
 
 
 def _experiments(table: Table) -> Iterator[Experiment]:
-    """What SYSTEM ID mode injected (SIDD), each time as its settings (SIDS) say."""
+    """What SYSTEM ID mode injected (SIDD), each time as its settings (SIDS) say.
+
+    The mode goes on, and logs zeros, when its chirp has ended: that excites nothing any more.
+    """
     added, axes = table.stream('SIDD.Targ'), table.columns.get('SIDS.Ax', np.zeros(0))
     if added is None or not axes.size:
         return
     settings = table.times['SIDS.Ax']
     parts = np.flatnonzero(np.diff(added.time_s) > PAUSE_S) + 1
     parts = np.union1d(parts, np.searchsorted(added.time_s, settings))
-    for rows in np.split(np.arange(added.time_s.size), parts[(parts > 0)]):
-        if rows.size < 2:
+    for part in np.split(np.arange(added.time_s.size), parts[(parts > 0)]):
+        on = part[np.flatnonzero(added.values[part])]
+        if on.size < 2:
             continue
+        rows = np.arange(on[0], on[-1] + 1)
         at = max(int(np.searchsorted(settings, added.time_s[rows[0]], side='right')) - 1, 0)
         if int(axes[at]) not in INJECTED:
             continue

@@ -34,9 +34,7 @@ class Linearised(Effect):
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.repeat(self.rest[:, None], s.time.size, axis=1)
 
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
+    def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return self._all(s, x)[: self.states] + self.rest[:, None]
 
     def given(self, s: Signals) -> FloatArray:
