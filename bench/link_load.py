@@ -60,7 +60,6 @@ class Processes:
 
     def __init__(self) -> None:
         self.running: dict[str, subprocess.Popen[bytes]] = {}
-        self.window_ns = 0, 0  # of the measurement, on the steady clock
 
     def start(self, name: str, *command: str, domain: int = 0) -> None:
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(1 + 2 * (os.getpid() % 100) + domain)}
@@ -93,7 +92,6 @@ class Processes:
         early = {n: memory_mb(p) for n, p in pids.items()}
         time.sleep(0.8 * seconds)
         passed_s = time.monotonic() - began_s
-        self.window_ns = round(1e9 * began_s), round(1e9 * (began_s + passed_s))
         return {
             name: {
                 'cpu_percent': round(100.0 * (cpu_s(pid) - before[name]) / passed_s, 1),
@@ -132,7 +130,7 @@ def latency(folder: Path, rate: float) -> dict[str, float]:
     return quantiles(found)
 
 
-def lost(folder: Path, rate: float) -> dict[str, int]:
+def lost(folder: Path, rate: float) -> dict[str, Any]:
     """Cycles missing in the bag between its first and last, worst of the five topics."""
     (bag,) = folder.glob('flight_*')
     with AnyReader([bag]) as reader:
@@ -214,16 +212,15 @@ def link(rate: float, seconds: float, folder: Path, *, beside: str, inside: bool
     finally:
         run.end(beside, 'bag_logger', 'ears', 'serial_bridge', 'stm32')
         run.end('raw', 'bare ears', 'bare')
-    heard, ours_ns = np.load(bare / 'ears.npy'), np.load(folder / 'ears.npy')[:, 1]
-    begin_ns, end_ns = run.window_ns
-    heard_hz = 1e9 * float(((ours_ns > begin_ns) & (ours_ns < end_ns)).sum()) / (end_ns - begin_ns)
+    heard, wire = np.load(bare / 'ears.npy'), np.load(folder / 'wire.npy')
+    sent_hz = 1e9 * (len(wire) - 1) / float(wire[-1] - wire[0])
     return {
         **({'attack': attacked(folder)} if beside == 'attacker' else {}),
         'processes': figures, **lost(folder, rate), 'latency': latency(folder, rate),
         'bare': quantiles(1e-6 * (heard[:, 1] - heard[:, 0])),
         'bare_us': json.loads((bare / 'bare.json').read_text()),
-        'bridge_us': round(1e4 * figures['serial_bridge']['cpu_percent'] / heard_hz, 1),
-        'heard_hz': round(heard_hz, 1),
+        'bridge_us': round(1e4 * figures['serial_bridge']['cpu_percent'] / sent_hz, 1),
+        'sent_hz': round(sent_hz, 1),
         'raw_heard': int((bare / 'raw.count').read_text()),
     }  # fmt: skip
 

@@ -116,25 +116,25 @@ def bare(folder: Path, rate: float) -> None:
             spent[before], cpu_s = spent[before] + now_s - cpu_s, now_s
         cycles[mode] += 1
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
-        messages = raws
-        if mode != 'bytes':
-            messages = reused if mode == 'reused' else made()
-            fill(*messages, 1e-3 * count)
+        count += 1
+        if mode == 'bytes':
+            for publisher, raw_message in zip(publishers, raws, strict=True):
+                struct.pack_into('<iI', raw_message, 4, sec, nanosec)
+                publisher.publish(bytes(raw_message))
+            continue
+        messages = reused if mode == 'reused' else made()
+        fill(messages, 1e-3 * count)
         for publisher, message in zip(publishers, messages, strict=True):
-            if mode == 'bytes':
-                struct.pack_into('<iI', message, 4, sec, nanosec)
-                publisher.publish(bytes(message))
-                continue
             message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
             publisher.publish(message)
-        count += 1
     cycles[mode] -= int(count % rate)  # of the second that has not ended
     costs = {name: round(1e6 * spent[name] / max(cycles[name], 1), 1) for name in MODES}
     (folder / 'bare.json').write_text(json.dumps(costs))
 
 
-def fill(imu, motors, wrench, attitude, rates, x: float) -> None:
+def fill(messages: list, x: float) -> None:
     """Write a cycle's numbers into five messages."""
+    imu, motors, wrench, attitude, rates = messages
     q = imu.orientation
     q.x, q.y, q.z, q.w = x, x, x, x
     motors.effort = [x, x, x, x]

@@ -59,9 +59,7 @@ class State(Enum):
 IN_FLIGHT = (State.WRITING, State.WATCHING, State.CONFIRMING)
 """States of an update that the pilot ends by switch or by disarming."""
 ON_TRIAL = (State.WATCHING, State.WRITING)
-ARMED, EXCITATION = int(f.Flag.ARMED), int(f.Flag.EXCITATION)
-RATE, CONTROL = int(f.Injection.RATE), int(f.Injection.CONTROL)
-"""Plain numbers of what is asked in every cycle: to look up an enum's takes a microsecond."""
+ARMED, EXCITATION = int(f.Flag.ARMED), int(f.Flag.EXCITATION)  # an enum's take a microsecond
 
 
 @dataclass(frozen=True)
@@ -349,16 +347,14 @@ class GainUpdates:
             held = frame.flags & f.Flag.HOLD or not self.watch.climbs
             self._left_s -= min(since_s, LINK_S) if held else 0.0
         injected: Any = (0.0, 0.0, 0.0)
-        if frame.injection == RATE:
+        if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
-        elif frame.injection == CONTROL:
+        elif frame.injection == f.Injection.CONTROL:
             injected = flip_body(frame.excitation) / self._rate_kp
         if flies:
-            self.watch.step(
-                flip_body(frame.gyro), flip_attitude(frame.attitude),
-                flip_attitude(frame.attitude_setpoint), injected,
-                upwards(frame.accel, frame.attitude),
-            )  # fmt: skip
+            attitude, reference = map(flip_attitude, (frame.attitude, frame.attitude_setpoint))
+            self.watch.step(flip_body(frame.gyro), attitude, reference, injected,
+                            upwards(frame.accel, frame.attitude))  # fmt: skip
         if self.state is State.CHECKING:
             pulse = self.polarity.step(frame)
             if not self.polarity.running:
@@ -375,8 +371,7 @@ class GainUpdates:
         return None
 
     def _measure_rate(self, time_us: int) -> None:
-        since_s = min(max(1e-6 * (time_us - self._time_us), 0.0), LINK_S)
-        self._time_us = time_us
+        since_s, self._time_us = min(max(1e-6 * (time_us - self._time_us), 0.0), LINK_S), time_us
         self._period_s += RATE_SHARE * (since_s - self._period_s)
 
     def _flies(self, frame: f.Cycle, now_s: float) -> bool:
@@ -392,15 +387,14 @@ class GainUpdates:
         update = self._update
         if update is None or self.state not in IN_FLIGHT:
             return
-        armed = bool(flags & ARMED)
         if flags & f.Flag.RC_KILL:
             self._take_back("the pilot's kill switch")
         elif flags & f.Flag.RC_FAILSAFE:
             self._take_back("the receiver's failsafe")
-        elif update.armed and not armed:
+        elif update.armed and not flags & ARMED:
             self._take_back('the aircraft was disarmed while the gains were on trial')
         elif update.written:
-            update.armed = update.armed or armed
+            update.armed = update.armed or bool(flags & ARMED)
 
     def _note_flight(self, now_s: float) -> None:
         """Keep, once, how the gains in force fly where they fly well; the next are held to it."""
