@@ -5,6 +5,7 @@ measured as a motion capture does, 62.5 times a second with noise.
 """
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from quad_sysid.loop import kernels
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import behind_lean, loop_plant, not_in_the_loop
 from quad_sysid.loop.simulation import simulate_cascade
+from quad_sysid.model import GainProposal
 from quad_sysid.motion import altitude_of, lean, over_level, vertical_motion
 from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.whole import whole_of
@@ -81,15 +83,21 @@ def flown(effects, axis, seed=1):
     return record, flight
 
 
+def identified(record, axis, **more):
+    """The answer without black-box models and without a design, which are others' tests."""
+    with mock.patch('quad_sysid.pipeline.identify._compared', lambda answer, *_: answer):
+        return qs.identify(record, axes=axis, designer=lambda _: GainProposal(None, ''), **more)
+
+
 def answer(effects, axis):
-    return qs.identify(flown(effects, axis)[0], axes=axis)
+    return identified(flown(effects, axis)[0], axis)
 
 
 @pytest.fixture(scope='module')
 def climbed():
     """A flight without a ground: its record, what was flown, and the answer."""
     record, flight = flown(Effects(), 'climb')
-    return record, flight, qs.identify(record, axes='climb', mass=BODY.mass_kg)
+    return record, flight, identified(record, 'climb', mass=BODY.mass_kg)
 
 
 def test_climb_without_a_ground_lacks_nothing(climbed):

@@ -51,7 +51,8 @@ class LinearTorque(Linearised):
         return np.stack([s.rate, required(s.angle), s.drive, s.change])
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.given(s)[0]
+        out: FloatArray = self.given(s)[0]
+        return out
 
 
 class LinearMap(Linearised):
@@ -61,7 +62,8 @@ class LinearMap(Linearised):
         return required(s.sent)[None]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.given(s)[0]
+        out: FloatArray = self.given(s)[0]
+        return out
 
 
 class Trim(Effect):
