@@ -58,7 +58,7 @@ def sid_parameters(
         raise ValueError(f'a chirp for SYSTEM ID needs {", ".join(bad)}')
     size = math.degrees(fields['amplitude']) if DEGREES[injection] else fields['amplitude']
     if size > MOST[injection] * 1.001:
-        raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: fields {size:.4g}')
+        raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: found {size:.4g}')
     ramp_s = max(float(segment.get('ramp_s', 0.5)), 0.1)
     steady_s = 2.0 / fields['f0_hz']
     beside_s = SET_UP_S + DELAY_S + steady_s + 2.0 * ramp_s

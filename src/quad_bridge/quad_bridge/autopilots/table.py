@@ -141,7 +141,7 @@ class Table:
             slack = 1e-6 * high
             if not low - slack <= new <= high + slack:
                 raise UnfitError(
-                    f'{ours}: {theirs} must lie in {low:g} .. {high:g}: parameters {new:.4g}'
+                    f'{ours}: {theirs} must lie in {low:g} .. {high:g}: found {new:.4g}'
                 )
             parameters[theirs] = min(new, parameters.get(theirs, sys.float_info.max))
         return parameters

@@ -110,7 +110,7 @@ def _arrays(result: Any) -> list[FloatArray]:
 
 @lru_cache(maxsize=16)
 def program(plant: Plant, known: tuple[bool, ...]) -> Program:
-    """The operations of a cycle of a plant, `known`: which of GIVEN are."""
+    """The operations of a cycle of a plant, `known`: which of OUTSIDE are."""
     given = Signals.at_rest(np.zeros(1), np.zeros(1))
     one = replace(given, battery_v=np.zeros(1), sent=np.zeros(1))
     rest = plant.begin(plant.with_motors(one), np.zeros(1), np.zeros(1))
