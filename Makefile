@@ -53,7 +53,7 @@ test-qemu: build-test  ## the STM32's ELF in QEMU: gains under faults, and the w
 	@$(PYTEST) -m qemu $(ARGS)
 
 test-browser: build-test  ## the pages and the app in Debian's Chromium (a minute or two)
-	@$(PYTEST) -m browser $(if $(ARGS),$(ARGS),test/quad_sysid/test_app.py test/quad_sysid/test_report_browser.py)
+	@$(PYTEST) -m browser $(if $(ARGS),$(ARGS),test/quad_sysid/test_app.py)
 
 test-others: build-others  ## with an S3 server, pandas, polars, xarray and duckdb, which nothing else needs (a minute)
 	@export PYTHONPATH=$$PWD/.venv/others; $(PYTEST) -n 0 -m others $(if $(ARGS),$(ARGS),test/quad_sysid/test_fleet.py test/quad_sysid/test_arrays.py)

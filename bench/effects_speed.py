@@ -20,7 +20,7 @@ import effects_scenarios as scenarios
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from quad_sysid.discover.accept import judge
+from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.base import best_base
 from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import search
@@ -74,7 +74,8 @@ def axis(flight: scenarios.Scenario, peers: str | None) -> None:
                       f'sample, ratio {told["us_derivatives"] / (1e6 * ours / n):.0f}')
     began = time.process_time()
     found = search(problem, EFFECTS)
-    verdict = judge(data, problem, found, explain(problem, found, candidates(problem, EFFECTS)[0]))
+    ladder = explain(problem, found, candidates(problem, EFFECTS)[0])
+    verdict = judge(Unseen(data, data.validation), problem, found, ladder)
     spent = time.process_time() - began
     print(f'  whole axis               {spent:7.2f} s of CPU, {len(found.all)} structures fitted, '
           f'{verdict.chosen.structure.labels}')

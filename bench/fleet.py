@@ -2,7 +2,7 @@
 
     python bench/fleet.py --bags 200                    overhead per bag: threads, then Dask
     python bench/fleet.py --bags 200 --work identify    the same bag again and again, no effects
-    python bench/fleet.py --drift                       30 aircraft x 10 flights, identified
+    python bench/fleet.py --drift --effects             30 aircraft x 10 flights, with the search
 
 CPU per bag is that of this process, which holds threads, scheduler and the results' files; wall
 time means little where other work shares the cores. The flights of --drift are those of
@@ -65,10 +65,10 @@ def overhead(bags: int, *, identify: bool) -> None:
                       flush=True)
 
 
-def drift(seed: int, *, nothing: bool) -> None:
+def drift(seed: int, aircraft: int, *, nothing: bool, effects: bool) -> None:
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as room:
-        for k in range(AIRCRAFT):
+        for k in range(aircraft):
             gain, lag = 450.0 * (1.0 + 0.1 * rng.standard_normal()), 0.04 + 0.004 * rng.random()
             for i in range(FLIGHTS):
                 worn = 0.0 if nothing or k != BEARING else 1.5 * max(0, i - 4)
@@ -79,7 +79,7 @@ def drift(seed: int, *, nothing: bool) -> None:
                 record = fly(axis, int(rng.integers(2**31)), PLAN)
                 record = replace(record, t0_ns=record.t0_ns + i * APART_DAYS * 86_400 * 10**9)
                 write_bag(record, Path(room, 'flights', f'craft_{k:02d}', f'{i}'))
-        every = bag.jobs(Path(room, 'flights'), Path(room, 'out'), search_effects=False)
+        every = bag.jobs(Path(room, 'flights'), Path(room, 'out'), search_effects=effects)
         print(Fleet(engine.run(every, os.cpu_count() or 1, log=print)))
 
 
@@ -89,10 +89,12 @@ def main() -> None:
     parser.add_argument('--work', choices=('nothing', 'identify'), default='nothing')
     parser.add_argument('--drift', action='store_true')
     parser.add_argument('--nothing', action='store_true')
+    parser.add_argument('--effects', action='store_true')
+    parser.add_argument('--aircraft', type=int, default=AIRCRAFT)
     parser.add_argument('--seed', type=int, default=1)
     options = parser.parse_args()
     if options.drift:
-        drift(options.seed, nothing=options.nothing)
+        drift(options.seed, options.aircraft, nothing=options.nothing, effects=options.effects)
     else:
         overhead(options.bags, identify=options.work == 'identify')
 

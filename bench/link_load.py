@@ -1,12 +1,15 @@
 """The link under load: virtual STM32, bridge, logger and a subscriber as processes of their own.
 
-    make bench-link ARGS='--seconds 250=300,500=120,1000=60,excite=60'
+    make bench-link ARGS='--seconds 250=300,500=120,1000=60,excite=60,attack=60'
 
 Per rate: cycles lost from wire to bag, CPU of each process and how long it waited for it, latency
 from the last byte of a cycle's frame to the subscriber's callback, memory. Beside them, at the
 same time, bare rclpy in a domain of its own: a publisher of the same five messages at the same
-rate, and a raw subscriber of them. `--inside` has the bridge log itself. The last line is one JSON
-object. The processes' own part is link_load_roles.py.
+rate, as bytes, from objects that are used again and from new ones, and a raw subscriber.
+`--inside` has the bridge log itself. The case `excite` has a running excitation, `attack` whatever
+anybody may say to the bridge, with what of it was obeyed and how the aircraft moved. The last line
+is one JSON object. The processes' own part is link_load_roles.py, the attacker's
+link_load_attack.py.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ from rosbags.highlevel import AnyReader
 
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 ROLES = str(Path(__file__).with_name('link_load_roles.py'))
+ATTACK = str(Path(__file__).with_name('link_load_attack.py'))
 NODE = 'from quad_bridge.start import {0}; {0}()'
 CYCLE_TOPICS = (
     '/imu/data', '/motors/command', '/control/wrench', '/setpoint/attitude', '/setpoint/rates',
@@ -56,6 +60,7 @@ class Processes:
 
     def __init__(self) -> None:
         self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self.window_ns = 0, 0  # of the measurement, on the steady clock
 
     def start(self, name: str, *command: str, domain: int = 0) -> None:
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(1 + 2 * (os.getpid() % 100) + domain)}
@@ -88,6 +93,7 @@ class Processes:
         early = {n: memory_mb(p) for n, p in pids.items()}
         time.sleep(0.8 * seconds)
         passed_s = time.monotonic() - began_s
+        self.window_ns = round(1e9 * began_s), round(1e9 * (began_s + passed_s))
         return {
             name: {
                 'cpu_percent': round(100.0 * (cpu_s(pid) - before[name]) / passed_s, 1),
@@ -145,6 +151,27 @@ def lost(folder: Path, rate: float) -> dict[str, int]:
     return {'cycles_in_bag': cycles, 'lost': missing, 'said': told}
 
 
+def attacked(folder: Path) -> dict[str, Any]:
+    """What the attacker was answered, what became of gains and excitation, how it moved, rad/s."""
+    (bag,) = folder.glob('flight_*')
+    with AnyReader([bag]) as reader:
+        wanted = [c for c in reader.connections if c.topic in {'/imu/data', '/gains/active',
+                                                               '/excitation/applied'}]  # fmt: skip
+        heard: dict[str, list[Any]] = {connection.topic: [] for connection in wanted}
+        for connection, _, raw in reader.messages(wanted):
+            heard[connection.topic].append(reader.deserialize(raw, connection.msgtype))
+    imu, calm = heard['/imu/data'], 5 * 250  # cycles; the attacker begins ten seconds after it
+    rates = np.array([(m.angular_velocity.x, m.angular_velocity.y) for m in imu])
+    sets = {str([(p.name, p.value.double_value) for p in m.changed_parameters])
+            for m in heard.get('/gains/active', [])}  # fmt: skip
+    return {
+        **json.loads((folder / 'attack.json').read_text()), 'sets_of_gains': len(sets),
+        'excited_cycles': len(heard.get('/excitation/applied', [])),
+        'rms_before': round(float(np.sqrt((rates[:calm] ** 2).mean())), 4),
+        'rms_attacked': round(float(np.sqrt((rates[4 * calm :] ** 2).mean())), 4),
+    }  # fmt: skip
+
+
 def said(reader: AnyReader) -> dict[str, str]:
     """Where it was lost: the last counts of the nodes in /diagnostics."""
     wanted = {
@@ -160,8 +187,8 @@ def said(reader: AnyReader) -> dict[str, str]:
     return found
 
 
-def link(rate: float, seconds: float, folder: Path, *, excite: bool, inside: bool) -> Any:
-    """The suite in one domain, bare rclpy in another, at the same time."""
+def link(rate: float, seconds: float, folder: Path, *, beside: str, inside: bool) -> Any:
+    """The suite in one domain, bare rclpy in another, at once; `beside`: one more process."""
     run, bare = Processes(), folder / 'bare'
     bare.mkdir()
     logger = {'folder': folder, 'autostart': 'true', 'reserve_mb': 0}
@@ -178,42 +205,52 @@ def link(rate: float, seconds: float, folder: Path, *, excite: bool, inside: boo
         run.start('ears', ROLES, 'ears', str(folder))
         run.start('raw', ROLES, 'raw', str(bare), domain=1)
         run.start('bare ears', ROLES, 'ears', str(bare), domain=1)
-        if excite:
-            run.start('exciter', ROLES, 'exciter', str(folder))
+        if beside == 'attacker':
+            run.start(beside, ATTACK, str(folder))
+        elif beside:
+            run.start(beside, ROLES, beside, str(folder))
         wait_for(folder, 'flight_*/*.mcap', least_bytes=1_000_000)
         figures = run.measure(seconds)
     finally:
-        run.end('exciter', 'bag_logger', 'ears', 'serial_bridge', 'stm32')
+        run.end(beside, 'bag_logger', 'ears', 'serial_bridge', 'stm32')
         run.end('raw', 'bare ears', 'bare')
-    heard = np.load(bare / 'ears.npy')
+    heard, ours_ns = np.load(bare / 'ears.npy'), np.load(folder / 'ears.npy')[:, 1]
+    begin_ns, end_ns = run.window_ns
+    heard_hz = 1e9 * float(((ours_ns > begin_ns) & (ours_ns < end_ns)).sum()) / (end_ns - begin_ns)
     return {
+        **({'attack': attacked(folder)} if beside == 'attacker' else {}),
         'processes': figures, **lost(folder, rate), 'latency': latency(folder, rate),
         'bare': quantiles(1e-6 * (heard[:, 1] - heard[:, 0])),
+        'bare_us': json.loads((bare / 'bare.json').read_text()),
+        'bridge_us': round(1e4 * figures['serial_bridge']['cpu_percent'] / heard_hz, 1),
+        'heard_hz': round(heard_hz, 1),
         'raw_heard': int((bare / 'raw.count').read_text()),
     }  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--seconds', default='250=300,500=120,1000=60,excite=60')
+    parser.add_argument('--seconds', default='250=300,500=120,1000=60,excite=60,attack=60')
     parser.add_argument('--inside', action='store_true', help='the bridge logs itself')
     given = parser.parse_args()
-    told: dict[str, Any] = {'schema': 'quad_bridge/link_load/2', 'cores': os.cpu_count()}
-    print('case      cycles  lost  bridge %  bare %  ratio  logger %  raw %  ratio'
-          '   median  p99 ms   bare  p99')  # fmt: skip
+    told: dict[str, Any] = {'schema': 'quad_bridge/link_load/3', 'cores': os.cpu_count()}
+    print('case      cycles  lost  bridge, µs   bytes  reused    anew  to reused  to anew'
+          '  logger %  raw %  ratio   median  p99 ms   bare  p99')  # fmt: skip
     for part in given.seconds.split(','):
         name, _, seconds = part.partition('=')
-        rate = 250.0 if name == 'excite' else float(name)
+        beside = {'excite': 'exciter', 'attack': 'attacker'}.get(name, '')
+        rate = 250.0 if beside else float(name)
         load = os.getloadavg()[0]
         with tempfile.TemporaryDirectory() as place:
-            found = link(rate, float(seconds), Path(place), excite=name == 'excite',
-                         inside=given.inside)  # fmt: skip
+            found = link(rate, float(seconds), Path(place), beside=beside, inside=given.inside)
         late, bared = found['latency'], found['bare']
         cpu = {n: figures['cpu_percent'] for n, figures in found['processes'].items()}
         logger = cpu.get('bag_logger', 0.0)
+        ours, others = found['bridge_us'], found['bare_us']
         print(
-            f'{name:8} {found["cycles_in_bag"]:7d} {found["lost"]:5d} {cpu["serial_bridge"]:9.1f}'
-            f' {cpu["bare"]:7.1f} {cpu["serial_bridge"] / cpu["bare"]:6.2f} {logger:9.1f}'
+            f'{name:8} {found["cycles_in_bag"]:7d} {found["lost"]:5d} {ours:11.0f}'
+            f' {others["bytes"]:7.0f} {others["reused"]:7.0f} {others["anew"]:7.0f}'
+            f' {ours / others["reused"]:10.2f} {ours / others["anew"]:8.2f} {logger:9.1f}'
             f' {cpu["raw"]:6.1f} {logger / cpu["raw"]:6.2f} {late["median_ms"]:8.2f}'
             f' {late["p99_ms"]:7.2f} {bared["median_ms"]:6.2f} {bared["p99_ms"]:4.1f}',
             flush=True,

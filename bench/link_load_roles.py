@@ -5,8 +5,10 @@ python bench/link_load_roles.py stm32|ears|raw|bare|exciter FOLDER [RATE]
 
 from __future__ import annotations
 
+import json
 import math
 import signal
+import struct
 import sys
 import time
 from dataclasses import replace
@@ -75,41 +77,64 @@ def ears(folder: Path) -> None:
     np.save(folder / 'ears.npy', np.array(heard, np.int64))
 
 
-def bare(_: Path, rate: float) -> None:
-    """Publishes the bridge's five messages on schedule, each number of them new."""
+MODES = ('bytes', 'reused', 'anew')
+"""How the bare publisher makes its messages, for a second each, one after the other: serialised
+once for all, written into the same objects, or as new objects, as a node does that translates."""
+
+
+def bare(folder: Path, rate: float) -> None:
+    """Publishes the bridge's five messages on schedule; bare.json has µs of CPU per cycle."""
     import rclpy
     from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+    from rclpy.serialization import serialize_message
     from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import Imu, JointState
 
     from quad_bridge.nodes.qos import STREAM
 
+    def made() -> list:
+        motors = JointState(name=[f'motor_{k}' for k in range(1, 5)], effort=[0.0] * 4)
+        messages = [Imu(), motors, WrenchStamped(), Vector3Stamped(), Vector3Stamped()]
+        for message in messages:
+            message.header.frame_id = 'base_link'
+        return messages
+
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     stopped, node = Stopped(), rclpy.create_node('bare')
-    pairs = [
-        (node.create_publisher(Imu, '/imu/data', STREAM), Imu()),
-        (node.create_publisher(JointState, '/motors/command', STREAM),
-         JointState(name=[f'motor_{k}' for k in range(1, 5)], effort=[0.0] * 4)),
-        (node.create_publisher(WrenchStamped, '/control/wrench', STREAM), WrenchStamped()),
-        (node.create_publisher(Vector3Stamped, '/setpoint/attitude', STREAM), Vector3Stamped()),
-        (node.create_publisher(Vector3Stamped, '/setpoint/rates', STREAM), Vector3Stamped()),
-    ]  # fmt: skip
-    imu, motors, wrench, attitude, rates = (message for _, message in pairs)
-    for _, message in pairs:
-        message.header.frame_id = 'base_link'
-    begin_s, count = time.monotonic(), 0
+    topics = ('/imu/data', '/motors/command', '/control/wrench', '/setpoint/attitude',
+              '/setpoint/rates')  # fmt: skip
+    reused, spent, cycles = made(), dict.fromkeys(MODES, 0.0), dict.fromkeys(MODES, 0)
+    publishers = [node.create_publisher(type(message), topic, STREAM)
+                  for message, topic in zip(reused, topics, strict=True)]  # fmt: skip
+    raws = [bytearray(serialize_message(message)) for message in reused]
+    begin_s, count, mode, cpu_s = time.monotonic(), 0, MODES[0], time.process_time()
     while not stopped.yes:
         time.sleep(max(0.0, begin_s + count / rate - time.monotonic()))
+        before, mode = mode, MODES[int(count // rate) % 3]
+        if mode != before:
+            now_s = time.process_time()
+            spent[before], cpu_s = spent[before] + now_s - cpu_s, now_s
+        cycles[mode] += 1
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
-        fill(imu, motors, wrench, attitude, rates, 1e-3 * count)
-        for publisher, message in pairs:
+        messages = raws
+        if mode != 'bytes':
+            messages = reused if mode == 'reused' else made()
+            fill(*messages, 1e-3 * count)
+        for publisher, message in zip(publishers, messages, strict=True):
+            if mode == 'bytes':
+                struct.pack_into('<iI', message, 4, sec, nanosec)
+                publisher.publish(bytes(message))
+                continue
             message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
             publisher.publish(message)
         count += 1
+    cycles[mode] -= int(count % rate)  # of the second that has not ended
+    costs = {name: round(1e6 * spent[name] / max(cycles[name], 1), 1) for name in MODES}
+    (folder / 'bare.json').write_text(json.dumps(costs))
 
 
 def fill(imu, motors, wrench, attitude, rates, x: float) -> None:
-    """Write a cycle's numbers into the same five objects, the cheapest that plain rclpy has."""
+    """Write a cycle's numbers into five messages."""
     q = imu.orientation
     q.x, q.y, q.z, q.w = x, x, x, x
     motors.effort = [x, x, x, x]
@@ -164,6 +189,8 @@ def exciter(_: Path) -> None:
     message, begin_s, count = Vector3Stamped(), time.monotonic(), 0
     while not stopped.yes:
         time.sleep(max(0.0, begin_s + count / 250.0 - time.monotonic()))
+        sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
         message.vector.x = 0.1 * math.sin(0.1 * count)
         setpoint.publish(message)
         count += 1

@@ -1,8 +1,8 @@
 """Recordings of other people from file to report by the documented commands: a table of answers.
 
 `python bench/real_recordings.py FOLDER OUT` imports and identifies what of RECORDINGS lies in
-FOLDER or in shared/data; what has its report in OUT is not run again. The origins stand in
-docs/results/recordings.md.
+FOLDER or in shared/data; what has its report in OUT is not run again. The answer for EMPS goes to
+OUT/emps_answer.csv, for bench/results. The origins stand in docs/results/recordings.md.
 """
 
 from __future__ import annotations
@@ -100,6 +100,16 @@ def row(name: str, said: str, axes: dict[str, Any], seconds: float) -> str:
     return f'| {" | ".join(cells)} |'
 
 
+def answer(axis: dict[str, Any]) -> str:
+    """The main cause as a file of bench/results; a bag says rad where the slide has m."""
+    cause = axis['effects'][0]
+    size, again = cause['parameters'][0], axis['reproducible'][cause['name']]
+    rung = next(one for one in axis['explanation'] if one['answer'])
+    return ('cause,size,explains,again\n'
+            f'`{cause["name"]}`,{size["value"]:.3g} {size["unit"].replace("rad", "m")},'
+            f'{rung["explains_pct"]:.0f} %,{100.0 * again:.0f} %\n')
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('folder', type=Path)
@@ -129,6 +139,8 @@ def main() -> int:
         report = result / 'report.json'
         axes = json.loads(report.read_text(encoding='utf-8'))['axes'] if report.exists() else {}
         print(row(name, said, axes, float(spent_text)), flush=True)
+        if name.startswith('emps') and axes:
+            (options.out / 'emps_answer.csv').write_text(answer(axes['roll']), encoding='utf-8')
         if not axes:
             print(f'  no answer: {said[-200:]}')
     return 0

@@ -2,8 +2,9 @@
 
 A table stands between `<!-- name -->` and `<!-- end -->` in docs/results.md or docs/results/. It
 is computed from the rows that a benchmark wrote (`TABLES`; copy them from bench/out to
-bench/results), or is `bench/results/name.csv` as it stands. Where a name has no data nothing
-changes; nothing is flown here.
+bench/results), or is `bench/results/name.csv` as it stands. A single figure stands in a sentence
+between `<!-- name.column -->` and `<!-- end -->`. Where a name has no data nothing changes;
+nothing is flown here.
 
     python bench/results.py --check       # fails where a page differs from its data
 """
@@ -25,7 +26,11 @@ from intervals import WITHIN
 
 ROWS = Path(__file__).parent / 'results'
 DOCS = Path(__file__).parents[1] / 'docs'
+PAGES = (DOCS / 'results.md', DOCS / 'what_is_missing.md',
+         *sorted((DOCS / 'results').glob('*.md')))
 PLACE = re.compile(r'(<!-- (\w+) -->\n)(.*?)(<!-- end -->)', re.DOTALL)
+FIGURE = re.compile(r'(<!-- (\w+)\.(\w+) -->)(.*?)(<!-- end -->)')
+"""One figure in a sentence: file and column of its first row."""
 EDGES = (0.0, 0.5, 0.8, 0.95, 0.99, 1.01)
 Row = dict[str, Any]
 
@@ -256,8 +261,15 @@ def made(name: str) -> str | None:
     return table(head, cells)
 
 
+def figure(name: str, column: str) -> str:
+    """A column of the first row of a file."""
+    with (ROWS / f'{name}.csv').open(encoding='utf-8', newline='') as lines:
+        return next(csv.DictReader(lines))[column]
+
+
 def filled(page: str) -> str:
-    """The page with the tables of today's data."""
+    """The page with the tables and figures of today's data."""
+    page = FIGURE.sub(lambda at: f'{at[1]}{figure(at[2], at[3])}{at[5]}', page)
     return PLACE.sub(
         lambda at: f'{at[1]}{new}\n{at[4]}' if (new := made(at[2])) else at[0], page)
 
@@ -265,7 +277,7 @@ def filled(page: str) -> str:
 def main() -> int:
     """Write what has data into the pages; `--check` compares only."""
     behind = []
-    for path in (DOCS / 'results.md', *sorted((DOCS / 'results').glob('*.md'))):
+    for path in PAGES:
         old = path.read_text('utf-8')
         new = filled(old)
         if new != old:

@@ -23,7 +23,8 @@ from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.data import axis_data
-from quad_sysid.pipeline import assemble
+from quad_sysid.pipeline.assemble import Support, axis_model
+from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.identify import Options, found_effects
 from quad_sysid.record import Record
 
@@ -197,8 +198,8 @@ def identified(record: Record, axis: str) -> AxisModel | str:
             return str(error)
         if told.verdict.verdict == 'cannot_tell':
             return told.verdict.reason
-        band = assemble.band_of(told.data)
-        return assemble.axis_model(told, dict(record.gains[0].values), band)
+        band = Support.of(io_data(told.data, told.data.train), axis).band()
+        return axis_model(told, dict(record.gains[0].values), band)
 
 
 # -------------------------------------------------------------------------------- the truth

@@ -4,7 +4,8 @@
 
 Good updates: the airframes of bench/tuning.py with the gains that are designed for them, sent in
 flight in the designer's steps, under gusts (a third of them begin with the update), noise, stick
-movements and, for some, an excitation in the watch. Bad ones: gains forced past any design. An
+movements and, for some, an excitation in the watch. Bad ones: gains forced past any design. Both
+also as `first` flights: the gains take off, and no flight before says how the aircraft moves. An
 alarm brings the old gains back 60 ms later. The last line is one JSON object; exit status 1 where
 a good update was taken back or a bad one oscillated beyond 20 degrees.
 """
@@ -76,12 +77,12 @@ class Watched:
 
 def fly(
     profile: Profile, seed: int, before: Mapping[str, float], steps: Sequence[Mapping[str, float]],
-    gusts: Gusts | None = None, schedule: Sequence[Excited] = (),
+    gusts: Gusts | None = None, schedule: Sequence[Excited] = (), update_s: float = UPDATE_S,
 ) -> Watched:  # fmt: skip
-    """Update in flight, watched as the bridge does."""
+    """Update in flight, or before it, watched as the bridge does."""
     aircraft, watch = Aircraft(profile, seed=seed, effect=gusts), GainWatch(RATE_HZ)
     aircraft.set_gains(before)
-    marks = {round((UPDATE_S + STEP_S * k) * RATE_HZ): dict(s) for k, s in enumerate(steps)}
+    marks = {round((update_s + STEP_S * k) * RATE_HZ): dict(s) for k, s in enumerate(steps)}
     count = max(marks) + round(WATCH_S * RATE_HZ)
     given = inputs(aircraft, schedule, count)
     alarm, back, peak, rest, after = None, None, 0.0, [], float('nan')
@@ -125,31 +126,36 @@ def sticks(rng: np.random.Generator, airframe: Airframe, seconds: float) -> tupl
     return tuple(events)
 
 
-def good(airframe: Airframe, steps: Sequence[Mapping[str, float]]) -> Watched:
+def good(
+    airframe: Airframe, steps: Sequence[Mapping[str, float]], update_s: float = UPDATE_S
+) -> Watched:
     """An update as it should be, under all that flying brings."""
     rng = np.random.default_rng([airframe.seed, 3])
     profile = profile_of(airframe, later=True)
-    begin_s = UPDATE_S if rng.random() < 0.3 else 0.0
+    begin_s = update_s if rng.random() < 0.3 else 0.0
     gusts = Gusts(rng, profile.airframe.inertia_kg_m2, begin_s)
-    end_s = UPDATE_S + STEP_S * len(steps) + WATCH_S
+    end_s = update_s + STEP_S * len(steps) + WATCH_S
     if rng.random() < 0.8:
         profile = replace(profile, receiver=Receiver(sticks(rng, airframe, end_s)))
     schedule = []
     if rng.random() < 0.4:
         kind = str(rng.choice(list(EXCITATIONS)))
         signal = np.repeat(rng.choice([-1.0, 1.0], 97), 23) * EXCITATIONS[kind]
-        at = UPDATE_S + STEP_S * (len(steps) - 1) + 0.5
+        at = update_s + STEP_S * (len(steps) - 1) + 0.5
         schedule = [Excited(at, signal, airframe.axis, kind)]
-    return fly(profile, airframe.seed, {}, steps, gusts, schedule)
+    return fly(profile, airframe.seed, {}, steps, gusts, schedule, update_s)
 
 
-def bad(airframe: Airframe, steps: Sequence[Mapping[str, float]]) -> Watched:
+def bad(
+    airframe: Airframe, steps: Sequence[Mapping[str, float]], update_s: float = UPDATE_S
+) -> Watched:
     """The designed gains, then one of them several times too large at once."""
     rng = np.random.default_rng([airframe.seed, 4])
     name = f'{airframe.axis}.{BAD[airframe.number % 3]}'
     last = dict(steps[-1])
     last[name] = last.get(name, 1e-3) * float(rng.uniform(3.0, 8.0))
-    return fly(profile_of(airframe, later=True), airframe.seed, {**steps[-1]}, [last])
+    profile = profile_of(airframe, later=True)
+    return fly(profile, airframe.seed, {**steps[-1]}, [last], update_s=update_s)
 
 
 def designed(airframe: Airframe, models: Path | None) -> list[dict[str, float]]:
@@ -164,6 +170,20 @@ def designed(airframe: Airframe, models: Path | None) -> list[dict[str, float]]:
     return [dict(step) for step in design(model).steps]
 
 
+def summed(name: str, fine: Sequence[Watched], forced: Sequence[Watched]) -> dict[str, float]:
+    """The figures of good and forced sets."""
+    missed = [w for w in forced if w.peak_deg > LARGEST_DEG or (w.restless and w.alarm is None)]
+    figures: dict[str, float] = {
+        'good_updates': len(fine),
+        'good_taken_back': sum(w.alarm is not None for w in fine),
+        'forced_sets': len(forced),
+        'forced_taken_back': sum(w.alarm is not None for w in forced),
+        'forced_missed': len(missed),
+        'largest_deg': round(max(w.peak_deg for w in forced), 1),
+    }
+    return {f'{name}{key}': value for key, value in figures.items()}
+
+
 def main() -> int:
     """Print a line per airframe and the figures as JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -174,6 +194,7 @@ def main() -> int:
     given = parser.parse_args()
     kept = json.loads(given.gains.read_text()) if given.gains and given.gains.exists() else {}
     fine, forced = list[Watched](), list[Watched]()
+    first, first_forced = list[Watched](), list[Watched]()
     for airframe in draw(given.count, given.seed):
         key = str(airframe.number)
         if key not in kept:
@@ -184,20 +205,17 @@ def main() -> int:
             continue
         fine.append(good(airframe, kept[key]))
         forced.append(bad(airframe, kept[key]))
+        first.append(good(airframe, kept[key], 0.0))
+        first_forced.append(bad(airframe, kept[key], 0.0))
         print(f'{airframe.number:3d} {airframe.axis:5} {airframe.mount:5} {airframe.effect:20} '
               f'good: {fine[-1].alarm or "confirmed"}; bad: {forced[-1].alarm or "confirmed"} '
-              f'({forced[-1].peak_deg:.1f} deg)', flush=True)  # fmt: skip
-    missed = [w for w in forced if w.peak_deg > LARGEST_DEG or (w.restless and w.alarm is None)]
-    figures = {
-        'good_updates': len(fine),
-        'good_taken_back': sum(w.alarm is not None for w in fine),
-        'forced_sets': len(forced),
-        'forced_taken_back': sum(w.alarm is not None for w in forced),
-        'forced_missed': len(missed),
-        'largest_deg': round(max(w.peak_deg for w in forced), 1),
-    }
+              f'({forced[-1].peak_deg:.1f} deg); first: {first[-1].alarm or "confirmed"}; bad: '
+              f'{first_forced[-1].alarm or "confirmed"} ({first_forced[-1].peak_deg:.1f} deg)',
+              flush=True)  # fmt: skip
+    figures = {**summed('', fine, forced), **summed('first_', first, first_forced)}
     print(json.dumps(figures))
-    return int(bool(figures['good_taken_back'] or missed))
+    wrong = ('good_taken_back', 'forced_missed', 'first_good_taken_back', 'first_forced_missed')
+    return int(any(figures[name] for name in wrong))
 
 
 if __name__ == '__main__':

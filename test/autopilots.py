@@ -53,6 +53,8 @@ class Kind:
     """Whether an integer's bytes lie in the float of PARAM_VALUE, or its value."""
     gauss: float = 1.0
     """Factor by which the compass of HIGHRES_IMU is too large."""
+    hpa: float = 1.0
+    """What its HIGHRES_IMU says for 1 hPa."""
     rates: bool = True
     """Whether its messages have rates; else they are zero."""
     obeys: bool = True
@@ -65,7 +67,7 @@ class Kind:
 
 ALL = dict.fromkeys(
     ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE', 'SERVO_OUTPUT_RAW', 'RC_CHANNELS', 'RC_CHANNELS_RAW',
-     'SCALED_PRESSURE', 'BATTERY_STATUS', 'SYS_STATUS'), 250.0)  # fmt: skip
+     'MANUAL_CONTROL', 'SCALED_PRESSURE', 'BATTERY_STATUS', 'SYS_STATUS'), 250.0)  # fmt: skip
 PX4_PLACES = ((0.15, 0.2), (-0.15, -0.2), (0.15, -0.2), (-0.15, 0.2))  # forward, right
 PX4 = Kind(
     autopilot=12,
@@ -81,6 +83,7 @@ PX4 = Kind(
         **{f'PWM_MAIN_FUNC{k + 1}': 101 + k for k in range(4)},
     },
     bytewise=True,
+    hpa=100.0,
 )
 ARDUPILOT = Kind(
     autopilot=3,
@@ -174,7 +177,8 @@ class Autopilot:
         sticks = (*(four[k] for k in self.kind.sticks), 1000, 1000, 1000, 1000)
         made = {
             'HIGHRES_IMU': lambda: mav.MAVLink_highres_imu_message(
-                us, 0.0, 0.0, -GRAVITY, p, q, r, 0.5 * b, 0.25 * b, -b, 1000.0, 0, 0, 20.0, 0x0FFF
+                us, 0.0, 0.0, -GRAVITY, p, q, r, 0.5 * b, 0.25 * b, -b,
+                1000.0 * self.kind.hpa, 0, 0, 20.0, 0x0FFF
             ),
             'SCALED_IMU': lambda: mav.MAVLink_scaled_imu_message(
                 ms, 0, 0, -1000, *(round(1000 * v) for v in (p, q, r)), 200, 100, -400
@@ -188,6 +192,7 @@ class Autopilot:
                 ms, 8, *sticks, *([UNUSED] * 10), 255
             ),
             'RC_CHANNELS_RAW': lambda: mav.MAVLink_rc_channels_raw_message(ms, 0, *sticks, 255),
+            'MANUAL_CONTROL': lambda: mav.MAVLink_manual_control_message(1, 200, 0, -600, -100, 0),
             'VFR_HUD': lambda: mav.MAVLink_vfr_hud_message(0.0, 0.0, 17, 20, 0.0, 0.0),
             'SCALED_PRESSURE': lambda: mav.MAVLink_scaled_pressure_message(ms, 990.0, 0.0, 2000),
             'BATTERY_STATUS': lambda: mav.MAVLink_battery_status_message(

@@ -3,13 +3,12 @@
 `Turns` is for a test that leads one step by step instead.
 
 `python campaign.py FOLDER` reads FOLDER/wanted.json and writes FOLDER/outcome.json: the bag, the
-report, the gains before and after, or why it failed, and what became of the processes.
+report, the gains before and after, or why it failed.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -117,18 +116,7 @@ def flown(folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
             outcome['update'] = run.status.get('update')
         except StageFailedError as failed:
             outcome['failed'] = str(failed)
-    outcome['processes'] = sorted(crew.children)
-    outcome['left'] = [name for name, child in crew.children.items() if lives(child.process.pid)]
     return outcome
-
-
-def lives(group: int) -> bool:
-    """Whether a process group has a member left."""
-    try:
-        os.killpg(group, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 if __name__ == '__main__':

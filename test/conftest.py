@@ -1,5 +1,5 @@
 """What tests of all packages share: a ROS domain of its own, so that no two runs hear each other;
-a probe in it and nodes as processes; a system clock that can be set back.
+a probe in it and nodes as processes.
 
 Two checkouts may be tested on one machine at the same time, beside a demo and other nodes.
 """
@@ -9,9 +9,7 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import os
-import shutil
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -101,7 +99,7 @@ def run(
     started, folder, number = [], tmp_path_factory.mktemp('processes'), itertools.count()
 
     def begin(*command: object, fresh: bool = False, **options: object) -> Started:
-        by = None if fresh or 'LD_PRELOAD' in os.environ else nursery
+        by = None if fresh else nursery
         started.append(Started(command, folder / f'{next(number)}', by, **options))
         return started[-1]
 
@@ -117,37 +115,3 @@ def start(ros: None, run: Callable[..., Started]) -> Callable[..., Started]:
     """A function that starts a node: its name, namespace='/left', parameters by name."""
     del ros
     return lambda name, **settings: run(*node_command(name, **settings))
-
-
-SET_BACK = r"""
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <stdlib.h>
-#include <time.h>
-#include <unistd.h>
-
-int clock_gettime(clockid_t id, struct timespec *time) {
-    static int (*real)(clockid_t, struct timespec *);
-    if (!real)
-        real = (int (*)(clockid_t, struct timespec *))dlsym(RTLD_NEXT, "clock_gettime");
-    int result = real(id, time);
-    if (id == CLOCK_REALTIME && access(getenv("SET_BACK"), F_OK) == 0)
-        time->tv_sec -= 3600;
-    return result;
-}
-"""
-"""The system clock is an hour back as soon as the file named by SET_BACK exists."""
-
-
-@pytest.fixture
-def set_back(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], None]:
-    """A function that sets the system clock back an hour, in the processes started from now on."""
-    if shutil.which('gcc') is None:
-        pytest.skip('no gcc here')
-    source, library, file = (tmp_path / name for name in ('back.c', 'back.so', 'back'))
-    source.write_text(SET_BACK, encoding='utf-8')
-    monkeypatch.delenv('LD_PRELOAD', raising=False)
-    subprocess.run(['gcc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)
-    monkeypatch.setenv('LD_PRELOAD', str(library))
-    monkeypatch.setenv('SET_BACK', str(file))
-    return file.touch

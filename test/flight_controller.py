@@ -20,7 +20,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
-import math
 import os
 import select
 import socket
@@ -71,23 +70,14 @@ class FlightController:
     def __init__(
         self,
         *,
-        parameters=None,
         gyro=(None, 0.25, 0.5),
-        refuses=(),
         unanswered=(),
         also: Callable[[FlightController], Iterable[f.Frame]] = lambda _: (),
-        sender=(1, 1),
-        signing=None,
         number=0,
         bits=64,
     ) -> None:
-        """`parameters` maps wire names to values; the others start as the firmware's."""
-        self.refuses = refuses
-        """Parameters whose new values it does not take."""
         self.unanswered = unanswered
         """Kinds of frames that it does not answer."""
-        self.reports: dict[str, float] = {}
-        """Parameters about which it lies in PARAM_VALUE."""
         self.gyro, self.flags = gyro, int(f.Flag.ARMED)
         self.also = also
         """Frames that it sends behind each cycle."""
@@ -96,8 +86,8 @@ class FlightController:
         self.clock_us, self.late_us, self.bits = 0, 0, bits
         """By how much its clock was set, and its cycles begin too late; the width of its time."""
         self.heard: list[f.Frame] = []
-        self.store = Store.begun(parameters or {})
-        self.encoder, self.decoder = Encoder(*sender, signing), Decoder(signing)
+        self.store = Store.begun({})
+        self.encoder, self.decoder = Encoder(1, 1), Decoder()
 
     def restart(self):
         """The next cycle is the first one."""
@@ -143,11 +133,7 @@ class FlightController:
             since_us = now_ns // 1000 - CYCLE_US * self.boot + self.clock_us + self.late_us
             yield f.TimeSync(1000 * (since_us % (1 << self.bits)), frame.ts1_ns)
         elif isinstance(frame, ASKING):
-            refused = isinstance(frame, f.ParamSet) and frame.name in self.refuses
-            asked = f.ParamRequestRead(frame.name) if refused else frame
-            for told in self.store.answers(asked, now_ns // 1000):
-                lies = isinstance(told, f.ParamValue) and told.name in self.reports
-                yield replace(told, value=self.reports[told.name]) if lies else told
+            yield from self.store.answers(frame, now_ns // 1000)
         elif isinstance(frame, f.Command) and frame.command == ARM_DISARM:
             self.flags = self.flags & ~f.Flag.ARMED | int(frame.parameters[0])
             yield f.CommandAck(ARM_DISARM, ACCEPTED)
@@ -302,32 +288,19 @@ def DROPPED(_frame):  # noqa: N802
     return []
 
 
-def DOUBLED(frame):  # noqa: N802
-    return [frame, frame]
-
-
 def changed(**fields):
     """Every field replaced by a function of the frame: `changed(value=lambda x: -x.value)`."""
     return lambda frame: [replace(frame, **{k: new(frame) for k, new in fields.items()})]
 
 
 class Fault:
-    """Does `what` to every so many-th frame that matches, so many times; frame → frames."""
+    """Does `what` to every frame of a kind; frame → frames."""
 
-    def __init__(self, match, what, *, every=1, times=math.inf):
-        kind = isinstance(match, (type, tuple))
-        self.match = (lambda frame: isinstance(frame, match)) if kind else match
-        self.what, self.every, self.times = what, every, times
-        self.count = 0
+    def __init__(self, kind, what):
+        self.kind, self.what = kind, what
 
     def __call__(self, frame):
-        if self.times <= 0 or not self.match(frame):
-            return [frame]
-        self.count += 1
-        if self.count % self.every:
-            return [frame]
-        self.times -= 1
-        return self.what(frame)
+        return self.what(frame) if isinstance(frame, self.kind) else [frame]
 
 
 class Direction:

@@ -115,7 +115,6 @@ class Flying(Autopilot):
         self.volts = 12.4
         self.target, self.targets = None, deque(maxlen=200)
         """The last SET_ATTITUDE_TARGET, and when they came."""
-        self.refused_modes = self.ignores_modes = False
         self.written = []  # PARAM_SET as they were taken: name and value
         self.rows, self.said = [], []  # of its log: a row per cycle; SIDS
         self.filters = [[Low() for _ in range(5)] for _ in range(3)]
@@ -358,7 +357,7 @@ class Flying(Autopilot):
             'ATTITUDE': lambda: mav.MAVLink_attitude_message(ms, *self.angles, *self.measured),
             'HIGHRES_IMU': lambda: mav.MAVLink_highres_imu_message(
                 us, 0.0, 0.0, -9.81, *self.measured, 0.2, 0.1, -0.4,
-                1000.0 - u / 8.43, 0, 0, 20.0, 0x0FFF),
+                (1000.0 - u / 8.43) * (100.0 if self.px4 else 1.0), 0, 0, 20.0, 0x0FFF),
             'SCALED_IMU': lambda: mav.MAVLink_scaled_imu_message(
                 ms, 0, 0, -1000, *(round(1000 * v) for v in self.measured), 200, 100, -400),
             'SERVO_OUTPUT_RAW': lambda: mav.MAVLink_servo_output_raw_message(
@@ -391,8 +390,13 @@ class Flying(Autopilot):
             if self.px4 or not self.armed:  # ArduPilot says nothing while armed
                 open_s = 15.0 - (self.now_s - self.landed_s)  # ArduPilot writes on so long
                 size = len(self.log) // (2 if open_s > 0.0 and not self.px4 else 1)
-                yield mav.MAVLink_log_entry_message(
-                    self.log_number, 1, self.log_number, 0, size)
+                if self.px4:  # from 0, in the directory's order, `last` is their count
+                    yield mav.MAVLink_log_entry_message(0, 3, 3, 90, 1000)
+                    yield mav.MAVLink_log_entry_message(self.log_number, 3, 3, 200, size)
+                    yield mav.MAVLink_log_entry_message(2, 3, 3, 100, 2000)
+                else:
+                    yield mav.MAVLink_log_entry_message(
+                        self.log_number, 1, self.log_number, 0, size)
         elif kind == 'LOG_REQUEST_DATA' and message.id == self.log_number:
             self.sending.clear()
             for at in range(message.ofs, min(message.ofs + message.count, len(self.log)), 90):
@@ -434,8 +438,6 @@ class Flying(Autopilot):
     def _set_mode(self, message):
         wanted = int(message.param2) << 16 | int(message.param3) << 24 if self.px4 else int(
             message.param2)
-        if self.ignores_modes:
-            return ACCEPTED
         if wanted == OFFBOARD:
             streamed = len(self.targets) > 50 and self.now_s - self.targets[-50] < 2.0
             if not streamed or not self.armed:

@@ -1,7 +1,7 @@
 """One Python that has imported what programs import, and forks them: a tenth of a start's cost.
 
 `python nursery.py SOCKET` is that process; `Nursery` is its client. What a test is to see of the
-imports, or of a library that is loaded first, needs a Python of its own (node_process.Started).
+imports needs a Python of its own (node_process.Started).
 """
 
 from __future__ import annotations

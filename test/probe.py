@@ -367,14 +367,15 @@ class Server:
         return [f'{space.rstrip("/")}/{name}' for name, space in found if name != 'probe']
 
     def opened(self, node: str) -> dict[str, list[str]]:
-        own = self.node
-        if node not in own.get_node_names():  # nobody has heard of it yet
+        own, (space, _, name) = self.node, node.rpartition('/')
+        whose = name, space or '/'
+        if whose not in own.get_node_names_and_namespaces():  # nobody has heard of it yet
             return {'publishes': [], 'hears': [], 'offers': [], 'calls': []}
         found = {
-            'publishes': own.get_publisher_names_and_types_by_node(node, '/'),
-            'hears': own.get_subscriber_names_and_types_by_node(node, '/'),
-            'offers': own.get_service_names_and_types_by_node(node, '/'),
-            'calls': own.get_client_names_and_types_by_node(node, '/'),
+            'publishes': own.get_publisher_names_and_types_by_node(*whose),
+            'hears': own.get_subscriber_names_and_types_by_node(*whose),
+            'offers': own.get_service_names_and_types_by_node(*whose),
+            'calls': own.get_client_names_and_types_by_node(*whose),
         }
         return {what: [topic for topic, _ in pairs] for what, pairs in found.items()}
 

@@ -35,26 +35,36 @@ def policies() -> str:
 
 
 def _enclave(name: str, opens: Opens) -> Iterable[str]:
-    states = STATES if opens.managed else ()
-    event = ('~transition_event',) if opens.managed else ()
     yield f'<enclave path="/{name}">'
     yield '  <profiles>'
-    yield f'    <profile ns="/" node="{name}">'
-    yield from _rule('topic', 'publish', ('rosout', 'parameter_events', *event, *opens.publishes))
-    yield from _rule('topic', 'subscribe', ('clock', 'parameter_events', *opens.hears))
-    own = (*PARAMETERS, *states, *opens.offers)
-    yield from _rule('service', 'reply', [f'~{service}' for service in own])
-    yield from _rule('service', 'request', opens.calls)
-    yield '    </profile>'
+    yield from _profile(name, opens)
+    if name == 'serial_bridge':  # with log:=inside its process has the logger too
+        yield from _profile('bag_logger', NODES['bag_logger'])
     yield '  </profiles>'
     yield '</enclave>'
 
 
-def _rule(kind: str, what: str, names: Iterable[str]) -> Iterable[str]:
-    found = [f'        <{kind}>{name.lstrip("/")}</{kind}>' for name in names]
-    if found:
+def _profile(name: str, opens: Opens) -> Iterable[str]:
+    """SROS2 puts the node's name for `~`, and its namespace before what begins with no `/`."""
+    states = STATES if opens.managed else ()
+    event = ('~/transition_event',) if opens.managed else ()
+    own = (*PARAMETERS, *states, *opens.offers)
+    yield f'    <profile ns="/" node="{name}">'
+    yield from _rule('topic', 'publish', ('/rosout', '/parameter_events', *event),
+                     opens.publishes)  # fmt: skip
+    yield from _rule('topic', 'subscribe', ('/clock', '/parameter_events'), opens.hears)
+    yield from _rule('service', 'reply', [f'~/{service}' for service in own])
+    yield from _rule('service', 'request', (), opens.calls)
+    yield '    </profile>'
+
+
+def _rule(
+    kind: str, what: str, names: Iterable[str], relative: Iterable[str] = ()
+) -> Iterable[str]:
+    every = [*names, *(name.removeprefix('/') for name in relative)]
+    if every:
         yield f'      <{kind}s {what}="ALLOW">'
-        yield from found
+        yield from (f'        <{kind}>{name}</{kind}>' for name in every)
         yield f'      </{kind}s>'
 
 

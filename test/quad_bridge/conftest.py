@@ -77,10 +77,6 @@ class Bench(Line):
     def cut(self, cut):
         self.up.cut = self.down.cut = cut
 
-    def spoil(self, fault):
-        """Frames that pass `fault` on their way, up and down."""
-        self.up.fault = self.down.fault = fault
-
     def tick(self):
         record = self.history.open(self.updates.aircraft)
         if record is not None:

@@ -43,7 +43,6 @@ STORIES = {
         (0.0, 'arm', 'sent 1'), (0.1, 'other'), (0.1, 'good', 'accepted'), (0.2, 'good'),
         (0.3, 'tick'),
     ],
-    'a denial is one': [(0.0, 'disarm', 'sent 0'), (0.1, 'bad', 'denied'), (0.3, 'tick')],
     'arming is sent once, a second one waits its turn and until no answer can come': [
         (0.0, 'arm', 'sent 1'), (0.5, 'tick'), (0.6, 'arm', WAITS), (1.1, 'tick', SILENT),
         (2.0, 'arm', WAITS), (2.2, 'arm', 'sent 1'), (2.3, 'bad', 'denied'),

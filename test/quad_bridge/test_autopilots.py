@@ -5,6 +5,7 @@ The bridge's parts are joined as the node joins them; the aircraft's files lie i
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -26,6 +27,9 @@ from quad_bridge.aircraft import Ability
 from quad_bridge.autopilots.aircraft import Connected
 from quad_bridge.autopilots.check import lines, report
 from quad_bridge.autopilots.check import main as check
+from quad_bridge.autopilots.flight import FlightState
+from quad_bridge.autopilots.guard import Guard
+from quad_bridge.autopilots.system_id import sid_parameters
 from quad_bridge.autopilots.table import ARDUPILOT, PX4, UnfitError
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
@@ -35,6 +39,7 @@ from quad_bridge.link.autopilot import Inertial, fitted, load
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Arrived, Described, Stamped
 from quad_bridge.motor_outputs import motor_outputs
+from quad_bridge.virtual.physics import POSITION, VELOCITY
 from quad_bridge.wire import frames as f
 
 KINDS = {
@@ -140,16 +145,11 @@ class Cockpit(Line):
 
 
 @pytest.fixture
-def cockpit(tmp_path):
-    return lambda name, **more: Cockpit(name, tmp_path, **more)
-
-
-@pytest.fixture
-def flying(cockpit):
-    """A cockpit whose aircraft has hovered for some seconds."""
+def flying(tmp_path):
+    """A function that makes a cockpit whose aircraft has hovered for some seconds."""
 
     def made(name, **more):
-        there = cockpit(name, **more)
+        there = Cockpit(name, tmp_path, **more)
         there.fly(5.0)
         return there
 
@@ -226,7 +226,7 @@ def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):
     line.hear(line.controller.pack(line.controller.value(p)))
     line.fly(2.0)
     assert line.controller.parameters[p] == other  # is left alone
-    with pytest.raises(RefusedError, match='until the bridge starts anew'):
+    with pytest.raises(RefusedError, match='until the bridge is restarted'):
         line.ask(roll_rate_kp=kp)
 
 
@@ -248,13 +248,17 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     line = flying('px4')
     height = line.aircraft.flight.height_m
     line.segment()
-    line.excite(10.0, 0.1)
+    line.excite(3.0, 0.1)
     assert line.controller.mode == OFFBOARD
+    line.controller.craft.machine.state[VELOCITY : VELOCITY + 2] = 1.2, -0.8  # a gust
+    line.excite(7.0, 0.1)
+    assert line.controller.mode == OFFBOARD
+    assert max(abs(line.controller.craft.machine.state[POSITION : POSITION + 2])) < 1.0
     applied = [c.excitation for c in line.cycles[-500:]]
     assert max(a[0] for a in applied) == pytest.approx(0.1, abs=1e-3)
     assert min(a[0] for a in applied) == pytest.approx(-0.1, abs=1e-3)
     assert all(a[1] == a[2] == 0.0 for a in applied)
-    assert all(c.injection == f.Injection.ATTITUDE for c in line.cycles[-500:])
+    assert all(c.injection == f.Injection.ATTITUDE for c in line.cycles[-200:])
     assert abs(line.aircraft.flight.height_m - height) < 0.5
     line.relay.segment({'segment': 'idle', 'signal': 'none'})
     line.fly(3.0)
@@ -263,15 +267,14 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     assert not line.aircraft.cannot(Ability.EXCITE)
 
 
-@pytest.mark.parametrize('name', ['px4', 'ardupilot'])
-def test_rates_are_excited_too_and_stale_fields_do_no_harm(flying, name):
-    line = flying(name)
+def test_rates_are_excited_too_and_stale_fields_do_no_harm(flying):
+    line = flying('ardupilot')
     line.segment(injection='rate', axis='pitch')
-    for k in range(2000):
+    for k in range(1500):
         value = 0.3 if k % 100 < 50 else -0.3
         line.relay.setpoint(0.0, value, 0.0, 1e-9 * line.now_ns)
         line.run()
-    assert line.controller.mode == (OFFBOARD if name == 'px4' else GUIDED_NOGPS)
+    assert line.controller.mode == GUIDED_NOGPS
     applied = [c.excitation[1] for c in line.cycles[-300:]]
     assert max(map(abs, applied)) == pytest.approx(0.3, abs=0.02)
     assert abs(line.controller.angles[:2]).max() < 0.3
@@ -280,138 +283,151 @@ def test_rates_are_excited_too_and_stale_fields_do_no_harm(flying, name):
 def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
     line = flying('ardupilot')
     before = dict(line.controller.parameters)
-    line.segment(signal='chirp', injection='control', axis='pitch', amplitude=0.06, f0_hz=0.8,
-                 f1_hz=8.0, sweep_s=20.0, ramp_s=0.5)
-    line.fly(10.0)
+    line.segment(signal='chirp', injection='control', axis='pitch', amplitude=0.06, f0_hz=1.0,
+                 f1_hz=8.0, sweep_s=12.0, ramp_s=0.5)
+    line.fly(6.0)
     assert line.controller.mode == SYSTEM_ID
     assert line.controller.parameters['SID_AXIS'] == 11
     assert line.controller.parameters['SID_MAGNITUDE'] == pytest.approx(0.06)
     assert any(c.flags & f.Flag.EXCITATION for c in line.cycles[-10:])
-    line.fly(10.5)
+    line.fly(6.5)
     assert line.controller.mode == STABILIZE  # by itself, within the segment
     line.relay.segment({'segment': 'idle', 'signal': 'none'})
     line.fly(2.0)
     assert line.controller.parameters == before
     assert max(abs(row[-1]) for row in line.controller.rows if math.isfinite(row[-1])) > 0.05
     assert line.aircraft.cannot(Ability.EXCITE) == ''
+    for given, words in (({'amplitude': 0.9}, 'at most 0.25'), ({'axis': 'nose'}, "axis 'nose'")):
+        line.segment(signal='chirp', injection='control', **{**CHIRP, **given})
+        line.fly(0.5)
+        assert words in line.connected.cannot(Ability.EXCITE)
+        assert line.controller.parameters == before
 
 
-def without(*names):
-    """These messages come no more."""
-    def act(line):
-        line.controller.edit = lambda name, message: None if name in names else message
-
-    return act
-
-
-def in_mode(px4, ardupilot):
-    return lambda line: setattr(line.controller, 'mode', px4 if line.controller.px4 else ardupilot)
+NOW_S = 100.0
+HOVER = {'mode': POSITION_MODE, 'armed': True, 'landed': 2, 'angles': (0.1, -0.1, 1.0),
+         'sticks': (0.1, 0.0, -0.2, 0.0), 'volts': 12.5, 'height_m': 3.0,
+         'place': (1.0, 2.0, -3.0), 'attitude_s': NOW_S, 'beat_s': NOW_S,
+         'sticks_s': NOW_S, 'calm_since_s': NOW_S - 2.0}
 
 
-REFUSED = {
-    'a mode of its own': (in_mode(4 << 16, 6), 'the pilot must fly'),
-    'no hover': (lambda line: line.controller.sticks.__setitem__(0, 0.9), 'does not hover'),
-    'no sticks': (without('RC_CHANNELS', 'RC_CHANNELS_RAW'), 'sticks'),
-    'just taken off': (lambda line: line.controller.take_off(), 'it'),
-    'a stale line': (without('ATTITUDE', 'HIGHRES_IMU', 'SCALED_IMU'), 'the line is stale'),
-    'on the ground': (lambda line: line.controller.land(), 'not armed'),
-}
-"""What is done before, and the words of the refusal."""
+@pytest.mark.parametrize(('changed', 'words'), [
+    ({'sticks': (0.1, 0.0, -0.2, 0.16)}, 'sticks were moved'),
+    ({'sticks': (-0.04, 0.14, -0.34, 0.14)}, ''), ({'sticks': (0.0, 0.0)}, 'not received'),
+    ({'sticks_s': NOW_S - 1.1}, 'not received'), ({'sticks_s': NOW_S - 0.9}, ''),
+    ({'failsafe': True}, 'in failsafe'), ({'armed': False}, 'disarmed'),
+    ({'angles': (0.62, 0.0, 0.0)}, 'beyond 35'), ({'angles': (0.0, -0.62, 0.0)}, 'beyond 35'),
+    ({'angles': (0.6, -0.6, 3.0)}, ''),
+    ({'height_m': 5.1}, r'\+2.1 m of height'), ({'height_m': 0.9}, '-2.1 m of height'),
+    ({'height_m': 4.9}, ''), ({'height_m': 1.1}, ''), ({'height_m': None}, ''),
+    ({'place': (5.0, 5.1, -3.0)}, '5.1 m from where'), ({'place': (-2.5, -1.5, 9.0)}, ''),
+    ({'volts': 11.49}, 'battery has sunk to 11.5'), ({'volts': 11.51}, ''),
+    ({'attitude_s': NOW_S - 0.31}, 'stale: no attitude'), ({'attitude_s': NOW_S - 0.29}, ''),
+    ({'beat_s': NOW_S - 2.6}, 'stale: no heartbeat'), ({'beat_s': NOW_S - 2.4}, ''),
+])  # fmt: skip
+def test_what_ends_an_excitation(changed, words):
+    fault = Guard.of(FlightState(**HOVER)).fault(FlightState(**{**HOVER, **changed}), NOW_S)
+    assert re.search(words, fault)
+    assert bool(fault) == bool(words)
 
 
-def in_turn(cases, name):
-    """Every second one: what refuses and aborts is the same code for both autopilots."""
-    return [*cases.items()][name == 'px4' :: 2]
+CALM = Inertial(0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.81), (0.0, 0.0, 1.0))
 
 
-def refuses(line, words):
-    """Neither a gain nor an excitation reaches it."""
-    line.controller.written.clear()
-    line.controller.target, mode = None, line.controller.mode
-    with pytest.raises(RefusedError, match=words):
-        line.ask(roll_rate_kp=0.05)
-    line.segment()
-    assert words in line.connected.cannot(Ability.EXCITE)
-    line.excite(1.6, 0.1)
-    assert not line.controller.written
-    assert line.controller.mode == mode
-    assert line.controller.target is None
+@pytest.mark.parametrize(('changed', 'moving', 'words'), [
+    ({}, {}, ''), ({'armed': False}, {}, 'not armed'), ({'landed': 1}, {}, 'not in the air'),
+    ({'landed': 0}, {}, 'does not say that it flies'),
+    ({}, {'attitude': (0.0, -0.22, 0.0)}, 'does not hover'),
+    ({}, {'attitude': (0.2, 0.2, 2.0)}, ''), ({}, {'gyro': (0.0, 0.0, 0.8)}, 'does not hover'),
+    ({}, {'gyro': (0.7, -0.7, 0.7)}, ''), ({'climb_m_s': -0.61}, {}, 'does not hover'),
+    ({'climb_m_s': 0.59}, {}, ''),
+    ({'speed': (1.1, -1.1, 0.0)}, {}, 'does not hover'), ({'speed': (1.0, 1.0, 9.0)}, {}, ''),
+])  # fmt: skip
+def test_what_counts_as_hover(changed, moving, words):
+    """Calm for two seconds: the one before the last is not, and not yet at 1.9 s."""
+    flight = FlightState(**{**HOVER, 'calm_since_s': math.inf, **changed})
+    for k in range(21):
+        flight.inertial(replace(CALM, **(moving if k == 10 else {})), NOW_S + 0.1 * k)
+        assert flight.hover_fault(NOW_S + 0.1 * k) or k == 20
+    found = flight.hover_fault(NOW_S + 2.001)
+    assert words in found
+    assert bool(found) == bool(words)
 
 
 @both
 def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, name):
-    """The table of refusals, in turn on one and the other."""
+    """Neither a gain nor an excitation reaches it."""
+
+    def refuses(words):
+        line.controller.written.clear()
+        line.controller.target, mode = None, line.controller.mode
+        with pytest.raises(RefusedError, match=words):
+            line.ask(roll_rate_kp=0.05)
+        line.segment()
+        assert words in line.connected.cannot(Ability.EXCITE)
+        line.excite(1.6, 0.1)
+        assert not line.controller.written
+        assert line.controller.mode == mode
+        assert line.controller.target is None
+
     line = flying(name, gains=False, excitation=False)
-    refuses(line, 'are off: read docs/')
+    refuses('are off: read docs/')
     line.allow = (True, True)
     line.connect(Link())
-    for case, (act, words) in in_turn(REFUSED, name):
+    line.fly(4.5)
+    assert line.connected.cannot(Ability.GAINS) == ''
+    if name == 'px4':
+        line.controller.mode = 4 << 16
+        line.fly(1.3)
+        refuses('the pilot must fly')
+    else:
         line.controller.take_off()
-        line.fly(4.5)
-        assert line.connected.cannot(Ability.GAINS) == '', case
-        act(line)
-        line.fly(1.3 if case != 'just taken off' else 0.3)
-        refuses(line, words)
-        line.controller.edit, line.controller.sticks[0] = lambda _, message: message, 0.0
-
-
-ABORTS = {
-    'sticks': (lambda line: line.controller.sticks.__setitem__(1, 0.4), 'sticks were moved'),
-    'lean': (lambda line: state(line).__setitem__(0, 25.0), 'beyond 35'),
-    'height': (lambda line: state(line).__setitem__(19, 2.5), 'of height'),
-    'place': (lambda line: state(line).__setitem__(17, 6.0), 'from where'),
-    'battery': (lambda line: setattr(line.controller, 'volts', 11.0), 'battery has sunk'),
-    'another mode': (in_mode(STABILIZED, LOITER), 'was left by'),
-    'schedule silent': (None, 'schedule has been silent'),
-    'receiver': (without('RC_CHANNELS', 'RC_CHANNELS_RAW'), 'not received'),
-}
-
-
-def state(line):
-    return line.controller.craft.machine.state
+        line.fly(0.3)
+        refuses('not in the air')
 
 
 @both
 def test_a_segment_in_flight_ends_and_the_mode_is_given_back(flying, name):
-    """The aborts, in turn on one and the other."""
+    """By the guard, and the mode that the pilot has chosen stays; PX4's also by silence."""
     line = flying(name)
-    own = OFFBOARD if name == 'px4' else GUIDED_NOGPS
-    for case, (act, words) in in_turn(ABORTS, name):
+    controller, own = line.controller, OFFBOARD if name == 'px4' else GUIDED_NOGPS
+    chosen = STABILIZED if name == 'px4' else LOITER
+    for case, words in (('mode', 'was left by'), ('sticks', 'sticks were moved'),
+                        ('silence', 'has been silent'))[: 3 if name == 'px4' else 2]:
         line.segment()
         line.excite(3.2, 0.05)
-        assert line.controller.mode == own, case
-        if act is not None:
-            act(line)
+        assert controller.mode == own, case
+        if case == 'mode':
+            controller.mode = chosen
+        elif case == 'sticks':
+            controller.sticks[1] = 0.4
         for _ in range(400):
-            if act is not None:
+            if case != 'silence':
                 line.relay.setpoint(0.05, 0.0, 0.0, 1e-9 * line.now_ns)
             line.run()
-        chosen = (STABILIZED if name == 'px4' else LOITER) if case == 'another mode' else None
-        assert line.controller.mode == (chosen or line.controller.pilot_mode), case
+        assert controller.mode == (chosen if case == 'mode' else controller.pilot_mode), case
         assert words in line.connected.cannot(Ability.EXCITE)
         assert line.cycles[-1].flags & f.Flag.EXCITATION_REFUSED
-        line.controller.edit = lambda _, message: message
-        line.controller.sticks[1], line.controller.volts = 0.0, 12.4
-        line.controller.take_off()
+        controller.sticks[1] = 0.0
+        controller.take_off()
         line.relay.segment({'segment': 'idle', 'signal': 'none'})
         line.fly(4.0)
 
 
-def test_a_wrong_chirp_is_refused_in_one_line(flying):
-    line = flying('ardupilot')
-    chirp = {'signal': 'chirp', 'amplitude': 0.05, 'f0_hz': 1.0, 'f1_hz': 8.0,
-             'sweep_s': 20.0, 'injection': 'control'}
+CHIRP = {'amplitude': 0.05, 'f0_hz': 1.0, 'f1_hz': 8.0, 'sweep_s': 20.0}
+
+
+def test_a_wrong_chirp_is_refused_in_one_line():
     for given, words in (
         ({'amplitude': 0.9}, 'SID_MAGNITUDE must be at most 0.25'),
         ({'sweep_s': 6.0}, 'too short for SYSTEM ID'),
         ({'sweep_s': 24.0, 'f0_hz': 0.2}, 'and 10.5 s must be left of 24'),  # as its steady start
         ({'f0_hz': math.nan}, 'needs f0_hz'),
-        ({'axis': 'nose'}, "axis 'nose'"),
     ):
-        line.segment(**{**chirp, **given})
-        line.fly(0.5)
-        assert words in line.connected.cannot(Ability.EXCITE)
-        assert line.controller.parameters['SID_MAGNITUDE'] == 15.0
+        with pytest.raises(ValueError, match=words):
+            sid_parameters(0, f.Injection.CONTROL, {**CHIRP, **given})
+    given = sid_parameters(2, f.Injection.ATTITUDE, CHIRP)
+    assert (given['SID_AXIS'], given['SID_MAGNITUDE']) == (3, math.degrees(0.05))
 
 
 @both

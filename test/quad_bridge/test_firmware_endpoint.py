@@ -286,14 +286,3 @@ def test_only_the_bridge_is_a_sign_of_life_and_only_who_is_meant_is_commanded(bo
         made.feed(echo.encode(f.Heartbeat()) + ground.encode(f.Heartbeat()))
         frames += made.run()
     assert f.GainsResult.LINK_LOST in [s.result for s in of(f.GainsState, frames)]
-
-
-def test_a_board_without_a_clock_takes_the_bridges_time_and_signs_all_that_it_says(board):
-    made = board(key=KEY, time=0)
-    bridge = Signing(KEY, lambda: 10**12)
-    made.decoder = Decoder(bridge)
-    assert made.run(2) == []
-    assert made.decoder.counts.replayed > 0
-    made.feed(Encoder(1, 191, bridge).encode(f.Heartbeat(18, 8)))
-    assert of(f.Cycle, made.run())
-    assert made.decoder.counts.unsigned == made.decoder.counts.forged == 0

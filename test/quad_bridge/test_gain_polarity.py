@@ -130,21 +130,6 @@ def test_all_axes_answer_in_hover_and_the_motors_are_found_mount_by_mount(bench)
     assert words == f'roll right; pitch right; yaw right; {motors}'
 
 
-def test_two_swapped_motors_are_named(bench):
-    made = bench(polarity='auto')
-    machine = made.aircraft.machine
-    crossed = tuple((b, a, c, d) for a, b, c, d in machine.plant.torque_map)
-    # nothing holds the roll angle any more: a stiff bearing, or it drifts to the rig's limit
-    still = {'bias_torque': (0.0, 0.0, 0.0), 'damping': (0.05, 0.05, 0.05)}
-    plant = machine.plant._replace(torque_map=crossed, **still)
-    made.aircraft.machine = machine._replace(plant=plant)
-    words = checked(made, motors=True)
-    assert 'motor_1 drives the rear right or front right, must be the rear left' in words
-    assert 'motor_2 drives the rear left or front left, must be the rear right' in words
-    with pytest.raises(RefusedError, match='motor_1 drives'):
-        made.ask(**ROLL)
-
-
 def answers(order, spins=(1, 1, 1, 1)):
     """What pulses show where channel k drives the motor `order[k]`."""
     rows = {}

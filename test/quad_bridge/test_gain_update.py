@@ -20,6 +20,7 @@ are stand-ins that speak when the walk says so. In every state that can be reach
 
 import json
 import math
+import re
 import threading
 from dataclasses import replace
 
@@ -328,10 +329,10 @@ class Bench:
     In flight it rolls with a rate of `shakes` rad/s at 12 rad/s.
     """
 
-    def __init__(self, folder, rate_hz=50.0):
+    def __init__(self, folder, rate_hz=50.0, **settings):
         self.period_s, self.shakes = 1.0 / rate_hz, 0.0
         self.folder, self.history = folder, History(folder, lambda job: job())
-        self.gains = GainUpdates(GainSettings(polarity='off'), self.history)
+        self.gains = GainUpdates(GainSettings(polarity='off', **settings), self.history)
         self.gains.watch, self.stm32 = Watch(), Store.begun({KP: 0.1})
         self.now_s, self.flags, self.throttle = 1.0, f.Flag.NONE, 0.5
         self.number, self.executor_late = 7, False
@@ -375,10 +376,20 @@ class Bench:
 
 
 def test_gains_stay_on_trial_on_the_ground_and_are_good_after_ten_seconds_of_flight(tmp_path):
-    bench, told = Bench(tmp_path), []
-    bench.gains.ask({'roll.rate.kp': 0.15}, bench.now_s, lambda *x: told.append(x))
+    bench, told = Bench(tmp_path, sources=('test', 'design*')), []
+    found = bench.stored
+    assert (found['reason'], found['gains']['roll.rate.kp']) == (
+        'read from the aircraft', pytest.approx(0.1),
+    )  # fmt: skip
+    asked = {'roll.rate.kp': 0.15, 'source': 'designer', 'model': 'model.json',
+             'aircraft': bench.gains.aircraft}  # fmt: skip
+    bench.gains.ask(asked, bench.now_s, lambda *x: told.append(x))
     assert not told
     assert not any('confirmed' in text for text in bench.goes_on(40.0))
+    active = bench.stored
+    assert (active['source'], active['model'], active['gains']['roll.rate.kp']) == (
+        'designer', 'model.json', pytest.approx(0.15),
+    )  # fmt: skip
     assert told == [(True, '')]  # read back, and no more
     assert 'on trial on the ground' in bench.gains.status().message
     bench.flags, bench.throttle = f.Flag.ARMED, 0.0  # the motors turn, but do not control
@@ -389,6 +400,7 @@ def test_gains_stay_on_trial_on_the_ground_and_are_good_after_ten_seconds_of_fli
     bench.until('confirmed: they flew well')
     assert bench.now_s - begin_s == pytest.approx(10.0, abs=0.3)
     assert (bench.stored['state'], bench.stored['flown']) == ('confirmed', True)
+    assert bench.stored['update'] == active['update']
     assert bench.stm32.of([KP], 'good') == pytest.approx((0.15,))
 
 
@@ -418,6 +430,35 @@ def test_the_next_flight_is_held_to_the_last_good_one(tmp_path):
         assert any('in force' in text for text in again.goes_on(2.0))
         again.flags, again.shakes = f.Flag.ARMED, 0.6
         assert any('rolled back' in text for text in again.goes_on(13.0)) is calm
+
+
+BAD_UPDATES = [
+    ({'roll.rate.kp': 'fast'}, r'roll\.rate\.kp: must be a number'),
+    ({'roll.rate.kp': None}, 'must be a number'),
+    ({'source': 'a stranger'}, 'source is not allowed'),
+    ({'aircraft': 'A'}, 'aircraft A: connected is'),
+    ({'predicted': '{"roll.peak": NaN}'}, 'roll.peak must be finite'),
+    ({'predicted': '{"roll.colour": 1}'}, 'roll.colour is not known'),
+    ({'flown': '{"roll.rate.kp": 0.2}'}, 'the design began from 0.2, and the aircraft has 0.1'),
+    ({'rollback': 'false'}, "rollback: must be true or false: found 'false'"),
+    ({'model': 3.0}, r'model: must be a text: found 3\.0'),
+    ({'predicted': 'good'}, 'predicted: must be a JSON object'),
+    ({'predicted': '{"roll.peak": "high"}'}, 'must be a JSON object of numbers: roll.peak'),
+    ({'predicted': '[' * 200_000}, 'at most: found 200000'),
+    ({'predicted': f'{{"roll.peak": {10**400}}}'}, 'too large a number'),
+    ({'model': '\x1b[2J\nevil'}, 'model: must be printable'),
+]
+
+
+def test_bad_updates_are_refused_and_change_nothing(tmp_path):
+    bench = Bench(tmp_path, sources=('test', 'designer*'))
+    for asked, words in BAD_UPDATES:
+        with pytest.raises(RefusedError, match=words):
+            bench.gains.ask({'roll.rate.kp': 0.15, 'source': 'test', **asked}, bench.now_s)
+        assert re.search(words, bench.gains.refused)
+        assert len(bench.gains.refused) < 300
+    assert not any('in force' in text for text in bench.goes_on(1.0))
+    assert bench.stm32.of([KP]) == pytest.approx((0.1,))
 
 
 # The history.

@@ -8,18 +8,17 @@ import pytest
 from quad_bridge.virtual.effects import Ground
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
-from quad_bridge.virtual.simulation import Excited, fly
+from quad_bridge.virtual.simulation import fly
 
 HOVER = 0.32
 LANDED = 4
 
 
-def flown(script, duration_s, *, ground=None, schedule=()):
+def flown(script, duration_s, *, ground=None):
     profile = load_profile('hover')
     events = tuple(Event(*row) for row in script)
     effects = replace(profile.effects, ground=ground or Ground())
-    return fly(replace(profile, receiver=Receiver(events), effects=effects), schedule,
-               duration_s, 3)  # fmt: skip
+    return fly(replace(profile, receiver=Receiver(events), effects=effects), [], duration_s, 3)
 
 
 def at(flight, start_s, end_s):
@@ -58,13 +57,3 @@ def test_it_takes_off_and_lands_with_and_without_a_cushion_of_air(radius_m):
     before = at(flight, touch - 0.2, touch)
     sinking = np.gradient(flight.position_m[:, 2], flight.dt)[before]
     assert sinking.min() > -0.8  # it sets down softly
-
-
-def test_the_climb_is_excited_at_u1_and_up_is_up():
-    wave = 0.02 * np.sign(np.sin(np.pi * np.arange(1500) / 125.0))
-    excited = Excited(6.0, wave, axis='yaw', injection='thrust')  # the third number
-    flight = flown([(1.0, 'throttle', HOVER), (2.0, 'aux4', 1.0)], 12.0, schedule=[excited])
-    held = at(flight, 6.0, 12.0)
-    rate = np.gradient(flight.position_m[:, 2], flight.dt)
-    pushed = np.corrcoef(np.gradient(rate, flight.dt)[held][20:], wave[:-20])[0, 1]
-    assert pushed > 0.5

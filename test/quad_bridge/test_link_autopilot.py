@@ -75,6 +75,8 @@ def test_px4_is_raised_from_the_rates_at_which_its_streams_came():
     assert last.accel == pytest.approx((0.0, 0.0, -GRAVITY), abs=1e-5)
     assert last.gyro[1:] == pytest.approx((-0.25, 0.125))
     assert last.attitude[1:] == pytest.approx((0.2, 0.3))
+    airs = [i.frame.pressure_hpa for i in line.out if i.topic == '/baro']
+    assert airs[-1] == pytest.approx(1000.0)  # 1.16 sends Pa
     stamps_are_true(line)
 
 
@@ -115,13 +117,16 @@ def test_betaflights_rates_of_exactly_zero_are_unknown_and_its_raw_channels_are_
 ONE_EACH = {
     '/imu/data': ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE'),
     '/imu/mag': ('HIGHRES_IMU', 'SCALED_IMU'),
-    '/baro': ('HIGHRES_IMU', 'SCALED_PRESSURE'), '/rc/in': ('RC_CHANNELS', 'RC_CHANNELS_RAW'),
+    '/baro': ('HIGHRES_IMU', 'SCALED_PRESSURE'),
+    '/rc/in': ('RC_CHANNELS', 'RC_CHANNELS_RAW', 'MANUAL_CONTROL'),
     '/battery': ('BATTERY_STATUS', 'SYS_STATUS'),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize('without', [(), ('HIGHRES_IMU',), ('HIGHRES_IMU', 'SCALED_IMU'),
-                                     ('RC_CHANNELS', 'BATTERY_STATUS')])  # fmt: skip
+@pytest.mark.parametrize('without', [
+    (), ('HIGHRES_IMU',), ('HIGHRES_IMU', 'SCALED_IMU'),
+    ('RC_CHANNELS', 'RC_CHANNELS_RAW', 'BATTERY_STATUS'),
+])  # fmt: skip
 def test_each_topic_has_one_source_the_best_that_comes(without):
     only = tuple(name for name in ALL if name not in without)
     line = flown(Autopilot(ARDUPILOT, only=only, unasked=dict.fromkeys(ALL, 50.0), gauss=1.0))
@@ -130,6 +135,8 @@ def test_each_topic_has_one_source_the_best_that_comes(without):
     late = sources(line)
     for topic in ('/imu/mag', '/baro', '/rc/in', '/battery'):
         assert late.get(topic, {None}) == {best[topic]}
+    sticks = [i.frame.channels[:4] for i in line.out if i.topic == '/rc/in']
+    assert sticks[-1] == (1500, 1600, 1200, 1450)
     last = inertial(line)[-1]
     assert (last.accel is None) == (best['/imu/data'] == 'ATTITUDE')
     assert last.gyro[1:] == pytest.approx((-0.25, 0.125))

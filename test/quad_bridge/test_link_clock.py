@@ -1,10 +1,13 @@
 """The clock finds offset and drift through jitter and stalls, and starts again after a jump."""
 
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from flight_controller import STILL
 
-from quad_bridge.link.clock import ClockEstimator
+from quad_bridge.link.clock import MAX_IN_BLOCK, ClockEstimator
+from quad_bridge.sensors.live import MAX_SAMPLES, LiveSensors
 
 OFFSET_NS = 1_700_000_000_000_000_000
 
@@ -79,3 +82,12 @@ def test_arrivals_do_where_nobody_answers_and_an_answer_ends_it():
     clock.add(*pair.trip(0.05))
     assert not clock.one_way
     assert not clock.converged
+
+
+def test_a_device_clock_that_hardly_moves_fills_no_memory():
+    clock, sensors = ClockEstimator(), LiveSensors(correct=True)
+    for k in range(2 * MAX_SAMPLES):
+        clock.add_arrival(1_000_000 + k, 4_000_000 * k)
+        sensors.cycle(replace(STILL, flags=0, time_us=1_000_000 + k))
+    assert len(sensors.standing()) == MAX_SAMPLES
+    assert len(clock._block) <= MAX_IN_BLOCK

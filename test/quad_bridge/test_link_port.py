@@ -60,15 +60,6 @@ def start():
         assert not port._thread.is_alive()
 
 
-def test_a_port_that_does_not_exist_is_waited_for(tmp_path, start):
-    port = start(tmp_path / 'tty', PortState.NOT_THERE)
-    assert not port.write(b'lost')
-    assert port.status.dropped_writes == 0  # the diagnostics say that it is shut
-    line = Pty(tmp_path / 'tty')
-    port.reaches(PortState.OPEN)
-    port.hears(line, b'x')
-
-
 def test_a_busy_port_is_named_so_and_taken_when_free(line, start):
     with os.fdopen(os.open(line.link, os.O_RDWR | os.O_NOCTTY), 'rb', buffering=0) as other:
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)

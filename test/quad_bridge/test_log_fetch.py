@@ -70,6 +70,21 @@ def test_resumed_after_a_lost_line_and_not_fetched_again(tmp_path):
     assert store.whole.endswith(f'log_7_{len(LOG)}.bin')
 
 
+def test_of_a_list_in_no_order_the_latest_is_fetched_once_all_are_known():
+    """PX4 1.16: numbers from 0, `last` is their count, the order is the directory's."""
+    fetch = LogFetch()
+    fetch.begin(0.0, wait_s=0.0, by_time=True)
+    assert fetch.poll(0.1) == [f.LogRequestList()]
+    entries = [f.LogEntry(k, 3, 3, 1000 + t, 10 + k) for k, t in enumerate((20, 30, 10))]
+    for entry in (entries[0], entries[2]):  # one is lost
+        fetch.take(entry, 0.2)
+    assert fetch.phase is Phase.LISTING
+    assert fetch.poll(2.0) == [f.LogRequestList()]
+    fetch.take(entries[1], 2.1)
+    assert fetch.entry == entries[1]
+    assert fetch.poll(2.2) == [f.LogRequestData(1, 0, 11)]
+
+
 def test_a_silent_autopilot_and_an_empty_card_are_told():
     fetch = LogFetch()
     fetch.begin(0.0, wait_s=2.0)

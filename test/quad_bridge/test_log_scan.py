@@ -1,4 +1,4 @@
-"""Damaged bags: nothing wrong comes back, only what was damaged is lost, and that is told."""
+"""Bags come back as written; of damaged ones what is sound, and what was lost is told."""
 
 import contextlib
 import os
@@ -6,15 +6,24 @@ import random
 import sqlite3
 import struct
 from collections import Counter
+from datetime import datetime, timezone
 
 import lz4.frame
 import pytest
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quad_bridge.errors import BadInputError
-from quad_bridge.log.recover import recover
+from quad_bridge.log.recover import main, recover
 from quad_bridge.log.stored import scan
 from quad_bridge.log.stored.records import (
     CHUNK,
@@ -23,7 +32,7 @@ from quad_bridge.log.stored.records import (
     end_of,
 )
 from quad_bridge.log.stored.scan import McapScan
-from quad_bridge.log.writer import BagWriter, Limits
+from quad_bridge.log.writer import BagWriter, Limits, free_paths, new_bag
 from quad_sysid.bags.storage import Storage
 from quad_sysid.errors import BadInputError as UnreadableError
 
@@ -32,6 +41,10 @@ TOPICS = ('/setpoint/rates', '/setpoint/attitude')
 EVERY = 40
 """Messages of a chunk."""
 STEP_NS = 4_000_000
+LATCHED = Qos(
+    QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
+    QosTime(0, 0), QosTime(0, 0), QosLiveliness.AUTOMATIC, QosTime(0, 0), False,
+)  # fmt: skip
 PACKERS = {'none': None, 'zstd': scan.zstd.compress, 'lz4': lz4.frame.compress}
 
 
@@ -39,8 +52,8 @@ def made(path, n=400, *, closed=True, split_s=0.0):
     """Write a bag; what is in it."""
     rng = random.Random(7)
     writer = BagWriter(path, Limits(split_s=split_s))
-    for topic in TOPICS:
-        writer.add_topic(topic, VECTOR)
+    writer.add_topic(TOPICS[0], VECTOR, (LATCHED,))
+    writer.add_topic(TOPICS[1], VECTOR)
     ledger = []
     for k in range(n):
         data = b'\0\1\0\0' + struct.pack('<I', k) + rng.randbytes(rng.randrange(40, 160))
@@ -92,6 +105,83 @@ def sound(tmp_path_factory):
         for name in ('none',) if closed else PACKERS:
             bags[name, closed] = (data if closed else packed(data, name)), ledger
     return bags
+
+
+def stands_in(bag):
+    """The messages of a bag, by rosbags; the durability that its topics offer is as written."""
+    with AnyReader([bag]) as reader:
+        offered = {c.topic: [q.durability for q in c.ext.offered_qos_profiles]
+                   for c in reader.connections}  # fmt: skip
+        assert offered == {TOPICS[0]: [QosDurability.TRANSIENT_LOCAL], TOPICS[1]: []}
+        return [(c.topic, time_ns, bytes(raw)) for c, time_ns, raw in reader.messages()]
+
+
+def test_a_bag_comes_back_as_written_and_is_never_written_over(tmp_path):
+    path = tmp_path / 'a' / 'b' / 'bag'  # folders are made
+    ledger = made(path)
+    assert stands_in(path) == ledger
+    with pytest.raises(BadInputError, match='exists already'):
+        BagWriter(path)
+    with pytest.raises(BadInputError, match='/x: message type is not a standard one'):
+        BagWriter(tmp_path / 'b').add_topic('/x', 'foo_msgs/msg/Bar')
+
+
+def test_a_free_path_is_numbered_where_the_second_is_taken(tmp_path, monkeypatch):
+    now = datetime(2024, 5, 6, 7, 8, 9, tzinfo=timezone.utc)
+    for name in ('flight_20240506_070809', 'flight_20240506_070809_2'):
+        # looked for before the other recorder's bag is there
+        writer = new_bag(free_paths(tmp_path, 'flight', now))
+        assert writer.path.name == name
+        writer.close()
+    with pytest.raises(BadInputError, match='exists already'):
+        new_bag([tmp_path / name])
+    # a folder that appears at the last moment is another recorder's
+    (tmp_path / 'a').mkdir()
+    monkeypatch.setattr('quad_bridge.log.writer._check_space', lambda *_: None)
+    assert new_bag([tmp_path / 'a', tmp_path / 'b']).path == tmp_path / 'b'
+    assert list((tmp_path / 'a').iterdir()) == []
+
+
+def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(tmp_path, capsys):
+    killed, n = tmp_path / 'killed', 8 * EVERY
+    ledger = made(killed, n + EVERY // 2, closed=False)
+    before = {p.name: p.read_bytes() for p in killed.iterdir()}
+    main([str(killed)])
+    said = capsys.readouterr().out
+    assert f'killed_recovered: {n} messages recovered; lost: ' in said
+    assert 'ends without its index' in said
+    count = sum(topic == TOPICS[0] for topic, *_ in ledger[:n])
+    assert f'{count}  {TOPICS[0]}' in said
+    assert stands_in(tmp_path / 'killed_recovered') == ledger[:n]
+    assert {p.name: p.read_bytes() for p in killed.iterdir()} == before
+    with pytest.raises(BadInputError, match='exists already'):
+        recover(killed)
+
+
+@pytest.mark.parametrize(
+    ('name', 'content', 'text'),
+    [
+        ('absent', None, 'does not exist'),
+        ('empty.mcap', b'', 'is empty'),
+        ('text.mcap', b'time,rate\n', 'is not an mcap file'),
+        ('bare.mcap', b'\x89MCAP0\r\n', 'holds no whole message'),
+        ('table.csv', b'1,2', 'holds no .mcap or .db3 file'),
+        ('junk.db3', b'no database' * 100, 'is a damaged sqlite3 file (file is not a database)'),
+    ],
+)
+def test_what_cannot_be_recovered_ends_with_one_line_and_status_two(
+    tmp_path, capsys, name, content, text
+):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SystemExit) as caught:
+        main([str(path)])
+    error = capsys.readouterr().err
+    assert (caught.value.code, error.count('\n')) == (2, 1)
+    assert name in error
+    assert text in error
+    assert [p.name for p in tmp_path.iterdir()] == ([name] if content is not None else [])
 
 
 KINDS = [('none', True), ('none', False), ('zstd', False), ('lz4', False)]

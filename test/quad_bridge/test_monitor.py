@@ -121,49 +121,31 @@ def test_the_node_says_when_enough_is_in(probe, start):
     topics = ('/left/imu/data', '/left/excitation/applied', '/left/excitation/segment')
     probe.meet(*topics)
     x, y = answered(60.0, 0.05, 5)
-    y[4500:5400] += 20.0 * np.random.default_rng(7).standard_normal(900)  # covered by then
+    cycles = itertools.count()
 
-    def announce(role):
+    def flown_s():
+        return re.findall(r'(\d+) s trained, (\d+) s', monitor.printed)
+
+    def fly_until(pattern, role):
+        """900 cycles at once, which the middleware holds, until the time flown stands still.
+
+        Stamps, not the clock, say how long it takes.
+        """
         probe.publish(topics[2], event({'segment': role, 'axis': 'pitch', 'signal': 'prbs'}))
+        while not re.search(pattern, monitor.printed):
+            part, told = [*itertools.islice(cycles, 900)], len(flown_s())
+            headers = [{'header': stamp(10**9 + 4_000_000 * k)} for k in part]
+            probe.publish(topics[0], *(
+                h | {'orientation': {'w': 1.0}, 'angular_velocity': {'y': y[k % y.size]}}
+                for h, k in zip(headers, part, strict=True)
+            ))  # fmt: skip
+            probe.publish(topics[1], *(
+                h | {'vector': {'y': x[k % x.size]}} for h, k in zip(headers, part, strict=True)
+            ))  # fmt: skip
+            probe.until(lambda told=told: (s := flown_s())[told + 1 :] and s[-1] == s[-2])
 
-    def fly(begin, number):
-        """Stamps, not the clock, say how long it takes."""
-        part = [k % y.size for k in range(begin, begin + number)]
-        headers = [stamp(10**9 + 4_000_000 * (begin + k)) for k in range(number)]
-        probe.publish(topics[0], *(
-            {'header': h, 'orientation': {'w': 1.0}, 'angular_velocity': {'y': y[k]}}
-            for h, k in zip(headers, part, strict=True)
-        ))  # fmt: skip
-        probe.publish(topics[1], *(
-            {'header': h, 'vector': {'y': x[k]}} for h, k in zip(headers, part, strict=True)
-        ))  # fmt: skip
-
-    def trained_s():
-        return int(re.findall(r'(\d+) s trained', monitor.printed)[-1])
-
-    announce('train')
-    probe.until(lambda: 'pitch' in monitor.printed)
-    for begin in range(0, 5400, 900):  # never more than the middleware holds
-        fly(begin, 900)
-        probe.until(lambda begin=begin: trained_s() >= (begin + 700) // 250)
-
-    def fly_until(words, begin):
-        """A busy machine loses some of it: so long as it takes."""
-        while words not in monitor.printed:
-            begin, told = begin + 900, len(monitor.printed)
-            fly(begin, 500)
-            probe.until(lambda told=told: len(monitor.printed) > told)
-        return begin
-
-    begin = fly_until('go on to validation', begin)
-    announce('validation')
-    begin = fly_until('stop now: 2 to 20 rad/s covered', begin)
-    steady = itertools.count(begin + 900, 25)
-
-    def rate_told():  # a screen of the time when the aircraft is heard
-        fly(next(steady), 25)
-        return re.search(r'imu +ok +250 Hz', monitor.printed)
-
-    probe.until(rate_told, 'the rate', pause_s=0.1)
+    fly_until('go on to validation', 'train')
+    fly_until('stop now: 2 to 20 rad/s covered', 'validation')
+    fly_until(r'imu +ok +250 Hz', 'idle')
     assert monitor.end() == 0
     assert '\x1b' not in monitor.printed

@@ -1,11 +1,16 @@
 """What is wrong with a node's arguments or parameters ends it with status 2 and one line."""
 
+import os
 import runpy
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree as ET
 
 import pytest
 from node_process import node_command, program
 
+from quad_bridge import start as begins
 from quad_bridge.topics import NODES
 
 MADE = runpy.run_path(str(Path(__file__).parents[2] / 'tools/policies.py'))
@@ -69,26 +74,51 @@ def test_help_says_where_the_parameters_are(start, run):
     assert process.printed.startswith('usage: monitor [--ros-args -p NAME:=VALUE')
 
 
-def test_each_node_opens_what_the_table_of_topics_says_and_so_its_policy(start, probe, tmp_path):
+@pytest.mark.parametrize(('wished', 'found'), [(None, 'LOCALHOST'), ('SUBNET', 'SUBNET')])
+def test_nodes_are_found_on_this_computer_only_unless_that_is_wished(monkeypatch, wished, found):
+    monkeypatch.setenv(begins.RANGE, wished or '')
+    if wished is None:
+        monkeypatch.delenv(begins.RANGE)
+    monkeypatch.setenv(begins.PROFILES, 'the user has chosen')
+    monkeypatch.setattr(begins, '_guard', lambda *_: None)
+    said, begun = [], SimpleNamespace(main=lambda: said.append(os.environ[begins.RANGE]))
+    monkeypatch.setattr(begins.importlib, 'import_module', lambda _: begun)
+    begins.begin('a_node')
+    assert said == [found]
+
+
+SEND = ('import quad_tuning.update_node as node; node.LISTEN_S = 500.0; '
+        "node.publish({'roll.rate.kp': 0.1}, 'test', namespace='alone')")
+"""`quad-tune send`, which waits for a bridge."""
+
+
+def allowed(name, space):
+    """What the node's policy allows, as SROS2 reads it; `space`: in a namespace."""
+    enclave = ET.parse(MADE['POLICIES']).find(f'.//enclave[@path="/{name}"]')
+    found = {}
+    for rules in enclave.find(f'.//profile[@node="{name}"]'):
+        ((what, _),) = rules.items()
+        found[what] = {
+            one.text if one.text.startswith('/') else f'{space}/{one.text}'
+            if not one.text.startswith('~') else f'{space}/{name}{one.text[1:]}' for one in rules
+        }
+    return found
+
+
+def test_each_node_opens_what_its_policy_says(start, run, probe, tmp_path):
     assert MADE['POLICIES'].read_text() == MADE['policies'](), 'run tools/policies.py'
-    for name, opens in NODES.items():
-        if name == 'quad_tune':
-            continue
+    for name in NODES:
+        space = '/alone' if name == 'quad_tune' else ''
         own = {'folder': tmp_path, 'autostart': 'true'} if name == 'bag_logger' else {}
         own = {'port': tmp_path / 'none'} if name == 'serial_bridge' else own
-        start(name, **own)
-        services = {*opens.offers, *MADE['PARAMETERS'], *(MADE['STATES'] if opens.managed else ())}
-        event = {f'/{name}/transition_event'} if opens.managed else set()
-        wanted = {
-            'publishes': {'/rosout', '/parameter_events', *event, *opens.publishes},
-            'hears': {'/parameter_events', *opens.hears},
-            'offers': {f'/{name}/{service}' for service in services},
-            'calls': set(opens.calls),
-        }
+        run(sys.executable, '-c', SEND) if space else start(name, **own)
+        policy = allowed(name, space)
+        wanted = {'publishes': policy['publish'], 'hears': policy['subscribe'],
+                  'offers': policy['reply'], 'calls': policy.get('request', set())}  # fmt: skip
 
-        def agrees(name=name, wanted=wanted):
-            found = probe.opened(name) if f'/{name}' in probe.nodes() else {}
-            aside = {'/parameter_events', '/clock', f'/{name}/get_type_description'}
+        def agrees(name=name, wanted=wanted, space=space):
+            found = probe.opened(f'{space}/{name}')
+            aside = {'/parameter_events', '/clock', f'{space}/{name}/get_type_description'}
             found = {what: names - aside for what, names in found.items()}
             return found == {what: names - aside for what, names in wanted.items()}
 

@@ -70,15 +70,3 @@ def test_a_bad_effect_module_is_one_line_and_status_2(tmp_path, capsys, source, 
     assert (status, error.count('\n')) == (2, 1)
     assert str(path) in error
     assert said in error
-
-
-@pytest.mark.usefixtures('handlers')
-def test_an_effect_module_acts_in_the_process(tmp_path):
-    path, seen = tmp_path / 'push.py', tmp_path / 'seen'
-    path.write_text(
-        f'calls = 0\n{EFFECT}global calls\n    calls += 1\n'
-        f'    open({str(seen)!r}, "w").write(str(calls))\n    return np.array([0.1, 0, 0])\n',
-        encoding='utf-8',
-    )
-    assert main(['--effect-module', str(path), '--duration', '0.2']) == 0
-    assert int(seen.read_text(encoding='utf-8')) == 200

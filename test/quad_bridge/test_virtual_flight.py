@@ -32,12 +32,6 @@ def square(seconds: float, period_s: float = 4.0, size: float = SIZE) -> np.ndar
     return size * np.sign(np.sin(2 * np.pi * time / period_s))
 
 
-def test_motor_commands_are_the_wrench_through_the_mixer_of_the_craft():
-    flight = fly(Profile(), [Excited(0.0, square(4.0, size=0.25), 'roll', 'control')], 4.0, 1)
-    assert flight.motors == pytest.approx(X.commands(flight.wrench, 'yaw_first', 0.05), abs=1e-6)
-    assert (flight.limits > 0).any()
-
-
 def mixed(control: np.ndarray, idle: float) -> tuple[np.ndarray, np.ndarray]:
     """Motors and what is given of U1..U4 (k, 4) by the firmware's quad_mix."""
     mix, out = library().quad_mix, np.zeros((len(control), 8), np.float32)
@@ -51,7 +45,7 @@ def mixed(control: np.ndarray, idle: float) -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_firmware_gives_up_yaw_then_throttle_and_roll_and_pitch_last():
     rng = np.random.default_rng(5)
-    control = rng.uniform([0.0, -0.7, -0.7, -0.7], [1.0, 0.7, 0.7, 0.7], (10_000, 4))
+    control = rng.uniform([0.0, -0.7, -0.7, -0.7], [1.0, 0.7, 0.7, 0.7], (2000, 4))
     control[0] = 0.9, 0.1, 0.0, 0.3
     idle = 0.05
     motors, given = mixed(control, idle)

@@ -1,9 +1,10 @@
-"""The app: who is answered, what can be asked, and a pass through it in a real browser."""
+"""The app: who is answered, what can be asked; app and report in a real browser."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import json
 import os
 import re
@@ -20,6 +21,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from probe import PATIENCE_S
+
+from quad_sysid.loop.cascade import CascadeGains, margins, open_loop
+from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.linear import WIDE, loops_of
+from quad_sysid.loop.simulation import simulate_cascade
+from quad_sysid.model import AxisModel, Parameter
+from quad_sysid.report import sliders
 
 pytest.importorskip('starlette', reason="the extra is not installed: pip install '…[app]'")
 pytest.importorskip('uvicorn', reason="the extra is not installed: pip install '…[app]'")
@@ -172,11 +180,11 @@ def test_menus_become_options_and_earlier_jobs_say_how_long_one_takes(tmp_path):
 class Chromium:
     """A headless browser over the pipe of its DevTools protocol."""
 
-    def __init__(self, folder: Path, width: int = 1280) -> None:
+    def __init__(self, folder: Path) -> None:
         (to_read, self._out), (self._in, to_write) = os.pipe(), os.pipe()
         command = [BROWSER, '--headless', '--no-sandbox', '--disable-gpu', '--no-first-run',
                    '--disable-dev-shm-usage', '--disable-background-networking',
-                   f'--user-data-dir={folder}', f'--window-size={width},1400',
+                   f'--user-data-dir={folder}', '--window-size=1280,1400',
                    '--remote-debugging-pipe', 'about:blank']
         # the browser reads from 3 and writes to 4
         self.process = subprocess.Popen(
@@ -250,6 +258,19 @@ class Chromium:
             time.sleep(0.2)
         raise AssertionError(f'never: {script}: {self.run("document.body.innerText")}')
 
+    def fits(self, width, *, dark=False):
+        """Whether the page does not scroll sideways on a screen of this width."""
+        scheme = {'name': 'prefers-color-scheme', 'value': 'dark' if dark else 'light'}
+        self.send('Emulation.setEmulatedMedia', features=[scheme])
+        self.send('Emulation.setDeviceMetricsOverride', width=width, height=900,
+                  deviceScaleFactor=1, mobile=False)
+        return self.run('document.documentElement.scrollWidth <= window.innerWidth')
+
+    def brightness(self, property_of):
+        """Of a colour, the mean of its three parts, 0 to 255."""
+        shown = re.findall(r'\d+', self.run(f'getComputedStyle({property_of}'))
+        return sum(map(int, shown[:3])) / 3
+
     def drag(self, x, y, to_x):
         for kind, at in (('mousePressed', x), ('mouseMoved', (x + to_x) / 2),
                          ('mouseMoved', to_x), ('mouseReleased', to_x)):
@@ -268,6 +289,17 @@ class Chromium:
         self.process.wait(PATIENCE_S)
 
 
+@pytest.fixture
+def browser(tmp_path):
+    """With nothing logged as an error in the end."""
+    if not BROWSER:
+        pytest.skip('no Chromium here (apt-get install chromium)')
+    chromium = Chromium(tmp_path / 'profile')
+    yield chromium
+    chromium.close()
+    assert not chromium.errors, chromium.errors
+
+
 def _flown_table():
     """Rows of an axis each that answers its torque, 20 s at 100 Hz."""
     random = np.random.default_rng(1)
@@ -279,99 +311,126 @@ def _flown_table():
 
 
 @pytest.mark.browser
-@pytest.mark.skipif(not BROWSER, reason='no Chromium here (apt-get install chromium)')
-def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, tmp_path):
+def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, browser, tmp_path):
     log = tmp_path / 'dropped.csv'
     log.write_text('\n'.join(['t,tau_x,tau_y,tau_z,wobble,gy,gz', *_flown_table()]))
-    browser = Chromium(tmp_path / 'profile')
-    try:
-        browser.send('Page.navigate', url=server.address)
-        browser.until("document.querySelectorAll('#files input').length === 1")
-        root = browser.send('DOM.getDocument')['root']['nodeId']
-        node = browser.send('DOM.querySelector', nodeId=root, selector='#file')['nodeId']
-        browser.send('DOM.setFileInputFiles', nodeId=node, files=[str(log)])
-        browser.until("document.querySelectorAll('#files input').length === 2")
-        browser.choose('my_flight')
-        browser.run("""document.querySelector('input[value=train]').click();
-            document.getElementById('look').click();""")
-        browser.until("!document.getElementById('frame').hidden")
-        place = browser.run("""(() => { const f = document.getElementById('frame');
-            f.scrollIntoView(); const r = f.getBoundingClientRect();
-            return [r.x, r.y, r.width]; })()""")
-        browser.until("document.getElementById('frame').dataset.traces > 0")
-        for down in range(300, 620, 40):
-            browser.drag(place[0] + 0.3 * place[2], place[1] + down, place[0] + 0.6 * place[2])
-        value = browser.until("document.getElementById('train').value")
-        start, stop = map(float, value.split(':'))
-        assert 0.0 < start < stop < 30.0
-        # a report has an origin of its own: it can ask this server for nothing
-        assert browser.run("""(() => { try { document.getElementById('frame').contentDocument.body;
-            return document.getElementById('frame').contentDocument === null; }
-            catch (e) { return true; } })()""")
-        # a column that no guess knows is corrected by its menu, with the keyboard alone
-        reached = set()
-        for _ in range(60):
-            browser.key('Tab', 9)
-            reached.add(browser.run('document.activeElement.id'))
-        assert {'file', 'look', 'columns', 'identify', 'export', 'train', 'axis'} <= reached
-        browser.choose('dropped')
-        browser.press('columns')
-        browser.until("!document.getElementById('menus').hidden")
-        browser.run("""(() => {
-            const one = document.querySelector('tr[data-column=wobble] select');
-            one.value = 'rate, roll'; one.onchange();
-            document.getElementById('take').focus(); })()""")
-        browser.key('Enter', 13)
-        browser.until("document.getElementById('files').innerText.includes('dropped_bag')")
-        # a second tab sees the same jobs
-        browser.other_tab(server.base + '/')
-        browser.until("document.getElementById('jobs').innerText.includes('import dropped')")
-        browser.send('Emulation.setEmulatedMedia',
-                     features=[{'name': 'prefers-color-scheme', 'value': 'dark'}])
-        paper = browser.run('getComputedStyle(document.body).backgroundColor')
-        assert max(int(v) for v in re.findall(r'\d+', paper)[:3]) < 60
-        for width in (1280, 390):
-            browser.send('Emulation.setDeviceMetricsOverride', width=width, height=900,
-                         deviceScaleFactor=1, mobile=False)
-            assert browser.run('document.documentElement.scrollWidth <= window.innerWidth'), width
-        assert not browser.errors, browser.errors
-    finally:
-        browser.close()
-        (server.folder / 'dropped.csv').unlink(missing_ok=True)
+    browser.send('Page.navigate', url=server.address)
+    browser.until("document.querySelectorAll('#files input').length === 1")
+    root = browser.send('DOM.getDocument')['root']['nodeId']
+    node = browser.send('DOM.querySelector', nodeId=root, selector='#file')['nodeId']
+    browser.send('DOM.setFileInputFiles', nodeId=node, files=[str(log)])
+    browser.until("document.querySelectorAll('#files input').length === 2")
+    browser.choose('my_flight')
+    browser.run("""document.querySelector('input[value=train]').click();
+        document.getElementById('look').click();""")
+    browser.until("!document.getElementById('frame').hidden")
+    place = browser.run("""(() => { const f = document.getElementById('frame');
+        f.scrollIntoView(); const r = f.getBoundingClientRect();
+        return [r.x, r.y, r.width]; })()""")
+    browser.until("document.getElementById('frame').dataset.traces > 0")
+    for down in range(300, 620, 40):
+        browser.drag(place[0] + 0.3 * place[2], place[1] + down, place[0] + 0.6 * place[2])
+    value = browser.until("document.getElementById('train').value")
+    start, stop = map(float, value.split(':'))
+    assert 0.0 < start < stop < 30.0
+    # a report has an origin of its own: it can ask this server for nothing
+    assert browser.run("""(() => { try { document.getElementById('frame').contentDocument.body;
+        return document.getElementById('frame').contentDocument === null; }
+        catch (e) { return true; } })()""")
+    # a column that no guess knows is corrected by its menu, with the keyboard alone
+    reached = set()
+    for _ in range(60):
+        browser.key('Tab', 9)
+        reached.add(browser.run('document.activeElement.id'))
+    assert {'file', 'look', 'columns', 'identify', 'export', 'train', 'axis'} <= reached
+    browser.choose('dropped')
+    browser.press('columns')
+    browser.until("!document.getElementById('menus').hidden")
+    browser.run("""(() => {
+        const one = document.querySelector('tr[data-column=wobble] select');
+        one.value = 'rate, roll'; one.onchange();
+        document.getElementById('take').focus(); })()""")
+    browser.key('Enter', 13)
+    browser.until("document.getElementById('files').innerText.includes('dropped_bag')")
+    # a second tab sees the same jobs
+    browser.other_tab(server.base + '/')
+    browser.until("document.getElementById('jobs').innerText.includes('import dropped')")
+    assert browser.fits(1280)
+    assert browser.fits(390, dark=True)
+    assert browser.brightness('document.body).backgroundColor') < 60
 
 
 @pytest.mark.browser
-@pytest.mark.skipif(not BROWSER, reason='no Chromium here (apt-get install chromium)')
-def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(server, tmp_path):
-    browser = Chromium(tmp_path / 'profile', 390)
+def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(server, browser):
+    """And its report, opened by itself: sizes and colours at the widths of desktop and phone."""
     shown = "document.getElementById('frame').src.endsWith('{}')"
-    try:
-        browser.send('Page.navigate', url=server.address)
-        browser.until("document.querySelectorAll('#files input').length >= 1")
-        browser.choose('my_flight')
-        browser.run("""document.getElementById('axis').value = 'roll';
-            document.getElementById('train').value = '3:12';
-            document.getElementById('validate').value = '15:25';""")
-        for button in ('identify', 'inspect'):  # the second waits in the queue
-            browser.press(button)
-        listed = "document.getElementById('jobs').innerText"
-        browser.until(f"{listed}.includes('running') && {listed}.includes('waiting')")
-        browser.until("document.querySelector('[aria-label^=\"stop identify\"]')?.click() || true")
-        browser.until(f"{listed}.includes('stopped')")
-        browser.until(shown.format('inspect.html'))
-        browser.press('identify')
-        browser.until(shown.format('report.html'))
-        model = next(one for one in server.folder.rglob('model.json'))
-        shutil.copytree(model.parent, server.folder / 'older')
-        browser.press('inspect')  # with the next job the list of files is renewed
-        browser.until("document.getElementById('files').innerText.includes('older')")
-        browser.choose('model.json')
-        browser.press('compare', 'nothing changed')
-        browser.choose('older')
-        browser.run("document.getElementById('to').value = 'px4'")
-        browser.press('export', 'MC_ROLLRATE_P')
-        assert browser.run('document.documentElement.scrollWidth <= window.innerWidth')
-        assert not browser.errors, browser.errors
-    finally:
-        browser.close()
-        shutil.rmtree(server.folder / 'older', ignore_errors=True)
+    browser.send('Page.navigate', url=server.address)
+    browser.until("document.querySelectorAll('#files input').length >= 1")
+    assert browser.fits(390)
+    browser.choose('my_flight')
+    browser.run("""document.getElementById('axis').value = 'roll';
+        document.getElementById('train').value = '3:12';
+        document.getElementById('validate').value = '15:25';""")
+    for button in ('identify', 'inspect'):  # the second waits in the queue
+        browser.press(button)
+    listed = "document.getElementById('jobs').innerText"
+    browser.until(f"{listed}.includes('running') && {listed}.includes('waiting')")
+    browser.until("document.querySelector('[aria-label^=\"stop identify\"]')?.click() || true")
+    browser.until(f"{listed}.includes('stopped')")
+    browser.until(shown.format('inspect.html'))
+    browser.press('identify')
+    browser.until(shown.format('report.html'))
+    model = next(one for one in server.folder.rglob('model.json'))
+    shutil.copytree(model.parent, server.folder / 'older')
+    browser.press('inspect')  # with the next job the list of files is renewed
+    browser.until("document.getElementById('files').innerText.includes('older')")
+    browser.choose('model.json')
+    browser.press('compare', 'nothing changed')
+    browser.choose('older')
+    browser.run("document.getElementById('to').value = 'px4'")
+    browser.press('export', 'MC_ROLLRATE_P')
+    assert browser.fits(390)
+    browser.send('Page.navigate', url=(model.parent / 'report.html').as_uri())
+    browser.until("document.querySelectorAll('figure svg text').length > 0")
+    for width, dark in ((1280, False), (520, True)):
+        assert browser.fits(width, dark=dark)
+        assert browser.run("""Math.min(...[...document.querySelectorAll('figure svg')].map(
+            s => s.getBoundingClientRect().width))""") > 380
+        assert browser.run("""Math.min(...[...document.querySelectorAll('figure svg text')].map(
+            t => t.getBoundingClientRect().height))""") >= 9.0
+        paper = browser.brightness('document.body).backgroundColor')
+        ink = browser.brightness("document.querySelector('figure svg text')).fill")
+        low, high = (paper, ink) if dark else (ink, paper)
+        assert low < 60
+        assert high > 180
+
+
+@pytest.mark.browser
+def test_sliders_redraw_the_step_and_the_margins_of_the_simulated_loop(browser, tmp_path):
+    values = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}
+    flown = CascadeGains(4.0, 0.07, 0.05, 0.0012, d_filter_hz=35.0)
+    model = AxisModel('roll', 0.004, 42.0,
+                      tuple(Parameter(n, v, None, '') for n, v in values.items()),
+                      active_gains=flown.to_mapping('roll', constants=True))
+    (tmp_path / 'page.html').write_text(
+        f'<html><body>{sliders.sliders(model, {})}{sliders.script()}</body></html>')
+    browser.send('Page.navigate', url=(tmp_path / 'page.html').as_uri())
+    browser.until("document.querySelectorAll('.tryout input').length === 4")
+    found = browser.run("""(() => { const box = document.querySelector('.tryout');
+        box.querySelectorAll('input').forEach((one, i) => {
+            one.value = [0.4, -0.3, 0.5, 0.2][i]; one.oninput(); });
+        return {...box.tryout.found, step: [...box.tryout.found.step]}; })()""")
+    factors = 2.0 ** np.array([0.4, -0.3, 0.5, 0.2])
+    names = ('angle_kp', 'rate_kp', 'rate_ki', 'rate_kd')
+    gains = dataclasses.replace(flown, **{
+        name: factor * getattr(flown, name) for name, factor in zip(names, factors, strict=True)})
+    plant = loop_plant(model)
+    step = simulate_cascade(plant, gains, np.full(300, 0.2), model.dt).angle / 0.2
+    assert np.allclose(found['step'], step, atol=2e-3)
+    omega = np.geomspace(0.5, 0.999 * np.pi / model.dt, 2000)
+    loops = loops_of([(plant, WIDE)])
+    of = margins(open_loop(gains, loops.response(omega), omega, model.dt), omega)
+    assert found['phase'] == pytest.approx(of.phase_margin_deg[0], abs=0.5)
+    assert found['gain'] == pytest.approx(of.gain_margin_db[0], abs=0.1)
+    assert found['cross'] == pytest.approx(of.crossover_rad_s[0], rel=0.01)
+    assert found['worst'] == pytest.approx(of.peak_sensitivity[0], rel=0.01)

@@ -48,7 +48,6 @@ def test_inavs_numbers_are_a_part_of_the_motors_range():
 
 def test_unknown_firmwares_have_no_gains():
     assert tuning({**BETAFLIGHT, 'Firmware revision': 'Rotorflight 4.3.0'}, 0.5).gains == {}
-    assert tuning({'Firmware revision': 'Betaflight 4.5.1'}, 0.5).gains == {}
 
 
 def test_a_gain_changed_in_flight_is_a_set_from_there_on():
@@ -65,8 +64,11 @@ def test_a_gain_changed_in_flight_is_a_set_from_there_on():
 
 
 @pytest.mark.skipif(not LOG.exists(), reason=f'no {LOG.name} beside the checkout')
-def test_the_d_part_that_betaflight_logged_is_that_of_the_gains():
-    flown = read(LOG)
+def test_the_d_part_that_betaflight_logged_is_that_of_the_gains(tmp_path):
+    """In the first half of the log: decoding takes long."""
+    whole, part = LOG.read_bytes(), tmp_path / LOG.name
+    part.write_bytes(whole[: len(whole) // 2])
+    flown = read(part)
     gains = flown.gains[0].values
     for i, axis in enumerate(('roll', 'pitch')):
         gyro, logged = (frames(x[:, i], flown.flying, flown.dt)

@@ -105,6 +105,11 @@ class Aircraft:
             self.probe.publish('/imu/data', {'header': header, 'orientation': UPRIGHT})
             self.line.published['/imu/data'] = self.now_ns
 
+    def flags(self, told: str) -> None:
+        values = [{'key': 'flags of the STM32', 'value': told}]
+        self.probe.publish('/diagnostics', {'status': [
+            {'name': 'serial_bridge: excitation', 'values': values}]})
+
     def until(self, condition: Callable[[], object], what: object = '') -> None:
         def met() -> object:
             found = condition()
@@ -160,6 +165,10 @@ def fly(
 
 def test_a_schedule_is_flown_and_the_process_ends(aircraft, fly):
     process = fly(autostart=True, exit_when_done=True)
+    aircraft.until(lambda: aircraft.segments)
+    idle_ns = aircraft.now_ns
+    aircraft.until(lambda: aircraft.now_ns - idle_ns > 0.55e9)
+    aircraft.flags('armed excitation_refused')  # of before: while idle nothing is refused
     aircraft.until(lambda: process.poll() is not None, 'its end')
     assert process.poll() == 0
     aircraft.probe.until(lambda: aircraft.state.get('state') == 'done')
@@ -200,11 +209,6 @@ def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):
         assert aircraft.segments[-1]['signal'] == 'none'
         aircraft.until_taken_back()
 
-    def flags(told: str) -> None:
-        values = [{'key': 'flags of the STM32', 'value': told}]
-        aircraft.probe.publish('/diagnostics', {'status': [
-            {'name': 'serial_bridge: excitation', 'values': values}]})
-
     refused('no voltage on /battery yet')
     aircraft.volts = 11.5
     begin()
@@ -213,9 +217,9 @@ def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):
     refused('failsafe')
     aircraft.failsafe = 0
     begin(200)  # what the STM32 refused before the start counts no more
-    flags('armed excitation_refused')
+    aircraft.flags('armed excitation_refused')
     ended('the STM32 refuses the excitation')
-    flags('armed')
+    aircraft.flags('armed')
     begin()
     aircraft.aux[2] = 1.0
     ended('abort switch')

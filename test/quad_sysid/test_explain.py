@@ -14,7 +14,7 @@ from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Found, Scored
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import derivative_steps, fit
-from quad_sysid.explain.ladder import Rung, explain, resampled
+from quad_sysid.explain.ladder import explain
 from quad_sysid.explain.models import Models
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
@@ -47,26 +47,6 @@ def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
     assert ladder.rungs[1].labels == ('coulomb_friction',)
     assert ladder.rungs[1].explains_pct > 90.0
     assert ladder.answer == 1
-
-
-def test_a_reference_that_no_smaller_model_explains_comes_again_as_a_whole(rubbed_answer):
-    """Where no candidate leads to it, its effects stand on one rung, and each is counted."""
-    told = rubbed_answer.findings
-    problem, best = told.problem, told.found.best
-    parts, _ = candidates(problem, [e for e in EFFECTS if e.label in
-                                    ('coulomb_friction', 'quadratic_drag')])
-    structure = replace(best.structure, parts=tuple(parts))
-    values = [np.array([2.0, np.log(0.02)]), np.array([1.0])]
-    theta = np.concatenate([best.theta[:5], *values, best.theta[-4:]])
-    reference = fit(problem, structure, theta)
-    base = told.found.base
-    found = Found(base, (Scored(reference, 9.0), Scored(base, 0.0)), {})
-    ladder = explain(problem, found, [])
-    whole = Rung(ladder.projection.ordered(structure), 100.0)
-    blocks, again = resampled(problem, found, replace(ladder, rungs=(ladder.rungs[0], whole)))
-    assert blocks > 1
-    assert again.keys() == {'coulomb_friction', 'quadratic_drag'}
-    assert again['coulomb_friction'] == again['quadratic_drag'] > 0.1
 
 
 def test_a_rung_that_runs_away_leaves_the_others_and_the_axis(rubbed_answer, monkeypatch):

@@ -67,17 +67,18 @@ def quaternion_ned(angles: np.ndarray) -> np.ndarray:
 
 FRD = np.array([1.0, -1.0, -1.0])
 """From our body axes to PX4's and ArduPilot's, and back."""
+PX4 = 'front right', 'rear left', 'front left', 'rear right'
+"""And ArduPilot."""
+BETAFLIGHT = 'rear right', 'front right', 'rear left', 'front left'
 
 
 def px4_topics(flight: Flight) -> dict:
     stamps = 2_000_000 + DT_US * np.arange(N)
-    by_place = flight.thrusts
-    places = ('front right', 'rear left', 'front left', 'rear right')
     return {
         'vehicle_angular_velocity': {'timestamp': stamps, 'xyz': flight.rates * FRD},
         'vehicle_attitude': {'timestamp': stamps, 'q': quaternion_ned(flight.angles)},
         'actuator_motors': {
-            'timestamp': stamps, 'control': np.column_stack([by_place[p] for p in places]),
+            'timestamp': stamps, 'control': np.column_stack([flight.thrusts[p] for p in PX4]),
         },
         'battery_status': {'timestamp': stamps, 'voltage_v': flight.volts},
     }
@@ -137,7 +138,7 @@ def test_px4_rotors_stand_and_turn_as_its_parameters_say(flight, px4):
                 ('actuator_function', np.full(N, 101.0 + motor)))}
 
     record, notes = px4(rotors, with_speeds)
-    assert record.craft.places == ('front right', 'rear left', 'front left', 'rear right')
+    assert record.craft.places == PX4
     assert [m.spin for m in record.craft.motors] == [1, 1, -1, -1]
     assert record.craft.motors[1].y == pytest.approx(0.25)
     motors = np.column_stack([flight.thrusts[place] for place in record.craft.places])
@@ -155,6 +156,7 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         topics['vehicle_thrust_setpoint'] = {
             'timestamp': stamps, 'xyz': flight.control[:, :1] * [0.0, 0.0, -1.0],
         }
+        topics['actuator_motors']['control'][: N // 6] = 0.0  # on the ground, where torque goes on
 
     record, _ = px4({'MC_ROLL_P': 6.5, 'MC_ROLLRATE_P': 0.15, 'MC_ROLLRATE_K': 2.0,
                      'MC_YAWRATE_P': 0.2, 'MC_ROLLRATE_MAX': 180.0}, with_torque)
@@ -166,8 +168,7 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
 
 def ardupilot_messages(flight: Flight) -> dict:
     stamps = 3_000_000 + DT_US * np.arange(N)
-    pulses = [1000.0 + 1000.0 * flight.thrusts[place]
-              for place in ('front right', 'rear left', 'front left', 'rear right')]
+    pulses = [1000.0 + 1000.0 * flight.thrusts[place] for place in PX4]
     roll, pitch, yaw = np.degrees(flight.angles * [1.0, -1.0, -1.0]).T
     p, q, r = np.degrees(flight.rates * FRD).T
     u1, u2, u3, u4 = flight.control.T
@@ -199,7 +200,7 @@ def test_ardupilot_pulses(flight, tmp_path):
                       'MOT_THST_EXPO': 0.0, 'MOT_SPIN_MIN': 0.1, 'MOT_SPIN_MAX': 0.9})
     record, notes = imported(path, tmp_path / 'bag')
     check_motion(record, flight, angles=1e-4)
-    assert record.craft.places == ('front right', 'rear left', 'front left', 'rear right')
+    assert record.craft.places == PX4
     np.testing.assert_allclose(record.speeds, 2.0 * np.pi * (1000.0 + 1000.0 * record.motors),
                                rtol=1e-5)
     np.testing.assert_allclose(record.rate_setpoint, flight.rates, atol=1e-5)
@@ -286,13 +287,12 @@ def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
 
 
 def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:
-    places = ('rear right', 'front right', 'rear left', 'front left')
     names = ['loopIteration', 'time (us)', *(f'setpoint[{i}]' for i in range(3)),
              *(f'gyroADC[{i}]' for i in range(3)), *(f'motor[{i}]' for i in range(4)),
              'vbatLatest (V)', 'flightModeFlags (flags)']
     rates = np.degrees(flight.rates).T
     columns = [np.arange(N), 5_000_000 + DT_US * np.arange(N), *rates, *rates,
-               *(1000.0 + 1000.0 * flight.thrusts[place] for place in places), flight.volts]
+               *(1000.0 + 1000.0 * flight.thrusts[place] for place in BETAFLIGHT), flight.volts]
     rows = [', '.join([f'{v:.9g}' for v in row] + ['ARM']) for row in zip(*columns, strict=True)]
     path.write_text('\n'.join([*header, ', '.join(names), *rows]) + '\n')
     return path
@@ -305,10 +305,9 @@ def test_betaflight(flight, tmp_path, reversed_yaw):
     record, _ = imported(blackbox(tmp_path / 'LOG.csv', flight, header), tmp_path / 'bag')
     sign = [1.0, 1.0, 1.0, -1.0 if reversed_yaw else 1.0]
     np.testing.assert_allclose(record.control, flight.control * sign, atol=1e-6)
-    places = ('rear right', 'front right', 'rear left', 'front left')
-    assert record.craft.places == places
-    np.testing.assert_allclose(record.motors, np.column_stack([flight.thrusts[p] for p in places]),
-                               atol=1e-6)
+    assert record.craft.places == BETAFLIGHT
+    motors = np.column_stack([flight.thrusts[place] for place in BETAFLIGHT])
+    np.testing.assert_allclose(record.motors, motors, atol=1e-6)
     for rates in (record.rates, record.rate_setpoint):
         np.testing.assert_allclose(rates, flight.rates, atol=1e-5)
     assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
@@ -342,11 +341,10 @@ def encoded(columns: dict[str, np.ndarray], header: dict[str, str]) -> bytes:
 
 def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     pytest.importorskip('orangebox')
-    places = ('rear right', 'front right', 'rear left', 'front left')
     columns = {
         **{f'gyroADC[{i}]': np.degrees(flight.rates[:, i]) for i in range(3)},
-        **{f'motor[{i}]': 48.0 + 1999.0 * flight.thrusts[p] for i, p in enumerate(places)},
-        **{f'eRPM[{i}]': 100.0 + i + 50.0 * flight.thrusts[p] for i, p in enumerate(places)},
+        **{f'motor[{i}]': 48.0 + 1999.0 * flight.thrusts[p] for i, p in enumerate(BETAFLIGHT)},
+        **{f'eRPM[{i}]': 100.0 + i + 50.0 * flight.thrusts[p] for i, p in enumerate(BETAFLIGHT)},
         'vbatLatest': 100.0 * flight.volts,
     }
     header = {'motorOutput': '48,2047', 'motor_poles': '12', 'gyro_scale': '0x3f800000',

@@ -15,6 +15,7 @@ import pytest
 from flown_axis import SHORT, Axis, Plan, fly
 
 import quad_sysid
+from quad_sysid.bags import split_segments
 from quad_sysid.discover.base import best_base
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import readings
@@ -22,6 +23,7 @@ from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.usable import check_moving
+from quad_sysid.record import Segment
 from quad_sysid.report import document
 from quad_sysid.report.model_file import load_models, save_models
 
@@ -223,9 +225,27 @@ def resting(record):
     return replace(record, rates=rates, control=control, motors=None)
 
 
+def first(n):
+    """Its first samples, split anew."""
+    columns = ('control', 'rates', 'angles', 'battery_v', 'attitude_setpoint', 'rate_setpoint')
+    return lambda r: split_segments(replace(
+        r, segments=(), **{name: getattr(r, name)[:n] for name in columns}))
+
+
+def only(role, axis='roll'):
+    return lambda r: replace(r, segments=(Segment(role, 'prbs', axis, 'attitude', 0.0, 20.0),))
+
+
 @pytest.mark.parametrize(
     ('change', 'words'),
     [
+        (lambda r: replace(r, control=np.tile(r.control.mean(axis=0), (r.n, 1))),
+         'the command never moves during training; excite this axis'),
+        (first(3), 'unbroken validation segment lasts 0.004 s, 1.5 s are needed; fly longer'),
+        (first(250), 'unbroken validation segment lasts 0.4 s'),
+        (first(1250), 'windows of 0.5 s'), (only('train'), 'the bag holds no validation segment'),
+        (only('validation'), 'the bag holds no training segment; name one with --train'),
+        (only('train', 'pitch'), 'no training segment is on this axis (on pitch only); excite it'),
         (relay, 'all motors are at their limits (0 or 1) during 100 % of the training'),
         (flat_out, 'all motors are at their limits'),
         (clipped(0.15), 'the gyro is at its limit; widen its range'),

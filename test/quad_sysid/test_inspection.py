@@ -12,8 +12,8 @@ from flown_axis import Axis, Plan, fly
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER
-from quad_sysid.inspection.cli import lines
 from quad_sysid.inspection.content import content
+from quad_sysid.inspection.text import lines
 
 
 @pytest.fixture(scope='module')
@@ -75,23 +75,16 @@ def test_without_an_angle_no_effects_of_the_angle_are_promised(record, tmp_path)
     assert not uses['find effects of the measured angle'].possible
 
 
-@pytest.fixture(scope='module')
-def held(record):
-    """Roll flies; pitch and yaw are held, so that their motors answer to the gyro's noise alone.
-
-    There is no segment.
-    """
-    rng = np.random.default_rng(7)
-    rates, control = record.rates.copy(), record.control.copy()
-    for i in (1, 2):
-        rates[:, i] = 0.005 * rng.standard_normal(record.n)
-        control[:, 1 + i] = -0.07 * rates[:, i]
-    return replace(record, rates=rates, control=control, motors=control @ MIXER.T, segments=())
-
-
 @pytest.mark.usefixtures('no_blackbox')
-def test_an_axis_that_is_held_is_refused_as_by_identify(held, tmp_path, capsys):
-    """Its feedback makes noise coherent with itself, and the motors explain its change."""
+def test_an_axis_that_is_held_is_refused_as_by_identify(record, tmp_path, capsys):
+    """Its feedback makes noise coherent with itself, and the motors explain its change.
+
+    Roll flies; pitch and yaw are held, so that their motors answer to the gyro's noise alone.
+    """
+    rates, control = record.rates.copy(), record.control.copy()
+    rates[:, 1:] = 0.005 * np.random.default_rng(7).standard_normal((record.n, 2))
+    control[:, 2:] = -0.07 * rates[:, 1:]
+    held = replace(record, rates=rates, control=control, motors=control @ MIXER.T, segments=())
     path = write_bag(held, tmp_path / 'bag')
     seen = content(path)
     uses = {use.name: use for one in seen.axes for use in one.uses}

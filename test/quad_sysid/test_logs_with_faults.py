@@ -20,8 +20,10 @@ import pytest
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.foresight import drawn_hz
+from quad_sysid.imports.table import open_table
 
 LOGS = Path(__file__).resolve().parents[2] / '../shared/data/logs'
+BESIDE = pytest.mark.skipif(not LOGS.is_dir(), reason='no shared/data/logs beside the checkout')
 DT, N = 0.004, 3000
 MIX = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, -1, -1, 1], [1, 1, -1, -1]], dtype=float)
 """Motors rear left, rear right, front right, front left from U1..U4."""
@@ -127,6 +129,12 @@ class Made:
 MADE = {
     'a row of units': Made(with_units_row, ('holds units', '1 lines before the header')),
     'header in a comment': Made(commented_header),
+    'degrees, milliseconds, pulses': Made(lambda: text_of({
+        'timestamp': 5e4 + 1e3 * FLOWN['t'],
+        **{f'gyro.{a}': np.degrees(FLOWN[f'g{a}']) for a in 'xyz'},
+        **{a: np.degrees(FLOWN[a]) for a in ANGLES}, 'altitude': 0.1 * FLOWN['t'],
+        **{f'motor[{i}]': 1000.0 + 1000.0 * FLOWN[m] for i, m in enumerate(MOTORS)}}),
+        angles=True),
     'dates': Made(lambda: text_of({'Date and time': DATES, **some(*PLAIN[1:])})),
     'a slow clock': Made(lambda: text_of({'gps_time': SLOW_CLOCK, **some(*PLAIN)}),
                          ('--time t ',)),
@@ -184,6 +192,7 @@ def test_a_table_comes_back_as_flown_by_the_command_that_is_printed(
     motors = np.column_stack([FLOWN[m] for m in MOTORS])
     motors = np.where(FLOWN['t'][:, None] < 0.2, 0.0, motors) if '900' in name else motors
     check(record, np.column_stack([FLOWN[r] for r in RATES]), motors @ MIX[:, 1:] / 4.0, case.lost)
+    np.testing.assert_allclose(record.motors, motors, atol=1e-6)
     assert record.dt == pytest.approx(DT)
     if case.angles:
         angles = np.column_stack([FLOWN[a] for a in ANGLES])
@@ -203,7 +212,7 @@ def test_a_mat_file_comes_back_as_flown(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize(('first', 'words'), [
     (b'PK\x03\x04', 'is an archive (.zip, .xlsx, …); unpack it'),
-    (b'MATLAB 7.3 MAT-file', 'save it anew with -v7'),
+    (b'MATLAB 7.3 MAT-file', 'save it again with -v7'),
     (b'\x89HDF\r\n\x1a\n', 'is HDF5'),
     (b'version https://git-lfs.github.com/spec/v1\n', 'git lfs pull'),
     (b'<!DOCTYPE html>\n', 'download the file itself'),
@@ -211,12 +220,7 @@ def test_a_mat_file_comes_back_as_flown(tmp_path, monkeypatch, capsys):
 def test_what_is_no_table_is_called_by_its_name(tmp_path, refusal, first, words):
     file = tmp_path / 'log.csv'
     file.write_bytes(first + b'\n1,2,3\n' * 50)
-    assert words in refusal(main_or_raise, ['import', str(file)])
-
-
-def main_or_raise(words: list[str]) -> None:
-    from quad_sysid.imports.table import open_table
-    open_table(Path(words[1]))
+    assert words in refusal(open_table, file)
 
 
 @dataclass(frozen=True)
@@ -248,9 +252,8 @@ FOUND = {
 
 
 @pytest.mark.parametrize('name', FOUND)
+@BESIDE
 def test_a_log_that_was_found_comes_back_as_flown(name, tmp_path, monkeypatch, capsys):
-    if not LOGS.is_dir():
-        pytest.skip('shared/data/logs is not beside the checkout')
     case = FOUND[name]
     monkeypatch.chdir(tmp_path)
     _, words = listed(LOGS / name, capsys)
@@ -282,9 +285,8 @@ def test_a_log_that_was_found_comes_back_as_flown(name, tmp_path, monkeypatch, c
     ('blackbox_header_only.bbl', 'holds no frames'),
     ('px4_humble_db3', 'give a checkout of px4_msgs that fits: --messages FOLDER'),
 ])
+@BESIDE
 def test_a_log_that_holds_nothing_to_read_is_one_line(name, words, capsys):
-    if not LOGS.is_dir():
-        pytest.skip('shared/data/logs is not beside the checkout')
     assert main(['import', str(LOGS / name)]) == 2
     error = capsys.readouterr().err
     assert words in error
@@ -301,9 +303,8 @@ float32[12] control
 """
 
 
+@BESIDE
 def test_a_bag_without_definitions_is_read_by_those_of_a_folder(tmp_path, monkeypatch, capsys):
-    if not LOGS.is_dir():
-        pytest.skip('shared/data/logs is not beside the checkout')
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / 'checkout' / 'msg'
     folder.mkdir(parents=True)

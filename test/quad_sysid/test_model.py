@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,25 +16,23 @@ from flown_axis import SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
 from quad_sysid.discover.accept import Unseen, judge
-from quad_sysid.discover.base import best_base
+from quad_sysid.discover.base import best_base, both_orders
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.events import Held, PeriodicDelay
-from quad_sysid.estimate.fit import Problem, fit
+from quad_sysid.estimate.fit import Fit, Problem, Tail, fit
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
 from quad_sysid.explain.models import Models
 from quad_sysid.model import recursion
-from quad_sysid.model.data import AxisData, axis_data, part_of
+from quad_sysid.model.data import axis_data, part_of
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Flight
-from quad_sysid.model.structure import Structure
+from quad_sysid.model.structure import NOISE, Structure
 from quad_sysid.record import GainChange
 
 DT = 0.01
-FINE = 10
-"""Steps of the simulation in one cycle."""
 CUT_OFF = (GainChange(0.0, {'sensor.gyro_filter_hz': 42.0}),)
 """A bag that states the gyro's filter."""
 
@@ -43,48 +42,13 @@ def friction(_t, rate, _angle):
     return -2.0 * np.tanh(rate / 0.005)
 
 
-def moved(gain, lag, damping, drag, bias, command, disturbance=0.0, seed=0):
-    """(n,) position and speed under a held command (n,), 20 ms late: steps of 1 ms."""
-    rng = np.random.default_rng(seed)
-    h, n = DT / FINE, command.size
-    position, speed = np.zeros(n), np.zeros(n)
-    x = v = drive = wind = 0.0
-    for k in range(n):
-        position[k], speed[k] = x, v
-        asked = gain * command[max(k - 2, 0)]
-        for _ in range(FINE):
-            wind += -2.0 * h * wind + disturbance * np.sqrt(4.0 * h) * rng.standard_normal()
-            before, drive = drive, asked + (drive - asked) * np.exp(-h / lag)
-            middle = v + 0.5 * h * (before - damping * v - drag * v * abs(v) + bias + wind)
-            push = 0.5 * (before + drive) + bias + wind
-            v += h * (push - damping * middle - drag * middle * abs(middle))
-            x += h * middle
-    return position, speed
-
-
-def axis(name, column, rate, command, **more):
-    """Two thirds to train, the rest to validate."""
-    n = rate.size
-    control = np.zeros((n, 4))
-    control[:, column] = command
-    return AxisData(
-        axis=name, dt=DT, rate=rate, control=control, motors=np.zeros((n, 4)),
-        other_rates=np.full((n, 2), np.nan), battery_v=None, gyro_filter_hz=None,
-        stretches=((0, n),), train=((0, 2 * n // 3),), validation=((2 * n // 3, n),),
-        **{'angle': None, **more},
-    )
-
-
 TORQUES = [e for e in EFFECTS if e.name in ('quadratic_drag', 'coulomb_friction', 'dead_zone')]
 
 
 def judged(data, problem, found):
     """The verdict on what a search left."""
-    return judge(data, problem, found, explain(problem, found, candidates(problem, TORQUES)[0]))
-
-
-def values_of(problem, verdict):
-    return {p.name: p for p in readings(problem, verdict.chosen).base}
+    ladder = explain(problem, found, candidates(problem, TORQUES)[0])
+    return judge(Unseen(data, data.validation), problem, found, ladder)
 
 
 def based(data):
@@ -109,43 +73,35 @@ def rubbed():
 
 
 def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
-    """A position to 20 µm, its slope over 50 ms to either side: no effect is made up of that."""
-    rng = np.random.default_rng(5)
-    command = np.repeat(rng.choice([-0.1, 0.1], 240), 25)
-    position, speed = moved(7.4, 0.03, 2.0, 0.0, 0.0, command, 0.02)
-    seen = position + 2e-5 * rng.standard_normal(position.size)
-    derived = savgol_filter(seen, 11, 3, deriv=1, delta=DT)
-    data = axis('roll', 1, derived, command, angle=seen, derived_s=0.05)
+    """A position to 20 µrad, its slope over 20 ms to either side: no effect is made up of that."""
+    flight = fly(Axis(gyro_noise=0.0), 5, SHORT)
+    seen = flight.angles[:, 0] + 2e-5 * np.random.default_rng(5).standard_normal(flight.n)
+    derived = savgol_filter(seen, 11, 3, deriv=1, delta=flight.dt)
+    data = replace(axis_data([flight], 'roll'), rate=derived, angle=seen, derived_s=0.02)
     problem = Problem(data, data.train)
     verdict = judged(data, problem, search(problem, TORQUES))
-    base = values_of(problem, verdict)
+    base = {p.name: p for p in readings(problem, verdict.chosen).base}
     assert verdict.verdict == 'no_missing_effect'
-    for name, truth in (('gain', 7.4), ('lag', 0.03), ('delay', 0.02), ('damping', 2.0)):
+    for name, truth in (('gain', 450.0), ('lag', 0.042), ('delay', 0.008), ('damping', 0.4)):
         assert abs(base[name].value - truth) < 4.0 * base[name].std, name
         assert base[name].std < 0.15 * truth
-    noise = float(np.std(derived - speed))
-    assert verdict.noise_floor == pytest.approx(noise, rel=0.25)
+    noise = savgol_filter(seen - flight.angles[:, 0], 11, 3, deriv=1, delta=flight.dt)
+    assert verdict.noise_floor == pytest.approx(np.std(noise), rel=0.25)
 
 
-OUTSIDE = '''
-import numpy as np
+OUTSIDE = """
+import quad_sysid as qs
 
-from quad_sysid.model.effect import Effect, Spec
-
-
-class Cogging(Effect):
-    """A torque that repeats with the angle, eight times a turn."""
-
+class Cogging(qs.Effect):
     name = 'acme_cogging'
     signals = ('angle',)
-    parameters = (Spec('torque', 'rad/s²'),)
+    parameters = (qs.Spec('torque', 'rad/s²'),)
 
     def torque(self, s, p, settings):
-        return -p[0] * np.sin(24.0 * s.angle)
-
+        return -p[0] * s.angle
 
 EFFECTS = (Cogging(),)
-'''
+"""
 
 
 def test_an_effect_of_an_installed_package_is_one_of_ours(tmp_path):
@@ -351,3 +307,20 @@ def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
             least = 1e-3 * size
     by_turns = {'shape:delay:time/held', 'shape:delay:time/periodic'}
     assert set(wrong) - by_turns == {'shape:gain:command/steps'}
+
+
+@pytest.mark.parametrize(('lead', 'slower'), [(5.0, False), (25.0, True)])
+def test_motors_slower_than_the_body_must_be_far_more_probable(monkeypatch, lead, slower):
+    values = [160.0, math.log(0.05), math.log(0.01), 1.0, 0.0]
+    theta = np.array([*values, *(spec.centre for spec in NOISE)])
+    quick = Fit(Structure(), theta, Tail(1.0, 4.0), 100.0, 0.0, np.eye(9), np.eye(9), True, None)
+
+    def refitted(_problem, structure, start, **_):
+        at = start.copy()
+        return replace(quick, structure=structure, theta=at, log_posterior=100.0 + lead)
+
+    monkeypatch.setattr('quad_sysid.discover.base.fitted_from', refitted)
+    monkeypatch.setattr(Fit, 'rate', None)
+    chosen = both_orders(SimpleNamespace(held=[]), quick)
+    assert (chosen.value('lag') * chosen.value('damping') > 1.0) is slower
+    assert chosen.value('gain') / chosen.value('lag') == pytest.approx(160.0 / 0.05)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from quad_sysid.craft import of_betaflight
-from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.mixers import chosen
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.motor_layout import patterns_of, share_of

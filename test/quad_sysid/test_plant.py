@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from unittest import mock
 
 import control as control_system
 import numpy as np
@@ -16,18 +17,17 @@ import pytest
 from quad_sysid.contract import motors_from_wrench
 from quad_sysid.craft import X
 from quad_sysid.effects import EFFECTS
-from quad_sysid.effects.hidden import Linear, Memory
-from quad_sysid.effects.loads import Load
+from quad_sysid.effects.hidden import Linear, Load, Memory
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.exports import to_control
 from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
 from quad_sysid.loop.from_model import Placed, loop_plant, not_in_the_loop, share_outside
 from quad_sysid.loop.linear import STILL, Level, loops_of
 from quad_sysid.loop.plant import Flying
-from quad_sysid.loop.simulation import Stepping, running, simulate_cascade
+from quad_sysid.loop.simulation import running, simulate_cascade
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.data import AxisData, Windows
-from quad_sysid.model.effect import Effect, Part
+from quad_sysid.model.effect import Drive, Effect, Part, Spec
 from quad_sysid.model.flight import Flight, Prediction
 from quad_sysid.model.plant import Plant
 from quad_sysid.model.structure import Structure
@@ -125,7 +125,7 @@ def test_cycle_by_cycle_compiled_along_arrays_and_in_a_free_run_an_effect_does_t
     plant = Plant(structure, values, DT, Flight(data, data.stretches).sensor, X, 0, rounds=6)
     record, angles, begin = flown(plant, data)
     flying = Flying(plant, Flight(data, data.stretches).commanded(BASE), settled=False)
-    assert not isinstance(running(flying), Stepping)
+    assert not running(flying).calls
     compiled = simulate_cascade(flying, NO_GAINS, np.zeros(N), DT,
                                 control_excitation=data.command)
     np.testing.assert_allclose(compiled.rate, record.rate, atol=1e-9)
@@ -149,6 +149,71 @@ def test_cycle_by_cycle_compiled_along_arrays_and_in_a_free_run_an_effect_does_t
     every = Windows(np.array([0]), N)
     errors = flight.free_run(structure, theta, every, prediction=ran, rounds=6)
     assert np.abs(errors).max() < 1e-9
+
+
+class Branches(Effect):
+    """Laws of a user that compiled code has no words for: they branch, or take an arc tangent."""
+
+    name, states, signals = 'branches', 2, ('rate', 'angle', 'history')
+    parameters = (Spec('torque', 'rad/s²'),)
+
+    def torque(self, s, p, _):
+        pull = s.hidden[0] - s.hidden[1] if s.rate[0] > 0.1 else np.arctan(s.angle)
+        return -p[0] * (pull + np.arctan(3.0 * s.rate))
+
+    def advance(self, x, s, *_):
+        return x + s.dt * np.stack([np.arctan(s.angle) - x[0], np.arctan(s.rate - x[1])])
+
+
+class Bends(Effect):
+    """The same before the torque, of the command and of a motor that is slower one way."""
+
+    name, signals = 'bends', ('command',)
+    parameters = (Spec('width', '1', spread=0.1),)
+
+    def command(self, s, p, _):
+        return p[0] * np.arctan(s.sent / p[0])
+
+    def actuate(self, drive, s, *_):
+        slow = 2.0 if s.sent[0] < 0.0 else 1.0
+        return Drive(drive.commands, drive.row, slow * drive.lag, ages=drive.ages,
+                     fraction=drive.fraction)
+
+
+class Creeps(Effect):
+    """A user's memory whose law compiled code has all words for."""
+
+    name, states, signals = 'creeps', 2, ('rate', 'angle', 'history')
+
+    def advance(self, x, s, *_):
+        gone = np.where(s.rate > 0.1, x[0] - x[1], np.tanh(x[0] + s.angle))
+        return np.stack([x[0] + s.dt * (s.rate - gone), np.maximum(x[1], 0.9 * gone)])
+
+
+def test_a_memory_along_a_flight_is_its_law_cycle_by_cycle_compiled_where_that_is_possible():
+    """To 1e-12, in each stretch from where it begins."""
+    data = replace(flight_of_commands(), rate=np.sin(4.0 * DT * np.arange(N)))
+    s = Flight(data, data.stretches).commanded(BASE).but(rate=data.rate, angle=data.angle)
+    spans, begun = ((0, 100), (110, N)), np.full((2, N), 0.2)
+    first = [begun[:, 0]] * 2
+    for effect, called in ((Creeps(), 0), (Branches(), 1)):
+        with mock.patch.object(type(effect), 'cycles', side_effect=effect.cycles) as plain:
+            along = effect.trace(s, BASE[:1], {}, spans, begun)
+        assert plain.call_count == called
+        expected = effect.cycles(s, BASE[:1], {}, spans, first)
+        np.testing.assert_allclose(along, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(('effect', 'p'), [(Branches(), 4.0), (Bends(), 0.04)])
+def test_a_law_that_cannot_be_compiled_is_called_in_its_place(effect, p):
+    """To 1e-12 rad/s as the plant does it cycle by cycle."""
+    data = flight_of_commands()
+    sensor = Flight(data, data.stretches).sensor
+    plant = Plant(Structure((Part(effect),)), np.r_[BASE, p, QUIET], DT, sensor, X, 0)
+    flying = Flying(plant, Flight(data, data.stretches).commanded(BASE), settled=False)
+    assert running(flying).calls
+    called = simulate_cascade(flying, NO_GAINS, np.zeros(N), DT, control_excitation=data.command)
+    np.testing.assert_allclose(called.rate, flown(plant, data)[0].rate, atol=1e-12)
 
 
 # ---- the loop that margins are judged of

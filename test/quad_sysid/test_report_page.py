@@ -15,7 +15,7 @@ from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
-from quad_sysid.report.words import causes
+from quad_sysid.report.words import causes, reach
 
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
@@ -84,23 +84,6 @@ def test_written_report_follows_the_schema(written, answers, tmp_path):
         jsonschema.validate(report, SCHEMA)
 
 
-def test_a_report_that_is_interrupted_leaves_the_one_before(answers, tmp_path, monkeypatch):
-    """And no folder where there was none."""
-    folder, tree = tmp_path / 'out', document.document(answers, ['bag'])
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(store, 'page', interrupted)
-    for before in ([], ['model.json', 'report.json']):
-        if before:
-            store.write(folder, tree, answers, html=False, pictures=False)
-        with pytest.raises(KeyboardInterrupt):
-            store.write(folder, tree, answers, pictures=False)
-        assert sorted(path.name for path in tmp_path.rglob('*.*')) == before
-        assert folder.exists() == bool(before)
-
-
 def test_a_report_leaves_nothing_of_an_earlier_one(written, tmp_path):
     out, answers = tmp_path / 'out', {'yaw': AxisAnswer('yaw', 250.0, (), 'cannot_tell', 'still')}
     shutil.copytree(written, out)
@@ -155,7 +138,7 @@ def test_page_is_self_contained_well_formed_and_the_same_for_the_same_answer(
          'rate_reference': None, 'rows': (), 'selected': None},
         {'selected': None, 'train': None, 'segments': (), 'blackbox_error': None,
          'proposal': GainProposal(None, 'too noisy')},
-        {'findings': None, 'closed_loop': None}, {'model': None, 'closed_loop': None},
+        {'findings': None, 'closed_loop': None},
         {'findings': None, 'model': None, 'rows': (), 'selected': None, 'closed_loop': None,
          'proposal': GainProposal(None, 'the same'), 'train': None, 'verdict': 'cannot_tell',
          'reason': 'roll: the command never moves; excite it'},
@@ -220,3 +203,26 @@ def test_every_panel_names_both_axes_with_a_unit(drawn):
     away = np.abs(x) > 0.4
     assert away.sum() >= 4
     np.testing.assert_allclose(y[away], -0.8 * np.sign(x[away]), atol=0.2)
+
+
+def test_the_error_over_the_horizon_grows_from_the_noise_and_is_told(tree):
+    listed = tree['error']['horizons']
+    assert [h['horizon_s'] for h in listed] == [0.02, 0.05, 0.1, 0.2, 0.5, 1.0]
+    for h in listed[1:]:
+        assert h['after'] < h['before'] < h['hold'], h
+        assert h['blackbox'] is not None
+    assert listed[0]['after'] < 2.0 * tree['error']['noise_floor']
+    assert listed[-1]['before'] > 2.0 * listed[1]['before']
+    noise = {p['name']: p['value'] for p in tree['base']['noise']}
+    assert set(noise) >= {'disturbance_rms', 'disturbance_correlation', 'measurement_rms'}
+
+
+@pytest.mark.parametrize(
+    ('after', 'far'), [((0.1, 0.1, 0.1), 1.0), ((0.1, 0.2, 0.9), 0.1), ((0.4, 0.8, 0.9), None)]
+)
+def test_worth_ends_where_holding_is_no_longer_twice_as_wrong(after, far):
+    error = {'unit': 'rad/s', 'horizons': [
+        {'horizon_s': s, 'hold': hold, 'before': 1.0, 'after': one, 'blackbox': None}
+        for s, hold, one in zip((0.05, 0.1, 1.0), (0.5, 1.0, 1.2), after, strict=True)
+    ]}
+    assert reach(error) == far

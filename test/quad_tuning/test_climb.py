@@ -23,7 +23,6 @@ from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.report.model_file import tree_of_models
 from quad_sysid.result import sent_with
 from quad_sysid.separation.design import nearest
-from quad_tuning import pid
 from quad_tuning.bounds import within_thrust
 from quad_tuning.cli import main
 from quad_tuning.designer import design
@@ -43,15 +42,6 @@ def climb(model):
     flown = found.active_gains | {'loop.rate_hz': 250.0, 'sensor.accel_filter_hz': 42.0}
     return dataclasses.replace(found, dt=0.016, gyro_filter_hz=None, units=THRUST,
                                active_gains=flown, mean_throttle=HOVER, mean_battery_v=None)
-
-
-@pytest.fixture
-def quick(monkeypatch, few_draws):
-    """One search from a few points of the grid."""
-    del few_draws
-    monkeypatch.setattr(pid, 'STARTS', 1)
-    monkeypatch.setattr(pid, 'JUDGED', 20)
-    monkeypatch.setattr(pid, 'GRID', (5, 5, 2, 3, 3))
 
 
 @pytest.mark.usefixtures('quick')

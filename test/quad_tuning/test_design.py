@@ -46,10 +46,6 @@ def loops_of(m, seed=7, **count):
     return ensembles.build(m, np.random.default_rng(seed), **count)
 
 
-def problem_of(m, **needs):
-    return pid.pose(loop_plant(m), ACTIVE, loops_of(m), Requirements(**needs))
-
-
 def held(steps, active, axis):
     """Whether each set is within one step of the one before."""
     for before, step in itertools.pairwise((active, *steps)):
@@ -109,7 +105,7 @@ def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, 
     assert said['disturbance_rms_rad'] < said['disturbance_rms_rad_before']
 
 
-@pytest.mark.usefixtures('few_draws')
+@pytest.mark.usefixtures('quick')
 def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
     """Stiction that drops with speed, in no list of ours: RMS falls, at rest the axis rests.
 
@@ -135,11 +131,19 @@ def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
 
 
 @pytest.mark.usefixtures('few_draws')
-def test_every_search_ends_at_the_same_gains(model):
-    """Starts from five points of the grid that lie apart."""
+@pytest.mark.parametrize('starts', [3, pytest.param(5, marks=pytest.mark.long)])
+def test_every_search_ends_at_the_same_gains(model, monkeypatch, starts):
+    """Starts from so many points of the grid that lie apart."""
+    monkeypatch.setattr(pid, 'STARTS', starts)
     first = pid.retune(loop_plant(model()), ACTIVE, loops_of(model()))
-    assert first.agreeing == first.searches == 5
-    assert pid.search(problem_of(model(), peak_sensitivity=1.01)) == []
+    assert first.agreeing == first.searches == starts
+
+
+@pytest.mark.usefixtures('quick')
+def test_where_nothing_keeps_the_margins_no_search_finds_any(model):
+    problem = pid.pose(loop_plant(model()), ACTIVE, loops_of(model()),
+                       Requirements(peak_sensitivity=1.01))  # fmt: skip
+    assert pid.search(problem) == []
 
 
 # ---- the way there, and what is promised to the watch
@@ -212,7 +216,7 @@ def with_stds(*variances):
         (lambda m: with_base(m, 'delay', 0.08), 'gains that flew are unstable'),
     ],
 )
-@pytest.mark.usefixtures('few_draws')
+@pytest.mark.usefixtures('quick')
 def test_a_model_that_allows_no_design_is_refused_with_the_reason(model, change, said):
     proposal = design(change(model()))
     assert proposal.gains is None

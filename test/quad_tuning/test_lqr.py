@@ -19,10 +19,16 @@ def loops_of(m, seed=3):
     return ensembles.build(m, np.random.default_rng(seed))
 
 
+@pytest.fixture(scope='module')
+def proposed(model):
+    """What is proposed for the usual model."""
+    return propose_lqr(model())
+
+
 @pytest.mark.parametrize('values', [{}, {'lag': 0.09, 'delay': 0.016}])
-def test_margins_hold_over_fresh_draws(model, values):
+def test_margins_hold_over_fresh_draws(model, proposed, values):
     m = model(**values)
-    found = propose_lqr(m)
+    found = propose_lqr(m) if values else proposed
     said = found.figures
     assert said['worst_phase_margin_deg'] >= 45.0
     assert said['worst_gain_margin_db'] >= 8.0
@@ -66,21 +72,20 @@ def test_feedback_solves_the_riccati_equation_and_beats_its_neighbours(model):
         assert cost(dataclasses.replace(best_of_all, **other)) > 0.999 * best
 
 
-def test_integral_action_removes_a_standing_torque(model):
+def test_integral_action_removes_a_standing_torque(model, proposed):
     """A constant torque the design does not know: the angle returns to within 0.2 % of 0.2 rad.
 
     It leaves less than under the cascade; noise is as in a simulation.
     """
-    m, found = model(), propose_lqr(model())
-    exact, said = loop_plant(m), found.figures
+    found, said = proposed, proposed.figures
     # a constant torque acts like a constant command behind the plant's gain
     weaker = loop_plant(model(gain=0.8 * 450.0))
     angle = simulate(weaker, found.controller, np.full(6000, 0.2)).angle
     assert angle[-1] == pytest.approx(0.2, rel=2e-3)
     assert said['disturbance_rms_rad'] < said['disturbance_rms_rad_before']
     noise = 0.01 * np.random.default_rng(4).standard_normal(20_000)
-    controls = simulate(exact, found.controller, np.zeros(noise.size), noise=noise).control
-    assert said['motor_noise_rms'] == pytest.approx(np.std(controls), rel=0.08)
+    still = simulate(loop_plant(model()), found.controller, np.zeros(noise.size), noise=noise)
+    assert said['motor_noise_rms'] == pytest.approx(np.std(still.control), rel=0.08)
 
 
 def test_shares_of_it_beside_the_cascade_are_safe_and_the_whole_is_itself(model):
@@ -96,6 +101,7 @@ def test_shares_of_it_beside_the_cascade_are_safe_and_the_whole_is_itself(model)
     assert closed_loop_radius(beside(found, shaky, 0.25), loops.cycle).max() >= 1.0
 
 
+@pytest.mark.usefixtures('few_draws')
 def test_what_cannot_be_is_refused(model):
     m = model()
     with pytest.raises(DesignRefusedError, match='no LQR keeps the margins'):

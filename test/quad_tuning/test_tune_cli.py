@@ -49,7 +49,7 @@ def answer(stored, capsys, monkeypatch):
     return told
 
 
-@pytest.mark.usefixtures('few_draws')
+@pytest.mark.usefixtures('quick')
 def test_table_and_file_tell_the_same(stored, shaken, tmp_path, capsys):
     """One refused axis is not a failure; a flight that shakes gets its notch beside the gains."""
     file = tmp_path / 'gains.json'
@@ -72,7 +72,7 @@ def test_table_and_file_tell_the_same(stored, shaken, tmp_path, capsys):
     assert float(row[-3]) > float(row[-2])
 
 
-@pytest.mark.usefixtures('few_draws')
+@pytest.mark.usefixtures('quick')
 def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(
     stored, answer, tmp_path, capsys
 ):

@@ -28,39 +28,34 @@ def told(answer):
     return {p.name: p.value.double_value or p.value.string_value for p in answer.parameters}
 
 
-@pytest.mark.parametrize('taken', [True, False])
-def test_only_the_bridge_of_its_namespace_is_asked_and_what_it_answers_is_the_end(
-    probe, send, taken
-):
+def test_only_the_bridge_of_its_namespace_is_asked_and_what_it_answers_is_the_end(probe, send):
     """What anybody says in /diagnostics is no answer."""
-    reason = '' if taken else 'roll.rate.kp: must lie in 0 .. 0.05: found 0.08'
-    result = {'result': {'successful': taken, 'reason': reason}}
-    asked = {
-        name: probe.serve(f'/{name}/serial_bridge/set_gains', KIND, **result)
-        for name in ('left', 'right')
-    }
+    reason = 'roll.rate.kp: must lie in 0 .. 0.05: found 0.08'
+    results = {'left': {'successful': True, 'reason': ''},
+               'right': {'successful': False, 'reason': reason}}
+    asked = {name: probe.serve(f'/{name}/serial_bridge/set_gains', KIND, result=result)
+             for name, result in results.items()}
     liar = {'name': 'serial_bridge: gains', 'message': 'gains of quad-tune send refused',
             'values': [{'key': 'roll.rate.kp', 'value': '0.08'}]}  # fmt: skip
     probe.publish('/left/diagnostics', {'status': [liar]}, every_s=0.05)
     process = send('left')
-    assert process.wait() == (0 if taken else 3)
-    if taken:
-        assert f'watches them for {WATCH_S:.0f} s' in process.printed
-    else:
-        assert process.said == f'quad-tune: {reason}\n'
+    assert process.wait() == 0
+    assert f'watches them for {WATCH_S:.0f} s' in process.printed
     (wanted,) = asked['left']
     assert told(wanted) == {
         'roll.rate.kp': 0.08, 'source': 'quad-tune send', 'predicted': '{}', 'flown': '{}',
     }  # fmt: skip
     assert asked['right'] == []
+    process = send('right')
+    assert (process.wait(), process.said) == (3, f'quad-tune: {reason}\n')
+    process = send('/nobody')
+    probe.until(lambda: '/nobody/quad_tune' in probe.nodes())
+    process.send(2)
+    assert (process.wait(), process.said) == (130, 'quad-tune: interrupted\n')
 
 
-@pytest.mark.parametrize('interrupted', [True, False])
-def test_it_ends_in_one_line(probe, send, interrupted):
-    process = send('/left' if interrupted else 'my quad')
-    if interrupted:
-        probe.until(lambda: '/left/quad_tune' in probe.nodes())
-        process.send(2)
-    assert process.wait() == (130 if interrupted else 2)
-    words = 'interrupted' if interrupted else '--namespace: is not a valid ROS namespace: found my'
+def test_a_namespace_that_is_none_is_one_line(send):
+    process = send('my quad')
+    assert process.wait() == 2
+    words = '--namespace: is not a valid ROS namespace: found my'
     assert (process.said.count('\n'), words in process.said) == (1, True), process.said

@@ -53,7 +53,7 @@ def test_a_low_pack_flies_as_a_full_one():
     np.testing.assert_array_equal(off, low)
 
 
-@pytest.mark.usefixtures('few_draws')
+@pytest.mark.usefixtures('quick')
 def test_the_design_takes_the_schedule(model, changed):
     """In steps that the gate makes; test_design.py: without sag there is none."""
     with_it = design(sagging(model, changed))

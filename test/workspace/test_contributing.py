@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md: its worked changes, applied to a copy of the project, with their tests."""
+"""CONTRIBUTING.md's worked changes and docs/extend.md's files, in a copy of the project, used."""
 
 from __future__ import annotations
 
@@ -9,8 +9,33 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 CHANGES = re.findall(r'```diff\n(.*?)```', (ROOT / 'CONTRIBUTING.md').read_text(), re.DOTALL)
+FILES = re.findall(r'```(?:python|yaml)\n# ([\w./]+)\n(.*?)```',
+                   (ROOT / 'docs' / 'extend.md').read_text(), re.DOTALL)
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """Both packages and the tests."""
+    for package in ('quad_bridge', 'quad_sysid'):
+        shutil.copytree(ROOT / 'src' / package / package, tmp_path / 'src' / package / package)
+    shutil.copytree(ROOT / 'test', tmp_path / 'test')
+    shutil.copy(ROOT / 'pyproject.toml', tmp_path)
+    (tmp_path / 'firmware').symlink_to(ROOT / 'firmware')
+    return tmp_path
+
+
+def python(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """What Python with these words does where the copy's packages are the installed ones."""
+    paths = [place, *(place / 'src' / name for name in ('quad_bridge', 'quad_sysid')),
+             place / 'test', os.environ.get('PYTHONPATH', '')]
+    return subprocess.run(
+        [sys.executable, *words], cwd=place, capture_output=True, text=True, check=False,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(map(str, paths))},
+    )  # fmt: skip
 
 
 def applied(place: Path, change: str) -> list[str]:
@@ -29,23 +54,45 @@ def applied(place: Path, change: str) -> list[str]:
     return re.findall(r'^\+def (test_\w+)', change, re.MULTILINE)
 
 
-def test_each_worked_change_works(tmp_path: Path) -> None:
-    """All in one copy and one process: they do not meet."""
-    for package in ('quad_bridge', 'quad_sysid'):
-        shutil.copytree(ROOT / 'src' / package / package, tmp_path / 'src' / package / package)
-    shutil.copytree(ROOT / 'test', tmp_path / 'test')
-    shutil.copy(ROOT / 'pyproject.toml', tmp_path)
-    (tmp_path / 'firmware').symlink_to(ROOT / 'firmware')
-    tests = [test for change in CHANGES for test in applied(tmp_path, change)]
+def test_each_worked_change_works(copy: Path) -> None:
+    """All in one process: they do not meet."""
+    tests = [test for change in CHANGES for test in applied(copy, change)]
     assert len(tests) == len(CHANGES) == 5
-    files = sorted({name for change in CHANGES for name in re.findall(r'^--- (test/\S+)', change,
-                                                                     re.MULTILINE)})
-    path = os.pathsep.join(str(tmp_path / 'src' / name) for name in ('quad_bridge', 'quad_sysid'))
-    done = subprocess.run(
-        [sys.executable, '-m', 'pytest', '-q', '-n', '0', '-p', 'no:cacheprovider',
-         '-k', ' or '.join(tests), *files],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-        env={**os.environ, 'PYTHONPATH': path + os.pathsep + os.environ.get('PYTHONPATH', '')},
-    )
+    files = sorted({name for change in CHANGES
+                    for name in re.findall(r'^--- (test/\S+)', change, re.MULTILINE)})
+    done = python(copy, '-m', 'pytest', '-q', '-n', '0', '-p', 'no:cacheprovider',
+                  '-k', ' or '.join(tests), *files)
     assert '5 passed' in done.stdout, (done.stdout + done.stderr)[-3000:]
     assert done.returncode == 0
+
+
+USES = """
+import math
+import quad_sysid as qs
+from flown_axis import SHORT, Axis, fly
+from my_controller import design
+from my_effects import Cogging
+from quad_bridge.virtual.simulation import fly as simulated
+from quad_sysid.pipeline import identify
+identify._compared = lambda answer, *_: answer  # no black-box models
+assert {!r} in qs.__file__
+axis = Axis(torque=lambda _t, _rate, angle: -4.0 * math.sin(12.0 * angle))
+found = qs.identify(fly(axis, 5, SHORT), 'roll', effects=(Cogging(),), designer=design)
+print([effect.name for effect in found.effects])
+print(sorted(found.gains), found.gains['roll.rate.kp'] > 0.0)
+print(simulated('whoop', [], 0.1, 1).profile.airframe.mass_kg)
+"""
+SAYS = """['cogging']
+['roll.angle.kp', 'roll.rate.kd', 'roll.rate.ki', 'roll.rate.kp'] True
+0.03
+"""
+
+
+def test_what_the_page_adds_works(copy: Path) -> None:
+    """An effect, a controller and an airframe."""
+    assert len(FILES) == 3
+    for name, text in FILES:
+        path = copy / 'src' / name.partition('/')[0] / name if '/' in name else copy / name
+        path.write_text(text)
+    done = python(copy, '-c', USES.format(str(copy)))
+    assert (done.stdout, done.returncode) == (SAYS, 0), done.stderr[-2000:]

@@ -24,6 +24,7 @@ def run(block, names):
         exec(block, names)  # noqa: S102
 
 
+@pytest.mark.long
 def test_the_simulated_machines():
     names: dict[str, Any] = {}
     for block in BLOCKS:

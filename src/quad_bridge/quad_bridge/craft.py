@@ -159,9 +159,9 @@ class Craft:
     def to_urdf(self) -> str:
         """The craft as `/robot_description` carries it."""
         robot = ET.Element('robot', name='craft')
-        said = self.name + ('; lengths of arms are nominal, their directions true'
-                            if self.nominal else '')
-        robot.append(ET.Comment(f' {said.replace("--", "- ")} '))
+        comment = self.name + ('; lengths of arms are nominal, their directions true'
+                               if self.nominal else '')
+        robot.append(ET.Comment(f' {comment.replace("--", "- ")} '))
         body = ET.SubElement(robot, 'link', name=BODY)
         if self.mass_kg is not None and self.inertia is not None:
             inertial = ET.SubElement(body, 'inertial')
@@ -239,8 +239,8 @@ def _motor(name: str, joint: ET.Element, above: Mapping[str, ET.Element]) -> Mot
 
 
 def _link(joint: ET.Element, end: str) -> str:
-    found = joint.find(end)
-    return '' if found is None else found.get('link', '')
+    element = joint.find(end)
+    return '' if element is None else element.get('link', '')
 
 
 def _numbers(

@@ -20,7 +20,8 @@ import numpy.typing as npt
 from quad_sysid.bags.split import split_segments
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND, MIN_SAMPLES, record_of
 from quad_sysid.imports.units import UNITS, Role, written
 from quad_sysid.record import IOData, Record, Segment, finite_runs
@@ -31,6 +32,10 @@ MOST_COMMAND = 0.5
 """Largest normalised command."""
 LONGEST_DT_S = 0.05
 """Errors are those of free runs of 0.5 s, which need some samples."""
+FEWEST_PER_OSCILLATION = 15
+"""Samples below which a narrow oscillation is warned of: a model takes one step per sample."""
+NARROW = 1.3
+"""Factor to either side of the median frequency between which half of the power is narrow."""
 PHYSICAL = ('V', 'mV', 'A', 'mA', 'N', 'mN', 'N m', 'mN m', 'W', 'Pa', 'bar', 'K', 'rad', 'deg',
             'm', 'mm', 'rad/s', 'deg/s', 'rpm', 'm/s', 'mm/s', 'counts')
 """Units of an input without a range of its own: the largest value counts as full command."""
@@ -97,12 +102,12 @@ def from_arrays(data: Table | IOData | None = None, *, u: Samples | None = None,
     `train`, `validate`: see Part; the rest of one is the other. NaN and masked values are missing.
     Raises BadInputError, one line that names the argument.
     """
-    found = records_of(data, u=u, y=y, dt=dt, t=t, angle=angle, reference=reference,
-                       signals=signals, units=units, train=train, validate=validate, axis=axis)
-    if len(found) != 1:
-        raise BadInputError(WHERE, 'are of several experiments', len(found),
+    records = records_of(data, u=u, y=y, dt=dt, t=t, angle=angle, reference=reference,
+                         signals=signals, units=units, train=train, validate=validate, axis=axis)
+    if len(records) != 1:
+        raise BadInputError(WHERE, 'are of several experiments', len(records),
                             'hand the lists to identify, or one experiment here')
-    return found[0]
+    return records[0]
 
 
 def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None, t: Any = None,
@@ -111,12 +116,12 @@ def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None
     """A Record for each experiment; arguments as `from_arrays`, each a list of several, too."""
     if axis not in AXES:
         raise BadInputError(WHERE, f'axis must be one of {", ".join(AXES)}', repr(axis))
-    given = {'u': u, 'y': y, 't': t, 'angle': angle, 'reference': reference, 'dt': dt,
-             **{f'signals: {name}': one for name, one in _signals(signals).items()}}
-    several = isinstance(data, list) or any(map(_several, given.values()))
+    arguments = {'u': u, 'y': y, 't': t, 'angle': angle, 'reference': reference, 'dt': dt,
+                 **{f'signals: {name}': one for name, one in _signals(signals).items()}}
+    several = isinstance(data, list) or any(map(_several, arguments.values()))
     count = 1
     if several:
-        lengths = {name: len(one) for name, one in [('the data', data), *given.items()]
+        lengths = {name: len(one) for name, one in [('the data', data), *arguments.items()]
                    if _several(one) or (one is data and isinstance(data, list))}
         count = next(iter(lengths.values()))
         if len(set(lengths.values())) > 1:
@@ -129,7 +134,7 @@ def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None
         return value[k] if several and (_several(value) or isinstance(value, list)) else value
 
     read = [_columns(data[k] if isinstance(data, list) else data,
-                     {name: of(one, k) for name, one in given.items()}, _texts(units))
+                     {name: of(one, k) for name, one in arguments.items()}, _texts(units))
             for k in range(count)]
     known = _units(read, _texts(units))
     return [
@@ -186,12 +191,12 @@ def _several(value: object) -> bool:
                                               else len(one.shape) > 0) for one in value)
 
 
-def _columns(data: Any, given: Mapping[str, Any], units: Mapping[str, Any]) -> _Columns:
-    given = _with_data(data, dict(given))
-    time, dt = given.pop('t'), given.pop('dt')
+def _columns(data: Any, arguments: Mapping[str, Any], units: Mapping[str, Any]) -> _Columns:
+    arguments = _with_data(data, dict(arguments))
+    time, dt = arguments.pop('t'), arguments.pop('dt')
     if time is None and dt is None:
-        time = _own_time(given)
-    arrays = {name: _numbers(name, one) for name, one in given.items() if one is not None}
+        time = _own_time(arguments)
+    arrays = {name: _numbers(name, one) for name, one in arguments.items() if one is not None}
     if 'u' not in arrays:
         raise BadInputError(WHERE, 'lack u, the input', remedy='identify(u=…, y=…, dt=…)')
     if 'y' not in arrays and 'angle' not in arrays:
@@ -220,24 +225,24 @@ def _check_moving(name: str, values: FloatArray) -> None:
                             'record an experiment in which it moves')
 
 
-def _with_data(data: Any, given: dict[str, Any]) -> dict[str, Any]:
+def _with_data(data: Any, arguments: dict[str, Any]) -> dict[str, Any]:
     """The arguments with what the data bring: columns by name, or a response's own."""
     own = _own_of(data)
     if own is None and data is not None:
-        given, own = {name: _column(data, name, one) for name, one in given.items()}, {}
+        arguments, own = {name: _column(data, name, one) for name, one in arguments.items()}, {}
         index = getattr(data, 'index', None)
-        if given['t'] is None and given['dt'] is None and _is_time(index):
+        if arguments['t'] is None and arguments['dt'] is None and _is_time(index):
             own = {'t': index}
-    for name, one in given.items():
+    for name, one in arguments.items():
         if isinstance(one, str) and name != 'dt':
             raise BadInputError(WHERE, f'{name} names a column of no frame', repr(one),
                                 f'identify(frame, {name}={one!r}, …)')
     own = own or {}
-    if 't' in own and given['dt'] is not None:
+    if 't' in own and arguments['dt'] is not None:
         del own['t']
-    if 'dt' in own and given['t'] is not None:
+    if 'dt' in own and arguments['t'] is not None:
         del own['dt']
-    return given | {name: one for name, one in own.items() if given.get(name) is None}
+    return arguments | {name: one for name, one in own.items() if arguments.get(name) is None}
 
 
 def _own_of(data: Any) -> dict[str, Any] | None:
@@ -280,10 +285,10 @@ def _is_time(index: object) -> bool:
     return kind in ('f', 'm', 'M')
 
 
-def _own_time(given: Mapping[str, Any]) -> Any:
+def _own_time(arguments: Mapping[str, Any]) -> Any:
     """The times that an xarray.DataArray or a series brings with it."""
     for name in ('y', 'angle', 'u'):
-        one = given.get(name)
+        one = arguments.get(name)
         if _is_time(getattr(one, 'index', None)):
             return getattr(one, 'index')  # noqa: B009
         dims: Any = getattr(one, 'dims', ())
@@ -342,6 +347,8 @@ def _times(time: Any, dt: Any, n: int,
     per_s = _factor('t', units.get('t', 's'), {k: f for k, (f, _) in UNITS['time'].items()})
     if dt is not None and time is not None:
         raise BadInputError(WHERE, 'take dt or t, not both', remedy='leave one out')
+    if time is not None and np.ndim(time) == 0:
+        raise BadInputError(WHERE, 't must be (n,) times', repr(time), 'the interval is dt=…')
     if dt is not None:
         number = isinstance(dt, int | float | np.number) and not isinstance(dt, bool | np.bool_)
         if not number or not (math.isfinite(float(dt)) and dt > 0):
@@ -498,11 +505,26 @@ def _record(one: _Columns, units: Units, texts: Mapping[str, Any], axis: str, so
     record, _, warnings = record_of(log)
     if one.dt is not None and abs(record.dt - one.dt) <= 1e-3 * one.dt:
         record = record.at_interval(one.dt)
-    record = replace(record, units=units, warnings=(*record.warnings, *warnings))
     measured = np.asarray(angle if rate is None else rate)
+    record = replace(record, units=units, warnings=(
+        *record.warnings, *warnings, *_too_coarse(measured, record.dt)))
     begun = float(one.time_s[int(np.isfinite(measured).argmax())])
     return split_segments(with_parts(record, one.time_s - begun, (axis,), train, validate),
                           axes=(axis,))
+
+
+def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:
+    """A warning where what was measured oscillates too fast for its sampling; else nothing."""
+    known = np.nan_to_num(measured - np.nanmean(measured))
+    power = np.abs(np.fft.rfft(known)) ** 2
+    frequency_hz = np.fft.rfftfreq(known.size, dt)
+    middle = frequency_hz[int(np.searchsorted(np.cumsum(power), 0.5 * power.sum()))]
+    near = (frequency_hz > middle / NARROW) & (frequency_hz < middle * NARROW)
+    if middle * dt * FEWEST_PER_OSCILLATION < 1.0 or power[near].sum() < 0.5 * power.sum():
+        return ()
+    text = (f'what was measured oscillates at {middle:.3g} Hz, {1.0 / (middle * dt):.0f} samples '
+            'per oscillation; a model takes one step per sample and wants thirty: sample faster')
+    return (text,)
 
 
 def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: Any,

@@ -13,17 +13,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.identified import Identified, model_of
+from quad_sysid.identified import Identified
 from quad_sysid.model import AxisModel
 from quad_sysid.record import IOData, Record
-from quad_sysid.result import Result, identify
+from quad_sysid.result import Result, identify, model_of
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from quad_sysid.blackbox import FrequencyResponse, Model
     from quad_sysid.contract import FloatArray
-    from quad_sysid.fleets.summary import Fleet
+    from quad_sysid.fleets.page import Fleet
     from quad_sysid.inspection.content import Content
     from quad_sysid.model import GainProposal
 
@@ -132,7 +132,7 @@ def fleet(flights: str | Path | Sequence[Record], out: str | Path = '',
     day, such as 2026-05-31 or 90d. Raises BadInputError where there is no bag.
     """
     from quad_sysid.fleets import bag, engine
-    from quad_sysid.fleets.summary import Fleet
+    from quad_sysid.fleets.page import Fleet
 
     options: dict[str, Any] = {'axes': tuple(axes), 'search_effects': search_effects,
                                'limit_s': limit_s}

@@ -29,7 +29,7 @@ MODULES = ('model.recursion', 'model.laws', 'blackbox.filters', 'loop.kernels')
 """Where the kernels are."""
 _kernels: list[tuple[Any, tuple[Any, ...]]] = []
 """Each with the types of its arguments."""
-_said = mmap.mmap(-1, 1)
+_announced = mmap.mmap(-1, 1)
 """Not zero once it was said; forked processes share it."""
 
 
@@ -41,12 +41,12 @@ def inner(function: _F) -> _F:
 def kernel(*arguments: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """A function that Python calls with arguments of these types; it is kept once compiled."""
     def decorate(function: Callable[..., Any]) -> Any:
-        given = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = given or _place()
+        chosen = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = chosen or _place()
         try:
             made = numba.njit(cache=True, nogil=True, error_model='numpy', **options)(function)
         finally:
-            numba.config.CACHE_DIR = given
+            numba.config.CACHE_DIR = chosen
         _kernels.append((made, arguments))
         return made
 
@@ -78,9 +78,9 @@ class _Notice(event.Listener):  # type: ignore[misc]
 
     def on_start(self, event: Any) -> None:
         function = event.data['dispatcher'].py_func
-        if function.__module__.partition('.')[0] != 'quad_sysid' or _said[0]:
+        if function.__module__.partition('.')[0] != 'quad_sysid' or _announced[0]:
             return
-        _said[0] = 1
+        _announced[0] = 1
         wiped = '\r\x1b[2K' if sys.stderr.isatty() else ''
         sys.stderr.write(f'{wiped}compiling for this machine, once, half a minute\n')
         sys.stderr.flush()

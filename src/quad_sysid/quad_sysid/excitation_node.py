@@ -53,7 +53,7 @@ LEAVE_S = 0.5
 RELAY, FLAGS, REFUSED = ': excitation', 'flags of the STM32', 'excitation_refused'
 """How the bridge reports on /diagnostics that the STM32 refuses."""
 REFUSAL_S = 0.5
-"""After the start, s: an older refusal may still be reported."""
+"""After the beginning of a segment, s: an older refusal may still be reported."""
 LEVELS = {State.ENDING: WARN, State.ABORTED: ERROR}
 
 
@@ -87,6 +87,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._stall = Stall()
         self._waiting = settings.autostart
         self._refused = ''
+        self._excites = False  # nothing can be refused while nothing is sent
         sensor = qos_profile_sensor_data
         self.create_subscription(Imu, 'imu/data', self._on_imu, sensor, raw=True)
         self.create_subscription(Joy, 'rc/in', self._on_rc, sensor)
@@ -129,8 +130,8 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             self._volts_time = self._stall.awake_s(clock().now_s())
 
     def _on_diagnostics(self, message: Any) -> None:
-        """Note that the STM32 refuses; what it refused before the start counts no more."""
-        if clock().now_s() - self._began_s > REFUSAL_S:
+        """Note that the STM32 refuses; what it refused before this segment counts no more."""
+        if self._excites and clock().now_s() - self._began_s > REFUSAL_S:
             self._refusal = any(
                 status.name.endswith(RELAY) and pair.key == FLAGS and REFUSED in pair.value
                 for status in message.status for pair in status.values
@@ -205,6 +206,8 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
 
     def _publish(self, tick: Tick, stamp: int) -> None:
         if tick.announcement is not None:
+            self._began_s = clock().now_s()
+            self._excites = tick.announcement['signal'] != 'none'
             self._segment.publish(event_message(tick.announcement, '/excitation', stamp))
         if tick.setpoint is not None:
             message = self._message

@@ -19,10 +19,11 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import completed, plant_of
-from quad_sysid.identified import Identified, model_of
+from quad_sysid.identified import Identified
 from quad_sysid.loop.from_model import usual_signals
 from quad_sysid.model.effect import Signals
 from quad_sysid.record import IOData
+from quad_sysid.result import model_of
 from quad_sysid.signals import waveform
 
 CANDIDATES: Mapping[str, tuple[str, Mapping[str, float]]] = {

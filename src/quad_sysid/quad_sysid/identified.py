@@ -27,7 +27,7 @@ from quad_sysid.record import IOData, Record
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from quad_sysid.blackbox import FrequencyResponse, Model, ResidualTest
+    from quad_sysid.blackbox import FrequencyResponse, ResidualTest
     from quad_sysid.discover.accept import Unseen
     from quad_sysid.estimate.stored import Stored
     from quad_sysid.loop.cascade import CascadeGains
@@ -80,7 +80,7 @@ class Identified(AxisModel):
         """
         from quad_sysid.model.data import SETTLE_S, Windows
 
-        unseen, fitted, spans = self._along(flight)
+        unseen, fitted, spans = self._filtered(flight)
         data = unseen.problem.data
         rate = np.full(data.rate.size, np.nan)
         if horizon == 1:
@@ -105,7 +105,7 @@ class Identified(AxisModel):
         """Fit on a flight in per cent, 100 (1 - ||y - ŷ|| / ||y - mean y||); see `predict`."""
         from quad_sysid.blackbox import fit_percent
 
-        unseen, _, _ = self._along(flight)
+        unseen, _, _ = self._filtered(flight)
         predicted = self.predict(flight, horizon)
         rate = unseen.problem.data.rate
         return fit_percent(rate if self.units is None else self.units.rate_in(rate), predicted)
@@ -114,7 +114,7 @@ class Identified(AxisModel):
         """Tests of the one-step errors on a flight: whiteness, and independence of the input."""
         from quad_sysid.blackbox import innovation_test
 
-        unseen, fitted, spans = self._along(flight)
+        unseen, fitted, spans = self._filtered(flight)
         data = unseen.problem.data
         z = IOData(np.nan_to_num(data.command), np.nan_to_num(data.rate), data.dt, segments=spans)
         return innovation_test(unseen.predict(fitted).innovation, z)
@@ -217,7 +217,7 @@ class Identified(AxisModel):
 
         return model_excerpt(self, self.parameters)
 
-    def _along(self, flight: Record | IOData | str | Path,
+    def _filtered(self, flight: Record | IOData | str | Path,
                ) -> tuple[Unseen, Stored, tuple[tuple[int, int], ...]]:
         """The flight behind the model's filter, the model, and the spans that count."""
         from quad_sysid.discover.accept import Unseen
@@ -260,20 +260,3 @@ class Identified(AxisModel):
         control[:, 0] = self.mean_throttle or 0.0
         control[:, 1 + EVERY[self.axis].index] = u
         return replace(data, axis=self.axis, control=control), spans
-
-
-def model_of(given: object) -> Identified | Model:
-    """The model of what a function of the public API takes for one: a result, a file, a model."""
-    from quad_sysid.blackbox import Model
-    from quad_sysid.result import Result, read_model
-
-    if isinstance(given, Result):
-        return given.model
-    if isinstance(given, str | Path):
-        return read_model(given)
-    if isinstance(given, Identified | Model):
-        return given
-    if isinstance(given, AxisModel):
-        return Identified(**vars(given))
-    raise BadInputError('model', 'must be a model, a result or the path of a model.json',
-                        type(given).__name__)

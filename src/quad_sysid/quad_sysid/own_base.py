@@ -23,12 +23,10 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.fit import Fit, Problem, derivative_steps, start_of
-from quad_sysid.loop import kernels
 from quad_sysid.model import LAW
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Effect, Part, Settings, Signals, Spec, required
 from quad_sysid.model.structure import BASE
-from quad_sysid.model.traced import Listing, Untraceable
 from quad_sysid.units import Units
 
 Values: TypeAlias = Mapping[str, Any]
@@ -115,9 +113,9 @@ class Base:
         """Raise BadInputError where the law gives no derivative of each state that needs one."""
         zeros = dict.fromkeys((*self.states, *self.inputs), np.zeros(2))
         try:
-            found = self.moved(zeros, zeros, {p.name: p.start for p in self.parameters}, 0.01)
+            slopes = self.moved(zeros, zeros, {p.name: p.start for p in self.parameters}, 0.01)
             for name in (self.output, *self.hidden):
-                np.broadcast_to(np.asarray(found[name], dtype=float), 2)
+                np.broadcast_to(np.asarray(slopes[name], dtype=float), 2)
         except Exception as error:
             raise BadInputError(where, 'its law cannot be evaluated',
                                 f'{type(error).__name__}: {error}',
@@ -194,8 +192,8 @@ class _Law(Effect):
         """Acceleration, rad/s²; silent: without a command."""
         x, u = self._seen(s, settings)
         x |= {name: required(s.hidden)[i] for i, name in enumerate(self.base.hidden)}
-        found = self.base.moved(x, u, self._named(p), s.dt or 1e-3)[self.base.output]
-        return np.array(np.broadcast_to(self.units.per_rate * np.asarray(found), s.rate.shape),
+        slope = self.base.moved(x, u, self._named(p), s.dt or 1e-3)[self.base.output]
+        return np.array(np.broadcast_to(self.units.per_rate * np.asarray(slope), s.rate.shape),
                         dtype=np.float64)
 
     def _ahead(self, hidden: Any, x: Values, u: Values, p: Values, dt: float) -> list[Any]:
@@ -212,42 +210,18 @@ class _Law(Effect):
         """Hidden states a cycle later."""
         return np.stack(self._ahead(x, *self._seen(s, settings), self._named(p), s.dt))
 
-    def trace(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-              begun: FloatArray | None = None) -> FloatArray:
-        """(states, n) hidden states at the start of each cycle, from 0 in each stretch.
-
-        The law is noted once and runs compiled; what cannot be noted goes from number to number.
-        """
-        del begun
+    def cycles(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+               first: Sequence[FloatArray]) -> FloatArray:
+        """As Effect, from number to number."""
         named, out = self._named(p), np.zeros((self.states, s.time.size))
-        x, u = self._seen(s, settings)
-        listing = Listing()
-        given = {name: listing.given() for name in (*x, *u)}
-        hidden = listing.given(self.states)
-        try:
-            ahead = self._ahead(hidden, {name: given[name] for name in x},
-                                {name: given[name] for name in u}, named, s.dt)
-            following = np.array([int(listing.places(one)) for one in ahead])
-        except (Untraceable, TypeError, ValueError):
-            return self._numbers(x, u, named, s.dt, stretches, out)
-        code, _ = listing.needed(following.tolist(), 0)
-        known = np.ascontiguousarray(np.stack([*x.values(), *u.values()], axis=1))
-        for start, stop in stretches:
-            kernels.carried(code, np.array([*listing.more, 0]), np.array([*listing.tables, 0.0]),
-                            np.array(listing.start), known, int(hidden.at[0]), following, start,
-                            stop, out)
-        return out
-
-    def _numbers(self, x: Values, u: Values, named: Values, dt: float, stretches: Sequence[Span],
-                 out: FloatArray) -> FloatArray:
-        """The same in Python, from number to number."""
-        listed, inputs = ({name: value.tolist() for name, value in one.items()} for one in (x, u))
-        for start, stop in stretches:
-            hidden = [0.0] * self.states
+        x, u = ({name: value.tolist() for name, value in one.items()}
+                for one in self._seen(s, settings))
+        for (start, stop), begin in zip(stretches, first, strict=True):
+            hidden: Any = begin.tolist()
             for k in range(start, stop):
                 out[:, k] = hidden
-                hidden = self._ahead(hidden, {name: value[k] for name, value in listed.items()},
-                                     {name: value[k] for name, value in inputs.items()}, named, dt)
+                hidden = self._ahead(hidden, {name: value[k] for name, value in x.items()},
+                                     {name: value[k] for name, value in u.items()}, named, s.dt)
         return out
 
 
@@ -272,14 +246,14 @@ def lacking(base: Base, problem: Problem, fitted: Fit | None = None) -> tuple[st
     structure, theta = (problem.plain, start_of(problem)) if fitted is None else (
         fitted.structure, fitted.theta)
     sizes, own = problem.sizes(structure), structure.placed()[0][1]
-    found = problem.flight.predict(structure, theta, sweeps=3, steps=derivative_steps(sizes))
-    if found.jacobian is None:
+    prediction = problem.flight.predict(structure, theta, sweeps=3, steps=derivative_steps(sizes))
+    if prediction.jacobian is None:
         raise NotInformativeError(f'base {base.name}: it runs away at the start values; start '
                                   'nearer, or simulate it first')
     names = [one.name for one in base.parameters]
-    columns = found.jacobian[problem.rows][:, own] * sizes[own]
+    columns = prediction.jacobian[problem.rows][:, own] * sizes[own]
     length = np.linalg.norm(columns, axis=0)
-    noise = float(np.nanstd(found.innovation[problem.rows]))
+    noise = float(np.nanstd(prediction.innovation[problem.rows]))
     lines = [f'{name}: the data do not depend on it' for name, size in zip(
         names, length, strict=True) if size < noise]
     moving = [i for i, size in enumerate(length) if size >= noise]

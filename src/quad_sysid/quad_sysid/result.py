@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from quad_sysid.arrays import Parts, Samples, Table
+    from quad_sysid.blackbox import Model
     from quad_sysid.model.effect import Effect
     from quad_sysid.own_base import Base
     from quad_sysid.pipeline.answer import AxisAnswer
@@ -47,7 +48,7 @@ Flights: TypeAlias = 'Record | IOData | str | Path | Sequence[Record | str | Pat
 """Flights of one aircraft, or what holds the arrays of experiments."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
     """The answer of an identification: all axes, or one of them as `result['roll']`.
 
@@ -129,6 +130,14 @@ class Result:
         """Errors on the held-out segments, in their `unit` (contract: `error`)."""
         return dict(self.report['axes'][self.answer.axis]['error'])
 
+    def __repr__(self) -> str:
+        """One line for each axis; `print` shows all of the answer."""
+        lines = []
+        for axis, one in self.answers.items():
+            effects = one.model.effects if one.model else ()
+            lines.append(' '.join([f'{axis}:', one.verdict, *(effect.name for effect in effects)]))
+        return '\n'.join(lines)
+
     def __str__(self) -> str:
         """The text that the command prints."""
         from quad_sysid.report import text
@@ -149,6 +158,9 @@ class Result:
         from quad_sysid.report.plots import draw
 
         picture = draw(self.answer, name)
+        if picture is None and self.answer.findings is None and self.answer.model is not None:
+            raise BadInputError('plot', 'the flight is not in this result', name,
+                                'a result of from_json has no pictures; identify again')
         if picture is None:
             raise BadInputError('plot', 'the data do not allow this picture', name,
                                 f'the verdict is {self.verdict}: {self.reason}')
@@ -334,6 +346,9 @@ def _asked(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any], t
     """The axes that are asked for, empty for those that the flights excite, and the records."""
     from quad_sysid.arrays import are_arrays, records_of
 
+    if not isinstance(axes, str) and not all(isinstance(one, str) for one in axes):
+        raise BadInputError('identify', 'axes must be names', type(axes).__name__,
+                            'hand in arrays by their names: identify(u=…, y=…, dt=…)')
     wanted = (axes,) if isinstance(axes, str) and axes else tuple(axes)
     for axis in wanted:
         axis_of('identify', axis)
@@ -448,6 +463,22 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
                             axis or None, f'take one of {", ".join(models)}')
     completed(models[axis])  # raises where an effect is not known
     return Identified(**vars(models[axis]))
+
+
+def model_of(model: object) -> Identified | Model:
+    """The model of what a function of the public API takes for one: a result, a file, a model."""
+    from quad_sysid.blackbox import Model
+
+    if isinstance(model, Result):
+        return model.model
+    if isinstance(model, str | Path):
+        return read_model(model)
+    if isinstance(model, Identified | Model):
+        return model
+    if isinstance(model, AxisModel):
+        return Identified(**vars(model))
+    raise BadInputError('model', 'must be a model, a result or the path of a model.json',
+                        type(model).__name__)
 
 
 def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float = 60.0, *,

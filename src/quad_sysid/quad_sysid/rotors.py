@@ -117,10 +117,10 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     u, w, known = u[window], w[window], known[window].copy()
     for start, _ in finite_runs(known, (0, known.size)):
         known[start : start + round(SETTLE_S / dt)] = False
-    rows, given = np.flatnonzero(known), np.flatnonzero(np.isfinite(u))
+    rows, known_at = np.flatnonzero(known), np.flatnonzero(np.isfinite(u))
     if rows.size * dt < 0.5 * MIN_S or np.ptp(w[rows]) <= 0.0 or np.ptp(u[rows]) <= 0.0:
         return None
-    held = np.interp(np.arange(u.size), given, u[given])
+    held = np.interp(np.arange(u.size), known_at, u[known_at])
     target = w[rows]
 
     def fitted(log_lag: float, delay: float) -> tuple[FloatArray, FloatArray]:

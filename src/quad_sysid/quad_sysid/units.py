@@ -21,16 +21,15 @@ SAID = tuple((re.compile(pattern), word) for pattern, word in (
     (r'\bthe gyro\b', 'the sensor'), (r'\bgyro\b', 'sensor'), (r'\bturns?\b', 'moves'),
 ))
 """What a rotation's words are of a motion in metres."""
-OF_MOTION = re.compile(r'(?<!frequency, )(?<!phase, )\brad\b')
-"""The unit in a label, but for a frequency or a phase."""
-
+COMMAND = 'unit command'
+"""The unit of a command without one of its own."""
 
 
 @dataclass(frozen=True)
 class Units:
     """Names of the units of an experiment's arrays, and what one of each is inside."""
 
-    command: str = 'unit command'
+    command: str = COMMAND
     per_command: float = 1.0
     """Normalised command."""
     zero_command: float = 0.0
@@ -62,28 +61,45 @@ class Units:
 
     def parameter(self, unit: str) -> tuple[str, float]:
         """The unit in which a parameter is shown, and how many of it one of `unit` is."""
-        if unit == 'rad/s':
-            return self.rate, 1.0 / self.per_rate
-        factor, powers = 1.0, 0
+        names, factor = list[str](), 1.0
         for i, part in enumerate(unit.split(' per ')):
             way = 1 if i == 0 else -1
-            powers += way * sum(POWERS[a or b] for a, b in RAD.findall(part))
-            if part.endswith(('unit command', 'normalised command')):
-                factor /= self.per_command**way
-        name = unit.replace('rad', self.motion)
-        for word in ('unit command', 'normalised command'):
-            if self.command != Units.command:
-                name = name.replace(word, self.command)
-        return name, factor / self.per_motion**powers
+            if part == 'rad/s' and i == 0:
+                names, factor = [self.rate], 1.0 / self.per_rate
+                continue
+            factor /= self.per_motion**(way * sum(POWERS[a or b] for a, b in RAD.findall(part)))
+            name = part.replace('rad', self.motion)
+            for word in (COMMAND, 'normalised command'):
+                if part.endswith(word):
+                    factor /= self.per_command**way
+                    name = name if self.command == COMMAND else name.replace(word, self.command)
+            names.append(name)
+        return ' per '.join(names), factor
 
 
-def unit_in(units: Units | None, unit: str) -> str:
-    """The SI unit of a number of an axis that moves in these units, from that of a rotation."""
-    if units is None or units.motion not in LENGTHS:
-        return unit
-    named = unit.replace('rad', 'm')
-    own = units.per_command == 1.0 and units.command != Units.command
-    return named.replace('unit command', units.command) if own else named
+@dataclass(frozen=True)
+class Scale:
+    """How a picture shows one quantity: its label, and its values in the unit of the label."""
+
+    label: str
+    factor: float = 1.0
+    zero: float = 0.0
+    """The SI value at which the shown one is 0."""
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Values (n,) in SI, as they are shown."""
+        return self.factor * (values - self.zero)
+
+
+def scale(units: Units | None, name: str, unit: str) -> Scale:
+    """The scale of a quantity of an axis, whose name and unit are those of a rotation in SI."""
+    if unit == COMMAND:
+        known = units or Units()
+        plain = 'norm.' if known.per_command == 1.0 else '1'
+        own = plain if known.command == COMMAND else known.command
+        return Scale(f'{spoken(units, name)}, {own}', 1.0 / known.per_command, known.zero_command)
+    shown, factor = shown_in(units, unit)
+    return Scale(f'{spoken(units, name)}, {shown}', factor)
 
 
 def shown_in(units: Units | None, unit: str) -> tuple[str, float]:
@@ -91,12 +107,10 @@ def shown_in(units: Units | None, unit: str) -> tuple[str, float]:
     return (unit, 1.0) if units is None else units.parameter(unit)
 
 
-def spoken(units: Units | None, text: str, *, label: bool = False) -> str:
-    """A text about an axis in the words of its motion, of a label its unit too."""
+def spoken(units: Units | None, text: str) -> str:
+    """A text about an axis in the words of its motion."""
     if units is None or units.motion not in LENGTHS:
         return text
-    if label:
-        text = OF_MOTION.sub('m', text)
     for pattern, word in SAID:
         text = pattern.sub(word, text)
     return text

@@ -17,7 +17,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.loop.cascade import FOREIGN_NAMES, TUNED, CascadeGains, contract_names
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
-from quad_sysid.units import spoken, unit_in
+from quad_sysid.units import spoken
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.gain_table import AXES, CLIMB, OPTIONAL, PER_AXIS, Bound, Gain
 
@@ -103,7 +103,7 @@ def _with_flown(bound: Bound, flown: float) -> tuple[float, float]:
     return min(bound.lower, flown), max(bound.upper, flown)
 
 
-def told(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[str, float]:
+def by_contract(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> dict[str, float]:
     """The designed gains by the contract's names; without those that `active` lacks."""
     names = {name: field for field, name in contract_names(axis).items() if field in DESIGNED}
     return {name: float(getattr(gains, field)) for name, field in names.items() if name in active}
@@ -133,7 +133,7 @@ LARGEST_RELATIVE_STD = {'gain': 0.2, 'lag': 0.4}
 LARGEST_DELAY_STD_CYCLES = 1.5
 LARGEST_OUTSIDE = 0.25
 """Largest acceleration of what the loop cannot hold, over the drive's."""
-MIN_ROOM = 0.05
+MIN_THROTTLE_MARGIN = 0.05
 """Throttle that must be left on either side of the hover."""
 BAND_REACH = 2.0
 """Factor (one octave) by which the crossover may leave the model's trusted band."""
@@ -161,10 +161,9 @@ def _refuse(model: AxisModel, reasons: Iterator[str]) -> None:
 
 
 def _wrong_way(model: AxisModel) -> Iterator[str]:
-    gain = next(p for p in model.base if p.name == 'gain')
+    gain = model.in_units(next(p for p in model.base if p.name == 'gain'))
     order = "check the motors' order and spin, and the gyro's axes"
-    units = model.units
-    rate, unit = spoken(units, 'rate'), unit_in(units, 'rad/s²')
+    rate, unit = spoken(model.units, 'rate'), gain.unit
     if not math.isfinite(gain.value):
         yield f'the plant gain is {gain.value}; identify again'
     if gain.value <= 0.0:
@@ -247,13 +246,13 @@ def within_thrust(gains: CascadeGains, model: AxisModel) -> CascadeGains:
     span, hover = EVERY[model.axis].trial.throttle, model.mean_throttle
     if span is None or hover is None:
         return gains
-    room = min(hover - span[0], span[1] - hover)
-    if room < MIN_ROOM:
+    margin = min(hover - span[0], span[1] - hover)
+    if margin < MIN_THROTTLE_MARGIN:
         raise DesignRefusedError(
             f'{model.axis}: it hovers at a throttle of {hover:.2f}, and the loop has '
             f'{span[0]:g} .. {span[1]:g}: too little is left to climb and sink by'
         )
-    return replace(gains, output_limit=min(gains.output_limit, room))
+    return replace(gains, output_limit=min(gains.output_limit, margin))
 
 
 def _foreign(model: AxisModel) -> bool:

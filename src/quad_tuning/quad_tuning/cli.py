@@ -150,7 +150,7 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
     if EVERY[axis].outer:
         lines += wrapped(f'For a position hold of your own, around the loop of '
                          f'{EVERY[axis].excited_as}: no firmware here has one, and quad-tune send '
-                         'leaves these out. Flown: usual gains, where a flight told none.')
+                         'leaves these out. Flown: usual gains, where a flight names none.')
     elif answer.get('steps'):
         count, first = len(answer['steps']), _short(answer['gains'])
         lines.append(

@@ -22,17 +22,17 @@ from quad_tuning.bounds import (
     BAND_REACH,
     DESIGNED,
     bounds_of,
+    by_contract,
     check_band,
     check_bounds,
     check_inside,
     check_model,
     flown_gains,
-    told,
     within_thrust,
 )
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.pid import PidDesign, retune
-from quad_tuning.way import along, sag_settings, scheduled, way_to
+from quad_tuning.way import sag_settings, scheduled, way_to, with_schedule
 
 SEED = 20_250_101
 """Seed of the draws, so that a model always gives the same gains."""
@@ -81,22 +81,22 @@ def propose(model: AxisModel, requirements: Requirements | None = None,
     if highest < np.inf:
         needs = replace(
             needs, highest_crossover_rad_s=max(highest, before.crossover_rad_s))
-    known = told(active, model.axis, model.active_gains)
+    known = by_contract(active, model.axis, model.active_gains)
     fixed = DESIGNED[len(known) :]  # the filter of D, where the flight did not tell it
     try:
-        found = retune(plant, active, loops, needs, fixed=fixed,
+        designed = retune(plant, active, loops, needs, fixed=fixed,
                        bounds=bounds_of(model.axis, model.active_gains))
-        _check_worth(found, needs)
-        way = way_to(found.gains, active, loops)
+        _check_improvement(designed, needs)
+        way = way_to(designed.gains, active, loops)
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
-    check_bounds(told(found.gains, model.axis, known), known)
+    check_bounds(by_contract(designed.gains, model.axis, known), known)
     return GainProposal(
-        gains={**told(way.told, model.axis, known), **chosen},
-        figures={**_figures(model, found, known, loops.draws),
-                 **promise(loops, active, found.gains, model.value('lag'))},
+        gains={**by_contract(way.first, model.axis, known), **chosen},
+        figures={**_figures(model, designed, known, loops.draws),
+                 **promise(loops, active, designed.gains, model.value('lag'))},
         left_out=not_in_the_loop(model),
-        steps=along([told(step, model.axis, known) for step in way.steps], chosen,
+        steps=with_schedule([by_contract(step, model.axis, known) for step in way.steps], chosen,
                     flown.active_gains),
     )
 
@@ -113,8 +113,8 @@ def _around_lean(model: AxisModel, inner: AxisModel | None) -> AxisModel:
     return replace(behind_lean(model, inner), active_gains={**usual, **model.active_gains})
 
 
-def _check_worth(found: PidDesign, needs: Requirements) -> None:
-    before, after = found.before, found.figures
+def _check_improvement(designed: PidDesign, needs: Requirements) -> None:
+    before, after = designed.before, designed.figures
     drop = 100.0 * (1.0 - after.rms_tracking_rad / before.rms_tracking_rad)
     kept = (
         before.worst_phase_margin_deg >= needs.phase_margin_deg
@@ -134,12 +134,12 @@ def _check_worth(found: PidDesign, needs: Requirements) -> None:
         )
 
 
-def _figures(model: AxisModel, found: PidDesign, known: Mapping[str, float],
+def _figures(model: AxisModel, designed: PidDesign, known: Mapping[str, float],
              draws: int) -> dict[str, float]:
-    before = {**found.before.named(model.noise_rms), **known}
-    values = found.figures.named(model.noise_rms) | {f'{name}{BEFORE}': value for name,
+    before = {**designed.before.named(model.noise_rms), **known}
+    values = designed.figures.named(model.noise_rms) | {f'{name}{BEFORE}': value for name,
                                                      value in before.items()} | {
-        'draws': draws, 'searches_that_agree': found.agreeing, 'searches': found.searches,
-        'disturbance_kept': found.disturbance_kept,
+        'draws': draws, 'searches_that_agree': designed.agreeing, 'searches': designed.searches,
+        'disturbance_kept': designed.disturbance_kept,
     }
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.likeness import Trim
 from quad_sysid.estimate.stored import estimate_of, library
 from quad_sysid.loop.cascade import (
     Controller,
@@ -33,6 +32,7 @@ from quad_sysid.loop.from_model import (
     placed,
     usual_signals,
 )
+from quad_sysid.loop.likeness import Trim
 from quad_sysid.loop.linear import ComplexArray, Loops, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
@@ -79,21 +79,21 @@ def _with_rival(model: AxisModel, effect: EffectEstimate, name: str) -> AxisMode
     return _reduced(model, rest if matched is None else (*rest, matched))
 
 
-def _matched(found: Placed, name: str, own: Sequence[Effect]) -> EffectEstimate | None:
+def _matched(acting: Placed, name: str, own: Sequence[Effect]) -> EffectEstimate | None:
     """The rival at the strength that matches the effect over a sine of the flown amplitude."""
     rival = next((e for e in library(own) if e.name == name), None)
-    signal = found.effect.signals[0]
-    if rival is None or signal not in FLOWN or not (_simple(found.effect) and _simple(rival)):
+    signal = acting.effect.signals[0]
+    if rival is None or signal not in FLOWN or not (_simple(acting.effect) and _simple(rival)):
         return None
-    if rival.signals != found.effect.signals:
+    if rival.signals != acting.effect.signals:
         return None
     x = FLOWN[signal] * np.sin((np.arange(256) + 0.5) * (2.0 * np.pi / 256))
-    wanted = found.torque(REST, x.size, **{signal: x})
+    torque = acting.torque(REST, x.size, **{signal: x})
     shape = np.array([
         1.0 if spec.spread is None else math.exp(spec.centre) for spec in rival.parameters
     ])
     unit = Placed(Part(rival), shape).torque(REST, x.size, **{signal: x})
-    size = float(np.dot(unit, wanted) / np.dot(unit, unit))
+    size = float(np.dot(unit, torque) / np.dot(unit, unit))
     return estimate_of(name, (size,), rival.variant, own=own)
 
 

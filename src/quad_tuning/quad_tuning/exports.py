@@ -158,10 +158,10 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
     gains, axes = read_gains(arguments.gains, bounded=False), read_axes(arguments.gains)
     flown = _flown(arguments.flown) if arguments.flown else {}
     steps = _steps(gains, axes)
-    said = [f'Gains of {arguments.gains.name}, converted by quad-tune export', *firmware.notes,
+    notes = [f'Gains of {arguments.gains.name}, converted by quad-tune export', *firmware.notes,
             *(f'Left out, it has no counterpart here: {one}' for one in _no_counterpart(gains)),
             *_filters(gains, flown)]
-    out = [f'# {line}' for line in said]
+    out = [f'# {line}' for line in notes]
     before = dict(flown)
     for number, step in enumerate(steps, 1):
         if len(steps) > 1:
@@ -234,17 +234,17 @@ def _flown(path: Path) -> dict[str, float]:
 def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator[str]:
     """A warning for each filter of the design that is not the aircraft's."""
     for axis in AXES:
-        wanted, has = (known.get(f'{axis}.{D_FILTER}') for known in (gains, flown))
-        if wanted is None:
+        designed, has = (known.get(f'{axis}.{D_FILTER}') for known in (gains, flown))
+        if designed is None:
             continue
         if has is None:
-            yield (f'Warning: the design filters D of {axis} at {wanted:.3g} Hz (first order); '
+            yield (f'Warning: the design filters D of {axis} at {designed:.3g} Hz (first order); '
                    'compare dterm_lpf*, or give --flown')
-        elif abs(wanted / has - 1.0) > APART:
-            yield (f'Warning: the design filters D of {axis} at {wanted:.3g} Hz (first order), '
+        elif abs(designed / has - 1.0) > APART:
+            yield (f'Warning: the design filters D of {axis} at {designed:.3g} Hz (first order), '
                    f'the '
                    f"aircraft's low-passes together at {has:.3g} Hz: scale their cut-offs by "
-                   f'{wanted / has:.3g}')
+                   f'{designed / has:.3g}')
 
 
 def _no_counterpart(gains: Mapping[str, float]) -> list[str]:

@@ -263,10 +263,10 @@ def read_design(path: Path) -> tuple[dict[str, float], dict[str, str]]:
     gains = read_gains(path, bounded=False)
     sent = {name.partition('.')[0] for name in gains}
     figures = {axis: {name: finite(value, f'{path}: axes.{axis}.figures.{name}')
-                      for name, value in said.items()}
+                      for name, value in figures_of.items()}
                for axis, one in read_axes(path).items() if axis in sent
-               for said in [one.get('figures', one.get('gain_figures'))]
-               if isinstance(said, Mapping)}
+               for figures_of in [one.get('figures', one.get('gain_figures'))]
+               if isinstance(figures_of, Mapping)}
     return gains, sent_with(figures)
 
 
@@ -284,7 +284,7 @@ def table(sets: Sequence[GainSet]) -> str:
         origin = ' and '.join(filter(None, (one.bag, one.model)))
         below = '; '.join(filter(None, (words, why, origin and f'of {origin}')))
         rows.append([str(one.number), one.time[:19], one.outcome,
-                     one.source or 'read from the STM32', below])
+                     one.source or 'read from the aircraft', below])
         before = one.gains
     head = ['', 'time (UTC)', 'outcome', 'source', 'changed']
     return '\n'.join(Table(head, rows, (0,)).text(below=4))

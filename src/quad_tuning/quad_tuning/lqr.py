@@ -25,7 +25,14 @@ from quad_sysid.loop.plant import Flying
 from quad_sysid.model import BEFORE, AxisModel
 from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import Requirements, assess, meets, promise
-from quad_tuning.bounds import BOUNDS, check_band, check_inside, check_model, flown_gains, told
+from quad_tuning.bounds import (
+    BOUNDS,
+    by_contract,
+    check_band,
+    check_inside,
+    check_model,
+    flown_gains,
+)
 from quad_tuning.designer import LARGEST_LOSS_PCT, SEED
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
@@ -91,15 +98,15 @@ def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal
     check_band(model, before.crossover_rad_s)
     try:
         noise = Noise(rate=model.noise_rms) if model.noise_rms else Noise()
-        found, factor = design_lqr(plant, loops, active.output_limit, weights, noise)
+        controller, factor = design_lqr(plant, loops, active.output_limit, weights, noise)
     except DesignRefusedError as refusal:
         raise DesignRefusedError(f'{model.axis}: {refusal}') from refusal
-    if not way_is_safe(found, active, loops):
+    if not way_is_safe(controller, active, loops):
         raise DesignRefusedError(
             f'{model.axis}: a quarter or half of the LQR mixed with the flown gains leaves poor '
             'margins; take quad-tune design without --method lqr first'
         )
-    after = assess(plant, found, loops)
+    after = assess(plant, controller, loops)
     lost = 100.0 * (after.rms_tracking_rad / before.rms_tracking_rad - 1.0)
     if lost > LARGEST_LOSS_PCT:
         raise DesignRefusedError(
@@ -109,12 +116,12 @@ def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal
     figures = {
         **after.named(model.noise_rms),
         **{f'{name}{BEFORE}': value for name, value in (
-            before.named(model.noise_rms) | told(active, model.axis, model.active_gains)
+            before.named(model.noise_rms) | by_contract(active, model.axis, model.active_gains)
         ).items()},
-        **promise(loops, active, found, model.value('lag')), 'draws': float(loops.draws),
+        **promise(loops, active, controller, model.value('lag')), 'draws': float(loops.draws),
         'control_weight': factor,
     }
-    return LqrProposal(found, found.to_mapping(model.axis),
+    return LqrProposal(controller, controller.to_mapping(model.axis),
                        {name: value for name, value in figures.items() if np.isfinite(value)})
 
 
@@ -128,20 +135,20 @@ def design_lqr(plant: Flying, ensemble: Ensemble, output_limit: float,
     needs, like = needs or Requirements(), likeness(plant)
     for factor in FASTEST * RAISE ** np.arange(ROUNDS):
         try:
-            found = feedback(plant, like, output_limit, factor, weights or Weights(),
+            controller = feedback(plant, like, output_limit, factor, weights or Weights(),
                              noise or Noise())
         except (ValueError, np.linalg.LinAlgError):
             continue
-        if (passes(found) and meets(ensemble.margins(found), needs).all()
-                and not ensemble.unstable(found).any()):
-            return found, float(factor)
+        if (passes(controller) and meets(ensemble.margins(controller), needs).all()
+                and not ensemble.unstable(controller).any()):
+            return controller, float(factor)
     raise DesignRefusedError('no LQR keeps the margins over all draws; identify more precisely')
 
 
-def passes(found: StateFeedback) -> bool:
+def passes(controller: StateFeedback) -> bool:
     """Whether its gains are within the bridge's bounds."""
     bounds = {name: BOUNDS[f'{AXES[0]}.lqr.{name}'] for name in PARAMETERS}
-    return all(bounds[name].lower <= getattr(found, name) <= bounds[name].upper
+    return all(bounds[name].lower <= getattr(controller, name) <= bounds[name].upper
                for name in PARAMETERS if name.startswith('k_'))
 
 
@@ -163,8 +170,8 @@ def likeness(plant: Flying) -> tuple[float, float, float, float]:
         turned = np.mod(error.imag + np.pi, 2.0 * np.pi) - np.pi
         return np.concatenate([error.real, turned, 0.05 * factors])
 
-    found = start * np.exp(least_squares(away, np.zeros(4)).x)
-    return tuple(float(value) for value in found)  # type: ignore[return-value]
+    best = start * np.exp(least_squares(away, np.zeros(4)).x)
+    return tuple(float(value) for value in best)  # type: ignore[return-value]
 
 
 def feedback(plant: Flying, like: tuple[float, float, float, float], output_limit: float,
@@ -188,10 +195,10 @@ def feedback(plant: Flying, like: tuple[float, float, float, float], output_limi
     return replace(bare, k_angle=k_angle, k_rate=k_rate, k_drive=k_drive, k_integral=-pull)
 
 
-def way_is_safe(found: StateFeedback, active: CascadeGains, ensemble: Ensemble) -> bool:
+def way_is_safe(controller: StateFeedback, active: CascadeGains, ensemble: Ensemble) -> bool:
     """Whether each mix of feedback and flown cascade keeps the margins of a step."""
     least = least_on_the_way(active, ensemble)
-    mixed = [beside(found, active, share) for share in SHARES]
+    mixed = [beside(controller, active, share) for share in SHARES]
     return all(meets(ensemble.margins(both), least).all() and not ensemble.unstable(both).any()
                for both in mixed)
 

@@ -1,6 +1,6 @@
 """Notches where the frame shakes at a frequency that the controller passes on to the motors. Pure.
 
-A peak of the gyro's spectrum is worth a notch where the command that the controller makes of it is
+A peak of the gyro's spectrum gets a notch where the command that the controller makes of it is
 more than LEAST_COMMAND, and where the notch takes little of the phase margin. What D alone passes
 on gets the notch before D, which costs the least; the rest gets one on the gyro.
 """
@@ -18,7 +18,7 @@ from quad_sysid.logview.spectrum import Peak
 from quad_sysid.loop.cascade import HIGHEST, CascadeGains
 
 LEAST_COMMAND = 0.003
-"""RMS of the command that a peak makes, of the whole range, from which it is worth a notch."""
+"""RMS of the command that a peak makes, of the whole range, from which it gets a notch."""
 MOST_PHASE_DEG = 4.0
 """That one notch may take at the crossover."""
 WIDTH_SHARE, LEAST_WIDTH_HZ, NARROWEST_HZ = 0.25, 10.0, 5.0
@@ -62,19 +62,20 @@ def propose_notches(peaks: Mapping[str, tuple[Peak, ...]], gains: Mapping[str, f
     `gains` are those that are to fly, by the contract's names; `crossover_rad_s` by axis.
     """
     cascades = {axis: CascadeGains.from_mapping(gains, axis) for axis in AXES}
-    found: list[NotchProposal] = []
+    notches: list[NotchProposal] = []
     free = [f'sensor.notch_{k}' for k in range(1, GYRO_NOTCHES + 1)
             if not gains.get(f'sensor.notch_{k}_hz')]
     crossing_hz = max(crossover_rad_s.values(), default=0.0) / (2.0 * np.pi)
     shakes = [(_command(cascades[axis], peak, dt), axis, peak)
               for axis, several in peaks.items() for peak in several]
     for command, axis, peak in sorted(shakes, key=lambda one: -one[0]):
-        near = any(abs(one.frequency_hz - peak.frequency_hz) < SAME_HZ for one in found)
+        near = any(abs(one.frequency_hz - peak.frequency_hz) < SAME_HZ for one in notches)
         if command < LEAST_COMMAND or near:
             continue
         without_d = _command(_plain(cascades[axis]), peak, dt)
-        taken = any(one.place == 'rate.d_notch' for one in found) or gains.get('rate.d_notch_hz')
-        by_d = without_d < (1.0 - BY_D) * command and not taken
+        occupied = gains.get('rate.d_notch_hz') or any(
+            one.place == 'rate.d_notch' for one in notches)
+        by_d = without_d < (1.0 - BY_D) * command and not occupied
         if by_d and peak.frequency_hz <= D_HIGHEST_HZ:
             place = 'rate.d_notch'
         elif free:
@@ -83,9 +84,9 @@ def propose_notches(peaks: Mapping[str, tuple[Peak, ...]], gains: Mapping[str, f
             continue
         made = _notch(place, axis, peak, command, cascades[axis], crossing_hz, dt)
         if made is not None:
-            found.append(made)
+            notches.append(made)
             free = [one for one in free if one != place]
-    return tuple(found)
+    return tuple(notches)
 
 
 def _command(gains: CascadeGains, peak: Peak, dt: float) -> float:

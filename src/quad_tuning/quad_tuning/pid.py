@@ -121,7 +121,7 @@ class Problem:
                 1.0 - push / self.needs.disturbance_factor]
         return float(value), np.clip(kept, -1.0, 1.0)
 
-    def room(self, loops: Ensemble, gains: CascadeGains) -> FloatArray:
+    def reserve(self, loops: Ensemble, gains: CascadeGains) -> FloatArray:
         """(3 p,) relative margin of every loop to each requirement, satisfied where >= 0.
 
         It has a slope everywhere up to instability, so that a search can start anywhere.
@@ -199,12 +199,12 @@ def _grid(problem: Problem) -> FloatArray:
 
 def _binding(problem: Problem) -> npt.NDArray[np.int64]:
     """Worst loops at the flown gains, and at half and twice their rate gains."""
-    found = [np.flatnonzero(problem.ensemble.nominal)[:1]]
+    worst = [np.flatnonzero(problem.ensemble.nominal)[:1]]
     for factor in (0.5, 1.0, 2.0):
         gains = replace(problem.active, rate_kp=factor * problem.active.rate_kp,
                         rate_kd=factor * problem.active.rate_kd)
-        found.append(_worst(problem, gains, 1))
-    return np.unique(np.concatenate(found)).astype(np.int64)
+        worst.append(_worst(problem, gains, 1))
+    return np.unique(np.concatenate(worst)).astype(np.int64)
 
 
 def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[np.int64]:
@@ -219,7 +219,7 @@ def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[
     merits = []
     for start in range(0, len(rows), CHUNK):
         part = rows[start : start + CHUNK]
-        short = _margin_room(problem, part, thin)
+        short = _margin_reserve(problem, part, thin)
         merits.append(_linear_tracking(part, nominal, harmonics, dt, half) - 3.0 * short)
     return np.argsort(np.concatenate(merits), kind='stable')
 
@@ -232,18 +232,18 @@ def _loops_of(rows: list[CascadeGains], response: ComplexArray, omega: FloatArra
     return np.asarray(forward - rate[:, None] * response[0]), forward
 
 
-def _margin_room(problem: Problem, rows: list[CascadeGains], loops: Ensemble) -> FloatArray:
+def _margin_reserve(problem: Problem, rows: list[CascadeGains], loops: Ensemble) -> FloatArray:
     """(g,) smallest relative margin over the loops, 0 where all are satisfied."""
     loop, _ = _loops_of(rows, loops.response, loops.omega, loops.cycle.dt)
     g, p, f = loop.shape
     m, needs = margins(loop.reshape(g * p, f), loops.omega), problem.needs
-    room = np.minimum(
+    reserve = np.minimum(
         np.minimum(m.phase_margin_deg / needs.phase_margin_deg,
                    m.gain_margin_db / needs.gain_margin_db) - 1.0,
         1.0 - m.peak_sensitivity / needs.peak_sensitivity,
     )
-    room = np.where(_turns(loop.reshape(g * p, f)) == 0, np.clip(room, -2.0, 0.0), -2.0)
-    return np.asarray(np.min(room.reshape(g, p), axis=1))
+    reserve = np.where(_turns(loop.reshape(g * p, f)) == 0, np.clip(reserve, -2.0, 0.0), -2.0)
+    return np.asarray(np.min(reserve.reshape(g, p), axis=1))
 
 
 def _turns(loop: ComplexArray) -> npt.NDArray[np.int64]:
@@ -270,7 +270,7 @@ def _linear_tracking(rows: list[CascadeGains], nominal: ComplexArray, harmonics:
 def _merit(problem: Problem, loops: Ensemble, point: FloatArray) -> float:
     gains = problem.gains(point)
     value, kept = problem.value(gains)
-    short = min(float(np.min(kept)), float(np.min(problem.room(loops, gains))))
+    short = min(float(np.min(kept)), float(np.min(problem.reserve(loops, gains))))
     if loops.unstable(gains).any():
         short = min(short, -1.0)
     return value - 20.0 * min(0.0, short)
@@ -301,12 +301,12 @@ def _polish(problem: Problem, start: FloatArray) -> tuple[float, FloatArray] | N
             gains = problem.gains(point)
             value, kept = problem.value(gains)
             # a little is kept back, so that the optimiser's tolerance does not break a margin
-            return np.concatenate(([value], kept - 1e-3, problem.room(loops, gains) - 2e-3))
+            return np.concatenate(([value], kept - 1e-3, problem.reserve(loops, gains) - 2e-3))
 
         x = _slsqp(judged, x)
         gains = problem.gains(x)
         value, kept = problem.value(gains)
-        short = min(np.min(kept), np.min(problem.room(loops, gains)))
+        short = min(np.min(kept), np.min(problem.reserve(loops, gains)))
         if short < -INFEASIBLE:
             return None  # what a part of the loops forbids, all of them forbid
         if np.min(kept) < -1e-3:
@@ -343,8 +343,8 @@ def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray) -> Flo
 
 def _worst(problem: Problem, gains: CascadeGains, count: int) -> npt.NDArray[np.int64]:
     """The worst loops for each requirement with these gains."""
-    room = problem.room(problem.ensemble, gains).reshape(3, -1)
-    return np.unique(np.argsort(room, axis=1, kind='stable')[:, :count]).astype(np.int64)
+    reserve = problem.reserve(problem.ensemble, gains).reshape(3, -1)
+    return np.unique(np.argsort(reserve, axis=1, kind='stable')[:, :count]).astype(np.int64)
 
 
 AGREED = 0.01

@@ -115,21 +115,21 @@ class StateFeedback:
         return Linear(self.dynamics()).response(omega, dt)
 
 
-def beside(found: StateFeedback, gains: CascadeGains, share: float) -> Linear:
+def beside(feedback: StateFeedback, gains: CascadeGains, share: float) -> Linear:
     """`share` of the feedback and the rest of the cascade, as the firmware mixes them.
 
     Only the feedback's integral runs; the cascade's follows it.
     """
-    one, other = found.dynamics(), replace(gains, rate_ki=0.0).dynamics(found.dt)
+    one, other = feedback.dynamics(), replace(gains, rate_ki=0.0).dynamics(feedback.dt)
     n, m = one[0].shape[0], other[0].shape[0]
     a, b = np.zeros((n + m, n + m)), np.vstack([one[1], other[1]])
     a[n:, n:] = other[0]
     c = np.hstack([share * one[2], (1.0 - share) * other[2]])
-    c[0, TOTAL] += (1.0 - share) * found.k_integral
+    c[0, TOTAL] += (1.0 - share) * feedback.k_integral
     d = share * one[3] + (1.0 - share) * other[3]
     # the observer hears of the command that is flown, not of its own
     heard = np.zeros((n, 1))
-    heard[:, 0] = found.moved(np.zeros(n), 0.0, 1.0)
+    heard[:, 0] = feedback.moved(np.zeros(n), 0.0, 1.0)
     a[:n, :n] = one[0] - heard @ one[2]
     b[:n] = one[1] - heard @ one[3] + heard @ d
     a[:n] += heard @ c

@@ -30,13 +30,13 @@ HALTS = (0.85, 0.7, 0.55, 0.4, 0.25)
 
 @dataclass(frozen=True)
 class Way:
-    """The steps to the target, and `told`, the gains of the first message.
+    """The steps to the target, and `first`, the gains of the first message.
 
-    The bridge goes to `told` with each gain changing as far as it may in each step.
+    The bridge goes to `first` with each gain changing as far as it may in each step.
     """
 
     steps: tuple[CascadeGains, ...]
-    told: CascadeGains
+    first: CascadeGains
 
 
 def way_to(wanted: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
@@ -106,8 +106,8 @@ def sag_settings(model: AxisModel) -> dict[str, float]:
     """
     exponent, reference = (f'{model.axis}.sag.{name}' for name in ('exponent', 'reference_v'))
     mean = model.mean_battery_v
-    found = any(effect.name == EFFECT for effect in model.effects)
-    if not (found and mean and exponent in model.active_gains and reference in model.active_gains):
+    sags = any(effect.name == EFFECT for effect in model.effects)
+    if not (sags and mean and exponent in model.active_gains and reference in model.active_gains):
         return {}
     bound, volts = BOUNDS[exponent], BOUNDS[reference]
     power = min(max(model.value(f'{EFFECT}.exponent'), bound.lower), bound.upper)
@@ -122,7 +122,7 @@ def scheduled(model: AxisModel, chosen: Mapping[str, float]) -> AxisModel:
     return replace(model, active_gains={**model.active_gains, **chosen}) if chosen else model
 
 
-def along(steps: Sequence[Mapping[str, float]], chosen: Mapping[str, float],
+def with_schedule(steps: Sequence[Mapping[str, float]], chosen: Mapping[str, float],
           active: Mapping[str, float]) -> tuple[dict[str, float], ...]:
     """The steps with the schedule, its exponent in each as far as the gate allows."""
     path = [{**step, **chosen} for step in steps]

@@ -15,7 +15,7 @@ from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.autopilots.gains import ParameterGains
 from quad_bridge.autopilots.kinds import BY_NUMBER, Kind
 from quad_bridge.autopilots.system_id import NAMES as SID_NAMES
-from quad_bridge.autopilots.system_id import SystemId, wanted
+from quad_bridge.autopilots.system_id import SystemId, sid_parameters
 from quad_bridge.autopilots.takeover import Takeover
 from quad_bridge.craft import AXES, Craft
 from quad_bridge.link.autopilot import Inertial
@@ -25,7 +25,7 @@ from quad_bridge.wire.frames import Injection, Vector3
 
 REQUEST_MESSAGE, VERSION = 512, 148
 INJECTIONS = {'attitude': Injection.ATTITUDE, 'rate': Injection.RATE, 'control': Injection.CONTROL}
-AGAIN_S, ASKED = 1.0, 3
+AGAIN_S, REQUESTS = 1.0, 3
 """Between two questions for the version, and how many there are before it does without."""
 RATE_CHANGE = 1.2  # by which the rate of the attitudes must change to count as another
 OFF = 'off: read docs/{}, then start the bridge with {}:=allow'
@@ -52,7 +52,7 @@ class AutopilotAircraft(Aircraft):
         self._system, self._now_s = system, now_s
         self._axis, self._injection = 0, Injection.NONE
         self._refusal = ''  # why the running segment is not flown
-        self._asked, self._ask_s = 0, -math.inf
+        self._requests, self._ask_s = 0, -math.inf
         self.last_cycle: f.Cycle | None = None
 
     @property
@@ -93,10 +93,10 @@ class AutopilotAircraft(Aircraft):
 
     def segment(self, parameters: Mapping[str, Any] | None) -> None:
         """A segment begins; None: it has ended."""
-        now_s, given = self._now_s(), parameters or {}
-        axis = str(given.get('axis', ''))
-        injection = INJECTIONS.get(str(given.get('injection', '')), Injection.NONE)
-        chirp = self.system_id is not None and given.get('signal') == 'chirp'
+        now_s, fields = self._now_s(), parameters or {}
+        axis = str(fields.get('axis', ''))
+        injection = INJECTIONS.get(str(fields.get('injection', '')), Injection.NONE)
+        chirp = self.system_id is not None and fields.get('signal') == 'chirp'
         goes_on = self.takeover.flying and injection is self._injection and not chirp
         if not goes_on:
             self.takeover.end('the segment has ended', now_s)
@@ -112,7 +112,7 @@ class AutopilotAircraft(Aircraft):
         if not fault and self.system_id is not None and chirp:
             fault = self.system_id.fault(self.number)
             try:
-                sid = wanted(AXES.index(axis), injection, parameters)
+                sid = sid_parameters(AXES.index(axis), injection, parameters)
             except ValueError as error:
                 fault = fault or str(error)
         elif not fault:
@@ -170,8 +170,8 @@ class AutopilotAircraft(Aircraft):
         if self.system_id is not None:
             out += self.system_id.poll(now_s)
         if not self.gains.aircraft and now_s - self._ask_s > AGAIN_S:
-            self._ask_s, self._asked = now_s, self._asked + 1
-            if self._asked > ASKED:
+            self._ask_s, self._requests = now_s, self._requests + 1
+            if self._requests > REQUESTS:
                 self._identify('')
             else:
                 out.append(f.Command(REQUEST_MESSAGE, (float(VERSION),)))
@@ -208,6 +208,8 @@ class Connected(Aircraft):
     ) -> None:  # fmt: skip
         self._quad = Quad(standard)
         self.now: Aircraft = self._quad
+        self.autopilot: AutopilotAircraft | None = None
+        """It, where it is no aircraft of ours."""
         self.on_change: Callable[[Aircraft], None] = lambda _: None
         self._allow = {'allow_gains': allow_gains, 'allow_excitation': allow_excitation}
         self._now_s = now_s
@@ -216,11 +218,6 @@ class Connected(Aircraft):
     def gains(self) -> Any:  # type: ignore[override]
         """Its sets of gains."""
         return self.now.gains
-
-    @property
-    def autopilot(self) -> AutopilotAircraft | None:
-        """It, where it is no aircraft of ours."""
-        return self.now if isinstance(self.now, AutopilotAircraft) else None
 
     @property
     def last_cycle(self) -> f.Cycle | None:
@@ -249,9 +246,10 @@ class Connected(Aircraft):
         known = self.autopilot
         if (known.kind if known is not None else None) is kind:
             return
-        self.now = self._quad if kind is None else AutopilotAircraft(
+        self.autopilot = None if kind is None else AutopilotAircraft(
             kind, beat.system, now_s=self._now_s, **self._allow
         )
+        self.now = self.autopilot or self._quad
         self.on_change(self.now)
 
     def cannot(self, ability: Ability) -> str:

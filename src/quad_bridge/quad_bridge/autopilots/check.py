@@ -32,53 +32,53 @@ def report(aircraft: AutopilotAircraft, link: Link, now_ns: int, craft: str) -> 
     kind, flight = aircraft.kind, aircraft.flight
     major, minor = aircraft.number
     version = f'{major}.{minor}' if major else 'of unknown version'
-    found: list[Advice] = [(f'{kind.name} {version}, {craft}', bool(major),
+    advice: list[Advice] = [(f'{kind.name} {version}, {craft}', bool(major),
                             'it does not answer MAV_CMD_REQUEST_MESSAGE: is it older than 4.0?')]
     rates = link.autopilot.rates(now_ns)
     if rates:
         words = ', '.join(f'{name} {rate_hz:.0f}' for name, (rate_hz, _) in rates.items())
-        found.append((f'Hz: {words}', True, ''))
+        advice.append((f'Hz: {words}', True, ''))
     fastest = max((rate for rate, _ in rates.values()), default=0.0)
     budget = link.autopilot.budget
     if math.isfinite(budget):
         carried = load({name: rate for name, (rate, _) in rates.items()})
         whole = budget / LINE_SHARE / 1000.0
-        found.append((f'the line carries {whole:.1f} kB/s: {carried / 1000:.1f} used', True, ''))
-    found.append((
+        advice.append((f'the line carries {whole:.1f} kB/s: {carried / 1000:.1f} used', True, ''))
+    advice.append((
         f'rates for a live bag: {fastest:.0f} Hz', fastest >= FAST_HZ,
         f'below {FAST_HZ:g} Hz identify from the log on the card, or take 921600 baud',
     ))  # fmt: skip
-    found.append((f'rates for the watch over gains: {fastest:.0f} Hz', fastest >= WATCH_HZ,
+    advice.append((f'rates for the watch over gains: {fastest:.0f} Hz', fastest >= WATCH_HZ,
                   f'gains are refused below {WATCH_HZ:g} Hz: a faster line is needed'))
     read = len(aircraft.gains.active)
-    found.append((f'{read} gains, limits and filters read', read > 0,
+    advice.append((f'{read} gains, limits and filters read', read > 0,
                   'no answer to PARAM_REQUEST_READ: is the line one way only?'))
-    found.append((f'battery {flight.volts:.1f} V', math.isfinite(flight.volts),
+    advice.append((f'battery {flight.volts:.1f} V', math.isfinite(flight.volts),
                   'no voltage: calibrate the power module'))
     sticks = not flight.sticks_fault(1e-9 * now_ns)
-    found.append(('the sticks are received' if sticks else 'the sticks are not received', sticks,
+    advice.append(('the sticks are received' if sticks else 'the sticks are not received', sticks,
                   'switch the transmitter on: without it nothing is excited and no gain is sent'))
     mode = kind.mode_name(flight.mode)
-    found.append((f'mode {mode}', flight.mode in kind.pilot_modes,
+    advice.append((f'mode {mode}', flight.mode in kind.pilot_modes,
                   f'put {", ".join(kind.pilot_modes.values())} on the mode switch'))
-    found.append((
+    advice.append((
         'attitude set-points are reported' if flight.target is not None
         else 'no ATTITUDE_TARGET', flight.target is not None,
         'without it the excitation is not measured, and none is flown',
     ))  # fmt: skip
     known = {**aircraft.gains.values, **({} if aircraft.system_id is None
                                          else aircraft.system_id.known)}  # fmt: skip
-    return [*found, *kind.advice(known, aircraft.number)]
+    return [*advice, *kind.advice(known, aircraft.number)]
 
 
-def lines(found: Sequence[Advice]) -> list[str]:
+def lines(advice: Sequence[Advice]) -> list[str]:
     """The screen."""
     out = []
-    for what, good, remedy in found:
+    for what, good, remedy in advice:
         out.append(f'  {"ok" if good else "--"}  {what}' + (
             f': {remedy}' if remedy and not good else ''))
-    bad = sum(not good for _, good, _ in found)
-    out.append('ready' if not bad else f'{bad} of {len(found)} lines are not as they should be')
+    bad = sum(not good for _, good, _ in advice)
+    out.append('ready' if not bad else f'{bad} of {len(advice)} lines are not as they should be')
     return out
 
 
@@ -148,14 +148,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument('--port', default='/dev/ttyACM0', help='as the parameter port')
     parser.add_argument('--baud', type=int, default=921600, help='of a serial line')
     parser.add_argument('--seconds', type=positive, default=12.0, help='to listen; default 12')
-    given = parser.parse_args(argv)
-    if over_network(given.port):
-        complain(f'serial_bridge: --port {given.port}: leads to another computer; check on the '
+    options = parser.parse_args(argv)
+    if over_network(options.port):
+        complain(f'serial_bridge: --port {options.port}: leads to another computer; check on the '
                  "aircraft's own\n")
         return BAD_INPUT
-    listener = _Listener(given.port, given.baud)
+    listener = _Listener(options.port, options.baud)
     listener.port.start()
-    pause, until_s = threading.Event(), clock().now_s() + given.seconds
+    pause, until_s = threading.Event(), clock().now_s() + options.seconds
     while clock().now_s() < until_s:
         pause.wait(0.05)
         listener.tick()
@@ -165,8 +165,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         words = 'no PX4 and no ArduPilot is heard'
         if port.opened == 0 and port.state is not PortState.OPEN:
             words = f'port {port.state.value}'
-        complain(f'serial_bridge: {given.port}: {words}\n')
+        complain(f'serial_bridge: {options.port}: {words}\n')
         return BAD_INPUT
-    found = report(aircraft, listener.link, clock().now_ns(), listener.craft)
-    say('\n'.join(lines(found)) + '\n')
-    return 0 if all(good for _, good, _ in found) else NOT_READY
+    advice = report(aircraft, listener.link, clock().now_ns(), listener.craft)
+    say('\n'.join(lines(advice)) + '\n')
+    return 0 if all(good for _, good, _ in advice) else NOT_READY

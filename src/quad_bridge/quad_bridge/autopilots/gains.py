@@ -321,7 +321,7 @@ class ParameterGains:
                             f'{name} was set to {value:g} by another program during the trial')
         elif self._foreign:  # a second one, after or while the good set is written back
             self.refused = (f'{name} was set to {value:g} by another program again: it is left '
-                            'alone, and gains are refused until the bridge starts anew')
+                            'alone, and gains are refused until the bridge is restarted')
             if self.state is State.READY:
                 self._prove(State.READY, What.READ)
         elif self.state is State.READY:

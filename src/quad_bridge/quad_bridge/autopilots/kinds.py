@@ -56,6 +56,8 @@ class Kind:
     log_closes_s: float
     """After landing: until it writes to the log no more. Who asks before cuts the log short, and
     ArduPilot begins another one then."""
+    logs_by_time: bool = False
+    """Whether its list of logs is in no order: PX4 lists a directory as it finds it."""
     modes: Mapping[int, str] = field(default_factory=dict)
     system_id: bool = False
 
@@ -90,7 +92,7 @@ def _ardupilot_units(craft: Craft, known: Values) -> Units:
 def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
     profile = int(known.get('SDLOG_PROFILE', 0))
     override = int(known.get('COM_RC_OVERRIDE', 1))
-    found = [
+    advice = [
         (f'log SDLOG_PROFILE {profile}', profile & 24 == 24,
          'set SDLOG_PROFILE to 25 (bits 3 system identification, 4 high rate) and restart'),
         (f'airmode MC_AIRMODE {known.get("MC_AIRMODE", 0):g}', not known.get('MC_AIRMODE', 0.0),
@@ -103,8 +105,8 @@ def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
          known.get('COM_OF_LOSS_T', 1.0) <= 1.0, 'set COM_OF_LOSS_T to 1 or less'),
     ]  # fmt: skip
     if version >= (1, 15):
-        found.append(("parameters in the processor's flash are stored once disarmed", True, ''))
-    return found
+        advice.append(("parameters in the processor's flash are stored once disarmed", True, ''))
+    return advice
 
 
 def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
@@ -112,7 +114,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
     has_sid = 'SID_AXIS' in known
     blocked = int(known.get('FLTMODE_GCSBLOCK', 0))
     learns = int(known.get('MOT_HOVER_LEARN', 0))
-    found = [
+    advice = [
         (f'log LOG_BITMASK {bits}', bits & 3 == 3,
          f'set LOG_BITMASK to {bits | 3} (bits 0, 1 fast and medium attitude)'),
         (f'motors in the log (bit 17) {"yes" if bits & 1 << 17 else "no"}', True, ''),
@@ -124,7 +126,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
          'set it to 0 after a minute of hover: the unit of the gains follows what it learns'),
     ]  # fmt: skip
     del version
-    return found
+    return advice
 
 
 KINDS = (
@@ -137,7 +139,7 @@ KINDS = (
         reads=('SDLOG_PROFILE', 'MC_AIRMODE', 'MAV_FWDEXTSP', 'COM_RC_OVERRIDE', 'COM_OF_LOSS_T',
                'IMU_GYRO_RATEMAX', 'IMU_INTEG_RATE'),
         advice=_px4_advice, log_suffix='.ulg', fetches_armed=True, log_closes_s=2.0,
-        modes={1 << 16: 'Manual', 5 << 16: 'Acro'},
+        logs_by_time=True, modes={1 << 16: 'Manual', 5 << 16: 'Acro'},
     ),
     Kind(
         ARDUPILOT.number, 'ArduPilot', ARDUPILOT, bytewise=False,

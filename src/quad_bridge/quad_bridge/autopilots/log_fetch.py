@@ -53,6 +53,8 @@ class LogFetch:
         """What has come, for the file; whoever writes it puts a new list there."""
         self.there: Callable[[f.LogEntry], int] = lambda _: 0
         """How many bytes of this log an earlier fetch has written."""
+        self._listed_so_far: dict[int, f.LogEntry] = {}
+        self._by_time = False
         self._waiting: dict[int, bytes] = {}  # offset to bytes beyond a hole
         self._from = self._until = 0  # what was asked for
         self._due_s, self._tries = -math.inf, 0
@@ -68,9 +70,13 @@ class LogFetch:
         """Bytes of the log; 0 before it is known."""
         return self.entry.size if self.entry is not None else 0
 
-    def begin(self, now_s: float, wait_s: float) -> None:
-        """Fetch the newest log, which is closed `wait_s` from now."""
+    def begin(self, now_s: float, wait_s: float, *, by_time: bool = False) -> None:
+        """Fetch the newest log, which is closed `wait_s` from now.
+
+        `by_time`: the list is in no order, so the newest is the one with the latest time.
+        """
         self._forget()
+        self._by_time = by_time
         self.phase, self._due_s = Phase.WAITING, now_s + wait_s
 
     def stop(self, reason: str) -> None:
@@ -109,8 +115,18 @@ class LogFetch:
         return [self._request()]
 
     def _listed(self, entry: f.LogEntry, now_s: float) -> None:
-        if self.phase is not Phase.LISTING or entry.number < entry.last:
+        if self.phase is not Phase.LISTING:
             return
+        if not self._by_time:
+            if entry.number < entry.last:
+                return
+        elif entry.count:  # PX4's `last` is none of its numbers, which begin at 0
+            known = [*self._listed_so_far.values(), entry]
+            self._listed_so_far = {one.number: one for one in known if one.count == entry.count}
+            self._tries, self._due_s = 0, now_s + LIST_S
+            if len(self._listed_so_far) < entry.count:
+                return
+            entry = max(self._listed_so_far.values(), key=lambda one: (one.time_utc_s, one.number))
         if entry.count == 0 or entry.size == 0:
             self.phase, self.reason = Phase.FAILED, 'the autopilot has no log'
             return

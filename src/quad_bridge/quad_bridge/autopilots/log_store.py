@@ -34,9 +34,9 @@ class LogStore:
 
     def write(self, parts: Iterable[Part]) -> None:
         """Append what has come in order."""
-        path, taken = self._path('.part'), [*parts]
-        if taken:
-            self._run(lambda: self._append(path, taken))
+        path, ready = self._path('.part'), [*parts]
+        if ready:
+            self._run(lambda: self._append(path, ready))
 
     def finish(self) -> None:
         """Give the log its name, once all is written."""

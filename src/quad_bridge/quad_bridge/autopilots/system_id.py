@@ -45,29 +45,31 @@ class Phase(Enum):
     RESTORING = 'putting SID parameters back'
 
 
-def wanted(axis: int, injection: Injection, segment: Mapping[str, Any]) -> dict[str, float]:
+def sid_parameters(
+    axis: int, injection: Injection, segment: Mapping[str, Any]
+) -> dict[str, float]:
     """SID parameters of a segment with a chirp. Raises ValueError, one line, where it has none."""
     if injection not in FIRST_AXIS:
         raise ValueError('SYSTEM ID injects at attitude, rate or control')
     names = ('amplitude', 'f0_hz', 'f1_hz', 'sweep_s')
-    found = {name: float(segment.get(name, math.nan)) for name in names}
-    bad = [name for name, value in found.items() if not value > 0.0 or not math.isfinite(value)]
+    fields = {name: float(segment.get(name, math.nan)) for name in names}
+    bad = [name for name, value in fields.items() if not value > 0.0 or not math.isfinite(value)]
     if bad:
         raise ValueError(f'a chirp for SYSTEM ID needs {", ".join(bad)}')
-    size = math.degrees(found['amplitude']) if DEGREES[injection] else found['amplitude']
+    size = math.degrees(fields['amplitude']) if DEGREES[injection] else fields['amplitude']
     if size > MOST[injection] * 1.001:
-        raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: found {size:.4g}')
+        raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: fields {size:.4g}')
     ramp_s = max(float(segment.get('ramp_s', 0.5)), 0.1)
-    steady_s = 2.0 / found['f0_hz']
+    steady_s = 2.0 / fields['f0_hz']
     beside_s = SET_UP_S + DELAY_S + steady_s + 2.0 * ramp_s
-    record_s = found['sweep_s'] - beside_s  # so that it has ended when the segment ends
+    record_s = fields['sweep_s'] - beside_s  # so that it has ended when the segment ends
     least_s = max(LEAST_S, 1.05 * steady_s)  # it refuses a sweep as short as its steady start
     if record_s < least_s:
         raise ValueError(f'the segment is too short for SYSTEM ID: {beside_s:.1f} s go beside the '
-                         f'sweep, and {least_s:.3g} s must be left of {found["sweep_s"]:g}')
+                         f'sweep, and {least_s:.3g} s must be left of {fields["sweep_s"]:g}')
     return {
         'SID_AXIS': FIRST_AXIS[injection] + axis, 'SID_MAGNITUDE': size,
-        'SID_F_START_HZ': found['f0_hz'], 'SID_F_STOP_HZ': found['f1_hz'],
+        'SID_F_START_HZ': fields['f0_hz'], 'SID_F_STOP_HZ': fields['f1_hz'],
         'SID_T_FADE_IN': ramp_s, 'SID_T_REC': record_s, 'SID_T_FADE_OUT': ramp_s,
     }  # fmt: skip
 
@@ -82,10 +84,10 @@ class SystemId:
         self._kinds: dict[str, int] = {}
         self._flight, self._set_mode = flight, set_mode
         self._before: dict[str, float] = {}
-        self._wanted: dict[str, float] = {}
+        self._target: dict[str, float] = {}
         self._queue: list[str] = []
         self._guard: Guard | None = None
-        self._tries, self._due_s, self._since_s, self._asked_s = 0, -math.inf, 0.0, -math.inf
+        self._tries, self._due_s, self._since_s, self._requested_s = 0, -math.inf, 0.0, -math.inf
         self._end_s = math.inf
 
     @property
@@ -106,7 +108,7 @@ class SystemId:
 
     def begin(self, parameters: Mapping[str, float], now_s: float) -> None:
         """Write the parameters, then enter the mode."""
-        self.refusal, self._wanted = '', dict(parameters)
+        self.refusal, self._target = '', dict(parameters)
         self._before = {name: self.known[name] for name in parameters}
         self._guard = Guard.of(self._flight)
         self._queue = [n for n in parameters if n != 'SID_AXIS'] + ['SID_AXIS']
@@ -140,7 +142,7 @@ class SystemId:
 
     @property
     def _aims(self) -> Mapping[str, float]:
-        return self._wanted if self.phase is Phase.WRITING else self._before
+        return self._target if self.phase is Phase.WRITING else self._before
 
     def poll(self, now_s: float) -> list[f.Frame]:  # noqa: C901
         """Say what to send now."""
@@ -161,8 +163,8 @@ class SystemId:
         elif self.phase is Phase.LEAVING:
             if self._flight.mode != MODE:
                 self._restore(now_s)
-            elif now_s - self._asked_s > AGAIN_S:
-                self._asked_s = now_s
+            elif now_s - self._requested_s > AGAIN_S:
+                self._requested_s = now_s
                 out.append(self._set_mode(self._guard.mode if self._guard else 0))
         return out
 
@@ -173,8 +175,8 @@ class SystemId:
         elif now_s >= self._due_s:
             name = self._queue[0]
             if self._tries >= TRIES and self.phase is Phase.WRITING:
-                found = self.known.get(name, math.nan)
-                self.end(f'{name}: {self._wanted[name]:g} was not taken, it is {found:g}',
+                read_back = self.known.get(name, math.nan)
+                self.end(f'{name}: {self._target[name]:g} was not taken, it is {read_back:g}',
                          now_s, abort=True)
                 return
             self._tries, self._due_s = self._tries + 1, now_s + REPEAT_S
@@ -185,8 +187,8 @@ class SystemId:
             self._go(Phase.FLYING, now_s)
         elif now_s - self._since_s > ENTER_S:
             self.end(f'SYSTEM ID was not entered in {ENTER_S:g} s', now_s, abort=True)
-        elif now_s - self._asked_s > AGAIN_S:
-            self._asked_s = now_s
+        elif now_s - self._requested_s > AGAIN_S:
+            self._requested_s = now_s
             out.append(self._set_mode(MODE))
 
     def _restore(self, now_s: float) -> None:
@@ -195,4 +197,4 @@ class SystemId:
 
     def _go(self, phase: Phase, now_s: float) -> None:
         self.phase, self._since_s = phase, now_s
-        self._tries, self._due_s, self._asked_s = 0, -math.inf, -math.inf
+        self._tries, self._due_s, self._requested_s = 0, -math.inf, -math.inf

@@ -96,30 +96,30 @@ class Table:
 
     def gains(self, known: Mapping[str, float], units: Units) -> dict[str, float]:
         """Contract names, SI, of known parameters; limits and filters of 0 are none."""
-        found = {}
+        gains = {}
         for ours, axis, row, theirs in self.of_axes():
             if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
-                found[ours] = float(known[theirs] * self.factor(row, axis, known, units))
+                gains[ours] = float(known[theirs] * self.factor(row, axis, known, units))
         for name, unit in zip(AXES, units, strict=True):
-            if f'{name}.rate.kp' in found:
-                found[f'{name}.rate.output_limit'] = float(unit)
-                found[AUTOPILOT] = float(self.number)
+            if f'{name}.rate.kp' in gains:
+                gains[f'{name}.rate.output_limit'] = float(unit)
+                gains[AUTOPILOT] = float(self.number)
                 if self.d_on_error:
-                    found[f'{name}.rate.d_on'] = 1.0
+                    gains[f'{name}.rate.d_on'] = 1.0
         for row in self.shared:
             if known.get(row.theirs, 0.0) > 0.0:
-                found[row.ours] = float(known[row.theirs] * row.factor)
-        return found
+                gains[row.ours] = float(known[row.theirs] * row.factor)
+        return gains
 
     def limits(self, axis: int, units: Units) -> dict[str, Limits]:
         """Lowest and highest value, ours, of each gain of an axis that can be written."""
-        found = {}
+        limits = {}
         for ours, i, row, _ in self.of_axes():
             span = (row.yaw_limits if i == 2 else None) or row.limits
             if i == axis and span is not None:
                 factor = self.factor(row, axis, {}, units)
-                found[ours] = span[0] * factor, span[1] * factor
-        return found
+                limits[ours] = span[0] * factor, span[1] * factor
+        return limits
 
     def parameters(
         self, gains: Mapping[str, float], known: Mapping[str, float], units: Units
@@ -128,23 +128,23 @@ class Table:
 
         Raises UnfitError where one has no parameter, or leaves what the parameter may be.
         """
-        found: dict[str, float] = {}
+        parameters: dict[str, float] = {}
         rows = {ours: (axis, row, theirs) for ours, axis, row, theirs in self.of_axes()}
         for ours, value in gains.items():
-            found_row = rows.get(ours)
-            if found_row is None or found_row[1].limits is None:
+            entry = rows.get(ours)
+            if entry is None or entry[1].limits is None:
                 raise UnfitError(f'{ours}: this autopilot has no such gain that can be set')
-            axis, row, theirs = found_row
+            axis, row, theirs = entry
             factor = self.factor(row, axis, known, units)
             new = value / factor if factor else math.nan
             low, high = (row.yaw_limits if axis == 2 else None) or row.limits or (0.0, 0.0)
             slack = 1e-6 * high
             if not low - slack <= new <= high + slack:
                 raise UnfitError(
-                    f'{ours}: {theirs} must lie in {low:g} .. {high:g}: found {new:.4g}'
+                    f'{ours}: {theirs} must lie in {low:g} .. {high:g}: parameters {new:.4g}'
                 )
-            found[theirs] = min(new, found.get(theirs, sys.float_info.max))
-        return found
+            parameters[theirs] = min(new, parameters.get(theirs, sys.float_info.max))
+        return parameters
 
 
 PX4 = Table(

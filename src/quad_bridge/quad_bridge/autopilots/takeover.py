@@ -1,6 +1,6 @@
 """Excitation by attitude set-points: PX4's OFFBOARD, ArduPilot's GUIDED_NOGPS. Pure, no I/O.
 
-The bridge flies the aircraft meanwhile: level, at the heading and about the height that it had,
+The bridge flies the aircraft meanwhile: at the heading and about the height and place that it had,
 with the schedule on one axis. It begins only where `fault` says nothing, streams before it asks
 for the mode, and gives the mode from before back at the end, or as soon as anything is not as it
 was (guard.py).
@@ -26,6 +26,9 @@ ENTER_S, AGAIN_S = 3.0, 0.5  # until the mode must be there; between two request
 LEAVE_S = 3.0
 BEAT_S = 1.5  # heartbeats, which tell the mode, come once a second
 HEIGHT_GAIN, CLIMB_GAIN, MOST_THRUST = 0.05, 0.06, 0.12
+PLACE_GAIN, SPEED_GAIN, MOST_LEAN = 0.06, 0.11, math.radians(8.0)
+"""rad per m and per m/s: slower than what is excited; without it PX4 had drifted 5 m in 20 s."""
+PLACE_S = 0.5  # a place that is older is not known
 ANGLE_GAIN = 5.0  # 1/s, of the angle loop where rates are sent
 LATEST_S = 0.25  # the schedule has fallen silent
 ATTITUDE_MASK, RATE_MASK = 7, 128
@@ -71,7 +74,7 @@ class Takeover:
         self._ask_back = False  # whether the mode from before is to be asked for, once
         self._axis = 0
         self._wanted, self._wanted_s = 0.0, -math.inf
-        self._since_s = self._sent_s = self._asked_s = -math.inf
+        self._since_s = self._sent_s = self._requested_s = -math.inf
         self._sent: deque[tuple[float, Vector3, Vector3]] = deque(maxlen=64)
         """When, the set-point in the unit of the injection, and its part without excitation."""
 
@@ -129,17 +132,18 @@ class Takeover:
                                       and self._flight.mode == self._start.mode)
             self._go(Phase.LEAVING if entered and not left else Phase.IDLE, now_s)
 
-    def target(self, told: f.AttitudeTarget) -> None:
+    def target(self, reported: f.AttitudeTarget) -> None:
         """Take what the autopilot follows: what it is beyond our own reference was added."""
         self.applied = ZERO
         if self.phase is not Phase.FLYING or not self._sent:
             return
         rate = self.injection is Injection.RATE  # beside rates, attitude and time are stale
-        found = told.rates if rate else angles_of(told.q)
+        followed = reported.rates if rate else angles_of(reported.q)
         _, _, reference = min(
-            self._sent, key=lambda one: sum(abs(d) for d in self._differ(found, one[1], rate=rate))
+            self._sent,
+            key=lambda one: sum(abs(d) for d in self._differ(followed, one[1], rate=rate))
         )
-        added = self._differ(found, reference, rate=rate)
+        added = self._differ(followed, reference, rate=rate)
         self.applied = tuple(added[i] if i == self._axis else 0.0 for i in range(3))  # type: ignore[assignment]
 
     def poll(self, now_s: float) -> list[f.Frame]:
@@ -173,8 +177,8 @@ class Takeover:
                 self._go(Phase.FLYING, now_s)
             elif since_s > ENTER_S:
                 self.end(f'{self._means.name} was not entered in {ENTER_S:g} s', now_s, abort=True)
-            elif now_s - self._asked_s > AGAIN_S:
-                self._asked_s = now_s
+            elif now_s - self._requested_s > AGAIN_S:
+                self._requested_s = now_s
                 out.append(self._means.set_mode(self._means.mode))
 
     def _leave(self, start: Guard, now_s: float, out: list[f.Frame]) -> None:
@@ -186,8 +190,8 @@ class Takeover:
             self._go(Phase.IDLE, now_s)
         elif waited_s > LEAVE_S and now_s - self._flight.beat_s > LEAVE_S:
             self._go(Phase.IDLE, now_s)  # nobody hears: the autopilot's own loss of OFFBOARD acts
-        elif (ours or self._ask_back) and now_s - self._asked_s > AGAIN_S:
-            self._asked_s, self._ask_back = now_s, False
+        elif (ours or self._ask_back) and now_s - self._requested_s > AGAIN_S:
+            self._requested_s, self._ask_back = now_s, False
             out.append(self._means.set_mode(start.mode))
 
     def _abort_fault(self, start: Guard, now_s: float) -> str:
@@ -208,7 +212,7 @@ class Takeover:
         flight = self._flight
         wanted = self._wanted if self.phase is Phase.FLYING else 0.0
         added = [wanted if i == self._axis else 0.0 for i in range(3)]
-        level = (0.0, 0.0, start.yaw)
+        level = (*self._lean(start, now_s), start.yaw)
         rate = self.injection is Injection.RATE
         reference: Vector3 = level
         if rate and flight.angles is not None:
@@ -221,6 +225,20 @@ class Takeover:
         mask = RATE_MASK if rate else ATTITUDE_MASK
         return f.SetAttitudeTarget(int(1000 * now_s) % 2**32, mask, (w, x, y, z), rates,
                                    self._thrust(start))  # fmt: skip
+
+    def _lean(self, start: Guard, now_s: float) -> tuple[float, float]:
+        """Roll and pitch, back to where it began; 0 where no place is known."""
+        flight = self._flight
+        place, speed, angles = flight.place, flight.speed, flight.angles
+        if start.place is None or place is None or speed is None or angles is None or (
+            now_s - flight.place_s > PLACE_S
+        ):
+            return 0.0, 0.0
+        north, east = (PLACE_GAIN * (start.place[i] - place[i]) - SPEED_GAIN * speed[i]
+                       for i in (0, 1))  # fmt: skip
+        c, s = math.cos(angles[2]), math.sin(angles[2])
+        roll, pitch = c * east - s * north, -(c * north + s * east)
+        return (min(max(roll, -MOST_LEAN), MOST_LEAN), min(max(pitch, -MOST_LEAN), MOST_LEAN))
 
     def _thrust(self, start: Guard) -> float:
         flight = self._flight
@@ -239,6 +257,6 @@ class Takeover:
 
     def _go(self, phase: Phase, now_s: float) -> None:
         self.phase, self._since_s = phase, now_s
-        self._asked_s = -math.inf
+        self._requested_s = -math.inf
         if phase is Phase.IDLE:
             self.applied, self._start = ZERO, None

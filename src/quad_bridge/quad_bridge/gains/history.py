@@ -112,9 +112,9 @@ class History:
         return f'{datetime.now(timezone.utc):%Y%m%dT%H%M%S}-{self._count}'
 
     def note_active(self, active: Mapping[str, float]) -> None:
-        """Store gains read from the STM32, if they differ from the last ones stored."""
+        """Store gains read from the aircraft, if they differ from the last ones stored."""
         if active and active != self._last:
-            self.write('active', active, reason='read from the STM32')
+            self.write('active', active, reason='read from the aircraft')
 
     def write(
         self,

@@ -222,7 +222,7 @@ class GainProtocol:
         """Compare the STM32's active checksum with the expected one."""
         if self.state is State.READING:
             if state.phase != f.GainsPhase.IDLE:
-                self._found_open(state)
+                self._open_change(state)
             elif not self._count:
                 self._due_s = -math.inf
             elif len(self._names) >= self._count:
@@ -234,7 +234,7 @@ class GainProtocol:
                     self._due_s = now_s + READ_S
         elif self.state is State.READY:
             if state.phase != f.GainsPhase.IDLE:
-                self._found_open(state)
+                self._open_change(state)
             elif state.checksum != self._checksum:
                 self._read_again()
         elif (
@@ -244,7 +244,7 @@ class GainProtocol:
             outcome = What.FAILED if self.state is State.VERIFYING else What.REVERTED
             self._take_back(outcome, 'the STM32 has other gains in force')
 
-    def _found_open(self, state: f.GainsState) -> None:
+    def _open_change(self, state: f.GainsState) -> None:
         """Handle an unconfirmed set or open copy of an earlier bridge."""
         self._number = state.transaction
         self._take_back(What.REVERTED, 'found unconfirmed gains of an earlier bridge')

@@ -58,6 +58,10 @@ class State(Enum):
 
 IN_FLIGHT = (State.WRITING, State.WATCHING, State.CONFIRMING)
 """States of an update that the pilot ends by switch or by disarming."""
+ON_TRIAL = (State.WATCHING, State.WRITING)
+ARMED, EXCITATION = int(f.Flag.ARMED), int(f.Flag.EXCITATION)
+RATE, CONTROL = int(f.Injection.RATE), int(f.Injection.CONTROL)
+"""Plain numbers of what is asked in every cycle: to look up an enum's takes a microsecond."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +215,7 @@ class GainUpdates:
                 f'they are for the aircraft {gate.shorten(request.aircraft)}: connected is '
                 f'{self.aircraft or "none"}'
             )
-        if request.rollback and self.state in {State.WRITING, State.WATCHING}:
+        if request.rollback and self.state in ON_TRIAL:
             self._take_back(f'{request.source} asked for it')
             self._going_back += [reply] if reply is not None else []
             return 'taking back the gains in flight'
@@ -345,22 +349,24 @@ class GainUpdates:
             held = frame.flags & f.Flag.HOLD or not self.watch.climbs
             self._left_s -= min(since_s, LINK_S) if held else 0.0
         injected: Any = (0.0, 0.0, 0.0)
-        if frame.injection == f.Injection.RATE:
+        if frame.injection == RATE:
             injected = flip_body(frame.excitation)
-        elif frame.injection == f.Injection.CONTROL:
+        elif frame.injection == CONTROL:
             injected = flip_body(frame.excitation) / self._rate_kp
-        attitude, reference = map(flip_attitude, (frame.attitude, frame.attitude_setpoint))
         if flies:
-            self.watch.step(flip_body(frame.gyro), attitude, reference, injected,
-                            upwards(frame.accel, frame.attitude))  # fmt: skip
+            self.watch.step(
+                flip_body(frame.gyro), flip_attitude(frame.attitude),
+                flip_attitude(frame.attitude_setpoint), injected,
+                upwards(frame.accel, frame.attitude),
+            )  # fmt: skip
         if self.state is State.CHECKING:
             pulse = self.polarity.step(frame)
             if not self.polarity.running:
                 self._end_check()
             return pulse
-        if frame.flags & f.Flag.EXCITATION:
+        if frame.flags & EXCITATION:
             self._excited_s = now_s
-        if self.state in {State.WATCHING, State.WRITING}:
+        if self.state in ON_TRIAL:
             alarm = self._slow_words() if flies and self._slow else self.watch.alarm()
             if alarm is not None:
                 self._take_back(str(alarm))
@@ -375,9 +381,9 @@ class GainUpdates:
 
     def _flies(self, frame: f.Cycle, now_s: float) -> bool:
         """Whether it is armed with the throttle up."""
-        flies = bool(frame.flags & f.Flag.ARMED) and frame.control[0] >= LOW_THROTTLE
+        flies = bool(frame.flags & ARMED) and frame.control[0] >= LOW_THROTTLE
         if flies is (self._flying_s is None):
-            self.watch.anew()
+            self.watch.restart()
             self._flying_s = now_s if flies else None
         return flies
 
@@ -386,7 +392,7 @@ class GainUpdates:
         update = self._update
         if update is None or self.state not in IN_FLIGHT:
             return
-        armed = bool(flags & f.Flag.ARMED)
+        armed = bool(flags & ARMED)
         if flags & f.Flag.RC_KILL:
             self._take_back("the pilot's kill switch")
         elif flags & f.Flag.RC_FAILSAFE:
@@ -418,7 +424,7 @@ class GainUpdates:
         ends.append((now_s, end))
         if len(ends) == GESTURE_ENDS and now_s - ends[0][0] <= GESTURE_S:
             ends.clear()
-            if self.state in {State.WATCHING, State.WRITING}:
+            if self.state in ON_TRIAL:
                 self._take_back("the pilot's stick gesture")
             self.disturb("the pilot's stick gesture")
 

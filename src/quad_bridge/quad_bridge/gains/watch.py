@@ -32,7 +32,10 @@ FLOOR_RMS_RAD_S = 0.3
 """A smaller rate RMS is ignored: gusts that begin with the update cause it on a slow aircraft."""
 SOUND_RMS_RAD_S = 0.5
 """Rate RMS of a sound aircraft in gusts, where none of its flights is known."""
-FAR_DEG, FAR_PATIENCE_S = 8.0, 0.04
+GUSTS_RAD_S = 20.0
+"""Gusts shake no aircraft faster: what swings so is its loop (a sound one 0.17 rad/s RMS at
+most in bench/watch.py), and without a flight before the floor alone is allowed there."""
+DISTANT_DEG, DISTANT_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06  # horizon of the angle that is predicted by the rate: a reversal takes that long
 FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
@@ -113,6 +116,7 @@ class GainWatch:
         self._every = max(1, round(rate_hz / MAX_HZ))
         self._held: list[tuple[Sequence[float], ...]] = []
         self._dt, self._climb = self._every / rate_hz, ClimbWatch()
+        self._block = round(BLOCK_S / self._dt)  # rows
         centres = np.array(CENTRES_RAD_S)
         self._b, self._a = _bank(centres, self._dt)
         periods = 2.0 * math.pi / np.append(centres, RMS_CUT_RAD_S)
@@ -124,16 +128,17 @@ class GainWatch:
         self._patience[-1] = 0.3
         octaves = np.clip(centres * math.radians(FLOOR_DEG) / math.sqrt(2.0), 0.2, 0.5)
         self._floor = (np.append(octaves, FLOOR_RMS_RAD_S) ** 2)[:, np.newaxis]
-        self._sound = self._usual = np.repeat(
-            np.append(octaves, SOUND_RMS_RAD_S)[:, np.newaxis] ** 2, 3, axis=1
-        )
+        most = np.append(octaves, SOUND_RMS_RAD_S)[:, np.newaxis] ** 2
+        self._usual = np.repeat(most, 3, axis=1)  # most that a good flight may leave behind
+        self._unknown = self._usual * np.append(centres < GUSTS_RAD_S, 1.0)[:, np.newaxis]
+        self._sound = self._unknown
         self._blocks: deque[FloatArray] = deque(maxlen=round(BEFORE_S / BLOCK_S))
         self._bound: FloatArray | None = None
-        self.anew()
+        self.restart()
         self._watched = np.ones(3, bool)
         self._peak = np.full(3, PEAK**2)
 
-    def anew(self) -> None:
+    def restart(self) -> None:
         """Forget: it takes off or has landed, and how it was handled says nothing of a flight."""
         channels = (len(CENTRES_RAD_S) + 1, 3)
         self._held.clear()
@@ -145,7 +150,7 @@ class GainWatch:
         self._last: FloatArray | None = None
         self._slow = np.zeros(3)
         self._distance, self._allowed = np.zeros(2), np.zeros(2)
-        self._allowed_before, self._far_s = np.zeros(2), np.zeros(2)
+        self._allowed_before, self._distant_s = np.zeros(2), np.zeros(2)
         self._near = np.zeros(2, bool)  # it has come to its reference, from how it stood
         self._rows = 0
 
@@ -168,11 +173,11 @@ class GainWatch:
     def good(self) -> bool:
         """Whether this flight has gone well for ten seconds, by what a sound aircraft may do."""
         whole = len(self._blocks) == self._blocks.maxlen
-        return whole and bool((self._before() <= self._most(self._usual)).all())
+        return whole and bool((self._before() <= self._most(self._unknown)).all())
 
     def know(self, before: object) -> None:
         """Take `before` of the aircraft's last good flight; what is none leaves none known."""
-        self._sound = self._usual
+        self._sound = self._unknown
         try:
             levels = np.array(before, dtype=float)
         except (TypeError, ValueError):
@@ -195,35 +200,44 @@ class GainWatch:
         """
         self._climb.step(up, self._dt / self._every)
         self._held.append((rates, injected, attitude, reference))
-        if len(self._held) == self._every:
-            rows = np.array(self._held)
-            self._held.clear()
-            means = np.add.reduce(rows[:, :2]) / self._every
-            self._step(means[0], means[1], *rows[-1, 2:])
+        # only who compares must hurry; one turn over many rows costs a fraction of as many turns
+        rows = 1 if self._bound is not None else self._block - self._rows % self._block
+        if len(self._held) >= rows * self._every:
+            self._run()
 
-    def _step(
-        self, rates: FloatArray, injected: FloatArray, attitude: FloatArray, reference: FloatArray
-    ) -> None:
+    def _run(self) -> None:
+        """Work through the rows that are whole: means of rates, the last attitude."""
+        count = len(self._held) // self._every
+        held = np.array(self._held[: count * self._every])
+        del self._held[: count * self._every]
+        rows = held.reshape(count, self._every, 4, 3)
+        rates, injected = np.moveaxis(np.add.reduce(rows[:, :, :2], axis=1) / self._every, 1, 0)
+        attitude, reference = np.moveaxis(rows[:, -1, 2:], 1, 0)
         if self._last is None:
-            self._last = self._slow = reference
-        turn = reference - self._last
+            self._last = self._slow = reference[0]
+        turn = reference - np.concatenate((self._last[np.newaxis], reference[:-1]))
         turn -= 2.0 * math.pi * np.round(turn / (2.0 * math.pi))
-        self._last = reference
-        self._slow = self._slow + self._dt / FOLLOW_S * (reference - self._slow)
-        moved = np.abs(reference - self._slow) + TURN_S * np.abs(injected)
-        follows = FOLLOW_FACTOR * moved[:2]
-        self._distance = np.abs(attitude + LEAD_S * rates - reference)[:2]
-        self._allowed = np.maximum(follows, self._allowed * (1.0 - self._dt / FOLLOW_S))
-        signals = np.array((rates, turn / self._dt + injected))[:, np.newaxis, :]
+        self._last = reference[-1]
+        signals = np.stack((rates, turn / self._dt + injected), axis=1)[:, :, np.newaxis]
+        slow, energies = np.empty_like(reference), np.empty((count, *self._energy.shape))
         memory, b, a = self._memory, self._b, self._a
-        out = b[0] * signals + memory[0]
-        memory[0] = b[1] * signals - a[0] * out + memory[1]
-        memory[1] = b[2] * signals - a[1] * out
-        self._energy += self._share * (out * out - self._energy)
-        self._explained = np.maximum(self._energy[1], self._explained * self._fade)
-        self._rows += 1
+        for k, signal in enumerate(signals):
+            self._slow = self._slow + self._dt / FOLLOW_S * (reference[k] - self._slow)
+            out = b[0] * signal + memory[0]
+            memory[0] = b[1] * signal - a[0] * out + memory[1]
+            memory[1] = b[2] * signal - a[1] * out
+            self._energy += self._share * (out * out - self._energy)
+            slow[k], energies[k] = self._slow, self._energy
+        moved = np.abs(reference - slow) + TURN_S * np.abs(injected)
+        distance = np.abs(attitude + LEAD_S * rates - reference)[:, :2]
+        follows = FOLLOW_FACTOR * moved[:, :2]
+        allowed = _fading(follows, self._allowed, 1.0 - self._dt / FOLLOW_S)
+        explained = _fading(energies[:, 1], self._explained, self._fade)
+        self._distance, self._allowed = distance[-1], allowed[-1]
+        self._explained = explained[-1]
+        self._rows += count
         if self._bound is None:
-            self._remember()
+            self._remember(energies[:, 0] - self._peak * explained, distance - allowed)
         else:
             self._compare(self._bound)
 
@@ -234,6 +248,8 @@ class GainWatch:
 
         Only `axes` are looked at: what gains have not changed, they have not spoilt.
         """
+        if len(self._held) >= self._every:
+            self._run()
         self._watched = np.array([axis in axes for axis in AXES])
         predicted = predicted or {}
         if CLIMB in axes:
@@ -245,7 +261,7 @@ class GainWatch:
         self._peak = np.array([p.peak**2 for p in predictions])
         before = self._before() if self._blocks else self._sound
         self._near[:] = bool(self._blocks)
-        self._far_s[:] = 0.0
+        self._distant_s[:] = 0.0
         self._bound = self._most(ratio * before)
         self._over_s[:] = 0.0
 
@@ -264,8 +280,8 @@ class GainWatch:
         swings = self._climb.alarm()
         if swings is not None:
             return swings
-        if (self._far_s > FAR_PATIENCE_S).any():
-            i = int(np.argmax(self._far_s))
+        if (self._distant_s > DISTANT_PATIENCE_S).any():
+            i = int(np.argmax(self._distant_s))
             measured, limit = np.degrees((self._distance[i], self._limit()[i]))
             return f'{AXES[i]}: away from its reference {measured:.2f} deg, bound {limit:.2f}'
         late = self._over_s > self._patience
@@ -298,30 +314,38 @@ class GainWatch:
         most: FloatArray = MARGIN**2 * before + self._floor
         return most
 
-    def _remember(self) -> None:
-        if self._rows * self._dt < SETTLE_S:
+    def _remember(self, excess: FloatArray, beyond: FloatArray) -> None:
+        """Take rows of energies that no reference explains, and of angles beyond what one does."""
+        numbers = self._rows - len(excess) + np.arange(1, len(excess) + 1)
+        settled = numbers * self._dt >= SETTLE_S
+        if not settled.any():
             return
-        excess = self._energy[0] - self._peak * self._explained
-        self._worst = np.maximum(self._worst, excess)
+        self._worst = np.maximum(self._worst, excess[settled].max(axis=0))
         fade = 1.0 - self._dt / BEFORE_S
-        self._allowed_before = np.maximum(
-            self._distance - self._allowed, self._allowed_before * fade
-        )
-        if self._rows % round(BLOCK_S / self._dt) == 0:
+        self._allowed_before = _fading(beyond[settled], self._allowed_before, fade)[-1]
+        if self._rows % self._block == 0:
             self._blocks.append(self._worst)
             self._worst = np.zeros_like(self._worst)
 
     def _limit(self) -> FloatArray:
         """(2,) rad that roll and pitch may be away from their reference."""
-        return math.radians(FAR_DEG) + self._allowed + MARGIN * self._allowed_before
+        return math.radians(DISTANT_DEG) + self._allowed + MARGIN * self._allowed_before
 
     def _compare(self, bound: FloatArray) -> None:
-        far = self._distance > self._limit()
-        self._near |= ~far | (self._rows * self._dt > UPRIGHT_S)
-        far &= self._near & self._watched[:2]
-        self._far_s = np.where(far, self._far_s + self._dt, 0.0)
+        distant = self._distance > self._limit()
+        self._near |= ~distant | (self._rows * self._dt > UPRIGHT_S)
+        distant &= self._near & self._watched[:2]
+        self._distant_s = np.where(distant, self._distant_s + self._dt, 0.0)
         over = (self._energy[0] > bound + self._peak * self._explained) & self._watched
         self._over_s = np.where(over, self._over_s + self._dt, 0.0)
+
+
+def _fading(values: FloatArray, before: FloatArray, fade: FloatArray | float) -> FloatArray:
+    """In each row the largest value so far, which fades from row to row; `before` the first."""
+    ages = np.arange(1, len(values) + 1).reshape(-1, *[1] * before.ndim)
+    faded = np.power(fade, ages)
+    largest = np.maximum.accumulate(np.concatenate((before[np.newaxis], values / faded)))
+    return np.asarray(largest[1:] * faded)
 
 
 def _bank(centres: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:

@@ -264,7 +264,10 @@ class Link:
         sticks = self.autopilot.sticks(frame, now_ns)
         if sticks is not None:
             self._arrived(sticks, now_ns)
-            self.stamping.other(STICKS, sticks, frame.time_ms * 1000, 1000, now_ns)
+            if frame.time_ms is None:
+                self.stamping.untimed(STICKS, sticks)
+            else:
+                self.stamping.other(STICKS, sticks, frame.time_ms * 1000, 1000, now_ns)
 
     def _slow_sensors(self, frame: f.SlowSensors, now_ns: int) -> None:
         self._inertial(frame, now_ns)
@@ -305,8 +308,10 @@ class Link:
     def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
         """Events of another autopilot's messages; none once a control cycle was received."""
         self._heard_us = 1000 * frame.time_ms if isinstance(frame, f.Attitude) else frame.time_us
+        if self.last_cycle is not None:
+            return
         inertial = self.autopilot.inertial(frame, now_ns)
-        if inertial is None or self.last_cycle is not None:
+        if inertial is None:
             return
         before_us, self._inertial_us = self._inertial_us, inertial.time_us
         if inertial.time_us < before_us - RESTART_US:

@@ -281,7 +281,15 @@ def _read(port: Any) -> bytes:
         return bytes(port.read(CHUNK))
     if not select.select([number], [], [], SILENT_S)[0]:
         return b''
-    return bytes(port.read(CHUNK))
+    if isinstance(port, UdpPort):
+        return port.read(CHUNK)
+    try:  # pyserial's own read would ask the kernel once more
+        data = os.read(number, CHUNK)
+    except BlockingIOError:
+        return b''
+    if not data:
+        raise OSError('it has hung up: ready to be read, and nothing there')
+    return data
 
 
 def _write(port: Any, data: bytes) -> int:

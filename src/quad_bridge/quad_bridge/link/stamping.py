@@ -105,7 +105,9 @@ class Stamping:
         self.clock.add_arrival(1000 * device_us, now_ns)
         self._timed(frame, 1000 * device_us, now_ns, uneven=False)
 
-    def untimed(self, topic: str, frame: f.Battery | f.RotorSpeeds) -> None:
+    def untimed(
+        self, topic: str, frame: f.Battery | f.RotorSpeeds | f.RcChannels
+    ) -> None:
         """Stamp a frame without a time of its own: with that of the latest cycle."""
         if self.clock.converged and self.last_ns > self._last.get(topic, 0):
             self._last[topic] = self.last_ns

@@ -105,7 +105,8 @@ class AutopilotLogs:
         if aircraft.flight.armed:
             return 'not in flight: the line is for the flight; land and disarm it first'
         self._store.open(folder / LOGS, aircraft.kind.log_suffix)
-        self._fetch.begin(clock().now_s(), aircraft.kind.log_closes_s)
+        self._fetch.begin(clock().now_s(), aircraft.kind.log_closes_s,
+                          by_time=aircraft.kind.logs_by_time)
         self._finishing, self._shown_pct = False, -1
         self._publish('fetching', '')
         return ''

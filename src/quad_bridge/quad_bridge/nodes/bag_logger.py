@@ -19,12 +19,13 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import BadInputError, QuadBridgeError
+from quad_bridge.lockstep import clock
 from quad_bridge.log.disk import MB, free_bytes
 from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
 from quad_bridge.log.writer import Limits, free_paths, new_bag
 from quad_bridge.nodes import conversion, description, diagnostics, ros_node
-from quad_bridge.nodes.managed_node import ManagedNode, answered, relative
-from quad_bridge.nodes.qos import EVENT, STATE, adapted, offered
+from quad_bridge.nodes.managed_node import Aside, ManagedNode, answered, relative, waiting
+from quad_bridge.nodes.qos import EVENT, STATE, STREAM, adapted, offered
 from quad_bridge.status import WARN, Status
 from quad_bridge.topics import TOPIC_TYPES
 
@@ -39,6 +40,7 @@ NUMBERS = {
 MAX_TEXTS = description.MAX_TEXTS
 MAX_BYTES = description.MAX_BYTES
 """Largest message: a description, the largest of the contract, may have that size."""
+LOOK_S = 0.02  # between two looks for messages; the middleware holds seconds of them
 NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', description.PARAMETER, *NUMBERS)
 
 
@@ -70,6 +72,7 @@ class BagLogger(ManagedNode):
         self._described: dict[bytes, bool] = {}  # descriptions heard, and whether they count
         self._recording: Recording | None = None
         self._subscribed: dict[str, tuple[Any, Any]] = {}
+        self._aside = None if clock().simulated else Aside()  # in lockstep each one is waited for
         self._gaps: dict[str, Gaps] = {}
         self._numbered: set[str] = set()  # topics whose messages come with a publisher's number
         self._foreign: set[tuple[str, str]] = set()  # topics with a foreign type, reported once
@@ -78,7 +81,8 @@ class BagLogger(ManagedNode):
         self._autostart = ros_node.declared(
             self, 'autostart', False, 'record from the start of the node'
         )
-        self._now_ns: Callable[[], int] = self._ros_now_ns if self.simulated else time.time_ns
+        self._simulated = self.simulated
+        self._now_ns: Callable[[], int] = self._ros_now_ns if self._simulated else time.time_ns
 
     def configure(self) -> None:
         """Create what is published, and the services."""
@@ -92,6 +96,8 @@ class BagLogger(ManagedNode):
         self._waits = self._autostart
         self._start_by_itself()
         self.timer(1.0, self._on_report)
+        if self._aside is not None:
+            self.timer(LOOK_S, self._look)
 
     def deactivate(self) -> None:
         """End a running recording and see that `/logger/bag` is delivered."""
@@ -155,6 +161,7 @@ class BagLogger(ManagedNode):
         return path
 
     def _stop(self, recording: Recording) -> RecordingStatus:
+        self._look()
         self._recording = None
         for subscription, _ in self._subscribed.values():
             self.destroy_subscription(subscription)
@@ -173,13 +180,16 @@ class BagLogger(ManagedNode):
             subscription, before = self._subscribed[topic]
             if before == qos:
                 return
+            self._take(topic, subscription)
             self.destroy_subscription(subscription)
         package, _, kind = TOPIC_TYPES[topic].split('/')
         lost = SubscriptionEventCallbacks(message_lost=partial(self._lose, topic))
         subscription = self.create_subscription(
             getattr(importlib.import_module(f'{package}.msg'), kind), relative(topic),
             partial(self._receive, topic), qos, raw=True, event_callbacks=lost,
+            callback_group=self._aside,
         )  # fmt: skip
+        self.look_seldom(subscription)
         self._subscribed[topic] = subscription, qos
 
     def _offers(self, topic: str) -> list[Any]:
@@ -195,6 +205,15 @@ class BagLogger(ManagedNode):
                     f'{topic}: a publisher has type {offer.topic_type}, which is not recorded; '
                     f'the contract has {TOPIC_TYPES[topic]}'
                 )
+
+    def _look(self) -> None:
+        """Record what has come since the last look."""
+        for topic, (subscription, _) in self._subscribed.items():
+            self._take(topic, subscription)
+
+    def _take(self, topic: str, subscription: Any) -> None:
+        for data, about in waiting(subscription, STREAM.depth):
+            self._receive(topic, data, about)
 
     def _receive(self, topic: str, data: bytes, about: dict[str, Any]) -> None:
         recording = self._recording
@@ -214,18 +233,19 @@ class BagLogger(ManagedNode):
             gaps = self._gaps.setdefault(topic, Gaps())
             lost = gaps.lost_before(number, lambda: len(self._offers(topic)))
             recording.count_lost(lost)
-        self._put(recording, topic, data)
+        arrived_ns = 0 if self._simulated else about.get('received_timestamp')
+        self._put(recording, topic, data, arrived_ns or self._now_ns())
 
     def take(self, topic: str, data: bytes) -> None:
         """Record a message that is published in this process; in any thread."""
         recording = self._recording
         if recording is not None and topic in self._topics:
-            self._put(recording, topic, data)
+            self._put(recording, topic, data, self._now_ns())
 
-    def _put(self, recording: Recording, topic: str, data: bytes) -> None:
+    def _put(self, recording: Recording, topic: str, data: bytes, time_ns: int) -> None:
         if not recording.known(topic):
             recording.declare(topic, TOPIC_TYPES[topic], offered(self._offers(topic)))
-        recording.put(topic, self._now_ns(), data)
+        recording.put(topic, time_ns, data)
 
     def _describes(self, data: bytes) -> bool:
         """Whether a description counts; where it does not, that is said once."""

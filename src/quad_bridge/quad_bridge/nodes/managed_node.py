@@ -7,7 +7,7 @@ services are rclpy's. No topics here.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -15,6 +15,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 
 from quad_bridge.errors import QuadBridgeError, RefusedError
+from quad_bridge.lockstep import clock
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.node_time import TimedNode
@@ -44,11 +45,36 @@ class Seldom(ReentrantCallbackGroup):  # type: ignore[misc]
         return now_s < self._until_s
 
 
+class Aside(ReentrantCallbackGroup):  # type: ignore[misc]
+    """Subscriptions that the executor leaves alone; `waiting` takes their messages.
+
+    To be woken for a message costs an executor many times what it costs to take one.
+    """
+
+    def can_execute(self, entity: Any) -> bool:
+        """Never."""
+        del entity
+        return False
+
+
+def waiting(subscription: Any, most: int) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """At most so many of the messages that have come to a subscription, and about each."""
+    handle = subscription.handle
+    with handle:
+        for _ in range(most):
+            taken = handle.take_message(subscription.msg_type, subscription.raw)
+            if taken is None:
+                return
+            yield taken
+
+
 class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     """`begin` makes it active at once, unless the parameter `managed` is true."""
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
+        overrides = options.get('parameter_overrides', ())
+        self.own_overrides = {one.name: one.value for one in overrides}
         self.keep_time()
         self.active = False
         self.refused_large = 0  # messages that were too large to be looked at
@@ -77,6 +103,19 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         """Create a publisher; `topic` relative to the namespace."""
         made = self.create_publisher(kind, relative(topic), qos)
         return self._keep(made, self.destroy_publisher)
+
+    def stream(self, kind: Any, topic: str, qos: Any) -> Callable[[bytes], None]:
+        """Create a publisher of serialised messages; what publishes one."""
+        made = self.publisher(kind, topic, qos)
+        if clock().simulated:
+            return made.publish  # type: ignore[no-any-return]
+        handle = made.handle
+
+        def publish(data: bytes) -> None:
+            with handle:  # as rclpy's own, which looks at the type of each message besides
+                handle.publish_raw(data)
+
+        return publish
 
     def service(
         self, kind: Any, name: str, callback: Callable[..., Any], group: Any = None
@@ -111,10 +150,11 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
 
     def _keep(self, made: Any, destroy: Callable[[Any], object]) -> Any:
         self._entities.append((destroy, made))
-        self._look_seldom(made)
+        self.look_seldom(made)
         return made
 
-    def _look_seldom(self, made: Any) -> None:
+    def look_seldom(self, made: Any) -> None:
+        """Have the executor look seldom at the events of a publisher or subscription."""
         for handler in getattr(made, 'event_handlers', ()):
             handler.callback_group = self._seldom
             self._seldom.add_entity(handler)
@@ -158,7 +198,7 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         """Configure, and look seldom at the events of the entities."""
         answer = self._try(self.configure)
         for one in self.publishers:  # rclpy's own too
-            self._look_seldom(one)
+            self.look_seldom(one)
         self._configured = len(self._entities)
         if self._fault is not None:
             self._destroy(0)

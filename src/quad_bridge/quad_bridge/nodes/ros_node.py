@@ -26,6 +26,7 @@ from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from quad_bridge.arguments import complain, one_line, say
@@ -33,7 +34,7 @@ from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.nodes.fence import Fence
 
 T = TypeVar('T', str, bool, int, float, list[str])
-WAKE_S = 0.1  # how long a signal may wait: rclpy's wait does not return for one
+WAKE_S = 0.5  # how long a signal may wait: rclpy's wait does not return for one
 RCLError = rclpy_implementation.RCLError
 WRONG = (QuadBridgeError, ParameterException, NameValidationException)
 """Errors that a wrong parameter or name makes a node's constructor raise."""
@@ -51,9 +52,10 @@ _KINDS: dict[type, str] = {
 
 
 def overrides(node: Any) -> dict[str, Any]:
-    """Parameters set by files and the command line, declared or not; name to value."""
-    overrides = node._parameter_overrides  # noqa: SLF001  (rclpy has no public way to ask)
-    return {name: parameter.value for name, parameter in overrides.items()}
+    """Parameters set by files, the command line or the node's maker, declared or not."""
+    with node.handle:
+        given = node.handle.get_parameters(Parameter)
+    return {name: one.value for name, one in given.items()} | getattr(node, 'own_overrides', {})
 
 
 def refuse_unknown(node: Any, known: Iterable[str]) -> None:

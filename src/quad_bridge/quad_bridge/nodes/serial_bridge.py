@@ -64,6 +64,8 @@ from quad_bridge.topics import STREAMS
 from quad_bridge.wire import frames as f
 
 TICK_S = 0.1  # an executor's turn costs half a millisecond; what is urgent the port's thread does
+POLL_NS = 20_000_000
+"""Longest time between two looks at what is to be asked of the aircraft while bytes arrive."""
 REPORT_S = 0.1  # least time between two reports, however many updates are refused
 YAW_STICK = 3
 
@@ -116,7 +118,7 @@ class SerialBridge(ManagedNode):
             f.LogEntry: self._logs.take,
             f.LogData: self._logs.take,
         }
-        self._reported_s = 0.0
+        self._reported_s, self._poll_ns = 0.0, 0
         self._simulated = self.simulated
         self._time = HostTime(*self._epoch())
         self._clock_topic: Any = None  # in lockstep, for whoever is not on the line
@@ -171,7 +173,7 @@ class SerialBridge(ManagedNode):
 
     def _stream(self, kind: Any, topic: str) -> Callable[[bytes], None]:
         """A publisher that also passes messages to the logger in this process."""
-        publish: Callable[[bytes], None] = self.publisher(kind, topic, STREAM).publish
+        publish = self.stream(kind, topic, STREAM)
 
         def both(data: bytes) -> None:
             publish(data)
@@ -229,24 +231,31 @@ class SerialBridge(ManagedNode):
     def _on_bytes(self, data: bytes) -> None:
         now_ns = clock().now_ns()
         with self._lock:
+            # what arrives beside cycles may be answered, and what is in flight may have to go back
+            asks = self._gains.state is not State.IDLE or self._aircraft.autopilot is not None
             for event in self._link.receive(data, now_ns):
                 if isinstance(event, Stamped):
                     self._publish(event)
                 elif isinstance(event, Arrived):
-                    self._aircraft.take(event.frame, 1e-9 * now_ns)
-                    handle = self._arrived.get(type(event.frame))
-                    if handle is not None:
-                        handle(event.frame, now_ns)
+                    asks = asks or not isinstance(event.frame, f.Cycle)
+                    self._on_arrived(event.frame, now_ns)
                 elif isinstance(event, Described):
                     self._on_described(event)
                 elif isinstance(event, Restarted):
                     self._gains.restarted()
                     self._sensors.restarted()
-            self._poll_gains(now_ns)
+            if asks or now_ns >= self._poll_ns:
+                self._poll_gains(now_ns)
             self._flush()
             heard_us = self._link.heard_us
         if heard_us is not None:
             clock().handled(WIRE, START_NS + 1000 * heard_us)
+
+    def _on_arrived(self, frame: Any, now_ns: int) -> None:
+        self._aircraft.take(frame, 1e-9 * now_ns)
+        handle = self._arrived.get(type(frame))
+        if handle is not None:
+            handle(frame, now_ns)
 
     def _on_cycle(self, frame: f.Cycle, now_ns: int) -> None:
         self._sensors.cycle(frame)
@@ -277,13 +286,15 @@ class SerialBridge(ManagedNode):
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
-        if not isinstance(frame, f.Cycle):
-            self._aircraft.take(frame, clock().now_s())
-        if stamp_ns <= 0:  # simulated time has not come yet
-            return
+        known = stamp_ns > 0  # simulated time may not have come yet
         if isinstance(frame, f.Cycle):
-            self._publish_cycle(frame, stamp_ns)
-        elif isinstance(frame, f.RcChannels):
+            if known:
+                self._publish_cycle(frame, stamp_ns)
+            return
+        self._aircraft.take(frame, clock().now_s())
+        if not known:
+            return
+        if isinstance(frame, f.RcChannels):
             last = self._link.last_cycle
             lost = last is not None and bool(last.flags & f.Flag.RC_FAILSAFE)
             self._rc(self._messages.sticks(frame, stamp_ns, failsafe=lost))
@@ -313,9 +324,8 @@ class SerialBridge(ManagedNode):
 
     def _publish_cycle(self, frame: f.Cycle, stamp_ns: int) -> None:
         bias = self._sensors.stamped(stamp_ns).gyro_bias
-        for publish, message in zip(
-            self._per_cycle, self._messages.packed(frame, stamp_ns, bias), strict=True
-        ):
+        messages = self._messages.packed(frame, stamp_ns, bias)
+        for publish, message in zip(self._per_cycle, messages, strict=True):
             publish(message)
         if frame.flags & f.Flag.EXCITATION:
             self._applied(self._messages.applied(frame, stamp_ns))
@@ -341,6 +351,7 @@ class SerialBridge(ManagedNode):
     # Called in both threads, with the lock held.
 
     def _poll_gains(self, now_ns: int) -> None:
+        self._poll_ns = now_ns + POLL_NS
         if self._aircraft.has_gains:  # parameters of others are their own, and a thousand
             self._send(self._gains.poll(1e-9 * now_ns))
         self._link.autopilot.log_comes(now=self._logs.coming)

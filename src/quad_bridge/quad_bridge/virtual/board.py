@@ -34,11 +34,11 @@ class Board:
     @classmethod
     def linux(cls, *options: str | Path) -> Board:
         """The Linux build, with options of its own (boards/linux/main.c)."""
-        line, far = socket.socketpair()
-        with far:
+        line, board_end = socket.socketpair()
+        with board_end:
             command = ['virtual_stm32', *map(str, options)]
             return cls(line, subprocess.Popen(  # noqa: S603
-                command, executable=built_file(PROGRAM), stdin=far.fileno()
+                command, executable=built_file(PROGRAM), stdin=board_end.fileno()
             ))  # fmt: skip
 
     def send(self, frame: bytes) -> None:

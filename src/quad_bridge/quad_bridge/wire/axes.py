@@ -27,8 +27,9 @@ def flip_attitude(rpy: Vector3) -> Vector3:
 
 def upwards(accel: Vector3, rpy: Vector3) -> float:
     """Specific force along the vertical, up, of that in FRD at this attitude against NED."""
-    (sr, cr), (sp, cp) = ((math.sin(a), math.cos(a)) for a in rpy[:2])
-    return sp * accel[0] - cp * (sr * accel[1] + cr * accel[2])
+    roll, pitch, _ = rpy
+    side = math.sin(roll) * accel[1] + math.cos(roll) * accel[2]
+    return math.sin(pitch) * accel[0] - math.cos(pitch) * side
 
 
 def flip_control(u: Vector4) -> Vector4:

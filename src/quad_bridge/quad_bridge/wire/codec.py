@@ -13,7 +13,7 @@ from quad_bridge.errors import EncodeError
 from quad_bridge.wire import dialect
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.framing import Counts, Framer, Packet
-from quad_bridge.wire.messages import FROM_AUTOPILOT, FROM_MESSAGE, cycle, message_of, unpacked
+from quad_bridge.wire.messages import FROM_AUTOPILOT, FROM_MESSAGE, OFTEN, message_of, unpacked
 from quad_bridge.wire.plausible import plausible
 from quad_bridge.wire.signing import SIGNED_FLAG, Signing, Verdict
 
@@ -97,8 +97,8 @@ class Decoder:
 
     def _use(self, packet: Packet, frames: list[f.Frame]) -> None:
         frame: f.Frame
-        if packet.message == _CYCLE:
-            frame = cycle(packet.payload)
+        if (often := OFTEN.get(packet.message)) is not None:
+            frame = often(packet.payload)
         elif (build := _BUILD.get(packet.message)) is not None:
             frame = build(unpacked(packet))
         else:

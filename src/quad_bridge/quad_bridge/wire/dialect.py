@@ -470,6 +470,7 @@ MAVLINK_MSG_ID_LOCAL_POSITION_NED = 32
 MAVLINK_MSG_ID_RC_CHANNELS_RAW = 35
 MAVLINK_MSG_ID_SERVO_OUTPUT_RAW = 36
 MAVLINK_MSG_ID_RC_CHANNELS = 65
+MAVLINK_MSG_ID_MANUAL_CONTROL = 69
 MAVLINK_MSG_ID_COMMAND_LONG = 76
 MAVLINK_MSG_ID_COMMAND_ACK = 77
 MAVLINK_MSG_ID_SET_ATTITUDE_TARGET = 82
@@ -1185,6 +1186,60 @@ class MAVLink_rc_channels_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_rc_channels_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_manual_control_message(MAVLink_message):
+    """
+    What the pilot's sticks or joystick want, as the autopilot takes
+    it
+    """
+
+    id = MAVLINK_MSG_ID_MANUAL_CONTROL
+    msgname = "MANUAL_CONTROL"
+    fieldnames = ["target", "x", "y", "z", "r", "buttons", "buttons2", "enabled_extensions", "s", "t", "aux1", "aux2", "aux3", "aux4", "aux5", "aux6"]
+    ordered_fieldnames = ["x", "y", "z", "r", "buttons", "target", "buttons2", "enabled_extensions", "s", "t", "aux1", "aux2", "aux3", "aux4", "aux5", "aux6"]
+    fieldtypes = ["uint8_t", "int16_t", "int16_t", "int16_t", "int16_t", "uint16_t", "uint16_t", "uint8_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<hhhhHBHBhhhhhhhh")
+    orders = [5, 0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 243
+    unpacker = struct.Struct("<hhhhHBHBhhhhhhhh")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target: int, x: int, y: int, z: int, r: int, buttons: int, buttons2: int = 0, enabled_extensions: int = 0, s: int = 0, t: int = 0, aux1: int = 0, aux2: int = 0, aux3: int = 0, aux4: int = 0, aux5: int = 0, aux6: int = 0):
+        MAVLink_message.__init__(self, MAVLink_manual_control_message.id, MAVLink_manual_control_message.msgname)
+        self._fieldnames = MAVLink_manual_control_message.fieldnames
+        self._instance_field = MAVLink_manual_control_message.instance_field
+        self._instance_offset = MAVLink_manual_control_message.instance_offset
+        self.target = target
+        self.x = x
+        self.y = y
+        self.z = z
+        self.r = r
+        self.buttons = buttons
+        self.buttons2 = buttons2
+        self.enabled_extensions = enabled_extensions
+        self.s = s
+        self.t = t
+        self.aux1 = aux1
+        self.aux2 = aux2
+        self.aux3 = aux3
+        self.aux4 = aux4
+        self.aux5 = aux5
+        self.aux6 = aux6
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.x, self.y, self.z, self.r, self.buttons, self.target, self.buttons2, self.enabled_extensions, self.s, self.t, self.aux1, self.aux2, self.aux3, self.aux4, self.aux5, self.aux6), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_manual_control_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_command_long_message(MAVLink_message):
@@ -2296,6 +2351,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_RC_CHANNELS_RAW: MAVLink_rc_channels_raw_message,
     MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: MAVLink_servo_output_raw_message,
     MAVLINK_MSG_ID_RC_CHANNELS: MAVLink_rc_channels_message,
+    MAVLINK_MSG_ID_MANUAL_CONTROL: MAVLink_manual_control_message,
     MAVLINK_MSG_ID_COMMAND_LONG: MAVLink_command_long_message,
     MAVLINK_MSG_ID_COMMAND_ACK: MAVLink_command_ack_message,
     MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: MAVLink_set_attitude_target_message,
@@ -3221,6 +3277,54 @@ class MAVLink(object):
         """
         self.send(self.rc_channels_encode(time_boot_ms, chancount, chan1_raw, chan2_raw, chan3_raw, chan4_raw, chan5_raw, chan6_raw, chan7_raw, chan8_raw, chan9_raw, chan10_raw, chan11_raw, chan12_raw, chan13_raw, chan14_raw, chan15_raw, chan16_raw, chan17_raw, chan18_raw, rssi), force_mavlink1=force_mavlink1)
 
+    def manual_control_encode(self, target: int, x: int, y: int, z: int, r: int, buttons: int, buttons2: int = 0, enabled_extensions: int = 0, s: int = 0, t: int = 0, aux1: int = 0, aux2: int = 0, aux3: int = 0, aux4: int = 0, aux5: int = 0, aux6: int = 0) -> MAVLink_manual_control_message:
+        """
+        What the pilot's sticks or joystick want, as the autopilot takes it
+
+        target                    : The system to be controlled (type:uint8_t)
+        x                         : Pitch, -1000..1000 (type:int16_t)
+        y                         : Roll, -1000..1000 (type:int16_t)
+        z                         : Throttle, -1000..1000 or 0..1000 (type:int16_t)
+        r                         : Yaw, -1000..1000 (type:int16_t)
+        buttons                   : A bit for each button (type:uint16_t)
+        buttons2                  : The buttons from 16 on (type:uint16_t)
+        enabled_extensions        : Which of the following fields are used (type:uint8_t)
+        s                         : Pitch-only axis (type:int16_t)
+        t                         : Roll-only axis (type:int16_t)
+        aux1                      : Aux 1 (type:int16_t)
+        aux2                      : Aux 2 (type:int16_t)
+        aux3                      : Aux 3 (type:int16_t)
+        aux4                      : Aux 4 (type:int16_t)
+        aux5                      : Aux 5 (type:int16_t)
+        aux6                      : Aux 6 (type:int16_t)
+
+        """
+        return MAVLink_manual_control_message(target, x, y, z, r, buttons, buttons2, enabled_extensions, s, t, aux1, aux2, aux3, aux4, aux5, aux6)
+
+    def manual_control_send(self, target: int, x: int, y: int, z: int, r: int, buttons: int, buttons2: int = 0, enabled_extensions: int = 0, s: int = 0, t: int = 0, aux1: int = 0, aux2: int = 0, aux3: int = 0, aux4: int = 0, aux5: int = 0, aux6: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        What the pilot's sticks or joystick want, as the autopilot takes it
+
+        target                    : The system to be controlled (type:uint8_t)
+        x                         : Pitch, -1000..1000 (type:int16_t)
+        y                         : Roll, -1000..1000 (type:int16_t)
+        z                         : Throttle, -1000..1000 or 0..1000 (type:int16_t)
+        r                         : Yaw, -1000..1000 (type:int16_t)
+        buttons                   : A bit for each button (type:uint16_t)
+        buttons2                  : The buttons from 16 on (type:uint16_t)
+        enabled_extensions        : Which of the following fields are used (type:uint8_t)
+        s                         : Pitch-only axis (type:int16_t)
+        t                         : Roll-only axis (type:int16_t)
+        aux1                      : Aux 1 (type:int16_t)
+        aux2                      : Aux 2 (type:int16_t)
+        aux3                      : Aux 3 (type:int16_t)
+        aux4                      : Aux 4 (type:int16_t)
+        aux5                      : Aux 5 (type:int16_t)
+        aux6                      : Aux 6 (type:int16_t)
+
+        """
+        self.send(self.manual_control_encode(target, x, y, z, r, buttons, buttons2, enabled_extensions, s, t, aux1, aux2, aux3, aux4, aux5, aux6), force_mavlink1=force_mavlink1)
+
     def command_long_encode(self, target_system: int, target_component: int, command: int, confirmation: int, param1: float, param2: float, param3: float, param4: float, param5: float, param6: float, param7: float) -> MAVLink_command_long_message:
         """
         Send a command with up to seven parameters
@@ -3992,7 +4096,6 @@ OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
     64: ('LOCAL_POSITION_NED_COV', 191),
     66: ('REQUEST_DATA_STREAM', 148),
     67: ('DATA_STREAM', 21),
-    69: ('MANUAL_CONTROL', 243),
     70: ('RC_CHANNELS_OVERRIDE', 124),
     73: ('MISSION_ITEM_INT', 38),
     74: ('VFR_HUD', 20),

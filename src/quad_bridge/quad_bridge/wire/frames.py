@@ -197,10 +197,11 @@ class GainsState:
 class RcChannels:
     """RC_CHANNELS: pulse lengths in µs, receiver order; `channels` holds `count` <= 18 of them.
 
-    RC_CHANNELS_RAW holds eight of a `port`, counted from 0.
+    RC_CHANNELS_RAW holds eight of a `port`, counted from 0. MANUAL_CONTROL, of a pilot with a
+    joystick at a ground station, has four sticks and no time; they are given as pulses.
     """
 
-    time_ms: int
+    time_ms: int | None
     channels: tuple[int, ...]
     rssi: int = 255
     port: int = 0

@@ -19,13 +19,10 @@ _ARMED = 128
 _NOT_MEASURED = 0xFFFF
 _CHANNELS = tuple(f'chan{i}_raw' for i in range(1, 19))
 _PARAMETERS = tuple(f'param{i}' for i in range(1, 8))
-_UPDATED = {
-    'accel': (0x07, ('xacc', 'yacc', 'zacc')),
-    'gyro': (0x38, ('xgyro', 'ygyro', 'zgyro')),
-    'mag_gauss': (0x1C0, ('xmag', 'ymag', 'zmag')),
-}
-"""Field of SlowSensors to its bits in HIGHRES_IMU's `fields_updated`, and its columns."""
+_UPDATED = {'accel': 0x07, 'gyro': 0x38, 'mag_gauss': 0x1C0}
+"""Field of SlowSensors to its bits in HIGHRES_IMU's `fields_updated`, in the message's order."""
 _PRESSURE = 0x200
+_MOST_HPA = 2000.0  # what is more is in Pa: PX4 1.16 sends the pressure so
 _TARGET = 'target_system target_component'
 _BODY_RATES = ('body_roll_rate', 'body_pitch_rate', 'body_yaw_rate')
 
@@ -54,17 +51,49 @@ _ROWS: tuple[tuple[type, Any, str], ...] = (
 """Frame class, message, and the message's fields in the order of the frame's."""
 COPIED = {kind: (message, tuple(names.split())) for kind, message, names in _ROWS}
 
-_CYCLE = d.MAVLink_quad_cycle_message.unpacker
 _LAYOUT: dict[int, tuple[Any, tuple[tuple[str, int, int], ...]]] = {}
 
 
+def _values(message: Any, payload: bytes) -> tuple[Any, ...]:
+    """The numbers of a message in the wire's order, without names; cut off zeros are put back."""
+    layout = message.unpacker
+    values: tuple[Any, ...] = layout.unpack(payload[: layout.size].ljust(layout.size, b'\0'))
+    return values
+
+
 def cycle(payload: bytes) -> f.Cycle:
-    """QUAD_CYCLE straight from its payload: it comes in every cycle."""
-    v = _CYCLE.unpack(payload[: _CYCLE.size].ljust(_CYCLE.size, b'\0'))
+    """QUAD_CYCLE."""
+    v = _values(d.MAVLink_quad_cycle_message, payload)
     return f.Cycle(
         v[0], v[1], v[2:5], v[5:8], v[8:11], v[11:14], v[14:17], v[17:21], v[21:24], v[24:28],
         v[28], v[29], v[30],
     )  # fmt: skip
+
+
+def _rc_channels(payload: bytes) -> f.RcChannels:
+    time_ms, *pulses, count, rssi = _values(d.MAVLink_rc_channels_message, payload)
+    return f.RcChannels(time_ms, tuple(pulses[:count]), rssi)
+
+
+def _highres_imu(payload: bytes) -> f.SlowSensors:
+    v = _values(d.MAVLink_highres_imu_message, payload)
+    updated = v[14]
+    accel, gyro, mag = (
+        v[first : first + 3] if updated & bits == bits else None
+        for first, bits in zip((1, 4, 7), _UPDATED.values(), strict=True)
+    )
+    pressure = v[10] if updated & _PRESSURE else None
+    if pressure is not None and pressure > _MOST_HPA:
+        pressure *= 0.01
+    return f.SlowSensors(v[0], mag, pressure, v[13], gyro, accel)
+
+
+OFTEN: dict[int, Callable[[bytes], f.Frame]] = {
+    d.MAVLINK_MSG_ID_QUAD_CYCLE: cycle,
+    d.MAVLINK_MSG_ID_RC_CHANNELS: _rc_channels,
+    d.MAVLINK_MSG_ID_HIGHRES_IMU: _highres_imu,
+}
+"""Message id to the frame's constructor from the payload: what comes most often."""
 
 
 def unpacked(packet: Packet) -> Fields:
@@ -102,24 +131,13 @@ def _battery(m: Fields) -> f.Battery:
     )
 
 
-def _slow_sensors(m: Fields) -> f.SlowSensors:
-    updated = m['fields_updated']
-    vectors = {
-        name: _columns(m, columns) if updated & bits == bits else None
-        for name, (bits, columns) in _UPDATED.items()
-    }
-    pressure = m['abs_pressure'] if updated & _PRESSURE else None
-    return f.SlowSensors(m['time_usec'], vectors['mag_gauss'], pressure, m['temperature'],
-                       vectors['gyro'], vectors['accel'])  # fmt: skip
-
-
 def _scaled_imu(m: Fields) -> f.SlowSensors:
-    mag, gyro, accel = (_UPDATED[name][1] for name in ('mag_gauss', 'gyro', 'accel'))
+    mag = _columns(m, ('xmag', 'ymag', 'zmag'), 1e-3)
     return f.SlowSensors(
         time_us=1000 * m['time_boot_ms'],
-        mag_gauss=_columns(m, mag, 1e-3) if any(m[n] for n in mag) else None,
-        gyro=_columns(m, gyro, 1e-3),
-        accel=_columns(m, accel, 1e-3 * GRAVITY),
+        mag_gauss=mag if any(mag) else None,
+        gyro=_columns(m, ('xgyro', 'ygyro', 'zgyro'), 1e-3),
+        accel=_columns(m, ('xacc', 'yacc', 'zacc'), 1e-3 * GRAVITY),
         name='SCALED_IMU',
     )
 
@@ -146,24 +164,21 @@ FROM_MESSAGE: dict[int, Callable[[Fields], f.Frame]] = {
         m['type'], m['autopilot'], bool(m['base_mode'] & _ARMED), m['system_status'],
         m['custom_mode'], m['system'], m['component'],
     ),
-    d.MAVLINK_MSG_ID_RC_CHANNELS: lambda m: f.RcChannels(
-        m['time_boot_ms'], tuple(m[n] for n in _CHANNELS[: m['chancount']]), m['rssi']
-    ),
     d.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
-    d.MAVLINK_MSG_ID_HIGHRES_IMU: _slow_sensors,
     d.MAVLINK_MSG_ID_COMMAND_LONG: lambda m: f.Command(
         m['command'], tuple(m[n] for n in _PARAMETERS), m['confirmation'], m['target_system'],
         m['target_component'],
     ),
 }  # fmt: skip
-"""Message id to the frame's constructor: what the suite's own firmware and the bridge speak."""
+"""Message id to the frame's constructor: what our own firmware and the bridge speak besides."""
 
 
 def _copies(frame: Callable[..., f.Frame], names: tuple[str, ...]) -> Callable[[Fields], f.Frame]:
     return lambda m: frame(*[m[name] for name in names])
 
 
-FROM_MESSAGE |= {message.id: _copies(kind, names) for kind, (message, names) in COPIED.items()}
+FROM_MESSAGE |= {message.id: _copies(kind, names) for kind, (message, names) in COPIED.items()
+                 if message.id not in OFTEN}  # fmt: skip
 
 FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
     d.MAVLINK_MSG_ID_ATTITUDE: lambda m: f.Attitude(
@@ -182,6 +197,9 @@ FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
     d.MAVLINK_MSG_ID_RC_CHANNELS_RAW: lambda m: f.RcChannels(
         m['time_boot_ms'], tuple(m[n] for n in _CHANNELS[:8]), m['rssi'], m['port'],
         'RC_CHANNELS_RAW',
+    ),
+    d.MAVLINK_MSG_ID_MANUAL_CONTROL: lambda m: f.RcChannels(
+        None, tuple(1500 + m[n] // 2 for n in 'yxzr'), name='MANUAL_CONTROL'
     ),
     d.MAVLINK_MSG_ID_SYS_STATUS: _battery,
     d.MAVLINK_MSG_ID_ESC_STATUS: lambda m: f.RotorSpeeds(
@@ -239,7 +257,7 @@ def _to_battery(frame: f.Battery) -> Any:
 def _to_slow_sensors(frame: f.SlowSensors) -> Any:
     updated = 0 if frame.pressure_hpa is None else _PRESSURE
     values: list[float] = []
-    for name, (bits, _) in _UPDATED.items():
+    for name, bits in _UPDATED.items():
         vector = getattr(frame, name)
         updated |= 0 if vector is None else bits
         values += vector or (0.0, 0.0, 0.0)

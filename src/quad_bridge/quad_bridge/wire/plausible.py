@@ -25,12 +25,12 @@ def plausible(frame: f.Frame) -> f.Frame | None:
 
     What cannot be are values that are no numbers, out of all bounds, or of no known meaning.
     """
+    check = _CHECKS.get(type(frame))
+    if check is not None:
+        return frame if check(frame) else None
     if isinstance(frame, f.Attitude):
         return _attitude(frame)
-    if isinstance(frame, f.SlowSensors):
-        return _sensors(frame)
-    check = _CHECKS.get(type(frame))
-    return frame if check is None or check(frame) else None
+    return _sensors(frame) if isinstance(frame, f.SlowSensors) else frame
 
 
 MAX_INJECTION = int(max(f.Injection))
@@ -39,8 +39,8 @@ MAX_INJECTION = int(max(f.Injection))
 def _cycle(frame: f.Cycle) -> bool:
     angles = frame.attitude + frame.attitude_setpoint
     return (
-        _bounded(frame.gyro + frame.accel + frame.rate_setpoint + frame.control + frame.excitation)
-        and _bounded(angles + frame.motors)
+        _bounded(frame.gyro + frame.accel + frame.rate_setpoint + frame.control
+                 + frame.excitation + angles + frame.motors)
         and max(angles) < MAX_ANGLE
         and min(angles) > -MAX_ANGLE
         and min(frame.motors) >= 0.0

@@ -147,38 +147,39 @@ def _free(root: Path, stem: str, ending: str = '') -> str:
     return str(next(path for path in free if not path.exists()))
 
 
-def named_columns(given: object) -> list[str]:
+def named_columns(columns: object) -> list[str]:
     """Options of the import for columns, each [name, role, unit]. Raises RefusedError.
 
     Roles are those of imports/guess.py: `time`, `rate, roll`, `motor 2`; '' for none.
     """
     from quad_sysid.imports.units import OPTIONS, as_typed
 
-    if given is None:
+    if columns is None:
         return []
-    found: dict[str, dict[int, str]] = {}
+    by_option: dict[str, dict[int, str]] = {}
     units = []
-    for name, role, unit in _checked(given):
+    for name, role, unit in _checked(columns):
         option, at = _place(role)
-        if option and at in found.setdefault(option, {}):
+        if option and at in by_option.setdefault(option, {}):
             raise RefusedError(f'{role}: two columns have this role')
         if option:
-            found[option][at] = name
+            by_option[option][at] = name
             units += [f'--unit={name}={unit}'] if unit else []
-    measured, driven = found.get('rate') or found.get('angle') or {}, found.get('control', {})
-    axes = [i for i in range(len(AXES)) if i in measured and (i in driven or 'motors' in found)]
+    measured = by_option.get('rate') or by_option.get('angle') or {}
+    driven = range(len(AXES)) if 'motors' in by_option else by_option.get('control', {})
+    axes = [i for i in range(len(AXES)) if i in measured and i in driven]
     if not axes:
         raise RefusedError('choose a rate (or angle) and a command, or the motors, of an axis')
     out = ['--axis', ','.join(AXES[i] for i in axes)]
-    for option, own in found.items():
+    for option, own in by_option.items():
         wanted = axes if OPTIONS[option].per_axis else sorted(own)
         if all(at in own for at in wanted):
             out += as_typed(option, [own[at] for at in wanted])
-    return [*out, *(['--mixer', 'auto'] if 'motors' in found else []), *units]
+    return [*out, *(['--mixer', 'auto'] if 'motors' in by_option else []), *units]
 
 
-def _checked(given: object) -> list[list[str]]:
-    rows: list[Any] = given if isinstance(given, list) else [None]
+def _checked(columns: object) -> list[list[str]]:
+    rows: list[Any] = columns if isinstance(columns, list) else [None]
     for row in rows:
         if not (isinstance(row, list) and len(row) == 3
                 and all(isinstance(part, str) for part in row) and UNIT.fullmatch(row[2])):

@@ -107,9 +107,9 @@ class Queue:
                 number += 1
             self._last = number
             folder.mkdir(parents=True)
-            given = tuple(str(folder / a.removeprefix('@')) if a.startswith('@') else a
-                          for a in arguments)
-            job = Job(number, title, program, given, folder)
+            placed = tuple(str(folder / a.removeprefix('@')) if a.startswith('@') else a
+                           for a in arguments)
+            job = Job(number, title, program, placed, folder)
             self._jobs[number] = job
             for old in [j for j in self._jobs.values() if j.ended][:-MOST_JOBS]:
                 del self._jobs[old.number]
@@ -212,9 +212,9 @@ def _follow(job: Job, terminal: int) -> None:
             break
         rest += raw.decode('utf-8', errors='replace')
         *lines, rest = re.split(r'[\r\n]', rest)
-        said = [clean for line in lines if (clean := ESCAPES.sub('', line).strip())]
-        kept += said
-        latest = ESCAPES.sub('', rest).strip() or (said[-1] if said else '')
+        lines_now = [clean for line in lines if (clean := ESCAPES.sub('', line).strip())]
+        kept += lines_now
+        latest = ESCAPES.sub('', rest).strip() or (lines_now[-1] if lines_now else '')
         job.doing = latest or job.doing
     os.close(terminal)
     last = ESCAPES.sub('', rest).strip() or (kept[-1] if kept else '')

@@ -108,8 +108,8 @@ class App:
             return 'a request of another page'
         if request.method != 'GET' and site not in (None, 'same-origin'):
             return 'a request of another page'
-        given = request.query_params.get('token') or request.cookies.get(COOKIE, '')
-        if not hmac.compare_digest(given.encode(), self.token.encode()):
+        token = request.query_params.get('token') or request.cookies.get(COOKIE, '')
+        if not hmac.compare_digest(token.encode(), self.token.encode()):
             return 'open the address that quad-sysid app printed, with its token'
         return ''
 

@@ -51,7 +51,7 @@ EXACT = 1e-18
 """Part of the output's power below which a residual is rounding, as with data free of noise."""
 ON_EDGE = 1.0 - 2.0 * (1.0 - EDGE)
 """Radius from which a root counts as held at EDGE, where it was pulled to."""
-FAR = 1.1
+DOUBTFUL = 1.1
 """Loss of a start, against that of its minimum, from which another minimum may be lower."""
 OVERSHOT = 0.2
 """Slope behind a full step, against that before it, from which a shorter one is tried."""
@@ -306,7 +306,7 @@ def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:
 
     first = at(next(starts))
     best = descend(first, at)
-    doubt = not best.model.converged or first.squares > FAR * best.squares or _wanders(best)
+    doubt = not best.model.converged or first.squares > DOUBTFUL * best.squares or _wanders(best)
     if doubt and best.model.loss > ho.loss_of(best.slope.size):
         for start in starts:
             best = min(best, descend(at(start), at, best.squares), key=_squares)

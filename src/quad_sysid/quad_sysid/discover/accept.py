@@ -218,12 +218,11 @@ def rms(errors: FloatArray) -> float:
     return value if not math.isnan(value) else math.inf
 
 
-def judge(data: AxisData, problem: Problem, found: Found, ladder: Ladder) -> Verdict:
-    """Open the validation segments, once: confirm or withdraw each claimed effect.
+def judge(unseen: Unseen, problem: Problem, found: Found, ladder: Ladder) -> Verdict:
+    """Confirm or withdraw each claimed effect on the validation segments.
 
     What is claimed, and in which order, the training has decided (explain/ladder.py).
     """
-    unseen = Unseen(data, data.validation)
     unseen.predict(found.base)  # which measures the innovations that wandering effects follow
     models = ladder.models
     rungs = [models.fitted(rung.model) for rung in ladder.rungs]

@@ -1,4 +1,4 @@
-"""Effects between command and torque: what the maps of maps.py are, motors, voltage."""
+"""Effects between command and torque: maps of the command, motors, propellers, voltage."""
 
 from __future__ import annotations
 
@@ -10,12 +10,20 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import COUNT, Smooth, placed_around_zero
-from quad_sysid.effects.hidden import Linked, System, behind_lag, followed, ring, step_of
-from quad_sysid.effects.maps import Following, Kept, Map, Steps
+from quad_sysid.effects.hidden import Linked, System, along, behind_lag, followed, ring, step_of
 from quad_sysid.effects.torques import Row
 from quad_sysid.model import laws
-from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import UNITS, Drive, Effect, Settings, Signals, Spec, required
+from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.effect import (
+    UNITS,
+    Drive,
+    Effect,
+    Left,
+    Settings,
+    Signals,
+    Spec,
+    required,
+)
 from quad_sysid.model.structure import BASE
 
 MOVES = 0.02
@@ -26,6 +34,93 @@ MOST_MOTORS = 12
 """Motors that may each have an effect of their own."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
+SLOPING = 0.05
+"""Share of a step over which one level gives way to the next."""
+
+
+class Map(Row):
+    """A map of the command; of every motor's command where it depends on the motors.
+
+    Its law takes the signals, the commands (1, …) or those of the motors (k, …), and the
+    parameters.
+    """
+
+    term = 'command'
+
+    def commands(self, s: Signals) -> FloatArray:
+        """What it maps: (1, …) the axis' command, or (k, …) those of the motors."""
+        return np.stack(required(s.motors) if 'motors' in self.signals else [required(s.sent)])
+
+    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        given = self.commands(s)
+        mapped: FloatArray = self.law(s, given, p)
+        if 'motors' not in self.signals:
+            return mapped[0]
+        return required(s.sent) + np.tensordot(required(s.share), mapped - given, 1)
+
+
+class Kept(Map):
+    """A map that keeps what it gave in the last cycle, by a compiled loop along a flight."""
+
+    states = 1
+    loop: Callable[..., None]
+    """The law along a flight, into what is kept at the start of each cycle."""
+    numbers: Callable[[Signals, FloatArray], tuple[float, ...]]
+    """Of the loop."""
+
+    def mapped(self, s: Signals, p: FloatArray) -> FloatArray:
+        """The commands (k, …) as its law takes them."""
+        return self.commands(s)
+
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return self.mapped(s, p)
+
+    def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return self.law(s.but(hidden=x), self.mapped(s, p), p)
+
+    def trace(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+              begun: FloatArray | None = None) -> FloatArray:
+        numbers = self.numbers(s, p)
+        return np.stack([along(stretches, u, self.loop, *numbers) for u in self.mapped(s, p)])
+
+
+class Steps(Kept):
+    """Motors that take whole steps; one level lies p[1] steps of p[0] above half of the range.
+
+    A level is kept until the command is p[2] steps further away from it than half of one. Around
+    that point two steps share the cycle over a short slope, for a smooth likelihood.
+    """
+
+    def mapped(self, s: Signals, p: FloatArray) -> FloatArray:
+        return (self.commands(s) - 0.5) / p[0] - p[1]
+
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        return np.floor(self.mapped(s, p) + 0.5)
+
+    def sought(self, left: Left, settings: Settings) -> Sequence[FloatArray]:
+        starts = self.starts(left.data, settings)
+        return [np.r_[step, start[2:]] for step in left.steps() for start in starts]
+
+    def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        x, kept = self.mapped(s, p), required(s.hidden)
+        away = x - kept
+        over = np.abs(away) - 0.5 - p[2]
+        new = np.where(over > 0.0, np.floor(x + 0.5),
+                       kept + np.where(over > -0.5 * SLOPING, np.sign(away), 0.0))
+        taken = new + np.maximum(0.5 - over / SLOPING, 0.0) * (kept - new)
+        mapped = 0.5 + p[0] * (p[1] + taken) - self.commands(s)
+        return required(s.sent) + np.tensordot(required(s.share), mapped, 1)
+
+
+class Following(Linked, Map):
+    """A map with linear states that the command drives."""
+
+    def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
+        return (required(s.sent),)
+
+    def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        sent = required(s.sent)
+        return np.stack([sent, *[np.zeros_like(sent)] * (self.states - 1)])
 
 
 def over_cycle(x: FloatArray, u: FloatArray, tau: float, dt: float) -> FloatArray:
@@ -162,9 +257,8 @@ class Propellers(Linked):
     def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
         return [required(s.motors)[i] for i in of_motors(s, self.motors)]
 
-    def bend(
-        self, m: FloatArray, p: FloatArray, settings: Settings
-    ) -> tuple[FloatArray, FloatArray]:
+    def bend(self, m: FloatArray, p: FloatArray,
+             settings: Settings) -> tuple[FloatArray, FloatArray]:
         """What thrusts gain at lagged commands m (motors, n), and the slope of that over m.
 
         Nothing is gained at the usual throttle, so that the base keeps its bias.
@@ -204,9 +298,8 @@ class ThrustCurve(Propellers):
             return f'the throttle stays at {mean:.2f}; fly with throttle changes'
         return {'throttle': mean}
 
-    def bend(
-        self, m: FloatArray, p: FloatArray, settings: Settings
-    ) -> tuple[FloatArray, FloatArray]:
+    def bend(self, m: FloatArray, p: FloatArray,
+             settings: Settings) -> tuple[FloatArray, FloatArray]:
         k, away = float(p[0]), m - settings['throttle']
         bent = k / max(1.0 - k + 2.0 * k * settings['throttle'], 1e-3)
         return bent * away**2, 2.0 * bent * away
@@ -234,9 +327,8 @@ class MotorCurve(Propellers, Smooth):
             'throttle': float(np.mean(data.training(data.control[:, 0]))),
         }
 
-    def bend(
-        self, m: FloatArray, p: FloatArray, settings: Settings
-    ) -> tuple[FloatArray, FloatArray]:
+    def bend(self, m: FloatArray, p: FloatArray,
+             settings: Settings) -> tuple[FloatArray, FloatArray]:
         knots, slopes = settings['knots'], p - float(np.dot(settings['mean'], p))
         width = np.diff(knots)
         bends = 0.5 * np.diff(slopes) / width
@@ -269,11 +361,8 @@ class Saturation(Map):
         return [np.array([value]) for value in np.percentile(motors, shares)]
 
     def readable(self, p: FloatArray, settings: Settings) -> dict[str, tuple[float, str]]:
-        upper = self.variant == 'upper'
-        return {
-            'lower': (0.0 if upper else float(p[0]), '1'),
-            'upper': (float(p[0]) if upper else 1.0, '1'),
-        }
+        ends = {'lower': 0.0, 'upper': 1.0} | {self.variant: float(p[0])}
+        return {name: (end, '1') for name, end in ends.items()}
 
     def fitted(self, values: Mapping[str, float], settings: Settings) -> FloatArray:
         return np.array([values[self.variant]])
@@ -288,10 +377,8 @@ def of_motors(s: Signals, motors: Sequence[int]) -> Sequence[int]:
     return motors or range(len(required(s.motors)))
 
 
-def differing(
-    s: Signals, drive: Drive, motors: Sequence[int], slow_s: float | None = None,
-    factors: tuple[FloatArray, FloatArray] | None = None,
-) -> Drive:
+def differing(s: Signals, drive: Drive, motors: Sequence[int], slow_s: float | None = None,
+              factors: tuple[FloatArray, FloatArray] | None = None) -> Drive:
     """Some motors with a lag of their own: channels for these, and one that takes back the usual.
 
     The first channel, which all other effects act on, stays the command of the axis. factors:

@@ -162,9 +162,8 @@ class Curve(Smooth):
         factor = per_unit(self.term, s, float(p[-1]))
         return factor * over_knots(signal_of(s, self.signal), p[:COUNT], settings)
 
-    def columns(
-        self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
-    ) -> FloatArray:
+    def columns(self, s: Signals, p: FloatArray, linear: Sequence[int],
+                settings: Settings) -> FloatArray:
         factor, out = per_unit(self.term, s, float(p[-1])), np.empty((s.rate.size, COUNT))
         x, factor = (np.ascontiguousarray(one) for one in (signal_of(s, self.signal), factor))
         laws.hats(x, factor, *_arrays(settings['knots'], settings['mean']), out)
@@ -207,9 +206,7 @@ class Wandering(Shape):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.zeros_like(s.rate) if s.hidden is None else s.hidden[0] * s.drive
 
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
+    def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return x * math.exp(-s.dt / float(p[1]))
 
 

@@ -29,10 +29,8 @@ class Row(Effect):
 
     law: Callable[..., Any]
 
-    def __init__(
-        self, name: str, signals: tuple[str, ...], parameters: tuple[Spec, ...],
-        law: Callable[..., Any], **more: object,
-    ) -> None:
+    def __init__(self, name: str, signals: tuple[str, ...], parameters: tuple[Spec, ...],
+                 law: Callable[..., Any], **more: object) -> None:
         vars(self).update(more, name=name, signals=signals, parameters=parameters, law=law)
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:

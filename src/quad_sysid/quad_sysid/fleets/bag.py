@@ -104,8 +104,8 @@ class Job:
         return f'rows/{self.name}.json'
 
 
-def jobs(folder: str | Path, out: str | Path, **asked: Any) -> list[Job]:
-    """Every bag and raw log below a folder, sorted; `asked` are fields of Job.
+def jobs(folder: str | Path, out: str | Path, **fields: Any) -> list[Job]:
+    """Every bag and raw log below a folder, sorted; `fields` are those of Job.
 
     Raises BadInputError where there is no such folder or no bag in it.
 
@@ -117,10 +117,10 @@ def jobs(folder: str | Path, out: str | Path, **asked: Any) -> list[Job]:
     if place.store is None and not place.path.is_dir():
         raise BadInputError(str(folder), 'is not a folder',
                             remedy='give the one that holds the bags')
-    found = {name: about for name, about in place.files().items()
+    files = {name: about for name, about in place.files().items()
              if not f'{place.address}/{name}'.startswith(f'{results.address}/')}
     by_folder: dict[str, list[str]] = {}
-    for name in found:
+    for name in files:
         by_folder.setdefault(PurePosixPath(name).parent.as_posix(), []).append(name)
     bags: dict[str, list[str]] = {}
     for here, names in sorted(by_folder.items()):
@@ -134,16 +134,16 @@ def jobs(folder: str | Path, out: str | Path, **asked: Any) -> list[Job]:
             bags[here] = names
         else:
             bags |= {name: [name] for name in names
-                     if name.endswith('.mcap') or _is_log(name) or found[name][1] == 'closed'}
+                     if name.endswith('.mcap') or _is_log(name) or files[name][1] == 'closed'}
     if not bags:
         raise BadInputError(str(folder), 'holds no bag (a rosbag2 folder, an .mcap file or a log)',
                             remedy='check the path')
-    return [_job(place, results, bag, tuple(names), found, asked)
+    return [_job(place, results, bag, tuple(names), files, fields)
             for bag, names in sorted(bags.items())]
 
 
 def of_records(records: Sequence[Record], aircraft: Sequence[str] = (), out: str = '',
-               **asked: Any) -> list[Job]:
+               **fields: Any) -> list[Job]:
     """Records as jobs, named by aircraft and source; those of one name are numbered.
 
     Raises BadInputError where `aircraft` is not one for each.
@@ -156,9 +156,9 @@ def of_records(records: Sequence[Record], aircraft: Sequence[str] = (), out: str
         craft = aircraft[number] if aircraft else ''
         name = '/'.join(part for part in (craft, PurePosixPath(record.source).name) if part)
         name = name if name not in every else f'{name}.{number}'
-        told = hashlib.blake2b(record.rates.tobytes() + record.control.tobytes(), digest_size=8)
-        every[name] = Job(name, craft, stamp=told.hexdigest(), record=record,
-                          out=Place(out).address if out else '', **asked)
+        digest = hashlib.blake2b(record.rates.tobytes() + record.control.tobytes(), digest_size=8)
+        every[name] = Job(name, craft, stamp=digest.hexdigest(), record=record,
+                          out=Place(out).address if out else '', **fields)
     return list(every.values())
 
 
@@ -168,23 +168,23 @@ def _is_log(name: str) -> bool:
 
 
 def _job(place: Place, results: Place, bag: str, names: tuple[str, ...],
-         found: Mapping[str, tuple[int, str]], asked: Mapping[str, Any]) -> Job:
-    about = [(PurePosixPath(name).name, *found[name]) for name in names]
+         files_below: Mapping[str, tuple[int, str]], fields: Mapping[str, Any]) -> Job:
+    about = [(PurePosixPath(name).name, *files_below[name]) for name in names]
     parts = PurePosixPath(bag).parts
     return Job(
         name=bag if parts else PurePosixPath(place.address).name,
         aircraft=parts[0] if len(parts) > 1 else '', folder=place.address,
-        files=tuple((name, found[name][0]) for name in names),
+        files=tuple((name, files_below[name][0]) for name in names),
         stamp=hashlib.blake2b(repr(about).encode(), digest_size=8).hexdigest(),
-        out=results.address, **asked)
+        out=results.address, **fields)
 
 
 def content_of(job: Job) -> str:
     """By what a bag is known wherever it is: names and sizes of its files, and their ends."""
-    place, told = Place(job.folder), hashlib.blake2b(digest_size=16)
+    place, digest = Place(job.folder), hashlib.blake2b(digest_size=16)
     for name, size in job.files:
-        told.update(f'{PurePosixPath(name).name} {size} '.encode() + place.ends(name, size))
-    return told.hexdigest()
+        digest.update(f'{PurePosixPath(name).name} {size} '.encode() + place.ends(name, size))
+    return digest.hexdigest()
 
 
 def blank(job: Job, reason: str = '') -> Row:
@@ -223,18 +223,18 @@ def _identified(job: Job) -> Row:
     own = _own_effects(job.effects) if job.effects else ()
     candidates = None if job.search_effects and not own else (*EFFECTS, *own)
     record, row = _read(job)
-    found = identify(record, job.axes, effects=candidates if job.search_effects else ())
-    row |= {'status': ANSWERED if found.answered else CANNOT_TELL,
-            'reason': '' if found.answered else found.reasons, 'start_ns': record.t0_ns,
+    result = identify(record, job.axes, effects=candidates if job.search_effects else ())
+    row |= {'status': ANSWERED if result.answered else CANNOT_TELL,
+            'reason': '' if result.answered else result.reasons, 'start_ns': record.t0_ns,
             'length_s': record.n * record.dt, 'sample_rate_hz': 1.0 / record.dt,
             'warnings': len(record.warnings)}
     if job.out:
         with Place(job.out).filled(f'bags/{job.name}') as folder:
-            found.save(folder, html=False, pictures=False)
+            result.save(folder, html=False, pictures=False)
             row['kept_bytes'] = sum(p.stat().st_size for p in folder.iterdir() if p.is_file())
     specs = {(effect.name, effect.variant, one.name): one.centre == 0.0 and not one.log
              for effect in (*EFFECTS, *own) for one in effect.parameters}
-    for axis, tree in found.report['axes'].items():
+    for axis, tree in result.report['axes'].items():
         row |= {f'{axis}_{name}': value for name, value in _of_axis(tree, specs).items()}
     return row
 
@@ -263,8 +263,8 @@ def _own_effects(text: str) -> tuple[Effect, ...]:
     """The effects in the text of a user's file, which need not be on this machine."""
     from quad_sysid.arguments import own_effects
 
-    with tempfile.TemporaryDirectory() as room:
-        path = Path(room, 'effects.py')
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, 'effects.py')
         path.write_text(text, encoding='utf-8')
         return own_effects(str(path))
 

@@ -69,7 +69,7 @@ def add(commands: Commands) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from quad_sysid.fleets.engine import known, run, shard_of
-    from quad_sysid.fleets.summary import Fleet
+    from quad_sysid.fleets.page import Fleet
     from quad_sysid.fleets.table import CSV, write
 
     name = options.folder.rstrip('/').rpartition('/')[2] if '://' in options.folder else (

@@ -9,7 +9,7 @@ never counts as less than the errors of the estimates.
 A drift is the most significant of these shapes, each beside a level: a ramp from any flight on
 (from the first: a straight line) and a step between any two; its p-value is multiplied by their
 number. It must remain when any one flight is left out, so that no single flight makes a drift. An
-odd flight lies outside of what the others of its aircraft foretell. Both are held to one level
+odd flight lies outside what the others of its aircraft predict. Both are held to one level
 over all that is asked of the fleet (Holm 1979). Numbers only: no rows, no words, no files.
 """
 
@@ -115,7 +115,7 @@ class Mean:
 
 
 @dataclass(frozen=True)
-class Found:
+class OverFleet:
     """One parameter over a fleet."""
 
     mean: Mean
@@ -135,7 +135,7 @@ def holm(p_values: Sequence[float], level: float) -> list[bool]:
     return marks
 
 
-def over_fleet(every: Sequence[Sequence[Series]]) -> list[Found]:
+def over_fleet(every: Sequence[Sequence[Series]]) -> list[OverFleet]:
     """What the series of each parameter show, at LEVEL over all parameters, aircraft, flights."""
     shared = [_scale([one for one in series if not one.comes_and_goes]) for series in every]
     scales = [[_scale([one]) if one.comes_and_goes else scale for one in series]
@@ -151,7 +151,7 @@ def over_fleet(every: Sequence[Sequence[Series]]) -> list[Found]:
                     for one in _odd(s, scale, claimed.get(s.aircraft))])
     marks = iter(holm([o.p_value for some in odd for o in some], LEVEL))
     odd = [[replace(o, claimed=next(marks)) for o in some] for some in odd]
-    return [Found(_mean(series, [scale.tau for scale in own],
+    return [OverFleet(_mean(series, [scale.tau for scale in own],
                         {o.bag for o in outside if o.claimed}), tuple(some), tuple(outside))
             for series, own, some, outside in zip(every, scales, drifts, odd, strict=True)]
 
@@ -345,5 +345,5 @@ def _reml(y: FloatArray, v: FloatArray) -> float:
         mean = (w * y).sum() / w.sum()
         return float((w * (y - mean)**2).sum() - np.log(w).sum() + np.log(w.sum()))
 
-    found = optimize.minimize_scalar(loss, bounds=(0.0, 4.0 * spread), method='bounded')
-    return float(found.x) if found.fun < loss(0.0) else 0.0
+    best = optimize.minimize_scalar(loss, bounds=(0.0, 4.0 * spread), method='bounded')
+    return float(best.x) if best.fun < loss(0.0) else 0.0

@@ -50,7 +50,7 @@ def shard_of(every: Sequence[Job], shard: str) -> list[Job]:
 
 def known(every: Sequence[Job]) -> dict[str, Row]:
     """The rows among the results that can be read, by the names of their bags."""
-    found = {}
+    rows = {}
     kept = Place(every[0].out).read([job.row for job in every]) if every and every[0].out else {}
     for job in every:
         try:
@@ -58,8 +58,8 @@ def known(every: Sequence[Job]) -> dict[str, Row]:
         except (KeyError, ValueError, RecursionError):
             continue
         if isinstance(row, dict) and 'status' in row:
-            found[job.name] = row
-    return found
+            rows[job.name] = row
+    return rows
 
 
 def _done(job: Job, row: Row | None) -> bool:
@@ -83,7 +83,7 @@ def run(every: Sequence[Job], workers: int = 1, cluster: str = '', *,
     """Identify the bags that are not done; the rows of all that are then, in their order.
 
     `cluster`: address or file of a Dask scheduler, or `local`; empty: `workers` processes of this
-    machine. `show` is told the progress, `log` each bag and the cost. `sample`: SAMPLE bags only.
+    machine. `show` is done the progress, `log` each bag and the cost. `sample`: SAMPLE bags only.
     """
     kept = known(every)
     rows = {job.name: kept[job.name] for job in every if _done(job, kept.get(job.name))}
@@ -97,19 +97,19 @@ def run(every: Sequence[Job], workers: int = 1, cluster: str = '', *,
     for row in engine(todo, workers, work) if todo else ():
         rows[row['bag']] = row
         new.append(row)
-        taken = time.monotonic() - start
-        left = duration(taken / len(new) * (waiting - len(new)))
-        told = f'bag {len(new)} of {waiting}, {row["bag"]} {row["status"]}'
-        log(f'{told} in {row["seconds"]:.1f} s, {left} left'
+        elapsed_s = time.monotonic() - start
+        left = duration(elapsed_s / len(new) * (waiting - len(new)))
+        done = f'bag {len(new)} of {waiting}, {row["bag"]} {row["status"]}'
+        log(f'{done} in {row["seconds"]:.1f} s, {left} left'
             + (f' ({row["reason"]})' if row['reason'] else ''))
-        show(f'{told}, {left} left')
+        show(f'{done}, {left} left')
         if len(new) == SAMPLE or len(new) == len(todo) < SAMPLE:
-            log(cost(new, waiting, taken))
+            log(cost(new, waiting, elapsed_s))
     show('')
     return [rows[job.name] for job in every if job.name in rows]
 
 
-def cost(rows: Sequence[Row], count: int, taken_s: float) -> str:
+def cost(rows: Sequence[Row], count: int, elapsed_s: float) -> str:
     """What `count` bags cost by those that were done within `taken_s`, in words."""
     if not (able := [row for row in rows if row['status'] != FAILED]):
         return 'no bag could be read, so what they cost is not known'
@@ -119,8 +119,8 @@ def cost(rows: Sequence[Row], count: int, taken_s: float) -> str:
     peak = max(row.get('peak_mb', 0.0) for row in able)
     return (f'{len(able)} bags took {cpu:.2g} s of CPU each, at most {peak:.0f} MB of memory, '
             f'{size / 1e6:.2g} MB to read, {kept / 1e6:.2g} MB of results; the other {left}: '
-            f'{duration(cpu * left)} of CPU, {duration(taken_s / len(rows) * left)} at this pace, '
-            f'{size * left / 1e9:.2g} GB to read, {kept * left / 1e9:.2g} GB of results')
+            f'{duration(cpu * left)} of CPU, {duration(elapsed_s / len(rows) * left)} at this '
+            f'pace, {size * left / 1e9:.2g} GB to read, {kept * left / 1e9:.2g} GB of results')
 
 
 def duration(seconds: float) -> str:
@@ -221,22 +221,22 @@ def about_here(job: Job, check: str) -> dict[str, str]:
     """Versions of what computes, and whether the bag and the results are seen from here."""
     import quad_sysid
 
-    told = hashlib.blake2b(digest_size=4)
+    digest = hashlib.blake2b(digest_size=4)
     here = Path(quad_sysid.__file__).parent
     for path in sorted(here.rglob('*.py')):
-        told.update(path.read_bytes())
-    found = {'quad_sysid': told.hexdigest(), 'Python': platform.python_version()}
+        digest.update(path.read_bytes())
+    about = {'quad_sysid': digest.hexdigest(), 'Python': platform.python_version()}
     for name in COMPARED:
-        found[name] = 'missing'
+        about[name] = 'missing'
         with suppress(PackageNotFoundError):
-            found[name] = version(name)
+            about[name] = version(name)
     if job.out:
         seen = not check or check in Place(job.out).read([check])
-        found['view of the results'] = job.out if seen else 'another folder'
+        about['view of the results'] = job.out if seen else 'another folder'
     if job.files:
         try:
             Place(job.folder).ends(*job.files[0])
-            found['view of the bags'] = job.folder
+            about['view of the bags'] = job.folder
         except OSError as error:
-            found['view of the bags'] = f'{type(error).__name__}: {error}'
-    return found
+            about['view of the bags'] = f'{type(error).__name__}: {error}'
+    return about

@@ -1,8 +1,9 @@
-"""A fleet in words: lines for a terminal of 80 columns, and fleet.html."""
+"""A fleet in words: `Fleet`, with lines for a terminal of 80 columns, and fleet.html."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime, timezone
 from html import escape
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ import numpy as np
 
 from quad_sysid.axes import EVERY
 from quad_sysid.fleets.drift import LEAST_FLIGHTS, LEVEL
+from quad_sysid.fleets.summary import Quantity, Summary
 from quad_sysid.report.canvas import AFTER, BEFORE, MUTED, Picture, finish, panels, svg
 from quad_sysid.report.style import SHEET
 from quad_sysid.report.tables import Table, wrapped
@@ -18,7 +20,6 @@ from quad_sysid.report.words import chance, named, number
 
 if TYPE_CHECKING:
     from quad_sysid.fleets.drift import Drift, Odd
-    from quad_sysid.fleets.summary import Fleet, Quantity
 
 MOST_ROWS = 200
 """Rows of one table on the page."""
@@ -27,6 +28,22 @@ MOST_POINTS = 2000
 NO_NAME = 'all'
 SHORT = (0, 1, 3, 5, 6, 7)
 """Columns of the means that a terminal has room for."""
+
+
+class Fleet(Summary):
+    """Rows of bags, one each, what they say together, and how that is shown."""
+
+    def only(self, since: str = '', group_by: str = '') -> Fleet:
+        """The same rows, from a day on, or grouped in another way."""
+        return replace(self, since=since or self.since, group_by=group_by or self.group_by)
+
+    def __str__(self) -> str:
+        """The text that the command prints."""
+        return '\n'.join(lines(self))
+
+    def page(self) -> str:
+        """One page, as text of HTML."""
+        return page(self)
 
 
 def date(days: float) -> str:
@@ -48,22 +65,22 @@ def drift_words(quantity: Quantity, drift: Drift) -> str:
 
 def odd_words(bag: str, reasons: Sequence[tuple[Quantity, Odd]]) -> str:
     """One sentence: which flight, and what about it is odd."""
-    told = [f'{q.axis} {q.name} {number(o.value)} where {number(o.expected)} ± '
+    parts = [f'{q.axis} {q.name} {number(o.value)} where {number(o.expected)} ± '
             f'{number(o.std, 2)} {q.unit if q.unit != "1" else ""}'.rstrip()
             + ' is expected' for q, o in reasons[:3]]
     more = f', and {len(reasons) - 3} more' if len(reasons) > 3 else ''
-    return f'{bag}: {"; ".join(told)}{more}'
+    return f'{bag}: {"; ".join(parts)}{more}'
 
 
-def lines(fleet: Fleet) -> list[str]:
+def lines(fleet: Summary) -> list[str]:
     """What the command prints."""
     lacks, means, _ = _tables(fleet)
     drifts = [drift_words(*pair) for pair in fleet.drifts]
     odd = [odd_words(bag, why) for bag, why in fleet.odd.items()]
     out = _wrapped(_counts(fleet))
-    for title, told in (('what drifts', drifts), ('odd flights', odd)):
-        if told:
-            out += ['', title, *(part for line in told for part in wrapped(line, '    ', '  '))]
+    for title, sentences in (('what drifts', drifts), ('odd flights', odd)):
+        if sentences:
+            out += ['', title, *(part for one in sentences for part in wrapped(one, '    ', '  '))]
     if not drifts and not odd:
         out += ['', *_wrapped(_nothing(fleet))]
     for table in (lacks, means):
@@ -76,8 +93,8 @@ def _wrapped(text: str) -> list[str]:
     return wrapped(text, '')
 
 
-def _nothing(fleet: Fleet) -> str:
-    tested = sum(len(q.found.drifts) for q in fleet.quantities)
+def _nothing(fleet: Summary) -> str:
+    tested = sum(len(q.statistics.drifts) for q in fleet.quantities)
     if not tested:
         return (f'Nothing is said of drift: that needs {LEAST_FLIGHTS} answered flights of an '
                 'aircraft at different times.')
@@ -85,19 +102,19 @@ def _nothing(fleet: Fleet) -> str:
             'parameters of aircraft together.')
 
 
-def _counts(fleet: Fleet) -> str:
+def _counts(fleet: Summary) -> str:
     craft = len({row['aircraft'] for row in fleet.flights} - {''}) or 1
-    told = ', '.join(f'{count} {name.replace("_", " ")}' for name, count in fleet.counts.items())
+    counts = ', '.join(f'{count} {name.replace("_", " ")}' for name, count in fleet.counts.items())
     since = f' since {fleet.since}' if fleet.since else ''
-    return f'{len(fleet.flights)} bags of {craft} aircraft{since}: {told}.'
+    return f'{len(fleet.flights)} bags of {craft} aircraft{since}: {counts}.'
 
 
-def _tables(fleet: Fleet) -> tuple[Table, Table, Table]:
+def _tables(fleet: Summary) -> tuple[Table, Table, Table]:
     """Who lacks what, the means over aircraft, the bags without an answer."""
     means = [[q.axis, q.name, q.unit, str(len(m.levels)), str(sum(v.flights for v in m.levels)),
               number(m.mean, 4), f'{number(m.low)} … {number(m.high)}', number(m.between, 2),
               number(m.within, 2)]
-             for q in fleet.quantities for m in (q.found.mean,)]
+             for q in fleet.quantities for m in (q.statistics.mean,)]
     return (
         Table(['aircraft', 'axis', 'effect', 'found in', 'of flights'],
               [[craft or NO_NAME, axis, effect, str(n), str(of)]
@@ -110,22 +127,22 @@ def _tables(fleet: Fleet) -> tuple[Table, Table, Table]:
     )
 
 
-def page(fleet: Fleet) -> str:
+def page(fleet: Summary) -> str:
     """fleet.html: what is wrong first, then what every aircraft lacks and is."""
     title = escape(fleet.title or 'fleet')
     lacks, means, failures = _tables(fleet)
     drifts, odd = fleet.drifts, fleet.odd
-    said = [*(drift_words(*pair) for pair in drifts),
+    sentences = [*(drift_words(*pair) for pair in drifts),
             *(f'Odd: {odd_words(bag, why)}' for bag, why in odd.items())]
     effects = {name: named({'name': name}) for *_, name, _, _ in fleet.lacks}
     words = '; '.join(f'{name}: {text}' for name, text in sorted(effects.items()))
     drawn = ''.join(_figure(q, d.aircraft, d) for q, d in drifts[:MOST_ROWS // 10])
-    answer = ''.join(f'<p>{escape(line)}</p>' for line in said or [_nothing(fleet)])
+    answer = ''.join(f'<p>{escape(line)}</p>' for line in sentences or [_nothing(fleet)])
     over_time = ''.join(_figure(q) for q in _drawn(fleet))
     levels = Table(
         ['aircraft', 'axis', 'parameter', 'flights', 'mean', 'std. error'],
         [[level.aircraft or NO_NAME, q.axis, q.name, str(level.flights), number(level.mean, 4),
-          number(level.std, 2)] for q in fleet.quantities for level in q.found.mean.levels],
+          number(level.std, 2)] for q in fleet.quantities for level in q.statistics.mean.levels],
         (3, 4, 5))
     sections = [
         ('What drifts', f'<div class="figures">{drawn}</div>' if drawn else ''),
@@ -141,12 +158,12 @@ def page(fleet: Fleet) -> str:
         '<meta name="viewport" content="width=device-width,initial-scale=1">',
         f'<title>Fleet {title}</title><style>{SHEET}</style></head><body>',
         f'<h1>Fleet {title}</h1><p>{escape(_counts(fleet))}</p>',
-        f'<section class="answer {"open" if said else "good"}">{answer}</section>',
+        f'<section class="answer {"open" if sentences else "good"}">{answer}</section>',
         *(f'<section><h2>{name}</h2>{text}</section>' for name, text in sections if text),
         '</body></html>\n'])
 
 
-def _drawn(fleet: Fleet) -> list[Quantity]:
+def _drawn(fleet: Summary) -> list[Quantity]:
     """The quantities that are drawn for the whole fleet, each with two flights at least."""
     return sorted((q for q in fleet.quantities if sum(len(s.values) for s in q.series) > 1),
                   key=lambda q: ([*EVERY].index(q.axis), '.' in q.name))
@@ -163,7 +180,7 @@ def _figure(quantity: Quantity, aircraft: str | None = None, drift: Drift | None
     axes.errorbar(days[::every] - start, values[::every], 1.96 * stds[::every], color=AFTER,
                   marker='o', ms=3, lw=0, elinewidth=0.7, alpha=0.7, label='flights')
     if drift is None:
-        mean = quantity.found.mean
+        mean = quantity.statistics.mean
         axes.axhspan(mean.low, mean.high, color=MUTED, alpha=0.25, lw=0, label='mean, 95 %')
     else:
         last = float(days.max()) - start

@@ -42,14 +42,14 @@ class Place:
 
         A folder that cannot be opened stands there as a file of no size.
         """
-        found: dict[str, tuple[int, str]] = {}
+        files: dict[str, tuple[int, str]] = {}
         if self.store is not None:
             for path, about in self.store.find(self._root, detail=True).items():
                 name = path[len(self._root):].lstrip('/')
                 mark = next((about[k] for k in ('ETag', 'etag', 'mtime', 'created')
                              if k in about), '')
-                found[name] = int(about['size']), str(mark)
-            return dict(sorted(found.items()))
+                files[name] = int(about['size']), str(mark)
+            return dict(sorted(files.items()))
         closed: list[OSError] = []
         for root, _, names in os.walk(self.path, onerror=closed.append):
             for path in (Path(root, name) for name in names):
@@ -57,11 +57,11 @@ class Place:
                     about = path.stat()
                 except OSError:  # a link to nothing
                     continue
-                found[path.relative_to(self.path).as_posix()] = (
+                files[path.relative_to(self.path).as_posix()] = (
                     about.st_size, str(about.st_mtime_ns))
         for error in closed:
-            found[Path(error.filename).relative_to(self.path).as_posix()] = 0, 'closed'
-        return dict(sorted(found.items()))
+            files[Path(error.filename).relative_to(self.path).as_posix()] = 0, 'closed'
+        return dict(sorted(files.items()))
 
     def ends(self, name: str, size: int) -> bytes:
         """The first and the last bytes of a file."""
@@ -80,11 +80,11 @@ class Place:
             paths = {self._in_store(name): name for name in names}
             got = self.store.cat(list(paths), on_error='omit') if paths else {}
             return {paths[path]: content for path, content in got.items()}
-        found = {}
+        contents = {}
         for name in names:
             if (self.path / name).is_file():
-                found[name] = (self.path / name).read_bytes()
-        return found
+                contents[name] = (self.path / name).read_bytes()
+        return contents
 
     def write(self, name: str, content: str | bytes) -> None:
         """Write a file, which appears when it is whole. Raises BadInputError."""
@@ -118,12 +118,12 @@ class Place:
         if self.store is None:
             yield self.path / bag
             return
-        with tempfile.TemporaryDirectory(prefix='quad_sysid_') as room:
+        with tempfile.TemporaryDirectory(prefix='quad_sysid_') as copy:
             for name in names:
-                target = Path(room, name)
+                target = Path(copy, name)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 self.store.get_file(self._in_store(name), str(target))
-            yield Path(room, bag)
+            yield Path(copy, bag)
 
     @contextmanager
     def filled(self, folder: str) -> Iterator[Path]:
@@ -131,11 +131,11 @@ class Place:
         if self.store is None:
             yield self.path / folder
             return
-        with tempfile.TemporaryDirectory(prefix='quad_sysid_') as room:
-            yield Path(room, 'new')
-            for path in sorted(Path(room, 'new').rglob('*')):
+        with tempfile.TemporaryDirectory(prefix='quad_sysid_') as copy:
+            yield Path(copy, 'new')
+            for path in sorted(Path(copy, 'new').rglob('*')):
                 if path.is_file():
-                    name = path.relative_to(Path(room, 'new')).as_posix()
+                    name = path.relative_to(Path(copy, 'new')).as_posix()
                     self.write(f'{folder}/{name}', path.read_bytes())
 
     def _in_store(self, name: str) -> str:

@@ -1,4 +1,4 @@
-"""Rows → what they say together: `Fleet`, with its summary, text and page.
+"""Rows → what they say together: `Summary`, of which page.py makes text and a page.
 
 Which values are compared is said here; how, in drift.py.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
 from functools import cached_property
 from pathlib import PurePosixPath
@@ -19,10 +19,10 @@ import numpy as np
 from quad_sysid.axes import EVERY, units_of
 from quad_sysid.errors import BadInputError
 from quad_sysid.fleets.bag import ANSWERED, BASE, CANNOT_TELL, FAILED, Row
-from quad_sysid.units import unit_in
+from quad_sysid.units import shown_in
 
 if TYPE_CHECKING:
-    from quad_sysid.fleets.drift import Drift, Found, Odd, Series
+    from quad_sysid.fleets.drift import Drift, Odd, OverFleet, Series
 
 SHOWN = 0.5
 """Share of an aircraft's flights that show an effect whose size is followed over time."""
@@ -41,11 +41,11 @@ class Quantity:
     """`gain`, …, or `<effect>.<parameter>`."""
     unit: str
     series: tuple[Series, ...]
-    found: Found
+    statistics: OverFleet
 
 
 @dataclass(frozen=True)
-class Fleet:
+class Summary:
     """Rows of bags, one each, and what they say together."""
 
     rows: list[Row]
@@ -106,9 +106,9 @@ class Fleet:
         for craft, axis in sorted({(row['aircraft'], axis) for row in answered for axis in EVERY}):
             flights = [row for row in answered if row['aircraft'] == craft
                        and row.get(f'{axis}_verdict') not in (None, CANNOT_TELL)]
-            found = Counter(effect for row in flights
+            counts = Counter(effect for row in flights
                             for effect in row[f'{axis}_effects'].split(',') if effect)
-            out += [(craft, axis, effect, n, len(flights)) for effect, n in found.most_common()]
+            out += [(craft, axis, effect, n, len(flights)) for effect, n in counts.most_common()]
         return out
 
     @cached_property
@@ -117,20 +117,20 @@ class Fleet:
         from quad_sysid.fleets.drift import over_fleet
 
         known = [*self._series()]
-        found = over_fleet([series for *_, series in known])
+        statistics = over_fleet([series for *_, series in known])
         return [Quantity(axis, name, unit, series, one)
-                for (axis, name, unit, series), one in zip(known, found, strict=True)]
+                for (axis, name, unit, series), one in zip(known, statistics, strict=True)]
 
     @property
     def drifts(self) -> list[tuple[Quantity, Drift]]:
         """What drifts beyond chance, the surest first."""
-        every = [(q, d) for q in self.quantities for d in q.found.drifts if d.claimed]
+        every = [(q, d) for q in self.quantities for d in q.statistics.drifts if d.claimed]
         return sorted(every, key=lambda pair: pair[1].p_value)
 
     @property
     def odd(self) -> dict[str, list[tuple[Quantity, Odd]]]:
         """The flights that stand out beyond chance, each with why, the surest first."""
-        every = [(q, o) for q in self.quantities for o in q.found.odd if o.claimed]
+        every = [(q, o) for q in self.quantities for o in q.statistics.odd if o.claimed]
         out: dict[str, list[tuple[Quantity, Odd]]] = {}
         for pair in sorted(every, key=lambda pair: pair[1].p_value):
             out.setdefault(pair[1].bag, []).append(pair)
@@ -161,22 +161,6 @@ class Fleet:
                 if series:
                     yield axis, name, units[name], tuple(series)
 
-    def __str__(self) -> str:
-        """The text that the command prints."""
-        from quad_sysid.fleets.page import lines
-
-        return '\n'.join(lines(self))
-
-    def page(self) -> str:
-        """One page, as text of HTML."""
-        from quad_sysid.fleets.page import page
-
-        return page(self)
-
-    def only(self, since: str = '', group_by: str = '') -> Fleet:
-        """The same rows, from a day on, or grouped in another way."""
-        return replace(self, since=since or self.since, group_by=group_by or self.group_by)
-
 
 Values = dict[str, tuple[float, float]]
 
@@ -188,7 +172,7 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
     0 there, give or take half of the least that was found anywhere.
     """
     own = units_of(axis)
-    units = {name: unit_in(own, unit) for name, unit in UNITS.items()}
+    units = {name: shown_in(own, unit)[0] for name, unit in UNITS.items()}
     values = dict[str, Values]()
     for row in flights:
         units |= row.get(f'{axis}_base_units', {})

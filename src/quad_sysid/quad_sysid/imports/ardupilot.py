@@ -19,6 +19,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, ardupilot_channels, of_ardupilot
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
+from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.dataflash import Log, is_binary, read_binary, read_text
 from quad_sysid.imports.experiments import PAUSE_S
 from quad_sysid.imports.log import (
@@ -29,7 +30,6 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
-    Stream,
 )
 from quad_sysid.imports.mixers import MIRROR, angles_from_ned, enu, mirrored
 from quad_sysid.imports.plausible import FASTEST_RAD_S

@@ -27,6 +27,7 @@ from quad_sysid.craft import BETAFLIGHT, Craft, of_betaflight
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
 from quad_sysid.imports.betaflight_gains import PIDSUM, Adjustment, changes, tuning
+from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.log import (
     DEGREE,
     RPM,
@@ -35,7 +36,6 @@ from quad_sysid.imports.log import (
     Mapped,
     Reading,
     Signal,
-    Stream,
 )
 from quad_sysid.imports.mixers import MIRROR, ned_angles
 from quad_sysid.imports.plausible import FASTEST_RAD_S

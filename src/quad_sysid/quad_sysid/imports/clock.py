@@ -14,7 +14,6 @@ import numpy as np
 from quad_sysid.bags.stamps import count_cycles, in_whole_us
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.log import Stream
 from quad_sysid.record import finite_runs
 
 BACK = 5.0
@@ -53,6 +52,21 @@ FINEST = 4.0
 """Largest rate of a grid that is asked for, over that of the samples: between them is nothing."""
 PARTS = 8
 """Parts of a cycle over which the active command is averaged."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Samples (n, w) at times (n,) in s since the controller started, in the order of time."""
+
+    time_s: FloatArray
+    values: FloatArray
+
+    @property
+    def rate_hz(self) -> float:
+        """Median rate; 0 with fewer than 2 samples."""
+        steps = np.diff(self.time_s)
+        usual = float(np.median(steps)) if steps.size else 0.0
+        return 1.0 / usual if usual > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -180,7 +194,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     if SPARSEST * span > interval * len(time_s):
         raise BadInputError(where, 'has times that are damaged, or pauses almost throughout',
                             f'{len(time_s)} samples of {interval:.3g} s within {span:.3g} s',
-                            'copy it anew, or import a part of it')
+                            'copy it again, or import a part of it')
     steps = np.diff(time_s)
     near = np.abs(steps / interval - 1.0) <= UNEVEN
     odd = int(np.count_nonzero(~near))

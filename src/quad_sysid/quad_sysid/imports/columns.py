@@ -15,9 +15,9 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import cycles, draw
+from quad_sysid.imports.clock import Stream, cycles, draw
 from quad_sysid.imports.likely import likely_units, one_sided, rounded_down
-from quad_sysid.imports.log import ForeignLog, Mapped, Stream
+from quad_sysid.imports.log import ForeignLog, Mapped
 from quad_sysid.imports.mixers import MIRROR, mixer_of
 from quad_sysid.imports.plausible import (
     TOGETHER,

@@ -35,7 +35,7 @@ def sd_card(data: bytes, source: str) -> tuple[Columns, Columns]:
         events, at = _sd_events(data, source)
     except (struct.error, IndexError, ValueError, UnicodeDecodeError) as error:
         raise BadInputError(source, 'is not a whole log of a Crazyflie SD card',
-                            remedy='copy it anew from the card') from error
+                            remedy='copy it again from the card') from error
     stamp = struct.Struct('<HI' if version == 1 else '<HQ')
     tick = 1e-3 if version == 1 else 1e-6
     rows: dict[int, list[tuple[Any, ...]]] = {number: [] for number in events}

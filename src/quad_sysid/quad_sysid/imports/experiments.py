@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import AXES
-from quad_sysid.imports.log import Experiment, Stream
+from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.log import Experiment
 from quad_sysid.imports.stretches import blocks
 from quad_sysid.record import Record, Segment
 

@@ -94,9 +94,11 @@ def _turn_units(names: Sequence[str], columns: Sequence[np.ndarray], role: Role)
         return match and (si if match[1] == 'rad' else degrees)
 
     own = [named(name) for name in names]
-    given = {unit for unit in own if unit}
+    named_units = {unit for unit in own if unit}
     largest = max(float(np.nanquantile(np.abs(values), 0.99)) for values in columns)
     large = largest > (SMOOTH_TURN if rate else 2.0 * np.pi)
-    common = given.pop() if len(given) == 1 else degrees if large and not given else ''
+    common = '' if named_units or not large else degrees
+    if len(named_units) == 1:
+        common = named_units.pop()
     units = [unit or common for unit in own]
     return ['' if unit == si else unit for unit in units]

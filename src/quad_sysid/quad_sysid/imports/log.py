@@ -15,6 +15,7 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft
+from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.mixers import Mixer
 from quad_sysid.record import GainChange
 
@@ -44,21 +45,6 @@ NO_GAINS = "the controller's gains: no closed loop, no gain design"
 ASKED_FOR = 'the input is what the controller demanded: the limits of the motors are not in it'
 FAST_ENOUGH = 0.5
 """Share of the rates' rate at which motors must be logged to be used as the input."""
-
-
-@dataclass(frozen=True)
-class Stream:
-    """Samples (n, w) at times (n,) in s since the controller started, in the order of time."""
-
-    time_s: FloatArray
-    values: FloatArray
-
-    @property
-    def rate_hz(self) -> float:
-        """Median rate; 0 with fewer than 2 samples."""
-        steps = np.diff(self.time_s)
-        usual = float(np.median(steps)) if steps.size else 0.0
-        return 1.0 / usual if usual > 0.0 else 0.0
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,9 @@ from quad_sysid.bags import read_bag
 from quad_sysid.bags.writer import BagOptions, write_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.formats import format_of, read_log
-from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.to_bag import record_of
 from quad_sysid.record import GainChange, Record
 

@@ -24,7 +24,7 @@ MAX_WIDE = 64
 
 def read_mat(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     """Columns, and what was left out. Raises BadInputError."""
-    with read_by_library(path, 'cannot be read as a MATLAB file', 'save it anew with -v7'):
+    with read_by_library(path, 'cannot be read as a MATLAB file', 'save it again with -v7'):
         from scipy.io import loadmat
 
         content = loadmat(str(path), squeeze_me=True, struct_as_record=False)

@@ -14,7 +14,8 @@ import numpy as np
 from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.log import ASKED_FOR, ForeignLog, Reading, Signal, Stream
+from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.log import ASKED_FOR, ForeignLog, Reading, Signal
 from quad_sysid.imports.mixers import MIRROR
 from quad_sysid.imports.rosbag import read_messages, topics_of
 from quad_sysid.imports.table import Table

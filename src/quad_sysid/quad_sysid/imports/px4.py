@@ -18,6 +18,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import LAYOUTS, Craft, of_px4
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
+from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.experiments import runs_of
 from quad_sysid.imports.log import (
     ASKED_FOR,
@@ -26,7 +27,6 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
-    Stream,
 )
 from quad_sysid.imports.mixers import MIRROR, enu, mirrored, ned_angles
 from quad_sysid.imports.rosbag import read_messages, topics_of
@@ -38,6 +38,8 @@ MULTIROTORS = (2, 3, 13, 14, 15, 29, 35)
 """MAV_TYPE of those that fly by their rotors alone."""
 FIRST_MOTOR, MAX_ESCS = 101, 8
 """actuator_function of motor 1; entries of esc_status."""
+FREE = (0.02, 0.98)
+"""Commands between which a motor is at none of its ends."""
 LINEAR = 0.98
 """R² of motors over torque set-point from which PX4's gains can be stated in our unit."""
 FASTER = ('set SDLOG_PROFILE to 25, that is bit 4 (high rate) and bit 3 (system identification) '
@@ -145,13 +147,13 @@ def _experiments(table: Table) -> tuple[Experiment, ...]:
 
 
 def _load(path: Path) -> Table:
-    with read_by_library(path, 'is not a whole ULog', 'copy it anew from the aircraft'):
+    with read_by_library(path, 'is not a whole ULog', 'copy it again from the aircraft'):
         from pyulog import ULog
 
         log: Any = ULog(str(path), list(TOPICS), disable_str_exceptions=True)
     if not log.data_list and log.file_corruption:
         raise BadInputError(str(path), 'is cut off or damaged before its first data',
-                            f'{path.stat().st_size} bytes', 'copy it anew from the aircraft')
+                            f'{path.stat().st_size} bytes', 'copy it again from the aircraft')
     columns: dict[str, FloatArray] = {}
     times: dict[str, FloatArray] = {}
     for data in {one.name: one for one in reversed(log.data_list)}.values():
@@ -169,7 +171,7 @@ def _load(path: Path) -> Table:
         str(name): float(value) for name, value in log.initial_parameters.items()
         if isinstance(value, int | float)
     }
-    notes = ('parts of the log are damaged and left out: copy it anew',) if log.file_corruption \
+    notes = ('parts of the log are damaged and left out: copy it again',) if log.file_corruption \
         else ()
     return Table(str(path), columns, times, header=parameters, notes=notes)
 
@@ -195,8 +197,10 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         crafts, how = _craft(table, count)
         reading.take(Signal('motors', columns, '0..1', how))
         _speeds(reading, count)
+        # on the ground, at take-off and at landing motors stand at an end, where nothing is linear
+        free = ((motors.values > FREE[0]) & (motors.values < FREE[1])).all(axis=1)
         scale = None if torque is None or not crafts else _scale(
-            Stream(motors.time_s, crafts[0].control(motors.values)), torque
+            Stream(motors.time_s[free], crafts[0].control(motors.values[free])), torque
         )
         note = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')

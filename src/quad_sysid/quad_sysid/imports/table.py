@@ -27,10 +27,9 @@ from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
-from quad_sysid.imports.clock import draw, unroll
+from quad_sysid.imports.clock import Stream, draw, unroll
 from quad_sysid.imports.crazyflie_sd import SD_MAGIC, sd_card
 from quad_sysid.imports.delimited import read_text_table
-from quad_sysid.imports.log import Stream
 from quad_sysid.imports.matlab import read_mat
 from quad_sysid.imports.rosbag import read_messages
 from quad_sysid.imports.units import Unit
@@ -48,7 +47,7 @@ OTHERS: Mapping[bytes, tuple[str, str]] = {
     b'Rar!': ('is an archive (.rar)', 'unpack it and import what it holds'),
     b'(\xb5/\xfd': ('is packed by zstd', 'unpack it (zstd -d) and import what it holds'),
     b'\x89HDF\r\n': ('is HDF5, which is not read', 'export its columns as CSV'),
-    b'MATLAB 7.3': ('is a MATLAB file of version 7.3 (HDF5)', 'save it anew with -v7'),
+    b'MATLAB 7.3': ('is a MATLAB file of version 7.3 (HDF5)', 'save it again with -v7'),
     b'PAR1': ('is Parquet, which is not read', 'export its columns as CSV'),
     b'\x93NUMPY': ('is an array of numpy without names of columns', 'export it as CSV'),
     b'\x80\x04\x95': ('is a pickle, which is not read', 'export its columns as CSV'),
@@ -309,7 +308,7 @@ def _readable(file: Path) -> Iterator[None]:
     except (UnicodeDecodeError, csv.Error, lzma.LZMAError) as error:
         raise BadInputError(
             str(file), 'is neither a text file nor a log of PX4, ArduPilot or Betaflight',
-            remedy='copy it anew, or give a CSV file, plain or gzipped'
+            remedy='copy it again, or give a CSV file, plain or gzipped'
         ) from error
 
 

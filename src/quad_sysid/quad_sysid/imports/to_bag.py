@@ -18,9 +18,18 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.foresight import drawn_hz
-from quad_sysid.imports.clock import EPOCH_S, MAX_PAUSE, Cycles, cycles, draw, hold, mean_ahead
+from quad_sysid.imports.clock import (
+    EPOCH_S,
+    MAX_PAUSE,
+    Cycles,
+    Stream,
+    cycles,
+    draw,
+    hold,
+    mean_ahead,
+)
 from quad_sysid.imports.experiments import with_experiments
-from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.mixers import Mixer, chosen, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches

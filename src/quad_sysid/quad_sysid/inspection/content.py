@@ -35,7 +35,7 @@ from quad_sysid.motor_layout import (
     patterns_of,
     places,
 )
-from quad_sysid.pipeline.assemble import band_of
+from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.evaluate import flown_spans
 from quad_sysid.pipeline.identify import asked_axes
@@ -389,7 +389,8 @@ def _axis(record: Record, axis: str) -> AxisContent:
     return replace(content, rate_rms=_rms(data.rate, data.train), command_rms=command,
                    reference_rms=reference,
                    excitation_order=_order(data, command),
-                   coherent_band_rad_s=None if reason else band_of(data))
+                   coherent_band_rad_s=None if reason
+                   else Support.of(io_data(data, data.train), data.axis).band())
 
 
 def _order(data: AxisData, command_rms: float | None) -> int | None:

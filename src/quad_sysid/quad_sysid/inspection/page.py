@@ -7,8 +7,8 @@ from html import escape
 from pathlib import PurePath
 
 from quad_sysid.contract import AXES
-from quad_sysid.inspection.cli import lines
 from quad_sysid.inspection.content import Content, MotorPlace
+from quad_sysid.inspection.text import lines
 from quad_sysid.report.style import SHEET
 from quad_sysid.report.tables import Table
 
@@ -63,9 +63,9 @@ def _drawing(motors: tuple[MotorPlace, ...]) -> str:
                    'stroke-width="6"/>' for x, y in at)
     nose = (f'<path d="M{MIDDLE - 9} {MIDDLE + 8}L{MIDDLE} {MIDDLE - 16}L{MIDDLE + 9} '
             f'{MIDDLE + 8}Z" fill="var(--muted)"/>')
-    said = '; '.join(f'{m.name} {m.place}' for m in motors)
+    places = '; '.join(f'{m.name} {m.place}' for m in motors)
     return (f'<svg viewBox="0 0 {2 * MIDDLE:g} {2 * MIDDLE:g}" role="img" '
-            f'style="max-width:420px" aria-label="{escape(said)}">{arms}{nose}'
+            f'style="max-width:420px" aria-label="{escape(places)}">{arms}{nose}'
             + ''.join(_motor(m, x, y, disc) for m, (x, y) in zip(motors, at, strict=True))
             + '</svg>')
 

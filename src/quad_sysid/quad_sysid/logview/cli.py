@@ -42,22 +42,22 @@ def _run(options: argparse.Namespace) -> int:
     for file in options.file:
         show(f'reading {file}')
         looks.append(look(file, log=options.log, messages=options.messages))
-    found = looks[0] if len(looks) == 1 else None
+    only = looks[0] if len(looks) == 1 else None
     out = None
     if not options.no_page:
         from quad_sysid.logview.page import MARK, page
 
-        stem = _stem(Path(options.file[0])) if found else 'several'
+        stem = _stem(Path(options.file[0])) if only else 'several'
         out = Path(options.out or f'{stem}_look.html')
         check_page(out, MARK, 'look')
         show('drawing')
-        write_whole(out, page(found) if found else several.page(looks))
+        write_whole(out, page(only) if only else several.page(looks))
     show('')
     if options.json:
         trees = [one.tree() for one in looks]
-        print(json.dumps(trees[0] if found else trees, indent=1))
+        print(json.dumps(trees[0] if only else trees, indent=1))
     elif not options.quiet:
-        print(found or '\n'.join(several.figures(looks).text()))
+        print(only or '\n'.join(several.figures(looks).text()))
         if out is not None:
             print(f'\npictures in {out}')
     return 0

@@ -18,9 +18,15 @@ from quad_sysid.logview.spectrum import Frames, frames
 
 NOISE_HZ = 80.0
 """From here on what the gyro shows is called noise: no aircraft of this kind turns so fast."""
+LEAST_BAND = 1.2
+"""Factor by which a spectrum must reach beyond NOISE_HZ for an RMS above it."""
 AT_LIMIT = 1e-3
 """Distance from 0 or 1 within which a motor stands at its limit."""
-LONGEST_LATENCY_S = 0.3
+LONGEST_LATENCY_S, LONGEST_ANGLE_LATENCY_S = 0.3, 1.0
+DELAYS = 60
+"""Latencies that are tried up to the longest."""
+LEAST_TRACKED_S = 2.0
+"""Time with set-point and measurement from which tracking is stated."""
 SEEN = 0.5
 """Share of a signal's samples with which it counts as measured."""
 
@@ -61,9 +67,13 @@ class AxisLook:
     @property
     def noise_rms(self) -> float | None:
         """RMS of the filtered gyro above NOISE_HZ, rad/s; None for a log that is too slow."""
-        if self.gyro is None or self.gyro.frequency_hz[-1] < 1.2 * NOISE_HZ:
-            return None
-        return self.gyro.rms(NOISE_HZ)
+        return None if self.gyro is None else noise_rms(self.gyro)
+
+
+def noise_rms(signal: Frames) -> float | None:
+    """RMS above NOISE_HZ; None for a log that is too slow."""
+    fast = signal.frequency_hz[-1] >= LEAST_BAND * NOISE_HZ
+    return signal.rms(NOISE_HZ) if fast else None
 
 
 @dataclass(frozen=True)
@@ -109,11 +119,11 @@ class Measured:
 
 def look_at(flown: Flown) -> Measured:
     """Measure everything."""
-    found = stretches(flown)
-    everything = Stretch(0.0, flown.length_s, found[-1].gains)
-    whole = _part(flown, everything if len(found) == 1 else Stretch(
+    pieces = stretches(flown)
+    everything = Stretch(0.0, flown.length_s, pieces[-1].gains)
+    whole = _part(flown, everything if len(pieces) == 1 else Stretch(
         0.0, flown.length_s, {}))
-    parts = tuple(_part(flown, one) for one in found) if len(found) > 1 else ()
+    parts = tuple(_part(flown, one) for one in pieces) if len(pieces) > 1 else ()
     return Measured(flown, whole, parts, _motors(flown), _motor_frames(flown), _rotor_hz(flown))
 
 
@@ -128,19 +138,19 @@ def _part(flown: Flown, stretch: Stretch) -> Part:
 def _axis(flown: Flown, axis: str, good: npt.NDArray[np.bool_],
           gains: Mapping[str, float]) -> AxisLook:
     i, dt = AXES.index(axis), flown.dt
-    rate, asked = flown.rates[:, i], _column(flown.rate_setpoint, i)
-    angle, aim = _column(flown.angles, i), _column(flown.attitude_setpoint, i)
+    rate, rate_setpoint = flown.rates[:, i], _column(flown.rate_setpoint, i)
+    angle, angle_setpoint = _column(flown.angles, i), _column(flown.attitude_setpoint, i)
     steps: tuple[step.Response, ...] = ()
     tracking: tuple[Tracking, ...] = ()
     flying, injected = good, _column(flown.injected, i)
     if injected is not None:  # there it is not the set-point that moves the axis
         good = good & ~np.isfinite(injected)
-    if asked is not None:
-        steps += step.responses(asked, rate, good, dt, step.RATE)
-        tracking += _tracking('rate', asked, rate, good, dt)
-    if aim is not None and angle is not None:
-        steps += step.responses(aim, angle, good, dt, step.ANGLE)
-        tracking += _tracking('angle', aim, angle, good, dt)
+    if rate_setpoint is not None:
+        steps += step.responses(rate_setpoint, rate, good, dt, step.RATE)
+        tracking += _tracking('rate', rate_setpoint, rate, good, dt)
+    if angle_setpoint is not None and angle is not None:
+        steps += step.responses(angle_setpoint, angle, good, dt, step.ANGLE)
+        tracking += _tracking('angle', angle_setpoint, angle, good, dt)
     before = _column(flown.rates_before, i)
     same = before is not None and len(before) == flown.n and flown.before_dt == dt
     if before is not None:
@@ -169,20 +179,20 @@ def _loop(flown: Flown, i: int, good: npt.NDArray[np.bool_], gains: Mapping[str,
           before: FloatArray | None) -> response.LoopResponse | None:
     """The loop, by what was injected into its command, or else by its set-point."""
     axis, dt, rate = AXES[i], flown.dt, flown.rates[:, i]
-    asked, command = _column(flown.rate_setpoint, i), _column(flown.control, i + 1)
+    setpoint, command = _column(flown.rate_setpoint, i), _column(flown.control, i + 1)
     injected = _column(flown.injected, i)
     if injected is not None and command is not None:
-        found = response.spectra(injected, command, rate, good, dt)
-        loop = None if found is None else response.loop_response(found, dt, gains, axis)
+        spectra = response.spectra(injected, command, rate, good, dt)
+        loop = None if spectra is None else response.loop_response(spectra, dt, gains, axis)
         if loop is not None:
             return _delayed(flown, i, good, gains, before, replace(
                 loop, instrument='excitation', tracking=np.full_like(loop.tracking, np.nan),
                 bandwidth_hz=np.nan, peak=np.nan, peak_hz=np.nan))
-    if asked is None:
+    if setpoint is None:
         return None
-    found = response.spectra(asked, asked if command is None else command, rate, good, dt)
-    loop = None if found is None else response.loop_response(
-        found, dt, gains if command is not None else {}, axis)
+    spectra = response.spectra(setpoint, setpoint if command is None else command, rate, good, dt)
+    loop = None if spectra is None else response.loop_response(
+        spectra, dt, gains if command is not None else {}, axis)
     if loop is None:
         return None
     if command is None:
@@ -228,10 +238,10 @@ def _motor_delay(flown: Flown, good: npt.NDArray[np.bool_], at: float) -> respon
     """From the motors' commands to the rotors' speeds, which telemetry may delay further."""
     if flown.motors is None or flown.speeds is None:
         return None
-    found = [response.measured_delay('motors', flown.motors[:, k], flown.speeds[:, k], good,
+    delays = [response.measured_delay('motors', flown.motors[:, k], flown.speeds[:, k], good,
                                      flown.dt, at)
              for k in range(flown.speeds.shape[1])]
-    known = [one.milliseconds for one in found if one is not None]
+    known = [one.milliseconds for one in delays if one is not None]
     return response.of_seconds('motors', 1e-3 * float(np.median(known)), at,
                                'measurement') if known else None
 
@@ -246,19 +256,19 @@ def _d_delay(gains: Mapping[str, float], axis: str, dt: float,
     return out
 
 
-def _tracking(quantity: str, asked: FloatArray, got: FloatArray, good: npt.NDArray[np.bool_],
-              dt: float) -> tuple[Tracking, ...]:
+def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
+              good: npt.NDArray[np.bool_], dt: float) -> tuple[Tracking, ...]:
     """The error as it is, and beside the set-point delayed so that it is least."""
-    known = good & np.isfinite(asked) & np.isfinite(got)
-    if known.sum() < 2.0 / dt or not float(np.ptp(asked[known])) > 0.0:
+    known = good & np.isfinite(setpoint) & np.isfinite(measured)
+    if known.sum() < LEAST_TRACKED_S / dt or not float(np.ptp(setpoint[known])) > 0.0:
         return ()
-    power = float(np.mean(asked[known] ** 2))
-    error = float(np.sqrt(np.mean((asked - got)[known] ** 2)))
+    power = float(np.mean(setpoint[known] ** 2))
+    error = float(np.sqrt(np.mean((setpoint - measured)[known] ** 2)))
     best, latency = error, 0.0
-    most = LONGEST_LATENCY_S if quantity == 'rate' else 1.0
+    most = LONGEST_LATENCY_S if quantity == 'rate' else LONGEST_ANGLE_LATENCY_S
     for k in _delays(round(most / dt)):
         both = known[k:] & known[:len(known) - k]
-        left = float(np.sqrt(np.mean((asked[:len(asked) - k] - got[k:])[both] ** 2)))
+        left = float(np.sqrt(np.mean((setpoint[:len(setpoint) - k] - measured[k:])[both] ** 2)))
         if left < best:
             best, latency = left, k * dt
     return (Tracking(quantity, float(np.sqrt(power)), error, best, latency),)
@@ -266,7 +276,7 @@ def _tracking(quantity: str, asked: FloatArray, got: FloatArray, good: npt.NDArr
 
 def _delays(most: int) -> list[int]:
     """Delays in samples: all small ones, then in steps of some per cent."""
-    return sorted({round(k) for k in np.geomspace(1, max(most, 2), 60)})
+    return sorted({round(k) for k in np.geomspace(1, max(most, 2), DELAYS)})
 
 
 def _motors(flown: Flown) -> tuple[MotorLook, ...]:
@@ -294,9 +304,9 @@ def _motors(flown: Flown) -> tuple[MotorLook, ...]:
 def _motor_frames(flown: Flown) -> Frames | None:
     if flown.motors is None:
         return None
-    found = [frames(flown.motors[:, k], flown.flying, flown.dt)
+    every = [frames(flown.motors[:, k], flown.flying, flown.dt)
              for k in range(flown.motors.shape[1])]
-    known = [one for one in found if one is not None]
+    known = [one for one in every if one is not None]
     if not known or any(len(one.at) != len(known[0].at) for one in known):
         return None
     first = known[0]

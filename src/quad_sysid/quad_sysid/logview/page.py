@@ -30,7 +30,7 @@ PROPOSED = ('<p class="small">Shaded blue: to train, orange: held out, as an ide
 def page(look: Measured) -> str:
     """The page as text, at most 2 MB."""
     name = escape(PurePath(look.flown.source).name)
-    said = ''.join(f'<p>{escape(text)}</p>' for text in sentences(look))
+    answer = ''.join(f'<p>{escape(text)}</p>' for text in sentences(look))
     importlib.import_module('matplotlib.backends.backend_svg')  # once, before processes divide
     figures = ''.join(side_by_side([partial(_figure, make, look) for make in makers()]))
     stretches = ''.join(
@@ -43,7 +43,7 @@ def page(look: Measured) -> str:
         '<meta name="viewport" content="width=device-width,initial-scale=1">',
         f'<title>Look at {name}</title><style>{SHEET}{zoom.STYLE}</style></head><body>',
         f'<h1>Look at {name}</h1><p class="small">{escape(header(look))}</p>',
-        f'<section class="answer">{said}</section>',
+        f'<section class="answer">{answer}</section>',
         f'<h2>Traces</h2>{traces(look)}',
         f'<h2>Pictures</h2><div class="figures">{figures}</div>',
         f'<h2>Figures</h2>{"".join(table.html() for table in tables(look))}',
@@ -91,5 +91,5 @@ def traces(look: Measured, budget: int = zoom.BUDGET) -> str:
     marks = [zoom.Mark(a, b, '--muted') for a, b in flown.gaps]
     marks += [zoom.Mark(p.stretch.start_s, p.stretch.end_s, '--pink') for p in look.parts[1::2]]
     marks += [zoom.Mark(a, b, ROLES[role]) for role, a, b in flown.proposed]
-    said = PROPOSED if flown.proposed else ''
-    return zoom.group(rows, flown.dt, marks, budget) + said
+    note = PROPOSED if flown.proposed else ''
+    return zoom.group(rows, flown.dt, marks, budget) + note

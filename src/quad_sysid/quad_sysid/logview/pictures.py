@@ -35,6 +35,8 @@ COLOURS = {'all': INK, 'small': SKY, 'medium': BLUE, 'large': ORANGE}
 STRETCHES = (BLUE, ORANGE, GREEN, PINK, SKY, MUTED)
 MOST_PIXELS = 300
 """Columns and rows of a map."""
+COLUMN_S = 0.25
+"""Shortest column of a spectrogram."""
 RANGE_DB = 50.0
 
 
@@ -51,31 +53,31 @@ def makers() -> tuple[Callable[[Measured], Picture | None], ...]:
 
 def draw(look: Measured, name: str) -> Picture:
     """One picture by its name; raises BadInputError where the log does not allow it."""
-    found = {one.name: one for one in pictures(look)}
-    if name not in found:
-        raise BadInputError('look', 'has no such picture', name, f'it has {", ".join(found)}')
-    return found[name]
+    by_name = {one.name: one for one in pictures(look)}
+    if name not in by_name:
+        raise BadInputError('look', 'has no such picture', name, f'it has {", ".join(by_name)}')
+    return by_name[name]
 
 
 def steps(look: Measured, quantity: str) -> Picture | None:
     """The step response of each axis, by amplitude."""
     axes = {axis: [s for s in one.steps if s.quantity == quantity]
             for axis, one in look.whole.axes.items()}
-    axes = {axis: found for axis, found in axes.items() if found}
+    axes = {axis: responses for axis, responses in axes.items() if responses}
     if not axes:
         return None
     figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
-    for one, (axis, found) in zip(drawn, axes.items(), strict=True):
+    for one, (axis, responses) in zip(drawn, axes.items(), strict=True):
         one.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
-        for s in found:
+        for s in responses:
             colour = COLOURS[s.amplitude]
             if s.amplitude == 'all':
                 one.fill_between(s.time_s, s.low, s.high, color=MUTED, alpha=0.25, linewidth=0)
             one.plot(s.time_s, s.mean, color=colour, label=s.amplitude,
                      linewidth=1.6 if s.amplitude == 'all' else 1.0)
         one.set_ylabel(f'{axis}, 1')
-        one.set_ylim(min(-0.1, *(float(s.mean.min()) for s in found)),
-                     max(1.5, *(1.05 * float(s.mean.max()) for s in found)))
+        one.set_ylim(min(-0.1, *(float(s.mean.min()) for s in responses)),
+                     max(1.5, *(1.05 * float(s.mean.max()) for s in responses)))
     drawn[-1].set_xlabel('time after the step, s')
     legend(drawn[0])
     return Picture(
@@ -114,13 +116,13 @@ def spectra(look: Measured) -> Picture | None:
     motors = look.motor_frames
     figure, drawn = panels(len(axes) + (motors is not None),
                            height_in=0.7 + 1.5 * (len(axes) + (motors is not None)))
-    for one, (axis, found) in zip(drawn, axes.items(), strict=False):
-        for name, frames, colour in (('gyro before filters', found.gyro_before, SKY),
-                                     ('gyro', found.gyro, INK)):
+    for one, (axis, signals) in zip(drawn, axes.items(), strict=False):
+        for name, frames, colour in (('gyro before filters', signals.gyro_before, SKY),
+                                     ('gyro', signals.gyro, INK)):
             if frames is not None:
                 _line(one, frames, DEG, colour, name)
-        if found.d_term is not None:
-            _line(one, found.d_term, 1e3, ORANGE, 'D part, ‰ of command')
+        if signals.d_term is not None:
+            _line(one, signals.d_term, 1e3, ORANGE, 'D part, ‰ of command')
         one.set_ylabel(f'{axis}, deg/s/√Hz')
     if motors is not None:
         _line(drawn[-1], motors, 1e3, GREEN, 'motor commands, ‰')
@@ -166,7 +168,7 @@ def time_map(look: Measured) -> Picture | None:
     figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
     for one, (axis, frames) in zip(drawn, maps.items(), strict=True):
         edges = np.linspace(0.0, look.flown.length_s, min(
-            MOST_PIXELS, max(2, math.ceil(look.flown.length_s / 0.25))) + 1)
+            MOST_PIXELS, max(2, math.ceil(look.flown.length_s / COLUMN_S))) + 1)
         group = np.digitize(frames.time_s, edges) - 1
         values = np.full((len(edges) - 1, len(frames.frequency_hz)), np.nan)
         for c in np.unique(group[group < len(values)]):
@@ -188,9 +190,9 @@ def _noisiest(look: Measured) -> Iterator[tuple[str, Frames]]:
     """Of each axis the gyro before its filters on the log's grid, or else behind them."""
     for axis, one in look.whole.axes.items():
         raw = one.gyro_before if look.flown.before_dt == look.flown.dt else None
-        found = raw if raw is not None else one.gyro
-        if found is not None:
-            yield axis, found
+        gyro = raw if raw is not None else one.gyro
+        if gyro is not None:
+            yield axis, gyro
 
 
 def _map(axes: Axes, density: FloatArray, span: tuple[float, float], frames: Frames) -> None:
@@ -211,13 +213,13 @@ def orders(look: Measured) -> Picture | None:
     """Gyro noise over multiples of the rotors' mean frequency."""
     if look.rotor_hz is None:
         return None
-    found = {axis: f.orders(look.rotor_hz) for axis, f in _noisiest(look)}
-    found = {axis: m for axis, m in found.items() if m is not None}
-    if not found:
+    maps = {axis: f.orders(look.rotor_hz) for axis, f in _noisiest(look)}
+    maps = {axis: m for axis, m in maps.items() if m is not None}
+    if not maps:
         return None
     figure, (one,) = panels(height_in=2.6)
     centres = 0.5 * (ORDERS[1:] + ORDERS[:-1])
-    for (axis, m), colour in zip(found.items(), (BLUE, ORANGE, GREEN), strict=False):
+    for (axis, m), colour in zip(maps.items(), (BLUE, ORANGE, GREEN), strict=False):
         if m is not None:
             one.semilogy(centres, DEG * np.sqrt(m), color=colour, label=axis)
     one.set_xlabel("frequency over the rotors' mean frequency")
@@ -232,12 +234,12 @@ def orders(look: Measured) -> Picture | None:
 def loop(look: Measured) -> Picture | None:
     """Tracking over frequency, coherence, and loop gain where the gains are known."""
     part: Part = look.parts[-1] if look.parts else look.whole
-    found = {axis: one.loop for axis, one in part.axes.items() if one.loop is not None}
-    if not found:
+    loops = {axis: one.loop for axis, one in part.axes.items() if one.loop is not None}
+    if not loops:
         return None
-    known = any(one.loop is not None for one in found.values())
+    known = any(one.loop is not None for one in loops.values())
     figure, drawn = panels(4 if known else 3, height_in=5.6 if known else 4.4)
-    for (axis, one), colour in zip(found.items(), (BLUE, ORANGE, GREEN), strict=False):
+    for (axis, one), colour in zip(loops.items(), (BLUE, ORANGE, GREEN), strict=False):
         f = one.frequency_hz
         drawn[0].loglog(f, np.abs(one.tracking), color=colour, label=axis)
         drawn[1].semilogx(f, np.degrees(np.unwrap(np.angle(one.tracking))), color=colour)

@@ -12,9 +12,9 @@ import numpy as np
 from quad_sysid.bags import read_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import MAX_PAUSE, cycles, draw, hold
+from quad_sysid.imports.clock import MAX_PAUSE, Stream, cycles, draw, hold
 from quad_sysid.imports.guess import read_any
-from quad_sysid.imports.log import ForeignLog, Stream
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.stretches import airborne
 from quad_sysid.imports.table import head_of, is_bag
@@ -132,28 +132,28 @@ def of_log(log: ForeignLog) -> Flown:
         raise BadInputError(log.source, 'holds no body rates and no angles',
                             remedy='log the gyro; quad-sysid import lists what the log holds')
     try:
-        record, told, warnings = record_of(log)
+        record, notes, warnings = record_of(log)
     except BadInputError as error:
-        found = _without_commands(log, str(error))
+        flown = _without_commands(log, str(error))
     else:
-        found = replace(of_record(record, log.kind), warnings=(*log.checks, *warnings, *told[:1]))
+        flown = replace(of_record(record, log.kind), warnings=(*log.checks, *warnings, *notes[:1]))
     laid = cycles(base, log.source)
-    found = replace(found, gains=tuple(
+    flown = replace(flown, gains=tuple(
         GainChange(change.time_s - laid.times[0] if change.time_s else 0.0, change.values)
-        for change in (*found.gains, *log.gain_changes)))
+        for change in (*flown.gains, *log.gain_changes)))
     times = laid.times
-    if log.d_term is not None and len(times) == found.n:
+    if log.d_term is not None and len(times) == flown.n:
         width = log.d_term.values.shape[1]
-        d_term = np.full((found.n, len(AXES)), np.nan)
-        d_term[:, :width] = hold(log.d_term, times, found.dt)
-        found = replace(found, d_term=d_term)
+        d_term = np.full((flown.n, len(AXES)), np.nan)
+        d_term[:, :width] = hold(log.d_term, times, flown.dt)
+        flown = replace(flown, d_term=d_term)
     before = log.rates_before
-    if before is not None and before.rate_hz >= SAME_GRID / found.dt and len(times) == found.n:
-        found = replace(found, rates_before=_drawn(before, times), before_dt=found.dt)
+    if before is not None and before.rate_hz >= SAME_GRID / flown.dt and len(times) == flown.n:
+        flown = replace(flown, rates_before=_drawn(before, times), before_dt=flown.dt)
     elif before is not None and len(before.time_s) > 2:
         own = cycles(before, log.source)
-        found = replace(found, rates_before=own.values, before_dt=own.dt)
-    return _complete(found)
+        flown = replace(flown, rates_before=own.values, before_dt=own.dt)
+    return _complete(flown)
 
 
 def _without_commands(log: ForeignLog, why: str) -> Flown:
@@ -181,30 +181,30 @@ def _without_commands(log: ForeignLog, why: str) -> Flown:
         warnings=(f'it cannot be identified: {why}',))
 
 
-def _possible(found: Flown) -> Flown:
+def _possible(flown: Flown) -> Flown:
     """Without set-points that no aircraft can follow, as damaged logs hold."""
     lost = 0
     clean: dict[str, Any] = {}
     for name, largest in (('rate_setpoint', FASTEST_RAD_S), ('attitude_setpoint', MOST_TURNS)):
-        values = getattr(found, name)
+        values = getattr(flown, name)
         if values is not None and (wrong := np.abs(values) > largest).any():
             lost += int(wrong.any(axis=1).sum())
             clean[name] = np.where(wrong, np.nan, values)
     if not clean:
-        return found
-    said = f'set-points beyond what an aircraft can follow were dropped from {lost} samples'
-    return replace(found, warnings=(*found.warnings, said), **clean)
+        return flown
+    note = f'set-points beyond what an aircraft can follow were dropped from {lost} samples'
+    return replace(flown, warnings=(*flown.warnings, note), **clean)
 
 
-def _complete(found: Flown) -> Flown:
+def _complete(flown: Flown) -> Flown:
     """Without what cannot be, and what the log lacks, in words."""
-    found = _possible(found)
-    if not found.axes:
-        raise BadInputError(found.source, 'shows no axis that turns',
+    flown = _possible(flown)
+    if not flown.axes:
+        raise BadInputError(flown.source, 'shows no axis that turns',
                             remedy='give the log of a flight')
     lacks = [text for name, text in LACKING.items()
-             if getattr(found, name) is None or (name == 'gains' and not found.gains)]
-    return replace(found, lacks=tuple(lacks))
+             if getattr(flown, name) is None or (name == 'gains' and not flown.gains)]
+    return replace(flown, lacks=tuple(lacks))
 
 
 def _drawn(stream: Stream, times: FloatArray) -> FloatArray:

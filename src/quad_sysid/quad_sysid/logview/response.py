@@ -121,17 +121,18 @@ def spectra(r: FloatArray, u: FloatArray, y: FloatArray, good: npt.NDArray[np.bo
                    cross(fu), len(at))
 
 
-def loop_response(found: Spectra, dt: float, gains: Mapping[str, float],
+def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
                   axis: str) -> LoopResponse | None:
     """The closed loop, and with gains its margins; None where nothing is coherent."""
-    f = found.frequency_hz
-    seen = found.coherence(found.yr, found.yy)
-    asked = found.rr >= LEAST_POWER * found.rr[1:].max() if len(f) > 1 else np.zeros(1, bool)
-    used = (seen >= COHERENT) & asked & (f > 0.0)
+    f = measured.frequency_hz
+    seen = measured.coherence(measured.yr, measured.yy)
+    excited = np.zeros(1, bool) if len(f) < 2 else \
+        measured.rr >= LEAST_POWER * measured.rr[1:].max()
+    used = (seen >= COHERENT) & excited & (f > 0.0)
     used &= np.cumsum(~used & (f > 0.0) & (f > f[np.argmax(used)])) <= FEWEST_LINES
     if used.sum() < FEWEST_LINES:
         return None
-    f, tracking = f[used], (found.yr[used] / found.rr[used])
+    f, tracking = f[used], (measured.yr[used] / measured.rr[used])
     level = np.abs(tracking)
     low = float(np.median(level[:FEWEST_LINES]))
     below = level < np.sqrt(0.5) * low
@@ -140,10 +141,10 @@ def loop_response(found: Spectra, dt: float, gains: Mapping[str, float],
     common = {'frequency_hz': f, 'tracking': tracking, 'coherence': seen[used],
               'bandwidth_hz': float(f[at]) if at >= 0 else np.nan, 'peak': float(level[peak]),
               'peak_hz': float(f[peak])}
-    driven = found.coherence(found.ur, found.uu)[used] >= COHERENT
+    driven = measured.coherence(measured.ur, measured.uu)[used] >= COHERENT
     if driven.sum() < FEWEST_LINES:
         return LoopResponse(**common)
-    plant = np.where(driven, found.yr[used] / np.where(driven, found.ur[used], 1.0), np.nan)
+    plant = np.where(driven, measured.yr[used] / np.where(driven, measured.ur[used], 1.0), np.nan)
     controller = feedback(gains, axis, f, dt)
     if controller is None:
         return LoopResponse(**common, plant=plant)
@@ -219,15 +220,15 @@ def notch(centre_hz: float, width_hz: float, frequency_hz: FloatArray) -> Comple
 def measured_delay(part: str, before: FloatArray, after: FloatArray,
                    good: npt.NDArray[np.bool_], dt: float, at_hz: float) -> Delay | None:
     """The delay of a part whose input and output were logged, from the phase around `at_hz`."""
-    found = spectra(before, before, after, good, dt)
-    if found is None:
+    between = spectra(before, before, after, good, dt)
+    if between is None:
         return None
-    f = found.frequency_hz
-    used = (found.coherence(found.yr, found.yy) >= COHERENT) & (f > 0.0)
+    f = between.frequency_hz
+    used = (between.coherence(between.yr, between.yy) >= COHERENT) & (f > 0.0)
     used &= np.abs(np.log(np.maximum(f, 1e-9) / at_hz)) < NEAR
     if used.sum() < FEWEST_LINES:
         return None
-    seconds = _delay_at(f[used], np.unwrap(np.angle(found.yr[used])), at_hz)
+    seconds = _delay_at(f[used], np.unwrap(np.angle(between.yr[used])), at_hz)
     return of_seconds(part, seconds, at_hz, 'measurement')
 
 
@@ -241,24 +242,24 @@ def of_filter(part: str, response: ComplexArray, at_hz: float, how: str) -> Dela
     return of_seconds(part, -float(np.angle(response[0])) / (2.0 * np.pi * at_hz), at_hz, how)
 
 
-def at_crossover(found: LoopResponse | None) -> float:
+def at_crossover(loop: LoopResponse | None) -> float:
     """The frequency at which delays are stated: the crossover, or REFERENCE_HZ within the band."""
-    if found is None:
+    if loop is None:
         return REFERENCE_HZ
-    if np.isfinite(found.crossover_hz):
-        return found.crossover_hz
-    return float(np.clip(REFERENCE_HZ, found.frequency_hz[0], found.frequency_hz[-1]))
+    if np.isfinite(loop.crossover_hz):
+        return loop.crossover_hz
+    return float(np.clip(REFERENCE_HZ, loop.frequency_hz[0], loop.frequency_hz[-1]))
 
 
-def plant_delay(found: LoopResponse, at_hz: float) -> float | None:
+def plant_delay(loop: LoopResponse, at_hz: float) -> float | None:
     """Seconds from the command to the angular acceleration at a frequency; None if not known."""
-    if found.plant is None:
+    if loop.plant is None:
         return None
-    known = np.isfinite(found.plant)
-    f = found.frequency_hz[known]
+    known = np.isfinite(loop.plant)
+    f = loop.frequency_hz[known]
     if len(f) < FEWEST_LINES or not f[0] <= at_hz <= f[-1]:
         return None
-    phase = np.unwrap(np.angle(found.plant[known] * 1j * f))
+    phase = np.unwrap(np.angle(loop.plant[known] * 1j * f))
     near = np.abs(np.log(f / at_hz)) < NEAR
     return _delay_at(f[near], phase[near], at_hz) if near.sum() >= FEWEST_LINES else None
 

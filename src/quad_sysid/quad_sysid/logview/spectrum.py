@@ -15,6 +15,8 @@ from quad_sysid.contract import FloatArray
 
 FRAME_S = 0.5
 """Length of a frame, s: 2 Hz between lines."""
+FEWEST_SAMPLES = 8
+"""Of a frame: a slower log has no spectrum."""
 THROTTLE = np.linspace(0.0, 1.0, 41)
 """Edges of the throttle's classes."""
 ORDERS = np.linspace(0.25, 4.25, 161)
@@ -97,7 +99,7 @@ class Frames:
         floor = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1), axis=1)
         stands = (self.mean > PEAK * floor) & (self.frequency_hz >= LOWEST_PEAK_HZ)
         edges = np.flatnonzero(np.diff(np.concatenate(([False], stands, [False]))))
-        found = []
+        out = []
         for a, b in edges.reshape(-1, 2):
             power = float((self.mean[a:b] - floor[a:b]).sum() * line)
             at = float(self.frequency_hz[a:b] @ self.mean[a:b] / self.mean[a:b].sum())
@@ -105,14 +107,14 @@ class Frames:
             if rotor_hz and rotor_hz > 0.0:
                 whole = max(1, round(at / rotor_hz))
                 order = float(whole) if abs(at / rotor_hz / whole - 1.0) < ON_ORDER else None
-            found.append(Peak(at, float(np.sqrt(power)), order))
-        return tuple(sorted(found, key=lambda p: -p.rms)[:PEAKS])
+            out.append(Peak(at, float(np.sqrt(power)), order))
+        return tuple(sorted(out, key=lambda p: -p.rms)[:PEAKS])
 
 
 def frames(signal: FloatArray, good: npt.NDArray[np.bool_], dt: float) -> Frames | None:
     """The frames of a signal (n,) within `good` (n,); None without any."""
     size = round(FRAME_S / dt)
-    if size < 8 or len(signal) < size:
+    if size < FEWEST_SAMPLES or len(signal) < size:
         return None
     lost = np.concatenate(([0], np.cumsum(~(good & np.isfinite(signal)))))
     at = np.arange(0, len(signal) - size + 1, max(1, size // 2))

@@ -32,6 +32,8 @@ DECAYS = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 """Time constants that are tried for the prior, as shares of the response."""
 SIZES = (0.01, 0.1, 1.0, 10.0, 100.0)
 """Sizes that are tried for the prior, in units of a response that ends at 1."""
+RIDGE = 1e-6
+"""Share of the mean power added where the noise is estimated without a prior."""
 COARSE = 50
 """Samples of the response with which the prior is sought, and the spread between windows."""
 FEWEST = 10
@@ -152,14 +154,14 @@ def responses(setpoint: FloatArray, output: FloatArray, good: npt.NDArray[np.boo
     used = held.largest >= least if held is not None else np.zeros(0, bool)
     if held is None or used.sum() < FEWEST:
         return ()
-    found = []
+    out = []
     for name, low, high in (('all', least, np.inf), *loop.classes):
         inside = (held.largest >= low) & (held.largest < high)
         if inside.sum() < FEWEST or (name != 'all' and inside.sum() == used.sum()):
             continue
         one = _response(held, inside, step, loop.quantity, name)
-        found += [one] if one is not None else []
-    return tuple(found)
+        out += [one] if one is not None else []
+    return tuple(out)
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:
@@ -239,7 +241,7 @@ def _prior(gram: FloatArray, cross: FloatArray, power: float, rows: int,
            lags: int) -> tuple[float, float, float]:
     """Decay and size of the prior with the highest evidence, and the variance of the noise."""
     m = len(cross)
-    plain = np.linalg.solve(gram + 1e-6 * np.trace(gram) / m * np.eye(m), cross)
+    plain = np.linalg.solve(gram + RIDGE * np.trace(gram) / m * np.eye(m), cross)
     noise = max((power - float(plain @ cross)) / rows, 1e-9 * power / rows)
     best, chosen = np.inf, (DECAYS[0], 1.0)
     for share in DECAYS:

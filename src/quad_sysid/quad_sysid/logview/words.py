@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.logview.measure import NOISE_HZ, AxisLook, Measured, Part
+from quad_sysid.logview.measure import NOISE_HZ, AxisLook, Measured, Part, noise_rms
 from quad_sysid.logview.response import LoopResponse
 from quad_sysid.logview.spectrum import Frames, Peak
 from quad_sysid.logview.step import Response
@@ -21,6 +21,10 @@ UNEVEN_PCT = 5.0
 """A motor's command this far from the mean of all is said in words."""
 LIMITED_PCT = 0.5
 """Share of the time at a limit from which it is said."""
+MISSED_PCT = 5.0
+"""Distance of a step's end from the step from which it is said."""
+MOST_GAINS = 6
+"""Changed gains that a title names."""
 
 
 def lines(look: Measured) -> list[str]:
@@ -70,9 +74,9 @@ def _axis_sentence(look: Measured, one: AxisLook) -> str:
     if step is not None:
         text = f'{name} follows a step of its rate set-point {_figures(step)}'
     elif one.tracking:
-        found = one.tracking[0]
-        text = (f'{name} is off its rate set-point by {DEG * found.error_rms:.3g} deg/s RMS of '
-                f'{DEG * found.setpoint_rms:.3g}; the set-point moves too little, or the rate '
+        error = one.tracking[0]
+        text = (f'{name} is off its rate set-point by {DEG * error.error_rms:.3g} deg/s RMS of '
+                f'{DEG * error.setpoint_rms:.3g}; the set-point moves too little, or the rate '
                 'follows it too loosely, for a step response')
     elif look.flown.rate_setpoint is None:
         text = f'{name} has no rate set-point in the log, hence no step response'
@@ -102,7 +106,7 @@ def _figures(step: Response) -> str:
     parts += [f'{f.overshoot_pct:.0f} % overshoot']
     parts += [f'settled after {_ms(f.settling_time_s)}' if np.isfinite(f.settling_time_s)
               else f'not settled within {step.time_s[-1]:.2g} s']
-    if abs(f.final_error_pct) >= 5.0:
+    if abs(f.final_error_pct) >= MISSED_PCT:
         parts.append(f'ending at {100.0 - f.final_error_pct:.0f} % of it')
     return ', '.join(parts)
 
@@ -136,7 +140,7 @@ def _title(part: Part) -> str:
     s = part.stretch
     if not s.changed:
         return '' if not s.start_s else f'{s.start_s:.1f} to {s.end_s:.1f} s: '
-    changed = ', '.join(f'{n} {s.gains[n]:.4g}' for n in s.changed[:6])
+    changed = ', '.join(f'{n} {s.gains[n]:.4g}' for n in s.changed[:MOST_GAINS])
     return f'{s.start_s:.1f} to {s.end_s:.1f} s, from here on {changed}: '
 
 
@@ -163,16 +167,16 @@ def loops(part: Part) -> Table:
     """Closed loop and margins."""
     rows = []
     for axis, one in part.axes.items():
-        found = one.loop
-        if found is not None:
+        loop = one.loop
+        if loop is not None:
             rows.append([
-                axis, f'{found.frequency_hz[0]:.2g} to {found.frequency_hz[-1]:.3g}',
-                _or(found.bandwidth_hz, '.3g'), '–' if not np.isfinite(found.peak) else
-                f'{found.peak:.2f} at {found.peak_hz:.3g}',
-                _or(found.crossover_hz, '.3g'), _or(found.phase_margin_deg, '.0f'),
-                _or(found.gain_margin_db, '.1f'),
-                '–' if not np.isfinite(found.sensitivity) else
-                f'{found.sensitivity:.2f} at {found.sensitivity_hz:.3g}'])
+                axis, f'{loop.frequency_hz[0]:.2g} to {loop.frequency_hz[-1]:.3g}',
+                _or(loop.bandwidth_hz, '.3g'), '–' if not np.isfinite(loop.peak) else
+                f'{loop.peak:.2f} at {loop.peak_hz:.3g}',
+                _or(loop.crossover_hz, '.3g'), _or(loop.phase_margin_deg, '.0f'),
+                _or(loop.gain_margin_db, '.1f'),
+                '–' if not np.isfinite(loop.sensitivity) else
+                f'{loop.sensitivity:.2f} at {loop.sensitivity_hz:.3g}'])
     return Table(['axis', 'coherent, Hz', '-3 dB, Hz', 'peak, Hz', 'crossover, Hz', 'phase, °',
                   'gain, dB', 'sensitivity, Hz'], rows, range(1, 8), caption=(
                       f'{_title(part)}Rate loop over frequency, by the set-point or what was '
@@ -196,22 +200,22 @@ def noise(part: Part) -> Table:
     """RMS of gyro and D part, and their largest peaks."""
     rows = []
     for axis, one in part.axes.items():
-        for name, found, scale, unit in (
+        for name, frames, scale, unit in (
                 ('gyro before filters', one.gyro_before, DEG, 'deg/s'),
                 ('gyro', one.gyro, DEG, 'deg/s'), ('D part', one.d_term, 100.0, '% command')):
-            if found is None:
+            if frames is None:
                 continue
-            rows.append([axis, name, f'{scale * found.rms(1.0):.3g}',
-                         f'{scale * found.rms(NOISE_HZ):.3g}'
-                         if found.frequency_hz[-1] > 1.2 * NOISE_HZ else '–', unit,
-                         _peaks(found.peaks(), scale)])
+            high = noise_rms(frames)
+            rows.append([axis, name, f'{scale * frames.rms(1.0):.3g}',
+                         '–' if high is None else f'{scale * high:.3g}', unit,
+                         _peaks(frames.peaks(), scale)])
     return Table(['axis', 'signal', 'RMS', f'above {NOISE_HZ:g} Hz', 'unit', 'peaks'], rows,
                  (2, 3))
 
 
-def _peaks(found: Sequence[Peak], scale: float) -> str:
+def _peaks(peaks: Sequence[Peak], scale: float) -> str:
     return ', '.join(f'{scale * p.rms:.2g} at {p.frequency_hz:.0f} Hz'
-                     + (f' ({p.order:.0f} x rotor)' if p.order else '') for p in found) or '–'
+                     + (f' ({p.order:.0f} x rotor)' if p.order else '') for p in peaks) or '–'
 
 
 def tracking(part: Part) -> Table:
@@ -261,9 +265,9 @@ def _axes(part: Part) -> dict[str, Any]:
     return {axis: {
         'steps': [_step(s) for s in one.steps], 'loop': _loop(one.loop),
         'tracking': [vars(t) for t in one.tracking],
-        'noise': {name: _noise(found) for name, found in (
+        'noise': {name: _noise(frames) for name, frames in (
             ('gyro_before', one.gyro_before), ('gyro', one.gyro), ('d_term', one.d_term))
-            if found is not None},
+            if frames is not None},
     } for axis, one in part.axes.items()}
 
 
@@ -275,21 +279,21 @@ def _step(s: Response) -> dict[str, Any]:
             'high': _list(s.high)}
 
 
-def _loop(found: LoopResponse | None) -> dict[str, Any] | None:
-    if found is None:
+def _loop(loop: LoopResponse | None) -> dict[str, Any] | None:
+    if loop is None:
         return None
     names = ('bandwidth_hz', 'peak', 'peak_hz', 'crossover_hz', 'phase_margin_deg',
              'gain_margin_db', 'sensitivity', 'sensitivity_hz', 'delay_hz')
-    return {**{n: _number(getattr(found, n)) for n in names},
-            'frequency_hz': _list(found.frequency_hz), 'coherence': _list(found.coherence),
-            'tracking_abs': _list(np.abs(found.tracking)),
-            'tracking_deg': _list(np.degrees(np.angle(found.tracking))),
-            'delays': [vars(d) for d in found.delays]}
+    return {**{n: _number(getattr(loop, n)) for n in names},
+            'frequency_hz': _list(loop.frequency_hz), 'coherence': _list(loop.coherence),
+            'tracking_abs': _list(np.abs(loop.tracking)),
+            'tracking_deg': _list(np.degrees(np.angle(loop.tracking))),
+            'delays': [vars(d) for d in loop.delays]}
 
 
-def _noise(found: Frames) -> dict[str, Any]:
-    return {'rms': found.rms(1.0), f'rms_above_{NOISE_HZ:g}_hz': found.rms(NOISE_HZ),
-            'peaks': [vars(p) for p in found.peaks()]}
+def _noise(frames: Frames) -> dict[str, Any]:
+    return {'rms': frames.rms(1.0), f'rms_above_{NOISE_HZ:g}_hz': frames.rms(NOISE_HZ),
+            'peaks': [vars(p) for p in frames.peaks()]}
 
 
 def _number(value: float) -> float | None:

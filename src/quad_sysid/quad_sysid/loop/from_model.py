@@ -17,10 +17,10 @@ from scipy.optimize import least_squares
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Memory as Warming
-from quad_sysid.effects.likeness import Trim
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.stored import fitted_of, part_of, plant_of
 from quad_sysid.loop.cascade import CascadeGains, contract_names, reference_response
+from quad_sysid.loop.likeness import Trim
 from quad_sysid.loop.linear import loops_of
 from quad_sysid.loop.plant import LATE_S, Flying, around, plant_like
 from quad_sysid.model import AxisModel, EffectEstimate
@@ -181,12 +181,12 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
         if 0.0 < one.effect.repeats_hz(one.p) < SLOW_HZ
     )
     parts = tuple(one.part for one in flying)
-    found = plant_like(
+    plant = plant_like(
         model.axis, np.concatenate([p, *(one.p for one in flying)]), model.dt,
         model.gyro_filter_hz, structure=Structure(parts, law=law),
         craft=model.craft, at=(at['throttle'], at['battery']),
     )
-    return found if EVERY[model.axis].turns else _about_trim(found)
+    return plant if EVERY[model.axis].turns else _about_trim(plant)
 
 
 def _about_trim(flying: Flying) -> Flying:

@@ -9,22 +9,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import types
 
 from quad_sysid.compiled import BLOCK, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.contract import FloatArray
-from quad_sysid.model.laws import loose_ahead, yielded
+from quad_sysid.model.laws import IntArray, operate
 from quad_sysid.model.recursion import motor_ahead
-from quad_sysid.model.traced import CODES
 
-IntArray = npt.NDArray[np.int64]
 INTEGRAL, LAST, D_PART, TARGET, ERROR, OUTPUT, NOTCH = range(7)
 MEMORY = 8
 """Numbers that a controller remembers; the notch has the last two."""
-(ADD, SUBTRACT, MULTIPLY, DIVIDE, MAXIMUM, MINIMUM, POWER, GREATER, GREATER_EQUAL, LESS,
- LESS_EQUAL, NEGATIVE, ABSOLUTE, SIGN, EXP, LOG, SQRT, SIN, COS, TANH, FLOOR, RINT, WHERE, INTERP,
- LOOSE, YIELDED) = CODES.values()
 
 
 class Constants(NamedTuple):
@@ -133,101 +127,6 @@ def control_each(gains: Constants, memory: FloatArray, inputs: FloatArray, angle
 
 
 @inner
-def over(table: FloatArray, at: int, n: int, x: float) -> float:
-    """numpy.interp over n knots, which stand at a place of the table with their values behind."""
-    if x <= table[at]:
-        return float(table[at + n])
-    for i in range(1, n):
-        if x < table[at + i]:
-            low = table[at + n + i - 1]
-            slope = (table[at + n + i] - low) / (table[at + i] - table[at + i - 1])
-            return float(slope * (x - table[at + i - 1]) + low)
-    return float(table[at + 2 * n - 1])
-
-
-@inner
-def operate(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, begin: int,
-            end: int) -> None:
-    """Do the operations [begin, end) of `code` (m, 4) on the registers r."""
-    for k in range(begin, end):
-        what, to, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3]
-        if what == ADD:
-            r[to] = r[a] + r[b]
-        elif what == SUBTRACT:
-            r[to] = r[a] - r[b]
-        elif what == MULTIPLY:
-            r[to] = r[a] * r[b]
-        elif what == DIVIDE:
-            r[to] = r[a] / r[b]
-        elif what == MAXIMUM:
-            r[to] = max(r[a], r[b])
-        elif what == MINIMUM:
-            r[to] = min(r[a], r[b])
-        elif what == POWER:
-            r[to] = r[a] ** r[b]
-        elif what == GREATER:
-            r[to] = 1.0 if r[a] > r[b] else 0.0
-        elif what == GREATER_EQUAL:
-            r[to] = 1.0 if r[a] >= r[b] else 0.0
-        elif what == LESS:
-            r[to] = 1.0 if r[a] < r[b] else 0.0
-        elif what == LESS_EQUAL:
-            r[to] = 1.0 if r[a] <= r[b] else 0.0
-        elif what == NEGATIVE:
-            r[to] = -r[a]
-        elif what == ABSOLUTE:
-            r[to] = abs(r[a])
-        elif what == SIGN:
-            r[to] = 1.0 if r[a] > 0.0 else -1.0 if r[a] < 0.0 else r[a]
-        elif what == EXP:
-            r[to] = math.exp(r[a])
-        elif what == LOG:
-            r[to] = math.log(r[a])
-        elif what == SQRT:
-            r[to] = math.sqrt(r[a])
-        elif what == SIN:
-            r[to] = math.sin(r[a])
-        elif what == COS:
-            r[to] = math.cos(r[a])
-        elif what == TANH:
-            r[to] = math.tanh(r[a])
-        elif what == FLOOR:
-            r[to] = np.floor(r[a])
-        elif what == RINT:
-            r[to] = np.rint(r[a])
-        elif what == WHERE:
-            r[to] = r[more[a + 1]] if r[more[a]] != 0.0 else r[more[a + 2]]
-        elif what == INTERP:
-            r[to] = over(tables, int(r[more[a + 1]]), int(r[more[a + 2]]), r[more[a]])
-        elif what == LOOSE:
-            r[to], r[to + 1], r[to + 2] = loose_ahead(
-                r[more[a]], r[more[a + 1]], r[more[a + 4]], r[more[a + 5]], r[more[a + 6]],
-                r[more[a + 2]], r[more[a + 3]])
-        elif what == YIELDED:
-            r[to] = yielded(r[more[a]], r[more[a + 1]], r[more[a + 2]], r[more[a + 3]],
-                            r[more[a + 4]], r[more[a + 5]])
-
-
-@kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, WHOLE, WHOLES, WHOLE, WHOLE, TABLE)
-def carried(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, known: FloatArray,
-            state: int, following: IntArray, begin: int, end: int, out: FloatArray) -> None:
-    """States by their operations over the cycles [begin, end): `out` (m, n) at the start of each.
-
-    known (n, s): what is known of each cycle, in the first registers; the state of m numbers
-    stands from the register `state` on, those of a cycle later in `following` (m,).
-    """
-    m = following.size
-    for k in range(begin, end):
-        for i in range(m):
-            out[i, k] = r[state + i]
-        for i in range(known.shape[1]):
-            r[i] = known[k, i]
-        operate(code, more, tables, r, 0, code.shape[0])
-        for i in range(m):  # no state is read any more
-            r[state + i] = r[following[i]]
-
-
-@inner
 def before(line: FloatArray, newest: int, channel: int, age: float) -> float:
     """The command that was sent so many cycles ago, linear between two; `line` (d, c) turns."""
     whole = math.floor(age)
@@ -239,15 +138,10 @@ def before(line: FloatArray, newest: int, channel: int, age: float) -> float:
 
 
 @inner
-def ahead(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
-          line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
-    """One cycle of a plant by its operations: the state in the registers r a cycle later.
-
-    The command, the acceleration and what is known of the cycle are in r already; line (d, c) and
-    w (c,) commands under way, from `newest` on, and behind their lags. Gives the new `newest`.
-    """
+def driven(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: int,
+           dt: float) -> int:
+    """The motors in a cycle, between the operations on what was sent and those on the axis."""
     own, lags = np.zeros(4), np.zeros((3, 3))
-    operate(code, more, tables, r, 0, at.split)
     newest = (newest + line.shape[0] - 1) % line.shape[0]
     r[at.motors] = r[at.motors + 1] = r[at.motors + 2] = r[at.motors + 3] = 0.0
     for c in range(w.size):
@@ -262,6 +156,19 @@ def ahead(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: Flo
         r[at.motors + 1] += at.row[c] * own[1] * 2.0 / dt
         r[at.motors + 2] += at.row[c] * own[2]
         r[at.motors + 3] += at.row[c] * own[3]
+    return newest
+
+
+@inner
+def ahead(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
+          line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
+    """One cycle of a plant by its operations: the state in the registers r a cycle later.
+
+    The command, the acceleration and what is known of the cycle are in r already; line (d, c) and
+    w (c,) commands under way, from `newest` on, and behind their lags. Gives the new `newest`.
+    """
+    operate(code, more, tables, r, 0, at.split)
+    newest = driven(at, r, line, w, newest, dt)
     operate(code, more, tables, r, at.split, code.shape[0])
     m = at.following.size
     following = np.empty(m)
@@ -277,6 +184,20 @@ def cycle(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: Flo
           line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
     """`ahead`, for a controller in Python."""
     return int(ahead(at, code, more, tables, r, line, w, newest, dt))
+
+
+@kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, WHOLE, WHOLE)
+def part(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, begin: int,
+         end: int) -> None:
+    """Some operations, where laws in Python stand between them."""
+    operate(code, more, tables, r, begin, end)
+
+
+@kernel(PLACES, LINE, TABLE, LINE, WHOLE, NUMBER)
+def motors(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: int,
+           dt: float) -> int:
+    """`driven`, alike."""
+    return int(driven(at, r, line, w, newest, dt))
 
 
 @kernel(GAINS, PLACES, WHOLE[:, ::1], WHOLES, LINE, LINE, LINE, TABLE, LINE, TABLE, TABLE, TABLE,

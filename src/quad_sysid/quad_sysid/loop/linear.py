@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from quad_sysid.axes import TURNING, Level
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.actuators import Following
 from quad_sysid.effects.hidden import Linear
-from quad_sysid.effects.likeness import LinearChannels, LinearMap, LinearTorque
-from quad_sysid.effects.maps import Following
+from quad_sysid.loop.likeness import LinearChannels, LinearMap, LinearTorque
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Signals, required
 from quad_sysid.model.structure import Structure
@@ -163,7 +163,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
     """A torque's likeness: what it remembers and gives on the motion, or by small steps."""
     effect, settings, plant = part.effect, part.settings, flying.plant
     m, gain, dt, lag = effect.states, plant.p[0], plant.dt, float(plant.p[1])
-    around = plant.told(flying.around)
+    around = plant.with_own(flying.around)
 
     def seen(rate: FloatArray, angle: FloatArray, drive: FloatArray,
              change: FloatArray) -> Signals:
@@ -221,7 +221,7 @@ def _commands(flying: Flying, size: float) -> list[Part]:
     n = _length(dt, w, several)
     phases, tones = _tones(n, dt, w, several)
     u = size / math.sqrt(tones.size) * np.sin(phases).sum(axis=1)
-    s = plant.told(plant.with_motors(_many(flying.around, n, u)))
+    s = plant.with_own(plant.with_motors(_many(flying.around, n, u)))
     sideways = size / math.sqrt(tones.size) * np.cos(1.13 * phases).sum(axis=1)
     drive = Drive(sideways[None], np.ones(1), np.full((1, n), s.lag))
     drive = drive.behind(np.full(n, s.delay / dt))

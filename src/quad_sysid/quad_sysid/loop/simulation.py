@@ -1,15 +1,16 @@
 """The closed loop over time: the cascade around a Plant or a polynomial model.
 
 The plant's own laws, noted once as operations on numbers (model/traced.py), run in compiled code;
-one that cannot be noted runs in Python, cycle by cycle. The controller is that of kernels.py.
+one that cannot be noted is called among them. The controller is that of kernels.py.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any, NamedTuple
+from functools import lru_cache, partial
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +21,11 @@ from quad_sysid.loop import kernels
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel
-from quad_sysid.model.effect import Signals, required
+from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
 from quad_sysid.model.plant import Plant, State, Turning
-from quad_sysid.model.traced import Listing, Untraceable
+from quad_sysid.model.traced import Call, Listing, Untraceable, with_ends
 
-GIVEN = ('throttle', 'battery_v', 'time', 'other_rates', 'other_commands', 'other_angles')
+OUTSIDE = ('throttle', 'battery_v', 'time', 'other_rates', 'other_commands', 'other_angles')
 """Fields of Signals that are known of a cycle whatever the loop does."""
 
 
@@ -55,38 +56,92 @@ class Program:
     tables: FloatArray
     start: FloatArray
     places: kernels.Places
+    calls: Sequence[tuple[int, Call]]
+    """Which operations are laws in Python."""
+
+
+LAWS = ('torque', 'command', 'actuate', 'advance')
+CHANNELS = ('commands', 'lag', 'ages', 'fraction')
+"""What a law may change of a Drive from cycle to cycle."""
+
+
+class _Noted:
+    """An effect whose laws are noted, or called where they cannot be: on a value's branch, say."""
+
+    def __init__(self, effect: Effect, listing: Listing) -> None:
+        self.effect, self.listing = effect, listing
+
+    def __getattr__(self, name: str) -> Any:
+        own = getattr(self.effect, name)
+        return partial(self._noted, own) if name in LAWS else own
+
+    def _noted(self, law: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return law(*arguments)
+        except (Untraceable, TypeError, IndexError, ValueError):
+            pass
+        *first, s, p, settings = arguments
+        tree = {'s': vars(s), 'first': tuple(
+            vars(one) if isinstance(one, Drive) else one for one in first)}
+
+        def ready(seen: Any) -> Callable[[], Any]:
+            own = [Drive(**x) if isinstance(x, dict) else x for x in seen['first']]
+            signals = Signals(**seen['s'])
+            return lambda: law(*own, signals, p, settings)
+
+        def made(seen: Any) -> Callable[[], Sequence[FloatArray]]:
+            call = ready(seen)
+            return lambda: _arrays(call())
+
+        with np.errstate(all='ignore'):
+            sample: Any = ready(with_ends(tree, lambda one: np.ones(one.shape)))()
+        if sample is None:
+            return None
+        results: list[Any] = self.listing.call(made, tree, _arrays(sample))
+        return replace(sample, **dict(zip(CHANNELS, results, strict=True))) \
+            if isinstance(sample, Drive) else results[0]
+
+
+def _arrays(result: Any) -> list[FloatArray]:
+    """What a law gives, as arrays."""
+    return [np.asarray(one) for one in (
+        [vars(result)[name] for name in CHANNELS] if isinstance(result, Drive) else [result])]
 
 
 @lru_cache(maxsize=16)
-def program(plant: Plant, known: tuple[bool, ...]) -> Program | None:
-    """The operations of a cycle of a plant, `known`: which of GIVEN are; None: not to be noted."""
+def program(plant: Plant, known: tuple[bool, ...]) -> Program:
+    """The operations of a cycle of a plant, `known`: which of GIVEN are."""
     given = Signals.at_rest(np.zeros(1), np.zeros(1))
     one = replace(given, battery_v=np.zeros(1), sent=np.zeros(1))
     rest = plant.begin(plant.with_motors(one), np.zeros(1), np.zeros(1))
     listing = Listing()
-    try:
-        fields = {
-            name: None if not there else (listing.given(1), listing.given(1))
-            if name.startswith('other') else listing.given(1)
-            for name, there in zip(GIVEN, known, strict=True)
-        }
-        sent, push, motors = listing.given(1), listing.given(1), listing.given(4, 1)
-        first = len(listing.start)
-        turning, hidden = (_inputs(listing, x) for x in (rest.turning, rest.hidden))
-        s = plant.told(replace(given, **fields, sent=sent))  # type: ignore[arg-type]
-        s = plant.with_motors(s)
-        drive, after = plant.send(hidden, s)
-        split = len(listing.code)
-        ahead = plant.turn(Turning(*turning), s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
-                           plant.sensor.step)
-        places = {
-            'following': (*ahead, *after), 'shown': plant.measured(ahead),
-            'commands': drive.commands, 'lag': drive.lag,
-            'when': (*required(drive.ages), required(drive.fraction)),
-        }
-        at = {name: _places(listing, value) for name, value in places.items()}
-    except Untraceable:
-        return None
+
+    def with_notes(part: Part) -> Part:
+        return replace(part, effect=cast('Effect', _Noted(part.effect, listing)))
+
+    own = plant.structure
+    noted = replace(plant, structure=replace(
+        own, law=own.law and with_notes(own.law), parts=tuple(map(with_notes, own.parts))))
+    fields = {
+        name: None if not there else (listing.inputs(1), listing.inputs(1))
+        if name.startswith('other') else listing.inputs(1)
+        for name, there in zip(OUTSIDE, known, strict=True)
+    }
+    sent, push, motors = listing.inputs(1), listing.inputs(1), listing.inputs(4, 1)
+    first = len(listing.start)
+    turning, hidden = (_inputs(listing, x) for x in (rest.turning, rest.hidden))
+    s = plant.with_own(replace(given, **fields, sent=sent))  # type: ignore[arg-type]
+    s = plant.with_motors(s)
+    drive, after = noted.send(hidden, s)
+    split = len(listing.code)
+    ahead = noted.turn(Turning(*turning), s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
+                       plant.sensor.step)
+    places = {
+        'following': (*ahead, *after), 'shown': plant.measured(ahead),
+        'commands': drive.commands, 'lag': drive.lag,
+        'when': (*required(drive.ages), required(drive.fraction)),
+    }
+    at = {name: _places(listing, value) for name, value in places.items()}
     code, split = listing.needed([int(i) for one in at.values() for i in one], split)
     number: dict[str, Any] = {
         'given': 0, 'sent': int(sent.at[0]), 'push': int(push.at[0]),
@@ -97,6 +152,7 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program | None:
         np.array(listing.start),
         kernels.Places(**number, row=np.ascontiguousarray(drive.row),
                        factors=np.ascontiguousarray(drive.factors)),
+        listing.called(code),
     )
 
 
@@ -106,7 +162,7 @@ def _inputs(listing: Listing, x: Any) -> Any:
         return None
     if isinstance(x, tuple):
         return tuple(_inputs(listing, one) for one in x)
-    return listing.given(*x.shape)
+    return listing.inputs(*x.shape)
 
 
 def _places(listing: Listing, x: Any) -> npt.NDArray[np.int64]:
@@ -129,13 +185,14 @@ class Running:
     def __init__(self, made: Program, flying: Flying, x: State) -> None:
         plant = flying.plant
         self.made, self.dt, self._newest = made, plant.dt, 0
-        self.known = [getattr(flying.around, name) for name in GIVEN]
+        self.known = [getattr(flying.around, name) for name in OUTSIDE]
         self.registers = made.start.copy()
         numbers = _numbers((*x.turning, *x.hidden))
         at = made.places
         self.registers[at.state : at.state + len(numbers)] = numbers
         self.line = np.ascontiguousarray(x.line[..., 0])
         self.motors = np.ascontiguousarray(x.motors[:, 0])
+        self.calls = [(k, call.on(self.registers)) for k, call in made.calls]
         rate, angle = plant.measured(x)
         self.rate, self.angle = float(rate[0]), float(required(angle)[0])
 
@@ -149,35 +206,31 @@ class Running:
         r, made = self.registers, self.made
         at = made.places
         r[at.sent], r[at.push] = u, push
-        self._newest = kernels.cycle(at, made.code, made.more, made.tables, r, self.line,
-                                     self.motors, self._newest, self.dt)
+        if self.calls:
+            self._operate(0, at.split)
+            self._newest = kernels.motors(at, r, self.line, self.motors, self._newest, self.dt)
+            self._operate(at.split, len(made.code))
+            r[at.state : at.state + at.following.size] = r[at.following]
+        else:
+            self._newest = kernels.cycle(at, made.code, made.more, made.tables, r, self.line,
+                                         self.motors, self._newest, self.dt)
         self.rate, self.angle = float(r[at.shown[0]]), float(r[at.shown[1]])
 
-
-class Stepping:
-    """The same in Python: for laws of a user that compiled code has no words for."""
-
-    def __init__(self, flying: Flying, x: State) -> None:
-        self.flying, self.x = flying, x
-        self._show()
-
-    def _show(self) -> None:
-        rate, angle = self.flying.plant.measured(self.x)
-        self.rate, self.angle = float(rate[0]), float(required(angle)[0])
-
-    def step(self, u: float, push: float = 0.0, k: int = 0) -> None:
-        """Fly one cycle, the k-th of what is around."""
-        self.x = self.flying.step(self.x, u, push, k)
-        self._show()
+    def _operate(self, begin: int, end: int) -> None:
+        """Do the operations [begin, end), with the laws in Python among them."""
+        made = self.made
+        for k, call in self.calls:
+            if begin <= k < end:
+                kernels.part(made.code, made.more, made.tables, self.registers, begin, k)
+                call()
+                begin = k + 1
+        kernels.part(made.code, made.more, made.tables, self.registers, begin, end)
 
 
-def running(flying: Flying, rate: float = 0.0, angle: float = 0.0) -> Running | Stepping:
+def running(flying: Flying, rate: float = 0.0, angle: float = 0.0) -> Running:
     """The plant from a rate and an angle on, rad/s and rad, motors at rest."""
-    known = tuple(getattr(flying.around, name) is not None for name in GIVEN)
-    made, x = program(flying.plant, known), flying.begin(rate, angle)
-    if made is None:
-        return Stepping(flying, x)
-    out = Running(made, flying, x)
+    known = tuple(getattr(flying.around, name) is not None for name in OUTSIDE)
+    out = Running(program(flying.plant, known), flying, flying.begin(rate, angle))
     given = out.rows(flying.around.time.size)[0]
     out.registers[: given.size] = given
     return out
@@ -227,7 +280,7 @@ def simulate_cascade(
                         _signal(rate_excitation, n, 'rate_excitation'),
                         _signal(control_excitation, n, 'control_excitation')))
     now = running(flying, initial_rate, initial_angle)
-    if isinstance(now, Stepping):
+    if now.calls:
         return _in_python(now, gains, signals, float(angle_lead_s))
     made, out = now.made, np.zeros((4, n))
     kernels.fly(gains.constants(plant.dt), made.places, made.code, made.more, made.tables,
@@ -236,23 +289,24 @@ def simulate_cascade(
     return LoopResponse(*out)
 
 
-def _in_python(now: Stepping, gains: CascadeGains, signals: FloatArray,
+def _in_python(now: Running, gains: CascadeGains, signals: FloatArray,
                lead: float) -> LoopResponse:
-    """The same cycle by cycle."""
-    numbers, still = gains.constants(now.flying.dt), now.flying.around.time.size == 1
-    memory, out, u = np.zeros((1, kernels.MEMORY)), np.zeros((4, signals.shape[1])), np.zeros(1)
+    """The same cycle by cycle, where laws are called."""
+    numbers, (_, n) = gains.constants(now.dt), signals.shape
+    memory, out, rows = np.zeros((1, kernels.MEMORY)), np.zeros((4, n)), now.rows(n)
+    seen, inputs, u = np.zeros((2, 1)), np.zeros((1, 3)), np.zeros(1)
     if not gains.d_on_error:
         memory[:, kernels.LAST] = now.rate
         memory[:, kernels.NOTCH :] = (1.0 - numbers.notch) * now.rate
-    for k, (wanted, noise, push, at_rate, at_control) in enumerate(signals.T):
+    for k, (wanted, noise, push, at_rate, at_control) in enumerate(signals.T.tolist()):
         rate = now.rate + noise
         angle = now.angle + lead * rate
-        kernels.control_each(numbers, memory, np.array([[wanted, at_rate, at_control]]),
-                             np.array([angle]), np.array([rate]), u)
-        aim = gains.angle_kp * (wanted - angle)
-        out[:, k] = (angle, rate, u[0],
-                     min(max(aim, -gains.rate_limit), gains.rate_limit) + at_rate)
-        now.step(float(u[0]), push, 0 if still else k)
+        inputs[0], seen[:, 0] = (wanted, at_rate, at_control), (angle, rate)
+        kernels.control_each(numbers, memory, inputs, seen[0], seen[1], u)
+        aim = min(max(gains.angle_kp * (wanted - angle), -gains.rate_limit), gains.rate_limit)
+        out[:, k] = angle, rate, u[0], aim + at_rate
+        now.registers[: rows.shape[1]] = rows[k]
+        now.step(float(u[0]), push)
     return LoopResponse(*out)
 
 

@@ -26,17 +26,17 @@ SIGNALS = (
 def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[Effect, ...]:
     """`effects` as a tuple; those that are not among the `known` are tried.
 
-    Raises BadInputError, which names `where` they were given, for what is no effect, has no name
+    Raises BadInputError, which names `where` they were listed, for what is no effect, has no name
     or that of another, or whose torque is none.
     """
     try:
-        given: tuple[object, ...] = tuple(effects)  # type: ignore[arg-type]
+        listed: tuple[object, ...] = tuple(effects)  # type: ignore[arg-type]
     except TypeError as error:
         raise BadInputError(where, 'must be a sequence of effects', type(effects).__name__,
                             'put it in brackets: (Mine(),)') from error
     known_as = {effect.label: effect for effect in known}
     accepted: dict[str, Effect] = {}
-    for effect in given:
+    for effect in listed:
         if not isinstance(effect, Effect):
             what = f'the class {effect.__name__}' if isinstance(effect, type) else repr(effect)
             raise BadInputError(where, 'must hold instances of quad_sysid.Effect', what,

@@ -37,6 +37,10 @@ RESTING = 0.05
 """rad/s. Equal largest values below this are the resolution of a gyro at rest, not its limit."""
 LEAST_SHARE = 0.05
 """Least size of another axis' command, relative to this axis'."""
+LARGE_PCT = 97.0
+"""Percentile of a magnitude that counts as large: a few spikes do not."""
+LEAST_SPAN = 1e-6
+"""Range of a motor's command below which it does not move."""
 MEASURED = 0.95
 """Least share of the training in which another axis' rate is known."""
 LEAST_RATE = 0.05
@@ -177,15 +181,16 @@ class AxisData:
             'time': self.clock, 'angle': self.angle, 'battery': self.battery_v, 'rate': self.rate,
             'command': self.command, 'throttle': self.control[:, 0],
         }
-        found = known[name]
-        return f'the bag holds no {MISSING[name]}' if found is None else found
+        values = known[name]
+        return f'the bag holds no {MISSING[name]}' if values is None else values
 
     def lacking_motors(self, *, single: bool = False) -> str:
         """Why an effect of the motors, or of a single one, does not show; empty where it may."""
-        if not self.motors.shape[1] or np.ptp(self.training(self.motors), axis=0).max() < 1e-6:
+        motors = self.training(self.motors)
+        if not motors.shape[1] or np.ptp(motors, axis=0).max() < LEAST_SPAN:
             return 'the bag holds no motor commands'
         if single and all(isinstance(self.signal(f'other command {i}'), str) for i in (1, 2)):
-            return 'the other axes hardly move, so no single motor can be told apart'
+            return 'the other axes hardly move, so no single motor can be distinguished'
         return ''
 
     def _of_another(self, name: str, which: int) -> FloatArray | str:
@@ -327,11 +332,11 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
 
 def _prepare(record: Record, axis: str) -> dict[str, Any]:
     """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
-    n, own, found = record.n, EVERY[axis], record.motion(axis)
-    rate, control, motors = found.rate, found.control, found.motors
+    n, own, motion = record.n, EVERY[axis], record.motion(axis)
+    rate, control, motors = motion.rate, motion.control, motion.motors
     if motors is None:
         motors = np.zeros((n, 0)) if record.desaturation == 'none' else \
-            found.share[:, None] * record.craft.commands(record.control)
+            motion.share[:, None] * record.craft.commands(record.control)
     good = np.isfinite(rate) & np.isfinite(control[:, own.index + 1])
     if not good.any():
         raise NotInformativeError(
@@ -344,7 +349,7 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
     out: dict[str, Any] = {
         'rate': across_short_gaps(np.where(good, rate, np.nan), record.dt, gap),
         'lost': ~good,
-        'angle': nothing if found.position is None else found.position,
+        'angle': nothing if motion.position is None else motion.position,
         'other_angles': np.column_stack([position for _, position in beside]),
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
@@ -360,10 +365,10 @@ def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
     """(n,) rate and position of another axis; NaN where the record does not hold them."""
     nothing = np.full(record.n, np.nan)
     try:
-        found = record.motion(axis)
+        motion = record.motion(axis)
     except NotInformativeError:
         return nothing, nothing
-    return found.rate, nothing if found.position is None else found.position
+    return motion.rate, nothing if motion.position is None else motion.position
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
@@ -394,7 +399,7 @@ def filled(values: FloatArray) -> FloatArray:
 
 def high(x: FloatArray) -> float:
     """97th percentile of |x|, at least 1e-9."""
-    return max(float(np.nanpercentile(np.abs(x), 97.0)), 1e-9)
+    return max(float(np.nanpercentile(np.abs(x), LARGE_PCT)), 1e-9)
 
 
 def typical_acceleration(data: AxisData, spans: Sequence[Span]) -> float:

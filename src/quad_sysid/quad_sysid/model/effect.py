@@ -32,6 +32,8 @@ def required(value: Present | None) -> Present:
     return value
 
 
+LEAST_TRANSITION = 1e-4
+"""Rate, rad/s, over which dry friction changes its sign at least."""
 SMALL = 1e-4
 """Step of a parameter for numerical derivatives."""
 
@@ -117,16 +119,16 @@ class Signals:
 
     def at(self, k: int | NDArray[np.int64]) -> Signals:
         """Those of one cycle, or of several."""
-        taken: dict[str, Any] = {}
+        fields: dict[str, Any] = {}
         known: dict[int, FloatArray] = {}  # many are one array, of what is at rest
         for name, value in vars(self).items():
             if isinstance(value, tuple):
-                taken[name] = tuple(one[..., k] for one in value)
+                fields[name] = tuple(one[..., k] for one in value)
             elif isinstance(value, np.ndarray) and name != 'share':
                 if id(value) not in known:
                     known[id(value)] = value[..., k]
-                taken[name] = known[id(value)]
-        return self.but(**taken)
+                fields[name] = known[id(value)]
+        return self.but(**fields)
 
 
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
@@ -148,7 +150,7 @@ def per_unit(term: str, s: Signals, transition: float = math.exp(TRANSITION.cent
     if term == 'lag':  # of a change that is slow beside the lag itself
         return s.drive - s.command
     if term == 'friction':
-        return -np.tanh(s.rate / max(transition, 1e-4))
+        return -np.tanh(s.rate / max(transition, LEAST_TRANSITION))
     return np.ones_like(s.rate)
 
 
@@ -241,9 +243,9 @@ class Effect:
 
     def lacking(self, data: AxisData) -> str:
         """Why the data lack what it depends on; empty where they do not."""
-        found = (data.signal(word) for word in self.words
+        signals = (data.signal(word) for word in self.words
                  if word in MISSING or word.startswith('other'))
-        why = next((one for one in found if isinstance(one, str)), '')
+        why = next((one for one in signals if isinstance(one, str)), '')
         if not why and 'motors' in self.signals:
             why = data.lacking_motors(single=len(self.motors) == 1)
         return why
@@ -354,17 +356,40 @@ class Effect:
     ) -> FloatArray:
         """(states, n) hidden states at the start of each cycle, in each stretch from its start.
 
-        What `advance` says, along arrays (n,); built-in effects do it by compiled loops.
+        What `advance` says of arrays (n,): what it makes of its states is noted once and repeated
+        by compiled code.
         """
-        out: FloatArray | None = None
-        for start, stop in stretches:
-            x = self.begin(s.at(start), p, settings) if begun is None else begun[:, start]
-            if out is None:
-                out = np.zeros((x.shape[0], s.time.size))
+        from quad_sysid.model import laws  # numba is slow to import
+        from quad_sysid.model.traced import Listing, Untraceable
+
+        first = [self.begin(s.at(start), p, settings) if begun is None else begun[:, start]
+                 for start, _ in stretches]
+        listing, out = Listing(s.time.size), np.zeros((len(first[0]), s.time.size))
+        x: Any = listing.inputs(len(out), 1)
+        try:
+            following = listing.places(self.advance(x, s, p, settings)).ravel()
+        except (Untraceable, TypeError, IndexError, ValueError):
+            return self.cycles(s, p, settings, stretches, first)
+        code, known, at = listing.repeated(following)
+        for (start, stop), begin in zip(stretches, first, strict=True):
+            registers = np.array(listing.start)
+            registers[: len(out)] = begin
+            laws.carried(code, np.array([*listing.more, 0]), np.array([*listing.tables, 0.0]),
+                         registers, known, at, following, start, stop, out)
+        return out
+
+    def cycles(
+        self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
+        first: Sequence[FloatArray],
+    ) -> FloatArray:
+        """The same in Python, where `advance` cannot be noted; from `first` (states,) of each."""
+        out = np.zeros((len(first[0]), s.time.size))
+        for (start, stop), begin in zip(stretches, first, strict=True):
+            x = begin
             for k in range(start, stop):
                 out[:, k] = x
                 x = self.advance(x, s.at(k), p, settings)
-        return required(out)
+        return out
 
     def longest_s(self, p: FloatArray) -> float:
         """By how much at most it makes the delay longer, s."""

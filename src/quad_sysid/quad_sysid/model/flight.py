@@ -25,6 +25,7 @@ from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
 from quad_sysid.model.effect import Part, Signals, required
 from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
 from quad_sysid.model.plant import (
+    LEAST_LAG,
     Acting,
     Plant,
     Turning,
@@ -41,6 +42,12 @@ SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
 FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
+SMOOTHED = 5
+"""Cycles over which the gyro is averaged for the first trajectory."""
+MOST_DRIVES = 40
+"""Drives that are kept: the steps of all derivatives, not those of a whole search."""
+NORMAL_MEDIAN = 0.6745
+"""Median magnitude of a normal variable, in standard deviations."""
 FINER = 0.1
 """Share of a step by which a torque's parameter is moved, so that its curvature does not enter: an
 event's edge, a frequency over a long flight."""
@@ -141,8 +148,9 @@ class Flight:
         self.disturbances, self.variance = np.zeros((data.rate.size, 2)), 0.0
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
         self._windows: tuple[Windows | None, list[Signals]] = (None, [])
-        # smoothed over five cycles and advanced by the filter's delay
-        self.rate = self._ahead(np.convolve(self.gyro, np.full(5, 0.2), mode='same'))
+        # smoothed, and advanced by the filter's delay
+        smooth = np.full(SMOOTHED, 1.0 / SMOOTHED)
+        self.rate = self._ahead(np.convolve(self.gyro, smooth, mode='same'))
 
     def seen_through(self, *, stepped: bool = False) -> tuple[Sensor, ...]:
         """The sensor of each pass, as its flight was flown."""
@@ -178,23 +186,23 @@ class Flight:
             part.effect.label.encode() + p[where].tobytes() + repr(part.settings).encode()
             for part, where in acting
         )
-        found = self._drives.get(key)
-        if found is not None:
-            return found
+        stored = self._drives.get(key)
+        if stored is not None:
+            return stored
         data = self.data
         sending = [(part, p[where]) for part, where in acting]
 
-        def along(i: int, s: Signals) -> FloatArray | None:
+        def hidden(i: int, s: Signals) -> FloatArray | None:
             part, own = sending[i]
             return self.hidden(part, s, own).hidden if part.effect.states else None
 
-        drive = sent_on(sending, self.commanded(p), along)
+        drive = sent_on(sending, self.commanded(p), hidden)
         halves, states = np.zeros((2, 2, data.rate.size))
         channels = [np.ascontiguousarray(x) for x in (drive.commands, drive.row, drive.lag)]
         when = [np.ascontiguousarray(required(x)) for x in (drive.ages, drive.fraction)]
         for start, stop in data.stretches if remembered else self.passes:
             recursion.motors(*channels, drive.factors, *when, data.dt, start, stop, halves, states)
-        if len(self._drives) > 40:
+        if len(self._drives) > MOST_DRIVES:
             self._drives.clear()
         self._drives[key] = halves, states
         return halves, states
@@ -218,7 +226,7 @@ class Flight:
         return replace(
             self.commanded(p), rate=rate, drive=gain * lagged, command=command, lagged=lagged,
             angle=None if self.angle is None else self.angle + (0.5 * data.dt + self.late) * rate,
-            change=(command - gain * states[0]) / max(float(p[1]), 0.25 * data.dt),
+            change=(command - gain * states[0]) / max(float(p[1]), LEAST_LAG * data.dt),
         )
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
@@ -353,50 +361,50 @@ class Flight:
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
             damping = -float(np.mean(push.slope))
-            found = self.filters_of(structure, theta, damping)
-            by = _Inputs.none(found[0], self.wander(structure, p, rate))
-            derived, filters = steps if sweep == sweeps - 1 else None, [by.filters] * len(found)
+            steady = self.filters_of(structure, theta, damping)
+            by = _Inputs.none(steady[0], self.wander(structure, p, rate))
+            derived, filters = steps if sweep == sweeps - 1 else None, [by.filters] * len(steady)
             if by.place.size:
-                self._follow(structure, theta, push.slope, found, by, derived is not None)
+                self._follow(structure, theta, push.slope, steady, by, derived is not None)
             if derived is not None:
                 columns, bends, bent = self.columns(structure, theta, rate, derived)
                 by = by._replace(columns=columns, bends=bends, bent=bent)
-                filters = self._by_filter(structure, theta, damping, found)
-            ran = self._run(push, found, by, filters)
+                filters = self._by_filter(structure, theta, damping, steady)
+            ran = self._run(push, steady, by, filters)
             if not self.variance:
-                self.variance = float(np.nanmedian(np.abs(ran.innovation)) / 0.6745) ** 2
+                self.variance = float(np.nanmedian(np.abs(ran.innovation)) / NORMAL_MEDIAN) ** 2
             if not np.isfinite(ran.rate).all() or np.abs(ran.rate).max() > 1e6:
-                return Prediction(np.full(n, np.inf), None, ran.states, found, rate)
+                return Prediction(np.full(n, np.inf), None, ran.states, steady, rate)
             rate = ran.rate
         self.rate = rate
         return ran if steps is not None else replace(ran, jacobian=None)
 
     def _run(
-        self, push: Pushed, found: tuple[Filter, ...], by: _Inputs, filters: Sequence[FloatArray]
+        self, push: Pushed, steady: tuple[Filter, ...], by: _Inputs, filters: Sequence[FloatArray]
     ) -> Prediction:
         """The compiled filter along all passes; of each its own filter, and its derivatives."""
         n, rate = self.data.rate.size, self.rate.copy()
-        states = np.zeros((n, found[0].gain.size + by.place.size))
+        states = np.zeros((n, steady[0].gain.size + by.place.size))
         innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
         for (start, stop), sensor, own, more in zip(
-            self.passes, self.sensors, found, filters, strict=True
+            self.passes, self.sensors, steady, filters, strict=True
         ):
             recursion.predict(
                 self.measured, float(self.data.rate[start]), *push, own.gain, own.move,
                 sensor.step, sensor.behind, self.data.dt, start, stop,
                 *by._replace(filters=more), rate, states, innovation, jacobian,
             )
-        return Prediction(innovation, jacobian, states, found, rate)
+        return Prediction(innovation, jacobian, states, steady, rate)
 
     def _by_filter(
-        self, structure: Structure, theta: FloatArray, damping: float, found: tuple[Filter, ...]
+        self, structure: Structure, theta: FloatArray, damping: float, steady: tuple[Filter, ...]
     ) -> list[FloatArray]:
         """(p, 6 + 4 v) derivatives of Filter.gain and Filter.move, of each pass."""
         def flat(filters: tuple[Filter, ...]) -> FloatArray:
             return np.stack([np.concatenate([one.gain, one.move]) for one in filters])
 
         out = np.zeros((len(self.passes), theta.size, 6 + 4 * structure.lines))
-        here, at = flat(found), np.r_[theta, damping]
+        here, at = flat(steady), np.r_[theta, damping]
         for j in range(theta.size - structure.filtered, at.size):
             ahead = at + FILTER_STEP * (np.arange(at.size) == j)
             there = flat(self.filters_of(structure, ahead[:-1], ahead[-1]))
@@ -405,10 +413,10 @@ class Flight:
 
     def _follow(
         self, structure: Structure, theta: FloatArray, slope: FloatArray,
-        found: tuple[Filter, ...], by: _Inputs, derived: bool,
+        steady: tuple[Filter, ...], by: _Inputs, derived: bool,
     ) -> None:
         """Put in how the filter follows wandering effects, with derivatives where `derived`."""
-        psi = self.responses(by.wander, slope, found)
+        psi = self.responses(by.wander, slope, steady)
         wandering = [where for part, where in structure.placed() if part.effect.wanders]
         for i, where in enumerate(wandering):
             # the gain's dependence on all other parameters is neglected: white innovations make
@@ -440,12 +448,12 @@ class Flight:
         return np.stack([per_coefficient(part, s, own) for part, own in acting], axis=1)
 
     def responses(
-        self, columns: FloatArray, slope: FloatArray, found: tuple[Filter, ...]
+        self, columns: FloatArray, slope: FloatArray, steady: tuple[Filter, ...]
     ) -> FloatArray:
         """(n, m) response of the innovations to accelerations (n, m); a filter for each pass."""
-        by = _Inputs.none(found[0], np.zeros((slope.size, 0)), columns)
+        by = _Inputs.none(steady[0], np.zeros((slope.size, 0)), columns)
         push = Pushed(np.zeros((2, slope.size)), slope)
-        return required(self._run(push, found, by, [by.filters] * len(found)).jacobian)
+        return required(self._run(push, steady, by, [by.filters] * len(steady)).jacobian)
 
     # ---------------------------------------------------------------------- the free run
 
@@ -466,7 +474,7 @@ class Flight:
         """The same with what the plant went through."""
         dt, p = self.data.dt, structure.natural(theta)
         prediction = prediction or self.predict(structure, theta)
-        found = prediction.filter
+        steady = prediction.filter
         halves, states = self.driven(structure, p)
         plant = Plant(structure, p, dt, self.sensor, self.data.craft, self.data.index, rounds)
         x = prediction.states[windows.starts]
@@ -474,17 +482,17 @@ class Flight:
         end = 4 + 2 * structure.lines
         v = x[:, 4:end:2] + 1j * x[:, 5:end:2]
         followed = iter(x[:, end:].T)
-        turn = found.move[2::2] + 1j * found.move[3::2]
-        fade, hold = found.move[:2]
+        turn = steady.move[2::2] + 1j * steady.move[3::2]
+        fade, hold = steady.move[:2]
         late = self.late[windows.starts]
         own = np.searchsorted([a for a, _ in self.passes], windows.starts, side='right') - 1
         step = np.stack([one.step for one in self.sensors], axis=2)[:, :, np.maximum(own, 0)]
         out = np.full((windows.count, windows.length), np.nan)
-        along = self.signals(p, halves, states, prediction.rate)
+        seen = self.signals(p, halves, states, prediction.rate)
         angle = None if self.angle is None else self.angle[windows.starts] + late * r
         turning = Turning(r, angle, np.stack([g, q]), tuple(
             next(followed)[None, :] if part.effect.wanders else
-            required(self.hidden(part, along, values).hidden)[: part.effect.states, windows.starts]
+            required(self.hidden(part, seen, values).hidden)[: part.effect.states, windows.starts]
             if part.effect.states else None for part, values in plant.pushing
         ))
         lag, delay = lag_and_delay(p)
@@ -531,13 +539,13 @@ class _Inputs(NamedTuple):
     place: NDArray[np.int64]
 
     @staticmethod
-    def none(found: Filter, wander: FloatArray, columns: FloatArray | None = None) -> _Inputs:
+    def none(steady: Filter, wander: FloatArray, columns: FloatArray | None = None) -> _Inputs:
         """Of (n, m) columns the physics alone, and no pursuit of what wanders, (n, w)."""
         n, w = wander.shape
         columns = np.zeros((n, 0)) if columns is None else columns
         return _Inputs(
             columns, np.zeros((n, 0)), np.zeros(0, np.int64),
-            np.zeros((columns.shape[1], found.gain.size + found.move.size)),
+            np.zeros((columns.shape[1], steady.gain.size + steady.move.size)),
             wander, np.zeros((n, w, 2)), np.zeros((n, w, 2, 2)), np.zeros(w, np.int64),
         )
 

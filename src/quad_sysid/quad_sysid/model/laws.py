@@ -1,7 +1,8 @@
 """Compiled laws with a state of their own, row after row: play, steps, slew, loads, hysteresis.
 
-Each has its step for many states at once where a free run needs it. Only arithmetic on arrays, one
-by one as in recursion.py.
+Each has its step for many states at once where a free run needs it. `carried` does the same by the
+operations of any law (model/traced.py), ten times as slowly. Only arithmetic on arrays, one by one
+as in recursion.py.
 """
 
 from __future__ import annotations
@@ -9,8 +10,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from quad_sysid.compiled import LINE, NUMBER, TABLE, WHOLE, inner, kernel
+from quad_sysid.compiled import LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
+from quad_sysid.model.traced import CODES
+
+IntArray = NDArray[np.int64]
+(ADD, SUBTRACT, MULTIPLY, DIVIDE, MAXIMUM, MINIMUM, POWER, GREATER, GREATER_EQUAL, LESS,
+ LESS_EQUAL, NEGATIVE, ABSOLUTE, SIGN, EXP, LOG, SQRT, SIN, COS, TANH, FLOOR, RINT, WHERE, INTERP,
+ LOOSE, YIELDED, _) = CODES.values()
 
 
 @kernel(LINE, LINE, LINE, LINE, TABLE)
@@ -158,3 +166,96 @@ def all_yielded(x, push, slope, lean, flow, dt, out):
     """The states (w,) a cycle later, into `out` (1, w)."""
     for i in range(x.size):
         out[0, i] = yielded(x[i], push[i], slope, lean, flow, dt)
+
+
+@inner
+def over(table, at, n, x):
+    """numpy.interp over n knots, which stand at a place of the table with their values behind."""
+    if x <= table[at]:
+        return float(table[at + n])
+    for i in range(1, n):
+        if x < table[at + i]:
+            low = table[at + n + i - 1]
+            slope = (table[at + n + i] - low) / (table[at + i] - table[at + i - 1])
+            return float(slope * (x - table[at + i - 1]) + low)
+    return float(table[at + 2 * n - 1])
+
+
+@inner
+def operate(code, more, tables, r, begin, end):
+    """Do the operations [begin, end) of `code` (m, 4) on the registers r."""
+    for k in range(begin, end):
+        what, to, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3]
+        if what == ADD:
+            r[to] = r[a] + r[b]
+        elif what == SUBTRACT:
+            r[to] = r[a] - r[b]
+        elif what == MULTIPLY:
+            r[to] = r[a] * r[b]
+        elif what == DIVIDE:
+            r[to] = r[a] / r[b]
+        elif what == MAXIMUM:
+            r[to] = max(r[a], r[b])
+        elif what == MINIMUM:
+            r[to] = min(r[a], r[b])
+        elif what == POWER:
+            r[to] = r[a] ** r[b]
+        elif what == GREATER:
+            r[to] = 1.0 if r[a] > r[b] else 0.0
+        elif what == GREATER_EQUAL:
+            r[to] = 1.0 if r[a] >= r[b] else 0.0
+        elif what == LESS:
+            r[to] = 1.0 if r[a] < r[b] else 0.0
+        elif what == LESS_EQUAL:
+            r[to] = 1.0 if r[a] <= r[b] else 0.0
+        elif what == NEGATIVE:
+            r[to] = -r[a]
+        elif what == ABSOLUTE:
+            r[to] = abs(r[a])
+        elif what == SIGN:
+            r[to] = 1.0 if r[a] > 0.0 else -1.0 if r[a] < 0.0 else r[a]
+        elif what == EXP:
+            r[to] = math.exp(r[a])
+        elif what == LOG:
+            r[to] = math.log(r[a])
+        elif what == SQRT:
+            r[to] = math.sqrt(r[a])
+        elif what == SIN:
+            r[to] = math.sin(r[a])
+        elif what == COS:
+            r[to] = math.cos(r[a])
+        elif what == TANH:
+            r[to] = math.tanh(r[a])
+        elif what == FLOOR:
+            r[to] = np.floor(r[a])
+        elif what == RINT:
+            r[to] = np.rint(r[a])
+        elif what == WHERE:
+            r[to] = r[more[a + 1]] if r[more[a]] != 0.0 else r[more[a + 2]]
+        elif what == INTERP:
+            r[to] = over(tables, int(r[more[a + 1]]), int(r[more[a + 2]]), r[more[a]])
+        elif what == LOOSE:
+            r[to], r[to + 1], r[to + 2] = loose_ahead(
+                r[more[a]], r[more[a + 1]], r[more[a + 4]], r[more[a + 5]], r[more[a + 6]],
+                r[more[a + 2]], r[more[a + 3]])
+        elif what == YIELDED:
+            r[to] = yielded(r[more[a]], r[more[a + 1]], r[more[a + 2]], r[more[a + 3]],
+                            r[more[a + 4]], r[more[a + 5]])
+
+
+@kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, WHOLES, WHOLES, WHOLE, WHOLE, TABLE)
+def carried(code, more, tables, r, known, at, following, begin, end, out):
+    """States by their operations over the cycles [begin, end): `out` (m, n) at the start of each.
+
+    known (s, n): what is known of each cycle, whose registers are `at` (s,); the state of m
+    numbers stands in the first registers, those of a cycle later in `following` (m,).
+    """
+    m = following.size
+    for k in range(begin, end):
+        for i in range(m):
+            out[i, k] = r[i]
+        for i in range(at.size):
+            r[at[i]] = known[i, k]
+        operate(code, more, tables, r, 0, code.shape[0])
+        for i in range(m):  # no state is read any more
+            r[i] = r[following[i]]

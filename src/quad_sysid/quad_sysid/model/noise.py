@@ -129,36 +129,36 @@ def kalman(
     floor = 1.0
     if sensor.noisy:
         floor = noise[3] ** 2 + sensor.floor[0] + averaged * sensor.floor[1]
-    found = Filter(floor + float(np.sum(noise[4::3] ** 2)), *recursion.steady_filter(
+    steady = Filter(floor + float(np.sum(noise[4::3] ** 2)), *recursion.steady_filter(
         noise, damping, sensor.step, sensor.behind, sensor.noisy, averaged, dt
     ))
     if not sensor.derived:
-        return found
-    rate = np.eye(found.gain.size)[0]
-    return replace(found, output=rate, after=sensor.derived, floor=sensor.derived)
+        return steady
+    rate = np.eye(steady.gain.size)[0]
+    return replace(steady, output=rate, after=sensor.derived, floor=sensor.derived)
 
 
-def growth(found: Filter, steps: int) -> FloatArray:
+def growth(steady: Filter, steps: int) -> FloatArray:
     """(steps,) variance of the free run's error after k cycles, over the gyro noise's.
 
     The error is that of the measured rate, with the measurement's noise.
     """
-    f, q, c, p = found.transition, found.process, found.output, found.covariance
+    f, q, c, p = steady.transition, steady.process, steady.output, steady.covariance
     out = np.empty(steps)
     for k in range(steps):
-        out[k] = c @ p @ c + found.after
+        out[k] = c @ p @ c + steady.after
         p = f @ p @ f.T + q
     return out
 
 
-def transitions(found: Filter, sensor: Sensor, slope: FloatArray, dt: float) -> FloatArray:
+def transitions(steady: Filter, sensor: Sensor, slope: FloatArray, dt: float) -> FloatArray:
     """(n, states, states) Filter.transition where the torque has its own slope (n,) in each cycle.
 
     slope: over the rate, 1/s.
     """
-    a, hold = 0.5 * dt * slope, found.move[1]
+    a, hold = 0.5 * dt * slope, steady.move[1]
     ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
-    out = np.tile(found.transition, (slope.size, 1, 1))
+    out = np.tile(steady.transition, (slope.size, 1, 1))
     out[:, 0, 0], out[:, 0, 1] = ahead, push * hold
     for i, (begin, half, end) in enumerate(sensor.step[:, 2:], 2):
         out[:, i, 0] = begin + 0.5 * half * (1.0 + ahead) + end * ahead

@@ -23,6 +23,8 @@ from quad_sysid.model.effect import Drive, Part, Signals, required
 from quad_sysid.model.noise import Sensor
 from quad_sysid.model.structure import Structure
 
+LEAST_LAG = 0.25
+"""Cycles: a shorter lag counts as so long where the drive's slope is needed."""
 SLOPE_STEP = 1e-4
 """Step of the rate for the slope of a torque, rad/s."""
 SHORTEST_S = 1e-5
@@ -139,7 +141,7 @@ class Plant:
         return [(part, self.p[at]) for part, at in self.structure.placed()
                 if not part.effect.moves_command]
 
-    def told(self, s: Signals) -> Signals:
+    def with_own(self, s: Signals) -> Signals:
         """The same with what the plant knows itself."""
         lag, delay = lag_and_delay(self.p)
         share = self.craft.inverse[self.index + 1]
@@ -148,12 +150,12 @@ class Plant:
     def with_motors(self, s: Signals) -> Signals:
         """The signals (w,) with what s.sent and the other axes' commands are to each motor."""
         own = required(s.sent)
-        given = [s.throttle, *s.other_commands]
+        commands = [s.throttle, *s.other_commands]
         if self.index < 0:  # of the climb the throttle is its own command
-            given = [own, *s.other_commands, np.zeros_like(own)]
+            commands = [own, *s.other_commands, np.zeros_like(own)]
         else:
-            given.insert(self.index + 1, own)
-        motors = self.craft.commands(np.stack(given, axis=-1))
+            commands.insert(self.index + 1, own)
+        motors = self.craft.commands(np.stack(commands, axis=-1))
         return s.but(motors=tuple(motors[..., i] for i in range(motors.shape[-1])))
 
     def begin(
@@ -163,7 +165,7 @@ class Plant:
 
         settled: in the middle of a flight, not at its start.
         """
-        s = self.told(s)
+        s = self.with_own(s)
         own: list[FloatArray | None] = []
 
         def remembered(i: int, seen: Signals) -> FloatArray | None:
@@ -187,7 +189,7 @@ class Plant:
 
     def step(self, x: State, s: Signals, push: FloatArray | float = 0.0) -> State:
         """The state a cycle later; push (w,): more acceleration over the cycle, rad/s²."""
-        s = self.told(s)
+        s = self.with_own(s)
         drive, hidden = self.send(x.hidden, s)
         line = np.concatenate([drive.commands[None], x.line[:-1]])
         before, new = (_sent_before(line, age) for age in required(drive.ages))
@@ -202,7 +204,7 @@ class Plant:
     ) -> tuple[Drive, tuple[FloatArray | None, ...]]:
         """What becomes of the command s.sent, and what its effects remember a cycle later.
 
-        s: as of `told`.
+        s: as of `with_own`.
         """
         seen: list[Signals] = []
 
@@ -221,7 +223,8 @@ class Plant:
         drive, command = self.p[0] * halves, self.p[0] * states[1]
         return s.but(drive=0.5 * (drive[0] + drive[1]), command=command,
                      lagged=0.5 * (halves[0] + halves[1]),
-                     change=(command - self.p[0] * states[0]) / max(self.p[1], 0.25 * self.dt))
+                     change=(command - self.p[0] * states[0])
+                     / max(self.p[1], LEAST_LAG * self.dt))
 
     def turn(
         self, x: Turning, s: Signals, halves: FloatArray, states: FloatArray,
@@ -267,15 +270,15 @@ class Plant:
         """The inverse, for states of the shapes of another."""
         rest = iter(numbers)
 
-        def taken(shape: FloatArray | None) -> FloatArray | None:
+        def shaped(shape: FloatArray | None) -> FloatArray | None:
             return None if shape is None else np.stack([next(rest) for _ in shape])
 
         turning = like.turning
         rate = next(rest)
         angle = None if turning.angle is None else next(rest)
-        seen, motors = required(taken(turning.seen)), required(taken(like.motors))
-        line = np.stack([required(taken(one)) for one in like.line])
-        own, sent = (tuple(map(taken, one)) for one in (turning.hidden, like.hidden))
+        seen, motors = required(shaped(turning.seen)), required(shaped(like.motors))
+        line = np.stack([required(shaped(one)) for one in like.line])
+        own, sent = (tuple(map(shaped, one)) for one in (turning.hidden, like.hidden))
         return State(Turning(rate, angle, seen, own), motors, line, sent)
 
     def measured(self, x: State | Turning) -> tuple[FloatArray, FloatArray | None]:

@@ -132,7 +132,7 @@ class Sensitivity:
 
     def _begun(self, p: FloatArray, which: range | list[int], bent: list[int]) -> FloatArray:
         """(states, windows) hidden states at the starts, as far as these parameters move them."""
-        flight, out, along = self.flight, [], None
+        flight, out, seen = self.flight, [], None
         for (part, at), x in zip(self.pushing, self.run.hidden, strict=True):
             if x is None:
                 continue
@@ -141,8 +141,8 @@ class Sensitivity:
             if part.effect.wanders or not moves:
                 out.append(x[:, :, 0])
                 continue
-            if along is None:
-                along = flight.signals(p, *flight.driven(self.structure, p), self.prediction.rate)
-            known = required(flight.hidden(part, along, p[at]).hidden)
+            if seen is None:
+                seen = flight.signals(p, *flight.driven(self.structure, p), self.prediction.rate)
+            known = required(flight.hidden(part, seen, p[at]).hidden)
             out.append(known[: part.effect.states, self.windows.starts])
         return np.concatenate(out) if out else np.zeros((0, self.windows.count))

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.effect import Part, Spec
 
+LARGEST_LOG = 40.0
+"""Bound of a logarithm, which a step of the search may exceed: no overflow."""
 BASE = (
     Spec('gain', 'rad/s² per unit command'),
     Spec('lag', 's', spread=1.2, centre=math.log(0.04), log=True, starts=(0.04,)),
@@ -138,7 +140,7 @@ def natural(specs: Sequence[Spec], theta: FloatArray) -> FloatArray:
 
 
 def _natural(logs: NDArray[np.bool_], theta: FloatArray) -> FloatArray:
-    return np.where(logs, np.exp(np.clip(theta, -40.0, 40.0)), theta)
+    return np.where(logs, np.exp(np.clip(theta, -LARGEST_LOG, LARGEST_LOG)), theta)
 
 
 def coordinates(specs: Sequence[Spec], values: FloatArray, least: float = 1e-12) -> FloatArray:

@@ -3,13 +3,14 @@
 A Traced stands where a law expects an array: numpy's functions then note what they would compute.
 The list is run by compiled code (loop/kernels.py), so that a law is written once and is as fast as
 a compiled one. What cannot be noted, such as a branch on a value, raises Untraceable; such a law
-flies cycle by cycle in Python.
+is called in its place in the list.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,11 @@ Indices = NDArray[np.int64]
 OPERATIONS = (
     'add', 'subtract', 'multiply', 'divide', 'maximum', 'minimum', 'power', 'greater',
     'greater_equal', 'less', 'less_equal', 'negative', 'absolute', 'sign', 'exp', 'log', 'sqrt',
-    'sin', 'cos', 'tanh', 'floor', 'rint', 'where', 'interp', 'loose', 'yielded',
+    'sin', 'cos', 'tanh', 'floor', 'rint', 'where', 'interp', 'loose', 'yielded', 'called',
 )
-"""What the compiled code can do, by numpy's names; of the last four, numbers stand in `more`."""
+"""What the compiled code can do, by numpy's names; of the last five, numbers stand in `more`."""
 CODES = {name: code for code, name in enumerate(OPERATIONS)}
-SEVERAL = {CODES[name] for name in ('where', 'interp', 'loose', 'yielded')}
+SEVERAL = {CODES[name] for name in ('where', 'interp', 'loose', 'yielded', 'called')}
 """Whose operands stand in `more`."""
 
 
@@ -34,9 +35,14 @@ class Untraceable(Exception):  # noqa: N818 - no fault of anyone's
 
 
 class Listing:
-    """The operations so far; each number has a register, and constants have theirs."""
+    """The operations so far; each number has a register, and constants have theirs.
 
-    def __init__(self) -> None:
+    cycles: the length of arrays along a flight, which have a register for the number of a cycle.
+    """
+
+    def __init__(self, cycles: int = 0) -> None:
+        self.cycles = cycles
+        self._along: dict[int, tuple[Any, Indices]] = {}
         self.code: list[tuple[int, int, int, int]] = []
         """Operation, where its first result goes, and two operands or a place in `more`."""
         self.results: list[int] = []
@@ -45,6 +51,8 @@ class Listing:
         self.start: list[float] = []
         """Of every register: constants as they are, 0 where an input or a result goes."""
         self.tables: list[float] = []
+        self.calls: list[Call] = []
+        """The laws of the operation `called`, whose last operand is a place here."""
         self._known: dict[tuple[Any, ...], int] = {}
         self._constants: dict[float, int] = {}
         self._fixed: set[int] = set()
@@ -63,7 +71,7 @@ class Listing:
             self._fixed.add(self._constants[value])
         return self._constants[value]
 
-    def given(self, *shape: int) -> Traced:
+    def inputs(self, *shape: int) -> Traced:
         """Registers that are filled before a run."""
         places = [self.place() for _ in range(int(np.prod(shape)))]
         return Traced(self, np.array(places, dtype=np.int64).reshape(shape))
@@ -73,24 +81,43 @@ class Listing:
         """The register of the first result of an operation, which is noted once."""
         if name not in CODES:
             raise Untraceable(name)
-        given = (*operands, *(self.constant(x) for x in numbers))
-        if results == 1 and self._fixed.issuperset(given) and hasattr(np, name) \
+        places = (*operands, *(self.constant(x) for x in numbers))
+        if results == 1 and self._fixed.issuperset(places) and hasattr(np, name) \
                 and name not in ('interp', 'where'):
-            return self.constant(float(getattr(np, name)(*(self.start[i] for i in given))))
-        key = (name, *given)
+            return self.constant(float(getattr(np, name)(*(self.start[i] for i in places))))
+        key = (name, *places)
         if key not in self._known:
             first = self.place()
             for _ in range(results - 1):
                 self.place()
             if CODES[name] in SEVERAL:
-                a, b = len(self.more), len(given)
-                self.more.extend(given)
+                a, b = len(self.more), len(places)
+                self.more.extend(places)
             else:
-                a, b = (*given, 0)[:2]
+                a, b = (*places, 0)[:2]
             self.code.append((CODES[name], first, a, b))
             self.results.append(results)
             self._known[key] = first
         return self._known[key]
+
+    def call(self, made: Made, given: Any, like: Sequence[FloatArray]) -> list[Traced]:
+        """The results, of the shapes of `like`, of a law that is called.
+
+        given: what it takes, a tree of tuples and mappings with Traced at its ends.
+        """
+        operands: list[int] = []
+        with_ends(given, lambda one: operands.extend(one.at.ravel().tolist()))
+        ends = np.cumsum([one.size for one in like])
+        first = self.note('called', operands, (len(self.calls),), int(ends[-1]))
+        places = np.split(np.arange(first, first + ends[-1]), ends[:-1])
+        self.calls.append(Call(made, given, places))
+        return [Traced(self, own.reshape(one.shape))
+                for own, one in zip(places, like, strict=True)]
+
+    def called(self, code: Indices) -> list[tuple[int, Call]]:
+        """Which of the operations (m, 4) are laws in Python."""
+        return [(k, self.calls[int(self.start[self.more[a + b - 1]])])
+                for k, (what, _, a, b) in enumerate(code) if what == CODES['called']]
 
     def table(self, numbers: tuple[float, ...]) -> int:
         """Where these numbers stand in `tables`."""
@@ -101,22 +128,44 @@ class Listing:
 
     def needed(self, results: Sequence[int], split: int) -> tuple[NDArray[np.int64], int]:
         """The operations (m, 4) that these results need, and how many are of the first `split`."""
-        wanted, kept = set(results), []
+        registers, kept = set(results), []
         for i in reversed(range(len(self.code))):
             code, first, a, b = self.code[i]
-            if not wanted.isdisjoint(range(first, first + self.results[i])):
+            if not registers.isdisjoint(range(first, first + self.results[i])):
                 kept.append(i)
                 several = code in SEVERAL
-                wanted.update(self.more[a : a + b] if several else (a, b))
+                registers.update(self.more[a : a + b] if several else (a, b))
         rows = [self.code[i] for i in reversed(kept)]
         return (np.array(rows, dtype=np.int64).reshape(-1, 4),
                 sum(i < split for i in kept))
+
+    def repeated(self, following: Indices) -> tuple[Indices, FloatArray, Indices]:
+        """The operations (m, 4) from a state to that of a cycle later, along arrays.
+
+        With the rows (r, cycles) that they read, and the registers (r,) of these.
+        """
+        code, _ = self.needed(following.tolist(), 0)
+        read = {*following.tolist()}
+        for what, _, a, b in code.tolist():
+            read.update(self.more[a : a + b] if what in SEVERAL else (a, b))
+        used = [(row, place) for value, places in self._along.values()
+                for row, place in zip(value.reshape(-1, self.cycles), places.ravel(), strict=True)
+                if place in read]
+        known = np.array([row for row, _ in used]).reshape(len(used), self.cycles)
+        return code, known, np.array([place for _, place in used], dtype=np.int64)
 
     def places(self, value: Any) -> Indices:
         """The registers of an array, a number or what is Traced."""
         if isinstance(value, Traced):
             return value.at
+        if id(value) in self._along:
+            return self._along[id(value)][1]
         array = np.asarray(value, dtype=np.float64)
+        if self.cycles and array.shape[-1:] == (self.cycles,):
+            shape = *array.shape[:-1], 1
+            places = np.array([self.place() for _ in range(math.prod(shape))]).reshape(shape)
+            self._along[id(value)] = value, places
+            return places
         return np.array([self.constant(x) for x in array.ravel()],
                         dtype=np.int64).reshape(array.shape)
 
@@ -213,12 +262,56 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
             return self.listing.each('multiply', inputs[0], inputs[0])
         return self.listing.each(ufunc.__name__, *inputs)
 
-    def __array_function__(self, function: Callable[..., Any], _: Any, given: tuple[Any, ...],
+    def __array_function__(self, function: Callable[..., Any], _: Any, arguments: tuple[Any, ...],
                            more: dict[str, Any]) -> Any:
         """The same for functions that are no ufuncs."""
         if function not in FUNCTIONS:
             raise Untraceable(function.__name__)
-        return FUNCTIONS[function](*given, **more)
+        return FUNCTIONS[function](*arguments, **more)
+
+
+Made = Callable[[Any], Callable[[], Sequence[FloatArray]]]
+"""A law of what it takes: called again and again, it gives results of what stands there then."""
+
+
+class Call(NamedTuple):
+    """A law in Python among the operations."""
+
+    made: Made
+    given: Any
+    results: Sequence[Indices]
+    """The registers of each."""
+
+    def on(self, r: FloatArray) -> Callable[[], None]:
+        """The call on these registers, which the law sees as arrays that are not copied."""
+        gathered: list[tuple[FloatArray, Indices]] = []
+
+        def seen(one: Traced) -> FloatArray:
+            at = one.at.ravel()
+            if (np.diff(at) == 1).all():
+                return r[at[0] : at[-1] + 1].reshape(one.shape)
+            gathered.append((np.empty(at.size), at))
+            return gathered[-1][0].reshape(one.shape)
+
+        law = self.made(with_ends(self.given, seen))
+        places = [r[own[0] : own[-1] + 1] for own in self.results]
+
+        def call() -> None:
+            for values, at in gathered:
+                values[:] = r[at]
+            for place, result in zip(places, law(), strict=True):
+                place[:] = result.ravel()
+
+        return call
+
+
+def with_ends(tree: Any, by: Callable[[Traced], Any]) -> Any:
+    """A tree of tuples and mappings with something else where it ends in what is Traced."""
+    if isinstance(tree, Mapping):
+        return {name: with_ends(one, by) for name, one in tree.items()}
+    if isinstance(tree, tuple):
+        return tuple(with_ends(one, by) for one in tree)
+    return by(tree) if isinstance(tree, Traced) else tree
 
 
 def _listing(*values: Any) -> Listing:
@@ -235,8 +328,8 @@ def _joined(join: Callable[..., Any]) -> Callable[..., Traced]:
 
 def _moved(function: Callable[..., Any]) -> Callable[..., Traced]:
     """A function that only moves elements."""
-    def moved(x: Traced, *given: Any, **more: Any) -> Traced:
-        return Traced(x.listing, np.array(function(x.at, *given, **more)))
+    def moved(x: Traced, *arguments: Any, **more: Any) -> Traced:
+        return Traced(x.listing, np.array(function(x.at, *arguments, **more)))
 
     return moved
 

@@ -1,1 +1,1 @@
-"""Records in, answers out: the rooms of mathematics put to work in one line."""
+"""Records in, answers out: the packages of mathematics, called in one line."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from quad_sysid.blackbox import excitation_order
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import high
-from quad_sysid.pipeline.answer import ModelRow
-from quad_sysid.pipeline.assemble import resolution
+from quad_sysid.model.effect import required
+from quad_sysid.pipeline.answer import AxisAnswer, ModelRow
+from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import Fits
 from quad_sysid.record import IOData
 
@@ -25,29 +25,12 @@ RICHEST = 50
 """Order up to which the paper's PRBS is persistently exciting."""
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """The basis of the advice."""
-
-    z: IOData
-    """Training data of the axis."""
-    fits: Fits
-    rows: tuple[ModelRow, ...]
-    selected: int | None
-    band: tuple[float, float] | None
-    """Band in which the model can be trusted, rad/s."""
-    feedback: bool | None
-    model: AxisModel | None
-    refused: tuple[str, ...] = ()
-    no_second_step: str = ''
-    """Why step B was not possible."""
-    held_out: IOData | None = None
-
-
-def advice(e: Evidence) -> tuple[str, ...]:
-    """One line each, the most important first; empty without doubts."""
-    return (*rivalry(e.model), *_excitation(e), *_beyond(e), *_delay(e), *_band(e),
-            *_edge(e), *_unstable(e.rows), *_selection(e), *e.refused)
+def advice(answer: AxisAnswer, fits: Fits, support: Support, no_step_b: str) -> tuple[str, ...]:
+    """One line each, the most important first; empty without doubts. no_step_b: why, if so."""
+    train, held_out = required(answer.train), required(answer.validation)
+    return (*rivalry(answer.model), *_excitation(train, answer.rows), *_beyond(train, held_out),
+            *_delay(answer, fits.delay), *_band(answer, support.lowest),
+            *_edge(fits.search.at_edge), *_unstable(answer.rows), *_selection(answer, no_step_b))
 
 
 def rivalry(model: AxisModel | None) -> Iterator[str]:
@@ -61,9 +44,9 @@ def rivalry(model: AxisModel | None) -> Iterator[str]:
                    '--model model.json --out schedule.yaml')
 
 
-def _excitation(e: Evidence) -> Iterator[str]:
-    found = excitation_order(e.z, RICHEST)
-    asked = max((_inputs(row) for row in e.rows), default=0)
+def _excitation(train: IOData, rows: Sequence[ModelRow]) -> Iterator[str]:
+    found = excitation_order(train, RICHEST)
+    asked = max((_inputs(row) for row in rows), default=0)
     if found < asked:
         yield (
             f'the command is persistently exciting of order {found} only, the largest model needs '
@@ -72,10 +55,8 @@ def _excitation(e: Evidence) -> Iterator[str]:
         )
 
 
-def _beyond(e: Evidence) -> Iterator[str]:
-    if e.held_out is None:
-        return
-    trained, asked = (high(z.inside(z.y)) for z in (e.z, e.held_out))
+def _beyond(train: IOData, held_out: IOData) -> Iterator[str]:
+    trained, asked = (high(z.inside(z.y)) for z in (train, held_out))
     if asked > FURTHER * trained:
         yield (
             f'the held-out rates reach {asked:.2g} rad/s, those of the training {trained:.2g}: '
@@ -90,22 +71,20 @@ def _inputs(row: ModelRow) -> int:
     return int(model.B.size - model.nk + model.denominator.size - 1)
 
 
-def _delay(e: Evidence) -> Iterator[str]:
-    dt = e.z.dt
-    if e.fits.delay == 0:
+def _delay(answer: AxisAnswer, samples: int) -> Iterator[str]:
+    model = required(answer.model)
+    if samples == 0:
         yield (
             'the estimated delay is 0 samples: in the cascade a command cannot act on the rate of '
             'its own cycle; the stamps of command and rate seem to be one cycle apart'
         )
-    if e.model is not None:
-        lag = e.model.value('delay') + e.model.value('lag')
-        latest = int(np.ceil(lag / dt)) + 3
-        if e.fits.delay > max(latest, 8):
-            yield (
-                f'the delay of {e.fits.delay} samples ({1e3 * e.fits.delay * dt:.0f} ms) is not '
-                f'that of the grey box (delay and lag {1e3 * lag:.0f} ms): check the stamps'
-            )
-    broken = [row for row in e.rows if any(r.diverged for r in row.loop_runs)
+    lag = model.value('delay') + model.value('lag')
+    if samples > max(int(np.ceil(lag / model.dt)) + 3, 8):
+        yield (
+            f'the delay of {samples} samples ({1e3 * samples * model.dt:.0f} ms) is not '
+            f'that of the grey box (delay and lag {1e3 * lag:.0f} ms): check the stamps'
+        )
+    broken = [row for row in answer.rows if any(r.diverged for r in row.loop_runs)
               and row.step_a.passed_first_step]
     if broken:
         names = ', '.join(row.step_a.model.name for row in broken)
@@ -113,20 +92,22 @@ def _delay(e: Evidence) -> Iterator[str]:
                'aircraft flew: gain or delay of the model is not consistent with the cascade')
 
 
-def _band(e: Evidence) -> Iterator[str]:
-    if e.band is None:
+def _band(answer: AxisAnswer, lowest: float) -> Iterator[str]:
+    band = required(answer.model).trusted_band_rad_s
+    if band is None:
         yield ('at no frequency are command and rate coherent enough to trust a model: '
                'excite with more amplitude')
         return
-    low, high = e.band
-    if PAPERS_BAND[0] < low <= 1.05 * resolution(e.z):
+    low, high = band
+    if PAPERS_BAND[0] < low <= 1.05 * lowest:
         yield (f'below {low:.2g} rad/s nothing can be said: the longest unbroken training stretch '
                'is too short for it')
     elif low > 2.0 * PAPERS_BAND[0]:
         why = (
             'there the feedback has removed what was injected, and the direct approach sees noise '
             'through the controller; compare with the joint approach, or fly a slower PRBS'
-            if e.feedback else 'the excitation holds too little of it; fly longer or slower'
+            if answer.selection.feedback
+            else 'the excitation holds too little of it; fly longer or slower'
         )
         yield f'below {low:.2g} rad/s the models cannot be trusted: {why}'
     if high < PAPERS_BAND[1]:
@@ -136,8 +117,7 @@ def _band(e: Evidence) -> Iterator[str]:
         )
 
 
-def _edge(e: Evidence) -> Iterator[str]:
-    edge = e.fits.search.at_edge
+def _edge(edge: Sequence[str]) -> Iterator[str]:
     if edge:
         yield (
             f'the best ARX order by AIC lies at the edge of the search in {", ".join(edge)}: '
@@ -158,15 +138,16 @@ def _unstable(rows: Sequence[ModelRow]) -> Iterator[str]:
             yield f'{model.name}: {"; ".join(model.warnings)}'
 
 
-def _selection(e: Evidence) -> Iterator[str]:
-    if e.no_second_step:
-        yield f'no second step in the simulated closed loop: {e.no_second_step}'
-    if e.selected is None:
+def _selection(answer: AxisAnswer, no_step_b: str) -> Iterator[str]:
+    if no_step_b:
+        yield f'no second step in the simulated closed loop: {no_step_b}'
+    row = None if answer.selected is None else answer.rows[answer.selected]
+    if row is None:
         yield 'every black-box model is unstable; none was selected'
-    elif not e.rows[e.selected].step_a.passed_first_step:
+    elif not row.step_a.passed_first_step:
         yield (
             'no black-box model passed the first step; the selected one has the least error over '
             'windows of the training data'
         )
-    elif not e.rows[e.selected].passed_second_step and not e.no_second_step:
+    elif not row.passed_second_step and not no_step_b:
         yield 'no black-box model passed the second step; the selected one passed the first'

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.axes import EVERY
 from quad_sysid.blackbox import Model, coherence, frequency_response
+from quad_sysid.contract import FloatArray
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.estimate import stored
@@ -18,7 +20,6 @@ from quad_sysid.model import AxisModel, Outside, RungModel
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Effect, Part
 from quad_sysid.pipeline.answer import Findings
-from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.record import IOData, finite_runs
 from quad_sysid.units import Units
 
@@ -121,38 +122,48 @@ def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple
     return tuple(sorted(found, key=lambda one: -one.seconds))
 
 
-def lag_window(z: IOData) -> int:
-    """Half-width of the lag window, samples: a quarter of the longest stretch."""
-    return max(2, max(b - a for a, b in z.segments) // 4)
+@dataclass(frozen=True)
+class Support:
+    """The frequencies at which the training supports a model of an axis, by one estimate.
 
-
-def resolution(z: IOData) -> float:
-    """Lowest frequency that these data can resolve, rad/s."""
-    return float(np.pi / (lag_window(z) * z.dt))
-
-
-def band_of(data: AxisData, model: Model | None = None) -> tuple[float, float] | None:
-    """Band in which the data support a model, rad/s: the widest unbroken one, None without any.
-
-    There command and rate are coherent (squared coherence over 0.6; where the external reference
-    is known, that of reference and rate, since feedback alone makes the first high), and the 99 %
-    band of `model`'s gain, where it has one, is narrower than 3 dB to either side.
+    Supporting are those at which command and rate are coherent (squared coherence over COHERENT;
+    where the external reference is known, that of reference and rate, since feedback alone makes
+    the first high).
     """
-    z = io_data(data, data.train)
-    if not EVERY[data.axis].turns:  # a speed is all slow motion, of which a window sees nothing
-        change = np.diff(z.y, prepend=z.y[:1])
-        change[[a for a, _ in z.segments]] = 0.0
-        z = replace(z, y=change)
-    try:
-        w, values = coherence(z, window=lag_window(z), joint=z.r is not None)
-    except QuadSysidError:
-        return None
-    good = values > COHERENT
-    if model is not None and model.covariance is not None:
-        response = frequency_response(model, w)
-        good &= CONFIDENT * response.magnitude_std < HALF_POWER * response.magnitude
-    bands = finite_runs(good, (0, good.size))
-    if not bands:
-        return None
-    a, b = max(bands, key=lambda e: np.log(w[e[1] - 1] / w[e[0]]))
-    return float(w[a]), float(w[b - 1])
+
+    w: FloatArray
+    """(m,) rad/s; empty where the segments are too short."""
+    coherent: NDArray[np.bool_]
+    """(m,)"""
+    lowest: float
+    """Lowest frequency that the longest stretch can resolve, rad/s."""
+
+    @classmethod
+    def of(cls, z: IOData, axis: str) -> Support:
+        """From the training of an axis."""
+        window = max(2, max(b - a for a, b in z.segments) // 4)  # half-width, samples
+        if not EVERY[axis].turns:  # a speed is all slow motion, of which a window sees nothing
+            change = np.diff(z.y, prepend=z.y[:1])
+            change[[a for a, _ in z.segments]] = 0.0
+            z = replace(z, y=change)
+        try:
+            w, values = coherence(z, window=window, joint=z.r is not None)
+        except QuadSysidError:
+            w = values = np.zeros(0)
+        return cls(w, values > COHERENT, float(np.pi / (window * z.dt)))
+
+    def band(self, model: Model | None = None) -> tuple[float, float] | None:
+        """The widest unbroken band, rad/s; None without any.
+
+        In the band of a `model` the 99 % interval of its gain, where it has one, is narrower than
+        3 dB to either side.
+        """
+        good = self.coherent
+        if model is not None and model.covariance is not None and self.w.size:
+            response = frequency_response(model, self.w)
+            good = good & (CONFIDENT * response.magnitude_std < HALF_POWER * response.magnitude)
+        bands = finite_runs(good, (0, good.size))
+        if not bands:
+            return None
+        a, b = max(bands, key=lambda e: np.log(self.w[e[1] - 1] / self.w[e[0]]))
+        return float(self.w[a]), float(self.w[b - 1])

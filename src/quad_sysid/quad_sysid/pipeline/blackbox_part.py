@@ -181,10 +181,9 @@ def validations(data: AxisData) -> dict[str, IOData]:
     return found
 
 
-def rows_of(data: AxisData, models: tuple[Model, ...]) -> tuple[ModelRow, ...]:
-    """Step A for every model."""
-    rows = step_a(models, io_data(data, data.train), validations(data))
-    return tuple(ModelRow(row) for row in rows)
+def rows_of(z: IOData, data: AxisData, models: tuple[Model, ...]) -> tuple[ModelRow, ...]:
+    """Step A for every model, trained on z."""
+    return tuple(map(ModelRow, step_a(models, z, validations(data))))
 
 
 def select(rows: tuple[ModelRow, ...], data: AxisData) -> int | None:

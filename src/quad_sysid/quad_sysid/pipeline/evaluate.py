@@ -116,46 +116,33 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     after = of_this_flight(unseen, after)
     base = {p.name: p.value for p in model.plain or model.base}
     about = blackbox_part.about_base(replace(data, reference=None), base['gain'], base['bias'])
-    unit, per_rate = shown_in(model.units, 'rad/s')
-    found = Evaluation(
+    unit, factor = shown_in(model.units, 'rad/s')
+
+    def error(one: AxisModel) -> float:
+        return factor * rms(unseen.errors(of_this_flight(unseen, stored.completed(one))))
+
+    told = None if blackbox is None else blackbox_part.window_error(about, blackbox, spans)
+    grown = {} if blackbox is None else blackbox_part.horizons(about, blackbox, spans)
+    return Evaluation(
         axis=model.axis, unit=unit,
-        before=rms(unseen.errors(before)),
-        after=rms(unseen.errors(after)),
-        one_step_before=unseen.one_step(before),
-        one_step_after=unseen.one_step(after),
-        hold=hold,
+        before=factor * rms(unseen.errors(before)), after=factor * rms(unseen.errors(after)),
+        one_step_before=factor * unseen.one_step(before),
+        one_step_after=factor * unseen.one_step(after),
+        hold=factor * hold,
         windows=unseen.windows.count,
-        reference=_of(unseen, model.predicting) if model.reference else None,
+        reference=error(model.predicting) if model.reference else None,
         rungs=tuple(
             (tuple(effect.name for effect in rung.effects), rung.explains_pct,
-             _of(unseen, replace(model, base=rung.base, effects=rung.effects, noise=rung.noise)))
+             error(replace(model, base=rung.base, effects=rung.effects, noise=rung.noise)))
             for rung in model.rungs
         ),
-        blackbox=None if blackbox is None else blackbox_part.window_error(about, blackbox, spans),
-        horizons=horizons(unseen, before, after),
-        blackbox_horizons={} if blackbox is None
-        else blackbox_part.horizons(about, blackbox, spans),
+        blackbox=None if told is None else factor * told,
+        horizons=tuple(
+            Horizon(one.horizon_s, factor * one.hold, factor * one.before, factor * one.after)
+            for one in horizons(unseen, before, after)),
+        blackbox_horizons={at: factor * one for at, one in grown.items()},
         outside=outside_of(model, data, spans),
     )
-    return found if per_rate == 1.0 else _scaled(found, per_rate)
-
-
-def _scaled(found: Evaluation, factor: float) -> Evaluation:
-    """The same errors in another unit."""
-    names = ('before', 'after', 'one_step_before', 'one_step_after', 'hold', 'reference',
-             'blackbox')
-    known = {name: value for name in names if (value := getattr(found, name)) is not None}
-    return replace(
-        found, **{name: factor * value for name, value in known.items()},
-        rungs=tuple((names, share, factor * error) for names, share, error in found.rungs),
-        horizons=tuple(Horizon(one.horizon_s, *(factor * e for e in (
-            one.hold, one.before, one.after))) for one in found.horizons),
-        blackbox_horizons={at: factor * e for at, e in found.blackbox_horizons.items()})
-
-
-def _of(unseen: Unseen, model: AxisModel) -> float:
-    """Error of a stored model on this flight."""
-    return rms(unseen.errors(of_this_flight(unseen, stored.completed(model))))
 
 
 def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) -> None:

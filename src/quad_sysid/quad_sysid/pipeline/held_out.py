@@ -12,38 +12,24 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage, signal, special
 
-from quad_sysid.blackbox import Model, ResidualTest, innovation_test, predict, residual_test
+from quad_sysid.blackbox import Model, innovation_test, predict, residual_test
 from quad_sysid.contract import FloatArray
-from quad_sysid.discover.accept import Unseen, Verdict
-from quad_sysid.discover.search import Found
+from quad_sysid.discover.accept import Unseen
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.estimate import stored
-from quad_sysid.estimate.fit import Fit, Problem
-from quad_sysid.explain import Ladder
-from quad_sysid.model.data import AxisData
-from quad_sysid.pipeline.answer import Findings, HeldOut, MissingTorque, Residual
-from quad_sysid.pipeline.blackbox_part import io_data
+from quad_sysid.estimate.fit import Fit
+from quad_sysid.model.effect import required
+from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, MissingTorque, Residual
 from quad_sysid.record import IOData, finite_runs
 
 
-def findings(data: AxisData, problem: Problem, found: Found, ladder: Ladder,
-             verdict: Verdict) -> Findings:
-    """Base and chosen model on the validation segments."""
-    unseen = Unseen(data, data.validation)
-    before = _held_out(unseen, verdict.base)
-    after = before if verdict.chosen is verdict.base else _held_out(unseen, verdict.chosen)
-    return Findings(data, problem, found, ladder, verdict, before, after)
-
-
-def _held_out(unseen: Unseen, fitted: Fit) -> HeldOut:
-    flight = unseen.problem.flight
-    predicted = unseen.predict(fitted)
+def held_out(unseen: Unseen, fitted: Fit) -> HeldOut:
+    """Errors of a fitted structure on the validation segments."""
+    predicted, errors = unseen.predict(fitted), unseen.errors(fitted)
     inside = np.zeros(unseen.problem.data.rate.size, dtype=bool)
     for start, stop in unseen.problem.spans:
         inside[start:stop] = True
     with np.errstate(over='ignore', invalid='ignore'):
-        errors = flight.free_run(fitted.structure, fitted.theta, unseen.windows,
-                                 prediction=predicted)
         return HeldOut(fitted, errors, interval(errors),
                        np.where(inside, predicted.innovation, np.nan),
                        np.where(inside, predicted.states[:, 1], np.nan))
@@ -68,37 +54,31 @@ PEAK = 6.0
 """Least power of a peak over its surroundings, whatever its significance."""
 
 
-def of_grey_box(data: AxisData, told: Findings) -> dict[str, Residual]:
-    """`before`, the base, and `after`, with the effects that were accepted (else the base)."""
-    z = io_data(data, data.validation, external=False)
-    out = {}
-    for name, held in (('before', told.before), ('after', told.after)):
-        one = residual(held.innovations, z)
-        if one is not None:
-            out[name] = replace(one, missing=missing_torque(held, data.dt))
+def residuals(answer: AxisAnswer, findings: Findings) -> dict[str, Residual]:
+    """What is left of the held-out rate: `before`, `after` (effects or not), `blackbox`.
+
+    A model is left out where the segments are too short to test it.
+    """
+    z = required(answer.validation)
+    out = {name: replace(left, missing=missing_torque(held, z.dt))
+           for name, held in (('before', findings.before), ('after', findings.after))
+           if (left := residual(held.innovations, z)) is not None}
+    if answer.selected is not None:
+        model = answer.rows[answer.selected].step_a.model
+        left = residual(z.y - predict(model, z, 1), z, model)
+        out |= {} if left is None else {'blackbox': left}
     return out
 
 
-def of_black_box(data: AxisData, model: Model) -> Residual | None:
-    """The winner's one-step errors; None where the segments are too short to test them."""
-    z = io_data(data, data.validation, external=False)
+def residual(errors: FloatArray, z: IOData, model: Model | None = None) -> Residual | None:
+    """Tests and spectrum of one-step errors (n,), NaN where there are none; None if too few.
+
+    model: the black box whose errors they are.
+    """
     try:
-        test = residual_test(z, model)
+        test = innovation_test(errors, z) if model is None else residual_test(z, model)
     except QuadSysidError:
         return None
-    return _with_spectrum(test, z.y - predict(model, z, 1), z)
-
-
-def residual(errors: FloatArray, z: IOData) -> Residual | None:
-    """Tests and spectrum of one-step errors (n,), NaN where there are none; None if too few."""
-    try:
-        test = innovation_test(errors, z)
-    except QuadSysidError:
-        return None
-    return _with_spectrum(test, errors, z)
-
-
-def _with_spectrum(test: ResidualTest, errors: FloatArray, z: IOData) -> Residual:
     found = _spectrum(errors, z.dt)
     f, density, _ = found or (np.zeros(0), np.zeros(0), 0)
     known = errors[np.isfinite(errors)]

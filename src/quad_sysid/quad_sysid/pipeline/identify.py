@@ -1,6 +1,6 @@
 """The pipeline: records of one aircraft to one answer per axis.
 
-Calls the rooms in the order of the data's line and nothing else; decides which axes are asked.
+Calls the packages in the order of the data's line and nothing else; decides which axes are asked.
 """
 
 from __future__ import annotations
@@ -14,25 +14,26 @@ from threadpoolctl import threadpool_limits
 
 from quad_sysid.axes import EVERY
 from quad_sysid.beside import side_by_side
-from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.discover.accept import judge
+from quad_sysid.contract import AXES
+from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
 from quad_sysid.discover.search import Found, extended, scored, search, settled
 from quad_sysid.effects import EFFECTS
-from quad_sysid.errors import NotInformativeError, QuadSysidError
+from quad_sysid.errors import NotInformativeError, QuadSysidError, p_value
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.explain import explain
-from quad_sysid.foresight import drawn_hz
 from quad_sysid.model import Designer, GainProposal
-from quad_sysid.model.data import AxisData, axis_data
+from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect
 from quad_sysid.own_base import Base, lacking
-from quad_sysid.pipeline import assemble, blackbox_part
-from quad_sysid.pipeline.answer import AxisAnswer, Findings, Residual
-from quad_sysid.pipeline.held_out import findings, of_black_box, of_grey_box
+from quad_sysid.pipeline.answer import AxisAnswer, Findings
+from quad_sysid.pipeline.assemble import Support, axis_model, outside_of
+from quad_sysid.pipeline.blackbox_part import about_base, io_data
+from quad_sysid.pipeline.flight import AxisFlight
+from quad_sysid.pipeline.held_out import held_out, residuals
 from quad_sysid.pipeline.selection import with_blackbox
-from quad_sysid.pipeline.step_b import Loop, closed_loop, loop_of
-from quad_sysid.pipeline.usable import check_usable, refusal, together
+from quad_sysid.pipeline.step_b import Loop, closed_loop
+from quad_sysid.pipeline.usable import refusal, together
 from quad_sysid.record import Record
 
 Progress = Callable[[str], None]
@@ -86,72 +87,55 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         if s.excites(axis) or (s.role == 'idle' and 'because' not in s.parameters)
     )
     records = [record.for_axis(axis) for record in records]
-    rate, refused = 1.0 / records[0].dt, tuple(filter(None, map(refusal, records)))
-    warnings = (*(line for record in records for line in record.warnings), *refused)
-    try:
-        data = axis_data(records, axis)
-        check_usable(data, records)
-        drawn = max((drawn_hz(own, record.dt) for record in records
-                     for own in _commands(record, axis)), default=0.0)
-        if drawn:
-            options = replace(options, effects=())
-        problem = None if options.base is None else options.base.problem(data, records[0].units)
-        told = found_effects(data, options, progress, problem)
-    except NotInformativeError as error:
-        reason = '; '.join([str(error), *(w for w in warnings if 'cut off' in w)])
-        return AxisAnswer(
-            axis, rate, segments, 'cannot_tell', reason, proposal=GainProposal(None, reason),
-            warnings=warnings,
-        )
-    base = told.found.base
-    if options.base is None:
-        data = blackbox_part.about_base(data, base.value('gain'), base.value('bias'))
-    else:
-        warnings += lacking(options.base, told.problem, base)
-    count = max(told.problem.data.motors.shape[1], FEWEST_MOTORS)
-    searched = any(one.label not in told.found.reasons and max(one.motors, default=0) < count
-                   and (not one.axes or axis in one.axes) for one in options.effects)
-    verdict, reason = told.verdict.verdict, _reason(
-        told, DRAWN.format(drawn) if drawn else '' if searched else NOT_SEARCHED)
-    if not searched and verdict != 'cannot_tell':
-        verdict = 'not_searched'
-    model = assemble.axis_model(
-        told, _gains_of(records), assemble.band_of(data), options.effects,
-        records[0].units or EVERY[axis].units
-    )
-    turns = EVERY[axis].turns
+    refused = tuple(filter(None, map(refusal, records)))
     answer = AxisAnswer(
-        axis, rate, segments, verdict, reason, findings=told, model=model,
-        train=blackbox_part.io_data(data, data.train),
-        outside=assemble.outside_of(model, data, data.validation),
-        warnings=warnings,
-        attitude_reference=_joined([r.attitude_setpoint for r in records], data.index)
-        if turns else None,
-        rate_reference=_joined([r.rate_setpoint for r in records], data.index)
-        if turns else None,
-    )
+        axis, 1.0 / records[0].dt, segments, 'cannot_tell', '',
+        warnings=(*(line for record in records for line in record.warnings), *refused))
+    try:
+        flight = AxisFlight.of(records, axis)
+        if flight.drawn_hz:
+            options = replace(options, effects=())
+        problem = None if options.base is None else \
+            options.base.problem(flight.data, flight.units)
+        findings = found_effects(flight.data, options, progress, problem)
+    except NotInformativeError as error:
+        reason = '; '.join([str(error), *(w for w in answer.warnings if 'cut off' in w)])
+        return replace(answer, reason=reason, proposal=GainProposal(None, reason))
+    data, found = findings.data, findings.found
+    count = max(findings.problem.data.motors.shape[1], FEWEST_MOTORS)
+    searched = any(one.label not in found.reasons and max(one.motors, default=0) < count
+                   and (not one.axes or axis in one.axes) for one in options.effects)
+    verdict, why_not = findings.verdict.verdict, ''
+    if not searched:
+        verdict = verdict if verdict == 'cannot_tell' else 'not_searched'
+        why_not = DRAWN.format(flight.drawn_hz) if flight.drawn_hz else NOT_SEARCHED
+    train = io_data(data, data.train)
+    support = Support.of(train, axis)
+    model = axis_model(findings, flight.gains, support.band(), options.effects,
+                       flight.units or EVERY[axis].units)
+    undetermined = () if options.base is None else \
+        lacking(options.base, findings.problem, found.base)
+    answer = replace(
+        answer, verdict=verdict, reason=_reason(findings, why_not), findings=findings, model=model,
+        train=train, validation=io_data(data, data.validation, external=False),
+        outside=outside_of(model, data, data.validation),
+        warnings=(*answer.warnings, *undetermined),
+        attitude_reference=flight.attitude_reference, rate_reference=flight.rate_reference)
     known: AxisAnswer
     known, proposal = side_by_side([
-        partial(_compared, answer, told, data, loop_of(records, axis), progress),
+        partial(_compared, answer, findings, flight.loop, support, progress),
         partial(_proposal, answer, options, (*refused, '')[0], progress),
     ])
     return replace(known, proposal=proposal)
 
 
-def _commands(record: Record, axis: str) -> tuple[FloatArray, ...]:
-    """The commands (n, k) that drive an axis; of surge and sway it is the lean, which is none."""
-    if EVERY[axis].turns:
-        return (record.control[:, 1:],)
-    return (record.control[:, :1],) if EVERY[axis].index < 0 else ()
-
-
-def _compared(answer: AxisAnswer, told: Findings, data: AxisData, loop: Loop,
+def _compared(answer: AxisAnswer, findings: Findings, loop: Loop, support: Support,
               progress: Progress) -> AxisAnswer:
     """The answer with the black-box models, what all models leave, and the loop around them."""
     progress(f'{answer.axis}: black-box models')
-    answer = with_blackbox(answer, data, loop)
-    return replace(answer, residuals=_residuals(answer, data, told),
-                   closed_loop=closed_loop(answer.model, loop, data))
+    answer = with_blackbox(answer, findings.data, loop, support)
+    return replace(answer, residuals=residuals(answer, findings),
+                   closed_loop=closed_loop(answer.model, loop, findings.data))
 
 
 def found_effects(data: AxisData, options: Options, progress: Progress = lambda _: None,
@@ -174,8 +158,13 @@ def found_effects(data: AxisData, options: Options, progress: Progress = lambda 
                  if part.effect.label not in found.reasons]
         ladder = explain(problem, found, parts)
         progress(f'{data.axis}: held-out segments')
-        verdict = judge(data, problem, found, ladder)
-        return findings(data, problem, found, ladder, verdict)
+        if options.base is None:
+            data = about_base(data, found.base.value('gain'), found.base.value('bias'))
+        unseen = Unseen(data, data.validation)
+        verdict = judge(unseen, problem, found, ladder)
+        before = held_out(unseen, verdict.base)
+        after = before if verdict.chosen is verdict.base else held_out(unseen, verdict.chosen)
+        return Findings(data, problem, found, ladder, verdict, before, after)
     except (FloatingPointError, np.linalg.LinAlgError) as error:
         moved = [float(np.nanstd(data.training(x))) for x in (data.command, data.rate)]
         raise NotInformativeError(
@@ -218,7 +207,7 @@ def _reason(told: Findings, not_searched: str) -> str:
         names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
         reason = (
             f'with {names} the model predicts the held-out segments better than the base alone '
-            f'(by chance alone: p {_below(max(claim.p_value for claim in verdict.claims))})'
+            f'(by chance alone: p {p_value(max(claim.p_value for claim in verdict.claims))})'
         ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
     elif not_searched:
         reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')
@@ -247,32 +236,6 @@ def _reason(told: Findings, not_searched: str) -> str:
             'the sign of the gyro before anything else'
         )
     return reason
-
-
-def _below(p: float) -> str:
-    return '< 0.0001' if p < 1e-4 else f'= {p:.2g}'
-
-
-def _joined(setpoints: Sequence[FloatArray | None], column: int) -> FloatArray | None:
-    """(n,) one axis of all records one behind the other; None where any lacks it."""
-    known = [s[:, column] for s in setpoints if s is not None]
-    return np.concatenate(known) if known and len(known) == len(setpoints) else None
-
-
-def _residuals(answer: AxisAnswer, data: AxisData, told: Findings) -> dict[str, Residual]:
-    """Residuals of base, completed model and selected black box on the held-out data."""
-    left = of_grey_box(data, told)
-    if answer.selected is not None:
-        winner = of_black_box(data, answer.rows[answer.selected].step_a.model)
-        if winner is not None:
-            left['blackbox'] = winner
-    return left
-
-
-def _gains_of(records: Sequence[Record]) -> dict[str, float]:
-    """Gains and loop constants in force during the first record's training."""
-    trained = [s.start_s for s in records[0].segments if s.role == 'train']
-    return dict(records[0].gains_at(min(trained, default=0.0)))
 
 
 def _proposal(answer: AxisAnswer, options: Options, refused_because: str,

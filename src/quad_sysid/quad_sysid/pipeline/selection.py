@@ -29,10 +29,11 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains, weight_of
 from quad_sysid.model.data import AxisData
+from quad_sysid.model.effect import required
 from quad_sysid.pipeline import blackbox_part, step_b
-from quad_sysid.pipeline.advice import Evidence, advice, rivalry
+from quad_sysid.pipeline.advice import advice, rivalry
 from quad_sysid.pipeline.answer import Approach, AxisAnswer, ModelRow, Selection
-from quad_sysid.pipeline.assemble import band_of
+from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import NOISE_ORDER, ORDERS, Fits, tried
 from quad_sysid.record import IOData
 
@@ -204,40 +205,36 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
     return gain * float(y.std() / u.std()) if u.std() > 0.0 else float('inf')
 
 
-def with_blackbox(answer: AxisAnswer, data: AxisData, loop: step_b.Loop) -> AxisAnswer:
+def with_blackbox(answer: AxisAnswer, data: AxisData, loop: step_b.Loop,
+                  support: Support) -> AxisAnswer:
     """Add the table of models, the selected one, its error in the metric, and what to know."""
-    gains = {} if answer.model is None else answer.model.active_gains
+    known, z = required(answer.model), required(answer.train)
+    gains = known.active_gains
+    cascade = CascadeGains.from_mapping(gains, data.axis) \
+        if f'{data.axis}.rate.kp' in gains else None
     try:
-        z = answer.train or blackbox_part.io_data(data, data.train)
         fits = blackbox_part.fit_models(z)
-        known = f'{data.axis}.rate.kp' in gains
-        cascade = CascadeGains.from_mapping(gains, data.axis) if known else None
-        behind = loop.behind_attitude
-        closed = feedback(z, fits.search.model, cascade, behind_attitude=behind,
+        closed = feedback(z, fits.search.model, cascade, behind_attitude=loop.behind_attitude,
                           through=loop.through)
-        possible, controlled_by = approaches(z, cascade, behind_attitude=behind,
+        possible, controlled_by = approaches(z, cascade, behind_attitude=loop.behind_attitude,
                                              one_loop=loop.of_one_set, closed=closed)
         others, refused = fit_others(z, fits, possible, controlled_by)
-        rows = blackbox_part.rows_of(data, fits.models + others)
+        rows = blackbox_part.rows_of(z, data, fits.models + others)
     except QuadSysidError as error:
         return replace(answer, warnings=(*answer.warnings, f'no black-box model: {error}'),
-                       selection=Selection(advice=tuple(rivalry(answer.model))))
+                       selection=Selection(advice=tuple(rivalry(known))))
     rows, why_not = _second_steps(rows, loop, closed=closed)
     selected = blackbox_part.select(rows, data)
     model = None if selected is None else rows[selected].step_a.model
-    band = band_of(data, _box_jenkins(rows) or model)
-    axis_model = answer.model and replace(answer.model, trusted_band_rad_s=band)
-    held_out = data.validation
-    validation = blackbox_part.io_data(data, held_out, external=False) if held_out else None
-    evidence = Evidence(z, fits, rows, selected, band, closed, axis_model, fits.refused + refused,
-                        why_not, validation)
-    return replace(
-        answer, model=axis_model, rows=rows, selected=selected, train=z,
-        blackbox_error=blackbox_part.window_error(data, model, held_out) if model else None,
-        blackbox_horizons=blackbox_part.horizons(data, model, held_out) if model else {},
-        validation=validation,
-        selection=Selection(approaches=possible, feedback=closed, advice=advice(evidence)),
-    )
+    band = support.band(_box_jenkins(rows) or model)
+    answer = replace(answer, model=replace(known, trusted_band_rad_s=band), rows=rows,
+                     selected=selected, selection=Selection(possible, closed))
+    if model is not None:
+        answer = replace(
+            answer, blackbox_error=blackbox_part.window_error(data, model, data.validation),
+            blackbox_horizons=blackbox_part.horizons(data, model, data.validation))
+    told = *advice(answer, fits, support, why_not), *fits.refused, *refused
+    return replace(answer, selection=replace(answer.selection, advice=told))
 
 
 def _box_jenkins(rows: Sequence[ModelRow]) -> Model | None:

@@ -1,7 +1,7 @@
 """Models in the simulated cascade against the recording: step B of the paper.
 
 Every flight and every set of gains that it was flown with is a run of its own, so that a change
-of gains tests the model as in the paper. The cascade itself stands in the room `loop`.
+of gains tests the model as in the paper. The cascade itself stands in `loop`.
 """
 
 from __future__ import annotations

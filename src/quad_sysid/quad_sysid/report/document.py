@@ -234,8 +234,8 @@ def _best_with(search: Found, label: str) -> Scored | None:
     return next((one for one in search.all if label in one.fit.structure.labels), None)
 
 
-def _parameter(found: Parameter, model: AxisModel, inertia: float | None) -> dict[str, Any]:
-    parameter = model.in_units(found)
+def _parameter(inside: Parameter, model: AxisModel, inertia: float | None) -> dict[str, Any]:
+    parameter = model.in_units(inside)
     tree: dict[str, Any] = {'name': parameter.name, 'value': parameter.value,
                             'std': parameter.std, 'unit': parameter.unit}
     if parameter.std is not None:
@@ -243,9 +243,9 @@ def _parameter(found: Parameter, model: AxisModel, inertia: float | None) -> dic
         tree['interval_95'] = [parameter.value - half, parameter.value + half]
     elif parameter.interval is not None:
         tree['interval_95'] = parameter.interval
-    if inertia is not None and found.unit.startswith('rad/s²'):
-        tree['torque'] = {'value': found.value * inertia,
-                          'unit': found.unit.replace('rad/s²', 'N m', 1)}
+    if inertia is not None and inside.unit.startswith('rad/s²'):
+        tree['torque'] = {'value': inside.value * inertia,
+                          'unit': inside.unit.replace('rad/s²', 'N m', 1)}
     return tree
 
 

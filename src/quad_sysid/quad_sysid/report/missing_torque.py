@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from quad_sysid.estimate.fit import Fit, Problem, covariance
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, per_unit
+from quad_sysid.units import COMMAND
 
 HALF_SPAN_S = 0.025
 BLOCK_S = 1.0
@@ -29,12 +30,16 @@ MIN_IN_A_BIN = 40
 GRID = 301
 Z95 = 1.96
 
-OVER = {'rate': ('rate', 'rad/s'), 'angle': ('angle', 'rad'), 'command': ('lagged', 'norm.'),
+OVER = {'rate': ('rate', 'rad/s'), 'angle': ('angle', 'rad'), 'command': ('lagged', COMMAND),
         'throttle': ('throttle', 'norm.'), 'battery': ('battery_v', 'V'), 'time': ('time', 's'),
         'other rate': ('other_rates', 'rad/s'), 'other command': ('other_commands', 'norm.'),
         'other angle': ('other_angles', 'rad'),
         'product of other rates': ('other_rates', '(rad/s)²')}
 """Signals over which effects are drawn, as fields of Signals, with their units."""
+
+
+Label: TypeAlias = tuple[str, str]
+"""A quantity and its SI unit."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +55,16 @@ class Binned:
 class Drawn:
     """An effect over its variable: its physics with a band of 95 %."""
 
-    over: str
-    """Label of x with its unit."""
-    label: str
-    """Label of y with its unit."""
+    over: Label
+    """Of x."""
+    label: Label
+    """Of y."""
     x: FloatArray
     y: FloatArray
     band: FloatArray
     """Half width."""
+    axis: str
+    """Whose signal x is; '' where it is of none."""
     plain: FloatArray | None = None
     """The curve of the base alone, where it is not zero."""
 
@@ -188,7 +195,7 @@ def drawn(replay: Replay, index: int) -> Drawn:
     if part.effect.wanders:
         inside = past_start(replay.problem.spans, replay.problem.data.dt)
         x, y = variable(replay, part)[inside], replay.followed()[index][inside]
-        return Drawn('time, s', LABELS['gain'], x, y, np.zeros(x.size))
+        return Drawn(('time', 's'), LABELS['gain'], x, y, np.zeros(x.size), '')
     evaluate, x, over = _picture(replay, part)
 
     def at(moved: FloatArray) -> FloatArray:
@@ -203,7 +210,8 @@ def drawn(replay: Replay, index: int) -> Drawn:
     slope = np.stack(columns, axis=1)
     spread = np.sqrt(np.maximum(np.einsum('ni,ij,nj->n', slope, raw, slope), 0.0))
     plain = np.ones(GRID) if part.effect.term == 'lag' else None
-    return Drawn(over, LABELS[part.effect.term], x, at(theta), Z95 * spread, plain)
+    return Drawn(over, LABELS[part.effect.term], x, at(theta), Z95 * spread,
+                 _axis(replay, part), plain)
 
 
 Evaluate = Callable[[FloatArray], FloatArray]
@@ -211,12 +219,13 @@ REST = {'throttle': 0.0, 'battery': 1.0}
 UNIT = {'gain': {'drive': 1.0}, 'delay': {'change': -1.0}, 'damping': {'rate': -1.0},
         'friction': {'rate': -1.0}}
 """One unit of what an effect changes, by its term."""
-LABELS = {'torque': 'torque / inertia, rad/s²', 'gain': 'change of the gain, 1',
-          'damping': 'change of the damping, 1/s', 'friction': 'friction / inertia, rad/s²',
-          'delay': 'change of the delay, s', 'lag': 'factor of the lag, 1'}
+LABELS = {'torque': ('torque / inertia', 'rad/s²'), 'gain': ('change of the gain', '1'),
+          'damping': ('change of the damping', '1/s'),
+          'friction': ('friction / inertia', 'rad/s²'),
+          'delay': ('change of the delay', 's'), 'lag': ('factor of the lag', '1')}
 
 
-def _picture(replay: Replay, part: Part) -> tuple[Evaluate, FloatArray, str]:
+def _picture(replay: Replay, part: Part) -> tuple[Evaluate, FloatArray, Label]:
     """How to evaluate an effect, over what, and the label of that."""
     term = part.effect.term
     inside = past_start(replay.problem.spans, replay.problem.data.dt)
@@ -224,9 +233,9 @@ def _picture(replay: Replay, part: Part) -> tuple[Evaluate, FloatArray, str]:
     low, high = np.nanpercentile(values, [0.5, 99.5])
     x = np.linspace(low, high, GRID)
     name = _name(part)
-    over = f'{_named(replay.problem.data, part, name)}, {OVER[name][1]}'
+    over = _named(replay.problem.data, part, name), OVER[name][1]
     if _frequency(replay, part):
-        x, over = np.linspace(0.0, 2.0 * np.pi, GRID), 'phase, rad'
+        x, over = np.linspace(0.0, 2.0 * np.pi, GRID), ('phase', 'rad')
     if isinstance(part.effect, Clocked):
         return partial(part.effect.later, x / (2.0 * np.pi * _frequency(replay, part))), x, over
     if term == 'lag':
@@ -245,6 +254,14 @@ def _named(data: AxisData, part: Part, name: str) -> str:
     if name.startswith('other '):
         return f'{name.removeprefix("other ")} of {data.other_axes[_which(part)]}'
     return 'acting command' if name == 'command' else name
+
+
+def _axis(replay: Replay, part: Part) -> str:
+    name, data = _name(part), replay.problem.data
+    if name.startswith(('other', 'product')):
+        return data.other_axes[_which(part)]
+    own = name in ('rate', 'angle', 'command') and not _frequency(replay, part)
+    return data.axis if own else ''
 
 
 def _moved(replay: Replay, part: Part, name: str, x: FloatArray) -> dict[str, Any]:

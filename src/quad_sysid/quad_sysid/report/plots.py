@@ -43,8 +43,9 @@ def draw(answer: AxisAnswer, name: str) -> Picture | None:
     if picture is None or answer.units is None:
         return picture
     for text in picture.figure.findobj(Text):
-        text.set_text(spoken(answer.units, text.get_text(), label=True))
-    return replace(picture, title=spoken(answer.units, picture.title))
+        text.set_text(spoken(answer.units, text.get_text()))
+    return replace(picture, title=spoken(answer.units, picture.title),
+                   caption=spoken(answer.units, picture.caption))
 
 
 def gallery(answer: AxisAnswer) -> Gallery:

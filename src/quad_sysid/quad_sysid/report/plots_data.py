@@ -28,7 +28,7 @@ from quad_sysid.report.canvas import (
     panels,
     shade,
 )
-from quad_sysid.units import spoken
+from quad_sysid.units import COMMAND, scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,15 +61,11 @@ def zooming(answer: AxisAnswer) -> str:
         return ''
     data = findings.data
     rows = []
-    for label, measured, reference in (
-            ('rate, rad/s', data.rate, answer.rate_reference),
-            ('angle, rad', data.angle, answer.attitude_reference),
-            ('command, normalised', data.command, None)):
-        lines = [zoom.Line('measured' if measured is not data.command else 'command', measured,
-                           '--ink')] if measured is not None else []
+    for label, measured, reference in _rows(answer, data):
+        name = 'command' if label.startswith('command') else 'measured'
+        lines = [zoom.Line(name, measured, '--ink')] if measured is not None else []
         lines += [zoom.Line('reference', reference, '--green')] if reference is not None else []
-        said = spoken(answer.units, label, label=True)
-        rows += [zoom.Row(said, lines)] if lines else []
+        rows.append(zoom.Row(label, lines))
     marks = [zoom.Mark(a * data.dt, b * data.dt, colour)
              for spans, colour in ((data.train, '--blue'), (data.validation, '--orange'))
              for a, b in bridged(sorted(spans), data.dt)]
@@ -78,13 +74,24 @@ def zooming(answer: AxisAnswer) -> str:
     return zoom.group(rows, data.dt, marks, TRACES)
 
 
+def _rows(answer: AxisAnswer, data: AxisData,
+          ) -> list[tuple[str, FloatArray | None, FloatArray | None]]:
+    """Label, signal and reference of what was measured, in the units of the arrays."""
+    rows = []
+    for name, unit, *signals in (('rate', 'rad/s', data.rate, answer.rate_reference),
+                                 ('angle', 'rad', data.angle, answer.attitude_reference),
+                                 ('command', COMMAND, data.command, None)):
+        of = scale(answer.units, name, unit)
+        measured, reference = (None if one is None else of(one) for one in signals)
+        if measured is not None or reference is not None:
+            rows.append((of.label, measured, reference))
+    return rows
+
+
 def _traces(answer: AxisAnswer, data: AxisData) -> Figure:
     """Stacked panels of rate, angle (where measured) and command with the segments shaded."""
     time_s = np.asarray(np.arange(data.rate.size) * data.dt, dtype=np.float64)
-    rows = [('rate, rad/s', data.rate, answer.rate_reference),
-            ('angle, rad', data.angle, answer.attitude_reference),
-            ('command, norm.', data.command, None)]
-    rows = [row for row in rows if row[1] is not None or row[2] is not None]
+    rows = _rows(answer, data)
     figure, axes = panels(len(rows), height_in=1.2 + 1.15 * len(rows))
     for number, (one, (label, measured, reference)) in enumerate(zip(axes, rows, strict=True)):
         for spans, colour, name in ((data.train, BLUE, 'training'),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from quad_sysid.axes import units_of
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import missing_torque
 from quad_sysid.report.canvas import (
@@ -16,6 +17,7 @@ from quad_sysid.report.canvas import (
     panels,
 )
 from quad_sysid.report.plots_models import Z99, runs
+from quad_sysid.units import scale
 
 MAX_RIVALS = 5
 SHOWN = ('rate', 'angle', 'command')
@@ -30,7 +32,9 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     at = missing_torque.variables(missing_torque.Replay(problem, findings.after.fit))
     names = [name for name in SHOWN if name in at]
     figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False, apart=0.72)
-    drawn = False
+    drawn, left = False, scale(answer.units, 'left out', 'rad/s²')
+    over = {name: scale(answer.units, 'acting command' if name == 'command' else name,
+                        missing_torque.OVER[name][1]) for name in names}
     for held, colour, _, label in runs(findings):
         values = missing_torque.Replay(problem, held.fit).left_out()
         for one, name in zip(axes, names, strict=True):
@@ -38,13 +42,13 @@ def left_out(answer: AxisAnswer) -> Picture | None:
             if points is None:
                 continue
             drawn = True
-            one.errorbar(points.x, points.mean, Z99 * points.spread, color=colour, label=label,
-                         marker='o', ms=3, capsize=1.5, lw=1.0, elinewidth=0.8)
+            one.errorbar(over[name](points.x), left(points.mean), Z99 * left(points.spread),
+                         color=colour, label=label, marker='o', ms=3, capsize=1.5, lw=1.0,
+                         elinewidth=0.8)
     for one, name in zip(axes, names, strict=True):
         one.axhline(0.0, color=MUTED, lw=0.8)
-        where = 'acting command' if name == 'command' else name
-        one.set_xlabel(f'{where}, {missing_torque.OVER[name][1]}')
-        one.set_ylabel('left out, rad/s²')
+        one.set_xlabel(over[name].label)
+        one.set_ylabel(left.label)
     legend(axes[0])
     if not drawn:
         return None
@@ -70,23 +74,26 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
     figure, axes = panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False, apart=0.75)
     for one, (index, part) in zip(axes, parts, strict=True):
         shape = missing_torque.drawn(replay, index)
+        own = answer.units if shape.axis == answer.axis else units_of(shape.axis)
+        x, y = scale(own, *shape.over), scale(answer.units, *shape.label)
         weights = missing_torque.weight(replay, part)
         if weights is not None:
             points = missing_torque.binned(missing_torque.variable(replay, part),
                                            replay.added(index) + rest, findings.problem.spans,
                                            findings.data.dt, 25, weights)
             if points is not None:
-                one.errorbar(points.x, points.mean, Z99 * points.spread, color=INK, marker='o',
-                             ms=3, lw=0, elinewidth=0.8, capsize=1.5, label='data')
+                one.errorbar(x(points.x), y(points.mean), Z99 * y(points.spread), color=INK,
+                             marker='o', ms=3, lw=0, elinewidth=0.8, capsize=1.5,
+                             label='data')
         if shape.plain is not None:
-            one.plot(shape.x, shape.plain, color=BEFORE, ls='--', lw=1.0, label='base')
-        one.fill_between(shape.x, shape.y - shape.band, shape.y + shape.band, color=AFTER,
-                         alpha=0.25, lw=0)
-        one.plot(shape.x, shape.y, color=AFTER, lw=1.6, label=part.effect.name)
+            one.plot(x(shape.x), y(shape.plain), color=BEFORE, ls='--', lw=1.0, label='base')
+        one.fill_between(x(shape.x), y(shape.y - shape.band), y(shape.y + shape.band),
+                         color=AFTER, alpha=0.25, lw=0)
+        one.plot(x(shape.x), y(shape.y), color=AFTER, lw=1.6, label=part.effect.name)
         if shape.plain is None:
             one.axhline(0.0, color=MUTED, lw=0.8)
-        one.set_xlabel(shape.over)
-        one.set_ylabel(shape.label)
+        one.set_xlabel(x.label)
+        one.set_ylabel(y.label)
         legend(one)
     return Picture(
         'effect_shape', 'The effect against the data',

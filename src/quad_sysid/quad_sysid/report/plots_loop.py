@@ -25,6 +25,7 @@ from quad_sysid.report.canvas import (
     panels,
 )
 from quad_sysid.report.plots_models import degrees
+from quad_sysid.units import COMMAND, scale
 
 SHOWN_S = 10.0
 
@@ -42,23 +43,27 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     shown = max(long, key=lambda p: float(np.var(loop.measured[p])))
     shown = shown[: round(SHOWN_S / step)]
     figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
-    measured = loop.measured[shown]
+    of = scale(answer.units, 'rate', 'rad/s')
+    measured = of(loop.measured[shown])
     axes[0].plot(time_s[shown], measured, color=INK, lw=1.0, label='measured')
     added = answer.model is not None and bool(answer.model.effects)
     runs = [(loop.after, AFTER, '-', 'completed' if added else 'base')]
     if added:
         runs.insert(0, (loop.before, BEFORE, '--', 'base'))
     for simulated, colour, style, name in runs:
-        flown = simulated[shown]
+        flown = of(simulated[shown])
         axes[0].plot(time_s[shown], flown, color=colour, ls=style, label=name)
         axes[1].plot(time_s[shown], flown - measured, color=colour, lw=0.8)
     axes[1].margins(x=0.01)
-    finish(axes, 'time, s', 'rate, rad/s', 'error, rad/s')
+    error = scale(answer.units, 'error', 'rad/s')
+    unit = error.label.removeprefix('error, ')
+    finish(axes, 'time, s', of.label, error.label)
     return Picture(
         'closed_loop', 'Simulated flight against the recorded one',
         'The controller and the model flown on the recorded reference and excitation, from the '
-        f'start of the record. RMS over the held-out segments: base {loop.rms_before:.3g}'
-        + (f', completed {loop.rms_after:.3g} rad/s.' if added else ' rad/s.'), figure,
+        'start of the record. RMS over the held-out segments: '
+        f'base {of.factor * loop.rms_before:.3g}'
+        + (f', completed {of.factor * loop.rms_after:.3g}' if added else '') + f' {unit}.', figure,
     )
 
 
@@ -85,14 +90,15 @@ def step_response(answer: AxisAnswer) -> Picture | None:
     plant = loop_plant(model)
     size, units = plant.trial.step, answer.units
     turns = units is None or units.motion == 'rad'
-    scale, unit = (np.degrees(1.0), 'deg') if units is None or turns else (
+    factor, unit = (np.degrees(1.0), 'deg') if units is None or turns else (
         1.0 / units.per_motion, units.motion)
+    command = scale(units, 'command', COMMAND)
     n = round(plant.trial.half_period_s / model.dt)
     lead = n // 10
     reference = np.where(np.arange(n + lead) < lead, 0.0, size)
     time_s = np.asarray((np.arange(n + lead) - lead) * model.dt, dtype=np.float64)
     figure, axes = panels(2, height_in=3.7, ratios=(1.7, 1.0))
-    axes[0].plot(time_s, scale * reference, color=GREEN, lw=1.0, label='reference')
+    axes[0].plot(time_s, factor * reference, color=GREEN, lw=1.0, label='reference')
     for name, gains, colour, style in sets:
         try:
             flown = simulate_cascade(plant, gains, reference, model.dt)
@@ -100,24 +106,24 @@ def step_response(answer: AxisAnswer) -> Picture | None:
             return None
         if not np.isfinite(flown.angle).all():
             return None
-        axes[0].plot(time_s, scale * flown.angle, color=colour, ls=style, lw=1.6,
+        axes[0].plot(time_s, factor * flown.angle, color=colour, ls=style, lw=1.6,
                      label=name)
-        axes[1].plot(time_s, flown.control, color=colour, ls=style, lw=1.2)
+        axes[1].plot(time_s, command(flown.control), color=colour, ls=style, lw=1.2)
     measured = _measured(answer)
     if measured is not None:
-        axes[0].plot(measured.time_s, scale * size * measured.mean, color=MEASURED,
+        axes[0].plot(measured.time_s, factor * size * measured.mean, color=MEASURED,
                      lw=1.2, label='measured')
-        axes[0].fill_between(measured.time_s, scale * size * measured.low,
-                             scale * size * measured.high, color=MUTED, alpha=0.25,
+        axes[0].fill_between(measured.time_s, factor * size * measured.low,
+                             factor * size * measured.high, color=MUTED, alpha=0.25,
                              linewidth=0)
         axes[0].set_xlim(time_s[0], time_s[-1])
     place = EVERY[model.axis].place
-    finish(axes, 'time since the step, s', f'{place}, {unit}', 'command, norm.')
+    finish(axes, 'time since the step, s', f'{place}, {unit}', command.label)
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
+    what = f'{factor * size:.0f} degrees in the attitude reference' if turns else \
+        f'{factor * size:.2g} {unit} in the reference of the {place}'
     return Picture('step', 'Step before and after',
-                   (f'A step of {scale * size:.0f} degrees in the attitude reference' if turns else
-                    f'A step of {scale * size:.2g} {unit} in the reference of the {place}')
-                   + ', simulated with the identified model.'
+                   f'A step of {what}, simulated with the identified model.'
                    + (' Measured: the response of this flight with the flown gains, by '
                       'deconvolution, with its spread between windows.' if measured else '')
                    + why, figure)

@@ -34,6 +34,7 @@ from quad_sysid.report.canvas import (
 )
 from quad_sysid.report.plots_data import trusted, trusted_words
 from quad_sysid.report.words import equals, yes
+from quad_sysid.units import COMMAND, scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,22 +62,22 @@ def free_run(answer: AxisAnswer) -> Picture | None:
         return None
     first, last = _lively(windows, data.rate)
     a, b = int(windows.starts[first]), int(windows.starts[last]) + windows.length
-    time_s = np.arange(a, b) * data.dt
+    time_s, of = np.arange(a, b) * data.dt, scale(answer.units, 'rate', 'rad/s')
     figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
-    axes[0].plot(time_s, data.rate[a:b], color=INK, lw=1.0, label='measured')
+    axes[0].plot(time_s, of(data.rate[a:b]), color=INK, lw=1.0, label='measured')
     for one, colour, style, name in runs(findings):
         for w in range(first, last + 1):
             at = np.arange(windows.starts[w], windows.starts[w] + windows.length)
             wrong = one.errors[w]
             label = name if w == first else None
-            axes[0].plot(at * data.dt, data.rate[at] + wrong, color=colour, label=label,
+            axes[0].plot(at * data.dt, of(data.rate[at] + wrong), color=colour, label=label,
                          lw=1.3, ls=style)
-            axes[1].plot(at * data.dt, wrong, color=colour, lw=1.0)
+            axes[1].plot(at * data.dt, of(wrong), color=colour, lw=1.0)
     for w in range(first, last + 1):
         for panel in axes:
             panel.axvline(windows.starts[w] * data.dt, color=MUTED, lw=0.5, ls=':')
     axes[1].margins(x=0.01)
-    finish(axes, 'time, s', 'rate, rad/s', 'error, rad/s')
+    finish(axes, 'time, s', of.label, scale(answer.units, 'error', 'rad/s').label)
     return Picture(
         'free_run', 'Free run on held-out data',
         'In each window of 0.5 s (dotted) the model starts from what was measured before it and '
@@ -99,13 +100,15 @@ def horizon(answer: AxisAnswer) -> Picture | None:
     if findings is None or not findings.before.errors.size:
         return None
     figure, (one,) = panels(height_in=2.6)
+    of = scale(answer.units, 'RMS error', 'rad/s')
     ahead = np.arange(findings.before.errors.shape[1]) * findings.data.dt
     for held, colour, style, name in runs(findings):
-        growth = np.sqrt(np.mean(held.errors**2, axis=0))
+        growth = of(np.sqrt(np.mean(held.errors**2, axis=0)))
         one.plot(ahead, growth, color=colour, ls=style, lw=1.6, label=name)
-    one.axhline(findings.verdict.noise_floor, color=GREEN, lw=1, ls=':', label='measurement noise')
+    one.axhline(of.factor * findings.verdict.noise_floor, color=GREEN, lw=1, ls=':',
+                label='measurement noise')
     one.set_ylim(bottom=0.0)
-    finish([one], 'time since the start of the window, s', 'RMS error, rad/s')
+    finish([one], 'time since the start of the window, s', of.label)
     return Picture(
         'horizon', 'Error over the horizon',
         'How the prediction becomes worse: RMS over all held-out windows. Its mean square '
@@ -119,11 +122,12 @@ def bode(answer: AxisAnswer) -> Picture | None:
     if model is None or train is None:
         return None
     w = np.geomspace(0.3, 0.9 * np.pi / model.dt, 160)
+    of = scale(answer.units, 'gain', f'rad/s per {COMMAND}')
     figure, axes = panels(2, height_in=4.3, ratios=(1.25, 1.0))
     try:
         data = spa(train)
         good = data.coherence > SHOWN_COHERENCE
-        axes[0].loglog(data.w[good], np.abs(data.response[good]), '.', ms=3.5, color=INK,
+        axes[0].loglog(data.w[good], of(np.abs(data.response[good])), '.', ms=3.5, color=INK,
                        label='data')
         axes[1].semilogx(data.w[good], degrees(data.response[good]), '.', ms=3.5, color=INK)
         w = w[w > 0.7 * data.w[0]]
@@ -132,10 +136,11 @@ def bode(answer: AxisAnswer) -> Picture | None:
     if answer.selected is not None:
         chosen = answer.rows[answer.selected].step_a.model
         estimate = frequency_response(chosen, w)
-        _curve(axes, w, estimate.response, Z99 * estimate.magnitude_std, Z99 * estimate.phase_std,
-               OTHER, '--', chosen.name)
+        _curve(axes, w, of.factor * estimate.response, Z99 * of(estimate.magnitude_std),
+               Z99 * estimate.phase_std, OTHER, '--', chosen.name)
     response, magnitude, phase = _grey_box(model, w)
-    _curve(axes, w, response, magnitude, phase, AFTER, '-', 'grey box')
+    response = of.factor * response
+    _curve(axes, w, response, of(magnitude), phase, AFTER, '-', 'grey box')
     for one in axes:
         trusted(one, answer)
         one.set_xscale('log')
@@ -144,7 +149,7 @@ def bode(answer: AxisAnswer) -> Picture | None:
                      float(seen.max()) * 4.0)
     axes[1].set_ylim(-720.0, 60.0)
     axes[1].set_yticks(range(-720, 61, 180))
-    finish(axes, 'frequency, rad/s', 'gain, rad/s per command', 'phase, deg')
+    finish(axes, 'frequency, rad/s', of.label, 'phase, deg')
     left = ' Effects that are not linear are left out.' if model.effects else ''
     return Picture(
         'bode', 'Frequency response', 'From command to measured rate, bands of 99 %. Points: '
@@ -266,15 +271,16 @@ def spectrum(answer: AxisAnswer) -> Picture | None:
     shown = [entry for entry in _known(answer) if entry[0].frequency_hz.size > 2]
     if not shown:
         return None
+    of = scale(answer.units, 'error', '(rad/s)²/Hz')
     figure, (one,) = panels(height_in=2.7)
     for residual, name, colour, style in shown:
-        one.loglog(residual.frequency_hz[1:], residual.density[1:], color=colour, ls=style,
+        one.loglog(residual.frequency_hz[1:], of(residual.density[1:]), color=colour, ls=style,
                    lw=1.2, label=name)
     last = next((r for r, name, _, _ in shown if name == 'completed'), shown[0][0])
     for frequency, _ in last.peaks[:3]:
         one.axvline(frequency, color=MUTED, lw=0.7, ls=':')
         one.text(frequency, one.get_ylim()[0], f' {frequency:.1f} Hz', fontsize=8, va='bottom')
-    finish([one], 'frequency, Hz', 'error, (rad/s)²/Hz')
+    finish([one], 'frequency, Hz', of.label)
     peaks = ' Dotted: peaks over their surroundings.' if last.peaks else ''
     return Picture(
         'residual_spectrum', 'Spectrum of what is left',
@@ -288,17 +294,18 @@ def torque(answer: AxisAnswer) -> Picture | None:
     shown = [(r.missing, n, c) for r, n, c, _ in _known(answer) if r.missing is not None]
     if not shown:
         return None
+    of = scale(answer.units, 'torque / inertia', 'rad/s²')
     figure, (one,) = panels(height_in=2.7)
     for missing, name, colour in shown:
-        time_s, values = np.asarray(missing.time_s), np.asarray(missing.acceleration)
+        time_s, values = np.asarray(missing.time_s), of(np.asarray(missing.acceleration))
         pieces = np.split(np.arange(time_s.size), np.flatnonzero(np.diff(time_s) > 1.0) + 1)
         for number, at in enumerate(pieces):
             one.plot(time_s[at], values[at], color=colour, lw=0.8,
                      label='' if number else name)
     last = shown[-1][0]
-    bound = Z99 * last.expected_rms
+    bound = Z99 * of.factor * last.expected_rms
     one.axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of its noise')
-    finish([one], 'time, s', 'torque / inertia, rad/s²')
+    finish([one], 'time, s', of.label)
     return Picture(
         'missing_torque', 'The torque that seems to be missing, over time',
         "The torque disturbance that the model's Kalman filter sees on held-out data. The green "

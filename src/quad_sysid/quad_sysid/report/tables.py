@@ -10,7 +10,7 @@ from typing import Any
 
 from quad_sysid.axes import units_of
 from quad_sysid.report.words import FIGURES, bound, chance, figure, named, number, values, yes
-from quad_sysid.units import unit_in
+from quad_sysid.units import shown_in
 
 Tree = Mapping[str, Any]
 WIDTH = 78
@@ -261,7 +261,7 @@ def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> Table:
     from quad_sysid.loop.cascade import contract_names  # seconds, which other tables need not
 
     figures, new = tree.get('gain_figures') or {}, tree.get('gains') or {}
-    units = {name: unit_in(units_of(axis), GAIN_UNITS[field])
+    units = {name: shown_in(units_of(axis), GAIN_UNITS[field])[0]
              for field, name in contract_names(axis).items() if field in GAIN_UNITS}
     rows = [
         [name, number(figures.get(f'{name}_before', active.get(name)), 4),

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quad_sysid.axes import units_of
+from quad_sysid.errors import p_value
 from quad_sysid.model.identified import UNLISTED
 from quad_sysid.units import spoken
 
@@ -139,15 +140,12 @@ def yes(value: bool) -> str:
 
 def chance(p: float | None) -> str:
     """A p-value or probability without false precision."""
-    if p is None:
-        return '–'
-    return '< 0.0001' if p < 1e-4 else f'{p:.2g}'
+    return '–' if p is None else p_value(p).removeprefix('= ')
 
 
 def equals(p: float | None) -> str:
     """`= 0.03` or `< 0.0001`, to follow `p`."""
-    text = chance(p)
-    return text if text.startswith('<') else f'= {text}'
+    return '= –' if p is None else p_value(p)
 
 
 def lowered(percent: float) -> str:
@@ -168,12 +166,12 @@ def story(axis: str, tree: Tree) -> list[tuple[str, str]]:
     if tree['error'].get('after') is None:
         reason = _bare(axis, tree.get('reason', ''))
         return [('Why?', f'{reason[:1].upper()}{reason[1:]}.')]
-    return [('How well does the model predict?', _worth(tree)),
+    return [('How well does the model predict?', _accuracy(tree)),
             ('What was missing, and how sure is that?', ' '.join(_missing(tree))),
             ('Which gains, and why?', _gains(axis, tree))]
 
 
-def _worth(tree: Tree) -> str:
+def _accuracy(tree: Tree) -> str:
     error = tree['error']
     after, hold = float(error['after']), error.get('hold_last_value')
     unit = error['unit']
@@ -213,18 +211,18 @@ def horizon_words(error: Tree) -> str:
     listed = [h for h in error.get('horizons', ()) if h['after'] is not None]
     if not listed:
         return ''
-    far = reach(error)
-    if far is None:
+    ahead_s = reach(error)
+    if ahead_s is None:
         best = max(listed, key=lambda h: (h['hold'] or 0.0) / max(h['after'], 1e-12))
         return (
             f' At no horizon does it halve the error of holding the last value; it comes nearest '
             f'{best["horizon_s"]:g} s ahead, off by {number(best["after"])} where holding is off '
             f'by {number(best["hold"])} {error["unit"]}.'
         )
-    at = next(h for h in listed if h['horizon_s'] == far)
+    at = next(h for h in listed if h['horizon_s'] == ahead_s)
     last = listed[-1]['horizon_s']
-    beyond = '' if far == last else f'; further ahead, up to {last:g} s, it predicts less well'
-    return (f' It halves the error of holding the last value up to {far:g} s ahead (off by '
+    beyond = '' if ahead_s == last else f'; further ahead, up to {last:g} s, it predicts less well'
+    return (f' It halves the error of holding the last value up to {ahead_s:g} s ahead (off by '
             f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.')
 
 

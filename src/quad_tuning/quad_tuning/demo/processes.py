@@ -54,17 +54,17 @@ def own_domain() -> Iterator[int]:
     for step in range(span):
         domain = LOWEST + (first + step) % span
         with contextlib.ExitStack() as guard:
-            if _taken(domain, PORT_GUARD, guard, '127.0.0.1'):
+            if _in_use(domain, PORT_GUARD, guard, '127.0.0.1'):
                 continue
             with contextlib.ExitStack() as probes:  # do participants look for each other here?
-                used = any(_taken(domain, offset, probes) for offset in DISCOVERY_OFFSETS)
+                used = any(_in_use(domain, offset, probes) for offset in DISCOVERY_OFFSETS)
             if not used:
                 yield domain
                 return
     raise OSError('no free ROS domain id between 1 and 100 on this machine')
 
 
-def _taken(domain: int, offset: int, held: contextlib.ExitStack, host: str = '') -> bool:
+def _in_use(domain: int, offset: int, held: contextlib.ExitStack, host: str = '') -> bool:
     """Whether somebody has this port of a domain; else `held` keeps it."""
     port = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     try:

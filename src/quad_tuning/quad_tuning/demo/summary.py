@@ -141,7 +141,7 @@ def lines(outcome: Outcome) -> list[str]:
         row('flown', f'{outcome.first.seconds:.0f} s with the old gains, '
             f'{outcome.second.seconds:.0f} s with the new ones'),
         row('undeclared', 'a bearing that sticks and slips (friction_bearing.py)'),
-        *_found(outcome),
+        *_answer_rows(outcome),
         *_gains(outcome),
         row('square wave', f'{"":24s}{"before":>10s}{"after":>10s}'),
         row('', f'{"rise time, s":24s}{old.rise_time_s:10.3f}{new.rise_time_s:10.3f}'),
@@ -154,7 +154,7 @@ def lines(outcome: Outcome) -> list[str]:
     ]
 
 
-def _found(outcome: Outcome) -> list[str]:
+def _answer_rows(outcome: Outcome) -> list[str]:
     report = outcome.report
     lines = [row('verdict', report['verdict'])]
     for effect in report['effects']:

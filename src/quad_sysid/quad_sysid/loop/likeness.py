@@ -34,9 +34,7 @@ class Linearised(Effect):
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.repeat(self.rest[:, None], s.time.size, axis=1)
 
-    def advance(
-        self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings
-    ) -> FloatArray:
+    def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return self._all(s, x)[: self.states] + self.rest[:, None]
 
     def given(self, s: Signals) -> FloatArray:
@@ -53,7 +51,8 @@ class LinearTorque(Linearised):
         return np.stack([s.rate, required(s.angle), s.drive, s.change])
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.given(s)[0]
+        out: FloatArray = self.given(s)[0]
+        return out
 
 
 class LinearMap(Linearised):
@@ -63,7 +62,8 @@ class LinearMap(Linearised):
         return required(s.sent)[None]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.given(s)[0]
+        out: FloatArray = self.given(s)[0]
+        return out
 
 
 class Trim(Effect):

@@ -1,0 +1,55 @@
+"""What the records of an aircraft say of one axis, read once: nothing later opens a record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from quad_sysid.axes import EVERY
+from quad_sysid.contract import FloatArray
+from quad_sysid.foresight import drawn_hz
+from quad_sysid.model.data import AxisData, axis_data
+from quad_sysid.pipeline.step_b import Loop, loop_of
+from quad_sysid.pipeline.usable import check_usable
+from quad_sysid.record import Record
+from quad_sysid.units import Units
+
+
+@dataclass(frozen=True)
+class AxisFlight:
+    """One axis of one or several flights: its data, the loop around it, its references."""
+
+    data: AxisData
+    loop: Loop
+    gains: Mapping[str, float]
+    """Gains and loop constants in force during the first record's training."""
+    units: Units | None
+    """Of the arrays that it came from; None: of its axis."""
+    drawn_hz: float
+    """Rate at which the commands are known where they were interpolated between; else 0."""
+    attitude_reference: FloatArray | None
+    """(n,) rad, on the grid of the data; None where a record does not hold it."""
+    rate_reference: FloatArray | None
+    """(n,) rad/s, alike."""
+
+    @classmethod
+    def of(cls, records: Sequence[Record], axis: str) -> AxisFlight:
+        """Raises NotInformativeError where the records cannot answer for the axis."""
+        data, own, first = axis_data(records, axis), EVERY[axis], records[0]
+        check_usable(data, records)
+        # of surge and sway the command is the lean, which nobody interpolates
+        drawn = [drawn_hz(record.control[:, 1:] if own.turns else record.control[:, :1], record.dt)
+                 for record in records if own.turns or own.index < 0]
+        trained = [s.start_s for s in first.segments if s.role == 'train']
+
+        def joined(setpoints: Sequence[FloatArray | None]) -> FloatArray | None:
+            known = [one[:, own.index] for one in setpoints if one is not None and own.turns]
+            return np.concatenate(known) if len(known) == len(setpoints) else None
+
+        return cls(
+            data, loop_of(records, axis), dict(first.gains_at(min(trained, default=0.0))),
+            first.units, max(drawn, default=0.0),
+            joined([record.attitude_setpoint for record in records]),
+            joined([record.rate_setpoint for record in records]))
