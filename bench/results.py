@@ -95,6 +95,32 @@ def outside(rows: Sequence[Row]) -> str:
     ]])
 
 
+def everyday(rows: Sequence[Row]) -> str:
+    """Everyday faults, two sealed sets (effects_outside.py), judged by their writers' words.
+
+    `right`: whether the claims hold what the writer accepts; `extra`: claims beside it.
+    """
+    out = []
+    for opened in dict.fromkeys(r['opened'] for r in rows):
+        own = [r for r in rows if r['opened'] == opened]
+        counted = [r for r in own if r['counts']]
+        out.append([opened, len(own), len(counted), share([r['gap'] >= 0.5 for r in counted]),
+                    share([r['right'] for r in counted]),
+                    share([bool(r['extra']) for r in counted]),
+                    share([r['after'] > SPOILED * r['before'] for r in own])])
+    return table(['set', 'flown', 'count', 'half of the gap closed', 'right by its writer',
+                  'something beside it is claimed', 'made worse by 5 %'], out)
+
+
+def everyday_effects(rows: Sequence[Row]) -> str:
+    """The same one by one."""
+    return table(['effect', 'strength', 'gap closed', 'answer', 'right by its writer'], [
+        [r['effect'].replace('_', ' '), r['strength'],
+         f'{100 * r["gap"]:.0f} %' if r['counts'] else '·',
+         ', '.join(f'`{name}`' for name, *_ in r['effects']) or f'`{r["verdict"]}`',
+         'yes' if r['right'] else 'no'] for r in rows])
+
+
 def twice(rows: Sequence[Row]) -> str:
     """Each aircraft flown twice (effects_twice.py)."""
     claims = [[[name for name, *_ in one['claims']] for one in r['flights']] for r in rows]
@@ -212,6 +238,8 @@ TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
     'named': ('rows*.jsonl', named), 'disturbances': ('hard_*.jsonl', disturbances),
     'outside': ('outside_*.jsonl', outside), 'twice': ('twice.jsonl', twice),
     'calibration': ('twice.jsonl', calibration), 'ablation': ('ablation.jsonl', ablation),
+    'everyday': ('everyday.jsonl', everyday),
+    'everyday_effects': ('everyday.jsonl', everyday_effects),
     'intervals': ('intervals.jsonl', intervals), 'demo': ('demo.jsonl', demo),
 }
 """Name in the page → files of its rows, and how it is made."""

@@ -227,8 +227,8 @@ def _reason(told: Findings, not_searched: str) -> str:
     if other is not None and verdict.verdict != 'cannot_tell':
         first, second = (', '.join(f'{name} {one.value(name):.3g}{unit}' for name, unit in (
             ('gain', ''), ('lag', ' s'), ('damping', ' 1/s'))) for one in (told.found.best, other))
-        reason += (f'{"; " if reason else ""}the data do not tell lag and damping apart: {first} '
-                   f'predicts hardly better than {second}; measured rotor speeds would decide')
+        reason += (f'{"; " if reason else ""}the data do not tell lag and damping apart: {first}, '
+                   f'or about as well {second}; measured rotor speeds would decide')
     gain = verdict.chosen.value('gain')
     if verdict.verdict != 'cannot_tell' and gain < 0.0 and not told.problem.held:
         reason += (
