@@ -94,10 +94,10 @@ class _Noted:
             return lambda: _arrays(call())
 
         with np.errstate(all='ignore'):
-            sample = ready(with_ends(tree, lambda one: np.ones(one.shape)))()
+            sample: Any = ready(with_ends(tree, lambda one: np.ones(one.shape)))()
         if sample is None:
             return None
-        results = self.listing.call(made, tree, _arrays(sample))
+        results: list[Any] = self.listing.call(made, tree, _arrays(sample))
         return replace(sample, **dict(zip(CHANNELS, results, strict=True))) \
             if isinstance(sample, Drive) else results[0]
 

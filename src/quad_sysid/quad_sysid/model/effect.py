@@ -363,7 +363,7 @@ class Effect:
         first = [self.begin(s.at(start), p, settings) if begun is None else begun[:, start]
                  for start, _ in stretches]
         listing, out = Listing(s.time.size), np.zeros((len(first[0]), s.time.size))
-        x = listing.given(len(out), 1)
+        x: Any = listing.given(len(out), 1)
         try:
             following = listing.places(self.advance(x, s, p, settings)).ravel()
         except (Untraceable, TypeError, IndexError, ValueError):
