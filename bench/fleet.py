@@ -29,7 +29,7 @@ from flown_axis import Axis, Plan, fly
 
 from quad_sysid.bags import write_bag
 from quad_sysid.fleets import bag, engine
-from quad_sysid.fleets.summary import Fleet
+from quad_sysid.fleets.page import Fleet
 
 PLAN = Plan(26.0, (('train', 'prbs', 0.0, 15.0), ('validation', 'prbs', 15.0, 26.0)))
 AIRCRAFT, FLIGHTS, APART_DAYS = 30, 10, 20
