@@ -53,7 +53,7 @@ class Watch:
     def step(self, *_):
         pass
 
-    def anew(self):
+    def restart(self):
         pass
 
     def know(self, _):
