@@ -1,6 +1,6 @@
 """Effects that people outside the project wrote from textbooks, by the family of their cause.
 
-156 of them by thirteen writers who knew neither the code nor its candidates. A module holds the
+180 of them by fifteen writers who knew neither the code nor its candidates. A module holds the
 physics of one family and ends with its `PLANTS`; with which set an effect was opened stands in its
 entry, so that a set can be flown as it was. The physics is as its writer left it.
 """
@@ -40,7 +40,7 @@ FAMILIES: dict[str, tuple[Plant, ...]] = {
                    filters, controllers)
 }
 SETS = ('bearings', 'cables', 'rigs', 'hinges', 'arms', 'joints', 'hoses', 'gears', 'slings',
-        'greases', 'chains', 'governors', 'umbilicals')
+        'greases', 'chains', 'governors', 'umbilicals', 'workshop', 'field')
 """In the order in which they were opened; all but the first were sealed until then."""
 PLANTS = {plant.name: plant for family in FAMILIES.values() for plant in family}
 STRENGTHS = (0.7, 1.3)

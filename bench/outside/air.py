@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .simulator import SIDE, Change, G, Plant, Situation
+from .simulator import GAIN_OF, HOVER, INERTIA, MASS, SIDE, Change, G, Plant, Situation
 
 
 class GuardDragInOwnWake:
@@ -375,6 +375,95 @@ class GroundCushionAgain:
         return c
 
 
+class BenchTopGroundEffect:
+    """The rig stands too low: the side that dips has its propellers on a cushion of air.
+
+    A mechanic says: too close to the bench, ground cushion.
+    Source: Cheeseman & Bennett, ARC R&M 3021 (1955): T/T0 = 1 / (1 - (R/4z)²), with the height z
+    of each propeller at its own place on the tilted frame; the factor of the fountain flow between
+    rotors after Sanchez-Cuenca et al., Int. J. Aerosp. Eng. (2017).
+    Felt: it floats back to level by itself, as if on a spring.
+    """
+
+    FULL_THRUST = MASS * G / (4.0 * HOVER)
+    """N of one motor at command 1."""
+    ARM = INERTIA * GAIN_OF[0] / (4.0 * FULL_THRUST)
+    """m, lateral distance of a motor from the axis, 0.23: a unit of roll command is four motors at
+    full thrust on it, and INERTIA * 450 rad/s² of torque."""
+    TILT = np.array(SIDE[:2])
+    """(axis, motor): +1 where a motor rises with the angle."""
+
+    def __init__(self, strength: float) -> None:
+        self.radius = 0.12  # m
+        self.height = 0.19  # m of the rotor plane over the bench
+        self.fountain = 1.05 * strength
+
+    def step(self, s: Situation) -> Change:
+        z = self.height + self.ARM * (np.sin(s.angle[:2]) @ self.TILT)
+        z = np.maximum(z, 0.6 * self.radius)
+        gain = 1.0 / (1.0 - (self.radius / (4.0 * z)) ** 2) - 1.0
+        return Change(thrust=1.0 + self.fountain * gain)
+
+
+class GroundCushionOfLowRig:
+    """The rig stands low over the ground: the rotor that comes down gets more thrust.
+
+    A mechanic says: too close to the ground, it floats on its air cushion.
+
+    Ground effect (Cheeseman & Bennett 1955, ARC R&M 3021): T/T∞ = 1/(1 - (R/4z)²), at the height
+    z of each rotor's own disc; strength 1 is a height of 15 cm under 10-inch propellers. Felt:
+    the low arm is pushed up by itself, more lift at the same throttle.
+    """
+
+    ARM = 0.16
+    """m, from the axis to a motor."""
+    PROP_R = 0.127
+    """m, a ten-inch propeller."""
+    HEIGHT = 0.15
+    """m at strength 1."""
+
+    def __init__(self, strength):
+        self.height = self.HEIGHT / math.sqrt(strength)
+
+    def step(self, s: Situation) -> Change:
+        z = self.height + self.ARM * math.sin(s.angle[s.axis]) * np.array(SIDE[s.axis])
+        z = np.maximum(z, 0.5 * self.PROP_R)
+        return Change(thrust=1.0 / (1.0 - (self.PROP_R / (4.0 * z)) ** 2))
+
+
+class WindOnMast:
+    """A tall box on the top plate catches the wind and the air stream of the own drift.
+
+    A mechanic says: top-heavy sail, a box on a mast in the wind; it rears up when it gets speed.
+
+    Drag 1/2·rho·Cd·A·V·|V| (Hoerner, Fluid-Dynamic Drag) with its centre of pressure above the
+    centre of mass, moment h·D: the speed stability derivative, as a dihedral effect (Etkin).
+    The drift follows the tilt: v' = g·a - v/tau, V = v - wind. Felt: a step of tilt is fine at
+    first, and as the speed comes the nose is pushed back; upwind it needs constant trim.
+    """
+
+    AIR = 1.2
+    """kg/m³"""
+    AREA, HEIGHT = 0.06, 0.12
+    """m² with Cd at strength 1, m."""
+    DRIFT_S = 2.0
+    WIND, GUST, GUST_S = (-2.5, -2.0), 0.8, 6.5
+    """m/s, m/s and s."""
+
+    def __init__(self, strength):
+        self.gain = 0.5 * self.AIR * self.AREA * strength * self.HEIGHT / INERTIA
+        self.v = np.zeros(2)
+
+    def step(self, s: Situation) -> Change:
+        wind = np.array(self.WIND) * (
+            1.0 + self.GUST / 2.5 * math.sin(2.0 * math.pi * s.t / self.GUST_S))
+        self.v = self.v + s.dt * (G * np.sin(s.angle[:2]) - self.v / self.DRIFT_S)
+        air = self.v - wind
+        change = Change()
+        change.torque[:2] = -self.gain * math.hypot(air[0], air[1]) * air
+        return change
+
+
 PLANTS = (
     Plant('guard_drag_in_own_wake', GuardDragInOwnWake, 'bearings', 8, rig=True,
           may_be=('quadratic_drag',)),
@@ -394,4 +483,10 @@ PLANTS = (
           may_be=('pendulum_stiffness',)),
     Plant('ground_cushion_again', GroundCushionAgain, 'governors', 8, rig=True,
           may_be=('pendulum_stiffness', 'cubic_stiffness')),
+    Plant('bench_ground_effect', BenchTopGroundEffect, 'workshop', 7, rig=True,
+          may_be=('pendulum_stiffness', 'cubic_stiffness', 'ground_effect')),
+    Plant('ground_cushion_of_low_rig', GroundCushionOfLowRig, 'field', 3, rig=True,
+          may_be=('pendulum_stiffness', 'ground_effect')),
+    Plant('wind_on_mast', WindOnMast, 'field', 4, rig=False,
+          may_be=('pendulum_stiffness', 'periodic_disturbance')),
 )

@@ -454,6 +454,55 @@ class SafetyLines:
         return c
 
 
+class SupplyLeadPullsTight:
+    """The lead from the bench supply is too short: slack on one side, taut on the other.
+
+    A mechanic says: power lead too short, tugs when it rolls that way.
+    Source: unilateral (one-sided) spring with a loss in the cable, Hunt & Crossley, J. Appl. Mech.
+    42 (1975): F = k d (1 + c d'), d = stretch > 0, never pushing.
+    Felt: free to one side, a rubbery tug at the other.
+    """
+
+    def __init__(self, strength: float) -> None:
+        self.slack = 0.03  # rad of tilt until it is taut
+        self.stiffness = 0.25 * strength / INERTIA  # 0.25 N m/rad, a silicone lead
+        self.loss = 0.35  # s/rad
+
+    def step(self, s: Situation) -> Change:
+        stretch = float(s.angle[s.axis]) - self.slack
+        change = Change()
+        if stretch > 0.0:
+            pull = self.stiffness * stretch * (1.0 + self.loss * float(s.rate[s.axis]))
+            change.torque[s.axis] = -max(pull, 0.0)
+        return change
+
+
+class ShortTether:
+    """A nylon safety line that is too short: slack on one side, taut beyond an angle.
+
+    A mechanic says: safety line tied too short, it catches on one side.
+
+    Unilateral elastic constraint (rope: Hooke's law with Kelvin-Voigt damping, tension only;
+    Meriam & Kraige, Dynamics). T = max(0, k·x + c·x'), x the stretch beyond the slack. Felt: free
+    to one side, to the other side the axis is softly pulled back from about 6 degrees on.
+    """
+
+    SLACK = 0.10
+    """rad"""
+    STIFF, DAMP = 60.0, 1.2
+    """(rad/s²)/rad and (rad/s²)/(rad/s) at strength 1."""
+
+    def __init__(self, strength):
+        self.k, self.c = self.STIFF * strength, self.DAMP * strength
+
+    def step(self, s: Situation) -> Change:
+        change = Change()
+        stretch = s.angle[s.axis] - self.SLACK
+        if stretch > 0.0:
+            change.torque[s.axis] = -max(0.0, self.k * stretch + self.c * s.rate[s.axis])
+        return change
+
+
 PLANTS = (
     Plant('cable_harness_hysteresis', CableHarnessHysteresis, 'bearings', 2, rig=True,
           may_be=('coulomb_friction', 'pendulum_stiffness', 'cubic_stiffness')),
@@ -480,4 +529,6 @@ PLANTS = (
           may_be=('pendulum_stiffness', 'cubic_stiffness', 'coulomb_friction')),
     Plant('safety_lines', SafetyLines, 'umbilicals', 2, rig=True,
           may_be=('cubic_stiffness', 'pendulum_stiffness')),
+    Plant('supply_lead_pulls_tight', SupplyLeadPullsTight, 'workshop', 2, rig=True),
+    Plant('short_tether', ShortTether, 'field', 1, rig=True),
 )

@@ -217,6 +217,21 @@ class GainSchedule:
         return c
 
 
+class CoarseThrottleSteps:
+    """Old ESCs that tell only some fifty widths of the pulse apart: the thrust goes in stairs.
+
+    A mechanic says: notchy throttle, cheap ESCs with coarse steps.
+    Source: uniform quantiser (Widrow & Kollár, Quantization Noise, ch. 1): y = q round(x/q).
+    Felt: you hear the pitch of the motors go up in steps; it hunts about level.
+    """
+
+    def __init__(self, strength: float) -> None:
+        self.q = 0.020 * strength
+
+    def step(self, s: Situation) -> Change:
+        return Change(command=np.clip(self.q * np.floor(s.command / self.q + 0.5), 0.0, 1.0))
+
+
 PLANTS = (
     Plant('slew_limit', SlewLimit, 'rigs', 7, rig=True),
     Plant('integer_low_pass', IntegerLowPass, 'hoses', 10, rig=True,
@@ -228,4 +243,6 @@ PLANTS = (
     Plant('uneven_slew_limit', UnevenSlewLimit, 'umbilicals', 9, rig=True,
           may_be=('motor_lag', 'saturation')),
     Plant('gain_schedule', GainSchedule, 'umbilicals', 11, rig=False, may_be=('saturation',)),
+    Plant('coarse_throttle_steps', CoarseThrottleSteps, 'workshop', 11, rig=True,
+          may_be=('dead_zone',)),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .simulator import HOVER, Change, Plant, Situation
+from .simulator import HOVER, INERTIA, Change, Plant, Situation
 
 
 class ThrustRelievedBushing:
@@ -623,6 +623,64 @@ class OilDamper:
         return c
 
 
+class PivotBearingStiction:
+    """Dirt and dried grease in the pivot of the rig: it holds, tears loose, then rubs.
+
+    A mechanic says: gritty, dry rig bearing; "it sticks and then jumps".
+    Source: LuGre model, Canudas de Wit et al., IEEE TAC 40 (1995): bristles of stiffness s0,
+    g(v) = Fc + (Fs - Fc) exp(-(v/vs)²), dz/dt = v - s0 |v| z / g(v), F = s0 z + s1 dz/dt.
+    Felt: the frame stays where you leave it; it takes a push to start, less to keep it going.
+    """
+
+    def __init__(self, strength: float) -> None:
+        self.coulomb = 0.011 * strength / INERTIA  # 11 mN m of rubbing
+        self.static = 0.016 * strength / INERTIA  # 16 mN m to tear loose
+        self.stribeck = 0.06  # rad/s
+        self.s0 = self.static / 0.005  # tears loose after 5 mrad
+        self.s1 = 0.4
+        self.z = 0.0
+
+    def step(self, s: Situation) -> Change:
+        v = float(s.rate[s.axis])
+        level = self.coulomb + (self.static - self.coulomb) * math.exp(-((v / self.stribeck) ** 2))
+        before = self.z
+        if abs(v) > 1e-12:
+            # exact over the millisecond, for constant v
+            end = math.copysign(level / self.s0, v)
+            self.z = end + (before - end) * math.exp(-self.s0 * abs(v) * s.dt / level)
+        change = Change()
+        change.torque[s.axis] = -(self.s0 * 0.5 * (before + self.z)
+                                  + self.s1 * (self.z - before) / s.dt)
+        return change
+
+
+class BrinelledBearing:
+    """Balls of the rig's bearing rest in dents that a long drive has hammered into the race.
+
+    A mechanic says: dented bearing, the rig clicks into one position since the drive in the van.
+
+    False brinelling (Harris & Kotzalas, Rolling Bearing Analysis, ch. on failure; Brinell's
+    indentation): each ball has to climb out of its dent of depth d under the load W, so that the
+    energy W·d makes a well of the angle, U = -U0·exp(-((a - a0)/w)²/2), torque -dU/da. The van
+    was parked with the rig slightly leaned. Felt: turned by hand the axis is free, but near one
+    angle it snaps in and has to be pushed out of it.
+    """
+
+    PEAK = 6.0
+    """rad/s², at strength 1."""
+    CENTRE, WIDTH = 0.05, 0.05
+    """rad"""
+
+    def __init__(self, strength):
+        self.peak = self.PEAK * strength
+
+    def step(self, s: Situation) -> Change:
+        x = (s.angle[s.axis] - self.CENTRE) / self.WIDTH
+        change = Change()
+        change.torque[s.axis] = -self.peak * x * math.exp(0.5 * (1.0 - x * x))
+        return change
+
+
 PLANTS = (
     Plant('thrust_relieved_bushing', ThrustRelievedBushing, 'bearings', 0, rig=True,
           may_be=('coulomb_friction',)),
@@ -660,4 +718,7 @@ PLANTS = (
           may_be=('coulomb_friction',)),
     Plant('oil_damper', OilDamper, 'umbilicals', 5, rig=True,
           may_be=('quadratic_drag', 'pendulum_stiffness')),
+    Plant('pivot_bearing_stiction', PivotBearingStiction, 'workshop', 0, rig=True,
+          may_be=('coulomb_friction',)),
+    Plant('brinelled_bearing', BrinelledBearing, 'field', 0, rig=True),
 )

@@ -454,6 +454,89 @@ class LooseBatteryAgain:
         return c
 
 
+class BatterySlidesUnderStrap:
+    """The strap has lost its grip: the pack creeps downhill to its stop and back.
+
+    A mechanic says: loose battery, worn-out strap.
+    Source: block on an incline with dry friction between two plastic stops (Meriam & Kraige,
+    Dynamics, ch. 3): x'' = g sin a + x w² - mu g cos a sign(x'); its weight out of the middle
+    turns the frame by m g x cos a / I, and its push or knock at the height h by -m h x'' / I.
+    Felt: a soft knock after each tilt, and the frame wants to stay on the side it fell to.
+    """
+
+    def __init__(self, strength: float) -> None:
+        self.mass = 0.19  # kg
+        self.height = 0.012  # m above the axis
+        self.play = 0.010 * strength  # m to each side
+        self.static, self.kinetic = 0.055, 0.035  # vibration has shaken most of the friction away
+        self.x, self.v = 0.0, 0.0
+
+    def step(self, s: Situation) -> Change:
+        a, w = float(s.angle[s.axis]), float(s.rate[s.axis])
+        pull = G * math.sin(a) + self.x * w * w
+        normal = G * math.cos(a)
+        before = self.v
+        if self.v == 0.0:
+            against = (self.x >= self.play and pull > 0.0) or (self.x <= -self.play and pull < 0.0)
+            if not against and abs(pull) > self.static * normal:
+                self.v = s.dt * (pull - math.copysign(self.kinetic * normal, pull))
+        else:
+            self.v += s.dt * (pull - math.copysign(self.kinetic * normal, self.v))
+            if self.v * before < 0.0:
+                self.v = 0.0
+        self.x += s.dt * self.v
+        if abs(self.x) >= self.play:
+            self.x = math.copysign(self.play, self.x)
+            if self.v * self.x > 0.0:
+                self.v = 0.0
+        slid = (self.v - before) / s.dt
+        change = Change()
+        change.torque[s.axis] = (
+            self.mass * (G * self.x * math.cos(a) - self.height * slid) / INERTIA)
+        return change
+
+
+class SlidingBatteryOnWetDeck:
+    """The battery strap has stretched and its deck is wet: the pack slides between its stops.
+
+    A mechanic says: loose battery, it slips from side to side under its strap.
+
+    A mass with Coulomb friction on an incline that turns (Meriam & Kraige, Dynamics, relative
+    motion): x'' = g·sin a - h·a'' - mu·g·cos a·sign(x'), between stops with a coefficient of
+    restitution. Moment on the frame m·(g·x·cos a - h·x''): the weight goes to the low side and
+    knocks when it arrives. Felt: a thud some tenths of a second after each tilt, then it hangs to
+    that side.
+    """
+
+    PACK, HEIGHT = 0.35, 0.03
+    """kg, and m above the axis."""
+    TRAVEL = 0.014
+    """m each way at strength 1."""
+    FRICTION, BOUNCE = 0.06, 0.2
+
+    def __init__(self, strength):
+        self.travel = self.TRAVEL * strength
+        self.x = self.v = 0.0
+
+    def step(self, s: Situation) -> Change:
+        angle = s.angle[s.axis]
+        pull = G * math.sin(angle) - self.HEIGHT * s.acceleration[s.axis]
+        grip = self.FRICTION * G * math.cos(angle)
+        before = self.v
+        free = self.v + s.dt * pull
+        self.v = math.copysign(max(0.0, abs(free) - s.dt * grip), free)
+        self.x += s.dt * self.v
+        if abs(self.x) > self.travel:
+            self.x = math.copysign(self.travel, self.x)
+            if self.v * self.x > 0.0:
+                self.v = -self.BOUNCE * self.v if abs(self.v) > 0.01 else 0.0
+        jerked = (self.v - before) / s.dt
+        change = Change()
+        change.torque[s.axis] = self.PACK / INERTIA * (
+            G * self.x * math.cos(angle) - self.HEIGHT * jerked)
+        return change
+
+
 PLANTS = (
     Plant('sloshing_tank', SloshingTank, 'cables', 6, rig=True,
           may_be=('pendulum_stiffness', 'resonance')),
@@ -478,4 +561,7 @@ PLANTS = (
           may_be=('pendulum_stiffness', 'resonance')),
     Plant('loose_battery_again', LooseBatteryAgain, 'umbilicals', 4, rig=True,
           may_be=('pendulum_stiffness', 'coulomb_friction', 'resonance', 'cubic_stiffness')),
+    Plant('battery_slides_between_stops', BatterySlidesUnderStrap, 'workshop', 1, rig=True,
+          may_be=('backlash',)),
+    Plant('sliding_battery_on_wet_deck', SlidingBatteryOnWetDeck, 'field', 2, rig=True),
 )

@@ -611,6 +611,77 @@ class CoastingMotors:
         return c
 
 
+class CoastingWithoutBrakeAgain:
+    """The ESCs are set without damped light: they drive the propellers, but do not slow them.
+
+    A mechanic says: active braking (damped light, complementary PWM) is off.
+    Source: a motor fed over a freewheeling diode takes no reversed current (Mohan, Undeland &
+    Robbins, Power Electronics, discontinuous conduction of the step-down converter). The
+    electrical damping K²/(R J) with that of the air acts while it is driven; when it has to slow,
+    only the share of the air is left besides what a falling drive still gives: a longer lag.
+    Felt: crisp when it picks up, mushy when it lets go; wobbles after a flick.
+    """
+
+    def __init__(self, strength: float) -> None:
+        electric = 0.45  # the share of the damping that is lost at strength 1
+        self.down = 1.0 + strength * (1.0 / (1.0 - electric) - 1.0)
+
+    def step(self, s: Situation) -> Change:
+        return Change(lag=np.where(s.command < s.speed, self.down, 1.0))
+
+
+class EscLosesStep:
+    """The ESC of motor 2 loses the rotor at a quick rise and needs a moment to catch it again.
+
+    A mechanic says: ESC desync, stutter on punch-outs, timing set too low.
+    Source: pull-out of a synchronous machine: T = Tmax sin(load angle), synchronism is lost beyond
+    90° (Fitzgerald, Electric Machinery, ch. 5). The load angle grows with the acceleration that is
+    wanted of the rotor, (command - speed)/lag; while it is lost the rotor coasts.
+    Felt: a hiccup, a chirp of one motor, and that arm dips for a tenth of a second.
+    """
+
+    def __init__(self, strength: float) -> None:
+        self.pull_out = 0.030  # lead of the command over the rotor
+        self.deep = 1.0 - 0.18 * strength  # where it would coast to
+        self.coast, self.catch = 0.035, 0.030  # s
+        self.lost_s, self.wait_s = 0.070, 0.20  # s until it has found it; sure for a while
+        self.factor, self.left, self.sure = 1.0, 0.0, 0.0
+
+    def step(self, s: Situation) -> Change:
+        self.left, self.sure = max(self.left - s.dt, 0.0), max(self.sure - s.dt, 0.0)
+        lead = float(s.command[2] - s.speed[2])
+        if self.left == 0.0 and self.sure == 0.0 and lead > self.pull_out:
+            self.left, self.sure = self.lost_s, self.lost_s + self.wait_s
+        goal, tau = (self.deep, self.coast) if self.left > 0.0 else (1.0, self.catch)
+        self.factor += s.dt / tau * (goal - self.factor)
+        factors = np.ones(4)
+        factors[2] = self.factor
+        return Change(thrust=factors)
+
+
+class CoastingMotorsAgain:
+    """The ESCs' active braking is off: the propellers are driven up, but coast down by drag alone.
+
+    A mechanic says: damped light / braking switched off in the ESCs, the motors run on.
+
+    A brushless motor without regenerative braking (Franchi & Mallet 2017, closed-loop ESCs;
+    complementary PWM in the BLHeli manual): while the command is below the speed the bridge
+    delivers no torque, J·w' = -k·w², slower than under drive. Felt: crisp in acceleration, sloppy
+    when it should stop; it floats after a throttle cut.
+    """
+
+    SLOWER = 1.1
+    """Part by which the lag is longer in the fall, at strength 1."""
+
+    def __init__(self, strength):
+        self.slower = self.SLOWER * strength
+
+    def step(self, s: Situation) -> Change:
+        # the drag of the propeller goes with thrust: slower yet where it is slow already
+        slow = self.slower * np.sqrt(HOVER / np.maximum(s.speed, 0.1))
+        return Change(lag=1.0 + np.where(s.command < s.speed, slow, 0.0))
+
+
 PLANTS = (
     Plant('coasting_without_brake', CoastingWithoutBrake, 'bearings', 3, rig=True),
     Plant('speed_governor_esc', SpeedGovernorEsc, 'bearings', 4, rig=True),
@@ -641,4 +712,9 @@ PLANTS = (
     Plant('commutation_beat', CommutationBeat, 'governors', 5, rig=True,
           may_be=('cross_axis_input', 'thrust_curve')),
     Plant('coasting_motors', CoastingMotors, 'umbilicals', 6, rig=False, may_be=('motor_lag',)),
+    Plant('coasting_without_brake_again', CoastingWithoutBrakeAgain, 'workshop', 4, rig=False,
+          may_be=('motor_lag',)),
+    Plant('esc_loses_step', EscLosesStep, 'workshop', 6, rig=True),
+    Plant('coasting_motors_again', CoastingMotorsAgain, 'field', 6, rig=False,
+          may_be=('motor_lag',)),
 )

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .simulator import SIDE, Change, Plant, Situation
+from .simulator import HOVER, SIDE, Change, Plant, Situation
 
 
 class DutySquaredOnSaggingPack:
@@ -310,6 +310,100 @@ class HotConnector:
         return c
 
 
+class AgedBatterySags:
+    """Old pack with high inner resistance: the motors get less the more they take.
+
+    A mechanic says: tired, puffed LiPo; saggy battery.
+    Source: Thévenin model of a cell with R0 and one R1 C1 pair (Plett, Battery Management Systems
+    I, ch. 2); current from the power of the rotors P ~ T^1.5 (actuator disc); thrust ~ V².
+    Felt: soft controls, softer at high throttle and some seconds after it.
+    """
+
+    def __init__(self, strength: float) -> None:
+        self.r0 = 0.055 * strength  # ohm beyond that of a good pack
+        self.r1 = 0.040 * strength
+        self.tau = 6.0  # s, R1 C1
+        self.hover_power = 185.0  # W
+        self.polarised = 0.0
+        self.volts = 12.0
+
+    def step(self, s: Situation) -> Change:
+        share = float(np.mean((np.clip(s.speed, 0.0, None) / HOVER) ** 1.5))
+        # the power at the terminals falls with the thrust that is left
+        power = self.hover_power * share * (self.volts / s.battery_v) ** 3
+        current = power / self.volts
+        self.polarised += s.dt / self.tau * (self.r1 * current - self.polarised)
+        self.volts = max(s.battery_v - self.polarised - self.r0 * current, 6.0)
+        return Change(thrust=np.full(4, (self.volts / s.battery_v) ** 2))
+
+
+class ColdBattery:
+    """A pack from the cold car: its resistance is high, and falls as it warms by its current.
+
+    A mechanic says: cold battery, weak and saggy until it is warm.
+
+    Thevenin model of a cell (Plett, Battery Management Systems I): V = OCV - R0·I - V1, V1 over
+    R1·C1; R falls as the pack warms (Arrhenius). The thrust at a duty goes with V², the current
+    with thrust^1.5 (momentum theory: power). Felt: low and soft on its throttle, sinks at every
+    punch-out, gets better after a minute.
+    """
+
+    R0, R1, TAU = 0.045, 0.035, 5.0
+    """Ohm beyond those of a warm pack, ohm, s."""
+    CURRENT = 5.0
+    """A a motor in hover."""
+    WARM_J = 9000.0
+
+    def __init__(self, strength):
+        self.strength = strength
+        self.v1 = 0.0
+        self.heat = 0.0
+
+    def step(self, s: Situation) -> Change:
+        current = self.CURRENT * float(np.sum((np.maximum(s.speed, 0.0) / HOVER) ** 1.5))
+        cold = self.strength * (0.4 + 0.6 * math.exp(-self.heat / self.WARM_J))
+        self.v1 += s.dt / self.TAU * (cold * self.R1 * current - self.v1)
+        sag = cold * self.R0 * current + self.v1
+        self.heat += s.dt * (sag + 2.0) * current
+        left = max(0.4, (s.battery_v - sag) / 12.6)
+        return Change(thrust=np.full(4, left * left))
+
+
+class ShakyPlug:
+    """The bullet plug of one motor is worn; it opens when its arm is jerked upwards.
+
+    A mechanic says: loose contact at one motor plug.
+
+    Intermittent contact (Holm, Electric Contacts: the contact parts when inertial force exceeds
+    the spring's, m·a > F; it closes again after bouncing). Open, one strand conducts and the
+    motor has a part of its voltage. Felt: the arm twitches down in hard manoeuvres, and nothing
+    can be found in hover or on the bench; a wiggle at the plug brings it back.
+    """
+
+    MOTOR = 0
+    OPENS = 13.0
+    """rad/s² at the arm."""
+    LOST = 0.25
+    """Part of the command that is lost at strength 1."""
+    SPRING_S, BOUNCE_S = 0.006, 0.09
+
+    def __init__(self, strength):
+        self.lost = self.LOST * strength
+        self.jerk = 0.0
+        self.open_until = -1.0
+
+    def step(self, s: Situation) -> Change:
+        side = SIDE[s.axis][self.MOTOR]
+        self.jerk += s.dt / self.SPRING_S * (side * s.acceleration[s.axis] - self.jerk)
+        if self.jerk > self.OPENS:
+            self.open_until = s.t + self.BOUNCE_S
+        if s.t >= self.open_until:
+            return Change()
+        command = np.array(s.command, dtype=float)
+        command[self.MOTOR] *= 1.0 - self.lost
+        return Change(command=command)
+
+
 PLANTS = (
     Plant('duty_squared_on_sagging_pack', DutySquaredOnSaggingPack, 'bearings', 5, rig=False,
           may_be=('thrust_curve', 'battery_sag')),
@@ -326,4 +420,7 @@ PLANTS = (
           may_be=('cross_axis_input', 'battery_sag')),
     Plant('hot_connector', HotConnector, 'umbilicals', 7, rig=False,
           may_be=('cross_axis_input', 'battery_sag')),
+    Plant('aged_battery_sag', AgedBatterySags, 'workshop', 5, rig=False, may_be=('battery_sag',)),
+    Plant('cold_battery', ColdBattery, 'field', 7, rig=False, may_be=('battery_sag',)),
+    Plant('shaky_plug', ShakyPlug, 'field', 8, rig=True),
 )

@@ -6,7 +6,10 @@ import math
 
 import numpy as np
 
-from .simulator import HOVER, SIDE, Change, G, Plant, Situation, drive
+from .simulator import HOVER, INERTIA, MASS, SIDE, Change, G, Plant, Situation, drive
+
+HOVER_SPEED = 2.0 * math.pi * 95.0
+"""rad/s of a propeller in hover; 5700 rpm."""
 
 
 class DynamicInflow:
@@ -632,6 +635,91 @@ class TranslationMoment:
         return c
 
 
+class ChippedPropellerAgain:
+    """A piece of one blade of motor 0 is missing: less lift, and it shakes.
+
+    A mechanic says: chipped prop, nicked blade.
+    Source: blade element theory (Leishman, Principles of Helicopter Aerodynamics, ch. 3: the lift
+    of a blade station goes as c r² dr) for the lift that is lost; rotating unbalance m e W² (Den
+    Hartog, Mechanical Vibrations, ch. 2) at the height of the motor over the centre of mass.
+    Felt: it leans to one corner, and the frame buzzes in the hand.
+    """
+
+    def __init__(self, strength: float) -> None:
+        radius, inner = 0.12, 0.12 - 0.0047 * strength
+        width = 0.45  # of the chord, one of two blades
+        self.lost = 0.5 * width * (1.0 - (inner / radius) ** 3)
+        self.unbalance = 2.0e-5 * strength  # kg m: 0.2 g at 0.1 m
+        self.height = 0.04  # m
+        self.phase = 0.0
+
+    def step(self, s: Situation) -> Change:
+        w = HOVER_SPEED * math.sqrt(max(float(s.speed[0]), 0.0) / HOVER)
+        middle = self.phase + 0.5 * w * s.dt
+        self.phase = (self.phase + w * s.dt) % (2.0 * math.pi)
+        shake = self.height * self.unbalance * w * w / INERTIA
+        factors = np.ones(4)
+        factors[0] = 1.0 - self.lost
+        return Change(
+            torque=np.array([shake * math.sin(middle), shake * math.cos(middle), 0.0]),
+            thrust=factors,
+        )
+
+
+class SoftBladesFlap:
+    """Whippy propellers: in motion the advancing blade rises and the disc leans back.
+
+    A mechanic says: soft, floppy props; it "rears up" against its own speed.
+    Source: blade flapping, Hoffmann et al., AIAA 2007-6461, and Pounds, Mahony & Corke, Control
+    Eng. Practice 18 (2010): a1 = c v; moment (T h + 4 k_beta) a1 against the motion; the lag of
+    the disc behind the frame, 16/(gamma W) of the rate. The speed follows v' = g tan a - D v.
+    Felt: it leans away from where it flies and does not hold its tilt.
+    """
+
+    def __init__(self, strength: float) -> None:
+        self.flap = 0.019 * strength  # rad per m/s
+        self.moment = MASS * G * 0.035 + 4.0 * 0.16  # N m/rad: height of the discs, stiff roots
+        self.behind = 16.0 / (2.5 * HOVER_SPEED) * strength  # s
+        self.drag = 0.35  # 1/s
+        self.v = np.zeros(2)  # m/s, where a positive angle drives it
+
+    def step(self, s: Situation) -> Change:
+        self.v = self.v + s.dt * (G * np.tan(np.clip(s.angle[:2], -1.0, 1.0)) - self.drag * self.v)
+        leaned = self.flap * self.v + self.behind * s.rate[:2]
+        return Change(torque=np.r_[-self.moment * leaned / INERTIA, 0.0])
+
+
+class IcedPropellers:
+    """Freezing fog: rime grows on the blades, spoils their lift, and is thrown off in pieces.
+
+    A mechanic says: ice on the props.
+
+    Accretion is proportional to the time and to the speed of the blade; the thrust falls in
+    proportion to the thickness (Liu et al. 2019, icing of UAS propellers; Bragg, Broeren &
+    Blumenthal 2005), the moment of inertia rises; shed when centrifugal force m·w²·r exceeds the
+    adhesion of ice. Felt: more and more throttle for hover, it gets lazy and pulls to a side,
+    then a jolt as a piece flies away.
+    """
+
+    LOSS_PER_S = np.array([0.0068, 0.0060, 0.0064, 0.0055])
+    """At strength 1 and in hover speed."""
+    FIRST = np.array([0.08, 0.06, 0.07, 0.06])
+    SHED = 0.33
+    KEPT = 0.5
+
+    def __init__(self, strength):
+        self.strength = strength
+        self.ice = self.FIRST.copy()
+
+    def step(self, s: Situation) -> Change:
+        spin = np.sqrt(np.maximum(s.speed, 0.0) / HOVER)
+        self.ice = self.ice + s.dt * self.LOSS_PER_S * spin
+        gone = self.ice * spin**2 > self.SHED
+        self.ice = np.where(gone, self.KEPT * self.ice, self.ice)
+        lost = self.strength * self.ice
+        return Change(thrust=1.0 - np.minimum(lost, 0.7), lag=1.0 + 0.5 * lost)
+
+
 PLANTS = (
     Plant('dynamic_inflow', DynamicInflow, 'bearings', 6, rig=False),
     Plant('flap_back_by_translation', FlapBackByTranslation, 'bearings', 7, rig=False),
@@ -655,4 +743,10 @@ PLANTS = (
     Plant('flapping_in_wind', FlappingInWind, 'governors', 7, rig=False,
           may_be=('periodic_disturbance',)),
     Plant('translation_moment', TranslationMoment, 'umbilicals', 8, rig=False),
+    Plant('chipped_propeller_again', ChippedPropellerAgain, 'workshop', 3, rig=True,
+          may_be=('cross_axis_input', 'periodic_disturbance')),
+    Plant('soft_blade_flapping', SoftBladesFlap, 'workshop', 8, rig=False,
+          may_be=('pendulum_stiffness',)),
+    Plant('iced_propellers', IcedPropellers, 'field', 5, rig=False,
+          may_be=('cross_axis_input', 'step_event')),
 )

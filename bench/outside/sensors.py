@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .simulator import SIDE, Change, Plant, Situation
+from .simulator import HOVER, SIDE, Change, Plant, Situation
 
 
 class RectifiedVibration:
@@ -434,6 +434,80 @@ class StaleMailboxBeat:
         return out
 
 
+class BoardTwistedOnItsPads:
+    """The flight controller was glued in turned about the vertical: its axes are not the frame's.
+
+    A mechanic says: crooked flight controller, board alignment yaw is wrong.
+    Source: misalignment of a triad, a direction cosine matrix (Titterton & Weston, Strapdown
+    Inertial Navigation Technology, ch. 3): shown = C(psi) rate.
+    Felt: a pure roll comes out with some pitch; it moves off the line of the stick.
+    """
+
+    def __init__(self, strength: float) -> None:
+        psi = math.radians(14.0 * strength)
+        self.off = np.array([[math.cos(psi) - 1.0, math.sin(psi), 0.0],
+                             [-math.sin(psi), math.cos(psi) - 1.0, 0.0], [0.0, 0.0, 0.0]])
+
+    def step(self, s: Situation) -> Change:
+        return Change(gyro=self.off @ s.rate)
+
+
+class CrookedBoard:
+    """A crash has turned the flight controller on its plate: its roll axis is not the frame's.
+
+    A mechanic says: flight controller mounted crooked, turned on its plate.
+
+    Misalignment of a triad of gyros (Titterton & Weston, Strapdown Inertial Navigation): the
+    shown rates are C(psi)·rate, turned about the yaw axis: cross-axis sensitivity sin psi and
+    scale cos psi. Felt: a pure roll drags the nose along, square corners become skewed.
+    """
+
+    TURN = math.radians(15.0)
+
+    def __init__(self, strength):
+        self.c, self.s = math.cos(self.TURN * strength), math.sin(self.TURN * strength)
+
+    def step(self, s: Situation) -> Change:
+        roll, pitch = float(s.rate[0]), float(s.rate[1])
+        return Change(gyro=np.array([
+            (self.c - 1.0) * roll + self.s * pitch, (self.c - 1.0) * pitch - self.s * roll, 0.0]))
+
+
+class RadioDropouts:
+    """The motors' set-points come by radio, and frames are lost in bursts: the last one is held.
+
+    A mechanic says: radio link drops out, the commands freeze for moments.
+
+    Burst losses of a link with two states (Gilbert 1960, Elliott 1963), and a receiver that holds
+    the last frame (zero-order hold; Franklin, Powell & Workman, Digital Control). Fixed sequence
+    of pseudo-random numbers. Felt: it obeys, then goes on for a moment with what it was told,
+    then jumps to where it should be.
+    """
+
+    FRAME = 10
+    """ms"""
+    LOST, FOUND = 0.06, 0.30
+    """Chances per frame of losing the link and of having it back."""
+
+    def __init__(self, strength):
+        self.lose = self.LOST * strength
+        self.find = self.FOUND / math.sqrt(strength)
+        self.seed = 20240
+        self.count = 0
+        self.up = True
+        self.held = np.full(4, HOVER)
+
+    def step(self, s: Situation) -> Change:
+        if self.count % self.FRAME == 0:
+            self.seed = (1664525 * self.seed + 1013904223) % 2**32
+            chance = self.seed / 2**32
+            self.up = chance >= self.lose if self.up else chance < self.find
+        self.count += 1
+        if self.up:
+            self.held = np.array(s.command, dtype=float)
+        return Change(command=self.held.copy())
+
+
 PLANTS = (
     Plant('rectified_vibration', RectifiedVibration, 'bearings', 9, rig=True),
     Plant('skewed_drooping_board', SkewedDroopingBoard, 'bearings', 10, rig=False,
@@ -452,4 +526,9 @@ PLANTS = (
           may_be=('resonance', 'cross_axis_input')),
     Plant('stale_mailbox_beat', StaleMailboxBeat, 'chains', 10, rig=False,
           may_be=('motor_lag', 'cross_axis_input')),
+    Plant('gyro_board_twisted', BoardTwistedOnItsPads, 'workshop', 9, rig=False,
+          may_be=('cross_axis_input', 'gyroscopic_coupling')),
+    Plant('crooked_board', CrookedBoard, 'field', 10, rig=False,
+          may_be=('cross_axis_input', 'gyroscopic_coupling')),
+    Plant('radio_dropouts', RadioDropouts, 'field', 11, rig=True),
 )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from .simulator import GAIN_OF, Change, G, Plant, Situation, drive
 
 
@@ -509,6 +511,55 @@ class GelMountAgain:
         return c
 
 
+class GyroOnSoggyFoam:
+    """The gyro board stands on foam that has gone soft: it swings on it instead of following.
+
+    A mechanic says: gyro tape too soft, wobbling flight controller.
+    Source: base-excited oscillator (Den Hartog, Mechanical Vibrations, ch. 2):
+    b'' = w0² (a - b) + 2 zeta w0 (a' - b'); the gyro shows b'.
+    Felt: press the board with a finger and it wobbles; on film the tail bounces after stops.
+    """
+
+    def __init__(self, strength: float) -> None:
+        self.w0 = 2.0 * math.pi * 11.0 / math.sqrt(strength)
+        self.zeta = 0.22
+        self.off = np.zeros(3)  # board behind frame, rad
+        self.off_rate = np.zeros(3)
+
+    def step(self, s: Situation) -> Change:
+        w = self.w0
+        self.off_rate = self.off_rate + s.dt * (
+            -s.acceleration - w * w * self.off - 2.0 * self.zeta * w * self.off_rate)
+        self.off = self.off + s.dt * self.off_rate
+        return Change(gyro=self.off_rate)
+
+
+class SoftTape:
+    """The foam tape under the flight controller has gone soft in the sun: the board wobbles.
+
+    A mechanic says: the flight controller sits loose on its foam pad.
+
+    A board on a spring and damper excited by its base (transmissibility, Den Hartog, Mechanical
+    Vibrations): p'' = -w²·p - 2·z·w·p' - a'', p the angle of the board against the frame; the gyro
+    shows rate + p'. Felt: press the board with a finger and it rocks; in flight it overshoots and
+    shivers after steps.
+    """
+
+    HZ, ZETA = 11.0, 0.14
+
+    def __init__(self, strength):
+        self.w = 2.0 * math.pi * self.HZ / math.sqrt(strength)
+        self.p, self.v = np.zeros(3), np.zeros(3)
+
+    def step(self, s: Situation) -> Change:
+        w = self.w
+        push = -w * w * self.p - 2.0 * self.ZETA * w * self.v - s.acceleration
+        push[2] = 0.0
+        self.v = self.v + s.dt * push
+        self.p = self.p + s.dt * self.v
+        return Change(gyro=self.v.copy())
+
+
 PLANTS = (
     Plant('flexible_boom', FlexibleBoom, 'cables', 3, rig=False, may_be=('resonance',)),
     Plant('foam_mounted_gyro', FoamMountedGyro, 'cables', 4, rig=True, may_be=('resonance',)),
@@ -531,4 +582,6 @@ PLANTS = (
           may_be=('resonance', 'cubic_stiffness')),
     Plant('gel_mount_again', GelMountAgain, 'umbilicals', 3, rig=False,
           may_be=('resonance', 'cubic_stiffness')),
+    Plant('gyro_on_soft_foam', GyroOnSoggyFoam, 'workshop', 10, rig=False, may_be=('resonance',)),
+    Plant('soft_tape', SoftTape, 'field', 9, rig=True, may_be=('resonance',)),
 )
