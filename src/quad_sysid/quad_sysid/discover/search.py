@@ -109,12 +109,18 @@ class Found:
         """(p, p) mean square by which all structures disagree with a fit's physics.
 
         In the coordinates of the fit, each structure by its probability, as far as it has them:
-        what a standard error within one structure does not contain (Draper 1995).
+        what a standard error within one structure does not contain (Draper 1995). Beside a curve
+        or a mode that only one of both has, a parameter of the base is another quantity: a curve
+        over the rate holds part of the damping.
         """
         own = {part.effect.label: where for part, where in fitted.structure.placed()}
+        kinds = {part.effect.label: part.effect.kind for part in fitted.structure.parts}
         out = np.zeros((fitted.theta.size, fitted.theta.size))
         base = slice(len(fitted.structure.base))
         for one, probability in zip(self.all, self.probabilities(), strict=True):
+            there = {part.effect.label: part.effect.kind for part in one.fit.structure.parts}
+            if any(kind != 'named' for _, kind in kinds.items() ^ there.items()):
+                continue
             away, theta = np.zeros(fitted.theta.size), one.fit.theta
             away[base] = theta[base] - fitted.theta[base]
             for part, where in one.fit.structure.placed():
