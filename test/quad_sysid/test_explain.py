@@ -96,6 +96,11 @@ def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):
     assert both.apart(found.base)[3, 3] == pytest.approx(8.0)
     assert np.count_nonzero(both.apart(found.base)) == 1
     assert not replace(both, all=both.all[:1]).apart(found.base).any()
+    curved = found.base.structure.plus(next(
+        part for part in candidates(rubbed_answer.findings.problem, EFFECTS)[0]
+        if part.effect.label == 'shape:rate/smooth'))  # which holds part of the damping
+    beside = replace(moved, structure=curved)
+    assert not replace(both, all=(both.all[0], Scored(beside, 0.0))).apart(found.base).any()
 
 
 def test_the_derivatives_of_free_runs_are_their_differences(rubbed_answer):
