@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -318,7 +319,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
             damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
             step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(theta.size)], rcond=None)[0]
             step[list(still)] = 0.0
-            trial = theta + np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
+            trial = theta + limited(step, logs)
             trial = np.where(positive, np.maximum(trial, 0.0), trial)
             ahead, new, tail_ahead = evaluated(trial, found.rate, 2, by=steps)
             if new > value - 1e-9:
@@ -340,6 +341,12 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         + math.log(2.0) * int(positive.sum())
     )
     return Fit(structure, theta, tail, value, evidence, r.T @ r, precision, converged, found)
+
+
+def limited(step: NDArray[np.floating[Any]], logs: NDArray[np.bool_]) -> FloatArray:
+    """A step (p,) of which no logarithm moves further than LONGEST_STEP; logs (p,): which are."""
+    out: FloatArray = np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
+    return out
 
 
 def stays_bounded(problem: Problem, fitted: Fit, prediction: Prediction) -> bool:

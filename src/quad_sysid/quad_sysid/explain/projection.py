@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.estimate.fit import LONGEST_STEP, Fit, Problem, derivative_steps
+from quad_sysid.estimate.fit import Fit, Problem, derivative_steps, limited
 from quad_sysid.model.data import Windows
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Prediction, Run
@@ -139,7 +139,7 @@ class Projection:
                 damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
                 step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(own)], rcond=None)[0]
                 trial = theta.copy()
-                trial[:own] += np.where(logs, np.clip(step, -LONGEST_STEP, LONGEST_STEP), step)
+                trial[:own] += limited(step, logs)
                 trial[:own] = np.where(positive, np.maximum(trial[:own], 0.0), trial[:own])
                 trial[:own] = np.where(logs, np.clip(trial[:own], *RANGE), trial[:own])
                 there, ahead = away(trial)
