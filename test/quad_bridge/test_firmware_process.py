@@ -24,6 +24,8 @@ SETPOINT = {'vector': {'x': 0.25}}
 HELD = {'frame_id': 'operator'}
 OLD = {'stamp': {'sec': 1_000_000_000, 'nanosec': 1}}
 """The time of a recording."""
+LASTS_NS = 10**9
+"""A set-point counts for 0.1 s of the firmware's time, which a busy machine stretches."""
 GAINS, EXCITATION = 'serial_bridge: gains', 'serial_bridge: excitation'
 
 
@@ -60,10 +62,10 @@ def rig(firmware, tmp_path, run, start, probe):
 
 
 def ended_and_stays_so(rig):
-    """No excitation is added after now, over half a second of cycles.
+    """No excitation is added once the last set-point's time is over, in half a second of cycles.
 
     By stamps, which are of this machine's clock: what was added before may be heard late."""
-    now_ns = time.time_ns()
+    now_ns = time.time_ns() + LASTS_NS
     rig.probe.until(lambda: stamp_ns(rig.imu[-1]) > now_ns + 5 * 10**8, 'half a second of cycles')
     assert stamp_ns(rig.applied[-1]) < now_ns
 
@@ -123,11 +125,7 @@ def fly_and_intrude(rig, probe, network, key):
     probe.publish('/gains/update', {**event({'source': 'bag', 'roll.rate.kp': 0.1}), **OLD})
     rig.says(EXCITATION, 'dropped: its stamp is')
     rig.says(GAINS, 'gains of bag refused: its stamp is')
-    heard = len(rig.imu)
-    probe.until(lambda: len(rig.imu) > heard + 250)
-    at = len(rig.applied)
-    probe.until(lambda: len(rig.imu) > heard + 500)
-    assert len(rig.applied) == at
+    ended_and_stays_so(rig)
     probe.publish('/excitation/setpoint', SETPOINT, every_s=0.01)
     # what is said now must be of the second silence and not of the first
     probe.until(lambda: 'silent' not in probe.diagnostics(EXCITATION), 'heard again')
