@@ -21,6 +21,10 @@ from typing import Any
 
 MOST = 1 << 17
 """Bytes of a request or an answer."""
+ONE_THREAD = {'OPENBLAS_NUM_THREADS': '1'}
+"""A thread does not survive a fork. Nor may one begin after it: the tracing library below rclpy
+cancels its own threads at exit, by numbers that a new thread of the fork may bear, and OpenBLAS
+then waits for ever for the one it had."""
 
 
 class Forked:
@@ -54,7 +58,7 @@ class Nursery:
         self._process = subprocess.Popen(
             [sys.executable, __file__, str(there.fileno())], pass_fds=[there.fileno()],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            env={**os.environ, 'OPENBLAS_NUM_THREADS': '1'},  # a thread does not survive a fork
+            env={**os.environ, **ONE_THREAD},
         )  # fmt: skip
         there.close()
         self._ended: dict[int, int] = {}
@@ -65,7 +69,7 @@ class Nursery:
     ) -> Forked:
         """`streams`: descriptors for its stdin, stdout and stderr."""
         about = {'modules': modules, 'code': code, 'words': words, 'cwd': str(cwd or Path.cwd()),
-                 'env': dict(os.environ if env is None else env)}  # fmt: skip
+                 'env': {**(os.environ if env is None else env), **ONE_THREAD}}  # fmt: skip
         socket.send_fds(self._line, [json.dumps(about).encode()], list(streams))
         while (begun := self._hear()) is None:
             pass
