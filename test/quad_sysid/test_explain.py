@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from quad_sysid.discover import base
-from quad_sysid.discover.accept import p_value
+from quad_sysid.discover.accept import p_of_both
 from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Found, Scored
 from quad_sysid.effects import EFFECTS
@@ -139,6 +139,11 @@ def test_a_claim_is_confirmed_by_chance_in_one_case_of_twenty(memory):
     rng = np.random.default_rng(0)
     noise = rng.standard_normal((2000, 60)) * np.sqrt(1.0 - memory**2)
     shares = np.tanh(lfilter([1.0], [1.0, -memory], noise, axis=1)[:, 20:])
-    level = np.mean([p_value(one) <= 0.05 for one in shares])
-    assert level < 0.1
-    assert np.mean([p_value(one + 1.5) <= 0.05 for one in shares]) > 0.9
+
+    def confirmed(*means):
+        """Share of the cases, with these means of the three scores."""
+        return np.mean([p_of_both(*(one + mean for mean in means)) <= 0.05 for one in shares])
+
+    assert confirmed(0.0, 0.0, 0.0) < 0.1
+    for means in ((1.5, 1.5, 1.5), (1.5, -1.5, -1.5), (0.0, 1.5, 1.5)):
+        assert confirmed(*means) > 0.8, means
