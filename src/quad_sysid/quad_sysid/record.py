@@ -316,12 +316,13 @@ class Record:
                 continue
             known = _joined(values, SPEED_GAP_S / self.dt) if array in SPARSE else values
             arrays[array] = cells(known).mean(axis=1) if array in ACTING else cells(known)[:, 0]
-        away = phase * self.dt
+        shift_s = phase * self.dt
         return replace(
-            self, dt=count * self.dt, t0_ns=self.t0_ns + round(1e9 * away), **arrays,
-            segments=tuple(replace(s, start_s=max(0.0, s.start_s - away), end_s=s.end_s - away)
-                           for s in self.segments if s.end_s > away),
-            gains=tuple(replace(g, time_s=max(0.0, g.time_s - away)) for g in self.gains))
+            self, dt=count * self.dt, t0_ns=self.t0_ns + round(1e9 * shift_s), **arrays,
+            segments=tuple(replace(s, start_s=max(0.0, s.start_s - shift_s),
+                                   end_s=s.end_s - shift_s)
+                           for s in self.segments if s.end_s > shift_s),
+            gains=tuple(replace(g, time_s=max(0.0, g.time_s - shift_s)) for g in self.gains))
 
     def gains_at(self, time_s: float) -> Mapping[str, float]:
         """The gains active at `time_s`; empty where the bag does not say.

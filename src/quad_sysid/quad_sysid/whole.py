@@ -191,7 +191,7 @@ def _steady(record: Record) -> tuple[FloatArray, FloatArray]:
 def _centre(records: Sequence[Record], craft: Craft) -> list[Fact]:
     """Where the thrust acts on the whole while nothing turns: there the centre of mass is."""
     places = np.array([[motor.x, motor.y] for motor in craft.motors])
-    found = []
+    centres = []
     for record in records:
         if record.motors is None or record.motors.shape[1] != craft.count:
             continue
@@ -199,10 +199,10 @@ def _centre(records: Sequence[Record], craft: Craft) -> list[Fact]:
         calm = (total > LEAST_THROTTLE * craft.count) & (
             np.abs(np.nan_to_num(record.rates)).max(axis=1) < NEAR_TRIM)
         if calm.sum() * record.dt > BLOCK_S:
-            found.append((record.motors[calm] @ places) / total[calm, None])
-    if not found:
+            centres.append((record.motors[calm] @ places) / total[calm, None])
+    if not centres:
         return []
-    middle = np.concatenate(found)
+    middle = np.concatenate(centres)
     arm = float(np.abs(places).max())
     scale, unit = (100.0 / arm, '% of the arm') if craft.nominal else (1.0, 'm')
     blocks = max(1, round(middle.shape[0] * records[0].dt / BLOCK_S))

@@ -187,12 +187,12 @@ def _explained(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, past: 
 def _test_rows(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray,
                lags: list[int]) -> Iterator[FloatArray]:
     """Blocks of rows [1, x(t - lag) …, e(t)], x and e whitened by `ar`."""
-    ahead, behind = max(0, -min(lags)), max(0, *lags) + ar.size - 1
+    leads, delays = max(0, -min(lags)), max(0, *lags) + ar.size - 1
     for part in parts:
-        begin, end = part.start, part.start + part.errors.size - ahead
-        smooth = np.convolve(x[begin : end + ahead], ar)
+        begin, end = part.start, part.start + part.errors.size - leads
+        smooth = np.convolve(x[begin : end + leads], ar)
         e = np.convolve(part.errors, ar)
-        for start in range(behind, end - begin, BLOCK_ROWS):
+        for start in range(delays, end - begin, BLOCK_ROWS):
             stop = min(end - begin, start + BLOCK_ROWS)
             columns = lagged(smooth, lags, start, stop)
             yield np.column_stack((np.ones(stop - start), columns, e[start:stop]))

@@ -119,8 +119,9 @@ def _read(table: Table, kind: str, faster: str) -> ForeignLog:
 def _of_bag(path: Path, messages: Path | None) -> Table:
     """The columns of a bag under the names that they have on board."""
     known = topics_of(path)
-    asked = [topic for topic in known if (m := IN_BAG.match(f'{topic}.')) and m['topic'] in TOPICS]
-    columns, times = read_messages(path, [f'{topic}.' for topic in asked], messages)
+    topics = [topic for topic in known
+              if (m := IN_BAG.match(f'{topic}.')) and m['topic'] in TOPICS]
+    columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
     places = [match['place'] for name in columns if (match := IN_BAG.match(name))]
     chosen = max(dict.fromkeys(places), key=places.count, default='')
     ours: dict[str, FloatArray] = {}

@@ -26,7 +26,7 @@ from quad_sysid.imports.clock import (
     cycles,
     draw,
     hold,
-    mean_ahead,
+    mean_of_next_cycle,
 )
 from quad_sysid.imports.experiments import with_experiments
 from quad_sysid.imports.log import ForeignLog
@@ -253,7 +253,7 @@ def _by_motion(
 def _held(stream: Stream, grid: Cycles) -> FloatArray:
     if grid.own:
         return hold(stream, grid.times, grid.dt)
-    return mean_ahead(stream, grid.times, grid.dt)
+    return mean_of_next_cycle(stream, grid.times, grid.dt)
 
 
 def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatArray | None:

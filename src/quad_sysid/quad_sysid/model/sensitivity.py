@@ -54,13 +54,13 @@ class Sensitivity:
         own, first, n = steps.size, int(turns), self.middle.size
         size = first + sum(x.shape[0] for x in self.hidden)
         here = self._passed(p)
-        force, ahead = self._forces(here, p)
+        force, following = self._forces(here, p)
         by_state, by_rate = np.zeros((n, size)), np.zeros((n, size))
         onward = np.zeros((n, size, size))
 
         def slopes(signals: Signals, step: float) -> tuple[FloatArray, FloatArray]:
             there, moved = self._forces(Passed(here.halves, signals), p)
-            return (there - force) / step, (moved - ahead).T / step
+            return (there - force) / step, (moved - following).T / step
 
         (slope, moves), (back, moved) = (
             slopes(here.signals.but(rate=self.middle + step), step)
@@ -92,11 +92,12 @@ class Sensitivity:
             q = structure.natural(moved)
             there = self._passed(q) if j in bent else here
             more, later = self._forces(there, q)
-            columns[:, j], forward[:, first:, j] = (more - force) / step, (later - ahead).T / step
+            columns[:, j] = (more - force) / step
+            forward[:, first:, j] = (later - following).T / step
             begun[:, first:, j] = ((self._begun(q, [j], bent) - started) / step).T
             if j in bent:
-                away = (there.halves - here.halves) / step
-                bends[:, j] = 0.5 * (away[0] - away[1])
+                difference = (there.halves - here.halves) / step
+                bends[:, j] = 0.5 * (difference[0] - difference[1])
         if turns:
             forward[:, 0] = dt * dt / 3.0 * bends
         out = np.empty((n, own))
@@ -121,14 +122,14 @@ class Sensitivity:
 
     def _forces(self, passed: Passed, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) acceleration; (states, n) all hidden states a cycle later."""
-        s, hidden, own, ahead = passed.signals, iter(self.hidden), [], []
+        s, hidden, own, following = passed.signals, iter(self.hidden), [], []
         for (part, at), kept in zip(self.pushing, self.run.hidden, strict=True):
             known = None if kept is None else next(hidden)
             own.append((part, p[at], s if known is None else s.but(hidden=known)))
             if known is not None:
-                ahead.append(part.effect.advance(known, s, p[at], part.settings))
+                following.append(part.effect.advance(known, s, p[at], part.settings))
         force = with_torques(np.mean(passed.halves, axis=0) + p[4] - p[3] * s.rate, own)
-        return force, np.concatenate(ahead) if ahead else np.zeros((0, s.rate.size))
+        return force, np.concatenate(following) if following else np.zeros((0, s.rate.size))
 
     def _begun(self, p: FloatArray, which: range | list[int], bent: list[int]) -> FloatArray:
         """(states, windows) hidden states at the starts, as far as these parameters move them."""
