@@ -29,10 +29,11 @@ from quad_bridge.autopilots.aircraft import Connected
 from quad_bridge.craft import Craft
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.gains.cycles import LOW_THROTTLE
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
 from quad_bridge.gains.table import with_mixing
-from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, Note, Reply, State
+from quad_bridge.gains.update import GainUpdates, Note, Reply, State
 from quad_bridge.link.autopilot import (
     BATTERY,
     COMPASS,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.blackbox.polynomial import ComplexArray, Model
+from quad_sysid.blackbox.polynomial import ComplexArray, Polynomials
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
@@ -152,7 +152,7 @@ class FrequencyResponse:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def frequency_response(model: Model, w: FloatArray) -> FrequencyResponse:
+def frequency_response(model: Polynomials, w: FloatArray) -> FrequencyResponse:
     """Response of B/(A F) at w (m,) rad/s, with its covariance by the first-order formula.
 
     Raises BadInputError where w is negative, not finite or beyond the Nyquist frequency.

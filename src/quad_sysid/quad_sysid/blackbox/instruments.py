@@ -15,7 +15,8 @@ from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.filters import filter_columns, pulses
 from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import one_step_errors, squares, without
-from quad_sysid.blackbox.polynomial import Model, delayed, monic
+from quad_sysid.blackbox.model import Model
+from quad_sysid.blackbox.polynomial import delayed, monic
 from quad_sysid.blackbox.prediction_error import evaluate
 from quad_sysid.blackbox.regression import check_informative, check_orders, lagged
 from quad_sysid.blackbox.residuals import whitener

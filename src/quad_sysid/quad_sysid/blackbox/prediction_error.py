@@ -19,7 +19,7 @@ import numpy as np
 from quad_sysid.blackbox.filters import filter_columns
 from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import errors_and_gradient
-from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders
 from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
 from quad_sysid.blackbox.start_values import (

@@ -15,7 +15,7 @@ from scipy import special
 
 from quad_sysid.blackbox.frequency import autocovariance, cross_covariance
 from quad_sysid.blackbox.innovations import SegmentErrors, one_step_errors
-from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.polynomial import Polynomials
 from quad_sysid.blackbox.regression import BLOCK_ROWS, check_order, lagged, triangular
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
@@ -66,7 +66,7 @@ class ResidualTest:
 
 
 def residual_test(
-    z: IOData, model: Model, lags: int = 25, confidence: float = 0.99
+    z: IOData, model: Polynomials, lags: int = 25, confidence: float = 0.99
 ) -> ResidualTest:
     """Test the one-step residual of `model` on z (MATLAB: resid).
 
@@ -75,7 +75,7 @@ def residual_test(
     autoregression of the residual, so that a coloured residual (OE, IV) is judged fairly.
     Raises BadInputError where z is too short for the lags.
     """
-    if isinstance(z, Model):
+    if isinstance(z, Polynomials):
         raise BadInputError('residual_test', 'the data come first', 'a model',
                             'residual_test(z, model)')
     _check(lags, confidence)

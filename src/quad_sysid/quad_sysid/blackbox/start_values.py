@@ -19,7 +19,8 @@ from scipy.linalg import toeplitz
 
 from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
 from quad_sysid.blackbox.innovations import one_step_errors
-from quad_sysid.blackbox.polynomial import Model, delayed, monic, polynomial_model
+from quad_sysid.blackbox.model import Model, polynomial_model
+from quad_sysid.blackbox.polynomial import delayed, monic
 from quad_sysid.blackbox.regression import lagged, usable_rows
 from quad_sysid.contract import FloatArray
 from quad_sysid.qr import upper
