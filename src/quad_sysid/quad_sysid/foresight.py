@@ -65,8 +65,8 @@ def _ratio(rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, in
     wanted = rate[at + horizon]
 
     def error(known: FloatArray) -> float:
-        left = wanted - known @ np.linalg.lstsq(known, wanted, rcond=None)[0]
-        return float(np.sqrt(left @ left / (at.size - known.shape[1])))
+        residual = wanted - known @ np.linalg.lstsq(known, wanted, rcond=None)[0]
+        return float(np.sqrt(residual @ residual / (at.size - known.shape[1])))
 
     alone, together = error(rates), error(both)
     return alone / together if together > 0.0 else 1.0

@@ -295,15 +295,15 @@ class Record:
         axis = axis_of('Record.axis', name)
         if axis.turns or self.velocity is None:
             return self
-        seen = np.flatnonzero(np.isfinite(self.velocity[:, axis.index]))
-        if seen.size < 2:
+        measured = np.flatnonzero(np.isfinite(self.velocity[:, axis.index]))
+        if measured.size < 2:
             return self
-        own = float(np.median(np.diff(seen))) * self.dt
+        own = float(np.median(np.diff(measured))) * self.dt
         count = round(min(max(own, SPEED_DT_S[0]), SPEED_DT_S[1]) / self.dt if dt is None
                       else dt / self.dt)
         if count < 2:
             return self
-        phase = int(np.bincount(seen % count).argmax())
+        phase = int(np.bincount(measured % count).argmax())
         n = (self.n - phase) // count
 
         def cells(values: FloatArray) -> FloatArray:

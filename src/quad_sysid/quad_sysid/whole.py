@@ -155,8 +155,8 @@ def _hover(records: Sequence[Record]) -> list[Fact]:
     x, y = np.log(volts[known]), np.log(throttle[known])
     if known.sum() >= FEWEST and np.ptp(x) > FELL:
         slope, _ = np.polyfit(x, y, 1)
-        left = y - np.polyval(np.polyfit(x, y, 1), x)
-        spread = float(np.std(left) / (np.std(x) * math.sqrt(max(1, x.size - 2))))
+        residual = y - np.polyval(np.polyfit(x, y, 1), x)
+        spread = float(np.std(residual) / (np.std(x) * math.sqrt(max(1, x.size - 2))))
         out.append(Fact('battery_exponent', -float(slope), '1',
                         'thrust follows this power of the voltage, by the throttle of the hover',
                         spread))
@@ -175,8 +175,8 @@ def _steady(record: Record) -> tuple[FloatArray, FloatArray]:
     up = None if record.velocity is None else record.velocity[:, 2]
     if up is None or not np.isfinite(up).any() or not count:
         return np.zeros(0), np.zeros(0)
-    seen = np.flatnonzero(np.isfinite(up))
-    speed = blocks(np.interp(np.arange(record.n), seen, up[seen]))
+    measured = np.flatnonzero(np.isfinite(up))
+    speed = blocks(np.interp(np.arange(record.n), measured, up[measured]))
     lifted, volts = blocks(lift), np.full(count, np.nan)
     if record.battery_v is not None:
         volts = blocks(record.battery_v).mean(axis=1)

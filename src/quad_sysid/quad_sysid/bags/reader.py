@@ -232,11 +232,11 @@ def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> Flo
     placed = grid.place(stream.stamps, stream.values)
     if name == 'wrench':
         placed = np.ascontiguousarray(placed[:, 2:6])
-    seen = np.isfinite(placed).all(axis=1)
-    if not seen.any():
+    finite = np.isfinite(placed).all(axis=1)
+    if not finite.any():
         warnings.append(f'{topic}: no finite value at a stamp of {IMU_TOPIC}; not used')
         return None
-    lost = 1.0 - np.count_nonzero(seen) / len(grid.cells)
+    lost = 1.0 - np.count_nonzero(finite) / len(grid.cells)
     if name != 'excitation' and lost > LOST_WARNING:
         warnings.append(
             f'{topic}: usable in only {100.0 * (1.0 - lost):.0f} % of the cycles of {IMU_TOPIC}'

@@ -95,8 +95,8 @@ def spa(z: IOData, w: FloatArray | None = None, window: int | None = None, *,
     u, y, s = centred(z.u), centred(z.y), centred(source)
     us, ys, uu, yy, ss = cross(u, s), cross(y, s), auto(u), auto(y), auto(s)
     response = ys / (us if joint else ss)
-    left = yy - 2.0 * (np.conj(response) * cross(y, u)).real + np.abs(response) ** 2 * uu
-    noise = np.abs(left) if joint else np.maximum(left, 0.0)
+    residual = yy - 2.0 * (np.conj(response) * cross(y, u)).real + np.abs(response) ** 2 * uu
+    noise = np.abs(residual) if joint else np.maximum(residual, 0.0)
     informative = np.maximum(np.abs(us) ** 2 / ss, np.finfo(float).tiny) if joint else uu
     return SpectralEstimate(
         w=grid, response=response, noise_spectrum=noise,

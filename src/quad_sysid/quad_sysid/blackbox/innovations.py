@@ -124,9 +124,9 @@ def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         rest = column.copy()
         for known in basis * 2:
             rest -= (known @ rest) * known
-        left, size = math.sqrt(rest @ rest), math.sqrt(column @ column)
-        if math.isfinite(size) and left > DEPENDENT * size:
-            basis.append(rest / left)
+        remaining, size = math.sqrt(rest @ rest), math.sqrt(column @ column)
+        if math.isfinite(size) and remaining > DEPENDENT * size:
+            basis.append(rest / remaining)
             kept.append(j)
     turn = np.zeros((columns.shape[1], len(kept)))
     whole = np.array(basis).T if basis else np.zeros((columns.shape[0], 0))

@@ -146,10 +146,10 @@ class Problem:
         index = np.concatenate([np.arange(a, b) for a, b in self.spans])
         length = rows // blocks
         firsts = np.linspace(0, index.size - length, blocks).astype(int)
-        kept = np.zeros(self.data.rate.size, bool)
+        used = np.zeros(self.data.rate.size, bool)
         for first in firsts:
-            kept[index[first : first + length]] = True
-        spans = tuple(run for span in self.spans for run in finite_runs(kept, span))
+            used[index[first : first + length]] = True
+        spans = tuple(run for span in self.spans for run in finite_runs(used, span))
         return Problem(replace(self.data, train=spans), spans, law=self.plain.law, held=self.held)
 
     def blocks(self, length_s: float) -> NDArray[np.int64]:
@@ -263,7 +263,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     where the fit diverges.
     """
     flight = problem.flight
-    begun = flight.rate if rate is None else rate
+    initial = flight.rate if rate is None else rate
     sizes = problem.sizes(structure)
     precision = problem.precision(structure, sizes)
     root = np.linalg.cholesky(precision).T
@@ -273,10 +273,10 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     steps = derivative_steps(sizes)
 
     def evaluated(
-        at: FloatArray, begun: FloatArray, sweeps: int, *, by: FloatArray | None = None
+        at: FloatArray, initial: FloatArray, sweeps: int, *, by: FloatArray | None = None
     ) -> tuple[Prediction | None, float, Tail]:
         """Prediction, log posterior and tail; minus infinity where the noise has no filter."""
-        flight.rate, nothing = begun, Tail(1.0, 1e4)
+        flight.rate, nothing = initial, Tail(1.0, 1e4)
         try:
             predicted = flight.predict(structure, at, sweeps=sweeps, steps=by)
         except np.linalg.LinAlgError:
@@ -290,8 +290,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
 
     theta = starts[0].astype(float)
     if len(starts) > 1:
-        theta = max(starts, key=lambda start: evaluated(start, begun, 1)[1]).astype(float)
-    predicted, value, tail = evaluated(theta, begun, 3, by=steps)
+        theta = max(starts, key=lambda start: evaluated(start, initial, 1)[1]).astype(float)
+    predicted, value, tail = evaluated(theta, initial, 3, by=steps)
     if predicted is None or not math.isfinite(value):
         raise FloatingPointError('the start runs away')
     damping, converged = 1e-3, False

@@ -242,8 +242,9 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
     steps = np.r_[projection.steps(structure, theta), np.full(projection.noise.size, 1e-4)]
     columns, _, _ = flight.columns(structure, theta, rate, steps)
     q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
-    left = missing - q @ (q.T @ missing)
-    theirs = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
+    residual = missing - q @ (q.T @ missing)
+    theirs = [(here.share_of(part, reference.theta[where], q, residual), part,
+               reference.theta[where])
               for part, where in reference.structure.effects()
               if part.effect.label not in have and (own or part.effect.kind == 'named')]
     theirs = sorted(theirs, key=lambda one: -one[0])[:PROJECTED]
@@ -253,7 +254,7 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
         effect = part.effect
         if effect.kind == 'named' and effect.label not in have and not effect.wanders \
                 and type(effect).sought is Effect.sought:
-            shares += _share(here, part, q, left)
+            shares += _share(here, part, q, residual)
     best: dict[str, tuple[float, Part, FloatArray]] = {}
     for one in sorted(shares, key=lambda one: -one[0]):
         best.setdefault(one[1].effect.label, one)
@@ -263,7 +264,7 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
 
 
 def _share(here: Along, part: Part, q: FloatArray,
-           left: FloatArray) -> list[tuple[float, Part, FloatArray]]:
+           residual: FloatArray) -> list[tuple[float, Part, FloatArray]]:
     """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
     effect, rows, linear = part.effect, here.problem.rows, linear_of(part)
     out = []
@@ -273,13 +274,13 @@ def _share(here: Along, part: Part, q: FloatArray,
         c = np.stack([column[rows] for column in here.columns(part, linear, p)], axis=1)
         c = c - q @ (q.T @ c)
         if linear:
-            p[linear] = np.linalg.lstsq(c, left, rcond=1e-8)[0]
+            p[linear] = np.linalg.lstsq(c, residual, rcond=1e-8)[0]
             if any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
                 continue
-            after = left - c @ p[linear]
+            after = residual - c @ p[linear]
         else:
-            after = left - c[:, 0]
-        out.append((1.0 - float(after @ after) / max(float(left @ left), 1e-30), part, p))
+            after = residual - c[:, 0]
+        out.append((1.0 - float(after @ after) / max(float(residual @ residual), 1e-30), part, p))
     return out
 
 
@@ -310,7 +311,7 @@ def resampled(problem: Problem, searched: Found, ladder: Ladder) -> tuple[int, d
     rungs = ladder.rungs[: ladder.answer + 1]
     added = [{part.effect.name for part in rung.model.structure.parts
               if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for which, count in Counter(leading.tolist()).most_common():
         reference = kept[which].fit
         if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
@@ -321,9 +322,9 @@ def resampled(problem: Problem, searched: Found, ladder: Ladder) -> tuple[int, d
             again = missed @ weights[draw, of_window]
             if again[-1] <= max((1.0 - 0.01 * EXPLAINS) * again[0], ladder.small):
                 causes = -np.diff(again) >= NEGLIGIBLE * again[0]
-                seen.update(set().union(*compress(added, causes)))
+                counts.update(set().union(*compress(added, causes)))
     answer = rungs[-1].model.structure.parts
-    return blocks, {part.effect.name: seen[part.effect.name] / RESAMPLES for part in answer}
+    return blocks, {part.effect.name: counts[part.effect.name] / RESAMPLES for part in answer}
 
 
 def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[FloatArray]:

@@ -89,12 +89,12 @@ class Projection:
 
     def _from(self, structure: Structure) -> Prediction:
         """The reference's states, without coefficients that the structure lacks."""
-        begun, own = self.reference.prediction, self.reference.structure
+        prediction, own = self.reference.prediction, self.reference.structure
         end = 4 + 2 * own.lines
         wandering = [part.effect.label for part in own.parts if part.effect.wanders]
         kept = [end + wandering.index(part.effect.label) for part in structure.parts
                 if part.effect.wanders]
-        return replace(begun, states=begun.states[:, [*range(end), *kept]])
+        return replace(prediction, states=prediction.states[:, [*range(end), *kept]])
 
     def start(self, parts: Sequence[Part], values: Sequence[FloatArray],
               base: FloatArray | None = None) -> FloatArray:
@@ -171,8 +171,8 @@ class Projection:
         inverse = np.linalg.pinv(jacobian / scale, rcond=1e-8) / scale[:, None]
         through = inverse @ other
         out = through @ of_reference[:theirs, :theirs] @ through.T
-        left = (self.run(model.structure, model.theta) - self.goal).ravel()
-        scores = (inverse * left).reshape(own, self.windows.count, -1).sum(axis=2)
+        residual = (self.run(model.structure, model.theta) - self.goal).ravel()
+        scores = (inverse * residual).reshape(own, self.windows.count, -1).sum(axis=2)
         whole = np.zeros((model.theta.size, model.theta.size))
         whole[:own, :own] = out + scores @ scores.T
         return whole

@@ -316,10 +316,10 @@ def _odd(one: Series, scale: _Scale, drift: Drift | None) -> list[Odd]:
 def _mean(series: Sequence[Series], taus: Sequence[float], odd: set[str]) -> Mean:
     levels = []
     for one, tau in zip(series, taus, strict=True):
-        kept = np.array([bag not in odd for bag in one.bags])
-        w = _weights(one, tau)[kept]
+        regular = np.array([bag not in odd for bag in one.bags])
+        w = _weights(one, tau)[regular]
         if w.size:
-            levels.append(Level(one.aircraft, int(w.size), float((one.values[kept] * w).sum()
+            levels.append(Level(one.aircraft, int(w.size), float((one.values[regular] * w).sum()
                                                                  / w.sum()),
                                 float(np.sqrt(1.0 / w.sum()))))
     y = np.array([level.mean for level in levels])

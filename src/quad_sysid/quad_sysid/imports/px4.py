@@ -270,9 +270,9 @@ def _scale(control: Stream, torque: Stream) -> Units | None:
     if not (power * total > 0.0).all():
         return None
     slope = (x * y).sum(axis=0) / power
-    left = ((y - slope * x) ** 2).sum(axis=0)
+    residual = ((y - slope * x) ** 2).sum(axis=0)
     roll, pitch, yaw = slope.tolist()
-    return (roll, pitch, yaw) if (1.0 - left / total >= LINEAR).all() else None
+    return (roll, pitch, yaw) if (1.0 - residual / total >= LINEAR).all() else None
 
 
 def _gains(table: Table, units: Units | None) -> dict[str, float]:

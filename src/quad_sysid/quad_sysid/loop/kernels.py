@@ -101,10 +101,10 @@ def control(gains: Constants, memory: FloatArray, reference: float, angle: float
     memory[INTEGRAL] = min(max(total, -gains.integrator_limit), gains.integrator_limit)
     now = -error if gains.d_on_error > 0.0 else rate
     if gains.notch < 1.0:
-        seen = gains.notch * now + memory[NOTCH]
-        memory[NOTCH] = gains.notch_turn * (now - seen) + memory[NOTCH + 1]
-        memory[NOTCH + 1] = gains.notch * now - gains.notch_keep * seen
-        now = seen
+        notched = gains.notch * now + memory[NOTCH]
+        memory[NOTCH] = gains.notch_turn * (now - notched) + memory[NOTCH + 1]
+        memory[NOTCH + 1] = gains.notch * now - gains.notch_keep * notched
+        now = notched
     slope = (now - memory[LAST]) / gains.dt
     memory[D_PART] += gains.d_weight * (slope - memory[D_PART])
     memory[LAST] = now
@@ -246,6 +246,6 @@ def run_polynomial(gains: Constants, signals: FloatArray, a: FloatArray, b: Floa
         if k > 0:
             angle += 0.5 * gains.dt * (clean[k] + clean[k - 1])
         rate = total + signals[1, k]
-        seen = angle + lead * rate
-        wanted, u = control(gains, memory, signals[0, k], seen, rate, 0.0)
-        out[0, k], out[1, k], out[2, k], out[3, k] = seen, rate, u, wanted
+        predicted = angle + lead * rate
+        wanted, u = control(gains, memory, signals[0, k], predicted, rate, 0.0)
+        out[0, k], out[1, k], out[2, k], out[3, k] = predicted, rate, u, wanted

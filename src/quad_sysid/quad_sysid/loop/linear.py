@@ -203,8 +203,8 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         s = seen(rate, angle, drive, change)
         x = np.zeros((0, n))
         if m:
-            begun = np.repeat(rest[:, None], n, axis=1)
-            x = effect.trace(s, p, settings, ((0, n),), begun)[:m]
+            initial = np.repeat(rest[:, None], n, axis=1)
+            x = effect.trace(s, p, settings, ((0, n),), initial)[:m]
         moved = _fitted(x, rest, np.stack([rate, angle, drive, change]), after(x, s))
         first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
         rows[first:] = moved[first:]

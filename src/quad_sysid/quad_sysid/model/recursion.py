@@ -345,12 +345,12 @@ def pursuit(psi, variance, spread, start, stop, out):
     Riccati equation of a recursive prediction-error method (Ljung and Söderström 1983, ch. 3).
     """
     p = spread * spread
-    left = out[start, 1]
-    more = p * (1.0 - left * left)
+    decay = out[start, 1]
+    more = p * (1.0 - decay * decay)
     for k in range(start, stop):
         total = variance + psi[k] * psi[k] * p
         out[k, 0] = -p * psi[k] / total
-        p = left * left * p * variance / total + more
+        p = decay * decay * p * variance / total + more
 
 
 @kernel(LINE, LINE, TABLE, WHOLE, WHOLE, LINE)
@@ -495,15 +495,15 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
     c[2 if behind else 0] = 1.0
     for i in range(lines):
         rms, frequency, width = noise[4 + 3 * i], noise[5 + 3 * i], noise[6 + 3 * i]
-        left = math.exp(-math.pi * dt * width)  # after a cycle, in which it turns by an angle
+        decay = math.exp(-math.pi * dt * width)  # after a cycle, in which it turns by an angle
         angle = 2.0 * math.pi * dt * frequency
-        turned, across = left * math.cos(angle), left * math.sin(angle)
+        turned, across = decay * math.cos(angle), decay * math.sin(angle)
         k = 4 + 2 * i
         c[k] = 1.0
         move[2 + 2 * i], move[3 + 2 * i] = turned, across
         rows[k, k] = rows[k + 1, k + 1] = turned
         rows[k, k + 1], rows[k + 1, k] = -across, across
-        process[k, k] = process[k + 1, k + 1] = rms * rms * (1.0 - left * left)
+        process[k, k] = process[k + 1, k + 1] = rms * rms * (1.0 - decay * decay)
     r = adds = 1.0
     if noisy:
         r = adds = after * after

@@ -82,10 +82,10 @@ class Sensitivity:
                 x[i] = kept
                 k += 1
         columns, bends = np.empty((n, own)), np.zeros((n, own))
-        forward, begun = np.zeros((n, size, own)), np.zeros((self.windows.count, size, own))
+        forward, initial = np.zeros((n, size, own)), np.zeros((self.windows.count, size, own))
         bent = [*range(3), *(j for part, at in structure.placed() if part.effect.moves_command
                              for j in range(at.start, at.stop))]
-        started = self._begun(p, range(own), bent)
+        started = self._initial(p, range(own), bent)
         for j, step in enumerate(steps):
             moved = self.theta.copy()
             moved[j] += step
@@ -94,7 +94,7 @@ class Sensitivity:
             more, later = self._forces(there, q)
             columns[:, j] = (more - force) / step
             forward[:, first:, j] = (later - following).T / step
-            begun[:, first:, j] = ((self._begun(q, [j], bent) - started) / step).T
+            initial[:, first:, j] = ((self._initial(q, [j], bent) - started) / step).T
             if j in bent:
                 difference = (there.halves - here.halves) / step
                 bends[:, j] = 0.5 * (difference[0] - difference[1])
@@ -105,7 +105,7 @@ class Sensitivity:
         which = np.searchsorted(passes, self.windows.starts, side='right') - 1
         gyro = np.stack([self.flight.sensors[max(i, 0)].step for i in which])
         recursion.freely(
-            slope, by_state, by_rate, onward, columns, bends, forward, begun, gyro,
+            slope, by_state, by_rate, onward, columns, bends, forward, initial, gyro,
             self.flight.sensor.noisy, dt, self.windows.length, out,
         )
         return np.nan_to_num(out, nan=0.0, posinf=0.0, neginf=0.0)
@@ -131,7 +131,7 @@ class Sensitivity:
         force = with_torques(np.mean(passed.halves, axis=0) + p[4] - p[3] * s.rate, own)
         return force, np.concatenate(following) if following else np.zeros((0, s.rate.size))
 
-    def _begun(self, p: FloatArray, which: range | list[int], bent: list[int]) -> FloatArray:
+    def _initial(self, p: FloatArray, which: range | list[int], bent: list[int]) -> FloatArray:
         """(states, windows) hidden states at the starts, as far as these parameters move them."""
         flight, out, seen = self.flight, [], None
         for (part, at), x in zip(self.pushing, self.run.hidden, strict=True):

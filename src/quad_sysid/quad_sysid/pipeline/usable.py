@@ -119,8 +119,8 @@ def swapped_motors(record: Record) -> tuple[int, ...] | None:
     square = np.mean((motors[:, :, None] - expected[:, None, :]) ** 2, axis=0)
     best = linear_sum_assignment(square)[1]
     plain = float(np.sqrt(np.mean(np.diag(square))))
-    left = float(np.sqrt(np.mean(square[np.arange(len(best)), best])))
-    if plain <= FLOOR or left >= BETTER * plain:
+    residual = float(np.sqrt(np.mean(square[np.arange(len(best)), best])))
+    if plain <= FLOOR or residual >= BETTER * plain:
         return None
     return tuple(int(motor) + 1 for motor in best)
 
