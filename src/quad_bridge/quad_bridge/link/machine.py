@@ -307,8 +307,8 @@ class Link:
 
     def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
         """Events of another autopilot's messages; none once a control cycle was received."""
-        in_ms = isinstance(frame, f.Attitude)
-        self._received_us = 1000 * frame.time_ms if in_ms else frame.time_us
+        self._received_us = (1000 * frame.time_ms if isinstance(frame, f.Attitude)
+                             else frame.time_us)
         if self.last_cycle is not None:
             return
         inertial = self.autopilot.inertial(frame, now_ns)
