@@ -41,8 +41,9 @@ CLEARLY = 1.4
 """Factor over its rival's share with which a pattern is certain, if it also explains more in three
 quarters of the parts."""
 COMPARABLE, NEAR = 0.85, 0.6
-"""Patterns whose signals correlate by NEAR are not rivals. If they also explain the share ALIKE of
-the best, the data cannot separate them, and the one in which the motors moved most counts."""
+"""Patterns whose signals correlate by NEAR are not rivals. If they also explain the share
+COMPARABLE of the best, the data cannot separate them, and the one in which the motors moved most
+counts."""
 CLEARLY_LESS = 0.5
 """Share of the best pattern's explanation below which a mixer is in doubt."""
 REVERSED_SHARE = 0.2

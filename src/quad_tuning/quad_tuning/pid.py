@@ -54,8 +54,8 @@ FILTER_HZ = (30.0, 55.0, 100.0)
 JUDGED = 120
 """Number of grid points that are judged by the whole objective."""
 STARTS = 5
-"""Searches from the best grid points that are at least APART in SHAPE (angle kp, rate kp, kd): a
-resonance can cause local optima."""
+"""Searches from the best grid points that are at least MIN_DISTANCE apart in SHAPE (angle kp, rate
+kp, kd): a resonance can cause local optima."""
 MIN_DISTANCE = 0.11
 SHAPE = [0, 1, 3]
 DIFFERENCE = 5e-4
