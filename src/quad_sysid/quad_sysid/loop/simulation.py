@@ -134,10 +134,10 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program:
     s = plant.with_motors(s)
     drive, after = noted.send(hidden, s)
     split = len(listing.code)
-    following = noted.turn(Turning(*turning), s, motors[:2], motors[2:],  # type: ignore[arg-type]
-                           push, plant.sensor.step)
+    later = noted.turn(Turning(*turning), s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
+                       plant.sensor.step)
     places = {
-        'following': (*following, *after), 'shown': plant.measured(following),
+        'following': (*later, *after), 'shown': plant.measured(later),
         'commands': drive.commands, 'lag': drive.lag,
         'when': (*required(drive.ages), required(drive.fraction)),
     }
