@@ -38,7 +38,7 @@ def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
 def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
     """The reference is a smooth curve over the rate; the named law stands before it."""
     told = rubbed_answer.findings
-    problem, found = told.problem, told.found
+    problem, found = told.problem, told.search
     curve = next(one for one in found.all if one.fit.structure.labels
                  and one.fit.structure.labels[0].startswith('shape:rate')
                  and len(one.fit.structure.labels) == 1)
@@ -59,7 +59,7 @@ def test_a_rung_that_runs_away_leaves_the_others_and_the_axis(rubbed_answer, mon
         return model.structure.labels[-1:] != ('coulomb_friction',)
 
     monkeypatch.setattr(Models, 'follows', follows)
-    ladder = explain(told.problem, told.found, parts)
+    ladder = explain(told.problem, told.search, parts)
     assert len(ladder.rungs) > 1
     assert not any(rung.labels == ('coulomb_friction',) for rung in ladder.rungs[:-1])
 
@@ -80,7 +80,7 @@ def test_both_readings_of_lag_and_damping_are_kept_where_the_data_do_not_decide(
     rubbed_answer, monkeypatch
 ):
     """Another maximum that is as probable; not the same one, nor one that falls behind."""
-    problem, fitted = rubbed_answer.findings.problem, rubbed_answer.findings.found.base
+    problem, fitted = rubbed_answer.findings.problem, rubbed_answer.findings.search.base
     far = fitted.theta + 40.0 * np.sqrt(np.diag(np.linalg.inv(fitted.hessian)))
     for theta, behind, kept in ((far, 1.0, True), (fitted.theta, 1.0, False), (far, 9.0, False)):
         other = replace(fitted, theta=theta, evidence=fitted.evidence - behind)
@@ -90,7 +90,7 @@ def test_both_readings_of_lag_and_damping_are_kept_where_the_data_do_not_decide(
 
 def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):
     """Of two that are as likely half of their difference's square; one alone adds nothing."""
-    found = rubbed_answer.findings.found
+    found = rubbed_answer.findings.search
     moved = replace(found.base, theta=found.base.theta + 4.0 * (np.arange(9) == 3))
     both = Found(found.base, (Scored(found.base, 0.0), Scored(moved, 0.0)), {})
     assert both.apart(found.base)[3, 3] == pytest.approx(8.0)
@@ -106,7 +106,7 @@ def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):
 def test_the_derivatives_of_free_runs_are_their_differences(rubbed_answer):
     """By all parameters at once along one run: springs, drags, motors, memories; to 2 %."""
     problem = rubbed_answer.findings.problem.shortened(2000, 2)
-    base = rubbed_answer.findings.found.base
+    base = rubbed_answer.findings.search.base
     reference = fit(problem, base.structure, base.theta)
     problem.measure(reference)
     windows, flight = problem.data.windows(problem.spans), problem.flight

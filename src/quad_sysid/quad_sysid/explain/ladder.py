@@ -98,23 +98,23 @@ class Ladder:
         return next(enough, len(self.rungs) - 1)
 
 
-def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
+def explain(problem: Problem, searched: Found, parts: Sequence[Part]) -> Ladder:
     """The ladder to the search's most probable structure, and how often its answer comes again.
 
     parts: the candidates of the search.
     """
-    ladder = _ladder(problem, found, parts)
+    ladder = _ladder(problem, searched, parts)
     if not ladder.answer:
         return ladder
-    blocks, reproducible = resampled(problem, found, ladder)
+    blocks, reproducible = resampled(problem, searched, ladder)
     return replace(ladder, blocks=blocks, reproducible=reproducible)
 
 
-def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
-    reference, base = found.best, found.base
+def _ladder(problem: Problem, searched: Found, parts: Sequence[Part]) -> Ladder:
+    reference, base = searched.best, searched.base
     projection = Projection(problem, reference)
-    models = Models(found, projection)
-    likely = {frozenset(one.fit.structure.labels): one.score for one in found.all}
+    models = Models(searched, projection)
+    likely = {frozenset(one.fit.structure.labels): one.score for one in searched.all}
     if not reference.structure.parts:  # nothing to explain
         return Ladder(models, (Rung(projection.ordered(reference.structure), 0.0),))
     plain = projection.structure(())
@@ -131,19 +131,20 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
     if ladder.negligible:
         return ladder
     if whole > 0.0:
-        apart: frozenset[str] = frozenset()  # labels of what runs away beside the rung
+        unstable: frozenset[str] = frozenset()  # labels of what runs away beside the rung
         while (rungs[-1].explains_pct < ENOUGH and rungs[-1].model.total >= ladder.small
                and len(rungs) <= MOST_RUNGS):
             finer = rungs[-1].explains_pct >= EXPLAINS  # what the reference has, no more causes
-            step = _next(projection, rungs[-1].model, () if finer else parts, whole, likely, apart)
+            step = _next(projection, rungs[-1].model, () if finer else parts, whole, likely,
+                         unstable)
             if step is not None and not finer and _added(step).kind != 'named':
-                step = _first_of_two(projection, rungs[-1].model, step, parts, apart) or step
+                step = _first_of_two(projection, rungs[-1].model, step, parts, unstable) or step
             if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
                 break
             if not models.follows(step):
-                apart |= {_added(step).label}
+                unstable |= {_added(step).label}
                 continue
-            apart = frozenset()
+            unstable = frozenset()
             rungs.append(Rung(step, 100.0 * (1.0 - step.total / whole)))
         if rungs[-1].explains_pct < ENOUGH:
             finest = projection.ordered(reference.structure)
@@ -152,7 +153,7 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
 
 
 def _next(projection: Projection, model: Projected, parts: Sequence[Part], whole: float,
-          likely: Mapping[frozenset[str], float], apart: frozenset[str]) -> Projected | None:
+          likely: Mapping[frozenset[str], float], unstable: frozenset[str]) -> Projected | None:
     """The model with one more effect, none of `apart`, that comes nearest to the reference.
 
     A named law that explains EXPLAINS is taken before a curve is tried. Of those that take nearly
@@ -160,7 +161,7 @@ def _next(projection: Projection, model: Projected, parts: Sequence[Part], whole
 
     likely: score of each structure that the search fitted, by its labels.
     """
-    hopeful = _hopeful(projection, model, parts, apart)
+    hopeful = _hopeful(projection, model, parts, unstable)
     tried: list[Projected] = []
     for kinds in (('named',), ('shape', 'mode', 'event')):
         tried += side_by_side([
@@ -177,35 +178,35 @@ def _next(projection: Projection, model: Projected, parts: Sequence[Part], whole
              and model.total - one.total >= needed > 0.0]
     first = max(named, default=best, key=lambda one: (
         likely.get(frozenset(one.structure.labels), -np.inf), -one.total))
-    alike = [one for one in (named or [best]) if _added(one).name == _added(first).name]
-    plainest = min(alike, key=lambda one: (len(_added(one).parameters), one.total))
+    variants = [one for one in (named or [best]) if _added(one).name == _added(first).name]
+    plainest = min(variants, key=lambda one: (len(_added(one).parameters), one.total))
     if plainest.total <= 0.0:  # the reference itself
         return plainest
     return projection.project(plainest.structure, plainest.theta)
 
 
 def _first_of_two(projection: Projection, model: Projected, curve: Projected,
-                  parts: Sequence[Part], apart: frozenset[str]) -> Projected | None:
+                  parts: Sequence[Part], unstable: frozenset[str]) -> Projected | None:
     """The model with the first of two named laws that stand before the curve; None: no two do.
 
     What two causes do may look like one curve: a drag and a spring that the gyro integrates look
     like one over the rate and its past. The second law halves what one may leave.
     """
     enough = curve.total + 0.5 * (1.0 - NAMED_FIRST) * (model.total - curve.total)
-    for first in _with_named(projection, model, parts, apart):
-        for both in _with_named(projection, first, parts, apart):
+    for first in _with_named(projection, model, parts, unstable):
+        for both in _with_named(projection, first, parts, unstable):
             if both.total <= enough:
                 return projection.project(first.structure, first.theta)
     return None
 
 
 def _with_named(projection: Projection, model: Projected, parts: Sequence[Part],
-                apart: frozenset[str]) -> list[Projected]:
+                unstable: frozenset[str]) -> list[Projected]:
     """The model with each of the most hopeful named laws, best first."""
-    hopeful = _hopeful(projection, model, parts, apart, own=False)
-    ahead = side_by_side([partial(_extended, projection, model, part, values)
-                          for part, values in hopeful])
-    return sorted(ahead, key=lambda one: one.total)
+    hopeful = _hopeful(projection, model, parts, unstable, own=False)
+    projected = side_by_side([partial(_extended, projection, model, part, values)
+                              for part, values in hopeful])
+    return sorted(projected, key=lambda one: one.total)
 
 
 def _added(model: Projected) -> Effect:
@@ -224,7 +225,7 @@ def _extended(projection: Projection, model: Projected, part: Part,
 
 
 def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
-             apart: frozenset[str], *, own: bool = True) -> list[tuple[Part, FloatArray]]:
+             unstable: frozenset[str], *, own: bool = True) -> list[tuple[Part, FloatArray]]:
     """The named laws and the effects of the reference that explain most of the missing torque.
 
     Not own: of the reference's effects the named ones only.
@@ -234,15 +235,16 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
     """
     reference, problem, flight = projection.reference, projection.problem, projection.flight
     structure, theta, rate = model.structure, model.theta, reference.rate
-    have = {*structure.labels, *apart}
+    have = {*structure.labels, *unstable}
     here = Along(problem, structure, theta, rate)
     wanted = Along(problem, reference.structure, reference.theta, rate).acceleration
     missing = (wanted - here.acceleration)[problem.rows]
     steps = np.r_[projection.steps(structure, theta), np.full(projection.noise.size, 1e-4)]
     columns, _, _ = flight.columns(structure, theta, rate, steps)
     q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
-    left = missing - q @ (q.T @ missing)
-    theirs = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
+    residual = missing - q @ (q.T @ missing)
+    theirs = [(here.share_of(part, reference.theta[where], q, residual), part,
+               reference.theta[where])
               for part, where in reference.structure.effects()
               if part.effect.label not in have and (own or part.effect.kind == 'named')]
     theirs = sorted(theirs, key=lambda one: -one[0])[:PROJECTED]
@@ -252,7 +254,7 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
         effect = part.effect
         if effect.kind == 'named' and effect.label not in have and not effect.wanders \
                 and type(effect).sought is Effect.sought:
-            shares += _share(here, part, q, left)
+            shares += _share(here, part, q, residual)
     best: dict[str, tuple[float, Part, FloatArray]] = {}
     for one in sorted(shares, key=lambda one: -one[0]):
         best.setdefault(one[1].effect.label, one)
@@ -262,7 +264,7 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
 
 
 def _share(here: Along, part: Part, q: FloatArray,
-           left: FloatArray) -> list[tuple[float, Part, FloatArray]]:
+           residual: FloatArray) -> list[tuple[float, Part, FloatArray]]:
     """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
     effect, rows, linear = part.effect, here.problem.rows, linear_of(part)
     out = []
@@ -272,20 +274,20 @@ def _share(here: Along, part: Part, q: FloatArray,
         c = np.stack([column[rows] for column in here.columns(part, linear, p)], axis=1)
         c = c - q @ (q.T @ c)
         if linear:
-            p[linear] = np.linalg.lstsq(c, left, rcond=1e-8)[0]
+            p[linear] = np.linalg.lstsq(c, residual, rcond=1e-8)[0]
             if any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
                 continue
-            after = left - c @ p[linear]
+            after = residual - c @ p[linear]
         else:
-            after = left - c[:, 0]
-        out.append((1.0 - float(after @ after) / max(float(left @ left), 1e-30), part, p))
+            after = residual - c[:, 0]
+        out.append((1.0 - float(after @ after) / max(float(residual @ residual), 1e-30), part, p))
     return out
 
 
 # ------------------------------------------------------------------ what comes again
 
 
-def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict[str, float]]:
+def resampled(problem: Problem, searched: Found, ladder: Ladder) -> tuple[int, dict[str, float]]:
     """Number of blocks; name of each effect of the answer → how often it is in it again.
 
     Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
@@ -294,7 +296,7 @@ def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict
     effect comes again where the answer explains enough and it is no negligible part of that.
     """
     block = problem.blocks(BLOCK_S)
-    kept = found.all[:MOST_STRUCTURES]
+    kept = searched.all[:MOST_STRUCTURES]
     logs = np.array([
         np.bincount(block, one.fit.tail.log_density(one.fit.prediction.innovation[problem.rows]))
         for one in kept
@@ -309,20 +311,20 @@ def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict
     rungs = ladder.rungs[: ladder.answer + 1]
     added = [{part.effect.name for part in rung.model.structure.parts
               if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for which, count in Counter(leading.tolist()).most_common():
         reference = kept[which].fit
         if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
             continue
-        missed = np.array([rung.model.missed for rung in rungs] if reference is found.best
+        missed = np.array([rung.model.missed for rung in rungs] if reference is searched.best
                           else _missed(problem, reference, rungs))
         for draw in np.flatnonzero(leading == which):
             again = missed @ weights[draw, of_window]
             if again[-1] <= max((1.0 - 0.01 * EXPLAINS) * again[0], ladder.small):
                 causes = -np.diff(again) >= NEGLIGIBLE * again[0]
-                seen.update(set().union(*compress(added, causes)))
+                counts.update(set().union(*compress(added, causes)))
     answer = rungs[-1].model.structure.parts
-    return blocks, {part.effect.name: seen[part.effect.name] / RESAMPLES for part in answer}
+    return blocks, {part.effect.name: counts[part.effect.name] / RESAMPLES for part in answer}
 
 
 def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[FloatArray]:

@@ -80,8 +80,8 @@ class Projection:
                                   prediction=self._from(structure))
         return run._replace(errors=np.clip(np.nan_to_num(run.errors, nan=HUGE), -HUGE, HUGE))
 
-    def _along(self, structure: Structure, theta: FloatArray, run: Run,
-               steps: FloatArray) -> FloatArray:
+    def _differences(self, structure: Structure, theta: FloatArray, run: Run,
+                     steps: FloatArray) -> FloatArray:
         """(rows, own) derivatives of a run by the coordinates of base and effects."""
         with np.errstate(all='ignore'):
             return Sensitivity(self.flight, structure, theta, self.windows,
@@ -89,12 +89,12 @@ class Projection:
 
     def _from(self, structure: Structure) -> Prediction:
         """The reference's states, without coefficients that the structure lacks."""
-        begun, own = self.reference.prediction, self.reference.structure
+        prediction, own = self.reference.prediction, self.reference.structure
         end = 4 + 2 * own.lines
         wandering = [part.effect.label for part in own.parts if part.effect.wanders]
         kept = [end + wandering.index(part.effect.label) for part in structure.parts
                 if part.effect.wanders]
-        return replace(begun, states=begun.states[:, [*range(end), *kept]])
+        return replace(prediction, states=prediction.states[:, [*range(end), *kept]])
 
     def start(self, parts: Sequence[Part], values: Sequence[FloatArray],
               base: FloatArray | None = None) -> FloatArray:
@@ -123,15 +123,15 @@ class Projection:
         steps = self.steps(structure, theta)
         enough = ROUGHLY if coarse else ENOUGH
 
-        def away(at: FloatArray) -> tuple[Run, FloatArray]:
+        def residuals(at: FloatArray) -> tuple[Run, FloatArray]:
             """The run; (rows,) difference to the reference, and the prior's rows."""
             run = self._run(structure, at)
             return run, np.r_[(run.errors - self.goal).ravel(), root @ (at[:own] - centres)]
 
-        run, rows = away(theta)
+        run, rows = residuals(theta)
         value, damping, converged = float(rows @ rows), 1e-3, False
         for _ in range(MOST_STEPS // 2 if coarse else MOST_STEPS):
-            columns = np.vstack([self._along(structure, theta, run, steps), root])
+            columns = np.vstack([self._differences(structure, theta, run, steps), root])
             factor = upper(np.column_stack([columns, rows]))[:own]
             a, b = factor[:, :-1], factor[:, -1]
             scale = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-9)
@@ -142,8 +142,8 @@ class Projection:
                 trial[:own] += limited(step, logs)
                 trial[:own] = np.where(positive, np.maximum(trial[:own], 0.0), trial[:own])
                 trial[:own] = np.where(logs, np.clip(trial[:own], *RANGE), trial[:own])
-                there, ahead = away(trial)
-                new = float(ahead @ ahead)
+                there, trial_rows = residuals(trial)
+                new = float(trial_rows @ trial_rows)
                 if new < value:
                     break
                 damping = 8.0 * max(damping, 1e-4)
@@ -151,7 +151,7 @@ class Projection:
                 converged = True  # no step leads further
                 break
             converged = value - new < enough * value
-            theta, run, rows, value, damping = trial, there, ahead, new, 0.2 * damping
+            theta, run, rows, value, damping = trial, there, trial_rows, new, 0.2 * damping
             if converged or value <= 0.0:
                 break
         difference = run.errors - self.goal
@@ -171,8 +171,8 @@ class Projection:
         inverse = np.linalg.pinv(jacobian / scale, rcond=1e-8) / scale[:, None]
         through = inverse @ other
         out = through @ of_reference[:theirs, :theirs] @ through.T
-        left = (self.run(model.structure, model.theta) - self.goal).ravel()
-        scores = (inverse * left).reshape(own, self.windows.count, -1).sum(axis=2)
+        residual = (self.run(model.structure, model.theta) - self.goal).ravel()
+        scores = (inverse * residual).reshape(own, self.windows.count, -1).sum(axis=2)
         whole = np.zeros((model.theta.size, model.theta.size))
         whole[:own, :own] = out + scores @ scores.T
         return whole
@@ -182,8 +182,8 @@ class Projection:
 
         None by those that are held, which a law of the user's may stand for.
         """
-        out = self._along(structure, theta, self._run(structure, theta),
-                          self.steps(structure, theta))
+        out = self._differences(structure, theta, self._run(structure, theta),
+                                self.steps(structure, theta))
         out[:, self.problem.held] = 0.0
         return out
 

@@ -119,8 +119,9 @@ def _read(table: Table, kind: str, faster: str) -> ForeignLog:
 def _of_bag(path: Path, messages: Path | None) -> Table:
     """The columns of a bag under the names that they have on board."""
     known = topics_of(path)
-    asked = [topic for topic in known if (m := IN_BAG.match(f'{topic}.')) and m['topic'] in TOPICS]
-    columns, times = read_messages(path, [f'{topic}.' for topic in asked], messages)
+    topics = [topic for topic in known
+              if (m := IN_BAG.match(f'{topic}.')) and m['topic'] in TOPICS]
+    columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
     places = [match['place'] for name in columns if (match := IN_BAG.match(name))]
     chosen = max(dict.fromkeys(places), key=places.count, default='')
     ours: dict[str, FloatArray] = {}
@@ -269,9 +270,9 @@ def _scale(control: Stream, torque: Stream) -> Units | None:
     if not (power * total > 0.0).all():
         return None
     slope = (x * y).sum(axis=0) / power
-    left = ((y - slope * x) ** 2).sum(axis=0)
+    residual = ((y - slope * x) ** 2).sum(axis=0)
     roll, pitch, yaw = slope.tolist()
-    return (roll, pitch, yaw) if (1.0 - left / total >= LINEAR).all() else None
+    return (roll, pitch, yaw) if (1.0 - residual / total >= LINEAR).all() else None
 
 
 def _gains(table: Table, units: Units | None) -> dict[str, float]:

@@ -147,8 +147,8 @@ def yielded(x, push, slope, lean, flow, dt):
     flows, back = h * flow, max(slope, 0.0)
     for _ in range(parts):
         cube = x * x * x
-        ahead = x + h * push - flows * ((slope - back) * x + lean * x * x - 2.0 * cube)
-        x = ahead / (1.0 + flows * (back + 3.0 * x * x))
+        explicit = x + h * push - flows * ((slope - back) * x + lean * x * x - 2.0 * cube)
+        x = explicit / (1.0 + flows * (back + 3.0 * x * x))
     return x
 
 

@@ -48,11 +48,11 @@ def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
     """The slope of an acceleration over the rate and those of the effects' torques, 1/s."""
     for part, p, s in acting:
         if 'rate' in part.effect.signals:
-            ahead, back = (
+            above, below = (
                 with_torques(np.zeros(1), [(part, p, s.but(rate=s.rate + step))])
                 for step in (SLOPE_STEP, -SLOPE_STEP)
             )
-            start = start + (ahead - back) / (2.0 * SLOPE_STEP)
+            start = start + (above - below) / (2.0 * SLOPE_STEP)
     return start
 
 
@@ -194,8 +194,8 @@ class Plant:
         line = np.concatenate([drive.commands[None], x.line[:-1]])
         before, new = (_sent_before(line, age) for age in required(drive.ages))
         motors, out = x.motors.copy(), np.empty((4, s.time.size))
-        recursion.motors_ahead(motors, new, before, drive.row, np.ascontiguousarray(drive.lag),
-                               drive.factors, required(drive.fraction), self.dt, out)
+        recursion.motors_step(motors, new, before, drive.row, np.ascontiguousarray(drive.lag),
+                              drive.factors, required(drive.fraction), self.dt, out)
         turning = self.turn(x.turning, s, out[:2], out[2:], push, self.sensor.step)
         return State(turning, motors, line, hidden)
 

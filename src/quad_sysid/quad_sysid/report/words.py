@@ -211,18 +211,18 @@ def horizon_words(error: Tree) -> str:
     listed = [h for h in error.get('horizons', ()) if h['after'] is not None]
     if not listed:
         return ''
-    ahead_s = reach(error)
-    if ahead_s is None:
+    reach_s = reach(error)
+    if reach_s is None:
         best = max(listed, key=lambda h: (h['hold'] or 0.0) / max(h['after'], 1e-12))
         return (
             f' At no horizon does it halve the error of holding the last value; it comes nearest '
             f'{best["horizon_s"]:g} s ahead, off by {number(best["after"])} where holding is off '
             f'by {number(best["hold"])} {error["unit"]}.'
         )
-    at = next(h for h in listed if h['horizon_s'] == ahead_s)
+    at = next(h for h in listed if h['horizon_s'] == reach_s)
     last = listed[-1]['horizon_s']
-    beyond = '' if ahead_s == last else f'; further ahead, up to {last:g} s, it predicts less well'
-    return (f' It halves the error of holding the last value up to {ahead_s:g} s ahead (off by '
+    beyond = '' if reach_s == last else f'; further ahead, up to {last:g} s, it predicts less well'
+    return (f' It halves the error of holding the last value up to {reach_s:g} s ahead (off by '
             f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.')
 
 
