@@ -79,13 +79,18 @@ class Probe:
         self._do('listen', topic=topic, kind=kind or kind_of(topic), reliable=reliable)
         return heard
 
-    def diagnostics(self, name: str, key: str = '') -> str:
-        """The last message under this name in /diagnostics, or a value of it; empty before."""
+    def diagnostics(self, name: str, key: str = '', *, since_ns: int = 0) -> str:
+        """The last message under this name in /diagnostics, or a value of it; empty before.
+
+        `since_ns`: a time of this machine's clock; what was said earlier may be of another state.
+        """
         heard = self._heard.get('topic /diagnostics')
-        found = entries(self.listen('/diagnostics') if heard is None else heard).get(name)
-        if found is None:
-            return ''
-        return str(found.values.get(key, '') if key else found.message)
+        for array in reversed(self.listen('/diagnostics') if heard is None else heard):
+            for status in array.status if stamp_ns(array) >= since_ns else ():
+                if status.name == name:
+                    values = {pair.key: pair.value for pair in status.values}
+                    return str(values.get(key, '') if key else status.message)
+        return ''
 
     def advertise(self, topic: str, kind: str = '') -> None:
         """Have a publisher, which a first message needs so that somebody can know of it."""
@@ -102,6 +107,22 @@ class Probe:
     def silence(self, topic: str) -> None:
         """Say no more what was said again and again."""
         self._do('silence', topic=topic)
+
+    def say_until(
+        self, condition: Callable[[], object], topic: str, message: Mapping[str, Any]
+    ) -> None:
+        """Say a command until it has been heeded.
+
+        On a busy machine one alone may be too old when it is read, or meet a link that is quiet.
+        """
+        self.publish(topic, message, every_s=0.5)
+        self.until(condition, f'an answer to {topic}')
+        self.silence(topic)
+
+    def deliver(self, topic: str, *messages: Mapping[str, Any]) -> None:
+        """Say messages, and wait until they wait at whoever listens."""
+        self.publish(topic, *messages)
+        self._do('delivered', topic=topic)
 
     def listeners(self, topic: str) -> int:
         """How many subscriptions a topic has."""
@@ -263,6 +284,7 @@ class Server:
     """Does in ROS's executor what the lines from stdin say."""
 
     def __init__(self, rclpy: Any) -> None:
+        from rclpy.duration import Duration
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -270,6 +292,7 @@ class Server:
 
         self._latched, self._profile = LATCHED, QoSProfile
         self._reliability, self._durability = ReliabilityPolicy, DurabilityPolicy
+        self._patience = Duration(seconds=PATIENCE_S)
         self.node = rclpy.create_node('probe', start_parameter_services=False)
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
@@ -356,6 +379,9 @@ class Server:
     def silence(self, topic: str) -> None:
         if topic in self._timers:
             self.node.destroy_timer(self._timers.pop(topic))
+
+    def delivered(self, topic: str) -> None:
+        self._publishers[topic][0].wait_for_all_acked(self._patience)
 
     def listeners(self, topic: str) -> int:
         if topic in self._publishers:

@@ -1,14 +1,13 @@
-/* The board with the paper's chips (boards/stm32f405/flight.c and all under it) on this machine: its registers
- * lie at their addresses, each access traps, and a model answers as RM0090 says. It runs what QEMU has not:
- * DMA, flash controller, independent watchdog, I2C with its chips, capture and PWM. x86-64 Linux. */
+/* The board with the paper's chips (boards/stm32f405/flight.c and all under it) on this machine: memory lies at
+ * its registers' addresses, and a model answers as RM0090 says. It runs what QEMU has not: DMA, flash controller,
+ * independent watchdog, I2C with its chips, capture and PWM. x86-64 Linux.
+ * The compiler announces each access to volatile memory by a call, as it does for a race detector; the calls are
+ * answered below. */
 #define _GNU_SOURCE
 #include <setjmp.h>
-#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/mman.h>
-#include <ucontext.h>
-#include <unistd.h>
 
 #define main flight_main
 #include "../boards/stm32f405/flight.c"
@@ -16,17 +15,17 @@
 
 #define BYTE_NS 22500u /* on the bus */
 #define BUS_BYTES 150u /* more than two cycles have */
-#define TRAP 0x100
 #define KP QUAD_RATE_KP /* of roll */
 
 static const struct {
     uint32_t at, bytes;
 } regions[] = {{0x40000000, 0x30000}, {0xE000E000, 0x1000}, {0x1FFF7000, 0x1000}, {0x080C0000, 0x40000}};
 #define REGIONS (sizeof regions / sizeof regions[0])
-static uint8_t *alias[REGIONS]; /* the same memory, where no access traps */
+#define PAGES regions[3] /* of the gains in flash, which may be read at any time */
+static uint8_t *const pages = (uint8_t *)0x080C0000u;
 
 static uint64_t now_ns;
-static sigjmp_buf cut;
+static jmp_buf cut;
 static long accesses_left = -1;
 
 static void fail(const char *what)
@@ -35,19 +34,8 @@ static void fail(const char *what)
     exit(1);
 }
 
-static uint32_t *real(const volatile void *address)
-{
-    const uint32_t at = (uint32_t)(uintptr_t)address;
-    for (size_t i = 0; i < REGIONS; i++) {
-        if (at >= regions[i].at && at - regions[i].at < regions[i].bytes) {
-            return (uint32_t *)&alias[i][(at - regions[i].at) & ~3u];
-        }
-    }
-    fail("an access beyond all registers");
-    return NULL;
-}
-
-#define R(register_) (*real(&(register_)))
+/* What a register holds, to the model, whose accesses nobody announces. */
+#define R(register_) (*(uint32_t *)(uintptr_t)&(register_))
 
 /* The chips on the bus. */
 static uint8_t mpu[256] = {[0x75] = 0x68}, hmc[256] = {[3] = 1, [10] = 'H', '4', '3'};
@@ -259,14 +247,14 @@ static void written(const volatile void *at, uint32_t value, uint32_t before)
             fail("the flash is locked");
         }
         if ((value & 2) != 0 && (value & (1u << 16)) != 0) {
-            memset(&alias[3][0x20000 * (((value >> 3) & 15) - 10)], 0xFF, 0x20000);
+            memset(&pages[0x20000 * (((value >> 3) & 15) - 10)], 0xFF, 0x20000);
         }
         R(FLASH->SR) = 1u << 16; /* busy, until it has been asked */
     } else if ((uintptr_t)at >= 0x080C0000u && (uintptr_t)at < 0x08100000u) {
         if ((R(FLASH->CR) & 1) == 0 || (R(FLASH->CR) & (3u << 8)) != 2u << 8) {
             fail("flash written without leave");
         }
-        *real(at) = flash_broken ? before : value & before;
+        *(uint32_t *)(uintptr_t)at = flash_broken ? before : value & before;
         R(FLASH->SR) = 1u << 16;
         programmed++;
     } else if (at == &TIM2->EGR) {
@@ -291,72 +279,92 @@ static void to_be_read(const volatile void *at)
     i2c_read(at);
 }
 
-/* The access that trapped is done by one step of the processor with the memory open. */
+/* A write is announced before it is done: it takes effect with what comes next. */
 static struct {
-    uint32_t *at;
-    const volatile void *address;
+    const volatile uint32_t *at;
     uint32_t before;
-    bool writes;
-} step;
+} last_write;
 
-/* The page of an access; the gains' pages may be read without a trap. */
-static void protect(const volatile void *at, int how)
+static void settle(void)
 {
-    const uintptr_t page = (uintptr_t)at & ~(uintptr_t)4095;
-    mprotect((void *)page, 4096, page >= 0x080C0000u && page < 0x08100000u ? how | PROT_READ : how);
+    const volatile uint32_t *at = last_write.at;
+    if (at != NULL) {
+        last_write.at = NULL;
+        written(at, R(*at), last_write.before);
+    }
+    if (accesses_left > 0 && --accesses_left == 0) {
+        longjmp(cut, 1);
+    }
 }
 
-static void on_access(int number, siginfo_t *info, void *context)
+static void on_access(const volatile void *address, bool writes)
 {
-    ucontext_t *c = context;
-    (void)number;
-    step.address = (const volatile void *)((uintptr_t)info->si_addr & ~(uintptr_t)3);
-    step.at = real(step.address);
-    step.writes = (c->uc_mcontext.gregs[REG_ERR] & 2) != 0;
+    const uintptr_t at = (uintptr_t)address & ~(uintptr_t)3;
+    bool known = false;
+    for (size_t i = 0; i < REGIONS; i++) {
+        known = known || (at >= regions[i].at && at - regions[i].at < regions[i].bytes);
+    }
+    if (!known) {
+        if (at >= 0x1FFF0000u && at <= 0xFFFFFFFFu) {
+            fail("an access beyond all registers");
+        }
+        return; /* a variable */
+    }
+    if (!writes && at >= PAGES.at && at - PAGES.at < PAGES.bytes) {
+        return;
+    }
+    settle();
     now_ns += 100;
     sample();
-    if (!step.writes) {
-        to_be_read(step.address);
+    if (writes) {
+        last_write.at = (const volatile uint32_t *)at;
+        last_write.before = R(*last_write.at);
+    } else {
+        to_be_read((const volatile void *)at);
     }
-    step.before = *step.at;
-    protect(step.address, PROT_READ | PROT_WRITE);
-    c->uc_mcontext.gregs[REG_EFL] |= TRAP;
 }
 
-static void on_step(int number, siginfo_t *info, void *context)
-{
-    ucontext_t *c = context;
-    (void)number;
-    (void)info;
-    c->uc_mcontext.gregs[REG_EFL] &= ~TRAP;
-    if (step.writes) {
-        written(step.address, *step.at, step.before);
+/* The race detector's names. */
+#define ANNOUNCED(bytes) \
+    void __tsan_volatile_read##bytes(const volatile void *at); \
+    void __tsan_volatile_write##bytes(const volatile void *at); \
+    void __tsan_volatile_read##bytes(const volatile void *at) \
+    { \
+        on_access(at, false); \
+    } \
+    void __tsan_volatile_write##bytes(const volatile void *at) \
+    { \
+        on_access(at, true); \
+    } \
+    NOTHING(__tsan_read##bytes) \
+    NOTHING(__tsan_write##bytes)
+#define NOTHING(name) \
+    void name(void); \
+    void name(void) \
+    { \
     }
-    protect(step.address, PROT_NONE);
-    if (accesses_left > 0 && --accesses_left == 0) {
-        siglongjmp(cut, 1);
-    }
-}
+
+ANNOUNCED(1)
+ANNOUNCED(2)
+ANNOUNCED(4)
+ANNOUNCED(8)
+ANNOUNCED(16)
+NOTHING(__tsan_read_range)
+NOTHING(__tsan_write_range)
+NOTHING(__tsan_init)
 
 static void open_registers(void)
 {
-    struct sigaction access = {.sa_sigaction = on_access, .sa_flags = SA_SIGINFO};
-    struct sigaction one_step = {.sa_sigaction = on_step, .sa_flags = SA_SIGINFO};
     for (size_t i = 0; i < REGIONS; i++) {
-        const int file = memfd_create("registers", 0);
         void *const at = (void *)(uintptr_t)regions[i].at;
-        if (ftruncate(file, regions[i].bytes) != 0 ||
-            mmap(at, regions[i].bytes, PROT_NONE, MAP_SHARED | MAP_FIXED_NOREPLACE, file, 0) != at) {
+        if (mmap(at, regions[i].bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE,
+                 -1, 0) != at) {
             fail("the registers' addresses are taken here");
         }
-        alias[i] = mmap(NULL, regions[i].bytes, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
     }
-    memset(alias[3], 0xFF, regions[3].bytes);
+    memset(pages, 0xFF, PAGES.bytes);
     R(RCC->CR) = RCC_CR_HSION | RCC_CR_HSERDY | RCC_CR_PLLRDY;
     R(FLASH->CR) = 1u << 31;
-    sigaction(SIGSEGV, &access, NULL);
-    sigaction(SIGTRAP, &one_step, NULL);
-    mprotect((void *)0x080C0000u, 0x40000, PROT_READ);
 }
 
 /* The flight: what a loop's turn finds on the lines, and what came of it. */
@@ -456,6 +464,7 @@ static void power(void) /* on, or off and on again */
     R(ADC1->DR) = 1252; /* 11.1 V */
     pulse_ns = now_ns;
     begin();
+    settle();
 }
 
 static void fly_on(double seconds)
@@ -465,6 +474,7 @@ static void fly_on(double seconds)
         capture();
         transmit();
         turn();
+        settle();
     }
 }
 
@@ -536,7 +546,7 @@ static void test_flight(void)
     CHECK(flight.gyro_is && mpu[0x23] == 0x78 && flight.firmware.attitude.silent == 0);
     const uint32_t cycles = flight.firmware.timing.cycles;
     CHECK(cycles > 800 && sent_cycles + 2 >= cycles);
-    CHECK(watched && longest_unfed_ns < 20000000);
+    CHECK(watched && longest_unfed_ns < 20000000 && now_ns - fed_ns < 20000000);
     printf("%u cycles flown, %zu sent\n", cycles, sent_cycles);
 }
 
@@ -573,13 +583,15 @@ static void test_cut_at_every_access(void)
     quad_store_load(&board_flash, old);
     memcpy(new, old, sizeof new);
     new[KP] = 0.07f;
-    memcpy(before, alias[3], sizeof before);
+    memcpy(before, pages, sizeof before);
     long cuts = 0;
     for (volatile bool whole_ = false; !whole_; cuts++) {
-        memcpy(alias[3], before, sizeof before);
-        if (sigsetjmp(cut, 1) == 0) {
+        memcpy(pages, before, sizeof before);
+        if (setjmp(cut) == 0) {
             accesses_left = cuts + 1;
             whole_ = quad_store_save(&board_flash, new);
+            accesses_left = -1;
+            settle();
         }
         accesses_left = -1;
         R(FLASH->CR) = 1u << 31; /* as after a reset */

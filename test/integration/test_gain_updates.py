@@ -84,7 +84,7 @@ class Bench(Turns):
         self.told.clear()
         now_ns = self.crew.clock.now_ns()
         said = (event({**one, 'source': source}, now_ns) for one in sets)
-        self.probe.publish('/gains/update', *said)
+        self.probe.deliver('/gains/update', *said)  # before time goes on
 
     def set(self, name, value):
         """What the bridge's service answers."""

@@ -45,8 +45,9 @@ class Rig:
         self.host = self.run(*command, env=environment)
         self.host.until(lambda: 'virtual STM32 on' in self.host.printed)
 
-    def says(self, name, words):
-        self.probe.until(lambda: words in self.probe.diagnostics(name), words)
+    def says(self, name, words, *, since_ns=0):
+        told = self.probe.diagnostics
+        self.probe.until(lambda: words in told(name, since_ns=since_ns), words)
 
     def end_host(self):
         """What it counted; a fault of the sanitizers would show in its status."""
@@ -84,6 +85,13 @@ def test_over_a_network_only_the_key_commands_and_only_while_the_operator_holds(
     assert counts['forged'] == 0
 
 
+def lets_go(rig):
+    """The operator lets go of the enable, and the bridge says so."""
+    now_ns = time.time_ns()
+    rig.probe.silence('/operator/enable')
+    rig.says(EXCITATION, 'silent', since_ns=now_ns)
+
+
 def fly_and_intrude(rig, probe, network, key):
     device, end = network.ends
     rig.start('serial_bridge', port=end.url, key_file=key, state_folder=rig.folder / 'state',
@@ -100,25 +108,15 @@ def fly_and_intrude(rig, probe, network, key):
     probe.until(lambda: 'its stamp is' in probe.call(*arm, data=True).message)
     probe.publish('/operator/enable', HELD, every_s=0.02)
     probe.until(lambda: 'armed already' in probe.call(*arm, data=True).message)
-    probe.silence('/operator/enable')
-    rig.says(EXCITATION, 'silent')
-    # again and again: on a busy machine one of them may be old, or the link quiet, when it is read
-    probe.publish('/gains/update', event({'source': 'test', 'roll.rate.kp': 0.08}), every_s=0.5)
-    rig.says(GAINS, '/operator/enable is silent')
-    probe.silence('/gains/update')
+    lets_go(rig)
+    probe.say_until(lambda: '/operator/enable is silent' in probe.diagnostics(GAINS),
+                    '/gains/update', event({'source': 'test', 'roll.rate.kp': 0.08}))
     probe.publish('/excitation/segment', TRAIN)
     probe.publish('/excitation/setpoint', SETPOINT, every_s=0.01)
     rig.says(EXCITATION, 'dropped: /operator/enable is silent')
     assert not rig.applied
     probe.publish('/operator/enable', HELD, every_s=0.02)
-    probe.publish('/excitation/segment', TRAIN)
-
-    def excited():
-        if 'segment' in probe.diagnostics(EXCITATION):  # which asks for one, or found one too old
-            probe.publish('/excitation/segment', TRAIN)
-        return len(rig.applied) > 50
-
-    probe.until(excited, 'excitation')
+    probe.say_until(lambda: len(rig.applied) > 50, '/excitation/segment', TRAIN)
     # a bag that is played beside it
     probe.publish('/excitation/setpoint', {**SETPOINT, 'header': OLD}, every_s=0.01)
     probe.publish('/excitation/segment', {**TRAIN, **OLD})
@@ -127,10 +125,7 @@ def fly_and_intrude(rig, probe, network, key):
     rig.says(GAINS, 'gains of bag refused: its stamp is')
     ended_and_stays_so(rig)
     probe.publish('/excitation/setpoint', SETPOINT, every_s=0.01)
-    # what is said now must be of the second silence and not of the first
-    probe.until(lambda: 'silent' not in probe.diagnostics(EXCITATION), 'heard again')
-    probe.silence('/operator/enable')
-    rig.says(EXCITATION, 'silent')
+    lets_go(rig)
     probe.publish('/operator/enable', HELD, every_s=0.02)
     rig.says(EXCITATION, 'has released the enable')
     ended_and_stays_so(rig)
@@ -138,8 +133,9 @@ def fly_and_intrude(rig, probe, network, key):
     # intruders: what was said before, and what bears no signature
     recorded = bytes(network.heard[-2000:])
     recorded = recorded[recorded.index(b'\xfd') :]
-    device.write(Encoder(1, 191).encode(f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1)))
-    device.write(recorded)
+    for data in (Encoder(1, 191).encode(f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1)), recorded):
+        while data := data[device.write(data) :]:  # as fast as the firmware reads
+            time.sleep(0.001)
     heard = len(rig.imu)
     probe.until(lambda: len(rig.imu) > heard + 250)
     for name in ('refused, unsigned', 'refused, other key'):

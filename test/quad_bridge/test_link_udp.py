@@ -4,6 +4,7 @@ import socket
 
 import pytest
 from node_process import until
+from probe import PATIENCE_S
 
 from quad_bridge.link.port import SerialPort, over_network
 from quad_bridge.link.udp import UdpPort
@@ -14,7 +15,7 @@ def peer():
     """Somebody else's socket, bound to an address of its own."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
         made.bind(('127.0.0.1', 0))
-        made.settimeout(10.0)
+        made.settimeout(PATIENCE_S)
         yield made
 
 

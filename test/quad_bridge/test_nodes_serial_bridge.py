@@ -93,7 +93,7 @@ def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(
     with Port(again, Pty(tmp_path / 'ttyACM1'), start_s=first.start_s) as second:
         probe.until(lambda: probe.diagnostics(LINK, 'times opened') == '2')
         probe.until(lambda: count(probe, LINK, 'lost cycles') > 0)
-        probe.until(lambda: probe.diagnostics(CLOCK) == 'converged')
+        probe.until(lambda: probe.diagnostics(CLOCK).startswith('converged'))
         recorder.send(signal.SIGSTOP)
         begin = again.number
         probe.until(lambda: again.number > begin + 375)  # 1.5 s; the middleware holds 4 s
@@ -218,27 +218,35 @@ def test_nothing_that_is_sent_or_left_unanswered_stops_the_bridge(probe, far, br
     refused = probe.answer(arm(False))
     assert (refused.success, refused.message) == (False, 'the node is not active')
     assert probe.transition('/serial_bridge', ACTIVATE)
-    probe.until(lambda: imu)
-    refused = probe.answer(arm(True))
-    assert (refused.success, refused.message) == (False, 'it is armed already')
+    # a line that has been quiet for a moment, as where the machine is busy, is another refusal
+    probe.until(lambda: imu and probe.answer(arm(True)).message == 'it is armed already')
     controller.flags, number = 0, controller.number + 1
     probe.until(lambda: numbers(imu[-1:]) > number)
-    asked = [arm(True), arm(False), probe.ask('/serial_bridge/check_polarity')]
-    assert not any(probe.answer(one).success for one in asked[:2])
-    assert asked[1].result().message == 'the STM32: no answer in 1 s'
-    said = [command.parameters[0] for command in controller.told(f.Command)]
-    assert (said.count(1.0), said.count(0.0) > 0) == (1, True)
+
+    def unanswered():
+        first, second = arm(True), arm(False)
+        assert not probe.answer(first).success
+        assert probe.answer(second).message == 'the STM32: no answer in 1 s'
+        return 'nothing is received' not in first.result().message
+
+    def said():
+        return [command.parameters[0] for command in controller.told(f.Command)]
+
+    probe.until(unanswered)
+    check = probe.ask('/serial_bridge/check_polarity')
+    probe.until(lambda: said().count(0.0) > 1)
+    assert said().count(1.0) == 1
     # what no frame, float or parser can take
     segment = event({'segment': 'train', 'signal': 'prbs', 'injection': 'rate'})
     topics = ('/excitation/segment', '/gains/update', '/excitation/setpoint')
     probe.meet(*topics)
-    probe.publish(topics[0], segment)
-    probe.until(lambda: probe.diagnostics('serial_bridge: excitation', 'injection') == 'rate')
+    begun = ('serial_bridge: excitation', 'injection')
+    probe.say_until(lambda: probe.diagnostics(*begun) == 'rate', topics[0], segment)
     for predicted in ('[' * 200_000, '[' * 4000, '{"roll.peak": 1%s}' % ('0' * 400)):
         probe.publish(topics[1], event({'predicted': predicted}))
         probe.publish(topics[2], {'vector': {'x': 1e300}})
     dropped = ('serial_bridge: excitation', 'set-points dropped')
-    probe.until(lambda: count(probe, *dropped) == 3)
+    probe.until(lambda: count(probe, *dropped) >= 3)
     probe.until(lambda: count(probe, 'serial_bridge: gains', 'refused') >= 2)
     assert count(probe, 'serial_bridge: bounds', 'refused, too large') == 1
     heard = len(imu)
@@ -247,7 +255,7 @@ def test_nothing_that_is_sent_or_left_unanswered_stops_the_bridge(probe, far, br
     assert 'failed callbacks' not in values
     assert probe.transition('/serial_bridge', DEACTIVATE)
     # the check needs a flight controller that answers: this one says why it has ended
-    assert not probe.answer(asked[2]).success
+    assert not probe.answer(check).success
     assert node.end() == 0
 
 

@@ -107,7 +107,7 @@ class Aircraft:
 
     def flags(self, told: str) -> None:
         values = [{'key': 'flags of the STM32', 'value': told}]
-        self.probe.publish('/diagnostics', {'status': [
+        self.probe.deliver('/diagnostics', {'status': [
             {'name': 'serial_bridge: excitation', 'values': values}]})
 
     def until(self, condition: Callable[[], object], what: object = '') -> None:

@@ -91,10 +91,9 @@ def test_two_runs_never_share_a_domain(tmp_path: Path) -> None:
     with own_domain() as one, own_domain() as two, own_domain() as three:
         assert len({one, two, three}) == 3
     for offset in (0, 10):
-        with own_domain() as free:
-            pass
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as user:
-            user.bind(('', PORT_BASE + PORT_GAIN * free + offset))
+            with own_domain() as free:  # so that no other test takes it meanwhile
+                user.bind(('', PORT_BASE + PORT_GAIN * free + offset))
             with own_domain() as other:
                 assert other != free
 

@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from probe import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -22,7 +23,7 @@ def ros2(tmp_path):
 
     def command(*words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            ['timeout', '60', 'ros2', *words], check=False,
+            ['timeout', str(PATIENCE_S), 'ros2', *words], check=False,
             capture_output=True, text=True, env={**os.environ, 'AMENT_PREFIX_PATH': str(tmp_path),
                  'PATH': os.pathsep.join([str(ROOT / 'tools/bin'), os.environ['PATH']])},
         )
