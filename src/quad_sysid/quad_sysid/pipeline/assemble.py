@@ -46,9 +46,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         else:
             projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
             own = ladder.projection.covariance(projected, whole)
-        # what hardly changes the motion is no other reading of it, though it takes from the gain
-        apart = 0.0 if ladder.negligible else found.apart(fitted)
-        return stored.readings(problem, fitted, own + apart)
+        return stored.readings(problem, fitted, own + found.apart(fitted))
 
     best = read(reference)
     chosen = verdict.chosen
