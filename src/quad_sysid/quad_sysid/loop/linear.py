@@ -204,7 +204,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         x = np.zeros((0, n))
         if m:
             begun = np.repeat(rest[:, None], n, axis=1)
-            x = effect.trace(s, p, settings, ((0, n),), begun)[:m]
+            x = effect.trace(s, p, settings, ((0, n),), begun)
         moved = _fitted(x, rest, np.stack([rate, angle, drive, change]), after(x, s))
         first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
         rows[first:] = moved[first:]
