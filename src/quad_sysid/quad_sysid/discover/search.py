@@ -205,7 +205,7 @@ class _Search:
         }
         self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
         self.tried: set[frozenset[str]] = set()
-        self.screens: dict[frozenset[str], list[Score]] = {}
+        self.hopeful: set[str] = set()
 
     def build_on(self, parents: Sequence[Scored]) -> list[Scored]:
         """Fitted structures with one more effect, whose linear score may reach the best parent's.
@@ -242,21 +242,17 @@ class _Search:
         self.listen(f'{len(self.known)} structures, best so far {best}')
         return [*kept.values()]
 
-    def scores(self, parent: Fit, *, whole: bool = True) -> list[Score]:
+    def scores(self, parent: Fit, *, whole: bool) -> list[Score]:
         """Linear scores of the candidates beside a structure, best first.
 
         Not whole: of those that have explained something beside another structure.
         """
-        labels = frozenset(parent.structure.labels)
-        if labels in self.screens:
-            return self.screens[labels]
-        rest = [p for p in self.parts if p.effect.label not in labels]
-        if not whole:
-            hopeful = {one.part.effect.label for known in self.screens.values() for one in known
-                       if one.nats > 0.0}
-            return screen(self.problem, parent, [p for p in rest if p.effect.label in hopeful])
-        self.screens[labels] = screen(self.problem, parent, rest)
-        return self.screens[labels]
+        found = screen(self.problem, parent, [
+            part for part in self.parts if part.effect.label not in parent.structure.labels
+            and (whole or part.effect.label in self.hopeful)
+        ])
+        self.hopeful |= {one.part.effect.label for one in found if one.nats > 0.0}
+        return found
 
     def keep(self, fitted: Fit) -> Scored:
         """Store a fit with its score, where it is the better one of its structure."""
@@ -415,7 +411,6 @@ def _structures(problem: Problem, parts: Sequence[Part], base: Fit, halt: Callab
         beam = leading(found.build_on(beam))
         if beam:
             beam[0] = found.keep(both_orders(problem, beam[0].fit))
-            found.screens.pop(frozenset(beam[0].fit.structure.labels), None)
         if (not beam or beam[0].score <= top or found.hardly(before, beam[0].fit)
                 or halt()):
             break
