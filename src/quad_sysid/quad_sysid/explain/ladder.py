@@ -37,7 +37,7 @@ from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.explain.models import Models
 from quad_sysid.explain.projection import Projected, Projection
 from quad_sysid.model.effect import Effect, Part
-from quad_sysid.model.structure import coordinates, natural
+from quad_sysid.model.structure import coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,8 +242,8 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
     columns, _, _ = flight.columns(structure, theta, rate, steps)
     q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
     left = missing - q @ (q.T @ missing)
-    theirs = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
-              for part, where in reference.structure.effects()
+    theirs = [(_explained(here, part, [], reference.theta[where], q, left)[0], part,
+               reference.theta[where]) for part, where in reference.structure.effects()
               if part.effect.label not in have and (own or part.effect.kind == 'named')]
     theirs = sorted(theirs, key=lambda one: -one[0])[:PROJECTED]
     have |= {part.effect.label for _, part, _ in theirs}
@@ -264,22 +264,31 @@ def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
 def _share(here: Along, part: Part, q: FloatArray,
            left: FloatArray) -> list[tuple[float, Part, FloatArray]]:
     """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
-    effect, rows, linear = part.effect, here.problem.rows, linear_of(part)
-    out = []
+    effect, linear, out = part.effect, linear_of(part), []
     for start in effect.starts(here.problem.data, part.settings):
         p = coordinates(effect.parameters, start)
         p[linear] = 0.0
-        c = np.stack([column[rows] for column in here.columns(part, linear, p)], axis=1)
-        c = c - q @ (q.T @ c)
+        share, sizes = _explained(here, part, linear, p, q, left)
         if linear:
-            p[linear] = np.linalg.lstsq(c, left, rcond=1e-8)[0]
-            if any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
-                continue
-            after = left - c @ p[linear]
-        else:
-            after = left - c[:, 0]
-        out.append((1.0 - float(after @ after) / max(float(left @ left), 1e-30), part, p))
+            p[linear] = sizes
+        if not any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
+            out.append((share, part, p))
     return out
+
+
+def _explained(here: Along, part: Part, linear: list[int], p: FloatArray, q: FloatArray,
+               left: FloatArray) -> tuple[float, FloatArray]:
+    """The share of `left` (rows,) that an effect explains at p, and its linear parameters.
+
+    Without any its acceleration counts in any size. q (rows, m): an orthonormal basis of what
+    others explain as well.
+    """
+    rows = here.problem.rows
+    c = np.stack([column[rows] for column in here.columns(part, linear, p)], axis=1)
+    c = c - q @ (q.T @ c)
+    sizes = np.linalg.lstsq(c, left, rcond=1e-8)[0]
+    after = left - c @ sizes
+    return 1.0 - float(after @ after) / max(float(left @ left), 1e-30), sizes
 
 
 # ------------------------------------------------------------------ what comes again
@@ -334,8 +343,3 @@ def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[Flo
         own = model.theta[: len(structure.specs) - projection.noise.size]
         out.append(projection.project(structure, np.r_[own, projection.noise], coarse=True).missed)
     return out
-
-
-def values_of(model: Projected) -> FloatArray:
-    """(p,) its parameters in their units."""
-    return natural(model.structure.specs, model.theta)
