@@ -26,7 +26,7 @@ FAR_BEHIND = 30.0
 UNDECIDED = math.log(1.0 / LEVEL)
 """Nats within which the data do not decide between two readings."""
 ROUGH_NATS = 0.3
-"""A step that gains less ends the fits of a contest; what is chosen goes on (search.settled)."""
+"""A step that gains less ends the fits of a contest; what is chosen goes on from there."""
 STARTS = ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (1, 0.002, 0.002), (-1, 0.04, 0.01))
 """Sign of the gain, lag and delay (s) that a base starts from: usual motors, a late log, slow
 motors, a drive that answers at once, and a drive that is wired the wrong way."""

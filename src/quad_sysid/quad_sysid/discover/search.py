@@ -346,10 +346,10 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     leading_ones = Found(base, ordered, reasons, found.prices)
     if problem is not whole:
         problem, leading_ones = whole, _on_all(whole, leading_ones)
-    return settled(problem, leading_ones)
+    return to_convergence(problem, leading_ones)
 
 
-def settled(problem: Problem, found: Found) -> Found:
+def to_convergence(problem: Problem, found: Found) -> Found:
     """The same with those that may be chosen brought to convergence; what does not get there goes.
 
     It stays where nothing near it converges either. What leads and runs away in a free run goes

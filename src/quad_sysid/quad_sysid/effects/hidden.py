@@ -134,7 +134,9 @@ class Summing(Linear):
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return 0.5 * s.rate
 
-    def seen_along(self, s: Signals, followed: Callable[[FloatArray], FloatArray]) -> Signals:
+    def inputs_in_flight(
+        self, s: Signals, followed: Callable[[FloatArray], FloatArray]
+    ) -> Signals:
         return replace(s, rate=followed(s.rate))
 
 
@@ -326,7 +328,7 @@ class Memory(Shape, Linear):
     def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
         return (self._push(signal_of(s, self.signal), settings),)
 
-    def settled(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+    def steady(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.stack(self.inputs(s, settings)) if self.leans else np.ones((1, *s.time.shape))
 
     def factors(self, p: FloatArray, settings: Settings) -> FloatArray:

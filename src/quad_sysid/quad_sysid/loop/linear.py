@@ -182,7 +182,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
 
     nothing = np.zeros(1)
     still = seen(nothing, nothing, nothing, nothing)
-    rest = effect.settled(still, p, settings)[:, 0] if m else np.zeros(0)
+    rest = effect.steady(still, p, settings)[:, 0] if m else np.zeros(0)
     small = min(SMALL, level[2])
     rows = np.zeros((m + 1, m + 4))
     if m > FEW_STATES or isinstance(effect, Linear):

@@ -234,7 +234,7 @@ class Flight:
         effect, data = part.effect, self.data
         if not effect.states:
             return s
-        seen = effect.seen_along(s, self.followed)
+        seen = effect.inputs_in_flight(s, self.followed)
         begun = effect.begun(data, p, part.settings)
         return s.but(hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
 
