@@ -119,9 +119,9 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
         return Ladder(models, (Rung(projection.ordered(reference.structure), 0.0),))
     plain = projection.structure(())
     if not projection.windows.count:  # too short for a free run
-        alone = Projected(plain, projection.start((), (), base.theta), np.zeros(0), converged=True)
+        alone = Projected(plain, projection.alone(base.theta), np.zeros(0))
         return Ladder(models, (Rung(alone, 0.0),))
-    starts = [projection.start((), (), own) for own in (reference.theta, base.theta)]
+    starts = [projection.alone(own) for own in (reference.theta, base.theta)]
     begun = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, begun.theta)

@@ -44,7 +44,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         elif any(fitted is one.fit for one in found.all):
             own = covariance(problem, fitted)
         else:
-            projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
+            projected = Projected(fitted.structure, fitted.theta, np.zeros(0))
             own = ladder.projection.covariance(projected, whole)
         return stored.readings(problem, fitted, own + found.apart(fitted))
 
