@@ -8,6 +8,7 @@ training segments only.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -63,8 +64,6 @@ class Ladder:
     reproducible: dict[str, float] = field(default_factory=dict)
     """Label of each effect of the answer → share of the resampled flights in which it is in the
     answer, whatever its variant."""
-    predicts_pct: float = 0.0
-    """Share of the motion's RMS that the base already predicts, as the reference sees it."""
 
     @property
     def projection(self) -> Projection:
@@ -80,8 +79,14 @@ class Ladder:
 
     @property
     def negligible(self) -> bool:
-        """Whether what the base misses is small beside the motion."""
-        return self.rungs[0].model.total < self.small
+        """Whether the reference sees more than the base, but little beside the motion."""
+        return 0.0 < self.rungs[0].model.total < self.small
+
+    @property
+    def predicts_pct(self) -> float:
+        """Share of the motion's RMS that the base already predicts, as the reference sees it."""
+        missed = self.rungs[0].model.total / max(self.projection.motion, 1e-30)
+        return 100.0 * (1.0 - math.sqrt(min(missed, 1.0)))
 
     @property
     def small(self) -> float:
@@ -126,8 +131,7 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
                 key=lambda model: model.total)
     lowest = projection.project(plain, begun.theta)
     whole, rungs = lowest.total, [Rung(lowest, 0.0)]
-    predicts = 100.0 * (1.0 - np.sqrt(min(whole / max(projection.motion, 1e-30), 1.0)))
-    ladder = Ladder(models, (rungs[0],), predicts_pct=float(predicts))
+    ladder = Ladder(models, (rungs[0],))
     if ladder.negligible:
         return ladder
     if whole > 0.0:
