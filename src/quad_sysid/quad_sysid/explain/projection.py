@@ -21,7 +21,7 @@ from quad_sysid.model.data import Windows
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Prediction, Run
 from quad_sysid.model.sensitivity import Sensitivity
-from quad_sysid.model.structure import Structure, coordinates
+from quad_sysid.model.structure import Structure
 from quad_sysid.qr import upper
 
 MOST_STEPS = 20
@@ -45,7 +45,6 @@ class Projected:
     """(p,) coordinates of the fit; the noise's are the reference's."""
     missed: FloatArray
     """(windows,) sum over the window of the squared difference to the reference, (rad/s)²."""
-    converged: bool
 
     @property
     def total(self) -> float:
@@ -96,13 +95,9 @@ class Projection:
                 if part.effect.wanders]
         return replace(prediction, states=prediction.states[:, [*range(end), *kept]])
 
-    def start(self, parts: Sequence[Part], values: Sequence[FloatArray],
-              base: FloatArray | None = None) -> FloatArray:
-        """(p,) start: the first coordinates of `base` (of the reference), effects, noise."""
-        own = (self.reference.theta if base is None else base)[: self.base]
-        logs = [coordinates(part.effect.parameters, np.asarray(value, dtype=float))
-                for part, value in zip(parts, values, strict=True)]
-        return np.concatenate([own, *logs, self.noise])
+    def alone(self, theta: FloatArray) -> FloatArray:
+        """(p,) the base's coordinates of a fit, with the reference's noise."""
+        return np.concatenate([theta[: self.base], self.noise])
 
     def project(self, structure: Structure, start: FloatArray, *,
                 coarse: bool = False) -> Projected:
@@ -129,7 +124,7 @@ class Projection:
             return run, np.r_[(run.errors - self.goal).ravel(), root @ (at[:own] - centres)]
 
         run, rows = residuals(theta)
-        value, damping, converged = float(rows @ rows), 1e-3, False
+        value, damping = float(rows @ rows), 1e-3
         for _ in range(MOST_STEPS // 2 if coarse else MOST_STEPS):
             columns = np.vstack([self._differences(structure, theta, run, steps), root])
             factor = upper(np.column_stack([columns, rows]))[:own]
@@ -147,15 +142,14 @@ class Projection:
                 if new < value:
                     break
                 damping = 8.0 * max(damping, 1e-4)
-            else:
-                converged = True  # no step leads further
+            else:  # no step leads further
                 break
-            converged = value - new < enough * value
+            last = value - new < enough * value or new <= 0.0
             theta, run, rows, value, damping = trial, there, trial_rows, new, 0.2 * damping
-            if converged or value <= 0.0:
+            if last:
                 break
         difference = run.errors - self.goal
-        return Projected(structure, theta, np.sum(difference**2, axis=1), converged)
+        return Projected(structure, theta, np.sum(difference**2, axis=1))
 
     def covariance(self, model: Projected, of_reference: FloatArray) -> FloatArray:
         """(p, p) of a model's coordinates, those of the noise zero.
@@ -209,4 +203,4 @@ class Projection:
             self.reference.theta[: self.base], *(own[label] for label in structure.labels),
             self.noise,
         ])
-        return Projected(structure, theta, np.zeros(self.windows.count), converged=True)
+        return Projected(structure, theta, np.zeros(self.windows.count))

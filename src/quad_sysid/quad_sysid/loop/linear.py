@@ -182,7 +182,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
 
     nothing = np.zeros(1)
     still = seen(nothing, nothing, nothing, nothing)
-    rest = effect.settled(still, p, settings)[:, 0] if m else np.zeros(0)
+    rest = effect.steady(still, p, settings)[:, 0] if m else np.zeros(0)
     small = min(SMALL, level[2])
     rows = np.zeros((m + 1, m + 4))
     if m > FEW_STATES or isinstance(effect, Linear):
@@ -204,7 +204,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         x = np.zeros((0, n))
         if m:
             initial = np.repeat(rest[:, None], n, axis=1)
-            x = effect.trace(s, p, settings, ((0, n),), initial)[:m]
+            x = effect.trace(s, p, settings, ((0, n),), initial)
         moved = _fitted(x, rest, np.stack([rate, angle, drive, change]), after(x, s))
         first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
         rows[first:] = moved[first:]

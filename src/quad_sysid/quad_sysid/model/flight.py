@@ -234,7 +234,7 @@ class Flight:
         effect, data = part.effect, self.data
         if not effect.states:
             return s
-        seen = effect.seen_along(s, self.followed)
+        seen = effect.inputs_in_flight(s, self.followed)
         begun = effect.begun(data, p, part.settings)
         return s.but(hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
 
@@ -493,7 +493,7 @@ class Flight:
         angle = None if self.angle is None else self.angle[windows.starts] + late * r
         turning = Turning(r, angle, np.stack([g, q]), tuple(
             next(followed)[None, :] if part.effect.wanders else
-            required(self.hidden(part, seen, values).hidden)[: part.effect.states, windows.starts]
+            required(self.hidden(part, seen, values).hidden)[:, windows.starts]
             if part.effect.states else None for part, values in plant.pushing
         ))
         lag, delay = lag_and_delay(p)

@@ -159,11 +159,11 @@ class Plant:
         return s.but(motors=tuple(motors[..., i] for i in range(motors.shape[-1])))
 
     def begin(
-        self, s: Signals, rate: FloatArray, angle: FloatArray | None, *, settled: bool = False
+        self, s: Signals, rate: FloatArray, angle: FloatArray | None, *, steady: bool = False
     ) -> State:
         """The state in which the command s.sent has long been given, s the first cycle.
 
-        settled: in the middle of a flight, not at its start.
+        steady: in the middle of a flight, not at its start.
         """
         s = self.with_own(s)
         own: list[FloatArray | None] = []
@@ -181,7 +181,7 @@ class Plant:
                         command=self.p[0] * lagged, change=np.zeros_like(lagged))
         hidden = tuple(
             None if not part.effect.states else
-            (part.effect.settled if settled else part.effect.begin)(moved, p, part.settings)
+            (part.effect.steady if steady else part.effect.begin)(moved, p, part.settings)
             for part, p in self.pushing
         )
         turning = Turning(rate, angle, np.stack([rate, np.zeros_like(rate)]), hidden)

@@ -145,5 +145,5 @@ class Sensitivity:
             if seen is None:
                 seen = flight.signals(p, *flight.driven(self.structure, p), self.prediction.rate)
             known = required(flight.hidden(part, seen, p[at]).hidden)
-            out.append(known[: part.effect.states, self.windows.starts])
+            out.append(known[:, self.windows.starts])
         return np.concatenate(out) if out else np.zeros((0, self.windows.count))

@@ -44,11 +44,9 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         elif any(fitted is one.fit for one in searched.all):
             own = covariance(problem, fitted)
         else:
-            projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
+            projected = Projected(fitted.structure, fitted.theta, np.zeros(0))
             own = ladder.projection.covariance(projected, whole)
-        # what hardly changes the motion is no other reading of it, though it takes from the gain
-        disagreement = 0.0 if ladder.negligible else searched.apart(fitted)
-        return stored.readings(problem, fitted, own + disagreement)
+        return stored.readings(problem, fitted, own + searched.apart(fitted))
 
     best = read(reference)
     chosen = verdict.chosen

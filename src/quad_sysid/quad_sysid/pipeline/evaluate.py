@@ -175,7 +175,7 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
         for part, where in structure.effects():
             logs = [spec.log for spec in part.effect.parameters]
             p = structure.natural(model.theta)[where]
-            other = part.effect.elsewhere(p, part.settings, phase)
+            other = part.effect.in_another_flight(p, part.settings, phase)
             theta[where] = np.where(logs, np.log(np.where(logs, other, 1.0)), other)
         return replace(model, theta=theta)
 
@@ -231,7 +231,7 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
         model.dt * (np.arange(n, dtype=np.float64) + 0.5),
         _like(throttle, n, 'throttle', usual['throttle']),
         battery_v=_like(battery_v, n, 'battery_v', usual['battery']),
-    ), settled=False)
+    ), steady=False)
     return simulate_cascade(flying, NO_GAINS, np.zeros(n), model.dt, control_excitation=command,
                             initial_rate=x0[0], initial_angle=x0[1]).rate
 

@@ -17,9 +17,9 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES
 from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
-from quad_sysid.discover.search import Found, extended, scored, search, settled
+from quad_sysid.discover.search import Found, extended, scored, search, to_convergence
 from quad_sysid.effects import EFFECTS
-from quad_sysid.errors import NotInformativeError, QuadSysidError, p_value
+from quad_sysid.errors import NotInformativeError, QuadSysidError, p_in_words
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.explain import explain
 from quad_sysid.model import Designer, GainProposal
@@ -189,7 +189,7 @@ def with_own(problem: Problem, searched: Found, effects: Sequence[Effect]) -> Fo
     more = [scored(fit, searched.prices) for fit in fits.values() if fit is not None]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
-    return settled(problem, replace(
+    return to_convergence(problem, replace(
         searched, all=tuple(sorted((*searched.all, *more), key=lambda one: -one.score)),
         reasons=searched.reasons | failed))
 
@@ -207,7 +207,7 @@ def _reason(findings: Findings, not_searched: str) -> str:
         names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
         reason = (
             f'with {names} the model predicts the held-out segments better than the base alone '
-            f'(by chance alone: p {p_value(max(claim.p_value for claim in verdict.claims))})'
+            f'(by chance alone: p {p_in_words(max(claim.p_value for claim in verdict.claims))})'
         ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
     elif not_searched:
         reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')

@@ -257,7 +257,7 @@ def _simulated(model: AxisModel, flight: Flown, around: Signals) -> FloatArray:
     p = plant.p.copy()
     p[0] *= schedule_factor(model)
     own = around.at(flight.offset + np.arange(flight.reference.size))
-    flying = Flying(replace(plant, p=p), own, settled=False)
+    flying = Flying(replace(plant, p=p), own, steady=False)
     return np.asarray(simulate_cascade(flying, flight.gains, flight.reference, plant.dt,
                                        rate_excitation=at_rate, control_excitation=at_control,
                                        initial_angle=flight.start,

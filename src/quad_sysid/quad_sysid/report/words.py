@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quad_sysid.axes import units_of
-from quad_sysid.errors import p_value
+from quad_sysid.errors import p_in_words
 from quad_sysid.model.identified import UNLISTED
 from quad_sysid.units import spoken
 
@@ -140,12 +140,12 @@ def yes(value: bool) -> str:
 
 def chance(p: float | None) -> str:
     """A p-value or probability without false precision."""
-    return '–' if p is None else p_value(p).removeprefix('= ')
+    return '–' if p is None else p_in_words(p).removeprefix('= ')
 
 
 def equals(p: float | None) -> str:
     """`= 0.03` or `< 0.0001`, to follow `p`."""
-    return '= –' if p is None else p_value(p)
+    return '= –' if p is None else p_in_words(p)
 
 
 def lowered(percent: float) -> str:
