@@ -38,12 +38,14 @@ from quad_sysid.discover.constants import (
     SEARCHED,
 )
 from quad_sysid.discover.screen import Score, candidates, screen
-from quad_sysid.estimate.fit import Fit, Problem, stays_bounded
+from quad_sysid.estimate.fit import Fit, Problem, start_of, stays_bounded
 from quad_sysid.model.effect import Effect, Part, required
-from quad_sysid.model.structure import NOISE, VIBRATION, Structure
+from quad_sysid.model.structure import NOISE, VIBRATION, Structure, coordinates
 
 SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""
+ANEW = 20.0
+"""Nats by which a response that is fitted anew must beat the base; another is fitted from it."""
 NEAR = 5.0
 """Nats behind the best structure within which another may be chosen."""
 SHARED = (
@@ -165,6 +167,22 @@ def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
     return most_probable(contest(problem, extensions(parent, one)))
 
 
+def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
+    """Fits of how the motors may respond, begun from the priors and not from the base.
+
+    A response that overshoots, as of yaw with heavy rotors, draws the base so far away, up to a
+    negative gain, that no step leads back from there once the response is added.
+    """
+    begun, count = start_of(problem), len(problem.plain.base)
+    return contest(problem, [
+        Try(problem.plain.plus(part), [
+            np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
+            for start in part.effect.starts(problem.data, part.settings)
+        ], problem.flight.rate)
+        for part in parts if part.effect.term == 'response' and not part.effect.motors
+    ], base.evidence + ANEW)
+
+
 class _Search:
     """The structures fitted so far, by the labels of their effects."""
 
@@ -182,7 +200,10 @@ class _Search:
 
     def run(self) -> None:
         """Add one effect at a time, then leave out what was made needless."""
-        beam = [self.base]
+        if not self.halt():
+            for fit in anew(self.problem, self.parts, self.base.fit):
+                self.keep(fit)
+        beam = leading(self.known.values())
         for _ in range(MOST_EFFECTS):
             if self.halt():
                 return
