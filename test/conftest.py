@@ -12,7 +12,9 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
@@ -42,6 +44,29 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         definitions = item._fixtureinfo.name2fixturedefs.values()
         if any(made[-1].scope == 'module' for made in definitions):
             item.add_marker(pytest.mark.xdist_group(item.path.name))
+
+
+@pytest.fixture(scope='session')
+def quickly() -> Callable[[], AbstractContextManager[None]]:
+    """A context in which an answer gets no black-box models, and gains from a few points of the
+    search: either takes longer than what the answer says."""
+
+    @contextmanager
+    def context() -> Iterator[None]:
+        with (
+            mock.patch('quad_sysid.pipeline.identify._compared', lambda answer, *_: answer),
+            mock.patch.multiple('quad_tuning.pid', STARTS=1, JUDGED=20, GRID=(5, 7, 2, 4, 3)),
+        ):
+            yield
+
+    return context
+
+
+@pytest.fixture
+def quick(quickly: Callable[[], AbstractContextManager[None]]) -> Iterator[None]:
+    """That context for a whole test."""
+    with quickly():
+        yield
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import pickle
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from unittest import mock
 
 import pytest
 from flown_axis import SHORT, Axis, fly
@@ -56,19 +55,6 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> Identified:
         return pickle.loads(file.read_bytes())  # noqa: S301
 
     return answer
-
-
-@pytest.fixture(scope='session')
-def without_blackbox() -> Callable[[], object]:
-    """A context in which an answer gets no black-box models, which take half of its time."""
-    return lambda: mock.patch('quad_sysid.pipeline.identify._compared', lambda answer, *_: answer)
-
-
-@pytest.fixture
-def no_blackbox(without_blackbox: Callable[[], object]) -> Iterator[None]:
-    """That context for a whole test."""
-    with without_blackbox():
-        yield
 
 
 @pytest.fixture(scope='session')

@@ -261,11 +261,11 @@ def test_what_cannot_be_identified_is_said_in_one_line(refusal, call, words):
 
 
 @pytest.fixture(scope='module')
-def result(without_blackbox):
+def result(quickly):
     """Dry friction, in turns a minute over volts, with the laws that it is told from."""
     flight = fly(Axis(torque=lambda _t, rate, _a: -6.0 * math.tanh(rate / 0.005)), 5, SHORT)
     lines = []
-    with without_blackbox():
+    with quickly():
         found = qs.identify(
             u=20.0 * flight.control[:, 1], y=30.0 / math.pi * flight.rates[:, 0], dt=DT,
             units={'u': 'V', 'y': 'rpm'}, effects=qs.EFFECTS[:2], progress=lines.append)

@@ -68,7 +68,7 @@ def test_a_trim_wanders_between_flights_as_it_does_within_one(shift, changed):
     assert found['roll'].difference == pytest.approx(shift, abs=0.02)
 
 
-@pytest.mark.usefixtures('no_blackbox')
+@pytest.mark.usefixtures('quick')
 def test_a_weaker_motor_through_the_command(true_model, tmp_path, capsys):
     """450 and 380 rad/s² per command; a stored model of 450 takes the place of a bag."""
     from quad_sysid.report.model_file import save_models

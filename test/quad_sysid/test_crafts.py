@@ -19,7 +19,7 @@ from quad_sysid.record import Record, Segment
 from quad_sysid.report.model_file import load_models, save_models
 from quad_sysid.rotors import rotors_of
 
-pytestmark = pytest.mark.usefixtures('no_blackbox')
+pytestmark = pytest.mark.usefixtures('quick')
 HEXA = Airframe(((90, -1), (-90, 1), (-30, -1), (150, 1), (30, 1), (-150, -1)),
                 lags_s={3: 0.16})
 """Its fourth motor, rear right, is slow."""

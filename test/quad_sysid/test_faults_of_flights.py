@@ -74,7 +74,7 @@ def filtered(hz: float, seed: int, plan=SHORT) -> Record:
     return replace(flight, gains=(GainChange(0.0, {**GAINS, 'sensor.gyro_filter_hz': hz}),))
 
 
-@pytest.mark.usefixtures('no_blackbox')
+@pytest.mark.usefixtures('quick')
 def test_each_flight_has_its_own_gyro_filter():
     """Lag and delay of two flights together as of one; and on a third, by its own filter."""
     two = [filtered(40.0, 1), filtered(12.0, 2)]

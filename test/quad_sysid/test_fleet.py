@@ -8,6 +8,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from fleet_work import answer, trouble
@@ -27,10 +28,14 @@ pytestmark = pytest.mark.xdist_group('fleet')  # one folder for all
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory):
-    """Two aircraft with a flight each, and two things that are no flights."""
+    """Two aircraft with a flight each, and two things that are no flights.
+
+    No gains were recorded, so that none are designed, which would take longest.
+    """
     root = tmp_path_factory.mktemp('fleet')
     for number, (craft, gain) in enumerate((('one', 450.0), ('two', 500.0))):
-        write_bag(fly(Axis(gain=gain), number, PLAN), root / craft / 'flight')
+        flight = replace(fly(Axis(gain=gain), number, PLAN), gains=())
+        write_bag(flight, root / craft / 'flight')
     (root / 'two' / 'torn').mkdir()
     (root / 'two' / 'torn' / 'torn_0.mcap').write_bytes(b'noise')
     (root / 'notes.txt').write_text('no bag')

@@ -14,6 +14,7 @@ import pytest
 import quad_sysid
 from quad_sysid.imports.log_of_flight import joined
 
+pytestmark = pytest.mark.usefixtures('quick')
 DATA = Path(__file__).resolve().parents[1] / 'data'
 OFFSET_S = 1000.0
 THRUST_N, ARM_M, INERTIA = 3.0 * 9.80665 / 4.0 / 0.39, 0.35, 3.0 * 0.25 * 0.175**2

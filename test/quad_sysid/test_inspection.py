@@ -75,7 +75,7 @@ def test_without_an_angle_no_effects_of_the_angle_are_promised(record, tmp_path)
     assert not uses['find effects of the measured angle'].possible
 
 
-@pytest.mark.usefixtures('no_blackbox')
+@pytest.mark.usefixtures('quick')
 def test_an_axis_that_is_held_is_refused_as_by_identify(record, tmp_path, capsys):
     """Its feedback makes noise coherent with itself, and the motors explain its change.
 

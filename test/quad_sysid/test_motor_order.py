@@ -16,7 +16,7 @@ from quad_sysid.pipeline.usable import refusal, swapped_motors
 from quad_sysid.record import Record
 from quad_tuning.designer import design
 
-pytestmark = pytest.mark.usefixtures('no_blackbox')
+pytestmark = pytest.mark.usefixtures('quick')
 
 
 @cache

@@ -32,10 +32,10 @@ def arrays(axis, plan=SHORT):
 
 
 @pytest.fixture(scope='module')
-def answer(without_blackbox):
+def answer(quickly):
     """What `identify` says of arrays with a base."""
     def identified(base, effects=qs.EFFECTS[:4], **given):
-        with without_blackbox():
+        with quickly():
             return qs.identify(base=base, effects=effects, **given)
 
     return identified

@@ -40,8 +40,8 @@ OWN = (*qs.EFFECTS[:8], Cogging())
 
 
 @pytest.fixture(scope='module')
-def result(without_blackbox):
-    with without_blackbox():
+def result(quickly):
+    with quickly():
         return qs.identify(fly(AXIS, 5, SHORT), axes='roll', effects=OWN)
 
 
@@ -94,7 +94,7 @@ class Unmeasured(Cogging):
         return 'nobody measured it'
 
 
-@pytest.mark.usefixtures('no_blackbox')
+@pytest.mark.usefixtures('quick')
 def test_one_that_loses_is_reported_with_its_evidence(plain_flight):
     """Also where the search does not fit it; and one that was not tested."""
     result = qs.identify(plain_flight, 'roll', effects=(Cogging(), Unmeasured()))

@@ -68,7 +68,7 @@ def test_a_rate_that_does_not_fit_is_told():
         quad_sysid.greybox(quad_sysid.IOData(u, y, 0.01))
 
 
-@pytest.mark.usefixtures('no_blackbox')
+@pytest.mark.usefixtures('quick')
 def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path, refusal):
     """What the command prints, the pictures, the files, a simulation and another flight."""
     z = plain_flight.axis('roll', 'train')

@@ -117,6 +117,7 @@ def test_a_flight_without_a_test_signal_gets_an_honest_verdict(imported, name):
     assert all(result.model.parameters[name].std > 0.0 for name in ('lag', 'delay'))
 
 
+@pytest.mark.usefixtures('quick')
 def test_a_crazyflie_surges_and_sways_by_gravity(imported):
     """The gain over the lean is gravity, to 3 %; the model errs by a sixth of the held speed."""
     found = qs.identify(imported(

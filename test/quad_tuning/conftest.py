@@ -8,7 +8,7 @@ import pytest
 
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.model import AxisModel, NoiseEstimate, Parameter
-from quad_tuning import ensemble, pid
+from quad_tuning import ensemble
 
 NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
 VALUES = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.1}
@@ -49,9 +49,6 @@ def few_draws(monkeypatch):
 
 
 @pytest.fixture
-def quick(monkeypatch, few_draws):
+def quick(quick, few_draws):
     """Besides, one search from a few points of the grid, where the optimum is not the matter."""
-    del few_draws
-    monkeypatch.setattr(pid, 'STARTS', 1)
-    monkeypatch.setattr(pid, 'JUDGED', 20)
-    monkeypatch.setattr(pid, 'GRID', (5, 7, 2, 4, 3))
+    del quick, few_draws

@@ -36,7 +36,7 @@ ONLY_PARSED = {
     'quad-tune rollback': 'needs ROS; test_gain_history.py rolls back',
     'quad-tune send': 'needs a bridge; test_update_node.py and test_gain_updates.py send',
     'quad-tune history': 'needs gains that flew; test_gain_history.py',
-    'quad-tune design result/model.json --axis': 'needs a model of such an axis; test_climb.py',
+    'quad-tune design': 'ten seconds each; the fixture runs one, test_climb.py those of --axis',
     'quad-sysid import': 'its files are not at hand; test_foreign_logs.py, test_import_tables.py',
     'quad-sysid fleet': 'starts processes; test_fleet.py',
     'quad-sysid app': 'serves until it is ended; test_app.py',
@@ -44,7 +44,7 @@ ONLY_PARSED = {
     'quad-sysid identify': 'half a minute each; the fixture runs one as README has it',
     'quad-sysid design-excitation --separate': 'test_separation.py',
 }
-RUN_ALL_THE_SAME = ('quad-sysid import log.csv',)
+RUN_ALL_THE_SAME = ('quad-sysid import log.csv', 'quad-tune design result/model.json --flight')
 
 
 def commands() -> list[tuple[str, str]]:

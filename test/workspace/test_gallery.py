@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -18,21 +17,13 @@ BLOCKS = re.findall(r'```python\n(.*?)```', (ROOT / 'docs/gallery.md').read_text
 EMPS = ROOT / '../shared/data/emps'
 
 
-def run(block, names):
-    """Without black-box models and thorough designs, of which the page says nothing."""
-    with (
-        mock.patch('quad_sysid.pipeline.identify._compared', lambda answer, *_: answer),
-        mock.patch.multiple('quad_tuning.pid', STARTS=1, JUDGED=20, GRID=(5, 7, 2, 4, 3)),
-    ):
-        exec(block, names)  # noqa: S102
-
-
 @pytest.mark.long
+@pytest.mark.usefixtures('quick')
 def test_the_simulated_machines():
     names: dict[str, Any] = {}
     for block in BLOCKS:
         if not block.startswith('# needs'):
-            run(block, names)
+            exec(block, names)  # noqa: S102
     design = names['design']
     assert np.abs(design.u).max() <= 1.0
     assert design.largest_rate <= 6.0
@@ -54,6 +45,7 @@ def test_emps_in_ten_lines(monkeypatch):
     assert found.after < 0.40 * found.before
 
 
+@pytest.mark.usefixtures('quick')
 def test_a_flight_as_a_table(tmp_path, monkeypatch):
     """As the page says, with no time to search, which takes seconds and is said."""
     flight = fly(Axis(), 5, SHORT)
@@ -66,7 +58,7 @@ def test_a_flight_as_a_table(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (block,) = (block for block in BLOCKS if 'flight.csv' in block)
     names: dict[str, Any] = {'qs': qs, 'np': np}
-    run(block.replace('seconds=120', 'seconds=0'), names)
+    exec(block.replace('seconds=120', 'seconds=0'), names)  # noqa: S102
     result = names['result']
     assert result.verdict == 'not_searched'
     untried = {one['name']: one['because'] for one in result.report['axes']['roll']['not_tested']}

@@ -219,6 +219,7 @@ def _flight(name: str, axes: tuple[str, ...], effects: tuple[Effect, ...] | None
             show: Callable[[str], None]) -> Flight:
     """A stored model as it is; a bag identified, with its trim."""
     from quad_sysid.bags import read_bag, split_segments
+    from quad_sysid.model import GainProposal
     from quad_sysid.report.model_file import load_models, names_model
     from quad_sysid.result import identify
 
@@ -227,7 +228,7 @@ def _flight(name: str, axes: tuple[str, ...], effects: tuple[Effect, ...] | None
         return Flight(name, {axis: of_model(models[axis]) for axis in axes if axis in models},
                       {axis: 'not in the file' for axis in axes if axis not in models})
     record = split_segments(read_bag(name), axes=axes)
-    result = identify(record, axes, effects=effects,
+    result = identify(record, axes, effects=effects, designer=lambda _: GainProposal(None),
                       progress=lambda line: show(f'{name}: {line}' if line else ''))
     answers = result.answers
     by_axis = {axis: of_model(answer.model) for axis, answer in answers.items()
