@@ -127,7 +127,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if node == known and said_by == [known]:
             return ''
         others = ', '.join(sorted({node, *said_by} - {known})) or 'another of that name'
-        return f'not {known} alone speaks on {topic}, but {others}'
+        return f'{known} is not the only publisher of {topic}: {others}'
 
     def _ours(self, bag: Path) -> bool:
         try:
