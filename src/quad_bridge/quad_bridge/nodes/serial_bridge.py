@@ -223,7 +223,7 @@ class SerialBridge(ManagedNode):
             self._motors = None
             self._report.opened()
             self._gains.restarted()
-            self._gains.disturb('the port was opened anew')
+            self._gains.disturb('the port was opened again')
             self._time.opened(*self._epoch())
         path = self._port.status.path
         at = '' if '://' in path else f' at {self._settings.baud} baud'

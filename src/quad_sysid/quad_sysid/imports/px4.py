@@ -21,7 +21,7 @@ from quad_sysid.files import read_by_library
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.experiments import runs_of
 from quad_sysid.imports.log import (
-    ASKED_FOR,
+    DEMAND_ONLY,
     RPM,
     Experiment,
     ForeignLog,
@@ -217,7 +217,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         'control', old if old[0] in table.columns else new, '-1..1',
         "as it is, pitch and yaw turned; U is in the unit of PX4's torque set-point",
     ), torque)
-    return (), _gains(table, (1.0, 1.0, 1.0)), [ASKED_FOR]
+    return (), _gains(table, (1.0, 1.0, 1.0)), [DEMAND_ONLY]
 
 
 def _torque(table: Table, old: tuple[str, ...], new: tuple[str, ...]) -> Stream | None:

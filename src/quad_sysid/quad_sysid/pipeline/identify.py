@@ -66,14 +66,14 @@ def identify(records: Sequence[Record], options: Options,
     Raises BadInputError where the records do not fit together (pipeline.together).
     """
     records = together(records)
-    axes = options.axes or asked_axes(records)
+    axes = options.axes or excited_axes(records)
     with threadpool_limits(limits=1):  # the matrices are narrow: threads only wait for another
         answers = side_by_side([partial(identify_axis, records, axis, options, progress)
                                 for axis in axes])
     return dict(zip(axes, answers, strict=True))
 
 
-def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
+def excited_axes(records: Sequence[Record]) -> tuple[str, ...]:
     """The axes that any segment trains; where no segment says, all."""
     named = {s.axis for r in records for s in r.segments if s.role == 'train'}
     return tuple(axis for axis in EVERY if axis in named) or AXES
