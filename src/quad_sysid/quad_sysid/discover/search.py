@@ -30,6 +30,7 @@ from quad_sysid.discover.constants import (
     BLOCKS,
     BRIEF,
     BRIEF_BLOCK_S,
+    DIFFERS,
     EXPECTED,
     HOPELESS,
     MOST_EFFECTS,
@@ -183,6 +184,16 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
     ], base.evidence + ANEW)
 
 
+def little(motion: float, error: float) -> float:
+    """What a model may miss: less is no cause, however certain it is.
+
+    A hundredth of the motion, and what raises the error of a free run by less than the factor
+    DIFFERS. All are mean squares over the same windows, or sums. Small beside the motion alone is
+    not enough: a friction that doubles the error may be half a hundredth of a lively flight.
+    """
+    return min(NEGLIGIBLE**2 * motion, (DIFFERS**2 - 1.0) * error)
+
+
 class _Search:
     """The structures fitted so far, by the labels of their effects."""
 
@@ -270,7 +281,7 @@ class _Search:
         """Whether one more effect changes next to nothing, however sure it is.
 
         Free runs of both differ by less than NEGLIGIBLE of what the base misses of the larger one,
-        or of the motion.
+        or by `little`.
         """
         problem = self.problem
         windows = problem.data.windows(problem.spans)
@@ -285,7 +296,7 @@ class _Search:
         rate = problem.data.rate[windows.starts[:, None] + np.arange(windows.length)]
         motion = float(np.mean((rate - rate[:, :1]) ** 2))
         change, missed = (float(np.mean((full - one) ** 2)) for one in (less, least))
-        return change < max(NEGLIGIBLE * missed, NEGLIGIBLE**2 * motion)
+        return change < max(NEGLIGIBLE * missed, little(motion, float(np.mean(full**2))))
 
     def spare(self) -> bool:
         """Leave out each effect of the best structure in turn; whether that was better."""

@@ -33,7 +33,7 @@ from quad_sysid.discover.constants import (
     RESAMPLES,
 )
 from quad_sysid.discover.screen import Along, linear_of
-from quad_sysid.discover.search import Found
+from quad_sysid.discover.search import Found, little
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.explain.models import Models
 from quad_sysid.explain.projection import Projected, Projection
@@ -79,7 +79,7 @@ class Ladder:
 
     @property
     def negligible(self) -> bool:
-        """Whether the reference sees more than the base, but little beside the motion."""
+        """Whether the reference sees more than the base, but little (discover/search.py)."""
         return 0.0 < self.rungs[0].model.total < self.small
 
     @property
@@ -90,12 +90,12 @@ class Ladder:
 
     @property
     def small(self) -> float:
-        """What may be missed, a hundredth of the motion, as a sum of squares, (rad/s)²."""
-        return NEGLIGIBLE**2 * self.projection.motion
+        """What may be missed, as a sum of squares, (rad/s)²."""
+        return little(self.projection.motion, float(np.sum(self.projection.goal**2)))
 
     @property
     def answer(self) -> int:
-        """The lowest rung that explains EXPLAINS, or that misses next to nothing of the motion."""
+        """The lowest rung that explains EXPLAINS, or that misses next to nothing."""
         if len(self.rungs) == 1:
             return 0
         enough = (i for i, rung in enumerate(self.rungs)
