@@ -108,7 +108,7 @@ def _said(found: Findings) -> Row:
     model = axis_model(found, {}, None)
     return {'verdict': found.verdict.verdict, 'named': [e.name for e in model.effects],
             'probabilities': [e.probability for e in model.effects],
-            'best': [*found.found.best.structure.labels],
+            'best': [*found.search.best.structure.labels],
             'rungs': [[(rung.labels or ('',))[-1], rung.explains_pct]
                       for rung in found.ladder.rungs]}
 

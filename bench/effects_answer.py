@@ -28,7 +28,7 @@ from quad_sysid.model.effect import Effect
 from quad_sysid.pipeline.answer import Findings
 from quad_sysid.pipeline.assemble import axis_model
 from quad_sysid.pipeline.evaluate import evaluate, of_this_flight
-from quad_sysid.pipeline.identify import Options, found_effects
+from quad_sysid.pipeline.identify import Options, findings_of
 from quad_sysid.record import Record
 
 Row = dict[str, Any]
@@ -66,7 +66,7 @@ def answered(scenario: scenarios.Scenario) -> Row:
 
 def searched(record: Record, axis: str, effects: Sequence[Effect]) -> Findings:
     """Search and verdict on one axis of a record."""
-    return found_effects(axis_data([record], axis), Options(effects=tuple(effects)))
+    return findings_of(axis_data([record], axis), Options(effects=tuple(effects)))
 
 
 def answered_by_command(scenario: scenarios.Scenario, folder: Path) -> Row:

@@ -31,7 +31,7 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.effects import EFFECTS
 from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.pipeline.assemble import axis_model
-from quad_sysid.pipeline.identify import Options, found_effects
+from quad_sysid.pipeline.identify import Options, findings_of
 
 DT, SUBSTEPS = 0.004, 8
 TRAINED_S, HELD_OUT_S = 40.0, 20.0
@@ -140,7 +140,7 @@ def answered(case: Case, effects: tuple[Any, ...]) -> dict[str, Any]:
     data, plant = flight(case)
     began = time.process_time()
     with threadpool_limits(limits=1):
-        found = found_effects(data, Options(effects=effects))
+        found = findings_of(data, Options(effects=effects))
         model = axis_model(found, {}, None)
     told = {p.name: (p.value, p.std) for p in model.base}
     named = [e.name for e in model.effects]

@@ -25,7 +25,7 @@ from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.assemble import Support, axis_model
 from quad_sysid.pipeline.blackbox_part import io_data
-from quad_sysid.pipeline.identify import Options, found_effects
+from quad_sysid.pipeline.identify import Options, findings_of
 from quad_sysid.record import Record
 
 HALF_PERIOD_S = 2.0
@@ -193,7 +193,7 @@ def identified(record: Record, axis: str) -> AxisModel | str:
     """The completed model as the identification hands it to a designer, or why there is none."""
     with threadpool_limits(limits=1):
         try:
-            told = found_effects(axis_data([record], axis), Options())
+            told = findings_of(axis_data([record], axis), Options())
         except NotInformativeError as error:
             return str(error)
         if told.verdict.verdict == 'cannot_tell':

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
-from quad_sysid.blackbox.polynomial import Model, polynomial_model
+from quad_sysid.blackbox.model import Model, polynomial_model
 from quad_sysid.contract import FloatArray
 from quad_sysid.record import IOData
 

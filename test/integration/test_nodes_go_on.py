@@ -88,7 +88,7 @@ def test_the_identification_outlives_bad_bags_and_sends_of_no_bag_but_the_logger
     ears.say_bag(nothing)  # the next one waits for it
     for state in ('recording', 'complete'):
         ears.say_bag(tmp_path / 'forged', state)
-    ears.until(name, OK, 'not sent: not /bag_logger alone speaks on /logger/bag, but /probe')
+    ears.until(name, OK, 'not sent: /bag_logger is not the only publisher of /logger/bag: /probe')
     assert probe.call('/identification/identify').success
     ears.until(name, OK, 'not sent: it was asked for by ~/identify')
     assert node.end() == 0

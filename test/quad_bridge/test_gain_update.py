@@ -138,7 +138,9 @@ class Walk:
         new.stm32, new.gains = clone(self.stm32), clone(self.gains)
         g = new.gains
         g.protocol, g.watch, g.polarity = clone(g.protocol), clone(g.watch), clone(g.polarity)
-        g._update, g._stick_ends = g._update and clone(g._update), g._stick_ends.copy()
+        g._update, g._cycles = g._update and clone(g._update), clone(g._cycles)
+        g._gesture = clone(g._gesture)
+        g._gesture.ends = g._gesture.ends.copy()
         return new
 
     def flown(self, which='active'):
@@ -146,11 +148,11 @@ class Walk:
         return value
 
     def key(self):
-        g, s, p = self.gains, self.stm32, self.gains.protocol
+        g, s, p, c = self.gains, self.stm32, self.gains.protocol, self.gains._cycles
         flight = g._update and (g._update.written, str(g._update.steps), g._update.armed)
         return (
-            g.state, flight, bool(g._pending), g._flags, g._cycle_s, g._excited_s > -0.5,
-            g.state is State.WATCHING and g._left_s, g._flying_s is None,
+            g.state, flight, bool(g._pending), c.flags, c.arrived_s, c.excited_s > -0.5,
+            g.state is State.WATCHING and g._left_s, c.flying,
             g.watch.bad, g.watch.begun, g.polarity.left, g.polarity.known, p.state, p._left,
             p._due_s, p._number % 4, tuple(p._queue), len(p._values), p._values.get(KP),
             self.flown(), self.flown('good'), s.staging and self.flown('copy'),
@@ -173,7 +175,7 @@ class Walk:
     def cycle(self, flags):
         before, armed = self.gains.state, flags & f.Flag.ARMED
         if before is State.WATCHING and armed:
-            self.seen_s = min(self.seen_s - min(self.gains._cycle_s, 0.0), 2.0)
+            self.seen_s = min(self.seen_s - min(self.gains._cycles.arrived_s, 0.0), 2.0)
         self.gains.cycle(cycle(flags), 0.0)
         if flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE) or (self.armed and not armed):
             self.goes_back(before, STOPPED_IN)
@@ -203,14 +205,14 @@ class Walk:
     def tick(self, *, excited=False):
         g, s = self.gains, self.stm32
         for part, name in (
-            (g, '_cycle_s'), (g, '_excited_s'), (g.protocol, '_due_s'),
+            (g._cycles, 'arrived_s'), (g._cycles, 'excited_s'), (g.protocol, '_due_s'),
         ):  # fmt: skip
             setattr(part, name, max(getattr(part, name) - STEP_S, -OLDEST_S))
         s.pass_by(STEP_S, NOW_US)
-        g._stick_ends.clear()
+        g._gesture.ends.clear()
         if excited:
             self.cycle(f.Flag.ARMED | f.Flag.EXCITATION)
-        before, told = g.state, s.tick(NOW_US, flying=bool(g._flags & f.Flag.ARMED))
+        before, told = g.state, s.tick(NOW_US, flying=bool(g._cycles.flags & f.Flag.ARMED))
         if told is not None:
             g.take(told, 0.0)
         g.tick(0.0)
@@ -264,7 +266,7 @@ class Walk:
     def check(self):
         g, flown = self.gains, self.flown()
         in_force = bool(g._update and g._update.written)
-        self.armed = in_force and (self.armed or bool(g._flags & f.Flag.ARMED))
+        self.armed = in_force and (self.armed or bool(g._cycles.flags & f.Flag.ARMED))
         for item in g.notes:
             if item.active is not None:
                 assert item.active['roll.rate.kp'] == flown

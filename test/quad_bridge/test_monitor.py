@@ -87,11 +87,11 @@ def test_the_screen_tells_all_in_one_place():
         r'angles +WARN .*roll  \+22.0.*limit 25',
         r'battery +ERROR +11.70 V', r'WARN +a stale',
         r'coverage +ok +roll 0.5 to 20 of 0.5 to 20',
-        r'gains +- +nothing heard', r'100 %', r' 70 s trained, 0 s validated$',
+        r'gains +- +nothing received', r'100 %', r' 70 s trained, 0 s validated$',
     ):
         assert re.search(pattern, shown, re.MULTILINE), pattern
     nothing = '\n'.join(State().lines(0.0))
-    assert 'nothing heard' in nothing
+    assert 'nothing received' in nothing
     assert 'roll' not in nothing
 
 

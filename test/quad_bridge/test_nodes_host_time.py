@@ -19,7 +19,7 @@ def test_a_step_forward_is_followed_on_the_ground_only():
 
 def test_a_step_back_waits_for_the_next_opening():
     time = HostTime(1000 * MS)
-    assert 'until the port is opened anew' in time.measured(400 * MS, armed=False)
+    assert 'until the port is opened again' in time.measured(400 * MS, armed=False)
     assert (time.epoch_ns, time.behind_ns) == (1000 * MS, -600 * MS)
     time.opened(400 * MS)
     assert time.measured(400 * MS, armed=False) == ''

@@ -21,7 +21,7 @@ from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Found, Scored, extended, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.events import Held, PeriodicDelay
-from quad_sysid.estimate.fit import Fit, Problem, Tail, fit
+from quad_sysid.estimate.fit import Fit, Problem, Tail, fit, slowness
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
 from quad_sysid.explain.models import Models
@@ -309,8 +309,15 @@ def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
     assert set(wrong) - by_turns == {'shape:gain:command/steps'}
 
 
-@pytest.mark.parametrize(('lead', 'slower'), [(5.0, False), (25.0, True)])
-def test_motors_slower_than_the_body_must_be_far_more_probable(monkeypatch, lead, slower):
+@pytest.mark.parametrize(('lag', 'damping', 'nats'), [
+    (0.05, -2.0, 0.0), (0.05, 1.0, 0.08), (0.15, 5.0, 5.8), (1.0, 20.0, 24.9)])
+def test_motors_slower_than_the_body_are_less_probable(lag, damping, nats):
+    """The second and the last are both readings of a flight of PX4's own firmware."""
+    assert slowness(lag, damping) == pytest.approx(-nats, abs=0.05)
+
+
+@pytest.mark.parametrize('lead', [-1.0, 1.0])
+def test_of_both_orders_of_lag_and_damping_the_likelier_is_taken(monkeypatch, lead):
     values = [160.0, math.log(0.05), math.log(0.01), 1.0, 0.0]
     theta = np.array([*values, *(spec.centre for spec in NOISE)])
     quick = Fit(Structure(), theta, Tail(1.0, 4.0), 100.0, 0.0, np.eye(9), np.eye(9), True, None)
@@ -322,5 +329,5 @@ def test_motors_slower_than_the_body_must_be_far_more_probable(monkeypatch, lead
     monkeypatch.setattr('quad_sysid.discover.base.fitted_from', refitted)
     monkeypatch.setattr(Fit, 'rate', None)
     chosen = both_orders(SimpleNamespace(held=[]), quick)
-    assert (chosen.value('lag') * chosen.value('damping') > 1.0) is slower
+    assert (chosen.value('lag') * chosen.value('damping') > 1.0) is (lead > 0.0)
     assert chosen.value('gain') / chosen.value('lag') == pytest.approx(160.0 / 0.05)

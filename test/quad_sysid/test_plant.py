@@ -124,7 +124,7 @@ def test_cycle_by_cycle_compiled_along_arrays_and_in_a_free_run_an_effect_does_t
     values = np.r_[BASE, p, QUIET]
     plant = Plant(structure, values, DT, Flight(data, data.stretches).sensor, X, 0, rounds=6)
     record, angles, begin = flown(plant, data)
-    flying = Flying(plant, Flight(data, data.stretches).commanded(BASE), settled=False)
+    flying = Flying(plant, Flight(data, data.stretches).commanded(BASE), steady=False)
     assert not running(flying).calls
     compiled = simulate_cascade(flying, NO_GAINS, np.zeros(N), DT,
                                 control_excitation=data.command)
@@ -210,7 +210,7 @@ def test_a_law_that_cannot_be_compiled_is_called_in_its_place(effect, p):
     data = flight_of_commands()
     sensor = Flight(data, data.stretches).sensor
     plant = Plant(Structure((Part(effect),)), np.r_[BASE, p, QUIET], DT, sensor, X, 0)
-    flying = Flying(plant, Flight(data, data.stretches).commanded(BASE), settled=False)
+    flying = Flying(plant, Flight(data, data.stretches).commanded(BASE), steady=False)
     assert running(flying).calls
     called = simulate_cascade(flying, NO_GAINS, np.zeros(N), DT, control_excitation=data.command)
     np.testing.assert_allclose(called.rate, flown(plant, data)[0].rate, atol=1e-12)

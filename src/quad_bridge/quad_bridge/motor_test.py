@@ -104,8 +104,8 @@ class MotorTest:
         words = RESULTS[ack.result] if ack.result < len(RESULTS) else f'result {ack.result}'
         self._accepted = self._accepted or words == ACCEPTED
         if words != ACCEPTED:
-            why = ('it must be disarmed, level and at rest for 2 s, the receiver heard, throttle '
-                   'down, kill switch off, its set-up without fault')  # fmt: skip
+            why = ('it must be disarmed, level and at rest for 2 s, with a receiver that works, '
+                   'throttle down, kill switch off, and a set-up without fault')  # fmt: skip
             self.end(f'the aircraft says {words}' + (f': {why}' if words == 'not now' else ''))
 
     def end(self, words: str, *, good: bool = False) -> Command | None:

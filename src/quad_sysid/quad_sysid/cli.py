@@ -150,7 +150,7 @@ def _identify(options: argparse.Namespace) -> int:
     from quad_sysid import session
     from quad_sysid.report import text
 
-    wanted = session.asked(
+    wanted = session.keywords(
         () if options.axis is None else options.axis.split(','), options.train or '',
         options.validate or '', options.inertia or '',
     ) | {'effects': candidates(options), 'mass': options.mass, 'thrust': options.thrust}

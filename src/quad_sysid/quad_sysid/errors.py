@@ -40,7 +40,7 @@ class NotInformativeError(QuadSysidError):
     exit_status = 3
 
 
-def p_value(p: float) -> str:
+def p_in_words(p: float) -> str:
     """A p-value in a message, to follow `p`: `= 0.03` or `< 0.0001`."""
     return '< 0.0001' if p < 1e-4 else f'= {p:.2g}'
 

@@ -152,23 +152,23 @@ def _within(model: Identified, commands: FloatArray, rate: float,
     """The largest share of each command (w, n) with which the model stays within the limits."""
     def inside(shares: FloatArray) -> tuple[FloatArray, FloatArray, Any]:
         rates, angles = _flown(model, shares[:, None] * commands)
-        kept = (np.abs(rates).max(axis=1) <= rate) & (np.abs(angles).max(axis=1) <= angle)
-        return rates, angles, kept
+        within = (np.abs(rates).max(axis=1) <= rate) & (np.abs(angles).max(axis=1) <= angle)
+        return rates, angles, within
 
     most = np.ones(len(commands))
-    rates, angles, kept = inside(most)
-    least = np.where(kept, 1.0, 0.0)
-    for _ in range(ROUNDS if not kept.all() else 0):
+    rates, angles, within = inside(most)
+    least = np.where(within, 1.0, 0.0)
+    for _ in range(ROUNDS if not within.all() else 0):
         middle = np.where(least == most, most, 0.5 * (least + most))
-        *_, kept = inside(middle)
-        least, most = np.where(kept, middle, least), np.where(kept, most, middle)
-    rates, angles, kept = inside(least)
-    kept &= least > 0.0
-    if not kept.any():
+        *_, within = inside(middle)
+        least, most = np.where(within, middle, least), np.where(within, most, middle)
+    rates, angles, within = inside(least)
+    within &= least > 0.0
+    if not within.any():
         raise NotInformativeError('design_experiment: every candidate leaves the limits, as '
                                   'under a bias that nothing holds; widen them, or excite in '
                                   'closed loop')
-    return np.where(kept, least, 0.0)[:, None] * commands, rates, angles
+    return np.where(within, least, 0.0)[:, None] * commands, rates, angles
 
 
 def _flown(model: Identified, commands: FloatArray) -> tuple[FloatArray, FloatArray]:

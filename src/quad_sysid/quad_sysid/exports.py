@@ -122,7 +122,7 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
     flying = whole_plant(model)
     plant, rest = flying.plant, flying.begin()
 
-    def ahead(_: float, x: FloatArray, u: FloatArray, __: object) -> FloatArray:
+    def update(_: float, x: FloatArray, u: FloatArray, __: object) -> FloatArray:
         s = plant.with_motors(replace(flying.around, sent=np.atleast_1d(u)))
         return plant.flat(plant.step(plant.unflat(x[:, None], rest), s))[:, 0]
 
@@ -130,7 +130,7 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
         rate, angle = plant.measured(plant.unflat(x[:, None], rest))
         return np.array([rate[0], 0.0 if angle is None else angle[0]])
 
-    return control.nlsys(ahead, shown, states=plant.flat(rest).shape[0], dt=model.dt, **names)
+    return control.nlsys(update, shown, states=plant.flat(rest).shape[0], dt=model.dt, **names)
 
 
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {

@@ -28,7 +28,7 @@ FLAT = 0.02
 """Share of its RMS below which a difference counts as none."""
 DRAWN = 0.6
 """Share of a moving command's samples on straight lines from which it was interpolated."""
-REGULAR, MIN_APART = 0.7, 3
+REGULAR, MIN_INTERVAL = 0.7, 3
 """Least share of the lines' ends that come at one interval, or a multiple, of so many samples."""
 
 
@@ -48,25 +48,25 @@ def improvement(
     An axis may answer to the commands of others, so all of them count.
     """
     step = max(1, round(PAST_S / LAGS / dt))
-    ahead = {max(1, round(horizon / dt)) for horizon in HORIZONS_S}
-    return max(_ratio(rate, commands, spans, step, samples) for samples in ahead)
+    horizons = {max(1, round(horizon / dt)) for horizon in HORIZONS_S}
+    return max(_ratio(rate, commands, spans, step, samples) for samples in horizons)
 
 
 def _ratio(rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, int]], step: int,
-           ahead: int) -> float:
+           horizon: int) -> float:
     at = np.concatenate([np.zeros(0, dtype=np.int64), *(
-        np.arange(a + (LAGS - 1) * step, b - ahead) for a, b in spans)])
+        np.arange(a + (LAGS - 1) * step, b - horizon) for a, b in spans)])
     if at.size <= ROWS_EACH * ((1 + commands.shape[1]) * LAGS + 1):
         return 1.0
     at = at[:: -(-at.size // MAX_ROWS)]
     past = at[:, None] - step * np.arange(LAGS)
     rates = np.column_stack([np.ones(at.size), rate[past]])
     both = np.column_stack([rates, commands[past].reshape(at.size, -1)])
-    wanted = rate[at + ahead]
+    wanted = rate[at + horizon]
 
     def error(known: FloatArray) -> float:
-        left = wanted - known @ np.linalg.lstsq(known, wanted, rcond=None)[0]
-        return float(np.sqrt(left @ left / (at.size - known.shape[1])))
+        residual = wanted - known @ np.linalg.lstsq(known, wanted, rcond=None)[0]
+        return float(np.sqrt(residual @ residual / (at.size - known.shape[1])))
 
     alone, together = error(rates), error(both)
     return alone / together if together > 0.0 else 1.0
@@ -95,7 +95,7 @@ def _drawn(command: FloatArray) -> float | None:
     ends = np.diff(np.flatnonzero(known & ~flat))
     if moving.sum() < ROWS_EACH * LAGS or ends.size < LAGS or flat[moving].mean() < DRAWN:
         return 0.0
-    apart = float(np.median(ends))
-    off = np.abs(ends / apart - np.maximum(np.round(ends / apart), 1.0))
-    regular = float(np.mean(off * apart <= 1.0))
-    return 1.0 / apart if apart >= MIN_APART and regular >= REGULAR else 0.0
+    interval = float(np.median(ends))
+    off = np.abs(ends / interval - np.maximum(np.round(ends / interval), 1.0))
+    regular = float(np.mean(off * interval <= 1.0))
+    return 1.0 / interval if interval >= MIN_INTERVAL and regular >= REGULAR else 0.0

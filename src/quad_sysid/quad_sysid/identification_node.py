@@ -127,7 +127,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if node == known and said_by == [known]:
             return ''
         others = ', '.join(sorted({node, *said_by} - {known})) or 'another of that name'
-        return f'not {known} alone speaks on {topic}, but {others}'
+        return f'{known} is not the only publisher of {topic}: {others}'
 
     def _ours(self, bag: Path) -> bool:
         try:
@@ -147,17 +147,17 @@ class IdentificationNode(Node):  # type: ignore[misc]
             return answered(response, False, f'{where} below {self._folder}: see parameter bag')
         self._seen[str(bag)] = 'it was asked for by ~/identify'
         self._queue.append(str(bag))
-        self._start_next(asked=True)
+        self._start_next(at_once=True)
         return answered(response, True, f'identifying {bag}')
 
     def _newest(self) -> Path | None:
         bags = [path.parent for path in self._folder.glob('**/metadata.yaml')]
         return max(bags, key=lambda path: path.stat().st_mtime, default=None)
 
-    def _start_next(self, *, asked: bool = False) -> None:
+    def _start_next(self, *, at_once: bool = False) -> None:
         if self._worker is not None or not self._queue:
             return
-        if self._log.get('state') in {'expected', 'fetching'} and not asked:
+        if self._log.get('state') in {'expected', 'fetching'} and not at_once:
             if self._values.get('reason') != LOG_COMES:
                 self._say(OK, state='waiting', reason=LOG_COMES)
             return
@@ -292,7 +292,7 @@ def _wanted(node: Any) -> dict[str, Any]:
         'inertia': ros_node.declared(node, 'inertia', '', 'IX,IY,IZ, kg m²; adds torques in N m'),
     }
     try:
-        return session.asked([name for name in axes if name], **texts)
+        return session.keywords([name for name in axes if name], **texts)
     except QuadSysidError as error:
         words = str(error).replace('--', '')  # options of the command are parameters here
         raise QuadBridgeError(f'parameter {words}') from error

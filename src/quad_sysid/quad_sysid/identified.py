@@ -67,8 +67,8 @@ class Identified(AxisModel):
         units = self.units
         if units is None:
             return simulate(self, u, x0, throttle=throttle, battery_v=battery_v)
-        begun = x0[0] * units.per_rate, x0[1] * units.per_motion
-        rate = simulate(self, units.command_of(np.asarray(u, dtype=np.float64)), begun,
+        initial = x0[0] * units.per_rate, x0[1] * units.per_motion
+        rate = simulate(self, units.command_of(np.asarray(u, dtype=np.float64)), initial,
                         throttle=throttle, battery_v=battery_v)
         return units.rate_in(rate)
 
@@ -89,9 +89,9 @@ class Identified(AxisModel):
             settle = round(SETTLE_S / data.dt)
             for start, stop in spans:
                 if stop - start > settle + 1:
-                    begun = Windows(np.array([start + settle]), stop - start - settle)
+                    windows = Windows(np.array([start + settle]), stop - start - settle)
                     inside = slice(start + settle, stop)
-                    rate[inside] = data.rate[inside] + unseen.errors(fitted, begun)[0]
+                    rate[inside] = data.rate[inside] + unseen.errors(fitted, windows)[0]
                     unseen.ran.clear()
         elif isinstance(horizon, int) and horizon > 1:
             starts = np.concatenate([np.arange(a, b - horizon + 1) for a, b in spans])

@@ -58,8 +58,8 @@ def steady_heading(forward_left: FloatArray, yaw: FloatArray) -> FloatArray:
 
     There no turn of the aircraft accelerates it.
     """
-    away = yaw - np.angle(np.nanmean(np.exp(1j * yaw)))
-    c, s = np.cos(away), np.sin(away)
+    deviation = yaw - np.angle(np.nanmean(np.exp(1j * yaw)))
+    c, s = np.cos(deviation), np.sin(deviation)
     x, y = forward_left.T
     return np.column_stack([c * x - s * y, s * x + c * y])
 

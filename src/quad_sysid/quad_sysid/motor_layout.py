@@ -40,9 +40,10 @@ let some motors seem weaker."""
 CLEARLY = 1.4
 """Factor over its rival's share with which a pattern is certain, if it also explains more in three
 quarters of the parts."""
-ALIKE, NEAR = 0.85, 0.6
-"""Patterns whose signals correlate by NEAR are not rivals. If they also explain the share ALIKE of
-the best, the data cannot separate them, and the one in which the motors moved most counts."""
+COMPARABLE, NEAR = 0.85, 0.6
+"""Patterns whose signals correlate by NEAR are not rivals. If they also explain the share
+COMPARABLE of the best, the data cannot separate them, and the one in which the motors moved most
+counts."""
 CLEARLY_LESS = 0.5
 """Share of the best pattern's explanation below which a mixer is in doubt."""
 REVERSED_SHARE = 0.2
@@ -274,9 +275,9 @@ def _best(axis: str, response: _Response, *, idle: bool) -> Pattern:
     if FULL_PREFERRED * explained[whole].max(initial=0.0) < explained.max() and not whole.all():
         whole = ~whole
     best = int(np.argmax(np.where(whole, explained, -1.0)))
-    alike = whole & (explained >= ALIKE * explained[best]) & (
+    comparable = whole & (explained >= COMPARABLE * explained[best]) & (
         spread[best] > NEAR * size[best] * size)
-    first = int(np.argmax(np.where(alike, driven, -1.0)))
+    first = int(np.argmax(np.where(comparable, driven, -1.0)))
     near = spread[first] > NEAR * size[first] * size
     rivals = np.where(near, -1.0, shares.max(axis=0))  # one that explains nothing is one, too
     rival = int(np.argmax(rivals))

@@ -39,7 +39,7 @@ Step: TypeAlias = Callable[[Values, Values, Values, float], Mapping[str, Any]]
 KEPT = tuple(spec.name for spec in BASE)
 SIGNALS = ('battery', 'throttle', 'time')
 """Inputs beside the first, which is u."""
-ALIKE = 3e-3
+COLLINEAR = 3e-3
 """Smallest over largest singular value of scaled sensitivities, below which two are one."""
 SHOWN = 0.3
 """Share of a direction from which on a parameter is named with its partners."""
@@ -196,7 +196,7 @@ class _Law(Effect):
         return np.array(np.broadcast_to(self.units.per_rate * np.asarray(slope), s.rate.shape),
                         dtype=np.float64)
 
-    def _ahead(self, hidden: Any, x: Values, u: Values, p: Values, dt: float) -> list[Any]:
+    def _step(self, hidden: Any, x: Values, u: Values, p: Values, dt: float) -> list[Any]:
         """Hidden states a cycle later: by the midpoint rule, or by the base's step."""
         names = self.base.hidden
         slope = self.base.moved({**x, **dict(zip(names, hidden, strict=True))}, u, p, dt)
@@ -208,7 +208,7 @@ class _Law(Effect):
 
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         """Hidden states a cycle later."""
-        return np.stack(self._ahead(x, *self._seen(s, settings), self._named(p), s.dt))
+        return np.stack(self._step(x, *self._seen(s, settings), self._named(p), s.dt))
 
     def cycles(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
                first: Sequence[FloatArray]) -> FloatArray:
@@ -220,8 +220,8 @@ class _Law(Effect):
             hidden: Any = begin.tolist()
             for k in range(start, stop):
                 out[:, k] = hidden
-                hidden = self._ahead(hidden, {name: value[k] for name, value in x.items()},
-                                     {name: value[k] for name, value in u.items()}, named, s.dt)
+                hidden = self._step(hidden, {name: value[k] for name, value in x.items()},
+                                    {name: value[k] for name, value in u.items()}, named, s.dt)
         return out
 
 
@@ -260,7 +260,7 @@ def lacking(base: Base, problem: Problem, fitted: Fit | None = None) -> tuple[st
     if len(moving) > 1:
         _, values, ways = np.linalg.svd(columns[:, moving] / length[moving], full_matrices=False)
         for value, way in zip(values, ways, strict=True):
-            if value < ALIKE * values[0]:
+            if value < COLLINEAR * values[0]:
                 first, *rest = (names[moving[i]] for i in np.argsort(-np.abs(way))
                                 if abs(way[i]) > SHOWN)
                 lines.append(f'{first}: only together with {" and ".join(rest)}; hold one of them')

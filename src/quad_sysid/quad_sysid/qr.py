@@ -8,7 +8,7 @@ from quad_sysid.contract import FloatArray
 
 SLICE = 8192
 """Numbers in one slice of a tall matrix."""
-APART = 1e-4
+DISTINCT = 1e-4
 """Least pivot, relative to its column, of a Gram matrix whose factor keeps eight digits."""
 
 
@@ -42,4 +42,4 @@ def _of_gram(x: FloatArray) -> FloatArray | None:
         factor = np.linalg.cholesky(gram / size / size[:, None]).T
     except np.linalg.LinAlgError:
         return None
-    return factor * size if np.diag(factor).min(initial=1.0) > APART else None
+    return factor * size if np.diag(factor).min(initial=1.0) > DISTINCT else None

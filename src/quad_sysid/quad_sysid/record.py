@@ -295,15 +295,15 @@ class Record:
         axis = axis_of('Record.axis', name)
         if axis.turns or self.velocity is None:
             return self
-        seen = np.flatnonzero(np.isfinite(self.velocity[:, axis.index]))
-        if seen.size < 2:
+        measured = np.flatnonzero(np.isfinite(self.velocity[:, axis.index]))
+        if measured.size < 2:
             return self
-        own = float(np.median(np.diff(seen))) * self.dt
+        own = float(np.median(np.diff(measured))) * self.dt
         count = round(min(max(own, SPEED_DT_S[0]), SPEED_DT_S[1]) / self.dt if dt is None
                       else dt / self.dt)
         if count < 2:
             return self
-        phase = int(np.bincount(seen % count).argmax())
+        phase = int(np.bincount(measured % count).argmax())
         n = (self.n - phase) // count
 
         def cells(values: FloatArray) -> FloatArray:
@@ -316,12 +316,13 @@ class Record:
                 continue
             known = _joined(values, SPEED_GAP_S / self.dt) if array in SPARSE else values
             arrays[array] = cells(known).mean(axis=1) if array in ACTING else cells(known)[:, 0]
-        away = phase * self.dt
+        shift_s = phase * self.dt
         return replace(
-            self, dt=count * self.dt, t0_ns=self.t0_ns + round(1e9 * away), **arrays,
-            segments=tuple(replace(s, start_s=max(0.0, s.start_s - away), end_s=s.end_s - away)
-                           for s in self.segments if s.end_s > away),
-            gains=tuple(replace(g, time_s=max(0.0, g.time_s - away)) for g in self.gains))
+            self, dt=count * self.dt, t0_ns=self.t0_ns + round(1e9 * shift_s), **arrays,
+            segments=tuple(replace(s, start_s=max(0.0, s.start_s - shift_s),
+                                   end_s=s.end_s - shift_s)
+                           for s in self.segments if s.end_s > shift_s),
+            gains=tuple(replace(g, time_s=max(0.0, g.time_s - shift_s)) for g in self.gains))
 
     def gains_at(self, time_s: float) -> Mapping[str, float]:
         """The gains active at `time_s`; empty where the bag does not say.

@@ -331,13 +331,13 @@ def undetermined(base: Base, flights: Flights | None = None, axis: str = '',
     """
     from quad_sysid.model.data import axis_data
     from quad_sysid.own_base import lacking
-    from quad_sysid.pipeline.identify import asked_axes
+    from quad_sysid.pipeline.identify import excited_axes
     from quad_sysid.pipeline.usable import together
 
     train, validate = (arrays.pop(name, None) for name in ('train', 'validate'))
     wanted, records = _asked(flights, axis, arrays, train, validate, lambda _: None)
     known = together(records)
-    data = axis_data(known, (wanted or asked_axes(known))[0])
+    data = axis_data(known, (wanted or excited_axes(known))[0])
     return lacking(base, base.problem(data, known[0].units))
 
 

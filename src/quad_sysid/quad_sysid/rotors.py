@@ -192,9 +192,9 @@ def _remarks(record: Record, rotors: Sequence[Rotor | None], known: np.ndarray) 
         if rotor is None or not others:
             continue
         usual = math.log(float(np.median([r.lag_s for r in others])))
-        away, error = math.log(rotor.lag_s) - usual, math.hypot(
+        deviation, error = math.log(rotor.lag_s) - usual, math.hypot(
             rotor.spread, float(np.median([r.spread for r in others])))
-        if away > max(math.log(LAGS), LAGS_SIGMAS * error):
+        if deviation > max(math.log(LAGS), LAGS_SIGMAS * error):
             out.append(f'{name} lags: it answers with {1e3 * rotor.lag_s:.3g} ms, the others with '
                        f'{1e3 * math.exp(usual):.3g} ms')
         level = np.nanmedian(np.asarray(record.motors)[:, i], keepdims=True)

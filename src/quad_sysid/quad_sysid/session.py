@@ -18,8 +18,8 @@ from quad_sysid.files import check_own, check_place
 from quad_sysid.result import Result, identify
 
 
-def asked(axes: Sequence[str] = (), train: str = '', validate: str = '',
-          inertia: str = '') -> dict[str, Any]:
+def keywords(axes: Sequence[str] = (), train: str = '', validate: str = '',
+             inertia: str = '') -> dict[str, Any]:
     """Keywords of `identify` from typed arguments; empty ones mean its defaults.
 
     `axes`: names, `all` of the attitude, or `every` one; `train`, `validate`: `A:B`, s;

@@ -155,8 +155,8 @@ def _hover(records: Sequence[Record]) -> list[Fact]:
     x, y = np.log(volts[known]), np.log(throttle[known])
     if known.sum() >= FEWEST and np.ptp(x) > FELL:
         slope, _ = np.polyfit(x, y, 1)
-        left = y - np.polyval(np.polyfit(x, y, 1), x)
-        spread = float(np.std(left) / (np.std(x) * math.sqrt(max(1, x.size - 2))))
+        residual = y - np.polyval(np.polyfit(x, y, 1), x)
+        spread = float(np.std(residual) / (np.std(x) * math.sqrt(max(1, x.size - 2))))
         out.append(Fact('battery_exponent', -float(slope), '1',
                         'thrust follows this power of the voltage, by the throttle of the hover',
                         spread))
@@ -175,8 +175,8 @@ def _steady(record: Record) -> tuple[FloatArray, FloatArray]:
     up = None if record.velocity is None else record.velocity[:, 2]
     if up is None or not np.isfinite(up).any() or not count:
         return np.zeros(0), np.zeros(0)
-    seen = np.flatnonzero(np.isfinite(up))
-    speed = blocks(np.interp(np.arange(record.n), seen, up[seen]))
+    measured = np.flatnonzero(np.isfinite(up))
+    speed = blocks(np.interp(np.arange(record.n), measured, up[measured]))
     lifted, volts = blocks(lift), np.full(count, np.nan)
     if record.battery_v is not None:
         volts = blocks(record.battery_v).mean(axis=1)
@@ -191,7 +191,7 @@ def _steady(record: Record) -> tuple[FloatArray, FloatArray]:
 def _centre(records: Sequence[Record], craft: Craft) -> list[Fact]:
     """Where the thrust acts on the whole while nothing turns: there the centre of mass is."""
     places = np.array([[motor.x, motor.y] for motor in craft.motors])
-    found = []
+    centres = []
     for record in records:
         if record.motors is None or record.motors.shape[1] != craft.count:
             continue
@@ -199,10 +199,10 @@ def _centre(records: Sequence[Record], craft: Craft) -> list[Fact]:
         calm = (total > LEAST_THROTTLE * craft.count) & (
             np.abs(np.nan_to_num(record.rates)).max(axis=1) < NEAR_TRIM)
         if calm.sum() * record.dt > BLOCK_S:
-            found.append((record.motors[calm] @ places) / total[calm, None])
-    if not found:
+            centres.append((record.motors[calm] @ places) / total[calm, None])
+    if not centres:
         return []
-    middle = np.concatenate(found)
+    middle = np.concatenate(centres)
     arm = float(np.abs(places).max())
     scale, unit = (100.0 / arm, '% of the arm') if craft.nominal else (1.0, 'm')
     blocks = max(1, round(middle.shape[0] * records[0].dt / BLOCK_S))

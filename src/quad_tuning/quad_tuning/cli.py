@@ -125,8 +125,9 @@ def _answer(model: AxisModel, models: Mapping[str, AxisModel],
         }
     from quad_tuning.lqr import Weights, propose_lqr  # python-control takes its time
 
-    asked = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
-    limits = {name: positive(f'--max-{name}', value) for name, value in asked if value is not None}
+    largest = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
+    limits = {name: positive(f'--max-{name}', value) for name, value in largest
+              if value is not None}
     try:
         lqr = propose_lqr(model, Weights(**limits))
     except DesignRefusedError as refusal:

@@ -96,7 +96,7 @@ FIRMWARES = {
 """By the name that --to takes."""
 MOST = 250
 """Largest P, I, D of their command lines."""
-APART = 0.1
+DIFFERS = 0.1
 """Relative difference from which filters are said to differ."""
 
 
@@ -240,7 +240,7 @@ def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator
         if has is None:
             yield (f'Warning: the design filters D of {axis} at {designed:.3g} Hz (first order); '
                    'compare dterm_lpf*, or give --flown')
-        elif abs(designed / has - 1.0) > APART:
+        elif abs(designed / has - 1.0) > DIFFERS:
             yield (f'Warning: the design filters D of {axis} at {designed:.3g} Hz (first order), '
                    f'the '
                    f"aircraft's low-passes together at {has:.3g} Hz: scale their cut-offs by "

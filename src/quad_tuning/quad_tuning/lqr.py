@@ -163,14 +163,14 @@ def likeness(plant: Flying) -> tuple[float, float, float, float]:
     s = 1j * omega
     start = np.array([p[0], p[1], p[2] + plant.plant.sensor.late_s, max(p[3], 0.1)])
 
-    def away(factors: FloatArray) -> FloatArray:
+    def mismatch(factors: FloatArray) -> FloatArray:
         gain, lag, delay, damping = start * np.exp(factors)
         own = gain * np.exp(-s * (delay + 0.5 * plant.dt)) / ((lag * s + 1.0) * (s + damping))
         error = np.log(own / rate)
         turned = np.mod(error.imag + np.pi, 2.0 * np.pi) - np.pi
         return np.concatenate([error.real, turned, 0.05 * factors])
 
-    best = start * np.exp(least_squares(away, np.zeros(4)).x)
+    best = start * np.exp(least_squares(mismatch, np.zeros(4)).x)
     return tuple(float(value) for value in best)  # type: ignore[return-value]
 
 

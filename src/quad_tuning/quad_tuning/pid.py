@@ -54,9 +54,9 @@ FILTER_HZ = (30.0, 55.0, 100.0)
 JUDGED = 120
 """Number of grid points that are judged by the whole objective."""
 STARTS = 5
-"""Searches from the best grid points that are at least APART in SHAPE (angle kp, rate kp, kd): a
-resonance can cause local optima."""
-APART = 0.11
+"""Searches from the best grid points that are at least MIN_DISTANCE apart in SHAPE (angle kp, rate
+kp, kd): a resonance can cause local optima."""
+MIN_DISTANCE = 0.11
 SHAPE = [0, 1, 3]
 DIFFERENCE = 5e-4
 WORST = 6
@@ -178,7 +178,7 @@ def search(problem: Problem) -> list[tuple[float, FloatArray]]:
     judged = [(_merit(problem, loops, grid[i]), grid[i]) for i in order[:JUDGED]]
     judged.sort(key=lambda item: item[0])
     ends: list[tuple[float, FloatArray]] = []
-    for attempt, start in enumerate(_apart([x for _, x in judged])):
+    for attempt, start in enumerate(_distinct([x for _, x in judged])):
         end = _polish(problem, start)
         if end is not None:
             ends.append(end)
@@ -276,10 +276,10 @@ def _merit(problem: Problem, loops: Ensemble, point: FloatArray) -> float:
     return value - 20.0 * min(0.0, short)
 
 
-def _apart(points: list[FloatArray]) -> list[FloatArray]:
+def _distinct(points: list[FloatArray]) -> list[FloatArray]:
     chosen: list[FloatArray] = []
     for point in points:
-        if all(np.linalg.norm((point - other)[SHAPE]) >= APART for other in chosen):
+        if all(np.linalg.norm((point - other)[SHAPE]) >= MIN_DISTANCE for other in chosen):
             chosen.append(point)
         if len(chosen) == STARTS:
             break

@@ -128,11 +128,11 @@ def beside(feedback: StateFeedback, gains: CascadeGains, share: float) -> Linear
     c[0, TOTAL] += (1.0 - share) * feedback.k_integral
     d = share * one[3] + (1.0 - share) * other[3]
     # the observer hears of the command that is flown, not of its own
-    heard = np.zeros((n, 1))
-    heard[:, 0] = feedback.moved(np.zeros(n), 0.0, 1.0)
-    a[:n, :n] = one[0] - heard @ one[2]
-    b[:n] = one[1] - heard @ one[3] + heard @ d
-    a[:n] += heard @ c
+    of_measured = np.zeros((n, 1))
+    of_measured[:, 0] = feedback.moved(np.zeros(n), 0.0, 1.0)
+    a[:n, :n] = one[0] - of_measured @ one[2]
+    b[:n] = one[1] - of_measured @ one[3] + of_measured @ d
+    a[:n] += of_measured @ c
     return Linear((a, b, c, d))
 
 

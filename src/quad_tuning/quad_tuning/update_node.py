@@ -64,7 +64,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
             return bool(until())
 
         if not spin(client.service_is_ready, LISTEN_S):
-            raise BadInputError(client.srv_name, f'no bridge has been heard for {LISTEN_S:.0f} s',
+            raise BadInputError(client.srv_name, f'no bridge has answered for {LISTEN_S:.0f} s',
                                 remedy='start serial_bridge, or give its --namespace')
         values: dict[str, bool | float | str] = {**gains, 'source': source,
                                                  **(beside or {}),

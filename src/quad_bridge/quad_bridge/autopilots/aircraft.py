@@ -155,8 +155,8 @@ class AutopilotAircraft(Aircraft):
         elif isinstance(frame, f.Version) and self.version is None:
             self.version = frame
             uid = bytes(frame.uid2).hex() if any(frame.uid2) else f'{frame.uid:016x}'
-            alike = not int(uid, 16)
-            self._identify(uid if not alike else '')
+            unset = not int(uid, 16)
+            self._identify(uid if not unset else '')
         elif isinstance(frame, f.Heartbeat):
             self._ask_s = min(self._ask_s, now_s)
 

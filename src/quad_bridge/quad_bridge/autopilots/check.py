@@ -162,7 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     aircraft, port = listener.connected.autopilot, listener.port.status
     listener.port.stop()
     if aircraft is None:
-        words = 'no PX4 and no ArduPilot is heard'
+        words = 'neither PX4 nor ArduPilot answers'
         if port.opened == 0 and port.state is not PortState.OPEN:
             words = f'port {port.state.value}'
         complain(f'serial_bridge: {options.port}: {words}\n')

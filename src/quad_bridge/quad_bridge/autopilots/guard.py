@@ -50,9 +50,9 @@ class Guard:
             if abs(off_m) > MOST_HEIGHT_M:
                 return f'{off_m:+.1f} m of height from where it began'
         if self.place is not None and flight.place is not None:
-            gone_m = math.hypot(flight.place[0] - self.place[0], flight.place[1] - self.place[1])
-            if gone_m > MOST_PLACE_M:
-                return f'{gone_m:.1f} m from where it began'
+            distance_m = math.dist(flight.place[:2], self.place[:2])
+            if distance_m > MOST_PLACE_M:
+                return f'{distance_m:.1f} m from where it began'
         if flight.volts < (1.0 - MOST_SAG) * self.volts:
             return f'the battery has sunk to {flight.volts:.1f} V'
         return ''

@@ -103,10 +103,11 @@ class PulseRun:
         change[1] *= -1.0
         spread = quiet.std(axis=1).mean(axis=0)
         least = np.maximum(MIN_RAD_S, MIN_SIGMAS * spread / math.sqrt(last - first))
-        heard = (np.sign(change[0]) == np.sign(change[1])) & (np.abs(change) > least).all(axis=0)
-        self.answers[self._left[0]] = np.where(heard, change.mean(axis=0), 0.0)
+        agree = np.sign(change[0]) == np.sign(change[1])
+        responds = agree & (np.abs(change) > least).all(axis=0)
+        self.answers[self._left[0]] = np.where(responds, change.mean(axis=0), 0.0)
         self._level += 1
-        if self._level == len(pulse.levels) or heard[list(pulse.watched)].any():
+        if self._level == len(pulse.levels) or responds[list(pulse.watched)].any():
             self._left.pop(0)
             self._level = 0
 

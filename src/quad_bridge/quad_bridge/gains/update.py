@@ -1,14 +1,14 @@
 """An update of the gains: gate, polarity, steps, watch and rollback, as one state machine. Pure.
 
-What to do with a set; how it gets to the STM32 and what is proven of it is protocol.py's. Cycles,
-frames and ticks come in with their time (s on a steady clock); what is to be published or logged
-waits in `notes`. The watch counts time in flight only: a set is good once it has flown well.
+What to do with a set; how it gets to the STM32 and what is proven of it is protocol.py's, what
+cycles and sticks say is cycles.py's. Cycles, frames and ticks come in with their time (s on a
+steady clock); what is to be published or logged waits in `notes`. The watch counts time in flight
+only: a set is good once it has flown well.
 The state diagram stands in docs/reference/gain_machines.md.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -20,6 +20,7 @@ import numpy as np
 from quad_bridge.errors import QuadBridgeError, RefusedError
 from quad_bridge.fresh import refuse_stale
 from quad_bridge.gains import gate
+from quad_bridge.gains.cycles import ARMED, LINK_S, MAX_HZ, MIN_HZ, QUIET_S, Cycles, Gesture
 from quad_bridge.gains.history import FLIGHT, TRIAL, History
 from quad_bridge.gains.polarity import PolarityCheck, Push
 from quad_bridge.gains.protocol import GainEvent, GainProtocol, Request, What
@@ -32,17 +33,7 @@ from quad_bridge.wire.axes import flip_attitude, flip_body, upwards
 STEP_WATCH_S, WATCH_S = 3.0, 10.0  # between the steps of a larger change, and after the last
 STM32_WATCH_MS = 15_000
 """Time after which the STM32 reverts an unconfirmed set: the watch, and time to confirm."""
-QUIET_S = 0.5
-"""Time without excitation before gains may change, and without a cycle before a check ends."""
-LOW_THROTTLE = 0.05  # below which the STM32 commands no torque (QUAD_LOW_THROTTLE)
-LINK_S = 1.0  # time without a control cycle after which gains on trial are reverted
-RATE_SHARE = 0.01
-"""Weight of the last cycle in the average rate of arrival."""
 LOOK_S = 1.0  # interval at which the gains in force are judged
-MIN_HZ, MAX_HZ = 50.0, 1000.0
-"""Control cycles per second with which watch and pulses work."""
-GESTURE_END, GESTURE_ENDS, GESTURE_S = 0.8, 3, 2.0
-"""Time for the pilot's gesture: the yaw stick at one end, the other and the first again."""
 
 
 class State(Enum):
@@ -59,7 +50,6 @@ class State(Enum):
 IN_FLIGHT = (State.WRITING, State.WATCHING, State.CONFIRMING)
 """States of an update that the pilot ends by switch or by disarming."""
 ON_TRIAL = (State.WATCHING, State.WRITING)
-ARMED, EXCITATION = int(f.Flag.ARMED), int(f.Flag.EXCITATION)  # an enum's take a microsecond
 
 
 @dataclass(frozen=True)
@@ -122,18 +112,13 @@ class GainUpdates:
         self.rate_hz = gate.USUAL_HZ
         self.watch = GainWatch(gate.USUAL_HZ)
         self.polarity = PolarityCheck(settings.polarity, gate.USUAL_HZ)
-        self._stick_ends: deque[tuple[float, int]] = deque(maxlen=GESTURE_ENDS)
+        self._cycles, self._gesture = Cycles(), Gesture()
         self._update: _Update | None = None
         self._pending: tuple[gate.GainRequest, Reply | None] | None = None
         """The update that waits for the check of its axes."""
         self._going_back: list[Reply] = []  # callers that wait for the earlier gains
         self._checked: Callable[[str], None] | None = None
         self._left_s = 0.0  # time of flight until the next step, or the confirmation
-        self._cycle_s = self._excited_s = float('-inf')
-        self._flags = 0
-        self._flying_s: float | None = None  # since when it is armed with the throttle up
-        self._period_s = 0.0  # average time between the cycles that arrive
-        self._time_us = 0  # device time of the last cycle
         self._looked_s = float('-inf')  # time of the last judgement
         self._flown = False  # the gains in force have flown well, and the history says so
         self._rate_kp = np.ones(3)
@@ -164,7 +149,7 @@ class GainUpdates:
         text = f'{self.state.value} gains of {self._update.request.source}'
         if self.state is not State.WATCHING:
             return text
-        on_ground = ' (on trial on the ground)' if self._flying_s is None else ''
+        on_ground = '' if self._cycles.flying else ' (on trial on the ground)'
         return f'{text}, {max(self._left_s, 0.0):.0f} s of flight left{on_ground}'
 
     def status(self, cannot: str = '') -> Status:
@@ -259,39 +244,24 @@ class GainUpdates:
     def _admit(self, request: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
         gate.check_flown(request, self.active)
         path = gate.steps(request.gains, self.active, self._settings.bounds)
-        if now_s - self._cycle_s > QUIET_S:
+        if now_s - self._cycles.arrived_s > QUIET_S:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
                                '/diagnostics says why')
         if self.state is not State.IDLE:
             raise RefusedError(f'an earlier update is in flight: {self.words}')
         if self.protocol.busy:
             raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
-        if now_s - self._excited_s < QUIET_S:
+        if now_s - self._cycles.excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs: send them when it is idle')
-        gate.refuse_climb(request.gains, self._flags, flying=self._flying_s is not None)
-        if self._flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE):
+        gate.refuse_climb(request.gains, self._cycles.flags, flying=self._cycles.flying)
+        if self._cycles.flags & (f.Flag.RC_KILL | f.Flag.RC_FAILSAFE):
             raise RefusedError("the pilot's kill switch or the receiver's failsafe is on")
-        self._known_rate()
+        self._cycles.refuse_slow(self.rate_hz)
         if self._history.fault:
             self._history.note_active(self.active)  # is written again: the disk may be mended
         if self._history.fault:
             raise RefusedError(f'{self._history.fault}; mend that and send them again')
         return path
-
-    @property
-    def _slow(self) -> bool:
-        """Whether the link brings fewer cycles than the watch needs; some may be lost."""
-        return self._period_s > 1.2 / MIN_HZ
-
-    def _slow_words(self) -> str:
-        return f'the link brings {1.0 / self._period_s:.0f} cycles/s: the watch needs {MIN_HZ:g}'
-
-    def _known_rate(self) -> None:
-        if self._slow:
-            raise RefusedError(self._slow_words())
-        if not MIN_HZ <= self.rate_hz <= MAX_HZ:
-            words = f'the watch works at {MIN_HZ:g} to {MAX_HZ:g} Hz: found {self.rate_hz:g}'
-            raise RefusedError(f'loop.rate_hz: {words}')
 
     def _begin(
         self, request: gate.GainRequest, path: list[dict[str, float]], reply: Reply | None
@@ -340,9 +310,11 @@ class GainUpdates:
 
     def cycle(self, frame: f.Cycle, now_s: float) -> Push | None:
         """Take one control cycle; a pulse to send while the polarity is checked."""
-        since_s, self._cycle_s, self._flags = now_s - self._cycle_s, now_s, frame.flags
-        self._measure_rate(frame.time_us)
-        flies = self._flies(frame, now_s)
+        flew = self._cycles.flying
+        since_s = self._cycles.take(frame, now_s, pulses=self.state is State.CHECKING)
+        flies = self._cycles.flying
+        if flies is not flew:
+            self.watch.restart()
         if flies and self.state is State.WATCHING:  # climb gains fly in the height mode only
             held = frame.flags & f.Flag.HOLD or not self.watch.climbs
             self._left_s -= min(since_s, LINK_S) if held else 0.0
@@ -360,27 +332,13 @@ class GainUpdates:
             if not self.polarity.running:
                 self._end_check()
             return pulse
-        if frame.flags & EXCITATION:
-            self._excited_s = now_s
         if self.state in ON_TRIAL:
-            alarm = self._slow_words() if flies and self._slow else self.watch.alarm()
-            if alarm is not None:
+            alarm = (flies and self._cycles.slow) or self.watch.alarm()
+            if alarm:
                 self._take_back(str(alarm))
         self._heed_pilot(frame.flags)
         self._note_flight(now_s)
         return None
-
-    def _measure_rate(self, time_us: int) -> None:
-        since_s, self._time_us = min(max(1e-6 * (time_us - self._time_us), 0.0), LINK_S), time_us
-        self._period_s += RATE_SHARE * (since_s - self._period_s)
-
-    def _flies(self, frame: f.Cycle, now_s: float) -> bool:
-        """Whether it is armed with the throttle up."""
-        flies = bool(frame.flags & ARMED) and frame.control[0] >= LOW_THROTTLE
-        if flies is (self._flying_s is None):
-            self.watch.restart()
-            self._flying_s = now_s if flies else None
-        return flies
 
     def _heed_pilot(self, flags: int) -> None:
         """Take back what the pilot, or the loss of the receiver, has ended."""
@@ -400,7 +358,7 @@ class GainUpdates:
         """Keep, once, how the gains in force fly where they fly well; the next are held to it."""
         if self._flown or self.state is not State.IDLE or not self.active:
             return
-        if self._flying_s is not None and now_s - self._looked_s >= LOOK_S:
+        if self._cycles.flying and now_s - self._looked_s >= LOOK_S:
             self._looked_s = now_s
             if self.watch.good:
                 self._flown = True
@@ -410,14 +368,7 @@ class GainUpdates:
 
     def sticks(self, yaw: float, now_s: float) -> None:
         """Take the yaw stick's position, -1..1."""
-        ends, end = self._stick_ends, int(yaw > GESTURE_END) - int(yaw < -GESTURE_END)
-        if not end:
-            return
-        if ends and ends[-1][1] == end:
-            ends.pop()  # the last moment there counts
-        ends.append((now_s, end))
-        if len(ends) == GESTURE_ENDS and now_s - ends[0][0] <= GESTURE_S:
-            ends.clear()
+        if self._gesture.take(yaw, now_s):
             if self.state in ON_TRIAL:
                 self._take_back("the pilot's stick gesture")
             self.disturb("the pilot's stick gesture")
@@ -425,9 +376,9 @@ class GainUpdates:
     def tick(self, now_s: float) -> None:
         """Continue where a time has come."""
         watching = self.state is State.WATCHING
-        if self.state is State.CHECKING and now_s - self._cycle_s > QUIET_S:
+        if self.state is State.CHECKING and now_s - self._cycles.arrived_s > QUIET_S:
             self.disturb(f'no control cycle for {QUIET_S:g} s')
-        if watching and now_s - self._cycle_s > LINK_S:
+        if watching and now_s - self._cycles.arrived_s > LINK_S:
             self._take_back(f'no control cycle for {LINK_S:g} s')
         elif watching and self._left_s <= 0.0 and not self.protocol.busy:
             self._go_on(now_s)
@@ -435,7 +386,7 @@ class GainUpdates:
     def _go_on(self, now_s: float) -> None:
         update = self._update
         if update is not None and update.written < len(update.steps):
-            if now_s - self._excited_s < QUIET_S:
+            if now_s - self._cycles.excited_s < QUIET_S:
                 return  # the step waits for the excitation's end, watched all the time
             try:
                 self._write_step(update)
@@ -507,7 +458,7 @@ class GainUpdates:
             return
         step, steps = update.written + 1, len(update.steps)
         update.written, last = step, step == steps
-        update.armed = update.armed or bool(self._flags & f.Flag.ARMED)
+        update.armed = update.armed or bool(self._cycles.flags & ARMED)
         self.commits += 1
         self._left_s = WATCH_S if last else STEP_WATCH_S
         self.state = State.WATCHING
@@ -516,7 +467,7 @@ class GainUpdates:
         self.notes.append(Note(text, active=self.active))
         if last:
             update.tell(done=True)
-        elif self._flying_s is None:
+        elif not self._cycles.flying:
             update.tell(f'{text}, on trial: the next after {STEP_WATCH_S:g} s of flight')
 
     def end(self, why: str) -> None:
@@ -558,14 +509,14 @@ class GainUpdates:
     # Polarity.
 
     def _start_check(self, axes: Sequence[str], now_s: float) -> None:
-        if now_s - self._cycle_s > QUIET_S or not self._flags & f.Flag.ARMED:
+        if now_s - self._cycles.arrived_s > QUIET_S or not self._cycles.flags & ARMED:
             raise RefusedError(
                 f'the polarity of {", ".join(axes) or "the motors"} has not been checked on this '
                 'aircraft and it is not armed: mount it free on the rig, arm it and try again'
             )
-        if now_s - self._excited_s < QUIET_S:
+        if now_s - self._cycles.excited_s < QUIET_S:
             raise RefusedError('not while the excitation runs')
-        self._known_rate()
+        self._cycles.refuse_slow(self.rate_hz)
         self.polarity.start(axes)
         self.state = State.CHECKING
 
@@ -585,7 +536,7 @@ class GainUpdates:
     def _after_check(self, request: gate.GainRequest, reply: Reply | None, trouble: str) -> None:
         try:
             self._refuse_unanswered(request, trouble)
-            self._begin(request, self._admit(request, self._cycle_s), reply)
+            self._begin(request, self._admit(request, self._cycles.arrived_s), reply)
         except RefusedError as error:
             self._refuse(request.source, error)
             if reply is not None:

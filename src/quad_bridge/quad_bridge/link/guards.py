@@ -94,7 +94,7 @@ class LateGuard:
 
     def restart(self) -> None:
         """Reset, since stamps are by another clock now."""
-        self.gone = False  # whether the clock of before is no more
+        self.reset = False  # whether the clock of before is no more
         self._since_ns: int | None = None
         self._allowed_ns = PAST_NS
 
@@ -111,7 +111,7 @@ class LateGuard:
             if self.late(late_ns):
                 self._since_ns, self.anew = now_ns, anew
         elif now_ns - self._since_ns > PATIENCE_NS:
-            self.gone = self.anew
+            self.reset = self.anew
             self.believe(late_ns)
         return self.waiting
 
@@ -123,7 +123,7 @@ class LateGuard:
         if self._since_ns is None or sent_ns < self._since_ns:
             return
         if abs(off_ns) > (round_trip_ns + PAST_NS) / 2:
-            self.gone = True
+            self.reset = True
         else:
             self.believe(self._late_ns)
 

@@ -82,12 +82,12 @@ class Link:
         self._outbox = bytearray()
         self._restarts = 0
         self._inertial_us = 0  # an autopilot's time when it last sent its rates
-        self._heard_us = 0  # the same of all that it sends with angles or rates
+        self._received_us = 0  # the same of all that it sends with angles or rates
         self._started_ns: int | None = None
         """When the aircraft had started that was heard before the port was opened anew."""
         self._peer_since_ns = 0
         self.answered_ns = 0  # when TIMESYNC was last answered
-        self._heard_ns = self._peer_ns = 0
+        self._received_ns = self._peer_ns = 0
         self._next_heartbeat_ns = 0
         self._next_sync_ns = self._next_urgent_ns = 0
         self._questions: deque[int] = deque(maxlen=QUESTIONS)
@@ -109,11 +109,11 @@ class Link:
         }
 
     @property
-    def heard_us(self) -> int | None:
+    def received_us(self) -> int | None:
         """The aircraft's time when it was last heard of in a cycle, or in what stands for one."""
         if self.last_cycle is not None:
             return self.last_cycle.time_us
-        return self._heard_us or None
+        return self._received_us or None
 
     @property
     def armed(self) -> bool:
@@ -136,10 +136,10 @@ class Link:
     def armed_lately(self, now_ns: int) -> bool | None:
         """Whether it is armed by a cycle, else a heartbeat, of just now; None without any."""
         if self.last_cycle is not None:
-            heard = now_ns - self.last_cycle_ns < CYCLE_OLD_NS
+            fresh = now_ns - self.last_cycle_ns < CYCLE_OLD_NS
         else:
-            heard = self.peer is not None and now_ns - self._peer_ns < PEER_OLD_NS
-        return self.armed if heard else None
+            fresh = self.peer is not None and now_ns - self._peer_ns < PEER_OLD_NS
+        return self.armed if fresh else None
 
     def opened(self) -> None:
         """Reset after opening the port; the aircraft may be another one."""
@@ -157,7 +157,7 @@ class Link:
         self.stamping.out = events
         frames = self.decoder.feed(data)
         if frames:
-            self._heard_ns = now_ns
+            self._received_ns = now_ns
         for frame in frames:
             take = self._takes.get(type(frame))
             if take is not None:
@@ -175,7 +175,7 @@ class Link:
 
         `receive` does it too; where nothing arrives it is to be called some times a second.
         """
-        if self.decoder.peer is not None and now_ns - self._heard_ns > RELEASE_NS:
+        if self.decoder.peer is not None and now_ns - self._received_ns > RELEASE_NS:
             self.decoder.release()
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + HEARTBEAT_NS
@@ -307,7 +307,8 @@ class Link:
 
     def _inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> None:
         """Events of another autopilot's messages; none once a control cycle was received."""
-        self._heard_us = 1000 * frame.time_ms if isinstance(frame, f.Attitude) else frame.time_us
+        self._received_us = (1000 * frame.time_ms if isinstance(frame, f.Attitude)
+                             else frame.time_us)
         if self.last_cycle is not None:
             return
         inertial = self.autopilot.inertial(frame, now_ns)

@@ -189,7 +189,7 @@ class SerialPort:
         return False
 
     def _read_until_fault(self) -> None:
-        port, heard_s = self._port, clock().now_s()
+        port, received_s = self._port, clock().now_s()
         opened = identity(self.status.path)
         while not self._stop.is_set():
             try:
@@ -201,7 +201,7 @@ class SerialPort:
             if refused != (self.status.state is PortState.UNREACHABLE):
                 self._note(state=PortState.UNREACHABLE if refused else PortState.OPEN)
             if data:
-                heard_s = clock().now_s()
+                received_s = clock().now_s()
                 self._patience_s = HALF_OPEN_S[0]
                 self._on_bytes(data)
                 continue
@@ -210,7 +210,7 @@ class SerialPort:
                 moved = 'its name leads to another device now, or to none'
                 self._note(state=PortState.HUNG_UP, detail=moved)
                 return
-            if clock().now_s() - heard_s > self._patience_s:
+            if clock().now_s() - received_s > self._patience_s:
                 # half-open: a peer that went without a word, or the wrong one of several
                 self._patience_s = min(2.0 * self._patience_s, HALF_OPEN_S[1])
                 self._skip += 1

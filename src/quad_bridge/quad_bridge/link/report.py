@@ -176,8 +176,8 @@ def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> St
         set_by = f'the system clock was set by {1e-9 * behind_ns:.3f} s'
         text = f'stamps still use the old time: {set_by}'
     elif not clock.converged:
-        heard = math.isnan(clock.too_long_s) and (clock.accepted or clock.rejected)
-        text = f'{"not converged" if heard else deaf}: nothing is published'
+        answered = math.isnan(clock.too_long_s) and (clock.accepted or clock.rejected)
+        text = f'{"not converged" if answered else deaf}: nothing is published'
     elif clock.one_way:
         text = f'{deaf}: stamps are times of arrival, late by the transport'
     elif clock.round_trip_s > 2.0 * COARSE_S:

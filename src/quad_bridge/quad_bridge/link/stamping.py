@@ -155,7 +155,7 @@ class Stamping:
         if self._sure:
             off_ns = (sent_ns + now_ns) // 2 - self.clock.host_ns(device_ns)
             self.late.trip(sent_ns, off_ns, now_ns - sent_ns)
-        if self.late.gone:
+        if self.late.reset:
             self._begin_anew()
             device_ns = aircraft_ns
         self._anchor_us = device_ns // 1000
@@ -188,7 +188,7 @@ class Stamping:
         if self._sure:
             late_ns = self._late_ns(device_ns, now_ns)
             waits = self.late.step(late_ns, now_ns, anew=device_ns < unheard_ns)
-            if self.late.gone:
+            if self.late.reset:
                 self._begin_anew()
             elif waits or uneven:
                 self._wait(stamp, now_ns)

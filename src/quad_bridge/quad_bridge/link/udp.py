@@ -13,7 +13,7 @@ import socket
 import time
 
 SCHEMES = ('udp', 'udpin', 'udpout')
-HEARD_S = 10.0  # whoever has been silent for longer gets no answers
+PEER_TIMEOUT_S = 10.0  # whoever has been silent for longer gets no answers
 MAX_PEERS = 8
 LARGEST = 65536
 BUFFER = 1 << 20  # bytes that wait in the kernel while the bridge gets no time
@@ -60,7 +60,7 @@ class UdpPort:
                 data += datagram
                 if datagram:
                     self.refused = False
-                    self._heard(sender)
+                    self._received(sender)
         return bytes(data)
 
     def write(self, data: bytes) -> int:
@@ -69,7 +69,7 @@ class UdpPort:
             if not self.listens:
                 return self._sent(data)
             now_s = time.monotonic()
-            self._peers = {p: s for p, s in self._peers.items() if now_s - s < HEARD_S}
+            self._peers = {p: s for p, s in self._peers.items() if now_s - s < PEER_TIMEOUT_S}
             return max((self._socket.sendto(data, peer) for peer in self._peers),
                        default=len(data))  # fmt: skip
         except BlockingIOError:
@@ -98,7 +98,7 @@ class UdpPort:
             raise
         return True
 
-    def _heard(self, sender: tuple[str, int]) -> None:
+    def _received(self, sender: tuple[str, int]) -> None:
         if sender in self._peers or len(self._peers) < MAX_PEERS:
             self._peers[sender] = time.monotonic()
 

@@ -102,7 +102,7 @@ class State:
     def _status(self, label: str, end: str, now_s: float) -> str:
         entry = self._entry(end)
         if entry is None:
-            return _line(label, '-', 'nothing heard')
+            return _line(label, '-', 'nothing received')
         silent_s = now_s - entry.at_s
         if silent_s > STALE_S:
             return _line(label, 'stale', f'no news for {silent_s:.0f} s: {entry.message}')

@@ -53,7 +53,7 @@ class AutopilotLogs:
         """Take an answer, in the port's thread."""
         self._fetch.take(frame, clock().now_s())
 
-    def heard(self, text: str) -> None:
+    def status_text(self, text: str) -> None:
         """Give way to a pilot whom ArduPilot does not let arm because of the log."""
         if text.startswith('Arm: ') and 'ownloading log' in text:
             self._fetch.stop('the pilot wants to fly; ~/fetch_log fetches it later')

@@ -76,14 +76,14 @@ class Description:
     def __init__(self, node: Any, own: Craft | None, on_craft: Callable[[Craft], None]) -> None:
         """`on_craft` is called with a craft that somebody else describes."""
         self._node, self._own, self._on_craft = node, own, on_craft
-        self._heard: Craft | None = None
+        self._published: Craft | None = None
         self._texts: set[str] = set()  # what has been published here, or judged
         self._publisher: Any = None
 
     @property
     def craft(self) -> Craft | None:
         """The craft of the parameter, or that of another node."""
-        return self._own or self._heard
+        return self._own or self._published
 
     def configure(self) -> None:
         """Create the publisher."""
@@ -97,7 +97,7 @@ class Description:
     def publish(self, craft: Craft) -> None:
         """Describe this craft, unless somebody else has."""
         text = craft.to_urdf()
-        if craft is not self._heard and text not in self._texts:
+        if craft is not self._published and text not in self._texts:
             self._texts.add(text)
             self._publisher.publish(String(data=text))
 
@@ -111,6 +111,6 @@ class Description:
         if words:
             self._node.get_logger().warning(words)
             return
-        self._heard = from_urdf(message.data)
-        if self._heard is not None:
-            self._on_craft(self._heard)
+        self._published = from_urdf(message.data)
+        if self._published is not None:
+            self._on_craft(self._published)

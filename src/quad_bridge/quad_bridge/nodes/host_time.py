@@ -74,5 +74,5 @@ class HostTime:
             return ''
         return (
             f'the system clock was set by {step * 1e-6:.0f} ms: stamps still use the old time'
-            f' {"until disarmed" if step > 0 else "until the port is opened anew"}'
+            f' {"until disarmed" if step > 0 else "until the port is opened again"}'
         )

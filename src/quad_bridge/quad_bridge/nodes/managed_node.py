@@ -62,10 +62,10 @@ def waiting(subscription: Any, most: int) -> Iterator[tuple[Any, dict[str, Any]]
     handle = subscription.handle
     with handle:
         for _ in range(most):
-            taken = handle.take_message(subscription.msg_type, subscription.raw)
-            if taken is None:
+            message = handle.take_message(subscription.msg_type, subscription.raw)
+            if message is None:
                 return
-            yield taken
+            yield message
 
 
 class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]

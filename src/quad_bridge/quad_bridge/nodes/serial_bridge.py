@@ -29,10 +29,11 @@ from quad_bridge.autopilots.aircraft import Connected
 from quad_bridge.craft import Craft
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
+from quad_bridge.gains.cycles import LOW_THROTTLE
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.polarity import FLOWN, PULSE_VALID_MS
 from quad_bridge.gains.table import with_mixing
-from quad_bridge.gains.update import LOW_THROTTLE, GainUpdates, Note, Reply, State
+from quad_bridge.gains.update import GainUpdates, Note, Reply, State
 from quad_bridge.link.autopilot import (
     BATTERY,
     COMPASS,
@@ -222,7 +223,7 @@ class SerialBridge(ManagedNode):
             self._motors = None
             self._report.opened()
             self._gains.restarted()
-            self._gains.disturb('the port was opened anew')
+            self._gains.disturb('the port was opened again')
             self._time.opened(*self._epoch())
         path = self._port.status.path
         at = '' if '://' in path else f' at {self._settings.baud} baud'
@@ -247,9 +248,9 @@ class SerialBridge(ManagedNode):
             if asks or now_ns >= self._poll_ns:
                 self._poll_gains(now_ns)
             self._flush()
-            heard_us = self._link.heard_us
-        if heard_us is not None:
-            clock().handled(WIRE, START_NS + 1000 * heard_us)
+            received_us = self._link.received_us
+        if received_us is not None:
+            clock().handled(WIRE, START_NS + 1000 * received_us)
 
     def _on_arrived(self, frame: Any, now_ns: int) -> None:
         self._aircraft.take(frame, 1e-9 * now_ns)
@@ -272,7 +273,7 @@ class SerialBridge(ManagedNode):
             self._gains.take(frame, 1e-9 * now_ns)
 
     def _on_text(self, frame: f.StatusText, _: int) -> None:
-        self._logs.heard(frame.text)
+        self._logs.status_text(frame.text)
         self._say_once(f'{self._link.name}: {frame.text}')
 
     def _on_aircraft(self, aircraft: Aircraft) -> None:
@@ -479,9 +480,9 @@ class SerialBridge(ManagedNode):
     def _offset_ns(self) -> int | None:
         """ROS time minus the aircraft's own time; None while it is not known."""
         link = self._link
-        if link.heard_us is None or not link.clock.converged:
+        if link.received_us is None or not link.clock.converged:
             return None
-        device_ns = 1000 * link.heard_us
+        device_ns = 1000 * link.received_us
         return link.clock.host_ns(device_ns) - device_ns + self._time.epoch_ns
 
     def _armed(self) -> bool | None:

@@ -99,7 +99,7 @@ class Talk:
     def read(self) -> None:
         """Wait for the firmware and its parameters. Raises RefusedError."""
         self._until(lambda: bool(self.values) and self.cycle is not None, READ_S,
-                    'nothing that speaks QUAD_GAINS is heard: port, baud, power?')  # fmt: skip
+                    'no firmware with QUAD_GAINS answers: check port, baud and power')  # fmt: skip
 
     def write(self, values: Mapping[str, float]) -> None:
         """Write a set, read it back, keep it. Raises RefusedError where that fails."""

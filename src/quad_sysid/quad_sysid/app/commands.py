@@ -23,13 +23,13 @@ Command = tuple[str, str, list[str]]
 """Title, program, arguments."""
 
 
-def commands(folder: Path, asked: Mapping[str, Any]) -> list[Command]:
+def commands(folder: Path, request: Mapping[str, Any]) -> list[Command]:
     """Title, program and arguments of what the page asks for, one after the other.
 
     Only what stands here can be started; @ is the job's own folder. A log that is to be
     identified is made a bag first. Raises RefusedError.
     """
-    kind, names = asked.get('kind'), asked.get('files')
+    kind, names = request.get('kind'), request.get('files')
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
         raise RefusedError('choose a file first')
     if not isinstance(kind, str) or kind not in KINDS:
@@ -48,7 +48,7 @@ def commands(folder: Path, asked: Mapping[str, Any]) -> list[Command]:
                 raise RefusedError('make a bag of the table first: Columns shows what is what')
             before[log] = _to_bag(folder.resolve(), log)
     paths = [Path(before[path][-1][-1]) if path in before else path for path in paths]
-    return [*before.values(), KINDS[kind](folder.resolve(), paths, asked)]
+    return [*before.values(), KINDS[kind](folder.resolve(), paths, request)]
 
 
 def _look(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
@@ -65,8 +65,8 @@ def _columns(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
     return f'columns of {paths[0].name}', SYSID, ['import', str(paths[0]), '--json']
 
 
-def _import(root: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
-    return _to_bag(root, paths[0], named_columns(asked.get('columns')))
+def _import(root: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
+    return _to_bag(root, paths[0], named_columns(request.get('columns')))
 
 
 def _to_bag(root: Path, log: Path, columns: Sequence[str] = ()) -> Command:
@@ -80,8 +80,8 @@ def _compare(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
     return f'compare {len(paths)} flights', SYSID, ['compare', *map(str, paths)]
 
 
-def _export(_: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
-    model, to, axes = paths[0], asked.get('to'), _answers(paths[0])
+def _export(_: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
+    model, to, axes = paths[0], request.get('to'), _answers(paths[0])
     if to not in FIRMWARES:
         raise RefusedError('choose a firmware')
     known = [axis for axis in AXES if axes.get(axis, {}).get('gains')]
@@ -102,15 +102,15 @@ def _answers(model: Path) -> dict[str, Any]:
         raise RefusedError('choose the model of a result') from error
 
 
-def _identify(_: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
+def _identify(_: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
     from quad_sysid.bags import parse_span  # slow to import
 
-    axis = asked.get('axis', 'all')
+    axis = request.get('axis', 'all')
     if axis not in NAMES:
         raise RefusedError(f'axis must be one of {", ".join(NAMES)}')
     arguments = ['identify', *map(str, paths), '--axis', str(axis), '--out', '@result']
     for option in ('train', 'validate'):
-        span = asked.get(option)
+        span = request.get(option)
         if span:
             try:
                 a, b = parse_span(str(span), f'--{option}')
@@ -120,11 +120,11 @@ def _identify(_: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Comma
     return f'identify {axis} of {paths[0].name}', SYSID, arguments
 
 
-def _schedule(root: Path, paths: Sequence[Path], asked: Mapping[str, Any]) -> Command:
+def _schedule(root: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
     """The next flight that the report of a result proposes, as a schedule in the folder."""
     from quad_sysid.report.next_flight import next_flight
 
-    model, axis = paths[0], asked.get('axis')
+    model, axis = paths[0], request.get('axis')
     axes = _answers(model)
     axis = axis if axis in axes else next(iter(axes))
     planned = [one.command for one in next_flight(str(axis), axes[axis]) if one.command]

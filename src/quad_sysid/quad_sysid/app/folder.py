@@ -40,12 +40,12 @@ def inside(folder: Path, name: str) -> Path:
     if not name or '\0' in name:
         raise RefusedError('no such file')
     try:
-        found = (root / name).resolve(strict=True)
+        path = (root / name).resolve(strict=True)
     except (OSError, RuntimeError, ValueError) as error:
         raise RefusedError('no such file') from error
-    if found == root or not found.is_relative_to(root):
+    if path == root or not path.is_relative_to(root):
         raise RefusedError('that file is not in the folder of the app')
-    return found
+    return path
 
 
 def is_bag(path: Path) -> bool:
@@ -56,9 +56,9 @@ def is_bag(path: Path) -> bool:
 def entries(folder: Path) -> list[Entry]:
     """What can be chosen, by name; bags as one entry each."""
     root = folder.resolve()
-    found: list[Entry] = []
+    listed: list[Entry] = []
     waiting = [(root, 0)]
-    while waiting and len(found) < MOST_FILES:
+    while waiting and len(listed) < MOST_FILES:
         here, depth = waiting.pop()
         try:
             content = sorted(here.iterdir())
@@ -71,16 +71,16 @@ def entries(folder: Path) -> list[Entry]:
             if path.is_dir():
                 if is_bag(path):
                     size = sum(f.stat().st_size for f in path.iterdir() if f.is_file())
-                    found.append(Entry(relative, 'bag', size / 1e6))
+                    listed.append(Entry(relative, 'bag', size / 1e6))
                 elif depth < DEEPEST:
                     waiting.append((path, depth + 1))
             elif path.name == 'model.json':
-                found.append(Entry(relative, 'model', path.stat().st_size / 1e6))
+                listed.append(Entry(relative, 'model', path.stat().st_size / 1e6))
             elif (path.suffix.lower() in SUFFIXES and path.suffix != '.json'
                   and RESULTS not in path.relative_to(root).parts):
                 kind = 'bag' if is_bag(path) else 'log'
-                found.append(Entry(relative, kind, path.stat().st_size / 1e6))
-    return sorted(found, key=lambda e: e.path)
+                listed.append(Entry(relative, kind, path.stat().st_size / 1e6))
+    return sorted(listed, key=lambda e: e.path)
 
 
 def new_file(folder: Path, name: str) -> Path:

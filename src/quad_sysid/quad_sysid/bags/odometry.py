@@ -109,12 +109,12 @@ def _along_heading(position: FloatArray, twist: FloatArray, attitude: FloatArray
         return derived
     wide = max(1, round(SMOOTH_S / float(np.median(np.diff(time)))))
 
-    def apart(one: FloatArray) -> float:
+    def difference(one: FloatArray) -> float:
         kernel = np.full(wide, 1.0 / wide)
         return float(sum(np.mean(np.convolve(column, kernel, 'valid')**2)
                          for column in (one - derived).T))
 
-    if apart(world) < CLOSER * apart(body):
+    if difference(world) < CLOSER * difference(body):
         warnings.append(f'{ODOM}: its twist is in the frame of the world, by its positions')
         return world
     return body

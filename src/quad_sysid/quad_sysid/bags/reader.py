@@ -58,7 +58,7 @@ class _Content:
     streams: dict[str, Stamped]
     events: dict[str, list[bytes]]
     warnings: list[str]
-    alike: list[str]
+    same_type: list[str]
     """Other topics of the type of /imu/data."""
     description: str = ''
     """The text of /robot_description."""
@@ -78,8 +78,8 @@ def read_bag(path: str | Path) -> Record:
         why = f' ({"; ".join(reasons)})' if reasons else ''
         raise BadInputError(
             source, f'{IMU_TOPIC} is missing or empty{why}',
-            remedy=f'its type is that of {" and ".join(content.alike)}: `quad-sysid import` makes '
-            'a bag of it' if content.alike
+            remedy=f'its type is that of {" and ".join(content.same_type)}: `quad-sysid import` '
+            'makes a bag of it' if content.same_type
             else 'record it (sensor_msgs/msg/Imu); nothing can be identified without it',
         )
     grid = uniform_grid(imu.stamps, source)
@@ -165,10 +165,10 @@ def _read(path: Path) -> _Content:
                 f'{topic}: {streams[topic].spoiled} messages cannot be read as '
                 f'{TOPIC_TYPES[topic]} of the contract; left out'
             )
-    alike = [name for name, kind in sorted(storage.others.items())
-             if kind.replace('/msg/', '/') == TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/')]
+    same_type = [name for name, kind in sorted(storage.others.items())
+                 if kind.replace('/msg/', '/') == TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/')]
     description = text_of(events.pop(DESCRIPTION, []))
-    return _Content(streams, events, warnings, alike, description)
+    return _Content(streams, events, warnings, same_type, description)
 
 
 def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:
@@ -232,11 +232,11 @@ def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> Flo
     placed = grid.place(stream.stamps, stream.values)
     if name == 'wrench':
         placed = np.ascontiguousarray(placed[:, 2:6])
-    seen = np.isfinite(placed).all(axis=1)
-    if not seen.any():
+    finite = np.isfinite(placed).all(axis=1)
+    if not finite.any():
         warnings.append(f'{topic}: no finite value at a stamp of {IMU_TOPIC}; not used')
         return None
-    lost = 1.0 - np.count_nonzero(seen) / len(grid.cells)
+    lost = 1.0 - np.count_nonzero(finite) / len(grid.cells)
     if name != 'excitation' and lost > LOST_WARNING:
         warnings.append(
             f'{topic}: usable in only {100.0 * (1.0 - lost):.0f} % of the cycles of {IMU_TOPIC}'

@@ -59,7 +59,7 @@ def split_segments(record: Record, train: Span | None = None, validate: Span | N
             continue
         chosen = span or _rest(other, record.n * record.dt, role)
         segments += [_segment(record, role, axis, chosen) for axis in axes]
-    _check_apart(segments, record)
+    _check_overlap(segments, record)
     segments += [s for s in record.segments if s.role == 'idle' and known]
     return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)),
                    warnings=(*record.warnings, *cut, *more))
@@ -82,7 +82,7 @@ def clip_span(
     return (span[0], min(span[1], length)), (cut,) * (length + record.dt < span[1] < np.inf)
 
 
-def _check_apart(segments: list[Segment], record: Record) -> None:
+def _check_overlap(segments: list[Segment], record: Record) -> None:
     """Raise BadInputError where training and validation of an axis overlap."""
     for a in segments:
         for b in segments:

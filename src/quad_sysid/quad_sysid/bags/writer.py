@@ -184,8 +184,8 @@ def _in_order(
 
 def _stream(stamps: np.ndarray, values: FloatArray) -> Stamped:
     """Rows that contain a number."""
-    seen = np.isfinite(values).any(axis=1)
-    return Stamped(stamps[seen], values[seen])
+    finite = np.isfinite(values).any(axis=1)
+    return Stamped(stamps[finite], values[finite])
 
 
 def _imu(record: Record, stamps: np.ndarray) -> Stamped:
@@ -200,8 +200,8 @@ def _imu(record: Record, stamps: np.ndarray) -> Stamped:
         values[:, 12] = UNMEASURED
     else:
         values[:, 8:11] = record.acceleration
-    seen = np.isfinite(record.rates).any(axis=1)
-    return Stamped(stamps[seen], values[seen])
+    finite = np.isfinite(record.rates).any(axis=1)
+    return Stamped(stamps[finite], values[finite])
 
 
 def _events(record: Record) -> dict[str, list[Event]]:

@@ -10,7 +10,7 @@ from quad_sysid.blackbox.frequency import (
     spa,
 )
 from quad_sysid.blackbox.instruments import clriv, iv4
-from quad_sysid.blackbox.polynomial import Model, polynomial_model
+from quad_sysid.blackbox.model import Model, polynomial_model
 from quad_sysid.blackbox.prediction_error import armax, bj, oe
 from quad_sysid.blackbox.regression import detrend, excitation_order
 from quad_sysid.blackbox.residuals import ResidualTest, innovation_test, residual_test

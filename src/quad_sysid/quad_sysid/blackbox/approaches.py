@@ -19,7 +19,7 @@ from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.filters import filter_columns, filter_lags, filter_signal, pulses
 from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import without
-from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.prediction_error import Point, descend, oe, point_of, with_covariance
 from quad_sysid.blackbox.regression import check_informative, check_order
 from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from quad_sysid.blackbox.polynomial import Model, delayed, monic
+from quad_sysid.blackbox.model import Model
+from quad_sysid.blackbox.polynomial import delayed, monic
 from quad_sysid.blackbox.regression import (
     arx_blocks,
     check_informative,

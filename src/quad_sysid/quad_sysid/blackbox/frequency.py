@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.blackbox.polynomial import ComplexArray, Model
+from quad_sysid.blackbox.polynomial import ComplexArray, Polynomials
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
@@ -95,8 +95,8 @@ def spa(z: IOData, w: FloatArray | None = None, window: int | None = None, *,
     u, y, s = centred(z.u), centred(z.y), centred(source)
     us, ys, uu, yy, ss = cross(u, s), cross(y, s), auto(u), auto(y), auto(s)
     response = ys / (us if joint else ss)
-    left = yy - 2.0 * (np.conj(response) * cross(y, u)).real + np.abs(response) ** 2 * uu
-    noise = np.abs(left) if joint else np.maximum(left, 0.0)
+    residual = yy - 2.0 * (np.conj(response) * cross(y, u)).real + np.abs(response) ** 2 * uu
+    noise = np.abs(residual) if joint else np.maximum(residual, 0.0)
     informative = np.maximum(np.abs(us) ** 2 / ss, np.finfo(float).tiny) if joint else uu
     return SpectralEstimate(
         w=grid, response=response, noise_spectrum=noise,
@@ -152,7 +152,7 @@ class FrequencyResponse:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def frequency_response(model: Model, w: FloatArray) -> FrequencyResponse:
+def frequency_response(model: Polynomials, w: FloatArray) -> FrequencyResponse:
     """Response of B/(A F) at w (m,) rad/s, with its covariance by the first-order formula.
 
     Raises BadInputError where w is negative, not finite or beyond the Nyquist frequency.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quad_sysid.blackbox.filters import filter_columns, filter_lags, filter_signal, pulses
-from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.polynomial import Polynomials
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
@@ -32,20 +32,20 @@ class SegmentErrors:
     """(m,) one-step errors with the best initial state of w."""
 
 
-def lead_of(model: Model) -> tuple[int, int]:
+def lead_of(model: Polynomials) -> tuple[int, int]:
     """Rows of a segment before w starts, and before e starts."""
     first = max(model.A.size - 1, model.B.size - 1)
     return first, first + model.D.size - 1
 
 
-def check_rate(model: Model, z: IOData) -> None:
+def check_rate(model: Polynomials, z: IOData) -> None:
     """Raise BadInputError where z was not sampled at the model's rate."""
     if abs(z.dt - model.dt) > 1e-6 * model.dt:
         raise BadInputError('z', f"must be sampled at the model's {1.0 / model.dt:.6g} Hz",
                             f'{1.0 / z.dt:.6g} Hz', 'resample it or identify at its rate')
 
 
-def _response(model: Model, u: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
+def _response(model: Polynomials, u: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
     """(n,) e, w and A y - w of one segment of n samples, w's initial state at its best.
 
     Last a basis (n, k), orthonormal, of what that state adds to e. e is zero before its first row.
@@ -63,7 +63,7 @@ def _response(model: Model, u: FloatArray, y: FloatArray) -> tuple[FloatArray, .
     return e - states @ state, w + free, v - free, basis
 
 
-def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
+def one_step_errors(model: Polynomials, z: IOData) -> list[SegmentErrors]:
     """Errors of every segment that is long enough, in order."""
     check_rate(model, z)
     _, lead = lead_of(model)
@@ -75,13 +75,13 @@ def one_step_errors(model: Model, z: IOData) -> list[SegmentErrors]:
     return errors
 
 
-def squares(model: Model, z: IOData) -> tuple[int, float]:
+def squares(model: Polynomials, z: IOData) -> tuple[int, float]:
     """How many one-step errors there are, and the sum of their squares."""
     parts = one_step_errors(model, z)
     return sum(p.errors.size for p in parts), sum(float(p.errors @ p.errors) for p in parts)
 
 
-def errors_and_gradient(model: Model,
+def errors_and_gradient(model: Polynomials,
                         z: IOData) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Per segment e (m,), its gradient by `parameters` (m, p), and a basis (m, k) of the nuisance.
 
@@ -124,9 +124,9 @@ def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         rest = column.copy()
         for known in basis * 2:
             rest -= (known @ rest) * known
-        left, size = math.sqrt(rest @ rest), math.sqrt(column @ column)
-        if math.isfinite(size) and left > DEPENDENT * size:
-            basis.append(rest / left)
+        remaining, size = math.sqrt(rest @ rest), math.sqrt(column @ column)
+        if math.isfinite(size) and remaining > DEPENDENT * size:
+            basis.append(rest / remaining)
             kept.append(j)
     turn = np.zeros((columns.shape[1], len(kept)))
     whole = np.array(basis).T if basis else np.zeros((columns.shape[0], 0))

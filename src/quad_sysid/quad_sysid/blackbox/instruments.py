@@ -15,7 +15,8 @@ from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.filters import filter_columns, pulses
 from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import one_step_errors, squares, without
-from quad_sysid.blackbox.polynomial import Model, delayed, monic
+from quad_sysid.blackbox.model import Model
+from quad_sysid.blackbox.polynomial import delayed, monic
 from quad_sysid.blackbox.prediction_error import evaluate
 from quad_sysid.blackbox.regression import check_informative, check_orders, lagged
 from quad_sysid.blackbox.residuals import whitener
@@ -76,23 +77,24 @@ def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
     converged, iteration, was_unstable = False, 0, False
     while iteration < ROUNDS:
         iteration += 1
-        ahead, variance, noise_spread = _noise_step(model, z)
-        shape = np.convolve(ahead.C, ahead.F)
-        theta, spread = _solve('clriv', _blocks(z, clean, ahead, ahead.D, shape, nf))
+        refined, variance, noise_spread = _noise_step(model, z)
+        shape = np.convolve(refined.C, refined.F)
+        theta, spread = _solve('clriv', _blocks(z, clean, refined, refined.D, shape, nf))
         f = monic(theta[:nf])
         was_unstable = inside(f) is not f
-        ahead = replace(ahead, B=delayed(theta[nf:], nk), F=inside(f))
+        refined = replace(refined, B=delayed(theta[nf:], nk), F=inside(f))
         sigma = np.sqrt(np.maximum(np.diag(spread) * variance, 1e-300))
-        moved = np.concatenate((ahead.F[1:] - model.F[1:], ahead.B[nk:] - model.B[nk:])) / sigma
+        moved = np.concatenate((refined.F[1:] - model.F[1:],
+                                refined.B[nk:] - model.B[nk:])) / sigma
         if iteration > SWINGING:  # poorly determined parameters oscillate about the solution
             share = 1.0 / (iteration - SWINGING + 1.0)
-            f = inside(model.F + share * (ahead.F - model.F))
-            ahead = replace(ahead, B=model.B + share * (ahead.B - model.B), F=f)
+            f = inside(model.F + share * (refined.F - model.F))
+            refined = replace(refined, B=model.B + share * (refined.B - model.B), F=f)
         covariance = np.zeros((nb + nc + nd + nf,) * 2)  # plant and noise part are independent
         plant = [*range(nb + nc + nd, nb + nc + nd + nf), *range(nb)]
         covariance[np.ix_(plant, plant)] = variance * spread
         covariance[nb : nb + nc + nd, nb : nb + nc + nd] = noise_spread
-        model = replace(ahead, covariance=covariance)
+        model = replace(refined, covariance=covariance)
         if float(np.max(np.abs(moved))) < CONVERGED:
             converged = True
             break
@@ -160,5 +162,5 @@ def _noise_step(model: Model, z: IOData) -> tuple[Model, float, FloatArray]:
     inverse = np.linalg.pinv(point.hessian[held, held], rcond=1e-12, hermitian=True)
     theta = model.parameters.copy()
     theta[held] -= inverse @ point.slope[held]
-    ahead = model.with_parameters(theta)
-    return replace(ahead, C=inside(ahead.C)), variance, np.asarray(variance * inverse)
+    updated = model.with_parameters(theta)
+    return replace(updated, C=inside(updated.C)), variance, np.asarray(variance * inverse)

@@ -19,7 +19,7 @@ import numpy as np
 from quad_sysid.blackbox.filters import filter_columns
 from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import errors_and_gradient
-from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders
 from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
 from quad_sysid.blackbox.start_values import (
@@ -231,11 +231,11 @@ def descend(point: Point, at: Callable[[Model], Point], bar: float = math.inf) -
             break
         steps = chain([plain], (_step(point, free, damping) for damping in DAMPINGS))
         searched = (_search(point, step, at) for step in steps)
-        ahead = next((one for one in searched if one is not None), None)
-        if ahead is None:
+        lower = next((one for one in searched if one is not None), None)
+        if lower is None:
             converged = rows * promised <= 100.0 * TOLERANCE * point.squares
             break
-        point = ahead
+        point = lower
     return replace(point, model=replace(point.model, converged=converged, iterations=iteration,
                                         samples=rows, loss=point.squares / max(rows, 1)))
 
@@ -282,17 +282,17 @@ def _search(point: Point, step: FloatArray, at: Callable[[Model], Point]) -> Poi
     theta, promised = point.model.parameters, float(point.slope @ step)
     length = 1.0
     while length > 1e-3:
-        ahead = at(point.model.with_parameters(theta - length * step))
-        if ahead.squares < point.squares:
+        trial = at(point.model.with_parameters(theta - length * step))
+        if trial.squares < point.squares:
             break
-        rise = ahead.squares - point.squares + 2.0 * length * promised
+        rise = trial.squares - point.squares + 2.0 * length * promised
         length *= min(max(length * promised / rise, 0.1), 0.6) if rise > 0.0 else 0.5
     else:
         return None
-    beyond = -float(ahead.slope @ step) / promised
+    beyond = -float(trial.slope @ step) / promised
     if length < 1.0 or beyond < OVERSHOT:
-        return ahead
-    return min(ahead, at(point.model.with_parameters(theta - step / (1.0 + beyond))), key=_squares)
+        return trial
+    return min(trial, at(point.model.with_parameters(theta - step / (1.0 + beyond))), key=_squares)
 
 
 def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:

@@ -15,7 +15,7 @@ from scipy import special
 
 from quad_sysid.blackbox.frequency import autocovariance, cross_covariance
 from quad_sysid.blackbox.innovations import SegmentErrors, one_step_errors
-from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.polynomial import Polynomials
 from quad_sysid.blackbox.regression import BLOCK_ROWS, check_order, lagged, triangular
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
@@ -66,7 +66,7 @@ class ResidualTest:
 
 
 def residual_test(
-    z: IOData, model: Model, lags: int = 25, confidence: float = 0.99
+    z: IOData, model: Polynomials, lags: int = 25, confidence: float = 0.99
 ) -> ResidualTest:
     """Test the one-step residual of `model` on z (MATLAB: resid).
 
@@ -75,7 +75,7 @@ def residual_test(
     autoregression of the residual, so that a coloured residual (OE, IV) is judged fairly.
     Raises BadInputError where z is too short for the lags.
     """
-    if isinstance(z, Model):
+    if isinstance(z, Polynomials):
         raise BadInputError('residual_test', 'the data come first', 'a model',
                             'residual_test(z, model)')
     _check(lags, confidence)
@@ -187,12 +187,12 @@ def _explained(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, past: 
 def _test_rows(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray,
                lags: list[int]) -> Iterator[FloatArray]:
     """Blocks of rows [1, x(t - lag) …, e(t)], x and e whitened by `ar`."""
-    ahead, behind = max(0, -min(lags)), max(0, *lags) + ar.size - 1
+    leads, delays = max(0, -min(lags)), max(0, *lags) + ar.size - 1
     for part in parts:
-        begin, end = part.start, part.start + part.errors.size - ahead
-        smooth = np.convolve(x[begin : end + ahead], ar)
+        begin, end = part.start, part.start + part.errors.size - leads
+        smooth = np.convolve(x[begin : end + leads], ar)
         e = np.convolve(part.errors, ar)
-        for start in range(behind, end - begin, BLOCK_ROWS):
+        for start in range(delays, end - begin, BLOCK_ROWS):
             stop = min(end - begin, start + BLOCK_ROWS)
             columns = lagged(smooth, lags, start, stop)
             yield np.column_stack((np.ones(stop - start), columns, e[start:stop]))

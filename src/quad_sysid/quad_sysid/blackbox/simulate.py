@@ -12,7 +12,7 @@ import numpy as np
 
 from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
 from quad_sysid.blackbox.innovations import check_rate, one_step_errors
-from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.polynomial import Polynomials
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.qr import upper
@@ -22,7 +22,7 @@ SETTLE_ROWS = 4000
 """Most rows of a segment that determine its initial state."""
 
 
-def simulate(model: Model, u: FloatArray, x0: FloatArray | None = None) -> FloatArray:
+def simulate(model: Polynomials, u: FloatArray, x0: FloatArray | None = None) -> FloatArray:
     """Free run (n,) of the plant B/(A F) on u (n,), without noise.
 
     x0 is the state of the transposed direct form II (scipy.signal.lfilter's `zi`), of
@@ -43,7 +43,7 @@ def simulate(model: Model, u: FloatArray, x0: FloatArray | None = None) -> Float
         return filter_signal(np.ones(1), model.denominator, driven)
 
 
-def initial_state(model: Model, u: FloatArray, y: FloatArray) -> FloatArray:
+def initial_state(model: Polynomials, u: FloatArray, y: FloatArray) -> FloatArray:
     """State from which the free run on u (n,) comes nearest to y (n,), by least squares."""
     size = max(model.denominator.size, model.B.size) - 1
     rows = min(np.asarray(u).size, max(SETTLE_ROWS, 10 * size))
@@ -56,7 +56,7 @@ def initial_state(model: Model, u: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(r[:size, :size], r[:size, size], rcond=1e-10)[0])
 
 
-def predict(model: Model, z: IOData, horizon: float = 1) -> FloatArray:
+def predict(model: Polynomials, z: IOData, horizon: float = 1) -> FloatArray:
     """Predicted output (n,), `horizon` samples ahead; NaN where z has no segment or no past.
 
     math.inf is the free run, each segment from its best initial state. The k-step error is
@@ -77,7 +77,7 @@ def predict(model: Model, z: IOData, horizon: float = 1) -> FloatArray:
     return np.asarray(z.y - errors)
 
 
-def horizon_errors(model: Model, z: IOData, horizon: int) -> Iterator[FloatArray]:
+def horizon_errors(model: Polynomials, z: IOData, horizon: int) -> Iterator[FloatArray]:
     """Errors (n,) of `predict` for 1, 2, …, `horizon` samples ahead, NaN where none is made.
 
     One pass over the data for all horizons, since each adds one term to the one before.
@@ -117,8 +117,8 @@ def fit_percent(y: FloatArray, yhat: FloatArray) -> float:
     return 100.0 * (1.0 - missed / spread)
 
 
-def compare(z: IOData, *models: Model, horizon: float = math.inf) -> tuple[float, ...]:
+def compare(z: IOData, *models: Polynomials, horizon: float = math.inf) -> tuple[float, ...]:
     """Fit in percent of each model on z, by default in the free run (MATLAB: compare)."""
-    if isinstance(z, Model):
+    if isinstance(z, Polynomials):
         raise BadInputError('compare', 'the data come first', 'a model', 'compare(z, model, …)')
     return tuple(fit_percent(z.y, predict(model, z, horizon)) for model in models)

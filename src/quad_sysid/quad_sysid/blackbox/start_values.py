@@ -19,7 +19,8 @@ from scipy.linalg import toeplitz
 
 from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
 from quad_sysid.blackbox.innovations import one_step_errors
-from quad_sysid.blackbox.polynomial import Model, delayed, monic, polynomial_model
+from quad_sysid.blackbox.model import Model, polynomial_model
+from quad_sysid.blackbox.polynomial import delayed, monic
 from quad_sysid.blackbox.regression import lagged, usable_rows
 from quad_sysid.contract import FloatArray
 from quad_sysid.qr import upper
@@ -165,13 +166,13 @@ def reinserted(model: Model) -> Iterator[Model]:
         z_roots, p_roots = np.roots(lead), np.roots(getattr(model, poles))
         if zeros == 'C':
             p_roots = np.where(np.abs(p_roots.imag) < NEARLY_REAL, p_roots.real, p_roots)
-        apart = np.abs(z_roots[:, None] - p_roots)
-        apart[(z_roots.imag != 0.0)[:, None] | (p_roots.imag != 0.0)] = np.inf
+        distance = np.abs(z_roots[:, None] - p_roots)
+        distance[(z_roots.imag != 0.0)[:, None] | (p_roots.imag != 0.0)] = np.inf
         if zeros == 'B':  # no plant sampled from continuous time has a pole below 0
-            apart[:, (p_roots.imag == 0.0) & (p_roots.real < 0.0)] *= 1e-3
-        if apart.min(initial=np.inf) > NEAR:
+            distance[:, (p_roots.imag == 0.0) & (p_roots.real < 0.0)] *= 1e-3
+        if distance.min(initial=np.inf) > NEAR:
             continue
-        i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
+        i, j = np.unravel_index(int(np.argmin(distance)), distance.shape)
         for place in PLACES:
             top = lead[0] * np.real(np.poly([*np.delete(z_roots, i), place]))
             bottom = np.real(np.poly([*np.delete(p_roots, j), place]))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quad_sysid.blackbox.innovations import one_step_errors
-from quad_sysid.blackbox.polynomial import Model
+from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.residuals import ResidualTest, residual_test
 from quad_sysid.blackbox.simulate import compare
 from quad_sysid.errors import BadInputError

@@ -56,6 +56,16 @@ def p_value(shares: FloatArray) -> float:
     return float(stats.t.sf(math.sqrt(n) * mean / math.sqrt(variance), count))
 
 
+def p_of_both(long: FloatArray, shorter: FloatArray, ahead: FloatArray) -> float:
+    """Chance of what a model's free runs, shorter ones and the next sample's likelihood show.
+
+    Each (windows,), -1 to 1. Two tests, hence twice the smaller chance (Bonferroni): the metric's
+    own windows alone, and the mean of all three, for where gusts rule long windows shorter ones
+    may tell. A model that was projected onto the long ones may predict the next sample worse.
+    """
+    return min(1.0, 2.0 * min(p_value(long), p_value((long + shorter + ahead) / 3.0)))
+
+
 def shares_of(speaks_for: FloatArray, against: FloatArray) -> FloatArray:
     """(blocks,) balance of each block as a share of its turnover, -1 to 1.
 
@@ -153,15 +163,11 @@ class Unseen:
         return self.known[fitted]
 
     def p_value(self, fitted: Fitted, other: Fitted) -> float:
-        """Chance of this much evidence for a model against another if it predicts no better.
-
-        Each window of the metric counts by its balance of the free runs of both lengths and of the
-        likelihood of the next sample: where gusts rule long windows, short ones may tell.
-        """
+        """Chance of this much evidence for a model against another if it predicts no better."""
         long, short = (shares_of(*pair) for pair in self.squares(other, fitted))
-        ahead = np.array([np.mean(part) for part in np.array_split(short, long.size)]) \
+        shorter = np.array([np.mean(part) for part in np.array_split(short, long.size)]) \
             if short.size >= long.size else long
-        return p_value((long + ahead + self.balance(fitted, other)) / 3.0)
+        return p_of_both(long, shorter, self.balance(fitted, other))
 
     def balance(self, fitted: Fitted, other: Fitted) -> FloatArray:
         """(windows,) balance of the log-likelihoods of a model and another, -1 to 1."""
@@ -240,13 +246,15 @@ def judge(unseen: Unseen, problem: Problem, found: Found, ladder: Ladder) -> Ver
         without = [models.comparable(one) for one in models.each_left_out(answer)]
         claims = [_claim(unseen, chosen, other, part.effect.name, ladder)
                   for part, other in zip(answer.structure.parts, without, strict=True)]
-        kept = [i for i, one in enumerate(claims) if one.stands]
-        if len(kept) == len(claims):
+        weak = [i for i, one in enumerate(claims) if not one.stands]
+        if not weak:
             break
-        if not kept:
+        if len(claims) == 1:
             chosen, claims = base, []
             break
-        answer = models.with_only(answer, kept)
+        # one at a time: each of two that stand for the same makes the other look needless
+        weakest = max(weak, key=lambda i: (claims[i].p_value, -claims[i].reproducible))
+        answer = models.with_only(answer, [i for i in range(len(claims)) if i != weakest])
     told = _commands_tell(problem, unseen, chosen)
     if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen, claims = base, []

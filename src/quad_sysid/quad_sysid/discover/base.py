@@ -26,10 +26,7 @@ FAR_BEHIND = 30.0
 UNDECIDED = math.log(1.0 / LEVEL)
 """Nats within which the data do not decide between two readings."""
 ROUGH_NATS = 0.3
-"""A step that gains less ends the fits of a contest; what is chosen goes on (search.settled)."""
-SLOW_MOTORS = 20.0
-"""Nats by which motors that are slower than the body must lead. In a flight of PX4's own firmware,
-whose simulator has motors of 0.05 s on a body of 1 s, the other order led by 5."""
+"""A step that gains less ends the fits of a contest; what is chosen goes on from there."""
 STARTS = ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (1, 0.002, 0.002), (-1, 0.04, 0.01))
 """Sign of the gain, lag and delay (s) that a base starts from: usual motors, a late log, slow
 motors, a drive that answers at once, and a drive that is wired the wrong way."""
@@ -72,18 +69,8 @@ def best_base(problem: Problem) -> Fit:
 
 
 def both_orders(problem: Problem, fitted: Fit) -> Fit:
-    """A fit, or one in which lag and damping have changed places: the quicker pole is the motors'.
-
-    Which is which the disturbance alone tells, whose model is never exact: motors that are slower
-    than the body must be far more probable.
-    """
-    other = _other_order(problem, fitted) or fitted
-
-    def probable(one: Fit) -> float:
-        slow = one.value('lag') * one.value('damping') > 1.0
-        return one.log_posterior - (SLOW_MOTORS if slow else 0.0)
-
-    return max((fitted, other), key=probable)
+    """A fit, or the one in which lag and damping have changed places where it is likelier."""
+    return most_probable((fitted, _other_order(problem, fitted))) or fitted
 
 
 def second_reading(problem: Problem, fitted: Fit) -> Fit | None:

@@ -103,24 +103,6 @@ class Along:
         """(n,) mean of each cycle, rad/s², of all but the disturbance."""
         return np.asarray(np.mean(self.push.known, axis=0) + self.slope * self.signals.rate)
 
-    def share_of(self, part: Part, p: FloatArray, q: FloatArray, left: FloatArray) -> float:
-        """Share of `left` (rows,) that an effect explains at its coordinates p, in any size.
-
-        q (rows, m): an orthonormal basis of what others explain as well.
-        """
-        effect, at = part.effect, natural(part.effect.parameters, p)
-        if effect.moves_command:
-            one = self._added(part, p)
-        elif effect.wanders:
-            one = per_coefficient(part, self.signals, at)
-        else:
-            own = self.problem.flight.hidden(part, self.signals, at)
-            one = required(effect.torque(own, at, part.settings))
-        one = one[self.problem.rows]
-        one = one - q @ (q.T @ one)
-        size = float(one @ one) * float(left @ left)
-        return float(one @ left) ** 2 / size if size > 0.0 else 0.0
-
     def columns(self, part: Part, linear: list[int], p: FloatArray) -> Sequence[FloatArray]:
         """Mean acceleration of each cycle per unit of each linear parameter, (n,) each, rad/s².
 
@@ -131,7 +113,8 @@ class Along:
             return [per_coefficient(part, self.signals, at)]
         if not effect.moves_command:
             own = self.problem.flight.hidden(part, self.signals, at)
-            return effect.columns(own, at, linear, part.settings).T
+            return effect.columns(own, at, linear, part.settings).T if linear else [
+                required(effect.torque(own, at, part.settings))]
         if not linear:
             return [self._added(part, p)]
         return [self._added(part, p + step) / SMALL for step in SMALL * np.eye(p.size)[linear]]

@@ -16,7 +16,6 @@ from quad_sysid.discover.base import (
     FAR_BEHIND,
     ROUGH_NATS,
     Try,
-    begun_fits,
     best_base,
     both_orders,
     contest,
@@ -41,7 +40,7 @@ from quad_sysid.discover.constants import (
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem, start_of, stays_bounded
 from quad_sysid.model.effect import Effect, Part, required
-from quad_sysid.model.structure import NOISE, VIBRATION, coordinates
+from quad_sysid.model.structure import NOISE, VIBRATION, Structure, coordinates
 
 SIZES = (NOISE[0], NOISE[1], VIBRATION[0])
 """Parts of the noise relative to the gyro's white noise."""
@@ -73,9 +72,10 @@ def law(effect: Effect) -> tuple[str, type[Effect]]:
     return effect.name, type(effect)
 
 
-def explanation(effect: Effect) -> str:
-    """What an effect says: hidden states of one name are unlike, its curves are not."""
-    return effect.label if effect.states else effect.name
+def explanation(structure: Structure) -> tuple[str, ...]:
+    """What its effects say, sorted: hidden states of one name are unlike, its curves are not."""
+    effects = (part.effect for part in structure.parts)
+    return tuple(sorted(effect.label if effect.states else effect.name for effect in effects))
 
 
 @dataclass(frozen=True)
@@ -171,25 +171,16 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
     """Fits of how the motors may respond, begun from the priors and not from the base.
 
     A response that overshoots, as of yaw with heavy rotors, draws the base so far away, up to a
-    negative gain, that no step leads back from there once the response is added. Few steps show
-    whether such a response is there: only what is beyond the base by then is fitted to its end.
+    negative gain, that no step leads back from there once the response is added.
     """
-    begun, brief = start_of(problem), problem.brief
-    count = begun.size - len(problem.plain.noise)
-    tries = [
+    begun, count = start_of(problem), len(problem.plain.base)
+    return contest(problem, [
         Try(problem.plain.plus(part), [
             np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
             for start in part.effect.starts(problem.data, part.settings)
         ], problem.flight.rate)
         for part in parts if part.effect.term == 'response' and not part.effect.motors
-    ]
-    known = None if brief is None else fitted_from(brief, base.structure, base.theta,
-                                                   rate=base.rate[brief.index])
-    if brief is not None and known is not None:
-        there = begun_fits(brief, [replace(one, rate=brief.flight.rate) for one in tries])
-        tries = [Try(one.structure, (one.theta,), problem.flight.rate)
-                 for one in there if one.evidence > known.evidence + ANEW / BRIEF]
-    return contest(problem, tries, base.evidence)
+    ], base.evidence + ANEW)
 
 
 class _Search:
@@ -203,9 +194,27 @@ class _Search:
             part.effect.label: math.log(EXPECTED / len(laws) / laws[law(part.effect)])
             for part in parts
         }
-        self.known: dict[frozenset[str], Scored] = {frozenset(): Scored(base, base.evidence)}
-        self.tried: set[frozenset[str]] = set()
-        self.screens: dict[frozenset[str], list[Score]] = {}
+        self.base = Scored(base, base.evidence)
+        self.known: dict[frozenset[str], Scored] = {frozenset(): self.base}
+        self.hopeful: set[str] = set()
+
+    def run(self) -> None:
+        """Add one effect at a time, then leave out what was made needless."""
+        if not self.halt():
+            for fit in anew(self.problem, self.parts, self.base.fit):
+                self.keep(fit)
+        beam = leading(self.known.values())
+        for _ in range(MOST_EFFECTS):
+            if self.halt():
+                return
+            before, beam = beam[0], leading(self.build_on(beam))
+            if not beam:
+                break
+            beam[0] = self.keep(both_orders(self.problem, beam[0].fit))
+            if beam[0].score <= before.score or self.hardly(before.fit, beam[0].fit):
+                break
+        while not self.halt() and self.spare():
+            pass
 
     def build_on(self, parents: Sequence[Scored]) -> list[Scored]:
         """Fitted structures with one more effect, whose linear score may reach the best parent's.
@@ -214,26 +223,18 @@ class _Search:
         reach that beside the best, the others are not scored.
         """
         least = parents[0].score + HOPELESS
-        ahead: dict[frozenset[str], tuple[float, Fit, Score]] = {}
+        ahead: dict[tuple[str, ...], tuple[float, Fit, Score]] = {}
         for parent in parents:
             for one in self.scores(parent.fit, whole=parent is parents[0]):
-                effect, own = one.part.effect, parent.fit.structure.labels
-                labels, kind = (frozenset((*own, x)) for x in (effect.label, explanation(effect)))
-                score = parent.score + one.nats + self.prices[effect.label]
-                new = labels not in self.tried and labels not in self.known
-                if new and score >= ahead.get(kind, (least,))[0]:
-                    ahead[kind] = score, parent.fit, one
+                said = explanation(parent.fit.structure.plus(one.part))
+                score = parent.score + one.nats + self.prices[one.part.effect.label]
+                if score >= ahead.get(said, (least,))[0]:
+                    ahead[said] = score, parent.fit, one
             if not ahead:
                 break
-        unlike: dict[frozenset[str], tuple[float, Fit, Score]] = {}
-        for found in sorted(ahead.values(), key=lambda one: -one[0]):
-            _, fit, one = found
-            unlike.setdefault(frozenset((*fit.structure.labels, one.part.effect.label)), found)
-        hopeful = [*unlike.values()][:REFITS]
+        hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:REFITS]
         if self.halt():
             return []
-        self.tried |= {frozenset((*fit.structure.labels, one.part.effect.label))
-                       for _, fit, one in hopeful}
         fits = contest(self.problem, [one_try for _, fit, one in hopeful
                                       for one_try in extensions(fit, one)],
                        self.best().fit.evidence - FAR_BEHIND)
@@ -242,21 +243,17 @@ class _Search:
         self.listen(f'{len(self.known)} structures, best so far {best}')
         return [*kept.values()]
 
-    def scores(self, parent: Fit, *, whole: bool = True) -> list[Score]:
+    def scores(self, parent: Fit, *, whole: bool) -> list[Score]:
         """Linear scores of the candidates beside a structure, best first.
 
         Not whole: of those that have explained something beside another structure.
         """
-        labels = frozenset(parent.structure.labels)
-        if labels in self.screens:
-            return self.screens[labels]
-        rest = [p for p in self.parts if p.effect.label not in labels]
-        if not whole:
-            hopeful = {one.part.effect.label for known in self.screens.values() for one in known
-                       if one.nats > 0.0}
-            return screen(self.problem, parent, [p for p in rest if p.effect.label in hopeful])
-        self.screens[labels] = screen(self.problem, parent, rest)
-        return self.screens[labels]
+        found = screen(self.problem, parent, [
+            part for part in self.parts if part.effect.label not in parent.structure.labels
+            and (whole or part.effect.label in self.hopeful)
+        ])
+        self.hopeful |= {one.part.effect.label for one in found if one.nats > 0.0}
+        return found
 
     def keep(self, fitted: Fit) -> Scored:
         """Store a fit with its score, where it is the better one of its structure."""
@@ -279,11 +276,11 @@ class _Search:
         windows = problem.data.windows(problem.spans)
         if not windows.count:
             return False
-        base = self.known[frozenset()].fit
         with np.errstate(all='ignore'):
             least, less, full = (
                 problem.flight.free_run(one.structure, one.theta, windows,
-                                        prediction=one.prediction) for one in (base, before, more)
+                                        prediction=one.prediction)
+                for one in (self.base.fit, before, more)
             )
         rate = problem.data.rate[windows.starts[:, None] + np.arange(windows.length)]
         motion = float(np.mean((rate - rate[:, :1]) ** 2))
@@ -307,8 +304,7 @@ def leading(fits: Iterable[Scored]) -> list[Scored]:
     """The best of each explanation, best first, BEAM at most: its variants lead the same way."""
     unlike: dict[tuple[str, ...], Scored] = {}
     for one in sorted(fits, key=lambda s: -s.score):
-        said = (explanation(part.effect) for part in one.fit.structure.parts)
-        unlike.setdefault(tuple(sorted(said)), one)
+        unlike.setdefault(explanation(one.fit.structure), one)
     return list(unlike.values())[:BEAM]
 
 
@@ -334,7 +330,8 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     problem.measure(base)
     problem.brief = _brief(problem, base)
     while True:
-        found = _structures(problem, parts, base, halt, listen)
+        found = _Search(problem, parts, base, halt, listen)
+        found.run()
         best = found.best().fit
         used = {which for part in best.structure.parts for which in part.effect.others}
         shared = {which for which in used if shares(problem, best, base, which)}
@@ -350,10 +347,10 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     leading_ones = Found(base, ordered, reasons, found.prices)
     if problem is not whole:
         problem, leading_ones = whole, _on_all(whole, leading_ones)
-    return settled(problem, leading_ones)
+    return to_convergence(problem, leading_ones)
 
 
-def settled(problem: Problem, found: Found) -> Found:
+def to_convergence(problem: Problem, found: Found) -> Found:
     """The same with those that may be chosen brought to convergence; what does not get there goes.
 
     It stays where nothing near it converges either. What leads and runs away in a free run goes
@@ -399,26 +396,3 @@ def _on_all(problem: Problem, found: Found) -> Found:
     ])
     known = (Scored(base, base.evidence), *(scored(one, found.prices) for one in fits))
     return replace(found, base=base, all=tuple(sorted(known, key=lambda one: -one.score)))
-
-
-def _structures(problem: Problem, parts: Sequence[Part], base: Fit, halt: Callable[[], str],
-                listen: Callable[[str], None]) -> _Search:
-    found = _Search(problem, parts, base, halt, listen)
-    if halt():
-        return found
-    for fitted in anew(problem, parts, base):
-        if fitted.evidence > base.evidence + ANEW:
-            found.keep(fitted)
-    beam = leading(found.known.values())
-    for _ in range(MOST_EFFECTS):
-        before, top = beam[0].fit, beam[0].score
-        beam = leading(found.build_on(beam))
-        if beam:
-            beam[0] = found.keep(both_orders(problem, beam[0].fit))
-            found.screens.pop(frozenset(beam[0].fit.structure.labels), None)
-        if (not beam or beam[0].score <= top or found.hardly(before, beam[0].fit)
-                or halt()):
-            break
-    while not halt() and found.spare():
-        pass
-    return found

@@ -10,10 +10,9 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.curves import COUNT, Smooth, placed_around_zero
-from quad_sysid.effects.hidden import Linked, System, along, behind_lag, followed, ring, step_of
+from quad_sysid.effects.hidden import Linked, System, behind_lag, followed, ring, step_of
 from quad_sysid.effects.torques import Row
-from quad_sysid.model import laws
-from quad_sysid.model.data import AxisData, Span
+from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import (
     UNITS,
     Drive,
@@ -60,13 +59,9 @@ class Map(Row):
 
 
 class Kept(Map):
-    """A map that keeps what it gave in the last cycle, by a compiled loop along a flight."""
+    """A map that keeps what it gave in the last cycle."""
 
     states = 1
-    loop: Callable[..., None]
-    """The law along a flight, into what is kept at the start of each cycle."""
-    numbers: Callable[[Signals, FloatArray], tuple[float, ...]]
-    """Of the loop."""
 
     def mapped(self, s: Signals, p: FloatArray) -> FloatArray:
         """The commands (k, …) as its law takes them."""
@@ -77,11 +72,6 @@ class Kept(Map):
 
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return self.law(s.but(hidden=x), self.mapped(s, p), p)
-
-    def trace(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-              begun: FloatArray | None = None) -> FloatArray:
-        numbers = self.numbers(s, p)
-        return np.stack([along(stretches, u, self.loop, *numbers) for u in self.mapped(s, p)])
 
 
 class Steps(Kept):
@@ -168,8 +158,7 @@ MAPS = (
         lambda _, u, p: np.sign(u) * np.maximum(np.abs(u) - p[0], 0.0)),
     Kept(
         'backlash', ('command', 'history'), HALF_WIDTH,
-        lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0]),
-        loop=laws.play, numbers=lambda _, p: (float(p[0]),)),
+        lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0])),
     Kept(
         'shape:lag:command', ('command', 'motors', 'history'),
         (
@@ -177,7 +166,6 @@ MAPS = (
                  starts=(0.5, 1.5, 4.0, 10.0)),
         ),
         lambda s, u, p: s.hidden + np.clip(u - s.hidden, -p[0] * s.dt, p[0] * s.dt),
-        loop=laws.slew, numbers=lambda s, p: (float(p[0]) * s.dt,),
         kind='shape', variant='slew limit', term='response'),
     Steps(
         'shape:gain:command', ('command', 'motors'),
@@ -187,7 +175,7 @@ MAPS = (
             Spec('hysteresis', '1', spread=0.3, positive=True, starts=(0.0, 0.25)),
         ),
         lambda s, u, p: np.where(np.abs(u - s.hidden) - 0.5 > p[2], np.floor(u + 0.5), s.hidden),
-        loop=laws.in_steps, numbers=lambda _, p: (float(p[2]),), kind='shape', variant='steps'),
+        kind='shape', variant='steps'),
     Following(
         'mode:second_lag', ('command', 'history'),
         (

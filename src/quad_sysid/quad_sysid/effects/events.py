@@ -68,7 +68,7 @@ class Event(Torque):
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.array([t, *d, 0.0]) for d in self.lengths for t in times(data)]
 
-    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+    def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         return np.array([LONG_AGO_S, *p[1:]])
 
 
@@ -91,7 +91,7 @@ class Periodic(Repeating, Event):
         phase = 2.0 * math.pi * p[0] * s.time
         return per_unit(self.term, s) * (p[1] * np.sin(phase) + p[2] * np.cos(phase))
 
-    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+    def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         size = math.hypot(p[1], p[2])
         return np.array([p[0], size * math.cos(phase), size * math.sin(phase)])
 
@@ -143,7 +143,7 @@ class PeriodicDelay(Clocked):
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         return drive.behind((s.delay + self.later(s.time - s.delay, p)) / s.dt)
 
-    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+    def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         turn = phase - math.atan2(p[2], p[1])
         turned = (p[1::2] + 1j * p[2::2]) * np.exp(1j * turn * ORDERS)
         return np.r_[p[0], turned.view(np.float64)]
@@ -181,7 +181,7 @@ class Held(Clocked):
         ages = np.maximum(np.stack([age(count - 1.0), age(count)]), 0.0)
         return replace(drive, ages=ages, fraction=fraction)
 
-    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+    def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         return np.array([p[0], phase])
 
 

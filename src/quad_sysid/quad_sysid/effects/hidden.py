@@ -134,7 +134,9 @@ class Summing(Linear):
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return 0.5 * s.rate
 
-    def seen_along(self, s: Signals, followed: Callable[[FloatArray], FloatArray]) -> Signals:
+    def inputs_in_flight(
+        self, s: Signals, followed: Callable[[FloatArray], FloatArray]
+    ) -> Signals:
         return replace(s, rate=followed(s.rate))
 
 
@@ -152,27 +154,12 @@ class Hysteresis(Effect):
         Spec('torque', 'rad/s²', positive=True),
     )
 
-    def trace(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-              begun: FloatArray | None = None) -> FloatArray:
-        share = s.dt / max(float(p[0]), 1e-4)
-        return along(stretches, s.rate, laws.built_up, share)[None, :]
-
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         way = np.where(s.rate > 0.0, 1.0, -1.0)
         return way + (x - way) * np.exp(-np.abs(s.rate) * s.dt / max(float(p[0]), 1e-4))
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[1] * required(s.hidden)[0]
-
-
-def along(stretches: Sequence[Span], signal: FloatArray, kernel: Callable[...,
-          None], *numbers: float) -> FloatArray:
-    """(n,) a compiled kernel with memory, run along each unbroken stretch of a signal (n,)."""
-    signal = np.ascontiguousarray(signal)
-    out = np.array(signal, dtype=float)
-    for start, stop in stretches:
-        kernel(signal, *numbers, start, stop, out)
-    return out
 
 
 def each_ahead(name: str, arrays: Sequence[FloatArray], numbers: Sequence[float],
@@ -238,15 +225,6 @@ class Load(Effect):
         moved = self._inputs(s, p)[1]
         return np.stack([np.zeros_like(moved), moved])
 
-    def trace(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-              begun: FloatArray | None = None) -> FloatArray:
-        pull, moved = self._inputs(s, p)
-        out = np.stack([np.zeros_like(moved), moved]) if begun is None else begun.copy()
-        w = 2.0 * math.pi * float(p[0])
-        for start, stop in stretches:
-            laws.loose(pull, moved, w, float(p[1]), s.dt, start, stop, out)
-        return np.vstack([out, self._ahead(out, s, p)[2:]])  # what pushed too, along a flight
-
     def _ahead(self, x: FloatArray, s: Signals, p: FloatArray) -> FloatArray:
         """(3, …) the states a cycle later, and what pushed the mass meanwhile."""
         w = 2.0 * math.pi * float(p[0])
@@ -258,7 +236,7 @@ class Load(Effect):
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         hidden = required(s.hidden)
-        z, pushed = hidden[0], (hidden if len(hidden) == 3 else self._ahead(hidden, s, p))[2]
+        z, pushed = hidden[0], self._ahead(hidden, s, p)[2]
         turned = float(p[2]) if self.moved != 'leaning' else 1.0 / float(p[2])
         directly = s.drive if self.moved == 'driven' else 0.0
         return p[3] * z - p[4] * (directly + turned * pushed)  # turned: rad or s² per unit of z
@@ -302,17 +280,12 @@ class Yielding(Effect):
         ]
 
     def _flow(self, s: Signals, p: FloatArray) -> tuple[FloatArray, float, float, float]:
-        """Push, slope, lean and 1 / time constant, as the recursion takes them."""
+        """Push, slope, lean and 1 / time constant."""
         reach, flow = max(float(p[0]), 1e-4), 1.0 / max(float(p[1]), 1e-3)
         push = s.rate / reach if self.moved == 'turning' else flow / reach * (
             required(s.angle) if self.moved == 'leaning' else s.lagged
         )
         return push, float(p[2]), float(p[3]), flow
-
-    def trace(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-              begun: FloatArray | None = None) -> FloatArray:
-        push, *law = self._flow(s, p)
-        return along(stretches, push, laws.yielding, *law, s.dt)[None, :]
 
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         push, *law = self._flow(s, p)
@@ -355,7 +328,7 @@ class Memory(Shape, Linear):
     def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
         return (self._push(signal_of(s, self.signal), settings),)
 
-    def settled(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+    def steady(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.stack(self.inputs(s, settings)) if self.leans else np.ones((1, *s.time.shape))
 
     def factors(self, p: FloatArray, settings: Settings) -> FloatArray:

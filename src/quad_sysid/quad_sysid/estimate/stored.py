@@ -78,7 +78,7 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
     """
     raw = covariance(problem, fitted) if raw is None else raw
     structure, theta, dt = fitted.structure, fitted.theta, problem.data.dt
-    groups = _told(structure, theta)
+    groups = _readable(structure, theta)
     names = tuple(name for group in groups for name, _, _ in group)
     deviations = np.sqrt(np.diag(raw))
     jacobian = np.stack([
@@ -112,7 +112,7 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
     return Readings(base, tuple(effects), names, joint)
 
 
-def _told(structure: Structure, theta: FloatArray) -> list[list[tuple[str, float, str]]]:
+def _readable(structure: Structure, theta: FloatArray) -> list[list[tuple[str, float, str]]]:
     """Name, value and unit of the base's parameters, and as reports show them of each effect's."""
     p = structure.natural(theta)
     return [
@@ -125,18 +125,18 @@ def _told(structure: Structure, theta: FloatArray) -> list[list[tuple[str, float
 
 
 def _values(structure: Structure, theta: FloatArray) -> FloatArray:
-    return np.array([value for group in _told(structure, theta) for _, value, _ in group])
+    return np.array([value for group in _readable(structure, theta) for _, value, _ in group])
 
 
 def noise_of(fitted: Fit) -> NoiseEstimate:
     """The noise that a fit ended with."""
     values = fitted.values[-fitted.structure.filtered :]
-    found, tail = fitted.prediction.filter, fitted.tail
-    variance = tail.variance / found.innovation
+    steady, tail = fitted.prediction.filter, fitted.tail
+    variance = tail.variance / steady.innovation
     return NoiseEstimate(
         ratios={spec.name: float(v) for spec, v in zip(NOISE, values, strict=False)},
         scale=tail.scale, degrees=tail.degrees,
-        gyro_rms=float(np.sqrt(variance)), measured_rms=float(np.sqrt(variance * found.floor)),
+        gyro_rms=float(np.sqrt(variance)), measured_rms=float(np.sqrt(variance * steady.floor)),
         lines=tuple(
             (float(a), float(f), float(w)) for a, f, w in values[len(NOISE) :].reshape(-1, 3)
         ),
@@ -145,13 +145,13 @@ def noise_of(fitted: Fit) -> NoiseEstimate:
 
 
 def effects_of(
-    fitted: Fit, told: Readings, judged: Sequence[Mapping[str, Any]] = ()
+    fitted: Fit, readings: Readings, judged: Sequence[Mapping[str, Any]] = ()
 ) -> tuple[EffectEstimate, ...]:
     """The effects of a fit for the stored model; judged: of each, by fields of EffectEstimate."""
     return tuple(
         _estimate(part, parameters, **(judged[i] if judged else {}))
         for i, (part, parameters) in enumerate(
-            zip(fitted.structure.parts, told.effects, strict=True))
+            zip(fitted.structure.parts, readings.effects, strict=True))
     )
 
 
@@ -173,8 +173,8 @@ def estimate_of(
     """
     part = Part(required(_named(name, variant, own)), settings or {})
     p = np.array([*fitted, *part.effect.centre()[len(fitted) :]], dtype=float)
-    told = part.effect.readable(p, part.settings)
-    parameters = tuple(Parameter(k, value, std, unit) for k, (value, unit) in told.items())
+    readable = part.effect.readable(p, part.settings)
+    parameters = tuple(Parameter(k, value, std, unit) for k, (value, unit) in readable.items())
     return _estimate(part, parameters, probability=probability, rivals=rivals)
 
 

@@ -8,8 +8,9 @@ training segments only.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import compress, pairwise
@@ -37,7 +38,7 @@ from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.explain.models import Models
 from quad_sysid.explain.projection import Projected, Projection
 from quad_sysid.model.effect import Effect, Part
-from quad_sysid.model.structure import coordinates, natural
+from quad_sysid.model.structure import coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +64,6 @@ class Ladder:
     reproducible: dict[str, float] = field(default_factory=dict)
     """Label of each effect of the answer → share of the resampled flights in which it is in the
     answer, whatever its variant."""
-    predicts_pct: float = 0.0
-    """Share of the motion's RMS that the base already predicts, as the reference sees it."""
 
     @property
     def projection(self) -> Projection:
@@ -80,8 +79,14 @@ class Ladder:
 
     @property
     def negligible(self) -> bool:
-        """Whether what the base misses is small beside the motion."""
-        return self.rungs[0].model.total < self.small
+        """Whether the reference sees more than the base, but little beside the motion."""
+        return 0.0 < self.rungs[0].model.total < self.small
+
+    @property
+    def predicts_pct(self) -> float:
+        """Share of the motion's RMS that the base already predicts, as the reference sees it."""
+        missed = self.rungs[0].model.total / max(self.projection.motion, 1e-30)
+        return 100.0 * (1.0 - math.sqrt(min(missed, 1.0)))
 
     @property
     def small(self) -> float:
@@ -114,98 +119,35 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
     reference, base = found.best, found.base
     projection = Projection(problem, reference)
     models = Models(found, projection)
-    likely = {frozenset(one.fit.structure.labels): one.score for one in found.all}
     if not reference.structure.parts:  # nothing to explain
         return Ladder(models, (Rung(projection.ordered(reference.structure), 0.0),))
     plain = projection.structure(())
     if not projection.windows.count:  # too short for a free run
-        alone = Projected(plain, projection.start((), (), base.theta), np.zeros(0), converged=True)
+        alone = Projected(plain, projection.alone(base.theta), np.zeros(0))
         return Ladder(models, (Rung(alone, 0.0),))
-    starts = [projection.start((), (), own) for own in (reference.theta, base.theta)]
+    starts = [projection.alone(own) for own in (reference.theta, base.theta)]
     begun = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, begun.theta)
-    whole, rungs = lowest.total, [Rung(lowest, 0.0)]
-    predicts = 100.0 * (1.0 - np.sqrt(min(whole / max(projection.motion, 1e-30), 1.0)))
-    ladder = Ladder(models, (rungs[0],), predicts_pct=float(predicts))
-    if ladder.negligible:
+    ladder = Ladder(models, (Rung(lowest, 0.0),))
+    if ladder.negligible or lowest.total <= 0.0:
         return ladder
-    if whole > 0.0:
-        apart: frozenset[str] = frozenset()  # labels of what runs away beside the rung
-        while (rungs[-1].explains_pct < ENOUGH and rungs[-1].model.total >= ladder.small
-               and len(rungs) <= MOST_RUNGS):
-            finer = rungs[-1].explains_pct >= EXPLAINS  # what the reference has, no more causes
-            step = _next(projection, rungs[-1].model, () if finer else parts, whole, likely, apart)
-            if step is not None and not finer and _added(step).kind != 'named':
-                step = _first_of_two(projection, rungs[-1].model, step, parts, apart) or step
-            if step is None or rungs[-1].model.total - step.total < NEGLIGIBLE * whole:
-                break
-            if not models.follows(step):
-                apart |= {_added(step).label}
-                continue
-            apart = frozenset()
-            rungs.append(Rung(step, 100.0 * (1.0 - step.total / whole)))
-        if rungs[-1].explains_pct < ENOUGH:
-            finest = projection.ordered(reference.structure)
-            rungs.append(Rung(finest, 100.0))
-    return replace(ladder, rungs=tuple(rungs))
-
-
-def _next(projection: Projection, model: Projected, parts: Sequence[Part], whole: float,
-          likely: Mapping[frozenset[str], float], apart: frozenset[str]) -> Projected | None:
-    """The model with one more effect, none of `apart`, that comes nearest to the reference.
-
-    A named law that explains EXPLAINS is taken before a curve is tried. Of those that take nearly
-    as much the search's most probable one is taken, and of its variants the plainest.
-
-    likely: score of each structure that the search fitted, by its labels.
-    """
-    hopeful = _hopeful(projection, model, parts, apart)
-    tried: list[Projected] = []
-    for kinds in (('named',), ('shape', 'mode', 'event')):
-        tried += side_by_side([
-            partial(_extended, projection, model, part, values) for part, values in hopeful
-            if part.effect.kind in kinds
-        ])
-        best = min(tried, key=lambda one: one.total, default=None)
-        if best is not None and best.total <= (1.0 - 0.01 * EXPLAINS) * whole < model.total:
+    climb = _Climb(projection, found, parts, lowest.total)
+    rungs = [*ladder.rungs]
+    while (rungs[-1].explains_pct < ENOUGH and rungs[-1].model.total >= ladder.small
+           and len(rungs) <= MOST_RUNGS):
+        last = rungs[-1].model
+        step = climb.next(last, finer=rungs[-1].explains_pct >= EXPLAINS)
+        if step is None or last.total - step.total < NEGLIGIBLE * lowest.total:
             break
-    if best is None:
-        return None
-    needed = NAMED_FIRST * (model.total - best.total)
-    named = [one for one in tried if _added(one).kind == 'named'
-             and model.total - one.total >= needed > 0.0]
-    first = max(named, default=best, key=lambda one: (
-        likely.get(frozenset(one.structure.labels), -np.inf), -one.total))
-    alike = [one for one in (named or [best]) if _added(one).name == _added(first).name]
-    plainest = min(alike, key=lambda one: (len(_added(one).parameters), one.total))
-    if plainest.total <= 0.0:  # the reference itself
-        return plainest
-    return projection.project(plainest.structure, plainest.theta)
-
-
-def _first_of_two(projection: Projection, model: Projected, curve: Projected,
-                  parts: Sequence[Part], apart: frozenset[str]) -> Projected | None:
-    """The model with the first of two named laws that stand before the curve; None: no two do.
-
-    What two causes do may look like one curve: a drag and a spring that the gyro integrates look
-    like one over the rate and its past. The second law halves what one may leave.
-    """
-    enough = curve.total + 0.5 * (1.0 - NAMED_FIRST) * (model.total - curve.total)
-    for first in _with_named(projection, model, parts, apart):
-        for both in _with_named(projection, first, parts, apart):
-            if both.total <= enough:
-                return projection.project(first.structure, first.theta)
-    return None
-
-
-def _with_named(projection: Projection, model: Projected, parts: Sequence[Part],
-                apart: frozenset[str]) -> list[Projected]:
-    """The model with each of the most hopeful named laws, best first."""
-    hopeful = _hopeful(projection, model, parts, apart, own=False)
-    ahead = side_by_side([partial(_extended, projection, model, part, values)
-                          for part, values in hopeful])
-    return sorted(ahead, key=lambda one: one.total)
+        if models.follows(step):
+            climb.left_out.clear()
+            rungs.append(Rung(step, 100.0 * (1.0 - step.total / lowest.total)))
+        else:
+            climb.left_out.add(_added(step).label)
+    if rungs[-1].explains_pct < ENOUGH:
+        rungs.append(Rung(projection.ordered(reference.structure), 100.0))
+    return replace(ladder, rungs=tuple(rungs))
 
 
 def _added(model: Projected) -> Effect:
@@ -213,73 +155,117 @@ def _added(model: Projected) -> Effect:
     return model.structure.parts[-1].effect
 
 
-def _extended(projection: Projection, model: Projected, part: Part,
-              values: FloatArray) -> Projected:
-    """The projection of a model with one more effect, from `values` (q,) in its coordinates."""
-    structure = model.structure.plus(part)
-    if set(structure.labels) == set(projection.reference.structure.labels):
-        return projection.ordered(structure)
-    start = np.insert(model.theta, -projection.noise.size, values)
-    return projection.project(structure, start, coarse=True)
+class _Climb:
+    """From a rung to the next one."""
 
+    def __init__(self, projection: Projection, found: Found, parts: Sequence[Part],
+                 whole: float) -> None:
+        self.projection, self.parts, self.whole = projection, parts, whole
+        self.likely = {frozenset(one.fit.structure.labels): one.score for one in found.all}
+        self.left_out: set[str] = set()
+        """Labels of what runs away beside the rung."""
 
-def _hopeful(projection: Projection, model: Projected, parts: Sequence[Part],
-             apart: frozenset[str], *, own: bool = True) -> list[tuple[Part, FloatArray]]:
-    """The named laws and the effects of the reference that explain most of the missing torque.
+    def next(self, model: Projected, *, finer: bool) -> Projected | None:
+        """The model with one more effect that comes nearest to the reference.
 
-    Not own: of the reference's effects the named ones only.
+        A named law that explains EXPLAINS is taken before a curve is tried. Of those that take
+        nearly as much the search's most probable one is taken, and of its variants the plainest.
+        finer: what the reference has, no more causes.
+        """
+        hopeful = self.hopeful(model, () if finer else self.parts)
+        tried: list[Projected] = []
+        for kinds in (('named',), ('shape', 'mode', 'event')):
+            tried += side_by_side([partial(self.extended, model, part, values)
+                                   for part, values in hopeful if part.effect.kind in kinds])
+            best = min(tried, key=lambda one: one.total, default=None)
+            if best is not None and \
+                    best.total <= (1.0 - 0.01 * EXPLAINS) * self.whole < model.total:
+                break
+        if best is None:
+            return None
+        needed = NAMED_FIRST * (model.total - best.total)
+        named = [one for one in tried if _added(one).kind == 'named'
+                 and model.total - one.total >= needed > 0.0]
+        first = max(named, default=best, key=lambda one: (
+            self.likely.get(frozenset(one.structure.labels), -np.inf), -one.total))
+        alike = [one for one in (named or [best]) if _added(one).name == _added(first).name]
+        plainest = min(alike, key=lambda one: (len(_added(one).parameters), one.total))
+        if plainest.total <= 0.0:  # the reference itself
+            return plainest
+        return self.projection.project(plainest.structure, plainest.theta)
 
-    The missing torque is the reference's acceleration less the model's along the reference's
-    trajectory; a law explains of it what its columns do beside the base's own.
-    """
-    reference, problem, flight = projection.reference, projection.problem, projection.flight
-    structure, theta, rate = model.structure, model.theta, reference.rate
-    have = {*structure.labels, *apart}
-    here = Along(problem, structure, theta, rate)
-    wanted = Along(problem, reference.structure, reference.theta, rate).acceleration
-    missing = (wanted - here.acceleration)[problem.rows]
-    steps = np.r_[projection.steps(structure, theta), np.full(projection.noise.size, 1e-4)]
-    columns, _, _ = flight.columns(structure, theta, rate, steps)
-    q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
-    left = missing - q @ (q.T @ missing)
-    theirs = [(here.share_of(part, reference.theta[where], q, left), part, reference.theta[where])
-              for part, where in reference.structure.effects()
-              if part.effect.label not in have and (own or part.effect.kind == 'named')]
-    theirs = sorted(theirs, key=lambda one: -one[0])[:PROJECTED]
-    have |= {part.effect.label for _, part, _ in theirs}
-    shares: list[tuple[float, Part, FloatArray]] = []
-    for part in parts:
-        effect = part.effect
-        if effect.kind == 'named' and effect.label not in have and not effect.wanders \
-                and type(effect).sought is Effect.sought:
-            shares += _share(here, part, q, left)
-    best: dict[str, tuple[float, Part, FloatArray]] = {}
-    for one in sorted(shares, key=lambda one: -one[0]):
-        best.setdefault(one[1].effect.label, one)
-    most = max((one[0] for one in (*theirs, *best.values())), default=0.0)
-    named = [one for one in best.values() if one[0] >= LEAST_OF_BEST * most][:PROJECTED]
-    return [(part, p) for _, part, p in (*theirs, *named)]
+    def extended(self, model: Projected, part: Part, values: FloatArray) -> Projected:
+        """The projection of a model with one more effect, from its coordinates `values` (q,)."""
+        projection, structure = self.projection, model.structure.plus(part)
+        if set(structure.labels) == set(projection.reference.structure.labels):
+            return projection.ordered(structure)
+        start = np.insert(model.theta, -projection.noise.size, values)
+        return projection.project(structure, start, coarse=True)
+
+    def hopeful(self, model: Projected, parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
+        """The named laws and the effects of the reference that explain most of the missing torque.
+
+        The missing torque is the reference's acceleration less the model's along the reference's
+        trajectory; a law explains of it what its columns do beside the base's own.
+        """
+        projection = self.projection
+        reference, problem, flight = projection.reference, projection.problem, projection.flight
+        structure, theta, rate = model.structure, model.theta, reference.rate
+        have = {*structure.labels, *self.left_out}
+        here = Along(problem, structure, theta, rate)
+        wanted = Along(problem, reference.structure, reference.theta, rate).acceleration
+        missing = (wanted - here.acceleration)[problem.rows]
+        steps = np.r_[projection.steps(structure, theta), np.full(projection.noise.size, 1e-4)]
+        columns, _, _ = flight.columns(structure, theta, rate, steps)
+        q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
+        left = missing - q @ (q.T @ missing)
+        theirs = [(_explained(here, part, [], reference.theta[where], q, left)[0], part,
+                   reference.theta[where]) for part, where in reference.structure.effects()
+                  if part.effect.label not in have]
+        theirs = sorted(theirs, key=lambda one: -one[0])[:PROJECTED]
+        have |= {part.effect.label for _, part, _ in theirs}
+        shares: list[tuple[float, Part, FloatArray]] = []
+        for part in parts:
+            effect = part.effect
+            if effect.kind == 'named' and effect.label not in have and not effect.wanders \
+                    and type(effect).sought is Effect.sought:
+                shares += _share(here, part, q, left)
+        best: dict[str, tuple[float, Part, FloatArray]] = {}
+        for one in sorted(shares, key=lambda one: -one[0]):
+            best.setdefault(one[1].effect.label, one)
+        most = max((one[0] for one in (*theirs, *best.values())), default=0.0)
+        named = [one for one in best.values() if one[0] >= LEAST_OF_BEST * most][:PROJECTED]
+        return [(part, p) for _, part, p in (*theirs, *named)]
 
 
 def _share(here: Along, part: Part, q: FloatArray,
            left: FloatArray) -> list[tuple[float, Part, FloatArray]]:
     """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
-    effect, rows, linear = part.effect, here.problem.rows, linear_of(part)
-    out = []
+    effect, linear, out = part.effect, linear_of(part), []
     for start in effect.starts(here.problem.data, part.settings):
         p = coordinates(effect.parameters, start)
         p[linear] = 0.0
-        c = np.stack([column[rows] for column in here.columns(part, linear, p)], axis=1)
-        c = c - q @ (q.T @ c)
+        share, sizes = _explained(here, part, linear, p, q, left)
         if linear:
-            p[linear] = np.linalg.lstsq(c, left, rcond=1e-8)[0]
-            if any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
-                continue
-            after = left - c @ p[linear]
-        else:
-            after = left - c[:, 0]
-        out.append((1.0 - float(after @ after) / max(float(left @ left), 1e-30), part, p))
+            p[linear] = sizes
+        if not any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
+            out.append((share, part, p))
     return out
+
+
+def _explained(here: Along, part: Part, linear: list[int], p: FloatArray, q: FloatArray,
+               left: FloatArray) -> tuple[float, FloatArray]:
+    """The share of `left` (rows,) that an effect explains at p, and its linear parameters.
+
+    Without any its acceleration counts in any size. q (rows, m): an orthonormal basis of what
+    others explain as well.
+    """
+    rows = here.problem.rows
+    c = np.stack([column[rows] for column in here.columns(part, linear, p)], axis=1)
+    c = c - q @ (q.T @ c)
+    sizes = np.linalg.lstsq(c, left, rcond=1e-8)[0]
+    after = left - c @ sizes
+    return 1.0 - float(after @ after) / max(float(left @ left), 1e-30), sizes
 
 
 # ------------------------------------------------------------------ what comes again
@@ -334,8 +320,3 @@ def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[Flo
         own = model.theta[: len(structure.specs) - projection.noise.size]
         out.append(projection.project(structure, np.r_[own, projection.noise], coarse=True).missed)
     return out
-
-
-def values_of(model: Projected) -> FloatArray:
-    """(p,) its parameters in their units."""
-    return natural(model.structure.specs, model.theta)

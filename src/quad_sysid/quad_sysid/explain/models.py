@@ -25,10 +25,10 @@ DISTURBANCE = 1
 class Models:
     """Projected models with the noise that the training gives them, each fitted once."""
 
-    def __init__(self, found: Found, projection: Projection) -> None:
+    def __init__(self, searched: Found, projection: Projection) -> None:
         self.problem, self.projection = projection.problem, projection
-        self.likeliest = {(): found.base} | {
-            tuple(sorted(one.fit.structure.labels)): one.fit for one in reversed(found.all)}
+        self.likeliest = {(): searched.base} | {
+            tuple(sorted(one.fit.structure.labels)): one.fit for one in reversed(searched.all)}
         self.known: dict[tuple[str, ...], Fit] = {}
 
     def follows(self, model: Projected) -> bool:
@@ -88,8 +88,8 @@ class Models:
 
     def with_only(self, model: Projected, kept: Sequence[int]) -> Projected:
         """The model with some of its effects only, projected anew."""
-        gone = [i for i in range(len(model.structure.parts)) if i not in kept]
+        dropped = [i for i in range(len(model.structure.parts)) if i not in kept]
         slices = model.structure.slices()
-        columns = [j for i in gone for j in range(slices[i].start, slices[i].stop)]
-        return self.projection.project(model.structure.minus(*gone),
+        columns = [j for i in dropped for j in range(slices[i].start, slices[i].stop)]
+        return self.projection.project(model.structure.minus(*dropped),
                                        np.delete(model.theta, columns))

@@ -21,7 +21,7 @@ from quad_sysid.model.data import Windows
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Prediction, Run
 from quad_sysid.model.sensitivity import Sensitivity
-from quad_sysid.model.structure import Structure, coordinates
+from quad_sysid.model.structure import Structure
 from quad_sysid.qr import upper
 
 MOST_STEPS = 20
@@ -45,7 +45,6 @@ class Projected:
     """(p,) coordinates of the fit; the noise's are the reference's."""
     missed: FloatArray
     """(windows,) sum over the window of the squared difference to the reference, (rad/s)²."""
-    converged: bool
 
     @property
     def total(self) -> float:
@@ -80,8 +79,8 @@ class Projection:
                                   prediction=self._from(structure))
         return run._replace(errors=np.clip(np.nan_to_num(run.errors, nan=HUGE), -HUGE, HUGE))
 
-    def _along(self, structure: Structure, theta: FloatArray, run: Run,
-               steps: FloatArray) -> FloatArray:
+    def _differences(self, structure: Structure, theta: FloatArray, run: Run,
+                     steps: FloatArray) -> FloatArray:
         """(rows, own) derivatives of a run by the coordinates of base and effects."""
         with np.errstate(all='ignore'):
             return Sensitivity(self.flight, structure, theta, self.windows,
@@ -89,20 +88,16 @@ class Projection:
 
     def _from(self, structure: Structure) -> Prediction:
         """The reference's states, without coefficients that the structure lacks."""
-        begun, own = self.reference.prediction, self.reference.structure
+        prediction, own = self.reference.prediction, self.reference.structure
         end = 4 + 2 * own.lines
         wandering = [part.effect.label for part in own.parts if part.effect.wanders]
         kept = [end + wandering.index(part.effect.label) for part in structure.parts
                 if part.effect.wanders]
-        return replace(begun, states=begun.states[:, [*range(end), *kept]])
+        return replace(prediction, states=prediction.states[:, [*range(end), *kept]])
 
-    def start(self, parts: Sequence[Part], values: Sequence[FloatArray],
-              base: FloatArray | None = None) -> FloatArray:
-        """(p,) start: the first coordinates of `base` (of the reference), effects, noise."""
-        own = (self.reference.theta if base is None else base)[: self.base]
-        logs = [coordinates(part.effect.parameters, np.asarray(value, dtype=float))
-                for part, value in zip(parts, values, strict=True)]
-        return np.concatenate([own, *logs, self.noise])
+    def alone(self, theta: FloatArray) -> FloatArray:
+        """(p,) the base's coordinates of a fit, with the reference's noise."""
+        return np.concatenate([theta[: self.base], self.noise])
 
     def project(self, structure: Structure, start: FloatArray, *,
                 coarse: bool = False) -> Projected:
@@ -123,15 +118,15 @@ class Projection:
         steps = self.steps(structure, theta)
         enough = ROUGHLY if coarse else ENOUGH
 
-        def away(at: FloatArray) -> tuple[Run, FloatArray]:
+        def residuals(at: FloatArray) -> tuple[Run, FloatArray]:
             """The run; (rows,) difference to the reference, and the prior's rows."""
             run = self._run(structure, at)
             return run, np.r_[(run.errors - self.goal).ravel(), root @ (at[:own] - centres)]
 
-        run, rows = away(theta)
-        value, damping, converged = float(rows @ rows), 1e-3, False
+        run, rows = residuals(theta)
+        value, damping = float(rows @ rows), 1e-3
         for _ in range(MOST_STEPS // 2 if coarse else MOST_STEPS):
-            columns = np.vstack([self._along(structure, theta, run, steps), root])
+            columns = np.vstack([self._differences(structure, theta, run, steps), root])
             factor = upper(np.column_stack([columns, rows]))[:own]
             a, b = factor[:, :-1], factor[:, -1]
             scale = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-9)
@@ -142,20 +137,19 @@ class Projection:
                 trial[:own] += limited(step, logs)
                 trial[:own] = np.where(positive, np.maximum(trial[:own], 0.0), trial[:own])
                 trial[:own] = np.where(logs, np.clip(trial[:own], *RANGE), trial[:own])
-                there, ahead = away(trial)
-                new = float(ahead @ ahead)
+                there, trial_rows = residuals(trial)
+                new = float(trial_rows @ trial_rows)
                 if new < value:
                     break
                 damping = 8.0 * max(damping, 1e-4)
-            else:
-                converged = True  # no step leads further
+            else:  # no step leads further
                 break
-            converged = value - new < enough * value
-            theta, run, rows, value, damping = trial, there, ahead, new, 0.2 * damping
-            if converged or value <= 0.0:
+            last = value - new < enough * value or new <= 0.0
+            theta, run, rows, value, damping = trial, there, trial_rows, new, 0.2 * damping
+            if last:
                 break
         difference = run.errors - self.goal
-        return Projected(structure, theta, np.sum(difference**2, axis=1), converged)
+        return Projected(structure, theta, np.sum(difference**2, axis=1))
 
     def covariance(self, model: Projected, of_reference: FloatArray) -> FloatArray:
         """(p, p) of a model's coordinates, those of the noise zero.
@@ -171,8 +165,8 @@ class Projection:
         inverse = np.linalg.pinv(jacobian / scale, rcond=1e-8) / scale[:, None]
         through = inverse @ other
         out = through @ of_reference[:theirs, :theirs] @ through.T
-        left = (self.run(model.structure, model.theta) - self.goal).ravel()
-        scores = (inverse * left).reshape(own, self.windows.count, -1).sum(axis=2)
+        residual = (self.run(model.structure, model.theta) - self.goal).ravel()
+        scores = (inverse * residual).reshape(own, self.windows.count, -1).sum(axis=2)
         whole = np.zeros((model.theta.size, model.theta.size))
         whole[:own, :own] = out + scores @ scores.T
         return whole
@@ -182,8 +176,8 @@ class Projection:
 
         None by those that are held, which a law of the user's may stand for.
         """
-        out = self._along(structure, theta, self._run(structure, theta),
-                          self.steps(structure, theta))
+        out = self._differences(structure, theta, self._run(structure, theta),
+                                self.steps(structure, theta))
         out[:, self.problem.held] = 0.0
         return out
 
@@ -209,4 +203,4 @@ class Projection:
             self.reference.theta[: self.base], *(own[label] for label in structure.labels),
             self.noise,
         ])
-        return Projected(structure, theta, np.zeros(self.windows.count), converged=True)
+        return Projected(structure, theta, np.zeros(self.windows.count))

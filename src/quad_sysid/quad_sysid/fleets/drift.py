@@ -305,20 +305,21 @@ def _odd(one: Series, scale: _Scale, drift: Drift | None) -> list[Odd]:
     free = np.maximum(1.0 - leverage, 1e-9)
     degrees = n - fitted - 1.0
     scatter = np.maximum((residuals**2 * w).sum() - w * residuals**2 / free, 0.0)
-    away = residuals / free  # from what is expected without this flight
+    deleted = residuals / free  # from what is expected without this flight
     std = np.sqrt(scale.variance(one, scatter, degrees) / (w * free))
-    p = 2.0 * special.stdtr(min(scale.degrees + degrees, TRUSTED), -np.abs(away) / std)
-    return [Odd(one.aircraft, bag, float(y[k]), float(y[k] - away[k]), float(std[k]), float(p[k]))
+    p = 2.0 * special.stdtr(min(scale.degrees + degrees, TRUSTED), -np.abs(deleted) / std)
+    expected = y - deleted
+    return [Odd(one.aircraft, bag, float(y[k]), float(expected[k]), float(std[k]), float(p[k]))
             for k, bag in enumerate(one.bags)]
 
 
 def _mean(series: Sequence[Series], taus: Sequence[float], odd: set[str]) -> Mean:
     levels = []
     for one, tau in zip(series, taus, strict=True):
-        kept = np.array([bag not in odd for bag in one.bags])
-        w = _weights(one, tau)[kept]
+        regular = np.array([bag not in odd for bag in one.bags])
+        w = _weights(one, tau)[regular]
         if w.size:
-            levels.append(Level(one.aircraft, int(w.size), float((one.values[kept] * w).sum()
+            levels.append(Level(one.aircraft, int(w.size), float((one.values[regular] * w).sum()
                                                                  / w.sum()),
                                 float(np.sqrt(1.0 / w.sum()))))
     y = np.array([level.mean for level in levels])

@@ -85,8 +85,8 @@ def run(every: Sequence[Job], workers: int = 1, cluster: str = '', *,
     `cluster`: address or file of a Dask scheduler, or `local`; empty: `workers` processes of this
     machine. `show` is done the progress, `log` each bag and the cost. `sample`: SAMPLE bags only.
     """
-    kept = known(every)
-    rows = {job.name: kept[job.name] for job in every if _done(job, kept.get(job.name))}
+    before = known(every)
+    rows = {job.name: before[job.name] for job in every if _done(job, before.get(job.name))}
     todo = [job for job in every if job.name not in rows]
     first = todo[::max(1, len(todo) // SAMPLE)][:SAMPLE]
     todo = first if sample else first + [job for job in todo if job not in first]

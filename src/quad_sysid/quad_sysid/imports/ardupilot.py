@@ -23,8 +23,8 @@ from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.dataflash import Log, is_binary, read_binary, read_text
 from quad_sysid.imports.experiments import PAUSE_S
 from quad_sysid.imports.log import (
-    ASKED_FOR,
     DEGREE,
+    DEMAND_ONLY,
     RPM,
     Experiment,
     ForeignLog,
@@ -256,7 +256,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
             table.source, 'holds no RCOU and no RATE messages', table.messages,
             'set LOG_BITMASK to log fast attitude (bit 0) or RC output (bit 10) and log again',
         )
-    return (), ARDUPILOT.gains(table.header, (1.0, 1.0, 1.0)), [ASKED_FOR]
+    return (), ARDUPILOT.gains(table.header, (1.0, 1.0, 1.0)), [DEMAND_ONLY]
 
 
 def _speeds(reading: Reading, channels: tuple[int, ...]) -> None:

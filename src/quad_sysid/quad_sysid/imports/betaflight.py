@@ -157,9 +157,9 @@ def _chirps(reading: Reading) -> Iterator[Experiment]:
         followed = []
         for i in range(len(AXES)):
             rate = np.interp(times, rates.time_s, rates.values[:, i])
-            left = rate - rate.mean() - wave @ np.linalg.lstsq(wave, rate - rate.mean(),
-                                                               rcond=None)[0]
-            followed.append(1.0 - float(left @ left) / max(float(np.sum(
+            residual = rate - rate.mean() - wave @ np.linalg.lstsq(wave, rate - rate.mean(),
+                                                                   rcond=None)[0]
+            followed.append(1.0 - float(residual @ residual) / max(float(np.sum(
                 (rate - rate.mean()) ** 2)), 1e-12))
         axis = AXES[int(np.argmax(followed))]
         size = DEGREE * float(fields.get(f'chirp_amplitude_{axis}', 'nan'))

@@ -104,7 +104,7 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     notes = _left_out(len(time_s) - len(rows), 'rows without a time')
     if len(rows) < 2:
         raise BadInputError(where, 'holds no times', remedy='name another column as the time')
-    again = np.concatenate(([False], _alike(time_s, values, rows)))
+    again = np.concatenate(([False], _repeated(time_s, values, rows)))
     notes += _left_out(int(again.sum()), 'rows written twice')
     rows = rows[~again]
     steps = np.diff(time_s[rows])
@@ -152,7 +152,7 @@ def _left_out(count: int, what: str) -> list[str]:
     return [f'{count} {what} left out'] if count else []
 
 
-def _alike(time_s: FloatArray, values: Sequence[FloatArray], rows: np.ndarray) -> np.ndarray:
+def _repeated(time_s: FloatArray, values: Sequence[FloatArray], rows: np.ndarray) -> np.ndarray:
     """(m - 1,) whether one of m rows repeats the time and values of the one before."""
     out = np.asarray(np.diff(time_s[rows]) == 0.0)
     at = np.flatnonzero(out)
@@ -294,7 +294,7 @@ def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
     return np.asarray(out, dtype=np.float64)
 
 
-def mean_ahead(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
+def mean_of_next_cycle(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
     """Mean of the active value from each time to the next."""
     parts = dt / PARTS
     fine = (times[:, None] + parts * np.arange(PARTS)).ravel()

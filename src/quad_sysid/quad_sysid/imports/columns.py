@@ -291,10 +291,10 @@ def _unwrap(options: ColumnOptions, streams: dict[str, Stream | None]) -> None:
             continue
         values = stream.values.copy()
         values[:, i] = np.unwrap(values[:, i])
-        apart = values[:1, i]
+        difference = values[:1, i]
         if role == 'reference' and angle is not None:
-            apart = values[:, i] - np.interp(stream.time_s, angle.time_s, angle.values[:, i])
-        values[:, i] -= 2.0 * np.pi * np.round(np.median(apart) / (2.0 * np.pi))
+            difference = values[:, i] - np.interp(stream.time_s, angle.time_s, angle.values[:, i])
+        values[:, i] -= 2.0 * np.pi * np.round(np.median(difference) / (2.0 * np.pi))
         streams[role] = Stream(stream.time_s, values)
         if role == 'angle':
             angle = streams[role]

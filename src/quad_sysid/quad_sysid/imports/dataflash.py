@@ -173,7 +173,7 @@ def _whole(
     for a, b in runs.reshape(-1, 2):  # all of these are followed by a message
         starts = at[a:b]
         if (starts[1:] < end[a : b - 1]).any() or starts[0] < behind:
-            starts = _apart(starts, end[a:b], behind)
+            starts = _not_nested(starts, end[a:b], behind)
         if len(starts):
             kept.append(starts)
             behind = int(starts[-1] + lengths[data[starts[-1] + 2]])
@@ -186,7 +186,7 @@ def _whole(
     return good, numbers, int(gaps.sum()), int(np.count_nonzero(gaps))
 
 
-def _apart(
+def _not_nested(
     starts: NDArray[np.int64], ends: NDArray[np.int64], behind: int
 ) -> NDArray[np.int64]:
     """Those that do not begin inside an earlier one."""

@@ -137,16 +137,16 @@ class _Lines:
     """Those before the first row; the last may be the header."""
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
-        begun = False
+        started = False
         for number, line in enumerate(self.lines, self.first):
             if not line.endswith('\n'):
                 why = 'has no end: it may be cut off and is left out'
                 self.notes = (f'line {number}, the last, {why}',)
             elif line.startswith('#'):
-                if not begun:
+                if not started:
                     self.comments.append((number, line.lstrip('# \t')))
             elif line.strip():
-                begun = True
+                started = True
                 yield number, line
 
 

@@ -351,7 +351,7 @@ def _times(table: Table) -> list[str]:
     """
     if table.times:
         return []
-    ahead = {}
+    ranks = {}
     for name, values in table.columns.items():
         known = values[np.isfinite(values)]
         steps = np.diff(known)
@@ -359,9 +359,9 @@ def _times(table: Table) -> list[str]:
         rising = float(np.mean(steps >= 0.0 if named else steps > 0.0)) if steps.any() else 0.0
         if rising >= RISING:
             ticks = float(np.mean(steps > 0.0))
-            ahead[name] = (named, ticks >= TICKING and known.size >= TICKING * values.size,
+            ranks[name] = (named, ticks >= TICKING and known.size >= TICKING * values.size,
                            time_unit(values) is not None, rising)
-    return sorted(ahead, key=ahead.__getitem__, reverse=True)
+    return sorted(ranks, key=ranks.__getitem__, reverse=True)
 
 
 def _motors(table: Table, names: Sequence[str]) -> tuple[str, ...]:

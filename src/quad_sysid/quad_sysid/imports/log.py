@@ -42,7 +42,7 @@ LACKING = {
 }
 """What cannot be done without a stream."""
 NO_GAINS = "the controller's gains: no closed loop, no gain design"
-ASKED_FOR = 'the input is what the controller demanded: the limits of the motors are not in it'
+DEMAND_ONLY = 'the input is what the controller demanded: the limits of the motors are not in it'
 FAST_ENOUGH = 0.5
 """Share of the rates' rate at which motors must be logged to be used as the input."""
 

@@ -15,7 +15,7 @@ from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import Stream
-from quad_sysid.imports.log import ASKED_FOR, ForeignLog, Reading, Signal
+from quad_sysid.imports.log import DEMAND_ONLY, ForeignLog, Reading, Signal
 from quad_sysid.imports.mixers import MIRROR
 from quad_sysid.imports.rosbag import read_messages, topics_of
 from quad_sysid.imports.table import Table
@@ -86,7 +86,7 @@ def read(path: Path, messages: Path | None = None) -> ForeignLog:
     elif command is not None:
         reading.put(Signal('control', CONTROLS, '-1..1', 'as it is, pitch and yaw turned'),
                     Stream(command.time_s, command.values * [1.0, *MIRROR]))
-        warnings.append(ASKED_FOR)
+        warnings.append(DEMAND_ONLY)
     else:
         raise BadInputError(table.source, 'holds no mavros/rc/out and no target_actuator_control',
                             table.messages, f'record /mavros/rc/out; {FASTER}')

@@ -21,7 +21,7 @@ from quad_sysid.files import read_by_library
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.experiments import runs_of
 from quad_sysid.imports.log import (
-    ASKED_FOR,
+    DEMAND_ONLY,
     RPM,
     Experiment,
     ForeignLog,
@@ -119,8 +119,9 @@ def _read(table: Table, kind: str, faster: str) -> ForeignLog:
 def _of_bag(path: Path, messages: Path | None) -> Table:
     """The columns of a bag under the names that they have on board."""
     known = topics_of(path)
-    asked = [topic for topic in known if (m := IN_BAG.match(f'{topic}.')) and m['topic'] in TOPICS]
-    columns, times = read_messages(path, [f'{topic}.' for topic in asked], messages)
+    topics = [topic for topic in known
+              if (m := IN_BAG.match(f'{topic}.')) and m['topic'] in TOPICS]
+    columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
     places = [match['place'] for name in columns if (match := IN_BAG.match(name))]
     chosen = max(dict.fromkeys(places), key=places.count, default='')
     ours: dict[str, FloatArray] = {}
@@ -216,7 +217,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         'control', old if old[0] in table.columns else new, '-1..1',
         "as it is, pitch and yaw turned; U is in the unit of PX4's torque set-point",
     ), torque)
-    return (), _gains(table, (1.0, 1.0, 1.0)), [ASKED_FOR]
+    return (), _gains(table, (1.0, 1.0, 1.0)), [DEMAND_ONLY]
 
 
 def _torque(table: Table, old: tuple[str, ...], new: tuple[str, ...]) -> Stream | None:
@@ -269,9 +270,9 @@ def _scale(control: Stream, torque: Stream) -> Units | None:
     if not (power * total > 0.0).all():
         return None
     slope = (x * y).sum(axis=0) / power
-    left = ((y - slope * x) ** 2).sum(axis=0)
+    residual = ((y - slope * x) ** 2).sum(axis=0)
     roll, pitch, yaw = slope.tolist()
-    return (roll, pitch, yaw) if (1.0 - left / total >= LINEAR).all() else None
+    return (roll, pitch, yaw) if (1.0 - residual / total >= LINEAR).all() else None
 
 
 def _gains(table: Table, units: Units | None) -> dict[str, float]:

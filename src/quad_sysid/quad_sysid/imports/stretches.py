@@ -92,11 +92,11 @@ def summary(record: Record) -> str:
         if s.axis == axis:
             name = str(s.parameters.get('because', s.role))
             sums[name] = sums.get(name, 0.0) + s.end_s - s.start_s
-    left = ', '.join(f'{name} {sums[name]:.0f} s' for name in sums
-                     if name not in ('train', 'validation'))
+    excluded = ', '.join(f'{name} {sums[name]:.0f} s' for name in sums
+                         if name not in ('train', 'validation'))
     return (f'the log holds no experiment: {sums.get("train", 0.0):.0f} s train, '
             f'{sums.get("validation", 0.0):.0f} s are held out' +
-            (f'; left out: {left}' if left else ''))
+            (f'; left out: {excluded}' if excluded else ''))
 
 
 def airborne(throttle: FloatArray, dt: float) -> np.ndarray:

@@ -26,7 +26,7 @@ from quad_sysid.imports.clock import (
     cycles,
     draw,
     hold,
-    mean_ahead,
+    mean_of_next_cycle,
 )
 from quad_sysid.imports.experiments import with_experiments
 from quad_sysid.imports.log import ForeignLog
@@ -253,7 +253,7 @@ def _by_motion(
 def _held(stream: Stream, grid: Cycles) -> FloatArray:
     if grid.own:
         return hold(stream, grid.times, grid.dt)
-    return mean_ahead(stream, grid.times, grid.dt)
+    return mean_of_next_cycle(stream, grid.times, grid.dt)
 
 
 def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatArray | None:
@@ -276,18 +276,18 @@ def _drawn(stream: Stream | None, grid: Cycles) -> FloatArray | None:
 
 def _moved(log: ForeignLog, grid: Cycles, angles: FloatArray | None) -> dict[str, Any]:
     """Speed along the heading and altitude, in the cycles in which they were logged."""
-    seen, place = log.velocity, log.position
-    if seen is None and place is not None and len(place.time_s) > 2:
-        slope = np.gradient(place.values, place.time_s, axis=0)
-        seen = Stream(place.time_s, np.asarray(slope))
-    if seen is None or angles is None or len(seen.time_s) < 2:
+    velocity, position = log.velocity, log.position
+    if velocity is None and position is not None and len(position.time_s) > 2:
+        slope = np.gradient(position.values, position.time_s, axis=0)
+        velocity = Stream(position.time_s, np.asarray(slope))
+    if velocity is None or angles is None or len(velocity.time_s) < 2:
         return {}
-    world = _in_cells(seen, grid)
+    world = _in_cells(velocity, grid)
     x, y = world[:, 0], world[:, 1]
     c, s = np.cos(angles[:, 2]), np.sin(angles[:, 2])
     out = {'velocity': np.column_stack([c * x + s * y, c * y - s * x, world[:, 2]])}
-    if place is not None:
-        out['altitude'] = _in_cells(place, grid)[:, 2]
+    if position is not None:
+        out['altitude'] = _in_cells(position, grid)[:, 2]
     return out
 
 

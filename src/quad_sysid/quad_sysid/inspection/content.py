@@ -38,7 +38,7 @@ from quad_sysid.motor_layout import (
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.evaluate import flown_spans
-from quad_sysid.pipeline.identify import asked_axes
+from quad_sysid.pipeline.identify import excited_axes
 from quad_sysid.pipeline.usable import AT_LIMIT, check_usable, refusal
 from quad_sysid.record import Record, Segment, finite_runs
 from quad_sysid.rotors import rotors_of
@@ -316,7 +316,7 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
     lost = np.asarray(np.isnan(record.rates).any(axis=1))
     gaps = finite_runs(lost, (0, record.n))
     warning = refusal(record)
-    axes = tuple(_axis(record, axis) for axis in asked_axes([record]))
+    axes = tuple(_axis(record, axis) for axis in excited_axes([record]))
     layout, odd = _layout(record)
     return Content(record.source, held, sample_rate_hz=1.0 / record.dt,
                    length_s=record.n * record.dt, lost_pct=100.0 * float(np.mean(lost)),

@@ -57,8 +57,8 @@ def _wrong(one: MotorPlace, axis: int) -> bool:
 def _drawing(motors: tuple[MotorPlace, ...]) -> str:
     unit = REACH / max(1e-9, *(math.hypot(m.x, m.y) for m in motors))
     at = [(MIDDLE - unit * m.y, MIDDLE - unit * m.x) for m in motors]
-    apart = min((math.dist(a, b) for i, a in enumerate(at) for b in at[:i]), default=2 * DISC)
-    disc = min(DISC, max(0.46 * apart, 0.4 * DISC))
+    spacing = min((math.dist(a, b) for i, a in enumerate(at) for b in at[:i]), default=2 * DISC)
+    disc = min(DISC, max(0.46 * spacing, 0.4 * DISC))
     arms = ''.join(f'<path d="M{MIDDLE} {MIDDLE}L{x:.1f} {y:.1f}" stroke="var(--grid)" '
                    'stroke-width="6"/>' for x, y in at)
     nose = (f'<path d="M{MIDDLE - 9} {MIDDLE + 8}L{MIDDLE} {MIDDLE - 16}L{MIDDLE + 9} '

@@ -268,9 +268,10 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
     most = LONGEST_LATENCY_S if quantity == 'rate' else LONGEST_ANGLE_LATENCY_S
     for k in _delays(round(most / dt)):
         both = known[k:] & known[:len(known) - k]
-        left = float(np.sqrt(np.mean((setpoint[:len(setpoint) - k] - measured[k:])[both] ** 2)))
-        if left < best:
-            best, latency = left, k * dt
+        behind = (setpoint[:len(setpoint) - k] - measured[k:])[both]
+        residual = float(np.sqrt(np.mean(behind**2)))
+        if residual < best:
+            best, latency = residual, k * dt
     return (Tracking(quantity, float(np.sqrt(power)), error, best, latency),)
 
 

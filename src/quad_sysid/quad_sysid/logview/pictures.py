@@ -152,9 +152,9 @@ def throttle_map(look: Measured) -> Picture | None:
         return None
     figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
     for one, (axis, (frames, values)) in zip(drawn, maps.items(), strict=True):
-        seen = np.flatnonzero(np.isfinite(values).any(axis=1))
-        used = values[seen[0]:seen[-1] + 1]
-        _map(one, used.T, (float(THROTTLE[seen[0]]), float(THROTTLE[seen[-1] + 1])), frames)
+        finite = np.flatnonzero(np.isfinite(values).any(axis=1))
+        used = values[finite[0]:finite[-1] + 1]
+        _map(one, used.T, (float(THROTTLE[finite[0]]), float(THROTTLE[finite[-1] + 1])), frames)
         one.set_ylabel(f'{axis}, Hz')
     drawn[-1].set_xlabel('throttle (mean motor command)')
     return Picture('throttle', 'Gyro spectrum over throttle', _map_words(look), figure)
@@ -245,8 +245,8 @@ def loop(look: Measured) -> Picture | None:
         drawn[1].semilogx(f, np.degrees(np.unwrap(np.angle(one.tracking))), color=colour)
         drawn[2].semilogx(f, one.coherence, color=colour)
         if known and one.loop is not None:
-            seen = np.isfinite(one.loop)
-            drawn[3].loglog(f[seen], np.abs(1.0 / (1.0 + one.loop[seen])), color=colour)
+            finite = np.isfinite(one.loop)
+            drawn[3].loglog(f[finite], np.abs(1.0 / (1.0 + one.loop[finite])), color=colour)
     for axes, label in zip(drawn, ('tracking, 1', 'phase, °', 'coherence²', 'sensitivity, 1'),
                            strict=False):
         axes.set_ylabel(label)

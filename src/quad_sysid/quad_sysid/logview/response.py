@@ -125,10 +125,10 @@ def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
                   axis: str) -> LoopResponse | None:
     """The closed loop, and with gains its margins; None where nothing is coherent."""
     f = measured.frequency_hz
-    seen = measured.coherence(measured.yr, measured.yy)
+    coherence = measured.coherence(measured.yr, measured.yy)
     excited = np.zeros(1, bool) if len(f) < 2 else \
         measured.rr >= LEAST_POWER * measured.rr[1:].max()
-    used = (seen >= COHERENT) & excited & (f > 0.0)
+    used = (coherence >= COHERENT) & excited & (f > 0.0)
     used &= np.cumsum(~used & (f > 0.0) & (f > f[np.argmax(used)])) <= FEWEST_LINES
     if used.sum() < FEWEST_LINES:
         return None
@@ -138,7 +138,7 @@ def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
     below = level < np.sqrt(0.5) * low
     at = int(np.argmax(below)) if below[-1] else -1
     peak = int(np.argmax(level))
-    common = {'frequency_hz': f, 'tracking': tracking, 'coherence': seen[used],
+    common = {'frequency_hz': f, 'tracking': tracking, 'coherence': coherence[used],
               'bandwidth_hz': float(f[at]) if at >= 0 else np.nan, 'peak': float(level[peak]),
               'peak_hz': float(f[peak])}
     driven = measured.coherence(measured.ur, measured.uu)[used] >= COHERENT

@@ -131,8 +131,8 @@ def _axes(looks: Sequence[Measured]) -> list[str]:
 def _traces(looks: Sequence[Measured]) -> str:
     """The rates of each axis from the take-off on, on the slowest grid."""
     dt = max(one.flown.dt for one in looks)
-    begun = [int(np.argmax(one.flown.flying)) for one in looks]
-    length = max((one.flown.n - a) * one.flown.dt for one, a in zip(looks, begun, strict=True))
+    takeoffs = [int(np.argmax(one.flown.flying)) for one in looks]
+    length = max((one.flown.n - a) * one.flown.dt for one, a in zip(looks, takeoffs, strict=True))
     times = np.arange(math.ceil(length / dt)) * dt
 
     def drawn(look: Measured, first: int, i: int) -> FloatArray:
@@ -143,6 +143,7 @@ def _traces(looks: Sequence[Measured]) -> str:
 
     rows = [zoom.Row(f'{axis}, deg/s', [
         zoom.Line(name, drawn(look, first, AXES.index(axis)), f'--{THEMED[colour]}')
-        for look, first, colour, name in zip(looks, begun, COLOURS, names(looks), strict=False)])
+        for look, first, colour, name in zip(looks, takeoffs, COLOURS, names(looks),
+                                             strict=False)])
         for axis in _axes(looks)]
     return zoom.group(rows, dt)

@@ -85,9 +85,9 @@ class Frames:
         centres = 0.5 * (ORDERS[1:] + ORDERS[:-1])
         rows = [np.interp(centres * hz, self.frequency_hz, row, right=np.nan)
                 for hz, row in zip(mean[known], self.density[known], strict=True)]
-        seen = np.isfinite(rows)
-        total = np.where(seen, rows, 0.0).sum(axis=0)
-        return np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), np.nan)
+        finite = np.isfinite(rows)
+        total = np.where(finite, rows, 0.0).sum(axis=0)
+        return np.where(finite.any(axis=0), total / np.maximum(finite.sum(axis=0), 1), np.nan)
 
     def peaks(self, rotor_hz: float | None = None) -> tuple[Peak, ...]:
         """The largest peaks above what surrounds them."""

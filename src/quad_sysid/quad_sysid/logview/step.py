@@ -221,11 +221,11 @@ def _response(held: _Windows, inside: npt.NDArray[np.bool_], step: float, quanti
     if name != 'all' and np.sum(sums * np.linalg.solve(whole, sums.T).T, axis=1).max() > (
             LEAST_SURE**2):
         return None
-    left = output - fftconvolve(held.past[inside], impulse[None], mode='valid', axes=1)
-    left = (left[:, None, :] @ held.coarse[inside])[:, 0]
+    residual = output - fftconvolve(held.past[inside], impulse[None], mode='valid', axes=1)
+    residual = (residual[:, None, :] @ held.coarse[inside])[:, 0]
     prior = noise * _precision(group.shape[1], m, share, size)[0]
-    apart = np.linalg.solve(held.gram[inside] + prior, left[:, :, None])[:, :, 0] @ group.T
-    low, high = np.percentile(mean + np.cumsum(apart, axis=1), SPREAD, axis=0)
+    by_window = np.linalg.solve(held.gram[inside] + prior, residual[:, :, None])[:, :, 0] @ group.T
+    low, high = np.percentile(mean + np.cumsum(by_window, axis=1), SPREAD, axis=0)
     half = int(np.argmax(mean >= 0.5))
     reached = bool(mean[half] >= 0.5)
     before = mean[half - 1] if half else 0.0

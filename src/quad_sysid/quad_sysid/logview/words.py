@@ -114,11 +114,12 @@ def _figures(step: Response) -> str:
 def _motor_sentence(look: Measured) -> str:
     if not look.motors:
         return ''
-    apart = [f'{m.name} {m.apart_pct:+.0f} %' for m in look.motors
-             if abs(m.apart_pct) >= UNEVEN_PCT]
+    differing = [f'{m.name} {m.apart_pct:+.0f} %' for m in look.motors
+                 if abs(m.apart_pct) >= UNEVEN_PCT]
     limit = [f'{m.name} {m.at_one_pct + m.at_zero_pct:.1f} %' for m in look.motors
              if m.at_one_pct + m.at_zero_pct >= LIMITED_PCT]
-    text = 'Motors: ' + (f'mean commands apart from the others: {", ".join(apart)}' if apart else
+    text = 'Motors: ' + (f'mean commands apart from the others: {", ".join(differing)}'
+                         if differing else
                          f'mean commands within {UNEVEN_PCT:g} % of each other')
     return text + (f'; at a limit for {", ".join(limit)} of the time.' if limit else
                    '; never at their limits.' if not any(

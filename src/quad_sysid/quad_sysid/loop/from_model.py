@@ -75,7 +75,7 @@ class Placed:
         """
         s, settings = self.signals(at, n, **moved), self.part.settings
         if self.effect.states:
-            s = replace(s, hidden=self.effect.settled(s, self.p, settings))
+            s = replace(s, hidden=self.effect.steady(s, self.p, settings))
         own = self.effect.torque(s, self.p, settings)
         return np.zeros(n) if own is None else np.broadcast_to(own, (n,))
 

@@ -14,7 +14,7 @@ from numba import types
 from quad_sysid.compiled import BLOCK, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.laws import IntArray, operate
-from quad_sysid.model.recursion import motor_ahead
+from quad_sysid.model.recursion import motor_step
 
 INTEGRAL, LAST, D_PART, TARGET, ERROR, OUTPUT, NOTCH = range(7)
 MEMORY = 8
@@ -101,10 +101,10 @@ def control(gains: Constants, memory: FloatArray, reference: float, angle: float
     memory[INTEGRAL] = min(max(total, -gains.integrator_limit), gains.integrator_limit)
     now = -error if gains.d_on_error > 0.0 else rate
     if gains.notch < 1.0:
-        seen = gains.notch * now + memory[NOTCH]
-        memory[NOTCH] = gains.notch_turn * (now - seen) + memory[NOTCH + 1]
-        memory[NOTCH + 1] = gains.notch * now - gains.notch_keep * seen
-        now = seen
+        notched = gains.notch * now + memory[NOTCH]
+        memory[NOTCH] = gains.notch_turn * (now - notched) + memory[NOTCH + 1]
+        memory[NOTCH + 1] = gains.notch * now - gains.notch_keep * notched
+        now = notched
     slope = (now - memory[LAST]) / gains.dt
     memory[D_PART] += gains.d_weight * (slope - memory[D_PART])
     memory[LAST] = now
@@ -149,7 +149,7 @@ def driven(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: i
         uneven = False
         for i in range(at.factors.shape[2]):
             uneven = uneven or at.factors[c, 1, i] != 0.0
-        w[c] = motor_ahead(
+        w[c] = motor_step(
             w[c], before(line, newest, c, r[at.when[1]]), before(line, newest, c, r[at.when[0]]),
             r[at.lag[c]], uneven, at.factors[c], r[at.when[2]], dt, lags, own)
         r[at.motors] += at.row[c] * own[0] * 2.0 / dt
@@ -160,8 +160,8 @@ def driven(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: i
 
 
 @inner
-def ahead(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
-          line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
+def step(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
+         line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
     """One cycle of a plant by its operations: the state in the registers r a cycle later.
 
     The command, the acceleration and what is known of the cycle are in r already; line (d, c) and
@@ -183,7 +183,7 @@ def ahead(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: Flo
 def cycle(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
           line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
     """`ahead`, for a controller in Python."""
-    return int(ahead(at, code, more, tables, r, line, w, newest, dt))
+    return int(step(at, code, more, tables, r, line, w, newest, dt))
 
 
 @kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, WHOLE, WHOLE)
@@ -225,7 +225,7 @@ def fly(gains: Constants, at: Places, code: IntArray, more: IntArray, tables: Fl
         for i in range(known.shape[1]):
             r[at.given + i] = known[k, i]
         r[at.sent], r[at.push] = u, signals[2, k]
-        newest = ahead(at, code, more, tables, r, line, w, newest, gains.dt)
+        newest = step(at, code, more, tables, r, line, w, newest, gains.dt)
         shown, angle_shown = r[at.shown[0]], r[at.shown[1]]
 
 
@@ -246,6 +246,6 @@ def run_polynomial(gains: Constants, signals: FloatArray, a: FloatArray, b: Floa
         if k > 0:
             angle += 0.5 * gains.dt * (clean[k] + clean[k - 1])
         rate = total + signals[1, k]
-        seen = angle + lead * rate
-        wanted, u = control(gains, memory, signals[0, k], seen, rate, 0.0)
-        out[0, k], out[1, k], out[2, k], out[3, k] = seen, rate, u, wanted
+        predicted = angle + lead * rate
+        wanted, u = control(gains, memory, signals[0, k], predicted, rate, 0.0)
+        out[0, k], out[1, k], out[2, k], out[3, k] = predicted, rate, u, wanted

@@ -28,8 +28,8 @@ class Linearised(Effect):
 
     def _all(self, s: Signals, x: FloatArray | None) -> FloatArray:
         inputs = self.inputs(s)
-        away = [] if x is None else [x - self.rest.reshape(-1, *[1] * (x.ndim - 1))]
-        return np.tensordot(self.rows, np.concatenate([*away, inputs]), 1)
+        from_rest = [] if x is None else [x - self.rest.reshape(-1, *[1] * (x.ndim - 1))]
+        return np.tensordot(self.rows, np.concatenate([*from_rest, inputs]), 1)
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.repeat(self.rest[:, None], s.time.size, axis=1)

@@ -83,18 +83,18 @@ def _cycle(flying: Flying) -> tuple[FloatArray, FloatArray, FloatArray]:
     moved = np.column_stack([still[:, None] + np.eye(n), still, still])
     sent = np.r_[np.zeros(n), 1.0, 0.0]
     x = plant.unflat(moved, like)
-    ahead = plant.flat(plant.step(x, _many(flying.around, n + 2, sent)))
-    ahead = ahead - ahead[:, -1:]
+    after = plant.flat(plant.step(x, _many(flying.around, n + 2, sent)))
+    after = after - after[:, -1:]
     shown = np.stack([required(one) for one in plant.measured(x)])
     shown = shown - shown[:, -1:]
-    a, b, c = ahead[:, :n], ahead[:, n], shown[:, :n]
+    a, b, c = after[:, :n], after[:, n], shown[:, :n]
     kept = np.arange(n)
     while True:
         inner = a - np.diag(np.diag(a))
-        asked = (np.abs(inner).sum(axis=0) + np.abs(c).sum(axis=0)) > 0.0
-        if asked.all():
+        connected = (np.abs(inner).sum(axis=0) + np.abs(c).sum(axis=0)) > 0.0
+        if connected.all():
             return a, b, c
-        kept = np.flatnonzero(asked)
+        kept = np.flatnonzero(connected)
         a, b, c = a[np.ix_(kept, kept)], b[kept], c[:, kept]
 
 
@@ -182,7 +182,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
 
     nothing = np.zeros(1)
     still = seen(nothing, nothing, nothing, nothing)
-    rest = effect.settled(still, p, settings)[:, 0] if m else np.zeros(0)
+    rest = effect.steady(still, p, settings)[:, 0] if m else np.zeros(0)
     small = min(SMALL, level[2])
     rows = np.zeros((m + 1, m + 4))
     if m > FEW_STATES or isinstance(effect, Linear):
@@ -203,8 +203,8 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         s = seen(rate, angle, drive, change)
         x = np.zeros((0, n))
         if m:
-            begun = np.repeat(rest[:, None], n, axis=1)
-            x = effect.trace(s, p, settings, ((0, n),), begun)[:m]
+            initial = np.repeat(rest[:, None], n, axis=1)
+            x = effect.trace(s, p, settings, ((0, n),), initial)
         moved = _fitted(x, rest, np.stack([rate, angle, drive, change]), after(x, s))
         first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
         rows[first:] = moved[first:]

@@ -31,7 +31,7 @@ class Flying:
     plant: Plant
     around: Signals
     """(1,) what stays as it is, or (n,) of each cycle; but for what the loop itself moves."""
-    settled: bool = True
+    steady: bool = True
     """Whether it begins in the middle of a flight, not at its start."""
     trial: Trial = TURNING
     """The motion by which its loop is judged."""
@@ -45,7 +45,7 @@ class Flying:
         """The state with motors at rest, at a rate and an angle, rad/s and rad."""
         s = replace(self.around.at(np.arange(1)), sent=np.zeros(1))
         return self.plant.begin(self.plant.with_motors(s), np.array([rate]), np.array([angle]),
-                                settled=self.settled)
+                                steady=self.steady)
 
     def step(self, x: State, u: float, push: float = 0.0, k: int = 0) -> State:
         """The state after the k-th cycle of what is around; push in rad/s²."""

@@ -134,10 +134,10 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program:
     s = plant.with_motors(s)
     drive, after = noted.send(hidden, s)
     split = len(listing.code)
-    ahead = noted.turn(Turning(*turning), s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
+    later = noted.turn(Turning(*turning), s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
                        plant.sensor.step)
     places = {
-        'following': (*ahead, *after), 'shown': plant.measured(ahead),
+        'following': (*later, *after), 'shown': plant.measured(later),
         'commands': drive.commands, 'lag': drive.lag,
         'when': (*required(drive.ages), required(drive.fraction)),
     }

@@ -25,10 +25,11 @@ def led_by_gyro(data: AxisData, rate: FloatArray) -> FloatArray:
     """
     measured = required(data.angle)
     turned = np.append(0.5 * data.dt * (rate[1:] + rate[:-1]), 0.0)
-    apart = measured - np.append(0.0, np.cumsum(turned[:-1]))
+    difference = measured - np.append(0.0, np.cumsum(turned[:-1]))
 
     def variance(cycles: int) -> float:
-        steps = [apart[a + cycles : b] - apart[a : b - cycles] for a, b in data.stretches]
+        steps = [difference[a + cycles : b] - difference[a : b - cycles]
+                 for a, b in data.stretches]
         return float(np.nanmean(np.concatenate([np.zeros(1), *steps]) ** 2))
 
     long = max(3, round(LONG_S / data.dt))
@@ -37,8 +38,8 @@ def led_by_gyro(data: AxisData, rate: FloatArray) -> FloatArray:
     gain = 1.0
     if white > 0.0:
         drift = max((variance(long) - one) / (long - 1), white / long**2)
-        ahead = 0.5 * (drift + math.sqrt(drift**2 + 4.0 * drift * white))
-        gain = ahead / (ahead + white)
+        predicted = 0.5 * (drift + math.sqrt(drift**2 + 4.0 * drift * white))
+        gain = predicted / (predicted + white)
     out = np.zeros(rate.size)
     for start, stop in data.stretches:
         recursion.led(measured, turned, gain, start, stop, out)

@@ -149,8 +149,8 @@ class AxisData:
 
         starts = inside(spans)
         if self.lost is not None and self.lost.any():
-            apart = inside([run for span in spans for run in finite_runs(~self.lost, span)])
-            starts = apart if 2 * len(apart) >= len(starts) else starts
+            intact = inside([run for span in spans for run in finite_runs(~self.lost, span)])
+            starts = intact if 2 * len(intact) >= len(starts) else starts
         return Windows(np.array(starts, dtype=np.int64), length)
 
     @property

@@ -304,7 +304,7 @@ class Effect:
     def repeats_hz(self, p: FloatArray) -> float:
         """Frequency at which it repeats itself, Hz; 0: it does not.
 
-        Each flight has its own phase, which `elsewhere` takes.
+        Each flight has its own phase, which `in_another_flight` takes.
         """
         return 0.0
 
@@ -319,7 +319,7 @@ class Effect:
         """The inverse of `readable`: (p,) parameters in their units."""
         return np.array([values[spec.name] for spec in self.parameters])
 
-    def elsewhere(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
+    def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         """Parameters for another flight: for an event the values after it; phase in rad."""
         return p
 
@@ -327,7 +327,7 @@ class Effect:
         """(states, …) hidden states at the start of a flight, of which `s` is the first cycle."""
         return np.zeros((self.states, *s.time.shape))
 
-    def settled(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+    def steady(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         """(states, …) hidden states in the middle of a flight, at which a loop is judged."""
         return self.begin(s, p, settings)
 
@@ -337,7 +337,7 @@ class Effect:
         """(states, …) hidden states a cycle of s.dt later, for signals held over it."""
         raise NotImplementedError
 
-    def seen_along(
+    def inputs_in_flight(
         self, s: Signals, followed: Callable[[FloatArray], FloatArray]
     ) -> Signals:
         """The signals that move its hidden states along a flight.

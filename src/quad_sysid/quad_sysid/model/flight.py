@@ -66,8 +66,8 @@ def central(
     function: Callable[[FloatArray], FloatArray], x: FloatArray, j: int, step: float
 ) -> FloatArray:
     """Derivative of an array by one coordinate of x (p,), by central differences."""
-    away = step * np.eye(x.size)[j]
-    return (function(x + away) - function(x - away)) / (2.0 * step)
+    shift = step * np.eye(x.size)[j]
+    return (function(x + shift) - function(x - shift)) / (2.0 * step)
 
 
 def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
@@ -134,7 +134,7 @@ class Flight:
             self.angle = np.nan_to_num(data.angle) if derived else led_by_gyro(data, self.gyro)
         self.others: list[FloatArray] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
-            self.others = [self._ahead(np.nan_to_num(column)) for column in data.other_rates.T]
+            self.others = [self._advanced(np.nan_to_num(column)) for column in data.other_rates.T]
         columns = [EVERY[name].index + 1 for name in data.other_axes]
         self.share = data.share
         self._known: dict[str, Any] = {
@@ -150,7 +150,7 @@ class Flight:
         self._windows: tuple[Windows | None, list[Signals]] = (None, [])
         # smoothed, and advanced by the filter's delay
         smooth = np.full(SMOOTHED, 1.0 / SMOOTHED)
-        self.rate = self._ahead(np.convolve(self.gyro, smooth, mode='same'))
+        self.rate = self._advanced(np.convolve(self.gyro, smooth, mode='same'))
 
     def seen_through(self, *, stepped: bool = False) -> tuple[Sensor, ...]:
         """The sensor of each pass, as its flight was flown."""
@@ -165,7 +165,7 @@ class Flight:
         """That of the first pass, for what all have in common."""
         return self.sensors[0]
 
-    def _ahead(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
+    def _advanced(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
         """(n,) a measured rate at mid-cycle, or some cycles later, without the filter's delay."""
         known, grid = np.isfinite(measured), np.arange(measured.size, dtype=np.float64)
         later = grid + (0.5 + self.late / self.data.dt) + cycles
@@ -234,7 +234,7 @@ class Flight:
         effect, data = part.effect, self.data
         if not effect.states:
             return s
-        seen = effect.seen_along(s, self.followed)
+        seen = effect.inputs_in_flight(s, self.followed)
         begun = effect.begun(data, p, part.settings)
         return s.but(hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
 
@@ -247,8 +247,8 @@ class Flight:
             return rate
         dt, grid = self.data.dt, np.arange(rate.size)
         keep = math.exp(-dt / FOLLOWED_S)
-        away = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
-        out: FloatArray = rate + lfilter([1.0 - keep], [1.0, -keep], away)
+        remainder = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
+        out: FloatArray = rate + lfilter([1.0 - keep], [1.0, -keep], remainder)
         return out
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
@@ -316,10 +316,10 @@ class Flight:
         own = self.hidden(part, s, p)  # which those in which the torque is linear do not move
         out, here = np.empty((s.rate.size, theta.size)), required(effect.torque(own, p, settings))
         for j in set(range(theta.size)) - set(linear):
-            ahead = FINER * np.diag(steps)[j]
-            moved = natural(effect.parameters, theta + ahead)
+            shift = FINER * np.diag(steps)[j]
+            moved = natural(effect.parameters, theta + shift)
             there = required(effect.torque(self.hidden(part, s, moved), moved, settings))
-            out[:, j] = (there - here) / ahead[j]
+            out[:, j] = (there - here) / shift[j]
         if linear:
             p[linear] = 0.0
             out[:, linear] = effect.columns(own, p, linear, settings)
@@ -332,10 +332,11 @@ class Flight:
         """
         dt = self.data.dt
         reach = max(1.0, SLOPE_S / dt)
-        back, here, ahead = (self._ahead(self.data.rate, way * reach) for way in (-1.0, 0.0, 1.0))
+        earlier, here, later = (self._advanced(self.data.rate, way * reach)
+                                for way in (-1.0, 0.0, 1.0))
         halves = self.driven(Structure(), p)[0]
         explained = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
-        return (ahead - back) / (2.0 * reach * dt) - explained
+        return (later - earlier) / (2.0 * reach * dt) - explained
 
     # ------------------------------------------------------------------------ the filter
 
@@ -406,8 +407,8 @@ class Flight:
         out = np.zeros((len(self.passes), theta.size, 6 + 4 * structure.lines))
         here, at = flat(steady), np.r_[theta, damping]
         for j in range(theta.size - structure.filtered, at.size):
-            ahead = at + FILTER_STEP * (np.arange(at.size) == j)
-            there = flat(self.filters_of(structure, ahead[:-1], ahead[-1]))
+            shifted = at + FILTER_STEP * (np.arange(at.size) == j)
+            there = flat(self.filters_of(structure, shifted[:-1], shifted[-1]))
             out[:, j if j < theta.size else 3] = (there - here) / FILTER_STEP
         return [*out]
 
@@ -492,7 +493,7 @@ class Flight:
         angle = None if self.angle is None else self.angle[windows.starts] + late * r
         turning = Turning(r, angle, np.stack([g, q]), tuple(
             next(followed)[None, :] if part.effect.wanders else
-            required(self.hidden(part, seen, values).hidden)[: part.effect.states, windows.starts]
+            required(self.hidden(part, seen, values).hidden)[:, windows.starts]
             if part.effect.states else None for part, values in plant.pushing
         ))
         lag, delay = lag_and_delay(p)

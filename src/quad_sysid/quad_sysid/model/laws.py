@@ -1,8 +1,7 @@
-"""Compiled laws with a state of their own, row after row: play, steps, slew, loads, hysteresis.
+"""Compiled laws row after row: `carried` repeats the operations of any law (model/traced.py).
 
-Each has its step for many states at once where a free run needs it. `carried` does the same by the
-operations of any law (model/traced.py), ten times as slowly. Only arithmetic on arrays, one by one
-as in recursion.py.
+Linear states have a loop of their own, and what takes many steps in a cycle (a load with play, a
+part that yields) is one operation. Only arithmetic on arrays, one by one as in recursion.py.
 """
 
 from __future__ import annotations
@@ -40,34 +39,6 @@ def hats(x, factor, knots, mean, out):
         out[i, j + 1] += factor[i] * share
 
 
-@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
-def play(command, width, start, stop, out):
-    """What a backlash of +-width holds at the start of each cycle."""
-    held = command[start]
-    for k in range(start, stop):
-        out[k] = held
-        held = min(max(held, command[k] - width), command[k] + width)
-
-
-@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
-def in_steps(x, hysteresis, start, stop, out):
-    """The whole step of x at the start of each cycle, kept until x is 0.5 + hysteresis away."""
-    kept = math.floor(x[start] + 0.5)
-    for k in range(start, stop):
-        out[k] = kept
-        if abs(x[k] - kept) - 0.5 > hysteresis:
-            kept = math.floor(x[k] + 0.5)
-
-
-@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
-def slew(command, step, start, stop, out):
-    """At the start of each cycle the command, which changes by at most `step` per cycle."""
-    held = command[start]
-    for k in range(start, stop):
-        out[k] = held
-        held += min(max(command[k] - held, -step), step)
-
-
 @kernel(LINE, TABLE, LINE, WHOLE, WHOLE, TABLE)
 def linear_states(moving, a, b, start, stop, out):
     """States x of x+ = a x + b moving, at the start of each cycle: (m, n) into `out`.
@@ -86,16 +57,6 @@ def linear_states(moving, a, b, start, stop, out):
             new[i] = total
             out[i, k + 1] = total
         x, new = new, x
-
-
-@kernel(LINE, NUMBER, WHOLE, WHOLE, LINE)
-def built_up(rate, share, start, stop, out):
-    """State (-1..1) of a friction that builds up over an angle, at the start of each cycle."""
-    x = 0.0
-    for k in range(start, stop):
-        out[k] = x
-        way = 1.0 if rate[k] > 0.0 else -1.0
-        x = way + (x - way) * math.exp(-abs(rate[k]) * share)
 
 
 @inner
@@ -118,15 +79,6 @@ def loose_ahead(pull, moved, spring, damping, dt, z, q):
     return z, q, (q - before) / dt - pull
 
 
-@kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, WHOLE, WHOLE, TABLE)
-def loose(pull, moved, spring, damping, dt, start, stop, out):
-    """Such z and q at the start of each cycle, (2, n) into `out`, as they begin."""
-    z, q = out[0, start], out[1, start]
-    for k in range(start, stop):
-        out[0, k], out[1, k] = z, q
-        z, q, _ = loose_ahead(pull[k], moved[k], spring, damping, dt, z, q)
-
-
 @kernel(LINE, LINE, LINE, LINE, NUMBER, NUMBER, NUMBER, TABLE)
 def all_loose_ahead(pull, moved, z, q, spring, damping, dt, out):
     """The same of many a cycle later, and f meanwhile, into `out` (3, w)."""
@@ -147,18 +99,9 @@ def yielded(x, push, slope, lean, flow, dt):
     flows, back = h * flow, max(slope, 0.0)
     for _ in range(parts):
         cube = x * x * x
-        ahead = x + h * push - flows * ((slope - back) * x + lean * x * x - 2.0 * cube)
-        x = ahead / (1.0 + flows * (back + 3.0 * x * x))
+        explicit = x + h * push - flows * ((slope - back) * x + lean * x * x - 2.0 * cube)
+        x = explicit / (1.0 + flows * (back + 3.0 * x * x))
     return x
-
-
-@kernel(LINE, NUMBER, NUMBER, NUMBER, NUMBER, WHOLE, WHOLE, LINE)
-def yielding(push, slope, lean, flow, dt, start, stop, out):
-    """Such a state at the start of each cycle into `out` (n,), from zero."""
-    x = 0.0
-    for k in range(start, stop):
-        out[k] = x
-        x = yielded(x, push[k], slope, lean, flow, dt)
 
 
 @kernel(LINE, LINE, NUMBER, NUMBER, NUMBER, NUMBER, TABLE)

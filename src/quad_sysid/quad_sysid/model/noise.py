@@ -157,10 +157,10 @@ def transitions(steady: Filter, sensor: Sensor, slope: FloatArray, dt: float) ->
     slope: over the rate, 1/s.
     """
     a, hold = 0.5 * dt * slope, steady.move[1]
-    ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
+    factor, input_gain = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
     out = np.tile(steady.transition, (slope.size, 1, 1))
-    out[:, 0, 0], out[:, 0, 1] = ahead, push * hold
+    out[:, 0, 0], out[:, 0, 1] = factor, input_gain * hold
     for i, (begin, half, end) in enumerate(sensor.step[:, 2:], 2):
-        out[:, i, 0] = begin + 0.5 * half * (1.0 + ahead) + end * ahead
-        out[:, i, 1] = (0.5 * half + end) * push * hold
+        out[:, i, 0] = begin + 0.5 * half * (1.0 + factor) + end * factor
+        out[:, i, 1] = (0.5 * half + end) * input_gain * hold
     return out

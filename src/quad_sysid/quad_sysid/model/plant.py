@@ -48,11 +48,11 @@ def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
     """The slope of an acceleration over the rate and those of the effects' torques, 1/s."""
     for part, p, s in acting:
         if 'rate' in part.effect.signals:
-            ahead, back = (
+            above, below = (
                 with_torques(np.zeros(1), [(part, p, s.but(rate=s.rate + step))])
                 for step in (SLOPE_STEP, -SLOPE_STEP)
             )
-            start = start + (ahead - back) / (2.0 * SLOPE_STEP)
+            start = start + (above - below) / (2.0 * SLOPE_STEP)
     return start
 
 
@@ -159,11 +159,11 @@ class Plant:
         return s.but(motors=tuple(motors[..., i] for i in range(motors.shape[-1])))
 
     def begin(
-        self, s: Signals, rate: FloatArray, angle: FloatArray | None, *, settled: bool = False
+        self, s: Signals, rate: FloatArray, angle: FloatArray | None, *, steady: bool = False
     ) -> State:
         """The state in which the command s.sent has long been given, s the first cycle.
 
-        settled: in the middle of a flight, not at its start.
+        steady: in the middle of a flight, not at its start.
         """
         s = self.with_own(s)
         own: list[FloatArray | None] = []
@@ -181,7 +181,7 @@ class Plant:
                         command=self.p[0] * lagged, change=np.zeros_like(lagged))
         hidden = tuple(
             None if not part.effect.states else
-            (part.effect.settled if settled else part.effect.begin)(moved, p, part.settings)
+            (part.effect.steady if steady else part.effect.begin)(moved, p, part.settings)
             for part, p in self.pushing
         )
         turning = Turning(rate, angle, np.stack([rate, np.zeros_like(rate)]), hidden)
@@ -194,8 +194,8 @@ class Plant:
         line = np.concatenate([drive.commands[None], x.line[:-1]])
         before, new = (_sent_before(line, age) for age in required(drive.ages))
         motors, out = x.motors.copy(), np.empty((4, s.time.size))
-        recursion.motors_ahead(motors, new, before, drive.row, np.ascontiguousarray(drive.lag),
-                               drive.factors, required(drive.fraction), self.dt, out)
+        recursion.motors_step(motors, new, before, drive.row, np.ascontiguousarray(drive.lag),
+                              drive.factors, required(drive.fraction), self.dt, out)
         turning = self.turn(x.turning, s, out[:2], out[2:], push, self.sensor.step)
         return State(turning, motors, line, hidden)
 

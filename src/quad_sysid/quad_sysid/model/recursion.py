@@ -40,13 +40,13 @@ def between(x, knots, values):
 
 
 @inner
-def motor_ahead(w, new, before, tau, uneven, factors, fraction, dt, known, out):
+def motor_step(w, new, before, tau, uneven, factors, fraction, dt, solved, out):
     """A motor's lagged command w a cycle later, whose command changes after a `fraction` of it.
 
     tau s, where `uneven` times the exponential of a curve over how far the motor has to go,
     factors (2, k) its knots and values. out (4,) receives the areas over both halves of the cycle,
-    w and the command at its middle. known (3, 3) are lengths, lags and decays of the cycle before,
-    most often the same. Solved exactly for a held command and a constant lag.
+    w and the command at its middle. solved (3, 3) holds lengths, lags and decays of the cycle
+    before, most often the same. It is exact for a held command and a constant lag.
     """
     cut0, cut1 = min(fraction, 0.5), max(fraction, 0.5)
     older = 1 if fraction < 0.5 else 2  # lengths with the older command
@@ -59,11 +59,11 @@ def motor_ahead(w, new, before, tau, uneven, factors, fraction, dt, known, out):
             lag = tau
             if uneven:
                 lag *= math.exp(between(u - w, factors[0], factors[1]))
-            if lag != known[1, i] or h != known[0, i]:
-                known[0, i], known[1, i], known[2, i] = h, lag, math.exp(-h / lag)
-            decay, away = known[2, i], w - u
-            out[0 if i < first else 1] += u * h + away * lag * (1.0 - decay)
-            w = u + away * decay
+            if lag != solved[1, i] or h != solved[0, i]:
+                solved[0, i], solved[1, i], solved[2, i] = h, lag, math.exp(-h / lag)
+            decay, difference = solved[2, i], w - u
+            out[0 if i < first else 1] += u * h + difference * lag * (1.0 - decay)
+            w = u + difference * decay
         if i == first - 1:
             out[2], out[3] = w, u
     return w
@@ -80,15 +80,15 @@ def sent(commands, k, age, start):
 
 
 @inner
-def motor_along(commands, weight, tau, older, newer, fraction, dt, start, stop, halves, states):
+def motor_response(commands, weight, tau, older, newer, fraction, dt, start, stop, halves, states):
     """What one motor of a constant lag and delay adds to the arrays of `motors`.
 
-    With both commands of a cycle held, all that motor_ahead solves is linear in w and these two.
+    With both commands of a cycle held, all that motor_step solves is linear in w and these two.
     """
-    known, out, by = np.zeros((3, 3)), np.zeros(4), np.empty((5, 3))
+    solved, out, by = np.zeros((3, 3)), np.zeros(4), np.empty((5, 3))
     for i in range(3):  # w, the newer command and the older one
-        by[4, i] = motor_ahead(1.0 * (i == 0), 1.0 * (i == 1), 1.0 * (i == 2), tau, False,
-                               np.zeros((2, 1)), fraction, dt, known, out)
+        by[4, i] = motor_step(1.0 * (i == 0), 1.0 * (i == 1), 1.0 * (i == 2), tau, False,
+                              np.zeros((2, 1)), fraction, dt, solved, out)
         for j in range(4):
             by[j, i] = weight * out[j]
     keep, into, past = by[4, 0], by[4, 1], by[4, 2]
@@ -107,7 +107,7 @@ def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves,
     """Drive of one axis: each command after its delay and lag, mixed by `row`.
 
     commands (c, n) held over a cycle; row (c,); lag (c, n) s, and factors (c, 2, k) as in
-    motor_ahead; ages (2, n) and fraction (n,) as in effect.Drive. halves (2, n), zeros before,
+    motor_step; ages (2, n) and fraction (n,) as in effect.Drive. halves (2, n), zeros before,
     receives the mean drive over both halves of each cycle in [start, stop), states (2, n) the
     drive and the delayed command at its middle.
     """
@@ -123,15 +123,15 @@ def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves,
             even = even and lag[c, k] == lag[c, start] and fraction[k] == fraction[start] \
                 and ages[0, k] == ages[0, start] and ages[1, k] == ages[1, start]
         if even:
-            motor_along(commands[c], weight, lag[c, start], ages[0, start], ages[1, start],
-                        fraction[start], dt, start, stop, halves, states)
+            motor_response(commands[c], weight, lag[c, start], ages[0, start], ages[1, start],
+                           fraction[start], dt, start, stop, halves, states)
             continue
-        w, known = commands[c, start], np.zeros((3, 3))
+        w, solved = commands[c, start], np.zeros((3, 3))
         for k in range(start, stop):
-            w = motor_ahead(
+            w = motor_step(
                 w, sent(commands[c], k, ages[1, k], start),
                 sent(commands[c], k, ages[0, k], start), lag[c, k], uneven, factors[c],
-                fraction[k], dt, known, out,
+                fraction[k], dt, solved, out,
             )
             halves[0, k] += weight * out[0]
             halves[1, k] += weight * out[1]
@@ -143,12 +143,12 @@ def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves,
 
 
 @kernel(TABLE, TABLE, TABLE, LINE, TABLE, BLOCK, LINE, NUMBER, TABLE)
-def motors_ahead(w, new, before, row, lag, factors, fraction, dt, out):
+def motors_step(w, new, before, row, lag, factors, fraction, dt, out):
     """One cycle of m flights: w (c, m) in place; new, before, lag (c, m), fraction (m,).
 
     out (4, m) receives the mean drive over both halves, the drive and the command at mid-cycle.
     """
-    own, known = np.zeros(4), np.zeros((3, 3))
+    own, solved = np.zeros(4), np.zeros((3, 3))
     for i in range(w.shape[1]):
         out[0, i] = out[1, i] = out[2, i] = out[3, i] = 0.0
     for c in range(w.shape[0]):
@@ -156,8 +156,8 @@ def motors_ahead(w, new, before, row, lag, factors, fraction, dt, out):
         for i in range(factors.shape[2]):
             uneven = uneven or factors[c, 1, i] != 0.0
         for i in range(w.shape[1]):
-            w[c, i] = motor_ahead(w[c, i], new[c, i], before[c, i], lag[c, i], uneven, factors[c],
-                                  fraction[i], dt, known, own)
+            w[c, i] = motor_step(w[c, i], new[c, i], before[c, i], lag[c, i], uneven, factors[c],
+                                 fraction[i], dt, solved, own)
             out[0, i] += row[c] * own[0] * 2.0 / dt
             out[1, i] += row[c] * own[1] * 2.0 / dt
             out[2, i] += row[c] * own[2]
@@ -256,10 +256,10 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
             for j in range(m):
                 pushed[j] += wander[k, i] * sx[i, j]
         a = 0.5 * dt * slope[k]
-        ahead = (1.0 + a) / (1.0 - a)
-        push = dt / (1.0 - a)
+        factor = (1.0 + a) / (1.0 - a)
+        input_gain = dt / (1.0 - a)
         mean = 0.5 * (known[0, k] + known[1, k])
-        new = ahead * r + push * (mean + moved + hold * d)
+        new = factor * r + input_gain * (mean + moved + hold * d)
         middle = 0.5 * (r + new)
         rate[k] = middle
         curved = middle + 0.25 * dt * (known[0, k] - known[1, k])
@@ -268,7 +268,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
             x1 = s1[j] + c1 * z[j] + n1[j] * e
             x2 = s2[j] + c2 * z[j] + n2[j] * e
             x3 = s3[j] + c3 * z[j] + n3[j] * e
-            x4 = ahead * x0 + push * (pushed[j] + hold * x1 + t1[j] * d)
+            x4 = factor * x0 + input_gain * (pushed[j] + hold * x1 + t1[j] * d)
             mid = 0.5 * (x0 + x4)
             s0[j] = x4
             s1[j] = fade * x1 + t0[j] * d
@@ -290,27 +290,27 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
 
 
 @kernel(LINE, TABLE, TABLE, BLOCK, TABLE, TABLE, BLOCK, BLOCK, BLOCK, FLAG, NUMBER, WHOLE, TABLE)
-def freely(slope, by_state, by_rate, onward, columns, bends, forward, begun, gyro, noisy, dt,
+def freely(slope, by_state, by_rate, onward, columns, bends, forward, initial, gyro, noisy, dt,
            length, out):
     """Derivatives of free runs, in windows of `length` cycles one behind the other.
 
     In each cycle an acceleration has its slope (n,) over the rate, by_state (n, m) over m hidden
     states, and columns (n, p) over the parameters; bends as in `predict`, for all of them. States
     move by by_rate (n, m) with the rate, onward (n, m, m) with each other and forward (n, m, p)
-    with the parameters, and begin with begun (windows, m, p). gyro (windows, 2, 5): as in
+    with the parameters, and begin as initial (windows, m, p). gyro (windows, 2, 5): as in
     noise.Sensor.step. out (n, p) receives what the rate moves by, behind the gyro if noisy.
     """
     m, p = by_state.shape[1], columns.shape[1]
     r, g, q, mid = np.empty(p), np.empty(p), np.empty(p), np.empty(p)
     x, new = np.empty((m, p)), np.empty((m, p))
-    for i in range(begun.shape[0]):
+    for i in range(initial.shape[0]):
         for j in range(p):
             r[j] = g[j] = q[j] = 0.0
             for s in range(m):
-                x[s, j] = begun[i, s, j]
+                x[s, j] = initial[i, s, j]
         for k in range(i * length, (i + 1) * length):
             a = 0.5 * dt * slope[k]
-            ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
+            factor, input_gain = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
             for j in range(p):
                 out[k, j] = g[j] if noisy else r[j]
                 mid[j] = columns[k, j]
@@ -318,7 +318,7 @@ def freely(slope, by_state, by_rate, onward, columns, bends, forward, begun, gyr
                 for j in range(p):
                     mid[j] += by_state[k, s] * x[s, j]
             for j in range(p):
-                end = ahead * r[j] + push * mid[j]
+                end = factor * r[j] + input_gain * mid[j]
                 mid[j] = 0.5 * (r[j] + end)
                 bent = mid[j] + 0.5 * dt * bends[k, j]
                 g0, q0 = g[j], q[j]
@@ -345,12 +345,12 @@ def pursuit(psi, variance, spread, start, stop, out):
     Riccati equation of a recursive prediction-error method (Ljung and Söderström 1983, ch. 3).
     """
     p = spread * spread
-    left = out[start, 1]
-    more = p * (1.0 - left * left)
+    decay = out[start, 1]
+    more = p * (1.0 - decay * decay)
     for k in range(start, stop):
         total = variance + psi[k] * psi[k] * p
         out[k, 0] = -p * psi[k] / total
-        p = left * left * p * variance / total + more
+        p = decay * decay * p * variance / total + more
 
 
 @kernel(LINE, LINE, TABLE, WHOLE, WHOLE, LINE)
@@ -438,9 +438,9 @@ def riccati(f, q, c, r):
             mixed[i, i] += 1.0
         w, back = inverse(mixed), transposed(a, n)
         more_h = product(product(product(back, h), w), a)
-        ahead = product(a, w)
-        more_g = product(product(ahead, g), back)
-        a = product(ahead, a)
+        doubled = product(a, w)
+        more_g = product(product(doubled, g), back)
+        a = product(doubled, a)
         change = largest = 0.0
         for i in range(n):
             for j in range(n):
@@ -467,25 +467,25 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
     fade = math.exp(-dt / correlation)
     hold = correlation / dt * (1.0 - fade)
     a = -0.5 * damping * dt
-    ahead, push = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
+    factor, input_gain = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
     size = 4 + 2 * lines
     # last, beside the states: the gyro's noise of the cycle before, where it is averaged
     whole = size + 1 if noisy and averaged else size
     rows = np.zeros((whole, whole))
-    rows[0, 0], rows[0, 1], rows[1, 1] = ahead, push * hold, fade
+    rows[0, 0], rows[0, 1], rows[1, 1] = factor, input_gain * hold, fade
     by_halves = np.zeros((whole, 2))  # of accelerations over the two halves
-    by_halves[0, 0] = by_halves[0, 1] = 0.5 * push
+    by_halves[0, 0] = by_halves[0, 1] = 0.5 * input_gain
     move, inside = np.empty(2 + 2 * lines), np.empty(2)
     move[0], move[1] = fade, hold
     for i in range(2):
         begin, half, end = step[i, 2], step[i, 3], step[i, 4]
         by_mean = 0.5 * half + end
         inside[i] = begin + half + end
-        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + ahead) + end * ahead
-        rows[2 + i, 1] = by_mean * push * hold
+        rows[2 + i, 0] = begin + half * 0.5 * (1.0 + factor) + end * factor
+        rows[2 + i, 1] = by_mean * input_gain * hold
         rows[2 + i, 2], rows[2 + i, 3] = step[i, 0], step[i, 1]
-        by_halves[2 + i, 0] = by_mean * 0.5 * push + 0.25 * dt * half
-        by_halves[2 + i, 1] = by_mean * 0.5 * push - 0.25 * dt * half
+        by_halves[2 + i, 0] = by_mean * 0.5 * input_gain + 0.25 * dt * half
+        by_halves[2 + i, 1] = by_mean * 0.5 * input_gain - 0.25 * dt * half
     process = product(by_halves, transposed(by_halves, whole))
     for i in range(whole):
         for j in range(whole):
@@ -495,15 +495,15 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
     c[2 if behind else 0] = 1.0
     for i in range(lines):
         rms, frequency, width = noise[4 + 3 * i], noise[5 + 3 * i], noise[6 + 3 * i]
-        left = math.exp(-math.pi * dt * width)  # after a cycle, in which it turns by an angle
+        decay = math.exp(-math.pi * dt * width)  # after a cycle, in which it turns by an angle
         angle = 2.0 * math.pi * dt * frequency
-        turned, across = left * math.cos(angle), left * math.sin(angle)
+        turned, across = decay * math.cos(angle), decay * math.sin(angle)
         k = 4 + 2 * i
         c[k] = 1.0
         move[2 + 2 * i], move[3 + 2 * i] = turned, across
         rows[k, k] = rows[k + 1, k + 1] = turned
         rows[k, k + 1], rows[k + 1, k] = -across, across
-        process[k, k] = process[k + 1, k + 1] = rms * rms * (1.0 - left * left)
+        process[k, k] = process[k + 1, k + 1] = rms * rms * (1.0 - decay * decay)
     r = adds = 1.0
     if noisy:
         r = adds = after * after

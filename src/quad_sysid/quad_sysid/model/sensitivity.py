@@ -54,13 +54,13 @@ class Sensitivity:
         own, first, n = steps.size, int(turns), self.middle.size
         size = first + sum(x.shape[0] for x in self.hidden)
         here = self._passed(p)
-        force, ahead = self._forces(here, p)
+        force, following = self._forces(here, p)
         by_state, by_rate = np.zeros((n, size)), np.zeros((n, size))
         onward = np.zeros((n, size, size))
 
         def slopes(signals: Signals, step: float) -> tuple[FloatArray, FloatArray]:
             there, moved = self._forces(Passed(here.halves, signals), p)
-            return (there - force) / step, (moved - ahead).T / step
+            return (there - force) / step, (moved - following).T / step
 
         (slope, moves), (back, moved) = (
             slopes(here.signals.but(rate=self.middle + step), step)
@@ -82,21 +82,22 @@ class Sensitivity:
                 x[i] = kept
                 k += 1
         columns, bends = np.empty((n, own)), np.zeros((n, own))
-        forward, begun = np.zeros((n, size, own)), np.zeros((self.windows.count, size, own))
+        forward, initial = np.zeros((n, size, own)), np.zeros((self.windows.count, size, own))
         bent = [*range(3), *(j for part, at in structure.placed() if part.effect.moves_command
                              for j in range(at.start, at.stop))]
-        started = self._begun(p, range(own), bent)
+        started = self._initial(p, range(own), bent)
         for j, step in enumerate(steps):
             moved = self.theta.copy()
             moved[j] += step
             q = structure.natural(moved)
             there = self._passed(q) if j in bent else here
             more, later = self._forces(there, q)
-            columns[:, j], forward[:, first:, j] = (more - force) / step, (later - ahead).T / step
-            begun[:, first:, j] = ((self._begun(q, [j], bent) - started) / step).T
+            columns[:, j] = (more - force) / step
+            forward[:, first:, j] = (later - following).T / step
+            initial[:, first:, j] = ((self._initial(q, [j], bent) - started) / step).T
             if j in bent:
-                away = (there.halves - here.halves) / step
-                bends[:, j] = 0.5 * (away[0] - away[1])
+                difference = (there.halves - here.halves) / step
+                bends[:, j] = 0.5 * (difference[0] - difference[1])
         if turns:
             forward[:, 0] = dt * dt / 3.0 * bends
         out = np.empty((n, own))
@@ -104,7 +105,7 @@ class Sensitivity:
         which = np.searchsorted(passes, self.windows.starts, side='right') - 1
         gyro = np.stack([self.flight.sensors[max(i, 0)].step for i in which])
         recursion.freely(
-            slope, by_state, by_rate, onward, columns, bends, forward, begun, gyro,
+            slope, by_state, by_rate, onward, columns, bends, forward, initial, gyro,
             self.flight.sensor.noisy, dt, self.windows.length, out,
         )
         return np.nan_to_num(out, nan=0.0, posinf=0.0, neginf=0.0)
@@ -121,16 +122,16 @@ class Sensitivity:
 
     def _forces(self, passed: Passed, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) acceleration; (states, n) all hidden states a cycle later."""
-        s, hidden, own, ahead = passed.signals, iter(self.hidden), [], []
+        s, hidden, own, following = passed.signals, iter(self.hidden), [], []
         for (part, at), kept in zip(self.pushing, self.run.hidden, strict=True):
             known = None if kept is None else next(hidden)
             own.append((part, p[at], s if known is None else s.but(hidden=known)))
             if known is not None:
-                ahead.append(part.effect.advance(known, s, p[at], part.settings))
+                following.append(part.effect.advance(known, s, p[at], part.settings))
         force = with_torques(np.mean(passed.halves, axis=0) + p[4] - p[3] * s.rate, own)
-        return force, np.concatenate(ahead) if ahead else np.zeros((0, s.rate.size))
+        return force, np.concatenate(following) if following else np.zeros((0, s.rate.size))
 
-    def _begun(self, p: FloatArray, which: range | list[int], bent: list[int]) -> FloatArray:
+    def _initial(self, p: FloatArray, which: range | list[int], bent: list[int]) -> FloatArray:
         """(states, windows) hidden states at the starts, as far as these parameters move them."""
         flight, out, seen = self.flight, [], None
         for (part, at), x in zip(self.pushing, self.run.hidden, strict=True):
@@ -144,5 +145,5 @@ class Sensitivity:
             if seen is None:
                 seen = flight.signals(p, *flight.driven(self.structure, p), self.prediction.rate)
             known = required(flight.hidden(part, seen, p[at]).hidden)
-            out.append(known[: part.effect.states, self.windows.starts])
+            out.append(known[:, self.windows.starts])
         return np.concatenate(out) if out else np.zeros((0, self.windows.count))

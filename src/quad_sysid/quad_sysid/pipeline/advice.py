@@ -45,21 +45,21 @@ def rivalry(model: AxisModel | None) -> Iterator[str]:
 
 
 def _excitation(train: IOData, rows: Sequence[ModelRow]) -> Iterator[str]:
-    found = excitation_order(train, RICHEST)
-    asked = max((_inputs(row) for row in rows), default=0)
-    if found < asked:
+    order = excitation_order(train, RICHEST)
+    required = max((_inputs(row) for row in rows), default=0)
+    if order < required:
         yield (
-            f'the command is persistently exciting of order {found} only, the largest model needs '
-            f'{asked}: the data do not determine all its coefficients; fly a PRBS of more bits '
+            f'the command is persistently exciting of order {order} only, the largest model needs '
+            f'{required}: the data do not determine all its coefficients; fly a PRBS of more bits '
             'or fit lower orders'
         )
 
 
 def _beyond(train: IOData, held_out: IOData) -> Iterator[str]:
-    trained, asked = (high(z.inside(z.y)) for z in (train, held_out))
-    if asked > FURTHER * trained:
+    trained, needed = (high(z.inside(z.y)) for z in (train, held_out))
+    if needed > FURTHER * trained:
         yield (
-            f'the held-out rates reach {asked:.2g} rad/s, those of the training {trained:.2g}: '
+            f'the held-out rates reach {needed:.2g} rad/s, those of the training {trained:.2g}: '
             'there every effect is extrapolated; train on motion as large as the model has to '
             'predict'
         )

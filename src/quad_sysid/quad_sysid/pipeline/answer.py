@@ -95,7 +95,7 @@ class Findings:
     """The whole flight."""
     problem: Problem
     """Its training segments, cut out, on which `found` was fitted."""
-    found: Found
+    search: Found
     ladder: Ladder
     verdict: Verdict
     before: HeldOut

@@ -35,24 +35,22 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
                candidates: Sequence[Effect] = EFFECTS, units: Units | None = None) -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, problem = findings.data, findings.verdict, findings.problem
-    ladder, reference, law = findings.ladder, findings.found.best, problem.plain.law
-    found, whole = findings.found, covariance(problem, reference)
+    ladder, reference, law = findings.ladder, findings.search.best, problem.plain.law
+    searched, whole = findings.search, covariance(problem, reference)
 
     def read(fitted: Fit) -> stored.Readings:
         if fitted is reference:
             own = whole
-        elif any(fitted is one.fit for one in found.all):
+        elif any(fitted is one.fit for one in searched.all):
             own = covariance(problem, fitted)
         else:
-            projected = Projected(fitted.structure, fitted.theta, np.zeros(0), converged=True)
+            projected = Projected(fitted.structure, fitted.theta, np.zeros(0))
             own = ladder.projection.covariance(projected, whole)
-        # what hardly changes the motion is no other reading of it, though it takes from the gain
-        apart = 0.0 if ladder.negligible else found.apart(fitted)
-        return stored.readings(problem, fitted, own + apart)
+        return stored.readings(problem, fitted, own + searched.apart(fitted))
 
     best = read(reference)
     chosen = verdict.chosen
-    told, plain = read(chosen), read(verdict.base)
+    readings, plain = read(chosen), read(verdict.base)
     judged = [
         {'p_value': claim.p_value, 'probability': probability, 'rivals': rivals,
          'error_reduction_pct': 100.0 * (1.0 - verdict.after / claim.without)
@@ -82,8 +80,9 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
     distinct = (chosen is not reference and bool(verdict.claims)
                 and verdict.reference <= verdict.before)
     return replace(
-        shared, base=told.base, effects=stored.effects_of(chosen, told, judged),
-        parameter_names=told.names, covariance=told.covariance, noise=stored.noise_of(chosen),
+        shared, base=readings.base, effects=stored.effects_of(chosen, readings, judged),
+        parameter_names=readings.names, covariance=readings.covariance,
+        noise=stored.noise_of(chosen),
         plain=plain.base, plain_noise=stored.noise_of(verdict.base),
         rungs=tuple(
             RungModel(one.base, stored.effects_of(fit, one), stored.noise_of(fit),
@@ -107,7 +106,7 @@ def ranges_of(data: AxisData, parts: Sequence[Part]) -> dict[str, tuple[float, f
 
 def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple[Outside, ...]:
     """Which signals leave their range of the training in these spans, the longest first."""
-    found = []
+    signals = []
     for name, (low, high) in model.ranges.items():
         signal = data.signal(name)
         if isinstance(signal, str):
@@ -120,8 +119,8 @@ def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple
             ends = (least, most, low, high)
             shown = ends if model.units is None else (
                 model.units.signal_in(name, end) for end in ends)
-            found.append(Outside(name, out * data.dt, *shown))
-    return tuple(sorted(found, key=lambda one: -one.seconds))
+            signals.append(Outside(name, out * data.dt, *shown))
+    return tuple(sorted(signals, key=lambda one: -one.seconds))
 
 
 @dataclass(frozen=True)

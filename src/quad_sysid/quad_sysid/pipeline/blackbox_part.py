@@ -34,7 +34,7 @@ from quad_sysid.record import IOData, finite_runs
 ORDERS = (2, 3, 4)
 """Orders of the plant B/F in structures with a separate noise model."""
 NOISE_ORDER = 2
-RUNS_AWAY = 1e6
+DIVERGED = 1e6
 """rad/s"""
 SHORTEST = 100
 """Samples of a validation span that is worth a fit."""
@@ -120,9 +120,9 @@ def _box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
         return not model.converged, model.bic
 
     def fitted(order: int, delay: int, start: Model | None = None) -> Model | None:
-        found = tried(refused, lambda: bj(z, order, NOISE_ORDER, NOISE_ORDER, order, delay,
-                                          start=start))
-        return found[0] if found else None
+        models = tried(refused, lambda: bj(z, order, NOISE_ORDER, NOISE_ORDER, order, delay,
+                                           start=start))
+        return models[0] if models else None
 
     best: Model | None = None
     for order in ORDERS:
@@ -145,14 +145,14 @@ def _highest_stable(refused: list[str], order: int,
 
     More coefficients than the plant has leave these estimators without an answer.
     """
-    told: list[str] = []
-    found: tuple[Model, ...] = ()
+    reasons: list[str] = []
+    models: tuple[Model, ...] = ()
     for lower in range(order, ORDERS[0] - 1, -1):
-        found = tried(told, lambda lower=lower: fit(lower)) or found  # type: ignore[misc]
-        if found and found[0].stable and found[0].converged:
-            return found
-    refused += told
-    return found
+        models = tried(reasons, lambda lower=lower: fit(lower)) or models  # type: ignore[misc]
+        if models and models[0].stable and models[0].converged:
+            return models
+    refused += reasons
+    return models
 
 
 def tried(refused: list[str], *fits: Callable[[], Model]) -> tuple[Model, ...]:
@@ -165,20 +165,20 @@ def tried(refused: list[str], *fits: Callable[[], Model]) -> tuple[Model, ...]:
             refused.append(str(error))
             return None
 
-    return tuple(found for found in map(attempt, fits) if found is not None)
+    return tuple(model for model in map(attempt, fits) if model is not None)
 
 
 def validations(data: AxisData) -> dict[str, IOData]:
     """By signal, what the models are validated on."""
-    found: dict[str, IOData] = {}
+    signals: dict[str, IOData] = {}
     for name in dict.fromkeys(data.validation_names):
         spans = tuple(
             s for s, n in zip(data.validation, data.validation_names, strict=True)
             if n == name and s[1] - s[0] > SHORTEST
         )
         if spans:
-            found[name] = io_data(data, spans, external=False)
-    return found
+            signals[name] = io_data(data, spans, external=False)
+    return signals
 
 
 def rows_of(z: IOData, data: AxisData, models: tuple[Model, ...]) -> tuple[ModelRow, ...]:
@@ -203,8 +203,8 @@ def select(rows: tuple[ModelRow, ...], data: AxisData) -> int | None:
         return min(second or first, key=lambda i: rows[i].step_a.bic or 0.0)
 
     def error(i: int) -> float:
-        found = window_error(data, rows[i].step_a.model, data.train)
-        return math.inf if found is None else found
+        rms = window_error(data, rows[i].step_a.model, data.train)
+        return math.inf if rms is None else rms
 
     return min(stable, key=error, default=None)
 
@@ -215,8 +215,8 @@ def window_error(data: AxisData, model: Model, spans: tuple[Span, ...]) -> float
     A window's first sample is predicted one step ahead from what was measured before it, its
     second two steps, and so on: nothing measured inside the window is used.
     """
-    found = window_errors(data, model, data.windows(spans))
-    return None if found is None else float(np.sqrt(np.mean(found**2)))
+    errors = window_errors(data, model, data.windows(spans))
+    return None if errors is None else float(np.sqrt(np.mean(errors**2)))
 
 
 def window_errors(data: AxisData, model: Model, windows: Windows) -> FloatArray | None:
@@ -230,7 +230,7 @@ def window_errors(data: AxisData, model: Model, windows: Windows) -> FloatArray 
             out[:, i] = errors[windows.starts + i]
     except QuadSysidError:
         return None
-    return out if np.isfinite(out).all() and np.abs(out).max() < RUNS_AWAY else None
+    return out if np.isfinite(out).all() and np.abs(out).max() < DIVERGED else None
 
 
 def horizons(data: AxisData, model: Model, spans: tuple[Span, ...]) -> dict[float, float]:

@@ -56,7 +56,7 @@ def greybox(z: IOData, *, gyro_filter_hz: float | None = None) -> GreyBox:
         fitted = best_base(problem)
     except (FloatingPointError, NotInformativeError) as error:
         raise BadInputError('greybox', str(error)) from error
-    told = readings(problem, fitted)
-    return GreyBox(data.axis, z.dt, gyro_filter_hz, told.base, parameter_names=told.names,
-                   covariance=told.covariance, noise=noise_of(fitted), converged=fitted.converged,
+    read = readings(problem, fitted)
+    return GreyBox(data.axis, z.dt, gyro_filter_hz, read.base, parameter_names=read.names,
+                   covariance=read.covariance, noise=noise_of(fitted), converged=fitted.converged,
                    rms=rms(Unseen(data, spans).errors(fitted)))

@@ -67,10 +67,10 @@ class Evaluation:
     unit: str = 'rad/s'
 
     def __repr__(self) -> str:
-        told = {'hold the last value': self.hold, 'base (before)': self.before,
-                'completed (after)': self.after, 'reference': self.reference,
-                'black box': self.blackbox}
-        lines = [f'  {name} {value:.4g}' for name, value in told.items() if value is not None]
+        errors = {'hold the last value': self.hold, 'base (before)': self.before,
+                  'completed (after)': self.after, 'reference': self.reference,
+                  'black box': self.blackbox}
+        lines = [f'  {name} {value:.4g}' for name, value in errors.items() if value is not None]
         head = (f'{self.axis}: RMS error of the rate, {self.unit}, over {self.windows} free runs '
                 'of 0.5 s')
         return '\n'.join([head, *lines, *(f'  {one}' for one in self.outside)])
@@ -121,7 +121,8 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     def error(one: AxisModel) -> float:
         return factor * rms(unseen.errors(of_this_flight(unseen, stored.completed(one))))
 
-    told = None if blackbox is None else blackbox_part.window_error(about, blackbox, spans)
+    blackbox_error = (None if blackbox is None
+                      else blackbox_part.window_error(about, blackbox, spans))
     grown = {} if blackbox is None else blackbox_part.horizons(about, blackbox, spans)
     return Evaluation(
         axis=model.axis, unit=unit,
@@ -136,7 +137,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
              error(replace(model, base=rung.base, effects=rung.effects, noise=rung.noise)))
             for rung in model.rungs
         ),
-        blackbox=None if told is None else factor * told,
+        blackbox=None if blackbox_error is None else factor * blackbox_error,
         horizons=tuple(
             Horizon(one.horizon_s, factor * one.hold, factor * one.before, factor * one.after)
             for one in horizons(unseen, before, after)),
@@ -174,7 +175,7 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
         for part, where in structure.effects():
             logs = [spec.log for spec in part.effect.parameters]
             p = structure.natural(model.theta)[where]
-            other = part.effect.elsewhere(p, part.settings, phase)
+            other = part.effect.in_another_flight(p, part.settings, phase)
             theta[where] = np.where(logs, np.log(np.where(logs, other, 1.0)), other)
         return replace(model, theta=theta)
 
@@ -188,9 +189,9 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
     grid = 2.0 * np.pi * np.arange(PHASES) / PHASES
     best = float(min(grid, key=unlikely))
     step = 2.0 * np.pi / PHASES
-    found = minimize_scalar(unlikely, bounds=(best - step, best + step), method='bounded',
-                            options={'xatol': 1e-4})
-    return at(float(found.x))
+    optimum = minimize_scalar(unlikely, bounds=(best - step, best + step), method='bounded',
+                              options={'xatol': 1e-4})
+    return at(float(optimum.x))
 
 
 def flown_spans(record: Record, data: AxisData,
@@ -230,7 +231,7 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
         model.dt * (np.arange(n, dtype=np.float64) + 0.5),
         _like(throttle, n, 'throttle', usual['throttle']),
         battery_v=_like(battery_v, n, 'battery_v', usual['battery']),
-    ), settled=False)
+    ), steady=False)
     return simulate_cascade(flying, NO_GAINS, np.zeros(n), model.dt, control_excitation=command,
                             initial_rate=x0[0], initial_angle=x0[1]).rate
 

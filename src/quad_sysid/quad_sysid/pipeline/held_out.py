@@ -60,13 +60,13 @@ def residuals(answer: AxisAnswer, findings: Findings) -> dict[str, Residual]:
     A model is left out where the segments are too short to test it.
     """
     z = required(answer.validation)
-    out = {name: replace(left, missing=missing_torque(held, z.dt))
+    out = {name: replace(tested, missing=missing_torque(held, z.dt))
            for name, held in (('before', findings.before), ('after', findings.after))
-           if (left := residual(held.innovations, z)) is not None}
+           if (tested := residual(held.innovations, z)) is not None}
     if answer.selected is not None:
         model = answer.rows[answer.selected].step_a.model
-        left = residual(z.y - predict(model, z, 1), z, model)
-        out |= {} if left is None else {'blackbox': left}
+        tested = residual(z.y - predict(model, z, 1), z, model)
+        out |= {} if tested is None else {'blackbox': tested}
     return out
 
 
@@ -79,20 +79,20 @@ def residual(errors: FloatArray, z: IOData, model: Model | None = None) -> Resid
         test = innovation_test(errors, z) if model is None else residual_test(z, model)
     except QuadSysidError:
         return None
-    found = _spectrum(errors, z.dt)
-    f, density, _ = found or (np.zeros(0), np.zeros(0), 0)
+    spectrum = _spectrum(errors, z.dt)
+    f, density, _ = spectrum or (np.zeros(0), np.zeros(0), 0)
     known = errors[np.isfinite(errors)]
     return Residual(test=test, rms=float(np.sqrt(np.mean(known**2))), frequency_hz=f,
-                    density=density, peaks=_peaks(*found) if found else ())
+                    density=density, peaks=_peaks(*spectrum) if spectrum else ())
 
 
 def missing_torque(held: HeldOut, dt: float) -> MissingTorque:
     """The torque disturbance that the filter sees, beside what its own noise lets one expect."""
     known = np.flatnonzero(np.isfinite(held.disturbance))
-    noise, found = stored.noise_of(held.fit), held.fit.prediction.filter
-    seen = max(noise.ratios['disturbance'] ** 2 - float(found.covariance[1, 1]), 0.0)
+    noise, steady = stored.noise_of(held.fit), held.fit.prediction.filter
+    variance = max(noise.ratios['disturbance'] ** 2 - float(steady.covariance[1, 1]), 0.0)
     return MissingTorque(known.astype(np.float64) * dt, held.disturbance[known],
-                         noise.gyro_rms * float(np.sqrt(seen)))
+                         noise.gyro_rms * float(np.sqrt(variance)))
 
 
 def _peaks(f: FloatArray, density: FloatArray, count: int) -> tuple[tuple[float, float], ...]:

@@ -17,9 +17,9 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES
 from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
-from quad_sysid.discover.search import Found, extended, scored, search, settled
+from quad_sysid.discover.search import Found, extended, scored, search, to_convergence
 from quad_sysid.effects import EFFECTS
-from quad_sysid.errors import NotInformativeError, QuadSysidError, p_value
+from quad_sysid.errors import NotInformativeError, QuadSysidError, p_in_words
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.explain import explain
 from quad_sysid.model import Designer, GainProposal
@@ -66,14 +66,14 @@ def identify(records: Sequence[Record], options: Options,
     Raises BadInputError where the records do not fit together (pipeline.together).
     """
     records = together(records)
-    axes = options.axes or asked_axes(records)
+    axes = options.axes or excited_axes(records)
     with threadpool_limits(limits=1):  # the matrices are narrow: threads only wait for another
         answers = side_by_side([partial(identify_axis, records, axis, options, progress)
                                 for axis in axes])
     return dict(zip(axes, answers, strict=True))
 
 
-def asked_axes(records: Sequence[Record]) -> tuple[str, ...]:
+def excited_axes(records: Sequence[Record]) -> tuple[str, ...]:
     """The axes that any segment trains; where no segment says, all."""
     named = {s.axis for r in records for s in r.segments if s.role == 'train'}
     return tuple(axis for axis in EVERY if axis in named) or AXES
@@ -97,13 +97,13 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
             options = replace(options, effects=())
         problem = None if options.base is None else \
             options.base.problem(flight.data, flight.units)
-        findings = found_effects(flight.data, options, progress, problem)
+        findings = findings_of(flight.data, options, progress, problem)
     except NotInformativeError as error:
         reason = '; '.join([str(error), *(w for w in answer.warnings if 'cut off' in w)])
         return replace(answer, reason=reason, proposal=GainProposal(None, reason))
-    data, found = findings.data, findings.found
+    data, search_result = findings.data, findings.search
     count = max(findings.problem.data.motors.shape[1], FEWEST_MOTORS)
-    searched = any(one.label not in found.reasons and max(one.motors, default=0) < count
+    searched = any(one.label not in search_result.reasons and max(one.motors, default=0) < count
                    and (not one.axes or axis in one.axes) for one in options.effects)
     verdict, why_not = findings.verdict.verdict, ''
     if not searched:
@@ -114,7 +114,7 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     model = axis_model(findings, flight.gains, support.band(), options.effects,
                        flight.units or EVERY[axis].units)
     undetermined = () if options.base is None else \
-        lacking(options.base, findings.problem, found.base)
+        lacking(options.base, findings.problem, search_result.base)
     answer = replace(
         answer, verdict=verdict, reason=_reason(findings, why_not), findings=findings, model=model,
         train=train, validation=io_data(data, data.validation, external=False),
@@ -138,8 +138,8 @@ def _compared(answer: AxisAnswer, findings: Findings, loop: Loop, support: Suppo
                    closed_loop=closed_loop(answer.model, loop, findings.data))
 
 
-def found_effects(data: AxisData, options: Options, progress: Progress = lambda _: None,
-                  problem: Problem | None = None) -> Findings:
+def findings_of(data: AxisData, options: Options, progress: Progress = lambda _: None,
+                problem: Problem | None = None) -> Findings:
     """Search on the training segments, then the held-out ones. Raises NotInformativeError.
 
     problem: the training with a base of one's own.
@@ -147,24 +147,24 @@ def found_effects(data: AxisData, options: Options, progress: Progress = lambda 
     progress(f'{data.axis}: what is missing')
     try:
         problem = problem or Problem(data, data.train)
-        found = search(problem, options.effects, options.halt,
-                       lambda line: progress(f'{data.axis}: {line}'))
+        searched = search(problem, options.effects, options.halt,
+                          lambda line: progress(f'{data.axis}: {line}'))
         if not options.halt():
-            found = with_own(problem, found, options.effects)
+            searched = with_own(problem, searched, options.effects)
         if not options.effects:
-            found.reasons.update((effect.label, NOT_SEARCHED) for effect in EFFECTS)
+            searched.reasons.update((effect.label, NOT_SEARCHED) for effect in EFFECTS)
         progress(f'{data.axis}: the explanation')
         parts = [part for part in candidates(problem, options.effects)[0]
-                 if part.effect.label not in found.reasons]
-        ladder = explain(problem, found, parts)
+                 if part.effect.label not in searched.reasons]
+        ladder = explain(problem, searched, parts)
         progress(f'{data.axis}: held-out segments')
         if options.base is None:
-            data = about_base(data, found.base.value('gain'), found.base.value('bias'))
+            data = about_base(data, searched.base.value('gain'), searched.base.value('bias'))
         unseen = Unseen(data, data.validation)
-        verdict = judge(unseen, problem, found, ladder)
+        verdict = judge(unseen, problem, searched, ladder)
         before = held_out(unseen, verdict.base)
         after = before if verdict.chosen is verdict.base else held_out(unseen, verdict.chosen)
-        return Findings(data, problem, found, ladder, verdict, before, after)
+        return Findings(data, problem, searched, ladder, verdict, before, after)
     except (FloatingPointError, np.linalg.LinAlgError) as error:
         moved = [float(np.nanstd(data.training(x))) for x in (data.command, data.rate)]
         raise NotInformativeError(
@@ -174,48 +174,48 @@ def found_effects(data: AxisData, options: Options, progress: Progress = lambda 
         ) from error
 
 
-def with_own(problem: Problem, found: Found, effects: Sequence[Effect]) -> Found:
+def with_own(problem: Problem, searched: Found, effects: Sequence[Effect]) -> Found:
     """What a search found, and the fits beside the base of a user's effects that it passed over.
 
     It fits only what promises something; who wrote an effect is told what it explains anyway.
     """
-    fitted = {label for one in found.all for label in one.fit.structure.labels}
+    fitted = {label for one in searched.all for label in one.fit.structure.labels}
     passed_over = [effect for effect in effects if effect not in EFFECTS
-                   and effect.label not in fitted | found.reasons.keys()]
+                   and effect.label not in fitted | searched.reasons.keys()]
     if not passed_over:
-        return found
-    fits = {one.part.effect.label: extended(problem, found.base, one)
-            for one in screen(problem, found.base, candidates(problem, passed_over)[0])}
-    more = [scored(fit, found.prices) for fit in fits.values() if fit is not None]
+        return searched
+    fits = {one.part.effect.label: extended(problem, searched.base, one)
+            for one in screen(problem, searched.base, candidates(problem, passed_over)[0])}
+    more = [scored(fit, searched.prices) for fit in fits.values() if fit is not None]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
-    return settled(problem, replace(
-        found, all=tuple(sorted((*found.all, *more), key=lambda one: -one.score)),
-        reasons=found.reasons | failed))
+    return to_convergence(problem, replace(
+        searched, all=tuple(sorted((*searched.all, *more), key=lambda one: -one.score)),
+        reasons=searched.reasons | failed))
 
 
-def _reason(told: Findings, not_searched: str) -> str:
+def _reason(findings: Findings, not_searched: str) -> str:
     """The verdict's reason in words, with what would help; why no effects were sought, if so."""
-    verdict, ladder = told.verdict, told.ladder
+    verdict, ladder = findings.verdict, findings.ladder
     reason = verdict.reason
     if verdict.verdict == 'cannot_tell':
         reason += ('; a model that sees only past rates predicts as well as one that also sees '
                    'the commands, so the data do not show what the commands do; fly a PRBS on '
-                   f'{told.data.axis} (quad-sysid design-excitation), with more amplitude where '
-                   'one was flown')
+                   f'{findings.data.axis} (quad-sysid design-excitation), with more amplitude '
+                   'where one was flown')
     elif verdict.verdict == 'effects_added':
         names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
         reason = (
             f'with {names} the model predicts the held-out segments better than the base alone '
-            f'(by chance alone: p {p_value(max(claim.p_value for claim in verdict.claims))})'
+            f'(by chance alone: p {p_in_words(max(claim.p_value for claim in verdict.claims))})'
         ) + (verdict.reason and f'; yet that is not all: {verdict.reason}')
     elif not_searched:
         reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')
     else:
         reason = reason or 'no effect predicts the held-out segments better than the base alone'
     kept = verdict.chosen.structure.labels
-    asked = ladder.rungs[ladder.answer].model.structure.parts
-    names = ' and '.join(part.effect.name for part in asked if part.effect.label not in kept)
+    claimed = ladder.rungs[ladder.answer].model.structure.parts
+    names = ' and '.join(part.effect.name for part in claimed if part.effect.label not in kept)
     if names and verdict.verdict != 'cannot_tell':
         reason += (
             f'; the training {"also " if kept else ""}suggests {names}, which is not confirmed by '
@@ -223,14 +223,15 @@ def _reason(told: Findings, not_searched: str) -> str:
         )
     if not verdict.chosen.converged:
         reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'
-    other = told.found.other
+    other = findings.search.other
     if other is not None and verdict.verdict != 'cannot_tell':
         first, second = (', '.join(f'{name} {one.value(name):.3g}{unit}' for name, unit in (
-            ('gain', ''), ('lag', ' s'), ('damping', ' 1/s'))) for one in (told.found.best, other))
+            ('gain', ''), ('lag', ' s'), ('damping', ' 1/s')))
+            for one in (findings.search.best, other))
         reason += (f'{"; " if reason else ""}the data do not tell lag and damping apart: {first}, '
                    f'or about as well {second}; measured rotor speeds would decide')
     gain = verdict.chosen.value('gain')
-    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not told.problem.held:
+    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not findings.problem.held:
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
             'the sign of the gyro before anything else'

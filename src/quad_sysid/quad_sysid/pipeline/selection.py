@@ -55,16 +55,16 @@ def approaches(z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, 
         no = 'no external reference that moves: record /setpoint/attitude or /excitation/applied'
     elif not one_loop:
         no = 'the training was flown with several sets of gains, which are several loops'
-    known, told = None, no
+    known, reason = None, no
     if not no and gains is None:
-        told = '/gains/active does not say the controller'
+        reason = '/gains/active does not say the controller'
     elif not no and not behind_attitude:
-        told = 'the excitation acts behind C1 or C2, not on the attitude reference'
+        reason = 'the excitation acts behind C1 or C2, not on the attitude reference'
     elif not no and gains is not None:
-        known, told = _known(z, gains)
+        known, reason = _known(z, gains)
     return (
         Approach('direct', possible=True, because='command and rate are recorded'),
-        Approach('indirect', possible=known is not None, because=told),
+        Approach('indirect', possible=known is not None, because=reason),
         Approach('joint', possible=not no,
                  because=no or 'command, rate and reference are recorded'),
     ), known
@@ -125,10 +125,10 @@ def fit_others(z: IOData, fits: Fits, possible: tuple[Approach, ...],
             refused, lambda: joint(z, lambda data: bj(data, n, NOISE_ORDER, NOISE_ORDER, n, nk))
         )
     if known is not None and 'indirect' in names:
-        found = tried(refused, lambda: indirect(z, n, n, nk, known, start=start))
-        if n > ORDERS[0] and not any(model.converged for model in found):
-            found = tried(refused, lambda: indirect(z, ORDERS[0], ORDERS[0], nk, known)) or found
-        models += found
+        fitted = tried(refused, lambda: indirect(z, n, n, nk, known, start=start))
+        if n > ORDERS[0] and not any(model.converged for model in fitted):
+            fitted = tried(refused, lambda: indirect(z, ORDERS[0], ORDERS[0], nk, known)) or fitted
+        models += fitted
     return models, tuple(refused)
 
 
@@ -197,9 +197,9 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
     n, columns = sum(map(len, blocks)), CYCLES + PAST + 1
     if n <= 2 * (columns + 1):
         return float('inf')
-    found, sse, inverse = solve_triangular_factor('feedback', triangular(blocks))
+    theta, sse, inverse = solve_triangular_factor('feedback', triangular(blocks))
     spread = np.sqrt(sse / (n - columns) * np.diag(inverse))
-    gain = float(np.max((np.abs(found) + SURE * spread)[:CYCLES]))
+    gain = float(np.max((np.abs(theta) + SURE * spread)[:CYCLES]))
     u = z.inside(z.u)
     y = z.inside(z.y)
     return gain * float(y.std() / u.std()) if u.std() > 0.0 else float('inf')
@@ -233,8 +233,8 @@ def with_blackbox(answer: AxisAnswer, data: AxisData, loop: step_b.Loop,
         answer = replace(
             answer, blackbox_error=blackbox_part.window_error(data, model, data.validation),
             blackbox_horizons=blackbox_part.horizons(data, model, data.validation))
-    told = *advice(answer, fits, support, why_not), *fits.refused, *refused
-    return replace(answer, selection=replace(answer.selection, advice=told))
+    lines = *advice(answer, fits, support, why_not), *fits.refused, *refused
+    return replace(answer, selection=replace(answer.selection, advice=lines))
 
 
 def _box_jenkins(rows: Sequence[ModelRow]) -> Model | None:

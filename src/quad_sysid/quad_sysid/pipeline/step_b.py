@@ -97,7 +97,7 @@ def loop_of(records: Sequence[Record], axis: str) -> Loop:
 
 def _flown(records: Sequence[Record], axis: str) -> tuple[tuple[Flown, ...], str]:
     """The runs that the records allow, or in words why there is none."""
-    found: list[Flown] = []
+    flights: list[Flown] = []
     reasons: list[str] = []
     trained: Mapping[str, float] | None = None
     offset = 0
@@ -117,9 +117,9 @@ def _flown(records: Sequence[Record], axis: str) -> tuple[tuple[Flown, ...], str
             if isinstance(one, str):
                 reasons.append(one)
             else:
-                found.append(one)
+                flights.append(one)
         offset += record.n
-    return tuple(found), '; '.join(dict.fromkeys(reasons)) or 'no segment to compare'
+    return tuple(flights), '; '.join(dict.fromkeys(reasons)) or 'no segment to compare'
 
 
 def gains_of_axis(record: Record, axis: str, time_s: float) -> dict[str, float]:
@@ -257,7 +257,7 @@ def _simulated(model: AxisModel, flight: Flown, around: Signals) -> FloatArray:
     p = plant.p.copy()
     p[0] *= schedule_factor(model)
     own = around.at(flight.offset + np.arange(flight.reference.size))
-    flying = Flying(replace(plant, p=p), own, settled=False)
+    flying = Flying(replace(plant, p=p), own, steady=False)
     return np.asarray(simulate_cascade(flying, flight.gains, flight.reference, plant.dt,
                                        rate_excitation=at_rate, control_excitation=at_control,
                                        initial_angle=flight.start,

@@ -22,7 +22,7 @@ from quad_sysid.rotors import rotors_of
 
 SAME_RATE = 5e-3
 """Relative difference of sample intervals that two clocks of one rate may have."""
-WORTH_SAYING = 5e-4
+NOTABLE_RATE_ERROR = 5e-4
 """Above this, a warning states the difference."""
 SAME_PLACES = 0.02
 """Difference of mixers that two descriptions of one craft may have."""
@@ -49,19 +49,19 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
                                 f'motors {", ".join(record.craft.places)}; the first '
                                 f'{", ".join(first.craft.places)}', 'identify them one by one')
     for one, other in combinations(records, 2):
-        _check_apart(one, other)
-    taken = []
+        _check_distinct(one, other)
+    usable = []
     for record in records:
         own, dt = record.at_interval(first.dt), first.dt
-        if abs(record.dt - dt) > WORTH_SAYING * dt:
-            told = (f"{record.source}: its {1.0 / record.dt:.6g} Hz are taken as the first bag's "
-                    f'{1.0 / dt:.6g} Hz')
-            own = replace(own, warnings=(*own.warnings, told))
+        if abs(record.dt - dt) > NOTABLE_RATE_ERROR * dt:
+            warning = (f'{record.source}: its {1.0 / record.dt:.6g} Hz are taken as the '
+                       f"first bag's {1.0 / dt:.6g} Hz")
+            own = replace(own, warnings=(*own.warnings, warning))
         rotors = rotors_of(own, training=True)
         if rotors.lag_s is not None:
             own = replace(own, rotor_lag=RotorLag(rotors.lag_s, rotors.spread))
-        taken.append(replace(own, warnings=(*own.warnings, *rotors.lines)))
-    return tuple(taken)
+        usable.append(replace(own, warnings=(*own.warnings, *rotors.lines)))
+    return tuple(usable)
 
 
 def same_craft(one: Craft, other: Craft) -> bool:
@@ -75,7 +75,7 @@ def same_rate(dt: float, other: float) -> bool:
     return abs(dt - other) <= SAME_RATE * other
 
 
-def _check_apart(one: Record, other: Record) -> None:
+def _check_distinct(one: Record, other: Record) -> None:
     """Refuse a flight that is given twice, whole or in part, by stamps or from its start."""
     for shift in {round((other.t0_ns - one.t0_ns) * 1e-9 / one.dt), 0}:
         a = one.rates[max(shift, 0) :][: max(other.n + min(shift, 0), 0)]
@@ -119,8 +119,8 @@ def swapped_motors(record: Record) -> tuple[int, ...] | None:
     square = np.mean((motors[:, :, None] - expected[:, None, :]) ** 2, axis=0)
     best = linear_sum_assignment(square)[1]
     plain = float(np.sqrt(np.mean(np.diag(square))))
-    left = float(np.sqrt(np.mean(square[np.arange(len(best)), best])))
-    if plain <= FLOOR or left >= BETTER * plain:
+    residual = float(np.sqrt(np.mean(square[np.arange(len(best)), best])))
+    if plain <= FLOOR or residual >= BETTER * plain:
         return None
     return tuple(int(motor) + 1 for motor in best)
 

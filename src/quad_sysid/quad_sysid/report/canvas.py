@@ -74,7 +74,7 @@ class Drawing:
 
 def panels(rows: int = 1, columns: int = 1, height_in: float = 3.0, *, share_x: bool = True,
            ratios: Sequence[float] | None = None, left_in: float = 0.7,
-           apart: float = 0.28) -> tuple[Figure, list[Axes]]:
+           spacing: float = 0.28) -> tuple[Figure, list[Axes]]:
     """A figure with `rows` x `columns` panels, margins in inches, panels row by row.
 
     `apart`: the distance between rows as a share of their height; more where each has its x.
@@ -88,8 +88,9 @@ def panels(rows: int = 1, columns: int = 1, height_in: float = 3.0, *, share_x: 
         grid = figure.subplots(
             rows, columns, squeeze=False, sharex=share_x and columns == 1,
             gridspec_kw={'left': left_in / WIDTH_IN, 'right': 1.0 - 0.12 / WIDTH_IN,
-                         'bottom': 0.46 / height_in, 'top': 1.0 - 0.3 / height_in, 'hspace': apart,
-                         'wspace': 0.42, **({'height_ratios': list(ratios)} if ratios else {})},
+                         'bottom': 0.46 / height_in, 'top': 1.0 - 0.3 / height_in,
+                         'hspace': spacing, 'wspace': 0.42,
+                         **({'height_ratios': list(ratios)} if ratios else {})},
         )
         axes = [one for row in grid for one in row]
         for one in axes:

@@ -105,7 +105,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'explanation': _explanation(findings, per_rate),
         'reproducible': _reproducible(findings),
         'not_tested': [{'name': name, 'because': because}
-                       for name, because in (findings.found.reasons.items() if findings else ())],
+                       for name, because in (findings.search.reasons.items() if findings else ())],
         'tried': _tried(findings, own) if findings else [],
         'own_effects': _own(findings, own) if findings else [],
         'base': {'parameters': parameters(model.plain if model else ()),
@@ -196,7 +196,7 @@ def _tried(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
 
     The best of each of these is listed.
     """
-    search = findings.found
+    search = findings.search
     base = next(one.score for one in search.all if not one.fit.structure.parts)
     best = {_best_with(search, label) for label in own}
     return [
@@ -209,7 +209,7 @@ def _tried(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
 
 def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     """What became of the user's effects, by their labels."""
-    search = findings.found
+    search = findings.search
     out: list[dict[str, Any]] = []
     base, leading = search.of_names(()), search.all[0]
     added = findings.verdict.chosen.structure.labels

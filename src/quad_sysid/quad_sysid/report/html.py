@@ -133,9 +133,9 @@ def _tiles(tree: Mapping[str, Any]) -> str:
     if tree['verdict'] == 'effects_added':
         tiles.append(('error completed', f'{words.number(error["after"])} {unit}'))
     if tree['verdict'] != 'cannot_tell':
-        ahead_s = words.reach(error)
+        reach_s = words.reach(error)
         tiles.append(('halves the error up to',
-                      'nowhere' if ahead_s is None else f'{ahead_s:g} s'))
+                      'nowhere' if reach_s is None else f'{reach_s:g} s'))
     tiles.append(('measurement noise', f'{words.number(error["noise_floor"])} {unit}'))
     figures = tree.get('gain_figures') or {}
     old, new = figures.get('rise_time_s_before'), figures.get('rise_time_s')

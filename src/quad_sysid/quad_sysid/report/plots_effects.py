@@ -31,7 +31,8 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     problem = findings.problem
     at = missing_torque.variables(missing_torque.Replay(problem, findings.after.fit))
     names = [name for name in SHOWN if name in at]
-    figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False, apart=0.72)
+    figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False,
+                          spacing=0.72)
     drawn, left = False, scale(answer.units, 'left out', 'rad/s²')
     over = {name: scale(answer.units, 'acting command' if name == 'command' else name,
                         missing_torque.OVER[name][1]) for name in names}
@@ -71,7 +72,8 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
         return None
     replay = missing_torque.Replay(findings.problem, findings.after.fit)
     rest = replay.left_out()
-    figure, axes = panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False, apart=0.75)
+    figure, axes = panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False,
+                          spacing=0.75)
     for one, (index, part) in zip(axes, parts, strict=True):
         shape = missing_torque.drawn(replay, index)
         own = answer.units if shape.axis == answer.axis else units_of(shape.axis)

@@ -101,10 +101,10 @@ def horizon(answer: AxisAnswer) -> Picture | None:
         return None
     figure, (one,) = panels(height_in=2.6)
     of = scale(answer.units, 'RMS error', 'rad/s')
-    ahead = np.arange(findings.before.errors.shape[1]) * findings.data.dt
+    horizon_s = np.arange(findings.before.errors.shape[1]) * findings.data.dt
     for held, colour, style, name in runs(findings):
         growth = of(np.sqrt(np.mean(held.errors**2, axis=0)))
-        one.plot(ahead, growth, color=colour, ls=style, lw=1.6, label=name)
+        one.plot(horizon_s, growth, color=colour, ls=style, lw=1.6, label=name)
     one.axhline(of.factor * findings.verdict.noise_floor, color=GREEN, lw=1, ls=':',
                 label='measurement noise')
     one.set_ylim(bottom=0.0)
@@ -228,7 +228,7 @@ def correlations(answer: AxisAnswer) -> Picture | None:
     shown, findings = list(_known(answer)), answer.findings
     if not shown or findings is None:
         return None
-    figure, axes = panels(2, height_in=4.0, share_x=False, apart=0.72)
+    figure, axes = panels(2, height_in=4.0, share_x=False, spacing=0.72)
     reach = [0.0, 0.0]
     for number, (residual, name, colour, style) in enumerate(shown):
         test = residual.test

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quad_sysid.axes import units_of
-from quad_sysid.errors import p_value
+from quad_sysid.errors import p_in_words
 from quad_sysid.model.identified import UNLISTED
 from quad_sysid.units import spoken
 
@@ -140,12 +140,12 @@ def yes(value: bool) -> str:
 
 def chance(p: float | None) -> str:
     """A p-value or probability without false precision."""
-    return '–' if p is None else p_value(p).removeprefix('= ')
+    return '–' if p is None else p_in_words(p).removeprefix('= ')
 
 
 def equals(p: float | None) -> str:
     """`= 0.03` or `< 0.0001`, to follow `p`."""
-    return '= –' if p is None else p_value(p)
+    return '= –' if p is None else p_in_words(p)
 
 
 def lowered(percent: float) -> str:
@@ -211,18 +211,18 @@ def horizon_words(error: Tree) -> str:
     listed = [h for h in error.get('horizons', ()) if h['after'] is not None]
     if not listed:
         return ''
-    ahead_s = reach(error)
-    if ahead_s is None:
+    reach_s = reach(error)
+    if reach_s is None:
         best = max(listed, key=lambda h: (h['hold'] or 0.0) / max(h['after'], 1e-12))
         return (
             f' At no horizon does it halve the error of holding the last value; it comes nearest '
             f'{best["horizon_s"]:g} s ahead, off by {number(best["after"])} where holding is off '
             f'by {number(best["hold"])} {error["unit"]}.'
         )
-    at = next(h for h in listed if h['horizon_s'] == ahead_s)
+    at = next(h for h in listed if h['horizon_s'] == reach_s)
     last = listed[-1]['horizon_s']
-    beyond = '' if ahead_s == last else f'; further ahead, up to {last:g} s, it predicts less well'
-    return (f' It halves the error of holding the last value up to {ahead_s:g} s ahead (off by '
+    beyond = '' if reach_s == last else f'; further ahead, up to {last:g} s, it predicts less well'
+    return (f' It halves the error of holding the last value up to {reach_s:g} s ahead (off by '
             f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.')
 
 

@@ -181,7 +181,7 @@ def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData
     torque, gyro = _noise(aircraft, inputs.shape[2])
     runs = [
         simulate_cascade(
-            replace(flying, around=_known(data), settled=False), aircraft.gains, wanted, dt, gyro,
+            replace(flying, around=_known(data), steady=False), aircraft.gains, wanted, dt, gyro,
             torque, rate_excitation=at_rate, control_excitation=at_control,
         ) for data, (wanted, at_rate, at_control) in zip(around, inputs, strict=True)
     ]

@@ -153,8 +153,8 @@ class Judged:
         reach = np.linspace(-REACH, REACH, GRID)
         grid = p[0] * np.exp(reach) if specs[0].log else p[0] + 0.5 * spread * reach
         levels = [self.trace(Placed(part, np.r_[value, p[1:]])) for value in grid]
-        away = np.abs(np.log(np.maximum(levels, 1e-12) / wanted))
-        return Placed(part, np.r_[grid[int(np.argmin(away))], p[1:]])
+        misses = np.abs(np.log(np.maximum(levels, 1e-12) / wanted))
+        return Placed(part, np.r_[grid[int(np.argmin(misses))], p[1:]])
 
 
 def judged(aircraft: Aircraft, data: AxisData) -> Judged:

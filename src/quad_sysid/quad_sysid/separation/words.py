@@ -135,10 +135,10 @@ def name_of(excitation: Excitation) -> str:
 
 def _row(number: str, row: Row, seconds: float) -> str:
     worst = row.worst.over(seconds)
-    apart = ('-' if one is None else f'{one.over(seconds).nats:.1f}'
-             for one in (row.first, row.second))
+    nats = ('-' if one is None else f'{one.over(seconds).nats:.1f}'
+            for one in (row.first, row.second))
     return ROW.format(number, name_of(row.excitation), f'{math.degrees(row.peak_angle):.0f}',
-                      *apart, f'{worst.probability:.2f}', _seconds(worst.seconds_for(CERTAIN)))
+                      *nats, f'{worst.probability:.2f}', _seconds(worst.seconds_for(CERTAIN)))
 
 
 def _seconds(value: float) -> str:

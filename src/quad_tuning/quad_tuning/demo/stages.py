@@ -105,8 +105,8 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
     observer.count_imu(on=False)
     campaign.wait('connect', '/gains/active', lambda: bool(observer.active_gains), CONNECT_S)
     # its first report: in lockstep it knows the time from then on, before it refuses to record
-    heard = observer.diagnostics
-    campaign.wait('connect', 'logger', lambda: any(n.startswith('bag_logger: ') for n in heard),
+    statuses = observer.diagnostics
+    campaign.wait('connect', 'logger', lambda: any(n.startswith('bag_logger: ') for n in statuses),
                   CONNECT_S)
 
 

@@ -97,7 +97,7 @@ class McapScan:
         self._names = Names()
         self._others: Counter[int] = Counter()
         """Messages that `batches` was not asked for, by channel."""
-        self._plain = self._looked_ahead = False
+        self._plain = self._scanned_channels = False
         """The file holds its messages without chunks. Names were sought in all of it."""
 
     @property
@@ -240,13 +240,13 @@ class McapScan:
 
     def _named(self, channel: int) -> Topic | None:
         """The channel, sought in the rest of the file where no record so far names it."""
-        if channel not in self._names.channels and not self._looked_ahead:
-            self._looked_ahead = True
-            ahead = McapScan(self.data)
-            for content in ahead.contents():
+        if channel not in self._names.channels and not self._scanned_channels:
+            self._scanned_channels = True
+            scan = McapScan(self.data)
+            for content in scan.contents():
                 for opcode, body in _split(content):
-                    ahead._names.take(opcode, body)
-            self._names.channels = {**ahead._names.channels, **self._names.channels}
+                    scan._names.take(opcode, body)
+            self._names.channels = {**scan._names.channels, **self._names.channels}
         return self._names.channels.get(channel)
 
     def _count_lost(self) -> int:
