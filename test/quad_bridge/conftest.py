@@ -18,7 +18,6 @@ from quad_bridge.aircraft import Quad
 from quad_bridge.gains.history import History
 from quad_bridge.gains.polarity import PULSE_VALID_MS
 from quad_bridge.gains.update import GainSettings, GainUpdates
-from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Restarted, Stamped
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.profile import load_profile
@@ -60,10 +59,6 @@ class Bench(Line):
     def opened(self):
         self.link.opened()
         self.updates.restarted()
-
-    def new_bridge(self):
-        """Kill the bridge, start another."""
-        self.connect(Link())
 
     @property
     def now_s(self):

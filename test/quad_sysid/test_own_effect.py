@@ -63,6 +63,7 @@ def written(folder):
     return str(file)
 
 
+@pytest.mark.usefixtures('quick')
 def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
     """A reader who does not hand it in is told so; one who does has the same model."""
     folder = result.save(tmp_path / 'out', pictures=False).folder

@@ -17,7 +17,7 @@ from probe import PATIENCE_S
 from quad_sysid import compiled
 from quad_sysid.arguments import progress
 from quad_sysid.cli import main
-from quad_sysid.model.laws import slew
+from quad_sysid.model.laws import hats
 
 COMMANDS = ('inspect', 'identify', 'evaluate', 'import', 'design-excitation', 'export', 'compare',
             'fleet', 'compile')
@@ -39,8 +39,9 @@ def test_every_command_is_listed_and_has_an_example_in_its_help(capsys):
 
 
 def test_a_first_use_says_once_that_it_compiles_and_a_second_does_not_compile(tmp_path):
-    use = ('import numpy as np; from quad_sysid.model.laws import play, slew\n'
-           'for f in (play, slew): f(np.ones(2), 1.0, 0, 2, np.ones(2))')
+    use = ('import numpy as np; from quad_sysid.model.laws import all_yielded, hats\n'
+           'one = np.arange(2.0); hats(one, one, one, one, np.eye(2))\n'
+           'all_yielded(one, one, 1.0, 1.0, 1.0, 0.1, np.eye(2))')
     said = [subprocess.run([sys.executable, '-c', use], check=True, capture_output=True, text=True,
                            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}).stderr
             for _ in range(2)]
@@ -50,12 +51,12 @@ def test_a_first_use_says_once_that_it_compiles_and_a_second_does_not_compile(tm
 def test_what_is_compiled_of_an_installed_package_outlives_its_folder(monkeypatch, tmp_path):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     monkeypatch.setattr(numba.config, 'CACHE_DIR', '')
-    beside = compiled.kernel()(slew.py_func).stats.cache_path
+    beside = compiled.kernel()(hats.py_func).stats.cache_path
     monkeypatch.setattr(compiled, '__file__', '/venv/site-packages/quad_sysid/compiled.py')
-    kept = compiled.kernel()(slew.py_func).stats.cache_path
+    kept = compiled.kernel()(hats.py_func).stats.cache_path
     monkeypatch.setattr(numba.config, 'CACHE_DIR', str(tmp_path / 'wished'))
-    wished = compiled.kernel()(slew.py_func).stats.cache_path
-    assert Path(beside) == Path(slew.py_func.__code__.co_filename).parent / '__pycache__'
+    wished = compiled.kernel()(hats.py_func).stats.cache_path
+    assert Path(beside) == Path(hats.py_func.__code__.co_filename).parent / '__pycache__'
     assert Path(kept).parent == tmp_path / 'quad_suite'
     assert Path(wished).parent == tmp_path / 'wished'
     assert str(tmp_path / 'wished') == numba.config.CACHE_DIR
