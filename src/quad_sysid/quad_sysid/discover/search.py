@@ -138,34 +138,22 @@ def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
     return Scored(fitted, fitted.evidence + sum(prices.get(label, 0.0) for label in labels))
 
 
-def noises(parent: Fit) -> list[FloatArray]:
-    """Start values of the noise beside one more effect: the parent's, and with moderate sizes.
+def extension(parent: Fit, one: Score) -> Try:
+    """A structure with one more effect, begun with moderate sizes of the noise.
 
     What a poor model misses counts as torque noise, beside which the gyro's is nothing. There the
     likelihood is flat in the sizes, and no step leads back.
     """
     specs = parent.structure.noise
-    kept = parent.theta[-len(specs) :]
     most = [s.centre + required(s.spread) if s in SIZES else math.inf for s in specs]
-    moderate = np.minimum(kept, most)
-    return [kept] if np.array_equal(moderate, kept) else [kept, moderate]
-
-
-def extensions(parent: Fit, one: Score) -> list[Try]:
-    """A structure with one more effect, from each start of the noise; beside others from one.
-
-    Of a base that lacks an effect nobody knows how much of its noise is the effect's.
-    """
-    structure = parent.structure.plus(one.part)
-    begun = noises(parent)[-1 if parent.structure.parts else 0 :]
-    own = parent.theta[: -len(parent.structure.noise)]
-    return [Try(structure, [np.r_[own, start, noise] for start in one.starts], parent.rate)
-            for noise in begun]
+    own, noise = parent.theta[: -len(specs)], np.minimum(parent.theta[-len(specs) :], most)
+    return Try(parent.structure.plus(one.part),
+               [np.r_[own, start, noise] for start in one.starts], parent.rate)
 
 
 def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
     """A structure with one more effect; None where its fit diverges."""
-    return most_probable(contest(problem, extensions(parent, one)))
+    return most_probable(contest(problem, [extension(parent, one)]))
 
 
 def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
@@ -246,13 +234,12 @@ class _Search:
         hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:REFITS]
         if self.halt():
             return []
-        fits = contest(self.problem, [one_try for _, fit, one in hopeful
-                                      for one_try in extensions(fit, one)],
+        fits = contest(self.problem, [extension(fit, one) for _, fit, one in hopeful],
                        self.best().fit.evidence - FAR_BEHIND)
-        kept = {frozenset(fit.structure.labels): self.keep(fit) for fit in fits}
+        kept = [self.keep(fit) for fit in fits]
         best = ' and '.join(self.best().names) or 'the base'
         self.listen(f'{len(self.known)} structures, best so far {best}')
-        return [*kept.values()]
+        return kept
 
     def scores(self, parent: Fit, *, whole: bool) -> list[Score]:
         """Linear scores of the candidates beside a structure, best first.
