@@ -243,8 +243,8 @@ def judge(unseen: Unseen, problem: Problem, found: Found, ladder: Ladder) -> Ver
             chosen, claims = base, []
             break
         chosen = fitted
-        without = [models.comparable(one) for one in models.each_left_out(answer)]
-        claims = [_claim(unseen, chosen, other, part.effect.name, ladder)
+        without = models.each_left_out(answer)
+        claims = [_claim(unseen, chosen, models.comparable(other), part.effect.name, ladder)
                   for part, other in zip(answer.structure.parts, without, strict=True)]
         weak = [i for i, one in enumerate(claims) if not one.stands]
         if not weak:
@@ -254,7 +254,7 @@ def judge(unseen: Unseen, problem: Problem, found: Found, ladder: Ladder) -> Ver
             break
         # one at a time: each of two that stand for the same makes the other look needless
         weakest = max(weak, key=lambda i: (claims[i].p_value, -claims[i].reproducible))
-        answer = models.with_only(answer, [i for i in range(len(claims)) if i != weakest])
+        answer = without[weakest]
     told = _commands_tell(problem, unseen, chosen)
     if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen, claims = base, []

@@ -7,7 +7,6 @@ run away. It is no explanation then, and only that rung of the ladder falls away
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -83,13 +82,7 @@ class Models:
 
     def each_left_out(self, model: Projected) -> list[Projected]:
         """The model without each of its effects, the rest projected anew."""
-        count = len(model.structure.parts)
-        return [self.with_only(model, [j for j in range(count) if j != i]) for i in range(count)]
-
-    def with_only(self, model: Projected, kept: Sequence[int]) -> Projected:
-        """The model with some of its effects only, projected anew."""
-        dropped = [i for i in range(len(model.structure.parts)) if i not in kept]
-        slices = model.structure.slices()
-        columns = [j for i in dropped for j in range(slices[i].start, slices[i].stop)]
-        return self.projection.project(model.structure.minus(*dropped),
-                                       np.delete(model.theta, columns))
+        return [
+            self.projection.project(model.structure.minus(i), np.delete(model.theta, columns))
+            for i, columns in enumerate(model.structure.slices())
+        ]
