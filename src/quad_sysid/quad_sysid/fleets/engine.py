@@ -31,6 +31,9 @@ PATIENCE_S = 30.0
 SETTINGS = {
     'distributed.scheduler.allowed-failures': 1,  # a worker that dies: one more try
     'distributed.deploy.lost-worker-timeout': '1 day',  # a busy machine is slow to start it again
+    'distributed.worker.profile.enabled': False,  # these three watch each process 2 to 100 times
+    'distributed.admin.system-monitor.interval': '10 s',  # a second, which costs a tenth of a core
+    'distributed.admin.tick.interval': '1 s',
 }
 """Settings of Dask for processes of this machine."""
 COMPARED = ('numpy', 'scipy', 'numba', 'dask', 'distributed')
