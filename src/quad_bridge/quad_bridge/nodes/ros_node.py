@@ -102,7 +102,8 @@ def refuse_arguments(name: str) -> None:
             own.append(word)
     if {'-h', '--help'} & set(own):
         prefixes = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
-        files = [path for one in prefixes for path in Path(one).glob(f'share/*/config/{name}.yaml')]
+        where = f'share/*/config/{name}.yaml'
+        files = [path for prefix in prefixes for path in Path(prefix).glob(where)]
         say(f'usage: {name} [--ros-args -p NAME:=VALUE … --params-file FILE.yaml]\n'
             + ''.join(f'parameters, with their meaning: {path}\n' for path in files[:1]))
         sys.exit()
