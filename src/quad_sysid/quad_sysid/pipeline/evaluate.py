@@ -90,7 +90,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     if not same_rate(record.dt, model.dt):
         raise BadInputError(record.source, "sample rate must be the model's",
                             f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz',
-                            'identify at this rate')
+                            f'import its log with --grid {1 / model.dt:.6g}, or identify anew')
     data = axis_data([record], model.axis)
     # a model without a filter holds it in its lag and delay; else the bag knows its own best
     own = data.gyro_filter_hz if model.gyro_filter_hz else None
