@@ -272,7 +272,7 @@ def scales(items: list[str]) -> dict[str, float]:
 
 def read_axes(path: Path) -> dict[str, Mapping[str, Any]]:
     """What a design or report says of each axis that has gains. Raises BadInputError."""
-    tree = read_json(path)
+    tree = read_json(path, REMEDY)
     schema = tree.get('schema') if isinstance(tree, dict) else None
     if schema not in SCHEMAS:
         raise BadInputError(f'{path}: schema', f'must be {" or ".join(SCHEMAS)}', schema, REMEDY)
