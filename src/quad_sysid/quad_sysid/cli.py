@@ -160,7 +160,7 @@ def _identify(options: argparse.Namespace) -> int:
         print(json.dumps(outcome.report, indent=1))
     elif not options.quiet:
         print('\n'.join(text.lines(outcome.report)))
-        print(f'\nreport in {outcome.folder}')
+        print(f'\nreport in {outcome.folder}/report.html')
     if not outcome.answered:
         print(f'quad-sysid: {options.bags[0]}: {outcome.reasons}', file=sys.stderr)
         return NOT_ANSWERED

@@ -5,6 +5,7 @@ Inside everything is SI and a normalised command. Nothing is read or checked her
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -21,6 +22,8 @@ SAID = tuple((re.compile(pattern), word) for pattern, word in (
     (r'\bthe gyro\b', 'the sensor'), (r'\bgyro\b', 'sensor'), (r'\bturns?\b', 'moves'),
 ))
 """What a rotation's words are of a motion in metres."""
+SMALLEST = 6
+"""Most decimals of a number that is not written by a power of ten."""
 COMMAND = 'unit command'
 """The unit of a command without one of its own."""
 
@@ -114,3 +117,11 @@ def spoken(units: Units | None, text: str) -> str:
     for pattern, word in SAID:
         text = pattern.sub(word, text)
     return text
+
+
+def with_error(value: float, std: float) -> str:
+    """`458 ± 24`: two digits of the standard error, and the value as far as it is known."""
+    digits = 1 - math.floor(math.log10(std)) if 0.0 < std < math.inf else SMALLEST + 1
+    if digits > SMALLEST:
+        return f'{value:.4g} ± {std:.2g}'
+    return ' ± '.join(f'{round(one, digits):.{max(digits, 0)}f}' for one in (value, std))

@@ -13,7 +13,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.effect import Effect
-from quad_sysid.units import Units
+from quad_sysid.units import Units, with_error
 
 
 @dataclass(frozen=True)
@@ -175,8 +175,8 @@ class AxisModel:
         return '\n'.join([
             f'{self.axis} at {1.0 / self.dt:.6g} Hz: {self.law.name if self.law else "the base"}'
             + (parts and f' with {parts}'),
-            *(f'  {name} {p.value:.4g}' + ('' if p.std is None else f' ± {p.std:.2g}') +
-              f' {p.unit}' for name, p in self._named if self.shows(p)),
+            *(f'  {name} {f"{p.value:.4g}" if p.std is None else with_error(p.value, p.std)} '
+              f'{p.unit}' for name, p in self._named if self.shows(p)),
         ])
 
     @property

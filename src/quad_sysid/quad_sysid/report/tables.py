@@ -9,7 +9,7 @@ from html import escape
 from typing import Any
 
 from quad_sysid.axes import units_of
-from quad_sysid.report.words import FIGURES, bound, chance, figure, named, number, values, yes
+from quad_sysid.report.words import FIGURES, chance, estimate, figure, named, number, values, yes
 from quad_sysid.units import shown_in
 
 Tree = Mapping[str, Any]
@@ -328,7 +328,7 @@ def residuals(tree: Tree) -> Table:
 def _value(p: Tree | None) -> str:
     if p is None:
         return '–'
-    return f'{p["value"]:.4g}' + (f' ± {p["std"]:.2g}' if p.get('std') is not None else bound(p))
+    return estimate(p)
 
 
 def _span(interval: Sequence[float] | None) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from quad_sysid.axes import units_of
 from quad_sysid.errors import p_in_words
 from quad_sysid.model.identified import UNLISTED
-from quad_sysid.units import spoken
+from quad_sysid.units import spoken, with_error
 
 Tree = Mapping[str, Any]
 
@@ -292,14 +292,19 @@ def _gains(axis: str, tree: Tree) -> str:
 
 def parameter(p: Tree) -> str:
     """One estimated number with its standard error and unit."""
-    spread = f' ± {p["std"]:.2g}' if p.get('std') is not None else bound(p)
     torque = p.get('torque')
     more = f' ({torque["value"]:.3g} {torque["unit"]})' if torque else ''
     unit = '' if p['unit'] == '1' else f' {p["unit"]}'
-    return f'{p["name"].replace("_", " ")} {p["value"]:.4g}{spread}{unit}{more}'
+    return f'{p["name"].replace("_", " ")} {estimate(p)}{unit}{more}'
 
 
-def bound(p: Tree) -> str:
+def estimate(p: Tree) -> str:
+    """A value with its standard error, or with what stands in its place."""
+    std = p.get('std')
+    return f'{p["value"]:.4g}{_bound(p)}' if std is None else with_error(p['value'], std)
+
+
+def _bound(p: Tree) -> str:
     """The text in place of a standard error."""
     limits = p.get('interval_95')
     return f' (no standard error; below {limits[1]:.2g})' if limits else ' (no standard error)'
