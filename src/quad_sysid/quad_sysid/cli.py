@@ -219,7 +219,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     for e in () if options.quiet else evaluations:
         tree = {**axes[e.axis], 'effects': models[e.axis].effects}
         beyond = (line for one in e.outside for line in tables.wrapped(str(one)))
-        print('\n'.join([e.axis, *tables.errors(tree).text((0, 1, 3)),
+        print('\n'.join([e.axis, *tables.wrapped(words.on_this_flight(tree)),
+                         *tables.errors(tree).text((0, 1, 3)),
                          *tables.explanation(tree).text(), *text.growth(tree), *beyond]))
     return DONE
 

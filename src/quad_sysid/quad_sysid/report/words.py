@@ -153,6 +153,17 @@ def lowered(percent: float) -> str:
     return f'{"lowers" if percent >= 0.0 else "raises"} the error by {abs(percent):.0f} %'
 
 
+def on_this_flight(tree: Tree) -> str:
+    """What a stored model's effects do to the error on another flight; empty without effects."""
+    names = [effect.name for effect in tree['effects']]
+    if not names:
+        return ''
+    before, after = tree['error']['before'], tree['error']['after']
+    text = f'On this flight {joined(names)} {lowered(100.0 * (1.0 - after / before))}.'
+    return text if after < before else (
+        f'{text} What was found does not hold here: is it the same aircraft, as it was?')
+
+
 def headline(tree: Tree) -> tuple[str, str]:
     """Style and headline of the verdict."""
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
