@@ -44,16 +44,16 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
              f'<title>Identification of {escape(bags)}</title>',
              f'<style>{SHEET}{zoom.STYLE}{sliders.STYLE}</style></head><body>',
              f'<h1>Identification of {escape(bags)}</h1>']
-    if report.get('aircraft', {}).get('facts'):
-        parts += [tables.aircraft(report).html(),
-                  (f'<details><summary>URDF of it ({URDF})</summary><pre>'
-                   f'{escape(report["aircraft"]["urdf"])}</pre></details>')]
     if len(axes) > 1:
         links = ''.join(
             f'<a href="#{a}"><span class="axis">{escape(a)}</span> in detail</a>' for a in axes
         )
         parts += [tables.overview(report).html(), f'<nav>{links}</nav>']
     parts += [_answer(axis, tree) for axis, tree in axes.items()]
+    if report.get('aircraft', {}).get('facts'):
+        parts += [tables.aircraft(report).html(),
+                  (f'<details><summary>URDF of it ({URDF})</summary><pre>'
+                   f'{escape(report["aircraft"]["urdf"])}</pre></details>')]
     parts += [_axis(axis, tree, answers.get(axis), drawn.get(axis, Gallery({})))
               for axis, tree in axes.items()]
     sources = escape(', '.join(report['bags']))

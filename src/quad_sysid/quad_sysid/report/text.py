@@ -1,7 +1,7 @@
 """The answer as plain text for a terminal of 80 columns: the report's tables, and sentences.
 
 Of each axis first the answer (verdict, what was missing, error before and after), the black-box
-models last.
+models last; then the aircraft as a whole.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from quad_sysid.report.tables import wrapped
 
 def lines(report: Mapping[str, Any]) -> list[str]:
     """The text that `quad-sysid identify` prints of a report's tree."""
-    out: list[str] = tables.aircraft(report).text((0, 1, 2))
+    out: list[str] = []
     for axis, tree in report['axes'].items():
         parts = [_verdict(tree), tables.errors(tree).text((0, 1, 2)), growth(tree),
                  _details(tree), _gains(axis, tree)]
@@ -32,7 +32,8 @@ def lines(report: Mapping[str, Any]) -> list[str]:
         parts.append(models.text(shown, outcome, caption=False))
         out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz']
         out += [line for part in parts if part for line in ('', *part)]
-    return out
+    whole = tables.aircraft(report).text((0, 1, 2))
+    return [*out, '', *whole] if whole else out
 
 
 def _verdict(tree: Mapping[str, Any]) -> list[str]:
