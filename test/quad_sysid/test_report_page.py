@@ -68,6 +68,14 @@ class Page(HTMLParser):
         assert self.stack.pop() == tag
 
 
+def test_the_page_begins_with_the_answer(written, answers):
+    fact = {'name': 'mass', 'value': 1.2, 'std': 0.1, 'unit': 'kg', 'how': 'by its weight'}
+    report = json.loads((written / 'report.json').read_text())
+    text = page({**report, 'aircraft': {'facts': [fact], 'urdf': ''}}, answers,
+                {'roll': plots.Gallery({})})
+    assert 0 < text.index('Was missing') < text.index('1.20 ± 0.10')
+
+
 def test_written_report_follows_the_schema(written, answers, tmp_path):
     """Its pictures and its page can be skipped."""
     report = json.loads((written / 'report.json').read_text())

@@ -25,7 +25,7 @@ from quad_sysid.arguments import (
 )
 from quad_sysid.axes import EVERY
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import write_whole
+from quad_sysid.files import check_there, write_whole
 from quad_sysid.loop.from_model import not_in_the_loop
 from quad_sysid.model import BEFORE, AxisModel
 from quad_sysid.report.model_file import load_models, pick
@@ -85,6 +85,8 @@ def _run(arguments: argparse.Namespace) -> int:
     named = [name for name in BRYSON if getattr(arguments, f'max_{name}') is not None]
     if named and arguments.method != 'lqr':
         raise BadInputError(f'--max-{named[0]}', 'belongs to --method lqr, which is not given')
+    if arguments.flight is not None:
+        check_there(arguments.flight)
     models = load_models(arguments.model, own_effects(arguments.effects))
     chosen = models if arguments.axis == 'all' else pick(models, arguments.axis, arguments.model)
     answers = {axis: _answer(model, models, arguments) for axis, model in chosen.items()}
