@@ -113,6 +113,7 @@ def test_what_no_plant_can_be_is_the_fault_of_a_field(stored, capsys, part, row,
         ('none.json', 2, 'none.json'), ('', 2, 'MODEL.json'),
         ('{model} --method lqr --max-angle -1', 2, 'must be a positive number'),
         ('{model} --max-angle -1', 2, '--max-angle: belongs to --method lqr'),
+        ('{model} --out {model}', 2, 'exists, and is no design'),
     ],
 )
 def test_exit_status_and_the_one_line(stored, capsys, words, status, said):

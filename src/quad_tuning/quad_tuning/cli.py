@@ -25,7 +25,7 @@ from quad_sysid.arguments import (
 )
 from quad_sysid.axes import EVERY
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import check_there, write_whole
+from quad_sysid.files import check_there, read_json, write_whole
 from quad_sysid.loop.from_model import not_in_the_loop
 from quad_sysid.model import BEFORE, AxisModel
 from quad_sysid.report.model_file import load_models, pick
@@ -72,7 +72,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     effects_option(parser)
     quiet_and_json(parser, 'JSON')
     parser.add_argument('--out', type=Path, metavar='FILE',
-                        help='write the JSON there too, over what is there')
+                        help='write the JSON there too, over an earlier design')
     bryson = parser.add_argument_group(
         'with --method lqr', "Bryson's rule: the largest value of each that is acceptable"
     )
@@ -82,11 +82,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    named = [name for name in BRYSON if getattr(arguments, f'max_{name}') is not None]
-    if named and arguments.method != 'lqr':
-        raise BadInputError(f'--max-{named[0]}', 'belongs to --method lqr, which is not given')
-    if arguments.flight is not None:
-        check_there(arguments.flight)
+    _check(arguments)
     models = load_models(arguments.model, own_effects(arguments.effects))
     chosen = models if arguments.axis == 'all' else pick(models, arguments.axis, arguments.model)
     answers = {axis: _answer(model, models, arguments) for axis, model in chosen.items()}
@@ -108,6 +104,24 @@ def _run(arguments: argparse.Namespace) -> int:
         print(f'quad-tune: no gains: {" | ".join(refusals)}', file=sys.stderr)
         return NOT_ANSWERED
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuse, before the design, options that do not fit: a file there must be a design."""
+    named = [name for name in BRYSON if getattr(arguments, f'max_{name}') is not None]
+    if named and arguments.method != 'lqr':
+        raise BadInputError(f'--max-{named[0]}', 'belongs to --method lqr, which is not given')
+    if arguments.flight is not None:
+        check_there(arguments.flight)
+    if arguments.out is None or not arguments.out.exists():
+        return
+    try:
+        tree = read_json(arguments.out)
+    except BadInputError:
+        tree = None
+    if not isinstance(tree, dict) or tree.get('schema') != exports.DESIGN:
+        raise BadInputError(str(arguments.out), 'exists, and is no design',
+                            remedy='name another with --out')
 
 
 def _answer(model: AxisModel, models: Mapping[str, AxisModel],
