@@ -89,7 +89,9 @@ def _rest(args: argparse.Namespace) -> list[str]:
 
 
 def _write(path: Path, estimate: RestEstimate, bag: Path) -> None:
-    """Write all figures, with time and bag, as YAML. Raises BadInputError."""
+    """Write all figures, with time and bag, as YAML, over earlier ones. Raises BadInputError."""
+    if path.is_file() and not _own(path):
+        raise BadInputError(str(path), 'exists, and holds other things', remedy='name another')
     numbers = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(estimate).items()}
     now = datetime.now(tz=timezone.utc).isoformat(timespec='seconds')
     entry = {'measured': now, 'source': str(bag), **numbers}
@@ -99,6 +101,15 @@ def _write(path: Path, estimate: RestEstimate, bag: Path) -> None:
         path.write_text(text, encoding='utf-8')
     except OSError as error:
         raise BadInputError(str(path), f'cannot be written: {error.strerror}') from error
+
+
+def _own(path: Path) -> bool:
+    """Whether a file holds nothing but earlier figures."""
+    try:
+        tree = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (OSError, ValueError, yaml.YAMLError):
+        return False
+    return isinstance(tree, dict) and set(tree) == {'sensors'}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
