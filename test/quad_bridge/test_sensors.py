@@ -112,6 +112,7 @@ def test_the_command_writes_what_it_finds(tmp_path, standing, capsys):
         (['rest', '{}/bag', '--seconds', '2'], '--seconds: must be 5 or more: found 2'),
         (['rest', '{}/turning'], '/turning: it turns: '),
         (['rest', '{}/bag', '--out', '{}'], 'cannot be written: Is a directory'),
+        (['rest', '{}/bag', '--out', '{}/list.yaml'], 'list.yaml: exists, and holds other things'),
     ],
 )  # fmt: skip
 def test_what_the_command_refuses_it_says_in_one_line(standing, capsys, arguments, text):

@@ -27,7 +27,7 @@ from quad_sysid.arguments import (
 )
 from quad_sysid.axes import ALL_WORDS, EVERY, NAMES
 from quad_sysid.errors import BadInputError
-from quad_sysid.report.tables import Table
+from quad_sysid.report.tables import Table, wrapped
 from quad_sysid.report.words import number
 
 if TYPE_CHECKING:
@@ -258,25 +258,33 @@ def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
     """A table for each flight, then what changed."""
     for flight, changes in pairs:
         yield f'{reference.source} -> {flight.source}'
-        rows = [['*' if c.changed else '', c.axis, _name(c), *(number(value) for value in (
-            c.reference, c.value, c.difference, c.std, c.p_value))] for c in changes]
-        head = ['', 'axis', '', 'before', 'after', 'difference', 'std. error', 'chance']
-        yield from Table(head, rows, range(3, 8)).text()
+        head = ['', 'axis', '', 'before', 'after', 'change', 'error', 'chance', 'unit']
+        yield from Table(head, [*_rows(changes)], range(3, 8)).text()
         for known in (reference, flight):
             for axis, reason in known.reasons.items():
-                yield f'  {known.source}, {axis}: no model ({reason})'
+                if axis in reference.parameters or axis in flight.parameters:
+                    yield from wrapped(f'{known.source}, {axis}: no model ({reason})', '    ', '  ')
         changed = [f'{c.axis} {c.name}' for c in changes if c.changed]
         alone = [f'{c.axis} {c.name}' for c in changes
                  if (c.reference is None) != (c.value is None) and '.' in c.name]
-        yield (f'  changed: {", ".join(changed)}' if changed else
-               f'  nothing changed, at a level of {LEVEL:.0%} for all comparisons together')
+        if changed:
+            yield f'  changed: {", ".join(changed)}'
+        elif any(c.p_value is not None for c in changes):
+            yield f'  nothing changed, at a level of {LEVEL:.0%} for all comparisons together'
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'
         yield ''
-    yield 'chance: probability of a difference as large if nothing had changed'
+    yield 'error: standard error of the change; chance: of as large a one if nothing changed'
 
 
-def _name(change: Change) -> str:
-    unit = '' if change.unit in ('', '1') else f', {change.unit}'
-    name = f'{change.name}{unit}'
-    return name if len(name) <= 24 else f'{name[:23]}…'
+def _rows(changes: Sequence[Change]) -> Iterator[list[str]]:
+    """A row for each parameter; those of an effect below its name."""
+    above = ''
+    for c in changes:
+        effect, _, name = c.name.rpartition('.')
+        if effect and f'{c.axis} {effect}' != above:
+            yield ['', c.axis, effect, *[''] * 6]
+        above = f'{c.axis} {effect}'
+        yield ['*' if c.changed else '', c.axis, f'  {name}' if effect else name,
+               *map(number, (c.reference, c.value, c.difference, c.std, c.p_value)),
+               c.unit if c.unit != '1' else '']
