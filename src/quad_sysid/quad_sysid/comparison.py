@@ -263,7 +263,8 @@ def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
         for known in (reference, flight):
             for axis, reason in known.reasons.items():
                 if axis in reference.parameters or axis in flight.parameters:
-                    yield from wrapped(f'{known.source}, {axis}: no model ({reason})', '    ', '  ')
+                    yield from wrapped(f'{known.source}, {axis}: no model ({reason})', '    ',
+                                       '  ')
         changed = [f'{c.axis} {c.name}' for c in changes if c.changed]
         alone = [f'{c.axis} {c.name}' for c in changes
                  if (c.reference is None) != (c.value is None) and '.' in c.name]
