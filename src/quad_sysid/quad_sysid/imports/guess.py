@@ -240,7 +240,8 @@ def _importable(columns: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
 def _widest(triples: Sequence[Triple], axes: Sequence[str]) -> Triple | None:
     """The triple that has most of these axes, a gyro's before others; None where none has any."""
     shared = {triple: len({*axes} & {*_axes(triple)}) for triple in triples}
-    best = max(shared, key=lambda t: (shared[t], all(GYRO.search(n) for n in t)), default=None)
+    best = max(shared, key=lambda t: (shared[t], all(GYRO.search(spaced(n)) for n in t)),
+               default=None)
     return best if best and shared[best] else None
 
 
