@@ -23,25 +23,30 @@ from quad_sysid.model.effect import (
     required,
 )
 
+ROWS: dict[str, Row] = {}
+"""Every row by its label, as its table makes it."""
+
 
 class Row(Effect):
-    """An effect as a row of a table: its law, and what else differs from Effect by name."""
+    """An effect as a row of a table: its law, and what else differs from Effect by name.
+
+    A law is no module's own, so another process looks the row up by its label (`ROWS.get`).
+    """
 
     law: Callable[..., Any]
 
     def __init__(self, name: str, signals: tuple[str, ...], parameters: tuple[Spec, ...],
                  law: Callable[..., Any], **more: object) -> None:
         vars(self).update(more, name=name, signals=signals, parameters=parameters, law=law)
+        ROWS.setdefault(self.label, self)
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
-        return built_in, (self.label,)
+        return row_of, (self.label,)
 
 
-def built_in(label: str) -> Effect:
-    """The row of that label: in another process too it is one of the package's."""
-    from quad_sysid.effects import BUILT_IN
-
-    return next(effect for effect in BUILT_IN if effect.label == label)
+def row_of(label: str) -> Effect:
+    """The row of that label, in another process too: the package's tables have made it there."""
+    return ROWS[label]
 
 
 class Torque(Row):
@@ -81,10 +86,10 @@ class GroundEffect(Effect):
     )
 
     def prepare(self, data: AxisData) -> Settings | str:
-        found = data.signal('angle')
-        if isinstance(found, str):
+        altitude = data.signal('angle')
+        if isinstance(altitude, str):
             return 'the bag holds no altitude'
-        flown = data.training(found)
+        flown = data.training(altitude)
         if np.ptp(flown) < LEAST_CLIMB_M:
             return f'the altitude changes by {np.ptp(flown):.2g} m only during training'
         return {'lowest': float(np.min(flown))}

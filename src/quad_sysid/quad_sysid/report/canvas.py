@@ -159,6 +159,13 @@ def svg(picture: Picture, prefix: str) -> str:
     return text.replace('<svg', f'<svg role="img" aria-label="{label}"', 1)
 
 
+def framed(picture: Picture, anchor: str, drawn: str = '') -> str:
+    """The figure of a page with title and caption; `drawn` stands in it in place of the SVG."""
+    return (f'<figure id="{anchor}"><h4>{escape(picture.title)}</h4>'
+            f'{drawn or svg(picture, anchor)}'
+            f'<figcaption>{escape(picture.caption)}</figcaption></figure>')
+
+
 def embedded(picture: Picture, prefix: str) -> str:
     """The figure as an `<img>` for another page, such as a notebook."""
     coded = base64.b64encode(png(picture)).decode('ascii')
