@@ -120,13 +120,13 @@ class IdentificationNode(Node):  # type: ignore[misc]
         """Why what was said on a topic may not be that node's; empty if it is."""
         known = f'{self.get_namespace().rstrip("/")}/{by}'
         name = self.resolve_topic_name(topic.removeprefix('/'))
-        said_by = [
+        sources = [
             f'{one.node_namespace.rstrip("/")}/{one.node_name}'
             for one in self.get_publishers_info_by_topic(name)
         ]
-        if node == known and said_by == [known]:
+        if node == known and sources == [known]:
             return ''
-        others = ', '.join(sorted({node, *said_by} - {known})) or 'another of that name'
+        others = ', '.join(sorted({node, *sources} - {known})) or 'another of that name'
         return f'{known} is not the only publisher of {topic}: {others}'
 
     def _ours(self, bag: Path) -> bool:

@@ -28,7 +28,7 @@ CLOSING_RESERVE = 4 * MB
 """Space for index and metadata of some hours when the disk is full."""
 
 
-class TakenError(BadInputError):
+class PathExistsError(BadInputError):
     """The path of a new bag exists already."""
 
 
@@ -83,7 +83,7 @@ class BagWriter:
             self._file = self._open_file()
             sync_folder(path.parent)
         except FileExistsError as error:  # another recorder's, of this moment
-            raise TakenError(str(path), 'exists already, not overwritten') from error
+            raise PathExistsError(str(path), 'exists already, not overwritten') from error
         except OSError as error:
             if made:
                 _remove_empty(path)
@@ -220,7 +220,7 @@ class BagWriter:
 
 def _check_space(path: Path, reserve: int) -> None:
     if path.exists():
-        raise TakenError(str(path), 'exists already, not overwritten')
+        raise PathExistsError(str(path), 'exists already, not overwritten')
     free = free_bytes(path)
     if free < reserve + CLOSING_RESERVE and reserve:
         raise BadInputError(
@@ -244,7 +244,7 @@ def new_bag(paths: Iterable[Path], limits: Limits | None = None) -> BagWriter:
     """
     *others, last = paths
     for path in others:
-        with suppress(TakenError):
+        with suppress(PathExistsError):
             return BagWriter(path, limits)
     return BagWriter(last, limits)
 

@@ -254,7 +254,7 @@ class BagLogger(ManagedNode):
                 return False
             words = 'the parameter robot_description holds: that of another node is left aside'
             if self._craft is None:
-                words = description.why_left_aside(deserialize_message(data, String).data)
+                words = description.why_ignored(deserialize_message(data, String).data)
             self._described[data] = not words
             if words:
                 self.get_logger().warning(words)

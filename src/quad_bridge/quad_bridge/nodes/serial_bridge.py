@@ -280,7 +280,7 @@ class SerialBridge(ManagedNode):
         """Another aircraft is on the line, by its heartbeat."""
         self._gains.use(aircraft.gains)
         autopilot = self._aircraft.autopilot
-        self._link.autopilot.also_hz = autopilot.kind.wants_hz if autopilot is not None else {}
+        self._link.autopilot.also_hz = autopilot.kind.requested_hz if autopilot is not None else {}
 
     def _on_sticks(self, frame: f.RcChannels, now_ns: int) -> None:
         self._gains.sticks(conversion.rc_axis(frame, YAW_STICK), 1e-9 * now_ns)
