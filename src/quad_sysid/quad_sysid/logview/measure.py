@@ -186,7 +186,7 @@ def _loop(flown: Flown, i: int, good: npt.NDArray[np.bool_], gains: Mapping[str,
         loop = None if spectra is None else response.loop_response(spectra, dt, gains, axis)
         if loop is not None:
             return _delayed(flown, i, good, gains, before, replace(
-                loop, instrument='excitation', tracking=np.full_like(loop.tracking, np.nan),
+                loop, tracking=np.full_like(loop.tracking, np.nan),  # it is no set-point's
                 bandwidth_hz=np.nan, peak=np.nan, peak_hz=np.nan))
     if setpoint is None:
         return None
@@ -326,4 +326,3 @@ def _column(signal: FloatArray | None, i: int) -> FloatArray | None:
     if signal is None or not np.isfinite(signal[:, i]).any():
         return None
     return signal[:, i]
-
