@@ -113,7 +113,8 @@ class SerialBridge(ManagedNode):
             f.Cycle: self._on_cycle,
             f.ParamValue: self._on_gains_frame,
             f.GainsState: self._on_gains_frame,
-            f.RcChannels: self._on_sticks,
+            f.RcChannels: lambda frame, now_ns: self._gains.sticks(
+                conversion.rc_axis(frame, YAW_STICK), 1e-9 * now_ns),
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
             f.StatusText: self._on_text,
             f.LogEntry: self._logs.take,
@@ -281,9 +282,6 @@ class SerialBridge(ManagedNode):
         self._gains.use(aircraft.gains)
         autopilot = self._aircraft.autopilot
         self._link.autopilot.also_hz = autopilot.kind.requested_hz if autopilot is not None else {}
-
-    def _on_sticks(self, frame: f.RcChannels, now_ns: int) -> None:
-        self._gains.sticks(conversion.rc_axis(frame, YAW_STICK), 1e-9 * now_ns)
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns

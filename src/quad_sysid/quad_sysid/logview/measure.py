@@ -266,18 +266,15 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
     error = float(np.sqrt(np.mean((setpoint - measured)[known] ** 2)))
     best, latency = error, 0.0
     most = LONGEST_LATENCY_S if quantity == 'rate' else LONGEST_ANGLE_LATENCY_S
-    for k in _delays(round(most / dt)):
+    longest = max(round(most / dt), 2)
+    # all short delays, then in steps of some per cent
+    for k in sorted({round(k) for k in np.geomspace(1, longest, DELAYS)}):
         both = known[k:] & known[:len(known) - k]
         behind = (setpoint[:len(setpoint) - k] - measured[k:])[both]
         residual = float(np.sqrt(np.mean(behind**2)))
         if residual < best:
             best, latency = residual, k * dt
     return (Tracking(quantity, float(np.sqrt(power)), error, best, latency),)
-
-
-def _delays(most: int) -> list[int]:
-    """Delays in samples: all small ones, then in steps of some per cent."""
-    return sorted({round(k) for k in np.geomspace(1, max(most, 2), DELAYS)})
 
 
 def _motors(flown: Flown) -> tuple[MotorLook, ...]:
