@@ -23,14 +23,14 @@ from quad_sysid.model.effect import (
     required,
 )
 
-ROWS: dict[str, Row] = {}
-"""Every row by its label, as its table makes it."""
+BY_LABEL: dict[str, Effect] = {}
+"""The package's effects by their labels; it enters them where it joins its tables."""
 
 
 class Row(Effect):
     """An effect as a row of a table: its law, and what else differs from Effect by name.
 
-    A law is no module's own, so another process looks the row up by its label (`ROWS.get`).
+    A law has no name in its module, so another process looks the row up by its label.
     """
 
     law: Callable[..., Any]
@@ -38,15 +38,14 @@ class Row(Effect):
     def __init__(self, name: str, signals: tuple[str, ...], parameters: tuple[Spec, ...],
                  law: Callable[..., Any], **more: object) -> None:
         vars(self).update(more, name=name, signals=signals, parameters=parameters, law=law)
-        ROWS.setdefault(self.label, self)
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
-        return row_of, (self.label,)
+        return built_in, (self.label,)
 
 
-def row_of(label: str) -> Effect:
-    """The row of that label, in another process too: the package's tables have made it there."""
-    return ROWS[label]
+def built_in(label: str) -> Effect:
+    """The row of that label: in another process too it is one of the package's."""
+    return BY_LABEL[label]
 
 
 class Torque(Row):
