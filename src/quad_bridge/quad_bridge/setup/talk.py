@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from quad_bridge.aircraft import ACCEPTED, RESULTS
+from quad_bridge.aircraft import ACCEPTED, outcome_of
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.protocol import GainProtocol, What
 from quad_bridge.gains.table import WIRE_NAMES
@@ -148,7 +148,7 @@ class Talk:
         for _ in range(max(1, round(seconds / (0.5 * VALID_S)))):
             self._queue.append(frame(motor, throttle))
             self.wait(0.5 * VALID_S)
-            words = [RESULTS[min(result, len(RESULTS) - 1)] for result in self._acks]
+            words = [outcome_of(result) for result in self._acks]
             if any(word != ACCEPTED for word in words):
                 raise RefusedError(f'the firmware says {words[-1]}: disarmed, at rest for 2 s, '
                                    'transmitter on, throttle down, kill switch off')  # fmt: skip
