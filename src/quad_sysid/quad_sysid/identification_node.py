@@ -273,8 +273,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _report(self) -> None:
         text = self._values.get('reason', self._values['state'])
         status = Status('identification', self._level, text, self._values)
-        now = self.get_clock().now().to_msg()
-        self._diagnostics.publish(diagnostic_array(self.get_name(), '', now, [status]))
+        self._diagnostics.publish(diagnostic_array(self, '', [status]))
 
     def close(self) -> None:
         """Nothing to close: an identification that still runs ends with the process."""

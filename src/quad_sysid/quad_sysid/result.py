@@ -342,7 +342,7 @@ def undetermined(base: Base, flights: Flights | None = None, axis: str = '',
 
 
 def _request(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any], train: Any,
-           validate: Any, show: Callable[[str], None]) -> tuple[tuple[str, ...], list[Record]]:
+             validate: Any, show: Callable[[str], None]) -> tuple[tuple[str, ...], list[Record]]:
     """The axes that are asked for, empty for those that the flights excite, and the records."""
     from quad_sysid.arrays import are_arrays, records_of
 

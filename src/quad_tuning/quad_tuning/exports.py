@@ -164,9 +164,9 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
     flown = _flown(arguments.flown) if arguments.flown else {}
     steps = _steps(gains, axes)
     notes = [f'Gains of {arguments.gains.name}, converted by quad-tune export', *firmware.notes,
-            *(f'Left out, it has no counterpart here: {one}'
-              for one in left_out(gains, NEEDED[1:])),
-            *_filters(gains, flown)]
+             *(f'Left out, it has no counterpart here: {one}'
+               for one in left_out(gains, NEEDED[1:])),
+             *_filters(gains, flown)]
     out = [f'# {line}' for line in notes]
     before = dict(flown)
     for number, step in enumerate(steps, 1):

@@ -6,6 +6,7 @@ writes the files. Source of metadata.yaml: rosbag2's version 9, as in Jazzy.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -86,7 +87,7 @@ class BagWriter:
             raise PathExistsError(str(path), 'exists already, not overwritten') from error
         except OSError as error:
             if made:
-                _remove_empty(path)
+                shutil.rmtree(path, ignore_errors=True)
             raise BadInputError(str(path), f'cannot write a bag here: {error.strerror}') from error
 
     @property
@@ -229,12 +230,6 @@ def _check_space(path: Path, reserve: int) -> None:
             f'{free / MB:.0f} MB',
             'free the disk or lower reserve_mb',
         )
-
-
-def _remove_empty(path: Path) -> None:
-    for file in path.iterdir():
-        file.unlink()
-    path.rmdir()
 
 
 def new_bag(paths: Iterable[Path], limits: Limits | None = None) -> BagWriter:

@@ -295,10 +295,7 @@ class BagLogger(ManagedNode):
             silent = 'time is simulated, and nothing comes on /clock: nothing is recorded'
             entries.append(Status('clock', WARN, silent))
         entries += [*self.bounds(), *self.fence.entries()]
-        now = self.get_clock().now().to_msg()
-        self._diagnostics.publish(
-            diagnostics.diagnostic_array(self.get_name(), str(self._folder), now, entries)
-        )
+        self._diagnostics.publish(diagnostics.diagnostic_array(self, str(self._folder), entries))
 
     def _free(self) -> int | None:
         """Bytes; None where the folder is gone."""

@@ -525,10 +525,7 @@ class SerialBridge(ManagedNode):
         if self._aircraft.autopilot is not None:
             entries.append(self._logs.status())
         entries += [*self.bounds(), *self.fence.entries()]
-        now = self.get_clock().now().to_msg()
-        self._diagnostics.publish(
-            diagnostics.diagnostic_array(self.get_name(), port, now, entries)
-        )
+        self._diagnostics.publish(diagnostics.diagnostic_array(self, port, entries))
 
     def _epoch(self) -> Epoch:
         """ROS time minus the steady clock."""

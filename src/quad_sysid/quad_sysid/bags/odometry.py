@@ -89,7 +89,7 @@ def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
 
 
 def _over_heading(position: FloatArray, twist: FloatArray, attitude: FloatArray,
-                   stamps: np.ndarray, warnings: list[str]) -> FloatArray | None:
+                  stamps: np.ndarray, warnings: list[str]) -> FloatArray | None:
     """(m, 3) speed forward, left, up: the reading of the twist that the positions agree with."""
     time = 1e-9 * (stamps - stamps[0]).astype(float)
     yaw = attitude[:, 2]
