@@ -35,6 +35,7 @@ from quad_sysid.motor_layout import (
     patterns_of,
     places,
 )
+from quad_sysid.pipeline.advice import RICHEST
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.evaluate import flown_spans
@@ -199,10 +200,6 @@ _EFFECTS = (
     ("another axis' command", 'cross_axis_input'),
 )
 """Effects that need more than the axis' own motion."""
-
-
-RICHEST = 50
-"""Largest order of excitation that is computed."""
 
 
 @dataclass(frozen=True)

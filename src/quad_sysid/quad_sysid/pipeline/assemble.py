@@ -24,7 +24,9 @@ from quad_sysid.record import IOData, finite_runs
 from quad_sysid.units import Units
 
 COHERENT = 0.6
+"""Squared coherence above which a frequency supports the model: noise explains less than half."""
 CONFIDENT = 2.576
+"""Standard errors of 99 %."""
 BEYOND = 0.05
 """Share of a range by which a signal must leave it."""
 HALF_POWER = 0.41
