@@ -8,19 +8,15 @@ from pathlib import Path
 
 import pytest
 from flown_axis import SHORT, Axis, fly
-from node_process import Started
+from node_process import QUICKLY, Started
 from probe import Probe, entries, event
 
 from quad_sysid.bags import write_bag
 
 OK, WARN, ERROR = 0, 1, 2
-EACH_ONCE_WITHOUT_BLACKBOX = """
-from quad_sysid.pipeline import identify
-from quad_tuning import pid
-identify._compared = lambda answer, *_: answer
-pid.STARTS, pid.JUDGED, pid.GRID = 1, 20, (5, 7, 2, 4, 3)
+EACH_ONCE = f"""{QUICKLY}
 import quad_sysid.identification_node as node
-run, found = node.session.run, {}
+run, found = node.session.run, {{}}
 def once(bags, out, wanted):
     bag = node.Path(bags[0]).resolve()
     found[bag] = found[bag] if bag in found else run(bags, out, wanted)
@@ -68,7 +64,7 @@ def test_the_identification_outlives_bad_bags_and_sends_of_no_bag_but_the_logger
     ears.say_bag(flown)
     name = 'identification: identification'
     node = start('identification', axes='[roll]', out=out, folder=tmp_path, auto_update='true',
-                 broken=EACH_ONCE_WITHOUT_BLACKBOX)
+                 broken=EACH_ONCE)
     values = ears.until(name, OK, 'complete before this node began')
     assert values['bag'] == str(flown)
     assert values['report'] == str(tmp_path / 'report.1' / 'report.json')
