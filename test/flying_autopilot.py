@@ -21,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from autopilot_logs import dataflash, ulog
+from autopilot_logs import dataflash, quaternions, ulog
 from autopilots import ACCEPTED, ARDUPILOT, ARM_DISARM, INERTIAL, PX4, Autopilot, mav
 from flight_controller import Pty
 
@@ -451,15 +451,6 @@ class Flying(Autopilot):
                               p['SID_T_REC'], p['SID_T_FADE_OUT']))  # fmt: skip
         self.mode, self.heading = wanted, None
         return ACCEPTED
-
-
-def quaternions(angles):
-    """(n, 4) w x y z of roll, pitch, yaw (n, 3)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles / 2).T, np.sin(angles / 2).T
-    return np.column_stack([
-        cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy,
-    ])  # fmt: skip
 
 
 # The process.
