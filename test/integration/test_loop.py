@@ -113,8 +113,13 @@ def test_an_effect_is_flown_found_and_flown_against(tmp_path: Path, emulated: bo
     assert record.missing == ()
     assert record.dt == pytest.approx(0.004, rel=1e-9)
     assert not np.isnan(record.rates).any()
-    signals = [s.signal for s in record.segments if s.role != 'idle']
-    assert signals == ['prbs', 'prbs', 'square']
+    parts = [s for s in record.segments if s.role != 'idle']
+    assert [s.signal for s in parts] == ['prbs', 'prbs', 'square']
+    assert [s.end_s - s.start_s for s in parts] == pytest.approx([9.0, 4.0, 4.8], abs=0.005)
+    assert parts[0].parameters['amplitude'] == pytest.approx(math.radians(12.0), abs=1e-4)
+    sent = record.excitation[slice(*record.span(parts[0]))]
+    assert np.nanmax(np.abs(sent[:, 0])) == pytest.approx(math.radians(12.0), abs=1e-4)
+    assert not np.nan_to_num(sent[:, 1:]).any()
     # the effect is found and worth it
     roll = json.loads((out / 'report/report.json').read_text())['axes']['roll']
     assert roll['verdict'] == 'effects_added'

@@ -1,6 +1,7 @@
 """The key's file: made for its owner alone, refused in any other state, in one line."""
 
 import subprocess
+import sys
 
 import pytest
 
@@ -87,3 +88,10 @@ def test_the_command_keeps_what_is_there_and_says_one_line(tmp_path, refused):
     assert path.read_bytes() == before
     with pytest.raises(BadInputError, match='make_key'):
         read_key(tmp_path / 'nothing')
+
+
+@pytest.mark.parametrize('stdout', ['>/dev/full', '>&-'])
+def test_that_nobody_reads_what_is_said_is_no_fault(tmp_path, stdout):
+    line = f'{sys.executable} -m quad_bridge.key_file {tmp_path / "key"} {stdout}'
+    run = subprocess.run(['bash', '-c', line], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr, (tmp_path / 'key').exists()) == (0, '', True)

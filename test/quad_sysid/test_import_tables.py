@@ -451,3 +451,18 @@ def test_mixers(tmp_path):
         file.write_text(text)
         with pytest.raises(BadInputError, match=words):
             mixer_of(str(file), names)
+
+
+def test_an_advised_unit_can_be_typed_as_it_stands(tmp_path, refused):
+    """Headers have blanks and brackets, which a shell would take apart."""
+    table = columns()
+    file = write(tmp_path / 'a.csv', {'Time [s]': table['t'], 'cmd roll': 1000.0 * table['u'],
+                                      'Angle (roll)': 20.0 * table['angle']})
+    base = ColumnOptions(file=file, axes=('roll',), time='Time [s]', control=('cmd roll',),
+                         angle=('Angle (roll)',))
+    assert "'roll'; use rad, deg, m, mm, a factor" in refused(base)
+    named = parse_units(['Angle (roll)=rad'])
+    base = replace(base, units=named)
+    assert "--unit 'cmd roll=0.005'" in refused(base)
+    mended = replace(base, units={**named, **parse_units(['cmd roll=0.001'])})
+    assert "--unit 'Angle (roll)=deg'" in refused(mended)

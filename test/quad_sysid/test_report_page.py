@@ -15,7 +15,7 @@ from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
-from quad_sysid.report.words import causes
+from quad_sysid.report.words import causes, reach
 
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
@@ -215,3 +215,14 @@ def test_the_error_over_the_horizon_grows_from_the_noise_and_is_told(tree):
     assert listed[-1]['before'] > 2.0 * listed[1]['before']
     noise = {p['name']: p['value'] for p in tree['base']['noise']}
     assert set(noise) >= {'disturbance_rms', 'disturbance_correlation', 'measurement_rms'}
+
+
+@pytest.mark.parametrize(
+    ('after', 'far'), [((0.1, 0.1, 0.1), 1.0), ((0.1, 0.2, 0.9), 0.1), ((0.4, 0.8, 0.9), None)]
+)
+def test_worth_ends_where_holding_is_no_longer_twice_as_wrong(after, far):
+    error = {'unit': 'rad/s', 'horizons': [
+        {'horizon_s': s, 'hold': hold, 'before': 1.0, 'after': one, 'blackbox': None}
+        for s, hold, one in zip((0.05, 0.1, 1.0), (0.5, 1.0, 1.2), after, strict=True)
+    ]}
+    assert reach(error) == far
