@@ -70,6 +70,23 @@ def quick(quickly: Callable[[], AbstractContextManager[None]]) -> Iterator[None]
 
 
 @pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """A function: the one line on stderr with which a command refuses these words."""
+
+    def line_of(main: Callable[[list[str]], object], *words: object, status: int = 2) -> str:
+        try:
+            given = main([str(word) for word in words])
+        except SystemExit as left:
+            given = left.code
+        error = capsys.readouterr().err
+        assert (given, error.count('\n')) == (status, 1), error
+        assert 'Traceback' not in error
+        return error
+
+    return line_of
+
+
+@pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
     """A domain that nobody uses, set for this process and those that it starts."""
     with own_domain() as domain:
