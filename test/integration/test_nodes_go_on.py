@@ -17,7 +17,7 @@ OK, WARN, ERROR = 0, 1, 2
 EACH_ONCE_WITHOUT_BLACKBOX = """
 from quad_sysid.pipeline import identify
 from quad_tuning import pid
-identify._compared = lambda answer, *_: answer
+identify._black_boxes = lambda *_: 'left out'
 pid.STARTS, pid.JUDGED, pid.GRID = 1, 20, (5, 7, 2, 4, 3)
 import quad_sysid.identification_node as node
 run, found = node.session.run, {}
