@@ -37,7 +37,7 @@ def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
 @pytest.mark.parametrize(('says', 'least'), [('shape:rate/smooth', 0.4),
                                              ('coulomb_friction/stribeck', 2.0)])
 def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch, says, least):
-    """By a curve, or with more than is needed: the plain law stands, where rivals have no place."""
+    """By a curve, or with more than is needed: the plain law stands, though no rival is tried."""
     monkeypatch.setattr('quad_sysid.explain.ladder.LEAST_OF_BEST', least)
     told = rubbed_answer.findings
     problem, found = told.problem, told.search

@@ -395,7 +395,7 @@ def _axis(record: Record, axis: str) -> AxisContent:
                    reference_rms=reference,
                    excitation_order=_order(data, command),
                    coherent_band_rad_s=None if reason
-                   else Support.of(io_data(data, data.train), data.axis).band())
+                   else Support.of(io_data(data, data.train), data.axis).band)
 
 
 def _order(data: AxisData, command_rms: float | None) -> int | None:
