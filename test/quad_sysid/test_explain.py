@@ -53,15 +53,16 @@ def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch,
     assert ladder.answer == 1
 
 
-def test_a_rung_that_runs_away_leaves_the_others_and_the_axis(rubbed_answer, monkeypatch):
-    """What follows no flight beside the base falls out; the ladder goes on with what does."""
+@pytest.mark.parametrize('because', ['it runs away', 'its prior excludes its parameters'])
+def test_a_rung_falls_out_and_leaves_the_others_and_the_axis(rubbed_answer, monkeypatch, because):
+    """What follows no flight beside the base, or is no such law; the ladder goes on."""
     told = rubbed_answer.findings
     parts, _ = candidates(told.problem, EFFECTS)
-
-    def follows(_self, model):
-        return model.structure.labels[-1:] != ('coulomb_friction',)
-
-    monkeypatch.setattr(Models, 'follows', follows)
+    if because == 'it runs away':
+        monkeypatch.setattr(Models, 'follows', lambda _, model: model.structure.labels[-1:]
+                            != ('coulomb_friction',))
+    else:
+        monkeypatch.setattr('quad_sysid.explain.ladder.BELIEVED', 1e-3)
     ladder = explain(told.problem, told.search, parts)
     assert len(ladder.rungs) > 1
     assert not any(rung.labels == ('coulomb_friction',) for rung in ladder.rungs[:-1])
