@@ -96,7 +96,7 @@ class _Listener:
 
     def _on_change(self, aircraft: object) -> None:
         if isinstance(aircraft, AutopilotAircraft):
-            self.link.autopilot.also_hz = aircraft.kind.wants_hz
+            self.link.autopilot.also_hz = aircraft.kind.requested_hz
 
     def _on_bytes(self, data: bytes) -> None:
         now_ns = clock().now_ns()

@@ -54,8 +54,9 @@ _KINDS: dict[type, str] = {
 def overrides(node: Any) -> dict[str, Any]:
     """Parameters set by files, the command line or the node's maker, declared or not."""
     with node.handle:
-        given = node.handle.get_parameters(Parameter)
-    return {name: one.value for name, one in given.items()} | getattr(node, 'own_overrides', {})
+        parameters = node.handle.get_parameters(Parameter)
+    own = getattr(node, 'own_overrides', {})
+    return {name: one.value for name, one in parameters.items()} | own
 
 
 def refuse_unknown(node: Any, known: Iterable[str]) -> None:

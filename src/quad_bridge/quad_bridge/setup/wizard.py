@@ -268,10 +268,10 @@ class _Line:
                 self._port.write(out)
             if self._port.status.refused:
                 raise BadInputError(f'--port {self._name}', self._port.status.refused)
-            left_s = until_s - time.monotonic()
-            if left_s <= 0.0:
+            remaining_s = until_s - time.monotonic()
+            if remaining_s <= 0.0:
                 return
-            time.sleep(min(0.01, left_s))
+            time.sleep(min(0.01, remaining_s))
 
     def close(self) -> None:
         """End the port's thread."""

@@ -172,6 +172,30 @@ def read_messages(
     return columns, times
 
 
+def of_one_aircraft(path: Path, pattern: re.Pattern[str], wanted: Collection[str],
+                    messages: Path | None) -> tuple[Columns, Columns, tuple[str, ...]]:
+    """The wanted topics of the aircraft that has most of them, by its own names; what is left out.
+
+    `pattern` finds in a topic its `place`, whose it is, and its name as `topic`, and may find a
+    `way`: what an autopilot says (`out`) counts before what it hears (`in`).
+    """
+    topics = [topic for topic in topics_of(path)
+              if (match := pattern.match(f'{topic}.')) and match['topic'] in wanted]
+    columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
+    matches = [match for name in columns if (match := pattern.match(name))]
+    places = [match['place'] for match in matches]
+    chosen = max(dict.fromkeys(places), key=places.count, default='')
+    ours: Columns = {}
+    clock: Columns = {}
+    for match in sorted(matches, key=lambda match: match.groupdict().get('way', '')):
+        if match['place'] == chosen:
+            own = f'{match["topic"]}.{match.string[match.end():]}'
+            ours[own], clock[own] = columns[match.string], times[match.string]
+    others = ', '.join(sorted(set(places) - {chosen}))
+    note = f'of several aircraft {chosen or "/"} is read; left out: {others}'
+    return ours, clock, (note,) * bool(others)
+
+
 def _undefined(path: Path, unknown: dict[str, str], messages: Path | None) -> BadInputError:
     packages = sorted({kind.partition('/')[0] for kind in unknown.values()})
     name = ', '.join(packages)

@@ -80,7 +80,6 @@ def flag(option: str) -> str:
     return f'--{option.replace("_", "-")}'
 
 
-
 DEGREE = math.pi / 180.0
 ONE_G = 9.80665
 VOLTS_OF_FULL_COMMAND = 20.0

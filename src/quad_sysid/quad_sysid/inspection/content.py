@@ -36,6 +36,7 @@ from quad_sysid.motor_layout import (
     patterns_of,
     places,
 )
+from quad_sysid.pipeline.advice import RICHEST
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.evaluate import flown_spans
@@ -200,10 +201,6 @@ _EFFECTS = (
     ("another axis' command", 'cross_axis_input'),
 )
 """Effects that need more than the axis' own motion."""
-
-
-RICHEST = 50
-"""Largest order of excitation that is computed."""
 
 
 @dataclass(frozen=True)
@@ -398,7 +395,7 @@ def _axis(record: Record, axis: str) -> AxisContent:
                    reference_rms=reference,
                    excitation_order=_order(data, command),
                    coherent_band_rad_s=None if reason
-                   else Support.of(io_data(data, data.train), data.axis).band())
+                   else Support.of(io_data(data, data.train), data.axis).band)
 
 
 def _order(data: AxisData, command_rms: float | None) -> int | None:

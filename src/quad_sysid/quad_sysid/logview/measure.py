@@ -190,7 +190,7 @@ def _loop(flown: Flown, i: int, good: npt.NDArray[np.bool_], gains: Mapping[str,
         loop = None if spectra is None else response.loop_response(spectra, dt, gains, axis)
         if loop is not None:
             return _delayed(flown, i, good, gains, before, replace(
-                loop, instrument='excitation', tracking=np.full_like(loop.tracking, np.nan),
+                loop, tracking=np.full_like(loop.tracking, np.nan),  # it is no set-point's
                 bandwidth_hz=np.nan, peak=np.nan, peak_hz=np.nan))
     if setpoint is None or not follows:
         return None
@@ -270,7 +270,9 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
     error = float(np.sqrt(np.mean((setpoint - measured)[known] ** 2)))
     best, latency = error, 0.0
     most = LONGEST_LATENCY_S if quantity == 'rate' else LONGEST_ANGLE_LATENCY_S
-    for k in _delays(round(most / dt)):
+    longest = max(round(most / dt), 2)
+    # all short delays, then in steps of some per cent
+    for k in sorted({round(k) for k in np.geomspace(1, longest, DELAYS)}):
         both = known[k:] & known[:len(known) - k]
         behind = (setpoint[:len(setpoint) - k] - measured[k:])[both]
         residual = float(np.sqrt(np.mean(behind**2)))
@@ -284,11 +286,6 @@ def _follows(tracking: Sequence[Tracking], rate: FloatArray, good: npt.NDArray[n
     power = float(np.mean(rate[good] ** 2)) if good.any() else 0.0
     return all(one.error_rms_delayed**2 < UNRELATED * (one.setpoint_rms**2 + power)
                for one in tracking if one.quantity == 'rate')
-
-
-def _delays(most: int) -> list[int]:
-    """Delays in samples: all small ones, then in steps of some per cent."""
-    return sorted({round(k) for k in np.geomspace(1, max(most, 2), DELAYS)})
 
 
 def _motors(flown: Flown) -> tuple[MotorLook, ...]:
@@ -337,4 +334,3 @@ def _column(signal: FloatArray | None, i: int) -> FloatArray | None:
     if signal is None or not np.isfinite(signal[:, i]).any():
         return None
     return signal[:, i]
-

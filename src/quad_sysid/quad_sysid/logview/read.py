@@ -216,4 +216,3 @@ def _moving(rates: FloatArray) -> tuple[str, ...]:
     spread = [float(np.nanstd(rates[:, i])) if np.isfinite(rates[:, i]).any() else 0.0
               for i in range(len(AXES))]
     return tuple(axis for axis, one in zip(AXES, spread, strict=True) if one > STILL)
-
