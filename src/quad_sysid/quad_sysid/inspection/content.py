@@ -292,7 +292,8 @@ class Content:
 
 def content(path: str | Path) -> Content:
     """Content of a bag, a log or a table; raises BadInputError where it cannot be read."""
-    source, held, record = str(path), Topics((), (), ()), None
+    source, held = str(path), Topics((), (), ())
+    record: Record | None = None
     if is_bag(Path(path), head_of(Path(path))):
         held = topics(Path(path))
         try:
