@@ -13,8 +13,6 @@ behind a `Port`:
 `Party` is another program on the same line, made of pymavlink: a ground station, mavros.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque
