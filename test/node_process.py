@@ -37,7 +37,7 @@ MODULES = {
 QUICKLY = """
 from quad_sysid.pipeline import identify
 from quad_tuning import pid
-identify._compared = lambda answer, *_: answer
+identify._black_boxes = lambda *_: 'left out'
 pid.STARTS, pid.JUDGED, pid.GRID = 1, 20, (5, 7, 2, 4, 3)
 """
 """What the fixture `quickly` does, for another process: run before it begins."""

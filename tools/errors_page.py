@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, MARK = 'reference/errors.md', '<!-- errors -->'
 PACKAGES = ('quad_bridge', 'quad_sysid', 'quad_tuning')
-FIELDS = ('BadInputError', 'ConfigurationError', 'TakenError')
+FIELDS = ('BadInputError', 'ConfigurationError', 'PathExistsError')
 """Take where, what, found and remedy; the others one text."""
 READER = 'read_by_library'
 """Takes where, what and remedy, and raises a BadInputError."""
@@ -30,7 +30,7 @@ TEXTS = ('NotInformativeError', 'DesignRefusedError', 'RefusedError', 'QuadBridg
 MEANS = {
     'BadInputError': 'A file, a field or an argument is wrong (exit status 2).',
     'ConfigurationError': "The virtual STM32's profile or effect module is wrong (exit status 2).",
-    'TakenError': 'The recording cannot have this place (exit status 2).',
+    'PathExistsError': 'The recording cannot have this place (exit status 2).',
     'NotInformativeError': 'The data are in order and cannot answer the question (exit status 3).',
     'DesignRefusedError': 'The model does not allow a design of gains (exit status 3).',
     'RefusedError': 'The bridge refuses a request: new gains, arming, a check.',

@@ -77,7 +77,7 @@ class Cockpit(Line):
 
     def changed(self, aircraft):
         self.updates.use(aircraft.gains)
-        self.link.autopilot.also_hz = aircraft.kind.wants_hz
+        self.link.autopilot.also_hz = aircraft.kind.requested_hz
 
     def handle(self, event):
         now_s = 1e-9 * self.now_ns

@@ -97,6 +97,7 @@ def test_what_both_packages_share_is_linked_and_knows_neither() -> None:
     for shared, link in (
         ('log/stored', SYSID / 'bags/stored'),
         ('craft.py', SYSID / 'craft.py'),
+        ('topics.py', SYSID / 'topics.py'),
         ('autopilots/table.py', SYSID / 'autopilot_table.py'),
         ('gains/table.py', TUNING / 'gain_table.py'),
     ):

@@ -23,6 +23,11 @@ RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 STILL = (0.0, 0.0, 0.0)
 
 
+def outcome_of(result: int) -> str:
+    """A MAV_RESULT in words."""
+    return RESULTS[result] if result < len(RESULTS) else f'result {result}'
+
+
 class Ability(Enum):
     """Abilities that an aircraft may have."""
 
@@ -127,10 +132,7 @@ class Aircraft(ABC):
 
     def armed_answer(self, frame: f.CommandAck) -> str | None:
         """Say what an answer to `arm` says (`ACCEPTED` or why not); None where it is no such."""
-        if frame.command != ARM_DISARM:
-            return None
-        known = frame.result < len(RESULTS)
-        return RESULTS[frame.result] if known else f'result {frame.result}'
+        return outcome_of(frame.result) if frame.command == ARM_DISARM else None
 
 
 class Quad(Aircraft):

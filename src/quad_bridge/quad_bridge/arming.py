@@ -101,7 +101,7 @@ class Arming:
         self._lock = threading.RLock()
         self._request: _Request | None = None
         self._sent: deque[_Request] = deque()  # one per command on the way, of earlier ones too
-        self._owed_until_s = self._given_up_s = -math.inf
+        self._owed_until_s = self._abandoned_s = -math.inf
 
     def ask(self, arm: bool, reply: Callable[[str], None], now_s: float) -> Frame:
         """Accept a request; returns the frame to send. Raises RefusedError."""
@@ -131,7 +131,7 @@ class Arming:
                 if request.arm and armed:
                     text = ACCEPTED
                 elif request.arm:
-                    self._given_up_s = now_s
+                    self._abandoned_s = now_s
                 self._end(text, now_s)
             for reply in late:
                 reply(text)
@@ -153,10 +153,10 @@ class Arming:
     def late(self, now_s: float, *, armed: bool) -> str:
         """A warning, once, where the aircraft armed after the request had been given up."""
         with self._lock:
-            passed_s = now_s - self._given_up_s
+            passed_s = now_s - self._abandoned_s
             if not armed or passed_s > LATE_S:
                 return ''
-            self._given_up_s = -math.inf
+            self._abandoned_s = -math.inf
         words = f'armed {passed_s:.0f} s after a request to arm was given up'
         return f'{words}: disarm it if that is not wanted'
 

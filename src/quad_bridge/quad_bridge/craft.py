@@ -225,7 +225,7 @@ def _motor(name: str, joint: ET.Element, above: Mapping[str, ET.Element]) -> Mot
         raise ValueError(f'{name} has an axis of length 0')
     axis = axis / size
     for _ in range(len(above) + 1):  # up to the body, through what carries the motor
-        turn = _rotation(_numbers(name, link, 'origin', 'rpy', (0.0, 0.0, 0.0)))
+        turn = rotation_of(_numbers(name, link, 'origin', 'rpy', (0.0, 0.0, 0.0)))
         axis, place = turn @ axis, turn @ place + _numbers(name, link, 'origin', 'xyz',
                                                            (0.0, 0.0, 0.0))
         parent = _link(link, 'parent')
@@ -259,7 +259,8 @@ def _numbers(
     return values
 
 
-def _rotation(rpy: FloatArray) -> FloatArray:
+def rotation_of(rpy: FloatArray) -> FloatArray:
+    """(3, 3) to the outer frame from one turned by roll, pitch, yaw in it (ZYX)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array([
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

@@ -71,11 +71,11 @@ def write_key(path: Path) -> None:
         raise BadInputError(f'key file {path}', what, remedy='give another name') from error
 
 
-def signing_from(path: Path | None, *, link_id: int = 0) -> Signing | None:
+def signing_from(path: Path | None) -> Signing | None:
     """What signs and judges by the key in `path` and the system's clock; None without a path."""
     if path is None:
         return None
-    return Signing(read_key(path), lambda: signing_time(time.time_ns()), link_id=link_id)
+    return Signing(read_key(path), lambda: signing_time(time.time_ns()))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

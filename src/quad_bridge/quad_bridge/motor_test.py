@@ -11,7 +11,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 
-from quad_bridge.aircraft import ACCEPTED, RESULTS
+from quad_bridge.aircraft import ACCEPTED, outcome_of
 from quad_bridge.arming import OperatorEnable
 from quad_bridge.errors import RefusedError
 from quad_bridge.wire.frames import Command, CommandAck
@@ -101,7 +101,7 @@ class MotorTest:
         """Take the aircraft's answer."""
         if not self.running or ack.command != COMMAND:
             return
-        words = RESULTS[ack.result] if ack.result < len(RESULTS) else f'result {ack.result}'
+        words = outcome_of(ack.result)
         self._accepted = self._accepted or words == ACCEPTED
         if words != ACCEPTED:
             why = ('it must be disarmed, level and at rest for 2 s, with a receiver that works, '

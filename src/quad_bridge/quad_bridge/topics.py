@@ -1,6 +1,7 @@
 """The contract's topics and their types, and which node opens which of them.
 
 config/policies.xml follows from it (tools/policies.py), and a test holds it against the nodes.
+quad_sysid has it by a link, so nothing of ours is imported here.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ TOPIC_TYPES = {
     '/control/wrench': 'geometry_msgs/msg/WrenchStamped',
     '/setpoint/attitude': 'geometry_msgs/msg/Vector3Stamped',
     '/setpoint/rates': 'geometry_msgs/msg/Vector3Stamped',
+    '/odom': 'nav_msgs/msg/Odometry',
     '/rc/in': 'sensor_msgs/msg/Joy',
     '/battery': 'sensor_msgs/msg/BatteryState',
     '/imu/mag': 'sensor_msgs/msg/MagneticField',
     '/baro': 'sensor_msgs/msg/FluidPressure',
-    '/odom': 'nav_msgs/msg/Odometry',
     '/excitation/setpoint': 'geometry_msgs/msg/Vector3Stamped',
     '/excitation/applied': 'geometry_msgs/msg/Vector3Stamped',
     '/excitation/segment': 'rcl_interfaces/msg/ParameterEvent',

@@ -28,6 +28,7 @@ from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.conversion import event_message
 from quad_bridge.nodes.diagnostics import diagnostic_array
 from quad_bridge.nodes.fence import Fence
+from quad_bridge.nodes.managed_node import answered
 from quad_bridge.nodes.node_time import TimedNode
 from quad_bridge.nodes.qos import EVENT, STATE, STREAM
 from quad_bridge.status import ERROR, OK, WARN, Status
@@ -177,18 +178,16 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
     def _on_start(self, request: Any, response: Any) -> Any:
         del request
         refused = self._start()
-        response.success, response.message = not refused, refused or 'running'
         if refused:
             self.get_logger().warning(f'not started: {refused}')
-        return response
+        return answered(response, not refused, refused or 'running')
 
     def _on_stop(self, request: Any, response: Any) -> Any:
         del request
-        response.success = self._player.active
-        response.message = 'ramping out' if self._player.active else 'nothing runs'
+        runs = self._player.active
         self._waiting = False
         self._player.stop(self._now_s(), 'stopped by ~/stop')
-        return response
+        return answered(response, runs, 'ramping out' if runs else 'nothing runs')
 
     def _tick(self) -> None:
         stamp = self.get_clock().now().nanoseconds
@@ -255,8 +254,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
                   'progress_pct': f'{100.0 * player.elapsed_s / schedule.duration_s:.0f}',
                   **entries(self._settings)}
         status = Status('schedule', level, player.reason or waiting or player.state.value, values)
-        now = self.get_clock().now().to_msg()
-        self._diagnostics.publish(diagnostic_array(self.get_name(), '', now, [status]))
+        self._diagnostics.publish(diagnostic_array(self, '', [status]))
 
 
 def entries(settings: Settings) -> dict[str, str]:

@@ -122,22 +122,22 @@ def check_there(path: str | os.PathLike[str]) -> None:
                             remedy='check the path')
 
 
-def check_place(place: Path, *, folder: bool = True, option: str = '--out') -> Path:
+def check_place(place: Path, *, folder: bool = True) -> Path:
     """The folder in which a folder, or else a file, can be written; leaves nothing.
 
     Of a folder the nearest that is there. Raises BadInputError where nothing can be written.
     """
     place = place.absolute()
     if not folder and place.is_dir():
-        raise BadInputError(option, f'{place} is a folder', remedy='name a file')
+        raise BadInputError('--out', f'{place} is a folder', remedy='name a file')
     there = next(p for p in (place, *place.parents) if p.exists()) if folder else place.parent
     if there.exists() and not there.is_dir():
-        raise BadInputError(option, f'{there} is not a folder', remedy='choose another place')
+        raise BadInputError('--out', f'{there} is not a folder', remedy='choose another place')
     try:
         with unfinished(there):  # as root, /proc says that it is writable
             pass
     except OSError as error:
-        raise BadInputError(option, f'{there} cannot be written', error.strerror,
+        raise BadInputError('--out', f'{there} cannot be written', error.strerror,
                             'choose another place') from error
     return there
 

@@ -120,13 +120,13 @@ class IdentificationNode(Node):  # type: ignore[misc]
         """Why what was said on a topic may not be that node's; empty if it is."""
         known = f'{self.get_namespace().rstrip("/")}/{by}'
         name = self.resolve_topic_name(topic.removeprefix('/'))
-        said_by = [
+        sources = [
             f'{one.node_namespace.rstrip("/")}/{one.node_name}'
             for one in self.get_publishers_info_by_topic(name)
         ]
-        if node == known and said_by == [known]:
+        if node == known and sources == [known]:
             return ''
-        others = ', '.join(sorted({node, *said_by} - {known})) or 'another of that name'
+        others = ', '.join(sorted({node, *sources} - {known})) or 'another of that name'
         return f'{known} is not the only publisher of {topic}: {others}'
 
     def _ours(self, bag: Path) -> bool:
@@ -273,8 +273,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _report(self) -> None:
         text = self._values.get('reason', self._values['state'])
         status = Status('identification', self._level, text, self._values)
-        now = self.get_clock().now().to_msg()
-        self._diagnostics.publish(diagnostic_array(self.get_name(), '', now, [status]))
+        self._diagnostics.publish(diagnostic_array(self, '', [status]))
 
     def close(self) -> None:
         """Nothing to close: an identification that still runs ends with the process."""

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quad_sysid.axes import EVERY
+from quad_sysid.axes import EVERY, Level
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.model import AxisModel, Parameter
@@ -125,9 +125,7 @@ class Identified(AxisModel):
         Its covariance is that of the base's parameters, first order. Default: 200 points up to
         the Nyquist frequency. Raises BadInputError where w is not within it.
         """
-        from quad_sysid.blackbox import FrequencyResponse
-        from quad_sysid.loop.from_model import loop_plant
-        from quad_sysid.loop.linear import NEAR_REST, loops_of
+        from quad_sysid.loop.linear import NEAR_REST
 
         nyquist = np.pi / self.dt
         grid = np.geomspace(0.1, 0.999 * nyquist, POINTS) if w is None else \
@@ -135,24 +133,9 @@ class Identified(AxisModel):
         if grid.ndim != 1 or not (np.isfinite(grid) & (grid > 0.0) & (grid <= nyquist)).all():
             raise BadInputError('bode', f'w must be (m,) within 0..{nyquist:.6g} rad/s')
         scale = 1.0 if self.units is None else self.units.per_command / self.units.per_rate
-
-        def response(model: AxisModel) -> Any:
-            return scale * loops_of([(loop_plant(model), NEAR_REST)]).response(grid)[0, 0]
-
-        here, covariance = response(self), None
-        names = [p.name for p in self.base]
-        known = [i for i, name in enumerate(self.parameter_names) if name in names
-                 and self.covariance is not None and np.isfinite(self.covariance[i, i])]
-        if known and self.covariance is not None:
-            gradient = []
-            for i in known:
-                by = NUDGE * math.sqrt(self.covariance[i, i]) or 1e-9
-                base = tuple(replace(p, value=p.value + by) if p.name == self.parameter_names[i]
-                             else p for p in self.base)
-                gradient.append((response(replace(self, base=base)) - here) / by)
-            slopes = np.stack([np.real(gradient), np.imag(gradient)]).transpose(2, 0, 1)
-            covariance = slopes @ self.covariance[np.ix_(known, known)] @ np.swapaxes(slopes, 1, 2)
-        return FrequencyResponse(grid, here, covariance)
+        si = response_of(self, grid, NEAR_REST)
+        return replace(si, response=scale * si.response, covariance=None
+                       if si.covariance is None else scale**2 * si.covariance)
 
     def step(self, gains: CascadeGains | Mapping[str, float] | None = None,
              size: float = STEP_RAD, seconds: float = STEP_S) -> LoopResponse:
@@ -260,3 +243,29 @@ class Identified(AxisModel):
         control[:, 0] = self.mean_throttle or 0.0
         control[:, 1 + EVERY[self.axis].index] = u
         return replace(data, axis=self.axis, control=control), spans
+
+
+def response_of(model: AxisModel, w: FloatArray, amplitude: Level) -> FrequencyResponse:
+    """Response from command to measured rate at w (m,) rad/s, linear at an amplitude, in SI.
+
+    Its covariance is that of the base's parameters, first order; None where that is not known.
+    """
+    from quad_sysid.blackbox import FrequencyResponse
+    from quad_sysid.loop.from_model import loop_plant
+    from quad_sysid.loop.linear import loops_of
+
+    of, names = model.covariance, model.parameter_names
+    known = [] if of is None else [i for i, name in enumerate(names) if np.isfinite(of[i, i])
+                                   and name in {p.name for p in model.base}]
+    steps = [] if of is None else [NUDGE * math.sqrt(of[i, i]) or 1e-9 for i in known]
+    moved = [replace(model, base=tuple(replace(p, value=p.value + by * (p.name == names[i]))
+                                       for p in model.base))
+             for i, by in zip(known, steps, strict=True)]
+    here, *near = loops_of([(loop_plant(one), amplitude)
+                            for one in (model, *moved)]).response(w)[0]
+    if of is None or not known:
+        return FrequencyResponse(w, here, None)
+    gradient = (np.stack(near) - here) / np.array(steps)[:, None]
+    slopes = np.stack([gradient.real, gradient.imag]).transpose(2, 0, 1)
+    covariance = slopes @ of[np.ix_(known, known)] @ np.swapaxes(slopes, 1, 2)
+    return FrequencyResponse(w, here, covariance)

@@ -36,7 +36,7 @@ Law: TypeAlias = Callable[[Values, Values, Values], Mapping[str, Any]]
 Step: TypeAlias = Callable[[Values, Values, Values, float], Mapping[str, Any]]
 """step(x, u, p, dt) → each state a cycle later."""
 
-KEPT = tuple(spec.name for spec in BASE)
+BUILT_IN_TERMS = tuple(spec.name for spec in BASE)
 SIGNALS = ('battery', 'throttle', 'time')
 """Inputs beside the first, which is u."""
 COLLINEAR = 3e-3
@@ -102,7 +102,7 @@ class Base:
                                     one.start, 'or say positive=False')
         for name, word, known in (('output', self.output, self.states),
                                   ('position', self.position, ('', *self.states)),
-                                  *(('keep', word, KEPT) for word in self.keep),
+                                  *(('keep', word, BUILT_IN_TERMS) for word in self.keep),
                                   *(('inputs', word, SIGNALS) for word in self.inputs[1:])):
             if word not in known:
                 raise BadInputError(where, f'{name} must be among '
@@ -134,7 +134,7 @@ class Base:
         settings = law.prepare(data)
         if isinstance(settings, str):
             raise BadInputError(f'base {self.name}', 'needs what was not measured', settings)
-        held = [i for i, name in enumerate(KEPT) if name not in self.keep]
+        held = [i for i, name in enumerate(BUILT_IN_TERMS) if name not in self.keep]
         return Problem(data, data.train, law=Part(law), held=held)
 
     @property

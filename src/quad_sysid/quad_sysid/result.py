@@ -303,7 +303,7 @@ def identify(
         (*chosen, *extra_effects) if isinstance(chosen, list | tuple) else chosen,
         'identify: effects', EFFECTS)
     show, limit = _listener(progress), _halt(seconds, stop)
-    wanted, records = _asked(flights, axes, {
+    wanted, records = _request(flights, axes, {
         'u': u, 'y': y, 'dt': dt, 't': t, 'angle': angle, 'reference': reference,
         'signals': signals, 'units': units}, train, validate, show)
     missing = ''
@@ -335,14 +335,14 @@ def undetermined(base: Base, flights: Flights | None = None, axis: str = '',
     from quad_sysid.pipeline.usable import together
 
     train, validate = (arrays.pop(name, None) for name in ('train', 'validate'))
-    wanted, records = _asked(flights, axis, arrays, train, validate, lambda _: None)
+    wanted, records = _request(flights, axis, arrays, train, validate, lambda _: None)
     known = together(records)
     data = axis_data(known, (wanted or excited_axes(known))[0])
     return lacking(base, base.problem(data, known[0].units))
 
 
-def _asked(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any], train: Any,
-           validate: Any, show: Callable[[str], None]) -> tuple[tuple[str, ...], list[Record]]:
+def _request(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any], train: Any,
+             validate: Any, show: Callable[[str], None]) -> tuple[tuple[str, ...], list[Record]]:
     """The axes that are asked for, empty for those that the flights excite, and the records."""
     from quad_sysid.arrays import are_arrays, records_of
 

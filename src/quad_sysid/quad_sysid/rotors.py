@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -79,15 +78,14 @@ class Rotors:
         return (lag, *self.remarks)
 
 
-@lru_cache(maxsize=8)
-def _nothing() -> Rotors:
-    return Rotors((), (), None, math.inf)
+NOTHING = Rotors((), (), None, math.inf)
+"""Of a record without speeds or commands."""
 
 
 def rotors_of(record: Record, *, training: bool = False) -> Rotors:
     """The motors of a record, from all of it or its training segments."""
     if record.speeds is None or record.motors is None:
-        return _nothing()
+        return NOTHING
     spans = [record.span(s) for s in record.segments if s.role == 'train'] if training else []
     chosen = np.zeros(record.n, dtype=bool)
     for start, stop in spans or [(0, record.n)]:

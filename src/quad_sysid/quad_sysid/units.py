@@ -14,7 +14,7 @@ POWERS = {'': 1, '²': 2, '³': 3}
 RAD = re.compile(r'\(rad/s[²]?\)([²³]?)|rad([²³]?)(?=/|$)')
 """A motion in the unit of a parameter, and its power."""
 LENGTHS = ('m', 'cm', 'mm')
-SAID = tuple((re.compile(pattern), word) for pattern, word in (
+SPOKEN = tuple((re.compile(pattern), word) for pattern, word in (
     (r'(torque|friction) / inertia', 'acceleration'), (r'\brate\b', 'speed'),
     (r'[Aa]ngular acceleration', 'acceleration'),
     (r'\brates\b', 'speeds'), (r'\bangle\b', 'position'), (r'\btorque\b', 'force'),
@@ -111,6 +111,6 @@ def spoken(units: Units | None, text: str) -> str:
     """A text about an axis in the words of its motion."""
     if units is None or units.motion not in LENGTHS:
         return text
-    for pattern, word in SAID:
+    for pattern, word in SPOKEN:
         text = pattern.sub(word, text)
     return text

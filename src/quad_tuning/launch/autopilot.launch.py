@@ -5,9 +5,7 @@ excitation reach the aircraft unless `gains:=allow` and `excitation:=allow` say 
 waits for its `~/start`, the logger for its own.
 """
 
-from typing import Any
-
-from launch import LaunchContext, LaunchDescription
+from launch import LaunchDescription
 
 from quad_bridge.nodes.launched import (
     BRIDGE,
@@ -16,18 +14,10 @@ from quad_bridge.nodes.launched import (
     IDENTIFICATION,
     LOGGER,
     arguments,
-    deferred,
     included,
-    node,
-    values,
 )
 
 HANDED_ON = {*COMMON, *BRIDGE, *LOGGER, *IDENTIFICATION, 'log', 'record'}
-
-
-def nodes(context: LaunchContext) -> list[Any]:
-    """The excitation node."""
-    return [node(context, 'quad_sysid', 'excitation', values(context, EXCITATION))]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -36,5 +26,5 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([
         *own,
         included('quad_tuning', 'flight', HANDED_ON),
-        deferred(nodes),
+        included('quad_sysid', 'excitation', {*COMMON, *EXCITATION}),
     ])

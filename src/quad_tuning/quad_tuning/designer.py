@@ -50,8 +50,7 @@ def design(model: AxisModel, inner: AxisModel | None = None) -> GainProposal:
         return GainProposal(gains=None, refused_because=str(refusal))
 
 
-def propose(model: AxisModel, requirements: Requirements | None = None,
-            inner: AxisModel | None = None) -> GainProposal:
+def propose(model: AxisModel, inner: AxisModel | None = None) -> GainProposal:
     """Gains for one axis; raises DesignRefusedError with the reason where there are none.
 
     `inner`: of surge and sway, the model of pitch or roll, whose loop follows the lean.
@@ -71,7 +70,7 @@ def propose(model: AxisModel, requirements: Requirements | None = None,
         )
     before = assess(plant, active, loops)
     check_band(model, before.crossover_rad_s)
-    needs = requirements or Requirements()
+    needs = Requirements()
     if model.noise_rms:
         spare = needs.motor_noise / (before.noise_gain * model.noise_rms)
         needs = replace(needs, noise_factor=max(needs.noise_factor, spare))

@@ -139,14 +139,19 @@ def run(arguments: argparse.Namespace) -> int:
         + ''.join(firmware.row.format(name=name, value=value) + '\n'
                   for name, (value, _) in values.items())
     )
-    if arguments.out is None:
-        print(content, end='')
-        return 0
-    check_new(arguments.out)
-    write_whole(arguments.out, content)
-    print(f'{len(values)} parameters in {arguments.out}'
-          + (f'; left out: {", ".join(rest)}' if rest else ''))
+    _output(content, arguments.out, f'{len(values)} parameters in {arguments.out}'
+            + (f'; left out: {", ".join(rest)}' if rest else ''))
     return 0
+
+
+def _output(content: str, out: Path | None, done: str) -> None:
+    """Print a file's content, or write it and say that it is `done`."""
+    if out is None:
+        print(content, end='')
+        return
+    check_new(out)
+    write_whole(out, content)
+    print(done)
 
 
 def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
@@ -159,8 +164,9 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
     flown = _flown(arguments.flown) if arguments.flown else {}
     steps = _steps(gains, axes)
     notes = [f'Gains of {arguments.gains.name}, converted by quad-tune export', *firmware.notes,
-            *(f'Left out, it has no counterpart here: {one}' for one in _no_counterpart(gains)),
-            *_filters(gains, flown)]
+             *(f'Left out, it has no counterpart here: {one}'
+               for one in left_out(gains, NEEDED[1:])),
+             *_filters(gains, flown)]
     out = [f'# {line}' for line in notes]
     before = dict(flown)
     for number, step in enumerate(steps, 1):
@@ -169,13 +175,7 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
                        + ('fly it before the next' if number < len(steps) else 'the design'))
         out += [*firmware.head_lines, *cli_lines(firmware, step, before, flown), 'save']
         before = {**before, **step}
-    content = '\n'.join(out) + '\n'
-    if arguments.out is None:
-        print(content, end='')
-        return 0
-    check_new(arguments.out)
-    write_whole(arguments.out, content)
-    print(f'{len(steps)} steps in {arguments.out}')
+    _output('\n'.join(out) + '\n', arguments.out, f'{len(steps)} steps in {arguments.out}')
     return 0
 
 
@@ -242,20 +242,8 @@ def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator
                    'compare dterm_lpf*, or give --flown')
         elif abs(designed / has - 1.0) > DIFFERS:
             yield (f'Warning: the design filters D of {axis} at {designed:.3g} Hz (first order), '
-                   f'the '
-                   f"aircraft's low-passes together at {has:.3g} Hz: scale their cut-offs by "
+                   f"the aircraft's low-passes together at {has:.3g} Hz: scale their cut-offs by "
                    f'{designed / has:.3g}')
-
-
-def _no_counterpart(gains: Mapping[str, float]) -> list[str]:
-    return [f'{name} {value:.6g}' for name, value in gains.items()
-            if value and not _of_attitude(name, (*NEEDED[1:], D_FILTER))]
-
-
-def _of_attitude(name: str, known: Sequence[str]) -> bool:
-    """Whether a gain is one of these of roll, pitch or yaw."""
-    axis, _, rest = name.partition('.')
-    return axis in AXES and rest in known
 
 
 def scales(items: list[str]) -> dict[str, float]:
@@ -322,10 +310,10 @@ def finite(value: object, where: str) -> float:
     raise BadInputError(where, 'must be a finite number', repr(value), AGAIN)
 
 
-def left_out(gains: Mapping[str, float]) -> list[str]:
-    """Gains that act and are not exported, with their values."""
-    return [f'{name} {value:.6g}' for name, value in gains.items()
-            if value and not _of_attitude(name, (*NEEDED, D_FILTER))]
+def left_out(gains: Mapping[str, float], exported: Sequence[str] = NEEDED) -> list[str]:
+    """Gains that act and are not exported, beside these and their filter, with their values."""
+    names = {f'{axis}.{name}' for axis in AXES for name in (*exported, D_FILTER)}
+    return [f'{name} {value:.6g}' for name, value in gains.items() if value and name not in names]
 
 
 def parameters(firmware: Firmware, gains: Mapping[str, float],

@@ -63,14 +63,14 @@ class StateFeedback:
         """Number of states: drive, rate, integral, the commands in the delay."""
         return COMMANDS + self.late
 
-    def to_mapping(self, axis: str, share: float = 1.0) -> dict[str, float]:
+    def to_mapping(self, axis: str) -> dict[str, float]:
         """Parameters by the contract's names; DesignRefusedError where one is out of bounds."""
         gains = {f'{axis}.lqr.{name}': float(getattr(self, name)) for name in PARAMETERS}
         try:
             check_bounds(gains)
         except DesignRefusedError as refusal:
             raise DesignRefusedError(f'{refusal}; choose other weights (--max-...)') from refusal
-        return {**gains, f'{axis}.lqr.share': share}
+        return {**gains, f'{axis}.lqr.share': 1.0}
 
     def command(self, x: FloatArray, rate: float, error: float) -> tuple[float, FloatArray]:
         """The command before limits, and the states (size,) corrected by the measured rate."""

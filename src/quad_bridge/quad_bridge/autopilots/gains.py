@@ -65,11 +65,11 @@ class ParameterGains:
         self._extra: tuple[str, ...] = ()
         self.values: dict[str, float] = {}
         self._kinds: dict[str, int] = {}
-        self._asked: dict[str, tuple[int, float]] = {}
+        self._requested: dict[str, tuple[int, float]] = {}
         self._good: dict[str, float] = {}  # of the trial that goes on, or has not ended
         self._good_of = ''
         self._recalled = False  # whether the disk has said what it knows
-        self._kept: bool | None = None
+        self._stored: bool | None = None
         self._queue: dict[str, float] = {}  # still to be written, with the value
         self._whole: dict[str, float] = {}  # the set that is written: parameter to value
         self._tries, self._due_s = 0, -math.inf
@@ -151,7 +151,7 @@ class ParameterGains:
         """Read everything again; a trial that goes on is taken back after that."""
         if self.state not in {State.READING, State.READY}:
             self.events.append(GainEvent(What.LOST, reason='the link broke'))
-        self.active, self.values, self._kinds, self._asked = {}, {}, {}, {}
+        self.active, self.values, self._kinds, self._requested = {}, {}, {}, {}
         self._go(State.READING)
 
     def recall(self, record: object) -> None:
@@ -219,14 +219,14 @@ class ParameterGains:
         return (*self._table.names, *self._extra)
 
     def _open(self, name: str) -> bool:
-        return name not in self.values and self._asked.get(name, (0, 0.0))[0] <= TRIES
+        return name not in self.values and self._requested.get(name, (0, 0.0))[0] <= TRIES
 
     def _next_to_read(self, now_s: float) -> Request | None:
         waiting = [name for name in self._watched() if self._open(name)][:AT_ONCE]
         for name in waiting:
-            tries, due_s = self._asked.get(name, (0, -math.inf))
+            tries, due_s = self._requested.get(name, (0, -math.inf))
             if now_s >= due_s:
-                self._asked[name] = tries + 1, now_s + REPEAT_S
+                self._requested[name] = tries + 1, now_s + REPEAT_S
                 if tries < TRIES:
                     return f.ParamRequestRead(name)
         if not waiting:
@@ -251,23 +251,23 @@ class ParameterGains:
     # Writing.
 
     def _keep(self, record: Mapping[str, object]) -> None:
-        self._kept = None
-        self.keep(record, self._on_kept)
+        self._stored = None
+        self.keep(record, self._on_stored)
 
-    def _on_kept(self, done: bool) -> None:
-        self._kept = done  # from the thread that writes; read by `poll`
+    def _on_stored(self, done: bool) -> None:
+        self._stored = done  # from the thread that writes; read by `poll`
 
     def _saved(self) -> None:
-        if self._kept is None:
+        if self._stored is None:
             return
         if self.state is State.CONFIRMING:
-            if self._kept:
+            if self._stored:
                 self._good = {}
                 self._go(State.READY)
                 self.events.append(GainEvent(What.CONFIRMED, self.active))
             else:
                 self._take_back(What.REVERTED, 'the disk does not take the confirmation')
-        elif self._kept:
+        elif self._stored:
             self._go(State.WRITING)
         else:
             self._good = {}

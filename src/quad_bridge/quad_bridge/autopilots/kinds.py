@@ -26,6 +26,8 @@ from quad_bridge.wire import frames as f
 
 DO_SET_MODE = 176
 CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+OF_FLIGHT_HZ = {'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0}
+"""Messages that say how it flies, beside those of the topics."""
 Values = Mapping[str, float]
 Advice = tuple[str, bool, str]
 """What was found, whether it is as it should be, and what to change."""
@@ -45,7 +47,7 @@ class Kind:
     """Modes in which the pilot flies, by custom_mode."""
     means: Means
     units: Callable[[Craft, Values], Units]
-    wants_hz: Mapping[str, float]
+    requested_hz: Mapping[str, float]
     """Messages beside those of the topics."""
     reads: tuple[str, ...]
     """Parameters beside the gains."""
@@ -75,18 +77,10 @@ def _px4_mode(mode: int) -> f.Command:
     return f.Command(DO_SET_MODE, (CUSTOM_MODE, float(main), float(sub)))
 
 
-def _ardupilot_mode(mode: int) -> f.Command:
-    return f.Command(DO_SET_MODE, (CUSTOM_MODE, float(mode)))
-
-
 def _px4_units(craft: Craft, known: Values) -> Units:
     del known
     x, y = ([getattr(m, axis) for m in craft.motors] for axis in 'xy')
     return px4_units(np.asarray(craft.mixer), x, y)
-
-
-def _ardupilot_units(craft: Craft, known: Values) -> Units:
-    return ardupilot_units(np.asarray(craft.mixer), known)
 
 
 def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
@@ -135,7 +129,7 @@ KINDS = (
         pilot_modes={7 << 16: 'Stabilized', 2 << 16: 'Altitude', 3 << 16: 'Position'},
         means=Means(6 << 16, 'OFFBOARD', _px4_mode),
         units=_px4_units,
-        wants_hz={'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0},
+        requested_hz=OF_FLIGHT_HZ,
         reads=('SDLOG_PROFILE', 'MC_AIRMODE', 'MAV_FWDEXTSP', 'COM_RC_OVERRIDE', 'COM_OF_LOSS_T',
                'IMU_GYRO_RATEMAX', 'IMU_INTEG_RATE'),
         advice=_px4_advice, log_suffix='.ulg', fetches_armed=True, log_closes_s=2.0,
@@ -144,9 +138,10 @@ KINDS = (
     Kind(
         ARDUPILOT.number, 'ArduPilot', ARDUPILOT, bytewise=False,
         pilot_modes={0: 'Stabilize', 1: 'Acro', 2: 'AltHold', 5: 'Loiter', 16: 'PosHold'},
-        means=Means(20, 'GUIDED_NOGPS', _ardupilot_mode, climb=True),
-        units=_ardupilot_units,
-        wants_hz={'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0},
+        means=Means(20, 'GUIDED_NOGPS',
+                    lambda mode: f.Command(DO_SET_MODE, (CUSTOM_MODE, float(mode))), climb=True),
+        units=lambda craft, known: ardupilot_units(np.asarray(craft.mixer), known),
+        requested_hz=OF_FLIGHT_HZ,
         reads=(*OF_MOTORS, 'MOT_HOVER_LEARN', 'LOG_BITMASK', 'FLTMODE_GCSBLOCK', 'SCHED_LOOP_RATE',
                'SID_AXIS'),
         advice=_ardupilot_advice, log_suffix='.bin', fetches_armed=False, log_closes_s=16.0,

@@ -133,12 +133,10 @@ class SystemId:
             return
         self.known[frame.name] = number(frame, bytewise=False)
         self._kinds[frame.name] = frame.kind
-        if self._queue and frame.name == self._queue[0] and self._right(frame.name):
+        if self._queue and frame.name == self._queue[0] and math.isclose(
+                self.known[frame.name], self._aims[frame.name], rel_tol=1e-5, abs_tol=1e-9):
             self._queue.pop(0)
             self._tries, self._due_s = 0, -math.inf
-
-    def _right(self, name: str) -> bool:
-        return math.isclose(self.known[name], self._aims[name], rel_tol=1e-5, abs_tol=1e-9)
 
     @property
     def _aims(self) -> Mapping[str, float]:

@@ -132,8 +132,8 @@ def numbers(target: Mapping[str, object]) -> dict[str, float]:
 
 def shorten(text: str) -> str:
     """A received name, shortened for one line of a log."""
-    kept = ''.join(c if c.isprintable() else '?' for c in text[: MAX_NAME + 1])
-    return kept if len(text) <= MAX_NAME else f'{kept[:MAX_NAME]}…'
+    printable = ''.join(c if c.isprintable() else '?' for c in text[: MAX_NAME + 1])
+    return printable if len(text) <= MAX_NAME else f'{printable[:MAX_NAME]}…'
 
 
 def check_source(source: str, allowed: Sequence[str]) -> None:

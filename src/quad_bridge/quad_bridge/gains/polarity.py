@@ -61,7 +61,7 @@ class PulseRun:
     """Plays pulses cycle by cycle and collects the responses, (3,) rad/s of rate per pulse."""
 
     def __init__(self, names: Sequence[str], rate_hz: float, craft: Craft = X) -> None:
-        self._left, self._level = list(names), 0
+        self._remaining, self._level = list(names), 0
         self._pulses = pulses_of(craft)
         self._rate_hz = rate_hz
         self._samples: list[Vector3] = []
@@ -71,14 +71,14 @@ class PulseRun:
     @property
     def finished(self) -> bool:
         """Whether all pulses are done."""
-        return not self._left
+        return not self._remaining
 
     def step(self, rates: Vector3) -> Vector3:
         """Take the rates of one cycle; returns the addition to U2..U4 in the next."""
         if self.finished:
             return NONE
         self._samples.append(rates)
-        pulse = self._pulses[self._left[0]]
+        pulse = self._pulses[self._remaining[0]]
         size = pulse.levels[self._level] * self._shape(len(self._samples))
         if len(self._samples) == 2 * self._length:
             self._judge(pulse)
@@ -105,10 +105,10 @@ class PulseRun:
         least = np.maximum(MIN_RAD_S, MIN_SIGMAS * spread / math.sqrt(last - first))
         agree = np.sign(change[0]) == np.sign(change[1])
         responds = agree & (np.abs(change) > least).all(axis=0)
-        self.answers[self._left[0]] = np.where(responds, change.mean(axis=0), 0.0)
+        self.answers[self._remaining[0]] = np.where(responds, change.mean(axis=0), 0.0)
         self._level += 1
         if self._level == len(pulse.levels) or responds[list(pulse.watched)].any():
-            self._left.pop(0)
+            self._remaining.pop(0)
             self._level = 0
 
 

@@ -99,7 +99,7 @@ class GainProtocol:
         self._outcome, self._reason = What.REVERTED, ''
         """The event that follows once the gains are reverted, and its reason."""
         self._late = False  # the STM32 may have confirmed what is asked back
-        self._left, self._due_s = 0, -math.inf
+        self._tries, self._due_s = 0, -math.inf
 
     @property
     def busy(self) -> str:
@@ -168,10 +168,10 @@ class GainProtocol:
         if self.state is State.READING:
             self._due_s = now_s + READ_S
             return self._next_to_read()
-        if self._left == 0:
+        if self._tries == 0:
             self._unanswered()
             return self.poll(now_s)
-        self._left -= 1
+        self._tries -= 1
         self._due_s = now_s + REPEAT_S
         action = _ACTIONS.get(self.state)
         if action is f.GainsAction.COMMIT:
@@ -334,7 +334,7 @@ class GainProtocol:
     def _go(self, state: State) -> None:
         self.state, self._shown, self._due_s = state, None, -math.inf
         stubborn = state in {State.CONFIRMING, State.REVERTING}
-        self._left = STUBBORN_TRIES if stubborn else TRIES
+        self._tries = STUBBORN_TRIES if stubborn else TRIES
 
     def _read_again(self) -> None:
         self._forget()

@@ -118,7 +118,7 @@ class GainUpdates:
         """The update that waits for the check of its axes."""
         self._going_back: list[Reply] = []  # callers that wait for the earlier gains
         self._checked: Callable[[str], None] | None = None
-        self._left_s = 0.0  # time of flight until the next step, or the confirmation
+        self._remaining_s = 0.0  # time of flight until the next step, or the confirmation
         self._looked_s = float('-inf')  # time of the last judgement
         self._flown = False  # the gains in force have flown well, and the history says so
         self._rate_kp = np.ones(3)
@@ -150,7 +150,7 @@ class GainUpdates:
         if self.state is not State.WATCHING:
             return text
         on_ground = '' if self._cycles.flying else ' (on trial on the ground)'
-        return f'{text}, {max(self._left_s, 0.0):.0f} s of flight left{on_ground}'
+        return f'{text}, {max(self._remaining_s, 0.0):.0f} s of flight left{on_ground}'
 
     def status(self, cannot: str = '') -> Status:
         """For /diagnostics; `cannot`: why this aircraft takes no gains now."""
@@ -317,7 +317,7 @@ class GainUpdates:
             self.watch.restart()
         if flies and self.state is State.WATCHING:  # climb gains fly in the height mode only
             held = frame.flags & f.Flag.HOLD or not self.watch.climbs
-            self._left_s -= min(since_s, LINK_S) if held else 0.0
+            self._remaining_s -= min(since_s, LINK_S) if held else 0.0
         injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
@@ -380,7 +380,7 @@ class GainUpdates:
             self.disturb(f'no control cycle for {QUIET_S:g} s')
         if watching and now_s - self._cycles.arrived_s > LINK_S:
             self._take_back(f'no control cycle for {LINK_S:g} s')
-        elif watching and self._left_s <= 0.0 and not self.protocol.busy:
+        elif watching and self._remaining_s <= 0.0 and not self.protocol.busy:
             self._go_on(now_s)
 
     def _go_on(self, now_s: float) -> None:
@@ -460,7 +460,7 @@ class GainUpdates:
         update.written, last = step, step == steps
         update.armed = update.armed or bool(self._cycles.flags & ARMED)
         self.commits += 1
-        self._left_s = WATCH_S if last else STEP_WATCH_S
+        self._remaining_s = WATCH_S if last else STEP_WATCH_S
         self.state = State.WATCHING
         self._log('active', self.active, step=step, steps=steps)
         text = f'step {step} of {steps} of {update.request.source} is in force'

@@ -16,6 +16,14 @@ from collections import deque
 from typing import NamedTuple
 
 DRIFT_PRIOR = 1e-4
+MAX_ROUND_TRIP_NS = 10_000_000
+"""Longer round trips are dropped (`too_long_s` says so): they may have waited anywhere."""
+WINDOW, MIN_SAMPLES = 150, 8
+"""Round trips that count, and how many make it converged."""
+JUMP_NS = 1_000_000
+"""Beyond a trip's own error this is a jump; five times as much while the first find the drift."""
+SPAN = 1 << 32
+"""Of the counter that may lie behind a device's time."""
 BLOCK_NS = 250_000_000
 MAX_IN_BLOCK = 5000
 """Arrivals in a block: more than that come only where the device's time stands still."""
@@ -31,22 +39,8 @@ class _Trip(NamedTuple):
 class ClockEstimator:
     """Feed it round trips with `add`; ask it for host times with `host_ns`."""
 
-    def __init__(
-        self,
-        *,
-        max_round_trip_s: float = 0.010,
-        window: int = 150,
-        min_samples: int = 8,
-        jump_s: float = 0.001,
-    ) -> None:
-        """Set the limits: trips longer than `max_round_trip_s` are dropped (`too_long_s` says so).
-
-        `jump_s` beyond a trip's own error is a jump; `min_samples` trips make it converged.
-        While the first trips still find the drift, five times as much is allowed.
-        """
-        self._max_ns, self._jump_ns = round(max_round_trip_s * 1e9), round(jump_s * 1e9)
-        self._min_samples = min_samples
-        self._trips: deque[_Trip] = deque(maxlen=window)
+    def __init__(self) -> None:
+        self._trips: deque[_Trip] = deque(maxlen=WINDOW)
         self._outliers = 0
         self.offset_ns = 0.0  # host minus device at the latest trip
         self.drift = 0.0  # s per s
@@ -60,7 +54,7 @@ class ClockEstimator:
     @property
     def converged(self) -> bool:
         """True once stamps may be published."""
-        return len(self._trips) >= self._min_samples
+        return len(self._trips) >= MIN_SAMPLES
 
     @property
     def doubtful(self) -> bool:
@@ -108,7 +102,7 @@ class ClockEstimator:
         Two trips in a row that disagree with all before them restart the estimate.
         """
         trip = _Trip(device_ns, (sent_ns + received_ns) // 2 - device_ns, received_ns - sent_ns)
-        if trip.round_trip_ns > self._max_ns:
+        if trip.round_trip_ns > MAX_ROUND_TRIP_NS:
             self.rejected += 1
             self.too_long_s = 1e-9 * trip.round_trip_ns
             return False
@@ -142,7 +136,7 @@ class ClockEstimator:
         self.off_ns = trip.offset_ns - self.offset_ns - self.drift * since
         shortest = min(t.round_trip_ns for t in self._trips)
         own = abs(trip.round_trip_ns - shortest) / 2
-        jump = self._jump_ns * (20 if self.one_way else 1 if self.converged else 5)
+        jump = JUMP_NS * (20 if self.one_way else 1 if self.converged else 5)
         allowed = jump + own + 2.0 * DRIFT_PRIOR * abs(since)
         return since < 0 or abs(self.off_ns) > allowed
 
@@ -171,9 +165,7 @@ class DeviceTime:
     Only what `extend` is given moves it: a false time of something else must not.
     """
 
-    def __init__(self, bits: int = 32) -> None:
-        """`bits` of the counter that may lie behind the time."""
-        self._span = 1 << bits
+    def __init__(self) -> None:
         self._base = 0
         self._last = 0
         self.wraps = 0
@@ -186,7 +178,7 @@ class DeviceTime:
         """`time` with its wraps; a wrap is believed within `near` of the counter's end."""
         extended = self.peek(time, near)
         wrapped = extended > time + self._base
-        self._base += self._span if wrapped else 0
+        self._base += SPAN if wrapped else 0
         self.wraps += wrapped
         if extended >= time + self._base:
             self._last = extended
@@ -195,9 +187,9 @@ class DeviceTime:
     def peek(self, time: int, near: int) -> int:
         """The result of `extend`, without changing the state."""
         extended = time + self._base
-        if self._span - near < self._last - extended <= self._span and time < near:
-            return extended + self._span
-        if self._base and extended - self._last > self._span - near:
-            return extended - self._span  # sent before the wrap, arrived behind it
+        if SPAN - near < self._last - extended <= SPAN and time < near:
+            return extended + SPAN
+        if self._base and extended - self._last > SPAN - near:
+            return extended - SPAN  # sent before the wrap, arrived behind it
         return extended
 

@@ -52,7 +52,7 @@ class Parameters:
         self.values: dict[str, float] = {}
         self._bytewise = peer.autopilot == PX4
         self._autopilot = peer.autopilot
-        self._asked: dict[str, tuple[int, int]] = {}  # name to tries and when it is due again
+        self._requested: dict[str, tuple[int, int]] = {}  # name to tries and when it is due again
 
     @property
     def complete(self) -> bool:
@@ -69,15 +69,15 @@ class Parameters:
         waiting = [name for name in self._names() if self._open(name)][:AT_ONCE]
         requests = []
         for name in waiting:
-            tries, again_ns = self._asked.get(name, (0, 0))
+            tries, again_ns = self._requested.get(name, (0, 0))
             if now_ns >= again_ns:
-                self._asked[name] = tries + 1, now_ns + AGAIN_NS
+                self._requested[name] = tries + 1, now_ns + AGAIN_NS
                 if tries < TRIES:
                     requests.append(ParamRequestRead(name))
         return requests
 
     def _open(self, name: str) -> bool:
-        return name not in self.values and self._asked.get(name, (0, 0))[0] <= TRIES
+        return name not in self.values and self._requested.get(name, (0, 0))[0] <= TRIES
 
     def _names(self) -> tuple[str, ...]:
         if self._autopilot == PX4:

@@ -60,7 +60,8 @@ class UdpPort:
                 data += datagram
                 if datagram:
                     self.refused = False
-                    self._received(sender)
+                    if sender in self._peers or len(self._peers) < MAX_PEERS:
+                        self._peers[sender] = time.monotonic()
         return bytes(data)
 
     def write(self, data: bytes) -> int:
@@ -97,10 +98,6 @@ class UdpPort:
                 return False
             raise
         return True
-
-    def _received(self, sender: tuple[str, int]) -> None:
-        if sender in self._peers or len(self._peers) < MAX_PEERS:
-            self._peers[sender] = time.monotonic()
 
 
 def is_udp(url: str) -> bool:

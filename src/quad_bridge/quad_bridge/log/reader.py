@@ -77,7 +77,7 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
         try:
             for message in messages_of(file, judge):
                 if kinds.get(message.topic.name) == message.topic.kind:
-                    damaged += not _kept(message, result, store)
+                    damaged += not _stored(message, result, store)
         except BadInputError as error:  # noqa: PERF203  (files are few)
             if len(files) == 1:
                 raise
@@ -87,7 +87,7 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
     return result
 
 
-def _kept(message: Message, result: Contents, store: Typestore) -> bool:
+def _stored(message: Message, result: Contents, store: Typestore) -> bool:
     """Decode and store a message; False where it is damaged."""
     try:
         content = store.deserialize_cdr(message.data, message.topic.kind)

@@ -6,6 +6,7 @@ writes the files. Source of metadata.yaml: rosbag2's version 9, as in Jazzy.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ CLOSING_RESERVE = 4 * MB
 """Space for index and metadata of some hours when the disk is full."""
 
 
-class TakenError(BadInputError):
+class PathExistsError(BadInputError):
     """The path of a new bag exists already."""
 
 
@@ -83,10 +84,10 @@ class BagWriter:
             self._file = self._open_file()
             sync_folder(path.parent)
         except FileExistsError as error:  # another recorder's, of this moment
-            raise TakenError(str(path), 'exists already, not overwritten') from error
+            raise PathExistsError(str(path), 'exists already, not overwritten') from error
         except OSError as error:
             if made:
-                _remove_empty(path)
+                shutil.rmtree(path, ignore_errors=True)
             raise BadInputError(str(path), f'cannot write a bag here: {error.strerror}') from error
 
     @property
@@ -220,7 +221,7 @@ class BagWriter:
 
 def _check_space(path: Path, reserve: int) -> None:
     if path.exists():
-        raise TakenError(str(path), 'exists already, not overwritten')
+        raise PathExistsError(str(path), 'exists already, not overwritten')
     free = free_bytes(path)
     if free < reserve + CLOSING_RESERVE and reserve:
         raise BadInputError(
@@ -231,12 +232,6 @@ def _check_space(path: Path, reserve: int) -> None:
         )
 
 
-def _remove_empty(path: Path) -> None:
-    for file in path.iterdir():
-        file.unlink()
-    path.rmdir()
-
-
 def new_bag(paths: Iterable[Path], limits: Limits | None = None) -> BagWriter:
     """A bag at the first free one of `paths`, even while other recorders choose theirs.
 
@@ -244,7 +239,7 @@ def new_bag(paths: Iterable[Path], limits: Limits | None = None) -> BagWriter:
     """
     *others, last = paths
     for path in others:
-        with suppress(TakenError):
+        with suppress(PathExistsError):
             return BagWriter(path, limits)
     return BagWriter(last, limits)
 

@@ -19,6 +19,7 @@ BAND = 0.1, 20.0  # rad/s, the default of the wanted band: its lowest period las
 SPARED = 0.63
 """Share of a training segment in which the lowest period must fit."""
 TAPERS = 5
+POINTS = 30  # frequencies of the wanted band
 MIN_PERIODS = 1.0  # a part counts for a frequency if it has so many periods of it
 SMOOTHING = 0.15  # half the width over which a frequency is averaged, as a share of it
 FINENESS = 8.0
@@ -75,12 +76,11 @@ def needed_s(low: float) -> float:
 
 def coverage(
     parts: Sequence[tuple[FloatArray, FloatArray]], dt: float, wanted: tuple[float, float],
-    points: int = 30,
 ) -> Coverage:
     """Coverage by unbroken parts of (excitation (n,), rate (n,)), dt in s, `wanted` in rad/s."""
-    w = np.geomspace(*wanted, points)
-    xx, yy, windows = np.zeros(points), np.zeros(points), np.zeros(points)
-    xy = np.zeros(points, dtype=complex)
+    w = np.geomspace(*wanted, POINTS)
+    xx, yy, windows = np.zeros(POINTS), np.zeros(POINTS), np.zeros(POINTS)
+    xy = np.zeros(POINTS, dtype=complex)
     every = max(1, int(2.0 * np.pi / (FINENESS * wanted[1] * dt)))
     for x, y in parts:
         seconds = x.size * dt

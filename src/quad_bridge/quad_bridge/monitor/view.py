@@ -82,9 +82,9 @@ class State:
             return f'training suffices: {band}; go on to validation'
         schedule = self._entry('schedule')
         axes = schedule.values.get('axes', '').split() if schedule is not None else []
-        left = [a for a in axes if a not in self.done and a != axis]
-        if left:
-            return f'{axis} suffices: {band}; {", ".join(left)} to come'
+        remaining = [a for a in axes if a not in self.done and a != axis]
+        if remaining:
+            return f'{axis} suffices: {band}; {", ".join(remaining)} to come'
         return f'stop now: {band}'
 
     def _entry(self, end: str) -> Entry | None:

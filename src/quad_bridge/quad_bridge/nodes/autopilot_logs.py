@@ -41,7 +41,7 @@ class AutopilotLogs:
         self._by_itself = by_itself
         self._fetch, self._store = LogFetch(), LogStore(run)
         self._fetch.there = self._store.there
-        self._flew, self._said, self._shown_pct = False, '', -1
+        self._flew, self._announced, self._shown_pct = False, '', -1
         self._finishing = False
 
     def configure(self) -> None:
@@ -78,7 +78,7 @@ class AutopilotLogs:
         if flight.armed:
             self._flew = self._flew or flight.landed == 2
             self._fetch.stop('the aircraft is armed again')
-            if self._by_itself and self._said != 'expected':
+            if self._by_itself and self._announced != 'expected':
                 self._publish('expected', '')
         elif self._flew and self._by_itself:
             self._flew = False
@@ -122,17 +122,17 @@ class AutopilotLogs:
         if fetch.phase is Phase.DONE and not self._finishing:
             self._finishing = True
             self._store.finish()
-        if self._store.whole and self._said == 'fetching':
+        if self._store.whole and self._announced == 'fetching':
             self._publish('complete', self._store.whole)
             log.info(self._store.whole)
         words = self._store.fault or (fetch.reason if fetch.phase is Phase.FAILED else '')
-        if words and self._said == 'fetching':
+        if words and self._announced == 'fetching':
             self._publish('failed', '')
             words = f'log of the autopilot: {words}: take it from the card'
             log.warning(words)
 
     def _publish(self, state: str, path: str) -> None:
-        self._said = state
+        self._announced = state
         values: dict[str, bool | float | str] = {'state': state, 'path': path}
         offset_ns = self._offset_ns()
         if offset_ns is not None:

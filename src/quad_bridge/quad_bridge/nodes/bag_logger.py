@@ -254,7 +254,7 @@ class BagLogger(ManagedNode):
                 return False
             words = 'the parameter robot_description holds: that of another node is left aside'
             if self._craft is None:
-                words = description.why_left_aside(deserialize_message(data, String).data)
+                words = description.why_ignored(deserialize_message(data, String).data)
             self._described[data] = not words
             if words:
                 self.get_logger().warning(words)
@@ -295,10 +295,7 @@ class BagLogger(ManagedNode):
             silent = 'time is simulated, and nothing comes on /clock: nothing is recorded'
             entries.append(Status('clock', WARN, silent))
         entries += [*self.bounds(), *self.fence.entries()]
-        now = self.get_clock().now().to_msg()
-        self._diagnostics.publish(
-            diagnostics.diagnostic_array(self.get_name(), str(self._folder), now, entries)
-        )
+        self._diagnostics.publish(diagnostics.diagnostic_array(self, str(self._folder), entries))
 
     def _free(self) -> int | None:
         """Bytes; None where the folder is gone."""

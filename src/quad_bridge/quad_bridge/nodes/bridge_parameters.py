@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -146,7 +146,8 @@ def _gains(node: Any, bounds: Mapping[str, str]) -> GainSettings:
     return GainSettings(
         bounds={**DEFAULT_BOUNDS, **_bounds(node, bounds)},
         sources=tuple(pattern for pattern in sources if pattern),
-        polarity=_polarity(node),
+        polarity=_choice(node, 'polarity', MODES,
+                         f'pulses before the first update: {", ".join(MODES)}'),
         folder=Path(folder).expanduser() if folder else default_folder(),
         aircraft=aircraft,
     )
@@ -154,24 +155,19 @@ def _gains(node: Any, bounds: Mapping[str, str]) -> GainSettings:
 
 def _allowed(node: Any, name: str, what: str) -> bool:
     """A switch that is off unless it says `allow`."""
-    text = (f'{what} on PX4 and ArduPilot: off, or allow, which an operator sets who has read '
-            'docs/px4.md or docs/ardupilot.md')
-    descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
-    value = node.declare_parameter(name, 'off', descriptor).value
-    value = 'off' if value is False else value  # as YAML takes a plain `off`
-    if value not in {'off', 'allow'}:
-        raise BadInputError(f'parameter {name}', 'must be off or allow', repr(value))
-    return bool(value == 'allow')
+    return _choice(node, name, ('off', 'allow'), f'{what} on PX4 and ArduPilot: off, or allow, '
+                   'which an operator sets who has read docs/px4.md or docs/ardupilot.md'
+                   ) == 'allow'  # fmt: skip
 
 
-def _polarity(node: Any) -> str:
-    text = f'pulses before the first update: {", ".join(MODES)}'
+def _choice(node: Any, name: str, choices: Sequence[str], text: str) -> str:
+    """A parameter that is one of these, the first by default."""
     descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
-    value = node.declare_parameter('polarity', MODES[0], descriptor).value
+    value = node.declare_parameter(name, choices[0], descriptor).value
     value = 'off' if value is False else value  # as YAML takes a plain `off`
-    if value not in MODES:
-        known = f'must be one of {", ".join(MODES)}'
-        raise BadInputError('parameter polarity', known, repr(value))
+    if value not in choices:
+        raise BadInputError(f'parameter {name}', f'must be one of {", ".join(choices)}',
+                            repr(value))
     return str(value)
 
 

@@ -65,10 +65,10 @@ class _Template:
     def pack(self, stamp: tuple[int, int], *numbers: float) -> bytes:
         """Give the message with this stamp (s, ns) and these numbers."""
         if self._later:
-            given: list[Any] = [*numbers]
+            values: list[Any] = [*numbers]
             for place, constant in self._later:
-                given.insert(place, constant)
-            numbers = tuple(given)
+                values.insert(place, constant)
+            numbers = tuple(values)
         return self._pack(_HEAD, *stamp, *self._first, *numbers)
 
 

@@ -62,7 +62,7 @@ MAX_TEXTS = 20
 """Different descriptions that are looked at: more than that is a flood."""
 
 
-def why_left_aside(text: str) -> str:
+def why_ignored(text: str) -> str:
     """Why a description says nothing of the motors; empty where it does."""
     try:
         return '' if from_urdf(text) is not None else WITHOUT_MOTORS
@@ -105,7 +105,7 @@ class Description:
         if message.data in self._texts or len(self._texts) >= MAX_TEXTS:
             return
         self._texts.add(message.data)
-        words = why_left_aside(message.data)
+        words = why_ignored(message.data)
         if not words and self._own is not None:
             words = f'{TOPIC} of another node differs from the parameter, which holds'
         if words:

@@ -24,13 +24,13 @@ class Changes:
         return [e for e in changed if self._limiter.allow(e.name + e.message, now_s)]
 
 
-def diagnostic_array(node: str, hardware: str, stamp: Any, entries: list[Status]) -> Any:
-    """The message of all entries, named `<node>: <entry>`."""
+def diagnostic_array(node: Any, hardware: str, entries: list[Status]) -> Any:
+    """The message of all entries, named `<node>: <entry>`, of now."""
     array = DiagnosticArray()
-    array.header.stamp = stamp
+    array.header.stamp = node.get_clock().now().to_msg()
     array.status = [
         DiagnosticStatus(
-            name=f'{node}: {entry.name}',
+            name=f'{node.get_name()}: {entry.name}',
             level=bytes([entry.level]),
             message=entry.message,
             hardware_id=hardware,

@@ -16,26 +16,26 @@ from quad_bridge.status import OK, WARN, Status
 MAX_IN_A_ROW = 1000  # failures without anything that works between them: ROS itself fails
 MIN_REPORT_S = 0.5  # least time between two reports; an earlier one repeats the last figures
 LONGEST = 500  # characters of a fault that are logged
+REPEAT_S = 30.0  # the same line of the log once in this time
+BURST, PER_S = 20, 60.0  # so many lines of the log in this time
 
 
 class LogLimiter:
-    """A rate limiter for the log: repeats and bursts are left out."""
+    """A rate limiter for the log: the same line once in REPEAT_S, at most BURST in PER_S."""
 
-    def __init__(self, *, repeat_s: float = 30.0, burst: int = 20, per_s: float = 60.0) -> None:
-        """Log the same line once in `repeat_s`, and at most `burst` lines in `per_s`."""
-        self._repeat_s, self._per_s = repeat_s, per_s
-        self._said: dict[str, float] = {}
-        self._times: deque[float] = deque(maxlen=burst)
+    def __init__(self) -> None:
+        self._logged: dict[str, float] = {}
+        self._times: deque[float] = deque(maxlen=BURST)
         self.left_out = 0
 
     def allow(self, text: str, now_s: float) -> bool:
         """Whether to log `text` now, s on a steady clock; counts it where not."""
-        full = len(self._times) == self._times.maxlen and now_s - self._times[0] < self._per_s
-        if full or now_s - self._said.get(text, -self._repeat_s) < self._repeat_s:
+        full = len(self._times) == self._times.maxlen and now_s - self._times[0] < PER_S
+        if full or now_s - self._logged.get(text, -REPEAT_S) < REPEAT_S:
             self.left_out += 1
             return False
-        self._said = {t: s for t, s in self._said.items() if now_s - s < self._repeat_s}
-        self._said[text] = now_s
+        self._logged = {t: s for t, s in self._logged.items() if now_s - s < REPEAT_S}
+        self._logged[text] = now_s
         self._times.append(now_s)
         return True
 

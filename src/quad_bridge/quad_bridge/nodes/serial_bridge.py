@@ -113,7 +113,8 @@ class SerialBridge(ManagedNode):
             f.Cycle: self._on_cycle,
             f.ParamValue: self._on_gains_frame,
             f.GainsState: self._on_gains_frame,
-            f.RcChannels: self._on_sticks,
+            f.RcChannels: lambda frame, now_ns: self._gains.sticks(
+                conversion.rc_axis(frame, YAW_STICK), 1e-9 * now_ns),
             f.CommandAck: lambda frame, _: self._operator.acknowledged(frame),
             f.StatusText: self._on_text,
             f.LogEntry: self._logs.take,
@@ -280,10 +281,7 @@ class SerialBridge(ManagedNode):
         """Another aircraft is on the line, by its heartbeat."""
         self._gains.use(aircraft.gains)
         autopilot = self._aircraft.autopilot
-        self._link.autopilot.also_hz = autopilot.kind.wants_hz if autopilot is not None else {}
-
-    def _on_sticks(self, frame: f.RcChannels, now_ns: int) -> None:
-        self._gains.sticks(conversion.rc_axis(frame, YAW_STICK), 1e-9 * now_ns)
+        self._link.autopilot.also_hz = autopilot.kind.requested_hz if autopilot is not None else {}
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
@@ -527,10 +525,7 @@ class SerialBridge(ManagedNode):
         if self._aircraft.autopilot is not None:
             entries.append(self._logs.status())
         entries += [*self.bounds(), *self.fence.entries()]
-        now = self.get_clock().now().to_msg()
-        self._diagnostics.publish(
-            diagnostics.diagnostic_array(self.get_name(), port, now, entries)
-        )
+        self._diagnostics.publish(diagnostics.diagnostic_array(self, port, entries))
 
     def _epoch(self) -> Epoch:
         """ROS time minus the steady clock."""

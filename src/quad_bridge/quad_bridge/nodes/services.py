@@ -69,19 +69,15 @@ class GainServices:
 
     async def _on_set(self, request: Any, response: Any) -> Any:
         """Answer once the aircraft has read the set back, or with the reason why it has not."""
-        done = Future()
-        try:
+        def begin(done: Any) -> None:
             count = len(request.parameters)
             if count > MAX_PARAMETERS:
-                raise RefusedError(f'at most {MAX_PARAMETERS} parameters: found {count}')  # noqa: TRY301
+                raise RefusedError(f'at most {MAX_PARAMETERS} parameters: found {count}')
             wanted = {'source': SOURCE, **conversion.values_of(request.parameters)}
             self._waiting.append((clock().now_s() + GAINS_S, done))
             self._ask(wanted, lambda good, why: _settle(done, (good, why)))
-        except RefusedError as error:
-            _settle(done, (False, str(error)))
-        good, why = await done
-        response.result = SetParametersResult(successful=good, reason=why)
-        return response
+
+        return await _with_outcome(response, begin)
 
     async def _on_check(self, motors: bool, _: Any, response: Any) -> Any:
         done = Future()
@@ -195,21 +191,17 @@ class OperatorServices:
 
     async def _on_test(self, request: Any, response: Any) -> Any:
         """Answer once the motor has spun, or with the reason why it does not."""
-        done = Future()
-        try:
+        def begin(done: Any) -> None:
             self._node.refuse_unless_active()
             words = self._aircraft.cannot(Ability.MOTORS)
             if words:
-                raise RefusedError(words)  # noqa: TRY301
+                raise RefusedError(words)
             self._send(self._test.ask(
                 conversion.values_of(request.parameters),
                 lambda good, why: _settle(done, (good, why)), clock().now_s(), armed=self._armed(),
             ))  # fmt: skip
-        except RefusedError as error:
-            _settle(done, (False, str(error)))
-        good, why = await done
-        response.result = SetParametersResult(successful=good, reason=why)
-        return response
+
+        return await _with_outcome(response, begin)
 
 
 class SensorServices:
@@ -251,6 +243,18 @@ class SensorServices:
             return answered(response, True, self._sensors.estimate(request))
         except RefusedError as error:
             return answered(response, False, str(error))
+
+
+async def _with_outcome(response: Any, begin: Callable[[Any], None]) -> Any:
+    """The response to a set of parameters, once what `begin` starts has settled its future."""
+    done = Future()
+    try:
+        begin(done)
+    except RefusedError as error:
+        _settle(done, (False, str(error)))
+    good, why = await done
+    response.result = SetParametersResult(successful=good, reason=why)
+    return response
 
 
 def _settle(done: Any, result: object) -> None:

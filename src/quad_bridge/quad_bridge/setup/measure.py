@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from quad_bridge.craft import rotation_of
 from quad_bridge.errors import RefusedError
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,12 +44,7 @@ FORCES = {
 
 def turn(roll: float, pitch: float, yaw: float) -> FloatArray:
     """(3, 3) from the board's axes to the body's (tune_turn of quad_attitude.c)."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+    return rotation_of(np.array([roll, pitch, yaw]))
 
 
 def angles(rotation: FloatArray) -> tuple[float, float, float]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from quad_bridge.aircraft import ACCEPTED, RESULTS
+from quad_bridge.aircraft import ACCEPTED, outcome_of
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.protocol import GainProtocol, What
 from quad_bridge.gains.table import WIRE_NAMES
@@ -23,6 +23,7 @@ from quad_bridge.wire.signing import Signing
 FloatArray = npt.NDArray[np.float64]
 CHANNELS = 9
 READ_S, WRITE_S, STEP_S = 10.0, 10.0, 0.05
+REST_S = 1.5  # over it the specific force of a position is averaged
 STILL_RAD_S = 0.15
 
 
@@ -123,11 +124,11 @@ class Talk:
             raise RefusedError('this firmware does not send its raw channels: flash a newer one')
         return tuple(float(pulse) for pulse in raw)
 
-    def force(self, seconds: float = 1.5) -> FloatArray:
+    def force(self) -> FloatArray:
         """(3,) mean specific force, body. Raises RefusedError where it moves."""
         self.wait(0.5)
         self._forces, self._rates = [], []
-        self.wait(seconds)
+        self.wait(REST_S)
         if not self._forces:
             raise RefusedError('no control cycles are received')
         if float(np.ptp(np.array(self._rates), axis=0).max()) > STILL_RAD_S:
@@ -147,7 +148,7 @@ class Talk:
         for _ in range(max(1, round(seconds / (0.5 * VALID_S)))):
             self._queue.append(frame(motor, throttle))
             self.wait(0.5 * VALID_S)
-            words = [RESULTS[min(result, len(RESULTS) - 1)] for result in self._acks]
+            words = [outcome_of(result) for result in self._acks]
             if any(word != ACCEPTED for word in words):
                 raise RefusedError(f'the firmware says {words[-1]}: disarmed, at rest for 2 s, '
                                    'transmitter on, throttle down, kill switch off')  # fmt: skip
@@ -157,9 +158,9 @@ class Talk:
             raise RefusedError('no answer to MAV_CMD_DO_MOTOR_TEST')
 
     def _until(self, done: Callable[[], bool], seconds: float, words: str) -> None:
-        left = round(seconds / STEP_S)
-        while not done() and left > 0:
+        remaining = round(seconds / STEP_S)
+        while not done() and remaining > 0:
             self.wait(STEP_S)
-            left -= 1
+            remaining -= 1
         if not done():
             raise RefusedError(words)

@@ -278,7 +278,7 @@ def _to_attitude_target(frame: f.SetAttitudeTarget) -> Any:
     return d.MAVLink_set_attitude_target_message(
         frame.time_ms, frame.target_system, frame.target_component, frame.mask, frame.q,
         *frame.rates, frame.thrust,
-    )  # fmt: skip
+    )
 
 
 _TO_MESSAGE: dict[type, Callable[[Any], Any]] = {

@@ -51,9 +51,9 @@ Handler = Callable[[Request], Awaitable[Response]]
 class App:
     """The folder, the queue and the token behind the routes."""
 
-    def __init__(self, folder: Path, most_mb: float, token: str = '') -> None:
+    def __init__(self, folder: Path, most_mb: float) -> None:
         self.folder, self.most_bytes = folder, int(1e6 * most_mb)
-        self.token = token or secrets.token_urlsafe(24)
+        self.token = secrets.token_urlsafe(24)
         self.queue = Queue()
 
     def starlette(self) -> Starlette:
@@ -145,15 +145,15 @@ class App:
             if len(raw) > MOST_REQUEST:
                 raise RefusedError('too long')
         try:
-            asked = json.loads(raw)
+            request_tree = json.loads(raw)
         except ValueError as error:
             raise RefusedError('is not JSON') from error
-        if not isinstance(asked, dict):
+        if not isinstance(request_tree, dict):
             raise RefusedError('is not JSON')
         place = self.folder.resolve() / RESULTS
         try:
             jobs = [self.queue.add(title, program, arguments, place)
-                    for title, program, arguments in commands(self.folder, asked)]
+                    for title, program, arguments in commands(self.folder, request_tree)]
         except (ValueError, OSError) as error:
             raise RefusedError(str(error)) from error
         return JSONResponse(_shown(jobs[-1]))

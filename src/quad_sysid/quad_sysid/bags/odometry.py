@@ -82,14 +82,14 @@ def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
     else:
         warnings.append(f'{ODOM} and /imu/data hold no attitude; not used')
         return Moving()
-    level = twist if upward else _along_heading(position, twist, attitude, stamps, warnings)
+    level = twist if upward else _over_heading(position, twist, attitude, stamps, warnings)
     if level is None:
         return Moving()
     return Moving(grid.place(stamps, level), grid.place(stamps, position[:, 2:])[:, 0], leans)
 
 
-def _along_heading(position: FloatArray, twist: FloatArray, attitude: FloatArray,
-                   stamps: np.ndarray, warnings: list[str]) -> FloatArray | None:
+def _over_heading(position: FloatArray, twist: FloatArray, attitude: FloatArray,
+                  stamps: np.ndarray, warnings: list[str]) -> FloatArray | None:
     """(m, 3) speed forward, left, up: the reading of the twist that the positions agree with."""
     time = 1e-9 * (stamps - stamps[0]).astype(float)
     yaw = attitude[:, 2]

@@ -23,9 +23,9 @@ def _run(num, den, x, lag, first, out):  # type: ignore[no-untyped-def]  # noqa:
     for i in range(num.size):
         begin = max(first, lag + i)
         if num[i] != 0.0 and begin < out.size:
-            share, later, given = num[i], out[begin:], x[begin - lag - i :]
+            share, later, source = num[i], out[begin:], x[begin - lag - i :]
             for t in range(later.size):
-                later[t] += share * given[t]
+                later[t] += share * source[t]
     if den.size > 4:
         for t in range(first, out.size):
             value = out[t]

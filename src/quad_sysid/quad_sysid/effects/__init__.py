@@ -10,7 +10,7 @@ from quad_sysid.effects.actuators import ACTUATORS
 from quad_sysid.effects.curves import CURVES
 from quad_sysid.effects.events import EVENTS
 from quad_sysid.effects.hidden import HIDDEN
-from quad_sysid.effects.torques import COUPLINGS, TORQUES
+from quad_sysid.effects.torques import BY_LABEL, COUPLINGS, TORQUES
 from quad_sysid.model.checked import checked
 from quad_sysid.model.effect import Effect
 
@@ -18,6 +18,7 @@ GROUP = 'quad_sysid.effects'
 BUILT_IN: tuple[Effect, ...] = (
     *TORQUES, *ACTUATORS, *COUPLINGS, *EVENTS, *HIDDEN, *CURVES,
 )
+BY_LABEL |= {effect.label: effect for effect in BUILT_IN}
 EFFECTS: tuple[Effect, ...] = (
     *BUILT_IN,
     *(effect for entry in entry_points(group=GROUP)

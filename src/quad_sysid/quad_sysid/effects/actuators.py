@@ -51,14 +51,14 @@ class Map(Row):
         return np.stack(required(s.motors) if 'motors' in self.signals else [required(s.sent)])
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        given = self.commands(s)
-        mapped: FloatArray = self.law(s, given, p)
+        sent_now = self.commands(s)
+        mapped: FloatArray = self.law(s, sent_now, p)
         if 'motors' not in self.signals:
             return mapped[0]
-        return required(s.sent) + np.tensordot(required(s.share), mapped - given, 1)
+        return required(s.sent) + np.tensordot(required(s.share), mapped - sent_now, 1)
 
 
-class Kept(Map):
+class WithMemory(Map):
     """A map that keeps what it gave in the last cycle."""
 
     states = 1
@@ -74,10 +74,10 @@ class Kept(Map):
         return self.law(s.but(hidden=x), self.mapped(s, p), p)
 
 
-class Steps(Kept):
+class Steps(WithMemory):
     """Motors that take whole steps; one level lies p[1] steps of p[0] above half of the range.
 
-    A level is kept until the command is p[2] steps further away from it than half of one. Around
+    A level is held until the command is p[2] steps further away from it than half of one. Around
     that point two steps share the cycle over a short slope, for a smooth likelihood.
     """
 
@@ -92,13 +92,13 @@ class Steps(Kept):
         return [np.r_[step, start[2:]] for step in left.steps() for start in starts]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        x, kept = self.mapped(s, p), required(s.hidden)
-        away = x - kept
-        over = np.abs(away) - 0.5 - p[2]
+        x, held = self.mapped(s, p), required(s.hidden)
+        beyond = x - held
+        over = np.abs(beyond) - 0.5 - p[2]
         new = np.where(over > 0.0, np.floor(x + 0.5),
-                       kept + np.where(over > -0.5 * SLOPING, np.sign(away), 0.0))
-        taken = new + np.maximum(0.5 - over / SLOPING, 0.0) * (kept - new)
-        mapped = 0.5 + p[0] * (p[1] + taken) - self.commands(s)
+                       held + np.where(over > -0.5 * SLOPING, np.sign(beyond), 0.0))
+        level = new + np.maximum(0.5 - over / SLOPING, 0.0) * (held - new)
+        mapped = 0.5 + p[0] * (p[1] + level) - self.commands(s)
         return required(s.sent) + np.tensordot(required(s.share), mapped, 1)
 
 
@@ -156,10 +156,10 @@ MAPS = (
     Map(
         'dead_zone', ('command',), HALF_WIDTH,
         lambda _, u, p: np.sign(u) * np.maximum(np.abs(u) - p[0], 0.0)),
-    Kept(
+    WithMemory(
         'backlash', ('command', 'history'), HALF_WIDTH,
         lambda s, u, p: np.clip(s.hidden, u - p[0], u + p[0])),
-    Kept(
+    WithMemory(
         'shape:lag:command', ('command', 'motors', 'history'),
         (
             Spec('slew', '1/s', spread=1.5, centre=math.log(3.0), log=True,
@@ -288,9 +288,9 @@ class ThrustCurve(Propellers):
 
     def bend(self, m: FloatArray, p: FloatArray,
              settings: Settings) -> tuple[FloatArray, FloatArray]:
-        k, away = float(p[0]), m - settings['throttle']
+        k, beyond = float(p[0]), m - settings['throttle']
         bent = k / max(1.0 - k + 2.0 * k * settings['throttle'], 1e-3)
-        return bent * away**2, 2.0 * bent * away
+        return bent * beyond**2, 2.0 * bent * beyond
 
 
 class MotorCurve(Propellers, Smooth):
@@ -438,12 +438,12 @@ class HasteCurve(Smooth):
 
     def prepare(self, data: AxisData) -> Settings | str:
         why, usual = self.lacking(data), math.exp(BASE[1].centre)
-        step, away = step_of(*behind_lag(usual), data.dt), []
+        step, beyond = step_of(*behind_lag(usual), data.dt), []
         for m in data.motors.T:
             followed(data.stretches, m, *step, x := m[None].copy())
-            away.append(data.training(m - over_cycle(x[0], m, usual, data.dt)))
+            beyond.append(data.training(m - over_cycle(x[0], m, usual, data.dt)))
         # a motor that is late has further to go than by the usual lag
-        return why or placed_around_zero(np.concatenate(away), reach=2.0)
+        return why or placed_around_zero(np.concatenate(beyond), reach=2.0)
 
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
         knots, values = np.array(settings['knots']), p - float(np.dot(settings['mean'], p))

@@ -338,8 +338,8 @@ class Memory(Shape, Linear):
     def _push(self, signal: FloatArray, settings: Settings) -> FloatArray:
         if self.signal == 'time':
             return np.ones_like(signal)
-        unit, away = settings['unit'], signal - settings['rest']
-        return away / math.sqrt(unit) if self.leans else away**2 / unit
+        unit, deviation = settings['unit'], signal - settings['rest']
+        return deviation / math.sqrt(unit) if self.leans else deviation**2 / unit
 
     def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray:
         # from the start of the flight on, of which a fit sees segments and a gap ends a stretch

@@ -23,9 +23,15 @@ from quad_sysid.model.effect import (
     required,
 )
 
+BY_LABEL: dict[str, Effect] = {}
+"""The package's effects by their labels; it enters them where it joins its tables."""
+
 
 class Row(Effect):
-    """An effect as a row of a table: its law, and what else differs from Effect by name."""
+    """An effect as a row of a table: its law, and what else differs from Effect by name.
+
+    A law has no name in its module, so another process looks the row up by its label.
+    """
 
     law: Callable[..., Any]
 
@@ -39,9 +45,7 @@ class Row(Effect):
 
 def built_in(label: str) -> Effect:
     """The row of that label: in another process too it is one of the package's."""
-    from quad_sysid.effects import BUILT_IN
-
-    return next(effect for effect in BUILT_IN if effect.label == label)
+    return BY_LABEL[label]
 
 
 class Torque(Row):
@@ -81,10 +85,10 @@ class GroundEffect(Effect):
     )
 
     def prepare(self, data: AxisData) -> Settings | str:
-        found = data.signal('angle')
-        if isinstance(found, str):
+        altitude = data.signal('angle')
+        if isinstance(altitude, str):
             return 'the bag holds no altitude'
-        flown = data.training(found)
+        flown = data.training(altitude)
         if np.ptp(flown) < LEAST_CLIMB_M:
             return f'the altitude changes by {np.ptp(flown):.2g} m only during training'
         return {'lowest': float(np.min(flown))}

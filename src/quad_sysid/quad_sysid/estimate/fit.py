@@ -86,11 +86,11 @@ class Tail:
         return (self.degrees + 1.0) / (self.degrees + 3.0)
 
 
-def tail_of(e: FloatArray, degrees: tuple[float, ...] = DEGREES) -> Tail:
+def tail_of(e: FloatArray) -> Tail:
     """The most likely scale and degrees of freedom."""
-    best, value, square = Tail(1.0, degrees[-1]), -math.inf, e**2
+    best, value, square = Tail(1.0, DEGREES[-1]), -math.inf, e**2
     scale = math.sqrt(float(np.mean(square))) or 1e-12
-    for v in degrees[::-1]:
+    for v in DEGREES[::-1]:
         for _ in range(60):
             weights = 1.0 / (v * scale**2 + square)  # parameter-expanded EM (Liu et al. 1998)
             new = math.sqrt(float(weights @ square) / float(np.sum(weights)))

@@ -20,6 +20,7 @@ import numpy as np
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import (
+    BELIEVED,
     BLOCK_S,
     ENOUGH,
     EXPLAINS,
@@ -155,6 +156,14 @@ def _added(model: Projected) -> Effect:
     return model.structure.parts[-1].effect
 
 
+def _believed(model: Projected) -> bool:
+    """Whether the last rung's effect, if it is a law, has parameters that its prior allows."""
+    effect, values = _added(model), model.theta[model.structure.slices()[-1]]
+    return effect.kind != 'named' or all(
+        one.spread is None or abs(value - one.centre) <= BELIEVED * one.spread
+        for one, value in zip(effect.parameters, values, strict=True))
+
+
 class _Climb:
     """From a rung to the next one."""
 
@@ -166,7 +175,7 @@ class _Climb:
         """Labels of what runs away beside the rung."""
 
     def next(self, model: Projected, *, finer: bool) -> Projected | None:
-        """The model with one more effect that comes nearest to the reference.
+        """The model with one more effect, as it is believed to be, that comes nearest.
 
         A named law that explains EXPLAINS is taken before a curve is tried. Of those that take
         nearly as much the search's most probable one is taken, and of its variants the plainest.
@@ -175,8 +184,9 @@ class _Climb:
         hopeful = self.hopeful(model, () if finer else self.parts)
         tried: list[Projected] = []
         for kinds in (('named',), ('shape', 'mode', 'event')):
-            tried += side_by_side([partial(self.extended, model, part, values)
-                                   for part, values in hopeful if part.effect.kind in kinds])
+            tried += filter(_believed, side_by_side([
+                partial(self.extended, model, part, values)
+                for part, values in hopeful if part.effect.kind in kinds]))
             best = min(tried, key=lambda one: one.total, default=None)
             if best is not None and \
                     best.total <= (1.0 - 0.01 * EXPLAINS) * self.whole < model.total:
@@ -205,6 +215,7 @@ class _Climb:
     def hopeful(self, model: Projected, parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
         """The named laws and the effects of the reference that explain most of the missing torque.
 
+        Of the reference's effects also the plainer variants, which say the same with less.
         The missing torque is the reference's acceleration less the model's along the reference's
         trajectory; a law explains of it what its columns do beside the base's own.
         """
@@ -234,8 +245,14 @@ class _Climb:
         for one in sorted(shares, key=lambda one: -one[0]):
             best.setdefault(one[1].effect.label, one)
         most = max((one[0] for one in (*theirs, *best.values())), default=0.0)
-        named = [one for one in best.values() if one[0] >= LEAST_OF_BEST * most][:PROJECTED]
-        return [(part, p) for _, part, p in (*theirs, *named)]
+        size = {part.effect.name: len(part.effect.parameters) for _, part, _ in theirs}
+        plainer, rivals = [], []
+        for share, part, p in best.values():
+            if len(part.effect.parameters) < size.get(part.effect.name, 0):
+                plainer.append((share, part, p))
+            elif share >= LEAST_OF_BEST * most:
+                rivals.append((share, part, p))
+        return [(part, p) for _, part, p in (*theirs, *plainer, *rivals[:PROJECTED])]
 
 
 def _share(here: Along, part: Part, q: FloatArray,

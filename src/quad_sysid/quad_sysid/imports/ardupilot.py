@@ -30,6 +30,7 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
+    within,
 )
 from quad_sysid.imports.mixers import MIRROR, angles_from_ned, enu, mirrored
 from quad_sysid.imports.plausible import FASTEST_RAD_S
@@ -64,29 +65,25 @@ def _ned_degrees(values: FloatArray) -> FloatArray:
     return angles_from_ned(values * DEGREE)
 
 
-def _of(message: str, *fields: str) -> tuple[str, ...]:
-    return tuple(f'{message}.{field}' for field in fields)
-
-
-CONTROL_RATES = Signal('rates', _of('RATE', 'R', 'P', 'Y'), 'deg/s',
+CONTROL_RATES = Signal('rates', within('RATE', 'R', 'P', 'Y'), 'deg/s',
                        'to rad/s, FRD to FLU: pitch and yaw turned', _mirrored_degrees)
-GYRO = Signal('rates', _of('IMU', 'GyrX', 'GyrY', 'GyrZ'), 'rad/s',
+GYRO = Signal('rates', within('IMU', 'GyrX', 'GyrY', 'GyrZ'), 'rad/s',
               'FRD to FLU: pitch and yaw turned', mirrored)
 SIGNALS = (
-    Signal('angles', _of('ATT', 'Roll', 'Pitch', 'Yaw'), 'deg',
+    Signal('angles', within('ATT', 'Roll', 'Pitch', 'Yaw'), 'deg',
            'to rad, FRD in NED to FLU in ENU', _ned_degrees),
-    Signal('attitude_setpoint', _of('ATT', 'DesRoll', 'DesPitch', 'DesYaw'), 'deg',
+    Signal('attitude_setpoint', within('ATT', 'DesRoll', 'DesPitch', 'DesYaw'), 'deg',
            'to rad, FRD in NED to FLU in ENU', _ned_degrees),
-    Signal('rate_setpoint', _of('RATE', 'RDes', 'PDes', 'YDes'), 'deg/s',
+    Signal('rate_setpoint', within('RATE', 'RDes', 'PDes', 'YDes'), 'deg/s',
            'to rad/s, pitch and yaw turned', _mirrored_degrees),
-    Signal('acceleration', _of('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
+    Signal('acceleration', within('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
            mirrored),
     *(one for name in ('XKF1', 'NKF1') for one in (
-        Signal('velocity', _of(name, 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
-        Signal('position', _of(name, 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu))),
-    Signal('battery', _of('BAT', 'Volt'), 'V', 'as it is'),
+        Signal('velocity', within(name, 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
+        Signal('position', within(name, 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu))),
+    Signal('battery', within('BAT', 'Volt'), 'V', 'as it is'),
 )
-OUTPUTS = Signal('control', _of('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
+OUTPUTS = Signal('control', within('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1..1',
                  'as they are, pitch and yaw turned; U is in the unit of these outputs',
                  lambda values: values * [1.0, *MIRROR])
 MESSAGES = ('RATE', 'ATT', 'IMU', 'XKF1', 'NKF1', 'CTUN', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD',
@@ -237,7 +234,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
     craft = of_ardupilot(table.header)
     count = craft.count if isinstance(craft, Craft) else QUAD
     channels = ardupilot_channels(table.header, count)
-    pulses = _of('RCOU', *(f'C{n}' for n in channels))
+    pulses = within('RCOU', *(f'C{n}' for n in channels))
     if reading.motors_fast(table.stream(*pulses), table.stream(*OUTPUTS.columns)):
         low = table.header.get('MOT_PWM_MIN', 0.0) or 1000.0
         high = table.header.get('MOT_PWM_MAX', 0.0) or 2000.0

@@ -67,7 +67,7 @@ FILTERS = (
 )
 """Header fields of gains and filters that the bag's notes keep."""
 ENCODED = re.compile(rb'^H Product:Blackbox', re.MULTILINE)
-"""How an encoded log begins."""
+"""How an encoded log begins; a board may have written other things before it."""
 INTRA = 'I'
 """Type of a frame that holds whole values, not differences."""
 PHASE = 5000.0

@@ -36,7 +36,7 @@ UNEVEN = 0.3
 """An interval this far from the median, as a share of it, is odd."""
 MAX_ODD = 0.03
 """Share of odd intervals up to which each sample keeps its own cycle."""
-JITTER_KEPT = 0.1
+MAX_JITTER = 0.1
 """Largest jitter, cycles (99 % quantile), with which samples are not interpolated."""
 BLOCK = 16
 """Number of intervals whose mean gives a rate."""
@@ -211,7 +211,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
         dt = in_whole_us(float(steps[near].mean()))
         cells, phase = count_cycles(steps / dt)
         jitter = float(np.quantile(np.abs(phase), 0.99))
-        if jitter <= JITTER_KEPT:
+        if jitter <= MAX_JITTER:
             return _own(time_s, values, dt, cells, head)
         why = f'jitter of {100.0 * jitter:.0f} % of a cycle'
     else:
@@ -243,6 +243,8 @@ def _gaps(values: FloatArray, dt: float) -> str:
     gaps = finite_runs(lost, (0, len(lost)))
     if not gaps:
         return ''
+    if len(gaps) == 1:
+        return f'; a gap of {lost.sum() * dt:.3g} s stays'
     return (f'; {len(gaps)} gaps of {lost.sum() * dt:.3g} s in all stay, the longest '
             f'{max(b - a for a, b in gaps) * dt:.3g} s')
 

@@ -111,7 +111,7 @@ def _clock(messages: Mapping[str, NDArray[np.void]]) -> str:
 def _kinds(data: NDArray[np.uint8]) -> dict[int, Kind]:
     """Every message that a whole FMT describes, by its number."""
     out = {}
-    for at in _headers(data, 0, len(data), {FMT}):
+    for at in _headers(data, {FMT}):
         if at + FMT_LENGTH > len(data):
             continue
         raw = data[at : at + FMT_LENGTH].tobytes()
@@ -135,15 +135,13 @@ def _kind(number: int, length: int, name: str, form: str, labels: Sequence[str])
     return Kind(number, length, name, np.dtype(fields), tuple(FORMATS[c][1] for c in form))
 
 
-def _headers(
-    data: NDArray[np.uint8], start: int, stop: int, numbers: Collection[int]
-) -> NDArray[np.int64]:
-    """Offsets in start..stop at which a message of these numbers may begin."""
+def _headers(data: NDArray[np.uint8], numbers: Collection[int]) -> NDArray[np.int64]:
+    """Offsets at which a message of these numbers may begin."""
     known = np.zeros(256, dtype=bool)
     known[list(numbers)] = True
     out = []
-    for low in range(start, stop, BLOCK):
-        part = data[low : min(low + BLOCK, stop) + 2]
+    for low in range(0, len(data), BLOCK):
+        part = data[low : low + BLOCK + 2]
         if part.size < 3:
             continue
         hit = (part[:-2] == MAGIC[0]) & (part[1:-1] == MAGIC[1]) & known[part[2:]]
@@ -162,7 +160,7 @@ def _whole(
     lengths = np.zeros(256, dtype=np.int64)
     for number, kind in kinds.items():
         lengths[number] = kind.length
-    at = _headers(data, 0, len(data), kinds)
+    at = _headers(data, kinds)
     end = at + lengths[data[at + 2]]
     inside = end <= len(data)
     at, end = at[inside], end[inside]
@@ -278,8 +276,6 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
                 log.columns[f'{name}.{label}'] = array[:, i].copy()
                 log.times[f'{name}.{label}'] = times
     return log
-
-
 
 
 def _number(cell: str) -> float:

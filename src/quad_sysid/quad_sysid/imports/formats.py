@@ -5,7 +5,6 @@ To add a format, add its reader beside this file and one entry to FORMATS.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,21 +43,13 @@ class Format:
     """Whether a user who names columns may read it as a table too."""
 
 
-def _blackbox(of: Source) -> bool:
-    # a board may have written other things before the log
-    return re.search(rb'^H Product:Blackbox', of.head, re.MULTILINE) is not None or (
-        b'loopIteration' in of.head and b'gyroADC[0]' in of.head
-    )
-
-
-def _dataflash(of: Source) -> bool:
-    return dataflash.is_binary(of.head) or dataflash.is_text(of.head)
-
-
 FORMATS = (
     Format('a PX4 log', lambda of: of.head.startswith(b'ULog\x01\x12\x35'), px4.read),
-    Format('an ArduPilot log', _dataflash, ardupilot.read),
-    Format('a blackbox log', _blackbox, betaflight.read, ('log',), also_table=True),
+    Format('an ArduPilot log',
+           lambda of: dataflash.is_binary(of.head) or dataflash.is_text(of.head), ardupilot.read),
+    Format('a blackbox log', lambda of: betaflight.ENCODED.search(of.head) is not None or (
+        b'loopIteration' in of.head and b'gyroADC[0]' in of.head), betaflight.read, ('log',),
+           also_table=True),
     Format('a bag of px4_msgs', lambda of: px4.is_bag(of.topics), px4.read_bag, ('messages',),
            also_table=True),
     Format('a bag of mavros', lambda of: mavros.is_bag(of.topics), mavros.read, ('messages',),

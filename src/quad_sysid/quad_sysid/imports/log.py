@@ -150,6 +150,11 @@ class Signal:
     """(n, k) columns → values of the ForeignLog."""
 
 
+def within(message: str, *fields: str) -> tuple[str, ...]:
+    """The columns of these fields of a message."""
+    return tuple(f'{message}.{field}' for field in fields)
+
+
 @dataclass
 class Reading:
     """A table on its way to a ForeignLog: what was taken from it so far."""

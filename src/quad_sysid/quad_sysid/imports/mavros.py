@@ -15,9 +15,9 @@ from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import Stream
-from quad_sysid.imports.log import DEMAND_ONLY, ForeignLog, Reading, Signal
+from quad_sysid.imports.log import DEMAND_ONLY, ForeignLog, Reading, Signal, within
 from quad_sysid.imports.mixers import MIRROR
-from quad_sysid.imports.rosbag import read_messages, topics_of
+from quad_sysid.imports.rosbag import of_one_aircraft
 from quad_sysid.imports.table import Table
 
 TOPIC = re.compile(r'^(?P<place>(?:/[^/.]+)*?)/mavros/(?P<topic>[^.]+)\.')
@@ -38,27 +38,25 @@ def _angles(values: FloatArray) -> FloatArray:
     return np.asarray(out)
 
 
-def _of(topic: str, *fields: str) -> tuple[str, ...]:
-    return tuple(f'{topic}.{field}' for field in fields)
-
-
 SIGNALS = (
-    *(Signal('rates', _of(topic, *(f'angular_velocity.{x}' for x in 'xyz')), 'rad/s',
+    *(Signal('rates', within(topic, *(f'angular_velocity.{x}' for x in 'xyz')), 'rad/s',
              'as it is, the frame is ours') for topic in ('imu/data_raw', 'imu/data')),
-    Signal('angles', _of('imu/data', *(f'orientation.{x}' for x in 'xyzw')), '1', 'as it is',
+    Signal('angles', within('imu/data', *(f'orientation.{x}' for x in 'xyzw')), '1', 'as it is',
            _angles),
-    Signal('acceleration', _of('imu/data', *(f'linear_acceleration.{x}' for x in 'xyz')), 'm/s²',
-           'as it is'),
-    *(Signal('attitude_setpoint', _of(topic, *(f'{field}.{x}' for x in 'xyzw')), '1', 'as it is',
-             _angles) for topic, field in (
+    Signal('acceleration', within('imu/data', *(f'linear_acceleration.{x}' for x in 'xyz')),
+           'm/s²', 'as it is'),
+    *(Signal('attitude_setpoint', within(topic, *(f'{field}.{x}' for x in 'xyzw')), '1',
+             'as it is', _angles) for topic, field in (
         ('setpoint_raw/target_attitude', 'orientation'), ('setpoint_raw/attitude', 'orientation'),
         ('setpoint_attitude/attitude', 'pose.orientation'))),
-    *(Signal('rate_setpoint', _of(topic, *(f'{field}.{x}' for x in 'xyz')), 'rad/s', 'as it is')
+    *(Signal('rate_setpoint', within(topic, *(f'{field}.{x}' for x in 'xyz')), 'rad/s', 'as it is')
       for topic, field in (('setpoint_raw/target_attitude', 'body_rate'),
                            ('setpoint_raw/attitude', 'body_rate'))),
-    Signal('battery', _of('battery', 'voltage'), 'V', 'as it is'),
+    Signal('battery', within('battery', 'voltage'), 'V', 'as it is'),
 )
-CONTROLS = _of('target_actuator_control', *(f'controls[{i}]' for i in (3, 0, 1, 2)))
+TOPICS = {*(one.columns[0].partition('.')[0] for one in SIGNALS), 'rc/out',
+          'target_actuator_control'}
+CONTROLS = within('target_actuator_control', *(f'controls[{i}]' for i in (3, 0, 1, 2)))
 
 
 def is_bag(topics: Mapping[str, str]) -> bool:
@@ -69,7 +67,8 @@ def is_bag(topics: Mapping[str, str]) -> bool:
 
 def read(path: Path, messages: Path | None = None) -> ForeignLog:
     """Read a bag of mavros; raises BadInputError where it lacks rates or commands."""
-    table = _load(path, messages)
+    columns, times, notes = of_one_aircraft(path, TOPIC, TOPICS, messages)
+    table = Table(str(path), columns, times, notes=notes)
     reading = Reading(table)
     reading.take(*SIGNALS)
     if 'rates' not in reading.streams:
@@ -100,20 +99,3 @@ def _channels(table: Table) -> tuple[str, ...]:
             and np.nanmax(table.columns[name]) > MIN_PULSE]
     count = max((n for n in MOTORS if n <= len(used)), default=0)
     return tuple(used[:count])
-
-
-def _load(path: Path, messages: Path | None) -> Table:
-    known = {one.columns[0].partition('.')[0] for one in SIGNALS} | {
-        'rc/out', 'target_actuator_control'}
-    topics = [topic for topic in topics_of(path)
-              if (match := TOPIC.match(f'{topic}.')) and match['topic'] in known]
-    columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
-    places = [match['place'] for name in columns if (match := TOPIC.match(name))]
-    chosen = max(dict.fromkeys(places), key=places.count, default='')
-    ours, clock = {}, {}
-    for name, values in columns.items():
-        match = TOPIC.match(name)
-        if match and match['place'] == chosen:
-            own = f'{match["topic"]}.{name[match.end():]}'
-            ours[own], clock[own] = values, times[name]
-    return Table(str(path), ours, clock)

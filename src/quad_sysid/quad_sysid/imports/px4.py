@@ -27,9 +27,10 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
+    within,
 )
 from quad_sysid.imports.mixers import MIRROR, enu, mirrored, ned_angles
-from quad_sysid.imports.rosbag import read_messages, topics_of
+from quad_sysid.imports.rosbag import of_one_aircraft
 from quad_sysid.imports.table import Table
 
 ARMED = 2
@@ -52,12 +53,8 @@ IN_BAG = re.compile(r'^(?P<place>(?:/[^/.]+)*?)/fmu/(?P<way>in|out)/(?P<topic>\w
 """A topic of px4_msgs: whose, whether the autopilot hears or says it, and its name on board."""
 
 
-def _of(topic: str, *fields: str) -> tuple[str, ...]:
-    return tuple(f'{topic}.{field}' for field in fields)
-
-
 def _vector(topic: str, field: str, size: int = 3) -> tuple[str, ...]:
-    return _of(topic, *(f'{field}[{i}]' for i in range(size)))
+    return within(topic, *(f'{field}[{i}]' for i in range(size)))
 
 
 SIGNALS = (
@@ -73,11 +70,12 @@ SIGNALS = (
            'y and z turned', mirrored),
     Signal('attitude_setpoint', _vector('vehicle_attitude_setpoint', 'q_d', 4), '1',
            'FRD in NED to FLU in ENU', ned_angles),
-    Signal('rate_setpoint', _of('vehicle_rates_setpoint', *AXES), 'rad/s',
+    Signal('rate_setpoint', within('vehicle_rates_setpoint', *AXES), 'rad/s',
            'pitch and yaw turned', mirrored),
-    Signal('velocity', _of('vehicle_local_position', 'vx', 'vy', 'vz'), 'm/s', 'NED to ENU', enu),
-    Signal('position', _of('vehicle_local_position', 'x', 'y', 'z'), 'm', 'NED to ENU', enu),
-    Signal('battery', _of('battery_status', 'voltage_v'), 'V', 'as it is'),
+    Signal('velocity', within('vehicle_local_position', 'vx', 'vy', 'vz'), 'm/s', 'NED to ENU',
+           enu),
+    Signal('position', within('vehicle_local_position', 'x', 'y', 'z'), 'm', 'NED to ENU', enu),
+    Signal('battery', within('battery_status', 'voltage_v'), 'V', 'as it is'),
 )
 TOPICS = (
     *dict.fromkeys(one.columns[0].partition('.')[0] for one in SIGNALS), 'actuator_motors',
@@ -93,7 +91,8 @@ def read(path: Path) -> ForeignLog:
 
 def read_bag(path: Path, messages: Path | None = None) -> ForeignLog:
     """Read a bag of px4_msgs, which are forward, right, down as PX4 itself."""
-    return _read(_of_bag(path, messages), 'a bag of px4_msgs', FASTER_BAG)
+    columns, times, notes = of_one_aircraft(path, IN_BAG, TOPICS, messages)
+    return _read(Table(str(path), columns, times, notes=notes), 'a bag of px4_msgs', FASTER_BAG)
 
 
 def is_bag(topics: Mapping[str, str]) -> bool:
@@ -114,28 +113,6 @@ def _read(table: Table, kind: str, faster: str) -> ForeignLog:
     return reading.log(kind, SIGNALS, crafts=crafts, armed=_armed(table), gains=gains,
                        faster=faster, warnings=(*_vehicle(table), *warnings),
                        experiments=_experiments(table))
-
-
-def _of_bag(path: Path, messages: Path | None) -> Table:
-    """The columns of a bag under the names that they have on board."""
-    known = topics_of(path)
-    topics = [topic for topic in known
-              if (m := IN_BAG.match(f'{topic}.')) and m['topic'] in TOPICS]
-    columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
-    places = [match['place'] for name in columns if (match := IN_BAG.match(name))]
-    chosen = max(dict.fromkeys(places), key=places.count, default='')
-    ours: dict[str, FloatArray] = {}
-    clock: dict[str, FloatArray] = {}
-    for way in ('in', 'out'):  # what the autopilot says itself counts
-        for name, values in columns.items():
-            match = IN_BAG.match(name)
-            if match and match['place'] == chosen and match['way'] == way:
-                own = f'{match["topic"]}.{name[match.end():]}'
-                ours[own], clock[own] = values, times[name]
-    others = sorted(set(places) - {chosen})
-    return Table(str(path), ours, clock, notes=tuple(
-        [f'of several aircraft {chosen or "/"} is read; left out: {", ".join(others)}']
-        if others else []))
 
 
 def _experiments(table: Table) -> tuple[Experiment, ...]:
@@ -167,7 +144,7 @@ def _load(path: Path) -> Table:
             stamps = np.asarray(fields['timestamp'], dtype=float)
         columns |= {f'{data.name}.{name}': np.asarray(values, dtype=float)
                     for name, values in fields.items()}
-        times |= dict.fromkeys(_of(data.name, *fields), stamps * 1e-6)
+        times |= dict.fromkeys(within(data.name, *fields), stamps * 1e-6)
     parameters = {
         str(name): float(value) for name, value in log.initial_parameters.items()
         if isinstance(value, int | float)
@@ -188,7 +165,7 @@ def _armed(table: Table) -> Stream | None:
 def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[str]]:
     """Take the commands: the craft of the motors, the gains in their unit, warnings."""
     table = reading.table
-    old = _of('actuator_controls_0', *(f'control[{i}]' for i in (3, 0, 1, 2)))
+    old = within('actuator_controls_0', *(f'control[{i}]' for i in (3, 0, 1, 2)))
     new = (*_vector('vehicle_torque_setpoint', 'xyz'), 'vehicle_thrust_setpoint.xyz[2]')
     torque = _torque(table, old, new)
     count = int(table.header.get('CA_ROTOR_COUNT', 0)) or LAYOUTS['px4_quad_x'].count

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.bags.storage import storage_in, without_storage
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
@@ -49,6 +50,8 @@ def _opened(path: Path, messages: Path | None) -> Iterator[Any]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
+    if path.is_dir() and not storage_in(path):
+        raise without_storage(path)
     store = get_typestore(Stores.ROS2_JAZZY)
     with read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'):
         kinds = {kind.partition('/')[0] for kind in topics_of(path).values()}
@@ -167,6 +170,30 @@ def read_messages(
         columns |= own
         times |= dict.fromkeys(own, np.array(topic.stamps))
     return columns, times
+
+
+def of_one_aircraft(path: Path, pattern: re.Pattern[str], wanted: Collection[str],
+                    messages: Path | None) -> tuple[Columns, Columns, tuple[str, ...]]:
+    """The wanted topics of the aircraft that has most of them, by its own names; what is left out.
+
+    `pattern` finds in a topic its `place`, whose it is, and its name as `topic`, and may find a
+    `way`: what an autopilot says (`out`) counts before what it hears (`in`).
+    """
+    topics = [topic for topic in topics_of(path)
+              if (match := pattern.match(f'{topic}.')) and match['topic'] in wanted]
+    columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
+    matches = [match for name in columns if (match := pattern.match(name))]
+    places = [match['place'] for match in matches]
+    chosen = max(dict.fromkeys(places), key=places.count, default='')
+    ours: Columns = {}
+    clock: Columns = {}
+    for match in sorted(matches, key=lambda match: match.groupdict().get('way', '')):
+        if match['place'] == chosen:
+            own = f'{match["topic"]}.{match.string[match.end():]}'
+            ours[own], clock[own] = columns[match.string], times[match.string]
+    others = ', '.join(sorted(set(places) - {chosen}))
+    note = f'of several aircraft {chosen or "/"} is read; left out: {others}'
+    return ours, clock, (note,) * bool(others)
 
 
 def _undefined(path: Path, unknown: dict[str, str], messages: Path | None) -> BadInputError:

@@ -6,6 +6,7 @@ asked, and the result is reported.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,11 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
                     (*log.checks, *warnings))
 
 
+def uneven(notes: Sequence[str]) -> list[str]:
+    """The first of the notes, about the clock, unless all samples came in time."""
+    return [one for one in notes[:1] if ', 0 odd intervals; each kept' not in one]
+
+
 def record_of(
     log: ForeignLog, grid_hz: float | None = None
 ) -> tuple[Record, list[str], list[str]]:
@@ -104,6 +110,7 @@ def record_of(
                             0 if base is None else len(base.time_s),
                             f'at least {MIN_SAMPLES} are needed; log longer')
     grid = cycles(base, log.source, grid_hz)
+    faster = f' ({log.faster})' if log.faster else ''
     notes, warnings = [*log.clock, *grid.notes], list(log.warnings)
     gains = dict(log.gains)
     rates, angles = _motion(log, grid, gains, notes, warnings)
@@ -121,14 +128,12 @@ def record_of(
         warnings.append(
             f'the commands are straight lines between samples at some {drawn:.3g} Hz: they were '
             'interpolated and not logged at this rate, so no effect can be claimed from them: log '
-            'the commands at the full rate' + (f' ({log.faster})' if log.faster else ''))
+            f'the commands at the full rate{faster}')
     if commands is not None and commands.rate_hz < SLOW / grid.dt:
         warnings.append(
             f'the commands were logged at {commands.rate_hz:.3g} Hz and the rates at '
             f'{1.0 / grid.dt:.4g} Hz; between them the last one is held, so fast motion has the '
-            'wrong input: log the commands at the full rate' + (
-                f' ({log.faster})' if log.faster else '')
-        )
+            f'wrong input: log the commands at the full rate{faster}')
     if log.kind == 'a table':  # a row is whole or a gap
         lost = np.asarray(np.isnan(control).any(axis=1))
         rates = np.where(lost[:, None], np.nan, rates)

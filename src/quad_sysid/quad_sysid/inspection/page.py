@@ -9,7 +9,7 @@ from pathlib import PurePath
 from quad_sysid.contract import AXES
 from quad_sysid.inspection.content import Content, MotorPlace
 from quad_sysid.inspection.text import lines
-from quad_sysid.report.style import SHEET
+from quad_sysid.report.style import document
 from quad_sysid.report.tables import Table
 
 MARK = '<meta name="generator" content="quad-sysid inspect">'
@@ -21,14 +21,10 @@ SIGNS = {1: '+', -1: '−', 0: '0', None: '?'}
 
 def page(held: Content) -> str:
     """The page as text."""
-    name = escape(PurePath(held.source).name)
+    title = f'What {PurePath(held.source).name} holds'
     body = f'<pre class="scroll">{escape(chr(10).join(lines(held)))}</pre>'
-    return '\n'.join([
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">', MARK,
-        '<meta name="viewport" content="width=device-width,initial-scale=1">',
-        f'<title>What {name} holds</title><style>{SHEET}</style></head><body>',
-        f'<h1>What {name} holds</h1>', _motors(held.motors), f'<h2>In words</h2>{body}',
-        '</body></html>\n'])
+    return document(title, f'<h1>{escape(title)}</h1>', _motors(held.motors),
+                    f'<h2>In words</h2>{body}', mark=MARK)
 
 
 def _motors(motors: tuple[MotorPlace, ...]) -> str:

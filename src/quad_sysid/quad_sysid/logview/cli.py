@@ -47,7 +47,8 @@ def _run(options: argparse.Namespace) -> int:
     if not options.no_page:
         from quad_sysid.logview.page import MARK, page
 
-        stem = _stem(Path(options.file[0])) if only else 'several'
+        name = Path(options.file[0]).resolve().name.partition('.')[0] or 'log'
+        stem = name if only else 'several'
         out = Path(options.out or f'{stem}_look.html')
         check_page(out, MARK, 'look')
         show('drawing')
@@ -61,7 +62,3 @@ def _run(options: argparse.Namespace) -> int:
         if out is not None:
             print(f'\npictures in {out}')
     return 0
-
-
-def _stem(path: Path) -> str:
-    return path.resolve().name.partition('.')[0] or 'log'

@@ -15,8 +15,8 @@ from quad_sysid.logview.measure import Measured
 from quad_sysid.logview.pictures import makers
 from quad_sysid.logview.words import header, part_tables, sentences, tables
 from quad_sysid.report import zoom
-from quad_sysid.report.canvas import Picture, svg
-from quad_sysid.report.style import SHEET
+from quad_sysid.report.canvas import Picture, framed
+from quad_sysid.report.style import document
 
 DEG = math.degrees(1.0)
 MARK = '<meta name="generator" content="quad-sysid look">'
@@ -29,7 +29,7 @@ PROPOSED = ('<p class="small">Shaded blue: to train, orange: held out, as an ide
 
 def page(look: Measured) -> str:
     """The page as text, at most 2 MB."""
-    name = escape(PurePath(look.flown.source).name)
+    name = PurePath(look.flown.source).name
     answer = ''.join(f'<p>{escape(text)}</p>' for text in sentences(look))
     importlib.import_module('matplotlib.backends.backend_svg')  # once, before processes divide
     figures = ''.join(side_by_side([partial(_figure, make, look) for make in makers()]))
@@ -38,11 +38,9 @@ def page(look: Measured) -> str:
         + ''.join(table.html() for table in part_tables(part)) for part in look.parts)
     notes = [f'Not in the log: {text}' for text in look.flown.lacks] + list(look.flown.warnings)
     gains = ''.join(f'{escape(n)} {v:.6g}\n' for n, v in sorted(look.whole.stretch.gains.items()))
-    return '\n'.join([
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">', MARK,
-        '<meta name="viewport" content="width=device-width,initial-scale=1">',
-        f'<title>Look at {name}</title><style>{SHEET}{zoom.STYLE}</style></head><body>',
-        f'<h1>Look at {name}</h1><p class="small">{escape(header(look))}</p>',
+    return document(
+        f'Look at {name}',
+        f'<h1>Look at {escape(name)}</h1><p class="small">{escape(header(look))}</p>',
         f'<section class="answer">{answer}</section>',
         f'<h2>Traces</h2>{traces(look)}',
         f'<h2>Pictures</h2><div class="figures">{figures}</div>',
@@ -51,17 +49,15 @@ def page(look: Measured) -> str:
         f'<h2>Gains in the log</h2><pre>{gains}</pre>' if gains else '',
         '<h2>Notes</h2><ul class="small">' + ''.join(f'<li>{escape(n)}</li>' for n in notes)
         + '</ul>' if notes else '',
-        zoom.script(), '</body></html>\n'])
+        zoom.script(), mark=MARK, style=zoom.STYLE)
 
 
 def _figure(make: Callable[[Measured], Picture | None], look: Measured) -> str:
     one = make(look)
-    return '' if one is None else (
-        f'<figure id="{one.name}"><h4>{escape(one.title)}</h4>{svg(one, one.name)}'
-        f'<figcaption>{escape(one.caption)}</figcaption></figure>')
+    return '' if one is None else framed(one, one.name)
 
 
-def traces(look: Measured, budget: int = zoom.BUDGET) -> str:
+def traces(look: Measured) -> str:
     """The time series: each axis with its set-point, motors, rotor speeds, battery."""
     flown = look.flown
     rows = []
@@ -92,4 +88,4 @@ def traces(look: Measured, budget: int = zoom.BUDGET) -> str:
     marks += [zoom.Mark(p.stretch.start_s, p.stretch.end_s, '--pink') for p in look.parts[1::2]]
     marks += [zoom.Mark(a, b, ROLES[role]) for role, a, b in flown.proposed]
     note = PROPOSED if flown.proposed else ''
-    return zoom.group(rows, flown.dt, marks, budget) + note
+    return zoom.group(rows, flown.dt, marks) + note

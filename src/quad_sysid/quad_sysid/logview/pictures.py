@@ -258,5 +258,3 @@ def loop(look: Measured) -> Picture | None:
                    'Rate over set-point where both are coherent' + (
                        '; the sensitivity 1 / (1 + L) by the measured plant and the known gains.'
                        if known else '.'), figure)
-
-

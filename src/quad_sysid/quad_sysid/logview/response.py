@@ -86,8 +86,6 @@ class LoopResponse:
     sensitivity: float = np.nan
     """Largest |1 / (1 + L)| in the coherent band, and its frequency."""
     sensitivity_hz: float = np.nan
-    instrument: str = 'set-point'
-    """`set-point`, or `excitation` where one was added to the command: then no tracking."""
     delays: tuple[Delay, ...] = ()
     delay_hz: float = REFERENCE_HZ
     """The frequency at which they are stated."""

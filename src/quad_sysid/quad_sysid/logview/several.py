@@ -25,11 +25,11 @@ from quad_sysid.report.canvas import (
     THEMED,
     Picture,
     finish,
+    framed,
     panels,
     plain_logarithms,
-    svg,
 )
-from quad_sysid.report.style import SHEET
+from quad_sysid.report.style import document
 from quad_sysid.report.tables import Table
 from quad_sysid.report.words import number
 
@@ -74,18 +74,14 @@ def _row(one: AxisLook) -> list[str]:
 
 def page(looks: Sequence[Measured]) -> str:
     """The page as text: the table, traces from the take-off on, pictures."""
-    title = escape(', '.join(names(looks)))
-    drawn = ''.join(
-        f'<figure id="{one.name}"><h4>{escape(one.title)}</h4>{svg(one, one.name)}'
-        f'<figcaption>{escape(one.caption)}</figcaption></figure>' for one in pictures(looks))
-    return '\n'.join([
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">', MARK,
-        '<meta name="viewport" content="width=device-width,initial-scale=1">',
-        f'<title>Look at {title}</title><style>{SHEET}{zoom.STYLE}</style></head><body>',
-        f'<h1>Look at {len(looks)} flights</h1><p class="small">{title}</p>',
+    title = ', '.join(names(looks))
+    drawn = ''.join(framed(one, one.name) for one in pictures(looks))
+    return document(
+        f'Look at {title}',
+        f'<h1>Look at {len(looks)} flights</h1><p class="small">{escape(title)}</p>',
         figures(looks).html(), f'<h2>Traces</h2>{_traces(looks)}',
         f'<h2>Pictures</h2><div class="figures">{drawn}</div>', zoom.script(),
-        '</body></html>\n'])
+        mark=MARK, style=zoom.STYLE)
 
 
 def pictures(looks: Sequence[Measured]) -> list[Picture]:

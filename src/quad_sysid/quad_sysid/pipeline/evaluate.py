@@ -238,8 +238,8 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
 
 def _like(value: npt.ArrayLike | None, n: int, name: str, usual: float) -> FloatArray:
     """One value, or (n,), as (n,)."""
-    given = np.asarray(usual if value is None else value, dtype=np.float64)
-    if given.shape not in ((), (n,)) or not np.isfinite(given).all():
+    wanted = np.asarray(usual if value is None else value, dtype=np.float64)
+    if wanted.shape not in ((), (n,)) or not np.isfinite(wanted).all():
         raise BadInputError('simulate', f'{name} must be one finite value or as long as u',
-                            given.shape)
-    return np.full(n, given)
+                            wanted.shape)
+    return np.full(n, wanted)

@@ -72,12 +72,12 @@ class Drawing:
     """None where the answer lacks the data."""
 
 
-def panels(rows: int = 1, columns: int = 1, height_in: float = 3.0, *, share_x: bool = True,
+def panels(rows: int = 1, height_in: float = 3.0, *, share_x: bool = True,
            ratios: Sequence[float] | None = None, left_in: float = 0.7,
            spacing: float = 0.28) -> tuple[Figure, list[Axes]]:
-    """A figure with `rows` x `columns` panels, margins in inches, panels row by row.
+    """A figure with panels below each other, margins in inches.
 
-    `apart`: the distance between rows as a share of their height; more where each has its x.
+    `spacing`: the distance between them as a share of their height; more where each has its x.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -86,13 +86,13 @@ def panels(rows: int = 1, columns: int = 1, height_in: float = 3.0, *, share_x: 
         figure = Figure(figsize=(WIDTH_IN, height_in))
         figure.patch.set_alpha(0.0)
         grid = figure.subplots(
-            rows, columns, squeeze=False, sharex=share_x and columns == 1,
+            rows, squeeze=False, sharex=share_x,
             gridspec_kw={'left': left_in / WIDTH_IN, 'right': 1.0 - 0.12 / WIDTH_IN,
                          'bottom': 0.46 / height_in, 'top': 1.0 - 0.3 / height_in,
-                         'hspace': spacing, 'wspace': 0.42,
+                         'hspace': spacing,
                          **({'height_ratios': list(ratios)} if ratios else {})},
         )
-        axes = [one for row in grid for one in row]
+        axes = [one for one, in grid]
         for one in axes:
             one.patch.set_alpha(0.0)
             width_in = one.get_position().width * WIDTH_IN
@@ -157,6 +157,13 @@ def svg(picture: Picture, prefix: str) -> str:
     text = text.replace('#000000', 'var(--ink)')
     label = re.sub(r'[<>&"]', ' ', f'{picture.title}. {picture.caption}')
     return text.replace('<svg', f'<svg role="img" aria-label="{label}"', 1)
+
+
+def framed(picture: Picture, anchor: str, drawn: str = '') -> str:
+    """The figure of a page with title and caption; `drawn` stands in it in place of the SVG."""
+    return (f'<figure id="{anchor}"><h4>{escape(picture.title)}</h4>'
+            f'{drawn or svg(picture, anchor)}'
+            f'<figcaption>{escape(picture.caption)}</figcaption></figure>')
 
 
 def embedded(picture: Picture, prefix: str) -> str:

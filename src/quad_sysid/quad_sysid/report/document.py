@@ -30,7 +30,7 @@ MAX_TRIED = 40
 MAX_PEAKS = 6
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
 RESIDUALS = ('before', 'after', 'blackbox')
-SAID = ('metric', 'reason', 'advice', 'because')
+SENTENCES = ('metric', 'reason', 'advice', 'because')
 """Fields of an axis that hold sentences."""
 ERRORS = ('before', 'after', 'reference', 'blackbox', 'noise_floor', 'one_step_before',
           'one_step_after',
@@ -130,7 +130,7 @@ def _worded(units: Units | None, tree: Any, key: str = '') -> Any:
         return {name: _worded(units, one, name) for name, one in tree.items()}
     if isinstance(tree, list | tuple):
         return [_worded(units, one, key) for one in tree]
-    return spoken(units, tree) if isinstance(tree, str) and key in SAID else tree
+    return spoken(units, tree) if isinstance(tree, str) and key in SENTENCES else tree
 
 
 def _effect(effect: EffectEstimate, model: AxisModel, inertia: float | None) -> dict[str, Any]:

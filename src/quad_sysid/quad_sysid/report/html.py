@@ -10,11 +10,11 @@ from typing import Any
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import sliders, tables, words, zoom
-from quad_sysid.report.canvas import Picture, embedded, svg
+from quad_sysid.report.canvas import embedded, framed
 from quad_sysid.report.next_flight import next_flight
 from quad_sysid.report.plots import PICTURES, Gallery, draw, gallery
 from quad_sysid.report.plots_data import zooming
-from quad_sysid.report.style import SHEET
+from quad_sysid.report.style import document
 from quad_sysid.whole import URDF
 
 SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals')
@@ -39,11 +39,7 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
     drawn = galleries if galleries is not None else {a: gallery(one) for a, one in answers.items()}
     axes = report['axes']
     bags = ', '.join(PurePath(bag).name for bag in report['bags'])
-    parts = ['<!doctype html><html lang="en"><head><meta charset="utf-8">',
-             '<meta name="viewport" content="width=device-width,initial-scale=1">',
-             f'<title>Identification of {escape(bags)}</title>',
-             f'<style>{SHEET}{zoom.STYLE}{sliders.STYLE}</style></head><body>',
-             f'<h1>Identification of {escape(bags)}</h1>']
+    parts = [f'<h1>Identification of {escape(bags)}</h1>']
     if report.get('aircraft', {}).get('facts'):
         parts += [tables.aircraft(report).html(),
                   (f'<details><summary>URDF of it ({URDF})</summary><pre>'
@@ -62,7 +58,8 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
         'ones were opened once. Numbers in full: report.json; the model: model.json. '
         f'Source: {sources}</p>'
     )
-    return '\n'.join([*parts, zoom.script(), sliders.script(), COPY, '</body></html>\n'])
+    return document(f'Identification of {bags}', *parts, zoom.script(), sliders.script(), COPY,
+                    style=zoom.STYLE + sliders.STYLE)
 
 
 def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: str) -> str:
@@ -155,12 +152,12 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
 
     def figures(section: str, *but: str) -> str:
         names = [one.name for one in PICTURES if one.section == section and one.name not in but]
-        parts = ''.join(figure(axis, shown[name]) for name in names if name in shown)
+        parts = ''.join(framed(shown[name], f'{axis}-{name}') for name in names if name in shown)
         return f'<div class="figures">{parts}</div>' if parts else ''
 
     traces = ''
     if answer is not None and 'signals' in shown and (zooms := zooming(answer)):
-        traces = _figure(axis, shown['signals'], zooms)
+        traces = framed(shown['signals'], f'{axis}-signals', zooms)
     sections = [
         ('Data', traces + _fold('Segments', tables.segments(tree).html()) + figures(
             'Data', *(['signals'] if traces else []))),
@@ -188,16 +185,6 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
     rate = f'{tree["sample_rate_hz"]:g} Hz'
     return (f'<section id="{escape(axis)}"><h2><span class="axis">{escape(axis)}</span> in detail '
             f'<span class="small">{rate}</span></h2>{body}</section>')
-
-
-def figure(axis: str, picture: Picture) -> str:
-    """A picture with its title and its caption."""
-    return _figure(axis, picture, svg(picture, axis))
-
-
-def _figure(axis: str, picture: Picture, drawn: str) -> str:
-    return (f'<figure id="{axis}-{picture.name}"><h4>{escape(picture.title)}</h4>'
-            f'{drawn}<figcaption>{escape(picture.caption)}</figcaption></figure>')
 
 
 def gain_lines(gains: Mapping[str, float]) -> str:

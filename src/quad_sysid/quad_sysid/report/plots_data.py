@@ -11,6 +11,7 @@ from quad_sysid.blackbox import coherence
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, bridged
 from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.pipeline.assemble import COHERENT
 from quad_sysid.record import IOData
 from quad_sysid.report import zoom
 from quad_sysid.report.canvas import (
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
 
 TRACES = 350_000
 """Characters that the samples of one axis may take in a page of three."""
-COHERENT = 0.6
-"""Squared coherence above which the model is trusted."""
 
 
 def signals(answer: AxisAnswer) -> Picture | None:

@@ -14,9 +14,8 @@ import numpy as np
 from quad_sysid.blackbox import ResidualTest, frequency_response, spa
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.linear import WIDE, ComplexArray, loops_of
-from quad_sysid.model import AxisModel
+from quad_sysid.identified import response_of
+from quad_sysid.loop.linear import WIDE, ComplexArray
 from quad_sysid.model.data import Windows
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, Residual
 from quad_sysid.report.canvas import (
@@ -138,9 +137,10 @@ def bode(answer: AxisAnswer) -> Picture | None:
         estimate = frequency_response(chosen, w)
         _curve(axes, w, of.factor * estimate.response, Z99 * of(estimate.magnitude_std),
                Z99 * estimate.phase_std, OTHER, '--', chosen.name)
-    response, magnitude, phase = _grey_box(model, w)
-    response = of.factor * response
-    _curve(axes, w, response, of(magnitude), phase, AFTER, '-', 'grey box')
+    base = response_of(replace(model, effects=(), active_gains={}), w, WIDE)
+    response = of.factor * base.response
+    _curve(axes, w, response, Z99 * of(base.magnitude_std), Z99 * base.phase_std, AFTER, '-',
+           'grey box')
     for one in axes:
         trusted(one, answer)
         one.set_xscale('log')
@@ -177,35 +177,6 @@ def degrees(response: ComplexArray) -> FloatArray:
     if phase.size:
         phase = phase - 360.0 * np.ceil((phase[0] - 90.0) / 360.0)
     return np.asarray(phase)
-
-
-def _grey_box(model: AxisModel, w: FloatArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """(m,) base from command to measured rate at w rad/s, half widths of magnitude and phase.
-
-    rad/s per command and rad, 99 %, first order in the covariance; NaN where that is not known.
-    """
-    values, n = {p.name: p.value for p in model.base}, len(model.parameter_names)
-    covariance = np.full((n, n), np.nan) if model.covariance is None else \
-        np.asarray(model.covariance)
-    index = [i for i, name in enumerate(model.parameter_names)
-             if name in values and np.isfinite(covariance[i, i])]
-    names = [model.parameter_names[i] for i in index]
-    steps = [0.01 * float(np.sqrt(covariance[i, i])) or 1e-9 for i in index]
-    moved = [{**values, name: values[name] + step}
-             for name, step in zip(names, steps, strict=True)]
-    bases = [tuple(replace(p, value=known[p.name]) for p in model.base)
-             for known in (values, *moved)]
-    response, *near = loops_of([
-        (loop_plant(replace(model, base=base, effects=(), active_gains={})), WIDE)
-        for base in bases
-    ]).response(w)[0]
-    if not index:
-        return response, np.full(w.size, np.nan), np.full(w.size, np.nan)
-    gradient = (np.stack(near, axis=1) / response[:, None] - 1.0) / np.array(steps)
-    known = covariance[np.ix_(index, index)]
-    spread = [Z99 * np.sqrt(np.maximum(np.einsum('mi,ij,mj->m', g, known, g), 0.0))
-              for g in (gradient.real, gradient.imag)]
-    return response, spread[0] * np.abs(response), spread[1]
 
 
 Z99 = 2.576

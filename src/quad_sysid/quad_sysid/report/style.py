@@ -1,6 +1,8 @@
-"""The style sheet of every page: colours for light and dark, sizes, tables, print."""
+"""What every page shares: its shell, and its style sheet: colours, sizes, tables, print."""
 
 from __future__ import annotations
+
+from html import escape
 
 LIGHT = """--paper:#ffffff;--card:#f6f8fa;--line:#d5dae0;--ink:#1b1f24;
 --muted:#5f6b78;--grid:#d5dae0;--blue:#0072b2;--orange:#d55e00;--green:#009e73;--sky:#56b4e9;--pink:#cc79a7;"""
@@ -60,3 +62,12 @@ figure,.answer,tr{break-inside:avoid}h2,h3,h4{break-after:avoid}
 .figures{columns:2}.scroll{overflow:visible}table{font-size:8.5pt}}
 """
 )
+
+
+def document(title: str, *body: str, mark: str = '', style: str = '') -> str:
+    """A whole page; `mark` is the element by which the command that made it knows it again."""
+    return '\n'.join([
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8">{mark}',
+        '<meta name="viewport" content="width=device-width,initial-scale=1">',
+        f'<title>{escape(title)}</title><style>{SHEET}{style}</style></head><body>',
+        *body, '</body></html>\n'])

@@ -7,7 +7,6 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 
 from quad_sysid.report.store import free_folder
 from quad_tuning.demo.processes import StageFailedError
@@ -42,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--qemu', action='store_true', help="fly the STM32's own ELF in QEMU, in "
                         'lockstep (make qemu says what that needs)')
     options = parser.parse_args(arguments)
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     out = options.out.absolute()
     try:
         aside = fresh_folder(out)
@@ -61,10 +60,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write('demo interrupted; all of its processes are stopped\n')
         return 130
     return 0
-
-
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 if __name__ == '__main__':

@@ -59,7 +59,7 @@ class Campaign:
     observer: Observer
     say: Callable[[str], None]
     status: dict[str, Any] = field(default_factory=dict)
-    asked_s: float = 0.0
+    requested_s: float = 0.0
     """When the new gains were sent, s on the run's clock."""
 
     @property
@@ -152,7 +152,7 @@ def await_report(campaign: Campaign) -> Path:
     if state() == 'failed':
         raise StageFailedError('identify', text)
     campaign.status |= {name: values.get(name, '') for name in ('update', 'gains')}
-    campaign.asked_s = campaign.crew.clock.now_s()
+    campaign.requested_s = campaign.crew.clock.now_s()
     return Path(values['report'])
 
 
@@ -166,4 +166,4 @@ def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
         raise StageFailedError('update', 'the gains that were sent are the ones already flown')
     campaign.wait('update', 'acknowledgement on /gains/active',
                   lambda: not changed(observer.active_gains, wanted), ACKNOWLEDGE_S)
-    return max(0.0, observer.gains_time - campaign.asked_s)
+    return max(0.0, observer.gains_time - campaign.requested_s)
