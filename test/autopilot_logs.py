@@ -1,7 +1,5 @@
 """Logs as PX4 (.ulg) and ArduPilot (.bin) write them, of columns."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

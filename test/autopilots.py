@@ -13,12 +13,10 @@ behind a `Port`:
 `Party` is another program on the same line, made of pymavlink: a ground station, mavros.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -131,8 +129,6 @@ class Autopilot:
         self.heard: list[str] = []
         self.armed, self.mode = True, 0
         """`mode` is custom_mode of the heartbeat."""
-        self.edit: Callable[[str, object], object] = lambda _name, message: message
-        """What is done to each message before it is sent; None leaves it out."""
         self.share = 1.0  # of the rates that the line has left over
         self._late: deque[tuple[int, bytes]] = deque()
         self._owed: dict[str, float] = {}
@@ -164,8 +160,7 @@ class Autopilot:
             self._owed[name] = owed % 1.0
             if owed >= 1.0 - 1e-9:
                 self._owed[name] = max(owed - 1.0, 0.0)
-                message = self.edit(name, self.message(name))
-                out += self.pack(message) if message is not None else b''
+                out += self.pack(self.message(name))
         return out
 
     def moves(self):

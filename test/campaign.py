@@ -1,7 +1,5 @@
 """A flight campaign in lockstep that a test leads step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

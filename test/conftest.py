@@ -4,8 +4,6 @@ a probe in it and nodes as processes.
 Two checkouts may be tested on one machine at the same time, beside a demo and other nodes.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 import os

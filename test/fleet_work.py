@@ -1,7 +1,5 @@
 """What processes and workers of a fleet's tests do instead of an identification."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -4,8 +4,6 @@ It shares no line with the analysis: the midpoint rule at 1 kHz instead of exact
 controller and the effects written out where they act.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

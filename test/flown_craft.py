@@ -4,8 +4,6 @@ It shares no line with the analysis: places and spins are written out here, torq
 forces and arms, the controller gives to each motor what its place calls for.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

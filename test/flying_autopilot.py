@@ -7,8 +7,6 @@ As a program (`python flying_autopilot.py px4 --link tty --lockstep SOCKET`) it 
 pseudo-terminal that owns simulated time.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math
@@ -133,6 +131,7 @@ class Flying(Autopilot):
         self.sid_s = None
         self.injected = 0.0
         self.log, self.log_number, self.landed_s = b'', 1, -math.inf
+        self.turn()
         self.sending = deque()
         self.sends = 20  # LOG_DATA in a cycle
         self.timed_us = 0  # of the last message with rates or angles
@@ -155,6 +154,7 @@ class Flying(Autopilot):
         for first in (POSITION, VELOCITY, RATES):
             state[first : first + 3] = 0.0
         state[QUAT : QUAT + 4] = (1.0, 0.0, 0.0, 0.0)
+        self.turn()
         self.rows, self.said = [], []
 
     def land(self):
@@ -175,11 +175,10 @@ class Flying(Autopilot):
     def rates(self):
         return self.craft.machine.state[RATES : RATES + 3] * FRD
 
-    @property
-    def angles(self):
-        """Roll, pitch, yaw, FRD in NED."""
+    def turn(self):
+        """Note roll, pitch, yaw, FRD in NED."""
         roll, pitch, yaw = turned(*self.craft.machine.state[QUAT : QUAT + 4])
-        return np.array([roll, -pitch, math.remainder(0.5 * math.pi - yaw, math.tau)])
+        self.angles = np.array([roll, -pitch, math.remainder(0.5 * math.pi - yaw, math.tau)])
 
     def step_physics(self):
         self.craft.measure(Channels())  # draws this cycle's noise
@@ -192,6 +191,7 @@ class Flying(Autopilot):
         u = np.array([self.thrust, *(self.scale * self.torque * FRD)])
         self.motors = np.clip(X.mixer @ u, 0.0, 1.0)
         self.craft.move(hil.Motors(0, tuple(self.motors), 0, 0, 0))
+        self.turn()
 
     @property
     def scale(self):

@@ -3,8 +3,6 @@
 Not part of any analysis: nothing that identifies imports this file.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numba

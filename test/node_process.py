@@ -1,7 +1,5 @@
 """A node, or another program of the suite, as a process of a test: its words, signals, end."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -4,8 +4,6 @@ The firmware's two lines are bytes: `receive` and `cycle` are the bridge's. Devi
 the control cycles, which begin at exactly k cycles.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from quad_bridge.gains.table import WIRE_NAMES

@@ -5,8 +5,6 @@ the topics, the parameters and the services are the real ones. Time stands still
 and passes in small steps while it waits.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import signal

@@ -5,8 +5,6 @@ found, is in test_nodes_go_on.py. It flies in lockstep: every cycle is in the ba
 machine is. The firmware built for Linux flies, and with `make test-qemu` the ELF of the STM32.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import shutil
@@ -87,6 +85,7 @@ from pathlib import Path
 from quad_tuning.demo import main, processes, story
 here, found = Path(sys.argv.pop(1)), processes.executable
 story.HERE, story.get_package_share_directory = here, lambda _: here
+story.EVALUATE_S = None  # however busy the machine is
 processes.executable = lambda package, name: (
     here / name if name == 'identification' else found(package, name))
 sys.exit(main.main())

@@ -5,8 +5,6 @@ all patterns of signs over a record in which all of them move. Here the record i
 What the signs mean, both ask the same function.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import permutations
 

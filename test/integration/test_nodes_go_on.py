@@ -1,7 +1,5 @@
 """Nodes that meet bad input say so in /diagnostics and go on: ports, gains, bags."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The bridge's gains and the virtual STM32 on one line in memory; the C firmware, built."""
 
-from __future__ import annotations
-
 import fcntl
 import shutil
 import subprocess

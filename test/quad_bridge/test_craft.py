@@ -1,7 +1,5 @@
 """A craft by its description, its autopilot's parameters, its layout's name; and its mixer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pulses find the right sign, a wrong one, a fixed axis, and which motor is which."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

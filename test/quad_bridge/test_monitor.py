@@ -1,7 +1,5 @@
 """The monitor: coverage of a known answer and of none, the screen, and the node as a process."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

@@ -1,7 +1,5 @@
 """Profiles from YAML: what is shipped loads, what is wrong is one line with file and key."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """Each switchable effect acts, by its equation where a closed form exists; plain has none."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 

@@ -1,7 +1,5 @@
 """The virtual STM32 as a process: time that it owes, readers that it lacks, effects of a user."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import time

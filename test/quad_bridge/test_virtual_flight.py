@@ -1,7 +1,5 @@
 """Whole simulated flights: determinism, the firmware's loop against a reference, sensors, bags."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import runpy

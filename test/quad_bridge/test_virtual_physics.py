@@ -1,7 +1,5 @@
 """The virtual aircraft's dynamics against closed forms and invariants; all without noise."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

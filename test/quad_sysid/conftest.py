@@ -1,7 +1,5 @@
 """Flights, bags and models that several tests of the analysis share."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import math

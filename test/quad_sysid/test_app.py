@@ -1,7 +1,5 @@
 """The app: who is answered, what can be asked; app and report in a real browser."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import dataclasses

@@ -1,7 +1,5 @@
 """Arrays of one's own: that every form of them is the same, what they give, what is refused."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

@@ -1,7 +1,5 @@
 """read_bag: the contract's bags in every storage, and bags as flights really leave them."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The black-box part of an identification: approaches, both steps, preparation, advice."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reading in bulk equals rosbags' deserialiser bit for bit, whatever the messages look like."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype

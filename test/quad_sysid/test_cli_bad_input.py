@@ -1,7 +1,5 @@
 """Bad input through the commands: one line on stderr that names it, and the contract's status."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

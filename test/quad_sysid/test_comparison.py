@@ -1,7 +1,5 @@
 """What changed between two flights is told with its chance; of equal flights nothing is told."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

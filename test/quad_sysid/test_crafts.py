@@ -1,7 +1,5 @@
 """Crafts of any number of motors through bag and identification; motors known by their speeds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 A standstill of the node itself is left out of the age of what it heard, a silent link never is.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ The test stands in for the aircraft and owns the clock (quad_bridge/lockstep.py)
 the time cycle by cycle, and it does not matter how long it takes over one.
 """
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path

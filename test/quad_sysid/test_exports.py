@@ -1,7 +1,5 @@
 """An exported model is the model: same response in every format, and the commands say so."""
 
-from __future__ import annotations
-
 import runpy
 
 import numpy as np

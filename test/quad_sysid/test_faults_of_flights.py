@@ -1,7 +1,5 @@
 """What is easily lost between flights: throttle, turns of yaw, gyro filters, ranges."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

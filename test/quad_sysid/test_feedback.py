@@ -1,7 +1,5 @@
 """Feedback from rate to command: shown, excluded with proof, or neither."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ The logs are encoded here by hand, with each firmware's own motor places and sen
 that nothing of the import's tables is used to make them.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

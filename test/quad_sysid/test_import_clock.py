@@ -1,7 +1,5 @@
 """Any clock: what the times of a recording can be, and what becomes of rates and commands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

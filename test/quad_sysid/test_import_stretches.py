@@ -1,7 +1,5 @@
 """A flight without an experiment: what says something is used, and both roles hold some of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

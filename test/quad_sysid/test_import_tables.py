@@ -1,7 +1,5 @@
 """Foreign tables become bags of the contract; what is wrong is one line with what helps."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import shlex

@@ -1,7 +1,5 @@
 """What `inspect` says of a bag is what was put into it, and costs no fit."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ there says what is right; MADE writes more of them. A table is imported by the v
 its listing prints.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import shlex

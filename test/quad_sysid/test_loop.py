@@ -1,7 +1,5 @@
 """The closed loop: margins against python-control, time against an independent simulation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import control

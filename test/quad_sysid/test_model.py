@@ -1,7 +1,5 @@
 """The model is not a list of cases: another sensor, another motion, physics of another package."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

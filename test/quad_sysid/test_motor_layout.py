@@ -1,7 +1,5 @@
 """What the motors do is found in the motion, for 4, 6 and 8 motors, and nothing where none is."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Motors in a wrong order are seen against the wrench, also where the axis' motion is the same."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from itertools import permutations

@@ -1,7 +1,5 @@
 """A base of one's own is recovered and completed; what the data cannot give is named."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """An effect that the package has never heard of, handed to `identify`: it goes all the way."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import math

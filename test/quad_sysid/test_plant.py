@@ -4,8 +4,6 @@ Each effect of the table flies in a plant of its own with seeded inputs; the fli
 is what filter and free run get, without any noise.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from unittest import mock

@@ -4,8 +4,6 @@ The data lie beside the checkout (shared/data); without them the tests skip. Fig
 with are those of its README. Most take minutes and are long.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

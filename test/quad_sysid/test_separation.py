@@ -1,7 +1,5 @@
 """Which flight tells two rivals apart: the order makes sense, it can be flown, and it works."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Test signals: exact properties, the design's equations, schedules and their errors."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 That a piped answer is plain and fits 80 columns, test_commands.py shows.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The demo's processes are watched and all stopped; test/integration/test_loop.py flies it."""
 
-from __future__ import annotations
-
 import os
 import socket
 import sys

@@ -1,7 +1,5 @@
 """Gains become parameters of PX4 and ArduPilot that give back the same controller."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """What the benchmarks publish: the plants of each set as they were, the pages as their data."""
 
-from __future__ import annotations
-
 import hashlib
 import subprocess
 import sys

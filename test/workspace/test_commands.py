@@ -6,8 +6,6 @@ STARTED_ELSEWHERE, with the reason; a new command that no list knows is run, and
 does not work.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """CONTRIBUTING.md's worked changes and docs/extend.md's files, in a copy of the project, used."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

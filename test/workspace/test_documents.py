@@ -1,7 +1,5 @@
 """What the pages tell a reader to use exists: targets, executables, launch files, links, site."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Every node, every way of ending: status 0 or the documented one, and never a traceback."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """docs/gallery.md: its examples run in order; the ones that need files run where they are."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

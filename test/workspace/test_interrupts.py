@@ -1,7 +1,5 @@
 """Ctrl-C in a command: one line and status 130 wherever it comes, and nothing is left behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -3,8 +3,6 @@
 `launch` itself is not to be had without ROS 2: stand-ins note what they are called with.
 """
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

@@ -1,7 +1,5 @@
 """The workspace as ROS 2 sees it: package kinds, entry points, manifests."""
 
-from __future__ import annotations
-
 import ast
 import configparser
 import contextlib

@@ -3,8 +3,6 @@
 The wheels of rclpy bring no `ros2`; what `make shell` has in its place is not a command on PATH.
 """
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """What `make shell` offers of `ros2` where ROS 2 is not installed: it starts what was built."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

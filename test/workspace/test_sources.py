@@ -3,8 +3,6 @@
 Which room may import which is import-linter's (pyproject.toml).
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import re
