@@ -198,7 +198,7 @@ def identified(record: Record, axis: str) -> AxisModel | str:
             return str(error)
         if told.verdict.verdict == 'cannot_tell':
             return told.verdict.reason
-        band = Support.of(io_data(told.data, told.data.train), axis).band()
+        band = Support.of(io_data(told.data, told.data.train), axis).band
         return axis_model(told, dict(record.gains[0].values), band)
 
 

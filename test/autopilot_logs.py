@@ -6,6 +6,12 @@ import struct
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def quaternions(angles: np.ndarray) -> np.ndarray:
+    """(n, 4) w x y z of roll, pitch, yaw (n, 3)."""
+    return np.roll(Rotation.from_euler('ZYX', angles[:, ::-1]).as_quat(), 1, axis=1)
 
 
 def ulog(path: Path, topics: dict, parameters: dict, drop=()) -> Path:

@@ -108,6 +108,10 @@ BETAFLIGHT = Kind(
 class Autopilot:
     """One of them; attributes may be changed while it runs."""
 
+    outputs_us, sticks_us = (1100, 1200, 1300, 1400), (1500, 1600, 1200, 1450)
+    """Pulses to the motors; those of roll, pitch, throttle and yaw."""
+    volts, pressure_hpa = 11.7, 1000.0
+
     def __init__(
         self, kind: Kind, *, boot_us: int = 0, only: tuple[str, ...] | None = None, **changed
     ) -> None:
@@ -164,27 +168,31 @@ class Autopilot:
                 out += self.pack(message) if message is not None else b''
         return out
 
+    def moves(self):
+        """Angles, rad, and rates, rad/s, now."""
+        turn = 2e-6 * math.pi * TURNS_HZ * self.now_us
+        roll, rate = ROLL_RAD * math.sin(turn), ROLL_RAD * math.tau * TURNS_HZ * math.cos(turn)
+        return (roll, 0.2, 0.3), (rate, -0.25, 0.125)
+
     def message(self, name: str):
         """The content of a message now."""
-        us, most_ms = self.now_us, 2**32
-        ms, turn = us // 1000 % most_ms, 2e-6 * math.pi * TURNS_HZ * us
-        roll, rate = ROLL_RAD * math.sin(turn), ROLL_RAD * math.tau * TURNS_HZ * math.cos(turn)
-        p, q, r = (rate, -0.25, 0.125) if self.kind.rates else (0.0, 0.0, 0.0)
+        us, ms = self.now_us, self.now_us // 1000 % 2**32
+        angles, rates = self.moves()
+        p, q, r = rates if self.kind.rates else (0.0, 0.0, 0.0)
         b = 0.4 * self.kind.gauss
         rpm = [6000, 6100, 6200, 6300]
-        raw = (1100, 1200, 1300, 1400)
-        four = (1500, 1600, 1200, 1450)  # roll, pitch, throttle, yaw
-        sticks = (*(four[k] for k in self.kind.sticks), 1000, 1000, 1000, 1000)
+        raw, cell_mv = self.outputs_us, round(1000 * self.volts / 3)
+        sticks = (*(self.sticks_us[k] for k in self.kind.sticks), 1000, 1000, 1000, 1000)
         made = {
             'HIGHRES_IMU': lambda: mav.MAVLink_highres_imu_message(
                 us, 0.0, 0.0, -GRAVITY, p, q, r, 0.5 * b, 0.25 * b, -b,
-                1000.0 * self.kind.hpa, 0, 0, 20.0, 0x0FFF
+                self.pressure_hpa * self.kind.hpa, 0, 0, 20.0, 0x0FFF
             ),
             'SCALED_IMU': lambda: mav.MAVLink_scaled_imu_message(
                 ms, 0, 0, -1000, *(round(1000 * v) for v in (p, q, r)), 200, 100, -400
             ),
             'RAW_IMU': lambda: mav.MAVLink_raw_imu_message(us, 0, 0, -1000, 1, 1, 1, 200, 100, 4),
-            'ATTITUDE': lambda: mav.MAVLink_attitude_message(ms, roll, 0.2, 0.3, p, q, r),
+            'ATTITUDE': lambda: mav.MAVLink_attitude_message(ms, *angles, p, q, r),
             'SERVO_OUTPUT_RAW': lambda: mav.MAVLink_servo_output_raw_message(
                 us % 2**32, 0, *raw, 0, 0, 0, 0
             ),
@@ -196,7 +204,7 @@ class Autopilot:
             'VFR_HUD': lambda: mav.MAVLink_vfr_hud_message(0.0, 0.0, 17, 20, 0.0, 0.0),
             'SCALED_PRESSURE': lambda: mav.MAVLink_scaled_pressure_message(ms, 990.0, 0.0, 2000),
             'BATTERY_STATUS': lambda: mav.MAVLink_battery_status_message(
-                0, 0, 0, 2000, [3900, 3900, 3900, *([UNUSED] * 7)], 150, -1, -1, 80
+                0, 0, 0, 2000, [cell_mv] * 3 + [UNUSED] * 7, 150, -1, -1, 80
             ),
             'SYS_STATUS': lambda: mav.MAVLink_sys_status_message(
                 1, 1, 1, 100, 11_800, 250, 77, 0, 0, 0, 0, 0, 0

@@ -54,7 +54,7 @@ def quickly() -> Callable[[], AbstractContextManager[None]]:
     @contextmanager
     def context() -> Iterator[None]:
         with (
-            mock.patch('quad_sysid.pipeline.identify._compared', lambda answer, *_: answer),
+            mock.patch('quad_sysid.pipeline.identify._black_boxes', return_value='left out'),
             mock.patch.multiple('quad_tuning.pid', STARTS=1, JUDGED=20, GRID=(5, 7, 2, 4, 3)),
         ):
             yield
@@ -67,6 +67,23 @@ def quick(quickly: Callable[[], AbstractContextManager[None]]) -> Iterator[None]
     """That context for a whole test."""
     with quickly():
         yield
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """A function: the one line on stderr with which a command refuses these words."""
+
+    def line_of(main: Callable[[list[str]], object], *words: object, status: int = 2) -> str:
+        try:
+            given = main([str(word) for word in words])
+        except SystemExit as left:
+            given = left.code
+        error = capsys.readouterr().err
+        assert (given, error.count('\n')) == (status, 1), error
+        assert 'Traceback' not in error
+        return error
+
+    return line_of
 
 
 @pytest.fixture

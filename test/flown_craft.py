@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 DT, SUBSTEPS = 0.004, 4
+X = ((-135, -1), (135, 1), (45, -1), (-45, 1))
+"""Motors of the contract's frame: rear left, rear right, front right, front left."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,11 @@ class Airframe:
         return np.array([(math.cos(math.radians(a)), -math.sin(math.radians(a)), -spin)
                          for a, spin in self.motors])
 
-    @property
-    def gains(self) -> np.ndarray:
-        """(3,) rad/s² per unit of a signed mean of the commands, weighted by the arms."""
-        return np.array(self.push)
-
 
 def fly(airframe: Airframe, seed: int, seconds: float = 26.0) -> dict[str, np.ndarray]:
-    """Rates (n, 3), motors (n, k) and speeds (n, k), rad/s, in a rate loop; roll is excited."""
+    """Rates and angles (n, 3), motors (n, k) and speeds (n, k), rad/s, in a rate loop.
+
+    All axes are excited, roll most."""
     rng = np.random.default_rng(seed)
     n, k = round(seconds / DT), len(airframe.motors)
     forward, left, turn = airframe.places.T
@@ -67,8 +66,9 @@ def fly(airframe: Airframe, seed: int, seconds: float = 26.0) -> dict[str, np.nd
         wanted[:, axis] = np.repeat(size * steps, held)[:n]
     rates, motors, speeds = np.zeros((n, 3)), np.zeros((n, k)), np.zeros((n, k))
     rate, speed, kp = np.zeros(3), np.full(k, 0.5), np.array([0.05, 0.05, 0.1])
-    angle = np.zeros(3)
+    angle, angles = np.zeros(3), np.zeros((n, 3))
     for i in range(n):
+        angles[i] = angle
         rates[i] = rate + airframe.rate_noise * rng.standard_normal(3)
         speeds[i] = airframe.full_rad_s * speed + 0.5 * rng.standard_normal(k)
         reference = airframe.reach * 8.0 * wanted[i] - 2.0 * angle
@@ -88,4 +88,4 @@ def fly(airframe: Airframe, seed: int, seconds: float = 26.0) -> dict[str, np.nd
             rate = rate + h * (torque - np.array(airframe.damping) * rate)
             angle = angle + h * rate
             speed = sent + (speed - sent) * keep
-    return {'rates': rates, 'motors': motors, 'speeds': speeds}
+    return {'rates': rates, 'angles': angles, 'motors': motors, 'speeds': speeds}

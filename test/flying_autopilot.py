@@ -21,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from autopilot_logs import dataflash, ulog
+from autopilot_logs import dataflash, quaternions, ulog
 from autopilots import ACCEPTED, ARDUPILOT, ARM_DISARM, INERTIAL, PX4, Autopilot, mav
 from flight_controller import Pty
 
@@ -82,6 +82,13 @@ FLYING_ARDUPILOT = replace(ARDUPILOT, most_hz={**ARDUPILOT.most_hz, **MORE_HZ}, 
 ARDUPILOT_OUTPUTS = (1, 2, 0, 3)  # BetaflightX, reversed: rear right, front right, rear left …
 
 
+def turned(w, x, y, z):
+    """Roll, pitch, yaw of a quaternion."""
+    return (math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+            math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
+            math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
 class Low:
     """A first-order low pass; 0 Hz is none."""
 
@@ -120,7 +127,7 @@ class Flying(Autopilot):
         self.filters = [[Low() for _ in range(5)] for _ in range(3)]
         self.gyro = [Low(), Low()]
         self.integral, self.before = np.zeros(3), np.zeros(3)
-        self.torque, self.motors = np.zeros(3), np.zeros(4)
+        self.measured, self.torque, self.motors = np.zeros(3), np.zeros(3), np.zeros(4)
         self.rate_sp, self.att_sp, self.thrust = np.zeros(3), np.zeros(3), 0.0
         self.heading = None
         self.sid_s = None
@@ -171,10 +178,7 @@ class Flying(Autopilot):
     @property
     def angles(self):
         """Roll, pitch, yaw, FRD in NED."""
-        w, x, y, z = self.craft.machine.state[QUAT : QUAT + 4]
-        roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-        pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
-        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        roll, pitch, yaw = turned(*self.craft.machine.state[QUAT : QUAT + 4])
         return np.array([roll, -pitch, math.remainder(0.5 * math.pi - yaw, math.tau)])
 
     def step_physics(self):
@@ -210,13 +214,8 @@ class Flying(Autopilot):
             if not fresh:
                 self.mode = self.pilot_mode
                 return
-            w, x, y, z = self.target.q
             if self.target.type_mask & 7 == 7:
-                self.att_sp = np.array([
-                    math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-                    math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
-                    math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-                ])
+                self.att_sp = np.array(turned(*self.target.q))
             else:
                 self.rate_only = np.array([self.target.body_roll_rate, self.target.body_pitch_rate,
                                            self.target.body_yaw_rate])  # fmt: skip
@@ -340,39 +339,33 @@ class Flying(Autopilot):
 
     # The line.
 
+    @property
+    def outputs_us(self):
+        return [round(1000 + 1000 * self.motors[motor]) for motor in self.outputs]
+
+    @property
+    def sticks_us(self):
+        return [round(1500 + 500 * stick) for stick in self.sticks]
+
+    @property
+    def pressure_hpa(self):
+        return 1000.0 - self.craft.machine.state[POSITION + 2] / 8.43
+
+    def moves(self):
+        return self.angles, self.measured
+
     def message(self, name):
         if name in INERTIAL:
             self.timed_us = self.now_us
-        us, ms = self.now_us, self.now_us // 1000 % 2**32
-        if not hasattr(self, 'measured'):
-            self.measured = self.rates
-        state = self.craft.machine.state
-        pulses = [0] * 16
-        if name == 'SERVO_OUTPUT_RAW':
-            for k, motor in enumerate(self.outputs):
-                pulses[k] = round(1000 + 1000 * self.motors[motor])
-        place = state[POSITION : POSITION + 3], state[VELOCITY : VELOCITY + 3]
-        (e, n, u), (ve, vn, vu) = place
+        ms, state = self.now_us // 1000 % 2**32, self.craft.machine.state
+        (e, n, u), (ve, vn, vu) = (state[at : at + 3] for at in (POSITION, VELOCITY))
         made = {
-            'ATTITUDE': lambda: mav.MAVLink_attitude_message(ms, *self.angles, *self.measured),
-            'HIGHRES_IMU': lambda: mav.MAVLink_highres_imu_message(
-                us, 0.0, 0.0, -9.81, *self.measured, 0.2, 0.1, -0.4,
-                (1000.0 - u / 8.43) * (100.0 if self.px4 else 1.0), 0, 0, 20.0, 0x0FFF),
-            'SCALED_IMU': lambda: mav.MAVLink_scaled_imu_message(
-                ms, 0, 0, -1000, *(round(1000 * v) for v in self.measured), 200, 100, -400),
-            'SERVO_OUTPUT_RAW': lambda: mav.MAVLink_servo_output_raw_message(
-                us % 2**32, 0, *pulses[:8], *pulses[8:]),
-            'RC_CHANNELS': lambda: mav.MAVLink_rc_channels_message(
-                ms, 8, *(round(1500 + 500 * v) for v in self.sticks), 1000, 1000, 1000, 1000,
-                *([65535] * 10), 255),
             'ATTITUDE_TARGET': lambda: mav.MAVLink_attitude_target_message(
                 ms, 0, quaternions(self.att_sp[None])[0], *self.rate_sp, self.thrust),
             'LOCAL_POSITION_NED': lambda: mav.MAVLink_local_position_ned_message(
                 ms, n, e, -u, vn, ve, -vu),
             'EXTENDED_SYS_STATE': lambda: mav.MAVLink_extended_sys_state_message(
                 0, 2 if self.in_air else 1),
-            'BATTERY_STATUS': lambda: mav.MAVLink_battery_status_message(
-                0, 0, 0, 2000, [round(1000 * self.volts / 3)] * 3 + [65535] * 7, 150, -1, -1, 80),
         }  # fmt: skip
         return made[name]() if name in made else super().message(name)
 
@@ -451,15 +444,6 @@ class Flying(Autopilot):
                               p['SID_T_REC'], p['SID_T_FADE_OUT']))  # fmt: skip
         self.mode, self.heading = wanted, None
         return ACCEPTED
-
-
-def quaternions(angles):
-    """(n, 4) w x y z of roll, pitch, yaw (n, 3)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles / 2).T, np.sin(angles / 2).T
-    return np.column_stack([
-        cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy,
-    ])  # fmt: skip
 
 
 # The process.

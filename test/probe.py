@@ -356,7 +356,9 @@ class Server:
         self.advertise(topic, kind)
         publisher, made = self._publishers[topic]
         for values in messages:
-            say = partial_of(self._say, publisher, made, values)
+            def say(values: Mapping[str, Any] = values) -> None:
+                self._say(publisher, made, values)
+
             say()
             if every_s:
                 self.silence(topic)
@@ -419,21 +421,9 @@ class Server:
             client, question, number = one
             if client.service_is_ready():
                 self._waiting.remove(one)
-                future = client.call_async(question)
-                future.add_done_callback(partial_of(answered, number))
-
-
-def answered(number: int, future: Any) -> None:
-    tell(number=number, result=plain(future.result()))
-
-
-def partial_of(function: Callable[..., Any], *first: Any) -> Callable[..., Any]:
-    """functools.partial, but a function: rclpy looks for its name."""
-
-    def called(*others: Any) -> Any:
-        return function(*first, *others)
-
-    return called
+                client.call_async(question).add_done_callback(
+                    lambda future, number=number: tell(number=number,
+                                                       result=plain(future.result())))
 
 
 def interface(kind: str) -> Any:

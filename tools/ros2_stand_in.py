@@ -17,7 +17,7 @@ from typing import Any
 
 USAGE = (
     'ros2: without ROS 2 installed there is only: ros2 run PACKAGE EXECUTABLE [ARGS …] and '
-    'ros2 service call NAME TYPE [YAML]'
+    'ros2 service call NAME TYPE [YAML]; start each node of a launch file by ros2 run'
 )
 PATIENCE_S = 60.0
 

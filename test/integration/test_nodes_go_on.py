@@ -8,47 +8,21 @@ from pathlib import Path
 
 import pytest
 from flown_axis import SHORT, Axis, fly
-from node_process import Started
+from node_process import QUICKLY, Started
 from probe import Probe, entries, event
 
 from quad_sysid.bags import write_bag
 
 OK, WARN, ERROR = 0, 1, 2
-EACH_ONCE_WITHOUT_BLACKBOX = """
-from quad_sysid.pipeline import identify
-from quad_tuning import pid
-identify._compared = lambda answer, *_: answer
-pid.STARTS, pid.JUDGED, pid.GRID = 1, 20, (5, 7, 2, 4, 3)
+EACH_ONCE = f"""{QUICKLY}
 import quad_sysid.identification_node as node
-run, found = node.session.run, {}
+run, found = node.session.run, {{}}
 def once(bags, out, wanted):
     bag = node.Path(bags[0]).resolve()
     found[bag] = found[bag] if bag in found else run(bags, out, wanted)
     return found[bag]
 node.session.run = once
 """
-
-
-class Ears:
-    """What the probe hears of diagnostics, and says in the logger's name."""
-
-    def __init__(self, probe: Probe) -> None:
-        self.probe, self.told = probe, probe.listen('/diagnostics')
-
-    def until(self, name: str, level: int, words: str) -> dict[str, str]:
-        """Wait for a diagnostic of this level with these words; its values."""
-
-        def said() -> bool:
-            found = entries(self.told).get(name)
-            return found is not None and found.level == level and words in found.message
-
-        self.probe.until(said, f'{name}: {words}')
-        return entries(self.told)[name].values
-
-    def say_bag(self, path: Path, state: str = 'complete') -> None:
-        """In the logger's name, which anybody can do."""
-        said = {**event({'path': str(path), 'state': state}), 'node': '/bag_logger'}
-        self.probe.publish('/logger/bag', said)
 
 
 @pytest.mark.timeout(1800)
@@ -63,13 +37,28 @@ def test_the_identification_outlives_bad_bags_and_sends_of_no_bag_but_the_logger
     flown = write_bag(fly(axis, 1, SHORT), tmp_path / 'flight')
     nothing.mkdir()
     out.mkdir()
-    ears = Ears(probe)
-    ears.say_bag(tmp_path / 'older')
-    ears.say_bag(flown)
-    name = 'identification: identification'
+    told, name = probe.listen('/diagnostics'), 'identification: identification'
+
+    def until(level: int, words: str) -> dict[str, str]:
+        """Wait for a diagnostic of this level with these words; its values."""
+
+        def said() -> bool:
+            found = entries(told).get(name)
+            return found is not None and found.level == level and words in found.message
+
+        probe.until(said, words)
+        return entries(told)[name].values
+
+    def say_bag(path: Path, state: str = 'complete') -> None:
+        """In the logger's name, which anybody can do."""
+        said = {**event({'path': str(path), 'state': state}), 'node': '/bag_logger'}
+        probe.publish('/logger/bag', said)
+
+    say_bag(tmp_path / 'older')
+    say_bag(flown)
     node = start('identification', axes='[roll]', out=out, folder=tmp_path, auto_update='true',
-                 broken=EACH_ONCE_WITHOUT_BLACKBOX)
-    values = ears.until(name, OK, 'complete before this node began')
+                 broken=EACH_ONCE)
+    values = until(OK, 'complete before this node began')
     assert values['bag'] == str(flown)
     assert values['report'] == str(tmp_path / 'report.1' / 'report.json')
     roll = json.loads(Path(values['report']).read_text())['axes']['roll']
@@ -80,15 +69,15 @@ def test_the_identification_outlives_bad_bags_and_sends_of_no_bag_but_the_logger
     late_s = axis.lag_s + 1e-3 * axis.delay_ms
     assert found['lag'] + found['delay'] == pytest.approx(late_s, rel=0.06)
 
-    ears.say_bag(tmp_path / 'no_such_bag')
-    ears.until(name, ERROR, 'no_such_bag: no such bag')
-    ears.say_bag(tmp_path / '..' / 'elsewhere')
-    ears.until(name, WARN, 'not read: it does not lie below')
+    say_bag(tmp_path / 'no_such_bag')
+    until(ERROR, 'no_such_bag: no such bag')
+    say_bag(tmp_path / '..' / 'elsewhere')
+    until(WARN, 'not read: it does not lie below')
     (tmp_path / 'forged').symlink_to(flown)
-    ears.say_bag(nothing)  # the next one waits for it
+    say_bag(nothing)  # the next one waits for it
     for state in ('recording', 'complete'):
-        ears.say_bag(tmp_path / 'forged', state)
-    ears.until(name, OK, 'not sent: /bag_logger is not the only publisher of /logger/bag: /probe')
+        say_bag(tmp_path / 'forged', state)
+    until(OK, 'not sent: /bag_logger is not the only publisher of /logger/bag: /probe')
     assert probe.call('/identification/identify').success
-    ears.until(name, OK, 'not sent: it was asked for by ~/identify')
+    until(OK, 'not sent: it was asked for by ~/identify')
     assert node.end() == 0

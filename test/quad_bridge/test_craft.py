@@ -17,13 +17,6 @@ from quad_bridge.craft import (
 )
 
 
-def test_the_x_frame_has_the_contracts_mixer():
-    rows = [[1, 1, 1, 1], [1, -1, 1, -1], [1, -1, -1, 1], [1, 1, -1, -1]]
-    np.testing.assert_array_equal(X.mixer, rows)
-    np.testing.assert_array_equal(X.inverse, np.transpose(rows) / 4.0)
-    assert X.places == ('rear left', 'rear right', 'front right', 'front left')
-
-
 @pytest.mark.parametrize('name', LAYOUTS)
 def test_every_layout_comes_back_from_its_urdf_and_turns_each_axis(name):
     craft = LAYOUTS[name]

@@ -170,15 +170,12 @@ def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(t
     ],
 )
 def test_what_cannot_be_recovered_ends_with_one_line_and_status_two(
-    tmp_path, capsys, name, content, text
+    tmp_path, refused, name, content, text
 ):
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(SystemExit) as caught:
-        main([str(path)])
-    error = capsys.readouterr().err
-    assert (caught.value.code, error.count('\n')) == (2, 1)
+    error = refused(main, path)
     assert name in error
     assert text in error
     assert [p.name for p in tmp_path.iterdir()] == ([name] if content is not None else [])

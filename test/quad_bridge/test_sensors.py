@@ -114,14 +114,10 @@ def test_the_command_writes_what_it_finds(tmp_path, standing, capsys):
         (['rest', '{}/bag', '--out', '{}'], 'cannot be written: Is a directory'),
     ],
 )  # fmt: skip
-def test_what_the_command_refuses_it_says_in_one_line(standing, capsys, arguments, text):
+def test_what_the_command_refuses_it_says_in_one_line(standing, refused, arguments, text):
     folder = standing.parent
     (folder / 'list.yaml').write_text('- 1\n')
     if not (folder / 'turning').exists():
         t, gyro, felt = resting(6.0)
         imu_bag(folder / 'turning', t, at(gyro, 500, 1, 0.1), felt)
-    with pytest.raises(SystemExit) as caught:
-        main([a.format(folder) for a in arguments])
-    error = capsys.readouterr().err
-    assert (caught.value.code, error.count('\n')) == (2, 1)
-    assert text in error
+    assert text in refused(main, *(word.format(folder) for word in arguments))

@@ -59,14 +59,11 @@ def test_every_profile_loads(name):
         ('a: [', 'is not YAML'),
     ],
 )
-def test_a_wrong_profile_is_one_line_that_names_file_and_key(tmp_path, capsys, text, said):
+def test_a_wrong_profile_is_one_line_that_names_file_and_key(tmp_path, refused, text, said):
     path = written(tmp_path, mine=text)
-    with pytest.raises(ConfigurationError) as caught:
-        load_profile(path)
-    assert said in str(caught.value)
-    assert str(tmp_path) in str(caught.value)
-    assert main(['--profile', str(path)]) == 2
-    assert capsys.readouterr().err.count('\n') == 1
+    error = refused(main, '--profile', path)
+    assert said in error
+    assert str(tmp_path) in error
 
 
 def test_a_profile_extends_another_by_name_or_beside_it(tmp_path):

@@ -64,12 +64,10 @@ def handlers():
         (None, 'not a readable Python file'),
     ],
 )
-def test_a_bad_effect_module_is_one_line_and_status_2(tmp_path, capsys, source, said):
+def test_a_bad_effect_module_is_one_line_and_status_2(tmp_path, refused, source, said):
     path = tmp_path / 'bad.py'
     if source is not None:
         path.write_text(source, encoding='utf-8')
-    status = main(['--effect-module', str(path), '--duration', '0.1'])
-    error = capsys.readouterr().err
-    assert (status, error.count('\n')) == (2, 1)
+    error = refused(main, '--effect-module', path, '--duration', '0.1')
     assert str(path) in error
     assert said in error

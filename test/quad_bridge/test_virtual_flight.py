@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import math
 import runpy
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,21 +64,6 @@ def test_the_firmware_gives_up_yaw_then_throttle_and_roll_and_pitch_last():
         given[larger, 2] * control[larger, 1], abs=1e-6)
     assert (given[:, 3] * control[:, 3] >= 0.0).all()  # yaw is never turned the other way
     assert (np.abs(given[:, 3]) <= np.abs(control[:, 3]) + 1e-6).all()
-
-
-@pytest.mark.parametrize(('profile', 'axis'), [('plain', 'roll'), ('paper', 'pitch')])
-def test_the_papers_gains_track_a_square_wave_of_12_degrees(profile, axis):
-    config = fly(profile, [], 0.1, 1).profile
-    config = replace(config, axis=axis)
-    flight = fly(config, [Excited(1.0, square(40.0), axis)], 41.0, 4)
-    index = ('roll', 'pitch').index(axis)
-    turns = flight.angles[250:, index].reshape(-1, 500)
-    turns[1::2] *= -1
-    progress = (turns[2:].mean(axis=0) + SIZE) / (2 * SIZE)
-    rise_s = (np.argmax(progress > 0.9) - np.argmax(progress > 0.1)) * 0.004
-    assert 0.4 < rise_s < 0.9
-    assert progress.max() < 1.1
-    assert progress[-50:].mean() == pytest.approx(1.0, abs=0.03)
 
 
 def test_an_effect_sees_time_rates_angles_thrusts_and_voltage_at_every_physics_step():

@@ -20,8 +20,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flown_craft import DT, Airframe, X, fly
 from probe import PATIENCE_S
 
+from quad_sysid.contract import MIXER_INVERSE
 from quad_sysid.loop.cascade import CascadeGains, margins, open_loop
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, loops_of
@@ -300,20 +302,13 @@ def browser(tmp_path):
     assert not chromium.errors, chromium.errors
 
 
-def _flown_table():
-    """Rows of an axis each that answers its torque, 20 s at 100 Hz."""
-    random = np.random.default_rng(1)
-    torque = np.repeat(0.1 * random.choice([-1.0, 1.0], (250, 3)), 8, axis=0)
-    rate = np.zeros(3)
-    for k, u in enumerate(torque):
-        rate = rate + 0.01 * (60.0 * u - 3.0 * rate)
-        yield ','.join(f'{x:.5g}' for x in (0.01 * k, *u, *(rate + 0.01 * random.normal(size=3))))
-
-
 @pytest.mark.browser
 def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, browser, tmp_path):
     log = tmp_path / 'dropped.csv'
-    log.write_text('\n'.join(['t,tau_x,tau_y,tau_z,wobble,gy,gz', *_flown_table()]))
+    flight = fly(Airframe(X), 1, 20.0)
+    torque = flight['motors'] @ MIXER_INVERSE[1:].T
+    np.savetxt(log, np.column_stack([DT * np.arange(len(torque)), torque, flight['rates']]),
+               '%.5g', ',', header='t,tau_x,tau_y,tau_z,wobble,gy,gz', comments='')
     browser.send('Page.navigate', url=server.address)
     browser.until("document.querySelectorAll('#files input').length === 1")
     root = browser.send('DOM.getDocument')['root']['nodeId']

@@ -11,9 +11,10 @@ from quad_sysid.blackbox import frequency_response
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.model import AxisModel, Parameter
+from quad_sysid.model import AxisModel, GainProposal, Parameter
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import step_b
+from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.report import document, text
@@ -64,10 +65,14 @@ def flight(
     )
 
 
+def shows_its_band(model: AxisModel) -> GainProposal:
+    return GainProposal(None, str(model.trusted_band_rad_s))
+
+
 @pytest.fixture(scope='module')
 def answers():
     records = [flight(), flight(7, FAST, source='second')]
-    return identify(records, Options(axes=('roll',), effects=()))
+    return identify(records, Options(axes=('roll',), effects=(), designer=shows_its_band))
 
 
 @pytest.fixture(scope='module')
@@ -91,6 +96,15 @@ def test_every_structure_stands_in_the_table_and_the_selected_one_finds_the_plan
     true = 450.0 / abs((3j + 0.4) * (0.04 * 3j + 1.0))
     found = frequency_response(row.step_a.model, w).magnitude[0]
     assert abs(found / true - 1.0) < 0.03
+
+
+def test_gains_are_designed_in_the_band_that_the_report_trusts(roll):
+    """Narrower than where command and rate are coherent: there too the gain must be known."""
+    low, high = roll.model.trusted_band_rad_s
+    assert roll.proposal.refused_because == str((low, high))
+    coherent = Support.of(roll.train, 'roll').band
+    assert coherent[0] <= low < high <= coherent[1]
+    assert (low, high) != coherent
 
 
 def test_one_loop_is_identified_by_all_three_approaches():

@@ -678,7 +678,7 @@ def only(*labels: str) -> tuple[Effect, ...]:
 
 def answer_of(record: Record, **options):
     """Without the black-box models, which say nothing of effects."""
-    with mock.patch.object(pipeline, '_compared', lambda answer, *_: answer):
+    with mock.patch.object(pipeline, '_black_boxes', return_value='left out'):
         return pipeline.identify([record], pipeline.Options(axes=('roll',), **options))['roll']
 
 

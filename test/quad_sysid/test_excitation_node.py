@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from node_process import Started
 from probe import Probe, content, entries, stamp
@@ -161,29 +160,6 @@ def fly(
         return process
 
     return begin
-
-
-def test_a_schedule_is_flown_and_the_process_ends(aircraft, fly):
-    process = fly(autostart=True, exit_when_done=True)
-    aircraft.until(lambda: aircraft.segments)
-    idle_ns = aircraft.now_ns
-    aircraft.until(lambda: aircraft.now_ns - idle_ns > 0.55e9)
-    aircraft.flags('armed excitation_refused')  # of before: while idle nothing is refused
-    aircraft.until(lambda: process.poll() is not None, 'its end')
-    assert process.poll() == 0
-    aircraft.probe.until(lambda: aircraft.state.get('state') == 'done')
-    aircraft.probe.until(lambda: len(aircraft.segments) == 4)
-    assert [s['segment'] for s in aircraft.segments] == ['idle', 'train', 'idle', 'idle']
-    starts = np.array(aircraft.starts_s)
-    assert np.diff(starts) == pytest.approx([0.8, 1.0, 0.5], abs=0.005)
-    train = aircraft.segments[1]
-    assert (train['signal'], train['axis'], train['injection']) == ('prbs', 'pitch', 'attitude')
-    assert train['register_bits'] == 5
-    assert train['amplitude'] == pytest.approx(0.2094, abs=1e-4)
-    assert 249 <= len(aircraft.setpoints) <= 252
-    assert max(abs(s[1]) for s in aircraft.setpoints) == pytest.approx(0.2094, abs=1e-4)
-    assert all(s[0] == s[2] == 0.0 for s in aircraft.setpoints)
-    assert 'complete' in aircraft.state['reason']
 
 
 def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):

@@ -34,16 +34,20 @@ def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
     assert told.verdict.rungs[1] == pytest.approx(told.verdict.after)
 
 
-def test_a_curve_that_says_friction_is_explained_by_friction(rubbed_answer):
-    """The reference is a smooth curve over the rate; the named law stands before it."""
+@pytest.mark.parametrize(('says', 'least'), [('shape:rate/smooth', 0.4),
+                                             ('coulomb_friction/stribeck', 2.0)])
+def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch, says, least):
+    """By a curve, or with more than is needed: the plain law stands, though no rival is tried."""
+    monkeypatch.setattr('quad_sysid.explain.ladder.LEAST_OF_BEST', least)
     told = rubbed_answer.findings
     problem, found = told.problem, told.search
-    curve = next(one for one in found.all if one.fit.structure.labels
-                 and one.fit.structure.labels[0].startswith('shape:rate')
-                 and len(one.fit.structure.labels) == 1)
-    parts = [one for scored in found.all for one in scored.fit.structure.parts]
-    only = Found(found.base, (Scored(curve.fit, 9.0), Scored(found.base, 0.0)), {})
-    ladder = explain(problem, only, list({p.effect.label: p for p in parts}.values()))
+    parts, _ = candidates(problem, EFFECTS)
+    part = next(one for one in parts if one.effect.label == says)
+    start = coordinates(part.effect.parameters,
+                        part.effect.starts(problem.data, part.settings)[0])
+    reference = fit(problem, Structure((part,)), np.insert(found.base.theta, -4, start))
+    only = Found(found.base, (Scored(reference, 9.0), Scored(found.base, 0.0)), {})
+    ladder = explain(problem, only, parts)
     assert ladder.rungs[1].labels == ('coulomb_friction',)
     assert ladder.rungs[1].explains_pct > 90.0
     assert ladder.answer == 1

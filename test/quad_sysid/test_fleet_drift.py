@@ -47,6 +47,8 @@ def fleet(seed, *, wear=True, odd=False, aircraft=30, flights=10):
                         value *= 1.0 - 0.3 * day / 180.0
                     if odd and (k, i, axis, name) == (3, 4, 'pitch', 'lag'):
                         value *= 1.6
+                    if (k, axis, name) == (5, 'roll', 'delay') and i >= flights // 2:
+                        scatter, std = 10.0 * value, None  # at its bound
                     row |= {f'{axis}_{name}': value + scatter, f'{axis}_{name}_std': std}
                 friction = {}
                 torque = 1.0 * (1.0 + 0.6 * max(0.0, day - BEGIN) / 90.0) if wear else 1.0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from autopilot_logs import dataflash, ulog
+from autopilot_logs import dataflash, quaternions, ulog
 
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
@@ -49,20 +49,8 @@ def flight():
 
 
 def quaternion_ned(angles: np.ndarray) -> np.ndarray:
-    """w x y z of the FRD body in NED, by multiplying the three turns."""
-    roll, pitch, yaw = angles[:, 0], -angles[:, 1], 0.5 * np.pi - angles[:, 2]
-
-    def turn(axis, angle):
-        q = np.zeros((len(angle), 4))
-        q[:, 0], q[:, axis] = np.cos(0.5 * angle), np.sin(0.5 * angle)
-        return q
-
-    def product(a, b):
-        w = a[:, 0] * b[:, 0] - (a[:, 1:] * b[:, 1:]).sum(axis=1)
-        v = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
-        return np.column_stack([w, v])
-
-    return product(product(turn(3, yaw), turn(2, pitch)), turn(1, roll))
+    """w x y z of the FRD body in NED."""
+    return quaternions(np.array([0.0, 0.0, 0.5 * np.pi]) + angles * FRD)
 
 
 FRD = np.array([1.0, -1.0, -1.0])
@@ -420,14 +408,12 @@ def test_a_real_px4_log_through_the_command(tmp_path, capsys):
           for magic in (b'ULog\x01\x12\x35', b'\xa3\x95\x80')),
     ],
 )
-def test_what_cannot_be_imported_is_one_line(flight, tmp_path, capsys, name, content, words):
+def test_what_cannot_be_imported_is_one_line(flight, tmp_path, refused, name, content, words):
     pytest.importorskip('pyulog')
     path = tmp_path / name
     if content:
         path.write_bytes(content)
     else:
         path.write_text(blackbox(path, flight).read_text().replace('12, ARM', 'much, ARM', 1))
-    assert main(['import', str(path), '--out', str(tmp_path / 'bag')]) == 2
-    error = capsys.readouterr().err
-    assert (words in error, error.count('\n')) == (True, 1), error
+    assert words in refused(main, 'import', path, '--out', tmp_path / 'bag')
     assert not (tmp_path / 'bag').exists()

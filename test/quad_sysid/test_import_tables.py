@@ -120,7 +120,8 @@ def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsy
 def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
     tmp_path, capsys, monkeypatch, heads
 ):
-    """As on a rig where roll alone is free."""
+    """As on a rig where roll alone is free; a typed command needs no --unit for such names."""
+    assert unit_of('rate', None, heads[0]).name == 'deg/s'
     monkeypatch.chdir(tmp_path)
     table, quiet = columns(), 0.02 * np.random.default_rng(5).standard_normal((4, N))
     rates, angles = (np.stack([table[name], *quiet[i : i + 2]])

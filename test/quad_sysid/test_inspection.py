@@ -8,6 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flown_axis import Axis, Plan, fly
+from flown_craft import DT as STEP_S
+from flown_craft import Airframe, X
+from flown_craft import fly as flown
 
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
@@ -134,14 +137,9 @@ def test_the_page_fits_a_terminal_and_json_is_whole(bag, capsys):
 
 def test_a_log_is_drawn_with_the_motor_that_the_motion_contradicts(tmp_path, capsys):
     """In a table: motors 1 and 2 of the X frame exchanged, which roll and pitch tell apart."""
-    random = np.random.default_rng(1)
-    n, dt = 3000, 0.01
-    torque = np.repeat(0.1 * random.choice([-1.0, 1.0], (n // 20, 3)), 20, axis=0)
-    rates = np.zeros((n, 3))
-    for k in range(1, n):
-        rates[k] = rates[k - 1] + dt * (60.0 * torque[k - 1] - 3.0 * rates[k - 1])
-    motors = 0.5 + torque @ MIXER[:, 1:].T
-    table = np.column_stack([dt * np.arange(n), rates, motors[:, [1, 0, 2, 3]]])
+    flight = flown(Airframe(X), 1, 24.0)
+    rates, motors = flight['rates'], flight['motors'][:, [1, 0, 2, 3]]
+    table = np.column_stack([STEP_S * np.arange(len(rates)), rates, motors])
     log = tmp_path / 'flight.csv'
     log.write_text('t,gyro_x,gyro_y,gyro_z,m1,m2,m3,m4\n' + '\n'.join(
         ','.join(f'{v:.6g}' for v in row) for row in table))

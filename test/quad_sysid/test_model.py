@@ -25,7 +25,6 @@ from quad_sysid.estimate.fit import Fit, Problem, Tail, fit, slowness
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
 from quad_sysid.explain.models import Models
-from quad_sysid.model import recursion
 from quad_sysid.model.data import axis_data, part_of
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Flight
@@ -243,23 +242,6 @@ def test_a_delay_by_another_clock_is_the_same_in_segments_that_are_joined():
         np.testing.assert_allclose(other[:, here], one[:, at], atol=1e-12)
         plain = Flight(whole, whole.stretches).driven(Structure(), base)[0]
         assert np.std(one - plain) > 0.1 * np.std(plain)
-
-
-def test_a_motor_whose_lag_follows_how_far_it_has_to_go_is_integrated_over_each_cycle():
-    knots, values = np.array([-0.1, -0.04, -0.01, 0.01, 0.04, 0.1]), np.linspace(0.8, -0.4, 6)
-    command, dt, lag, parts = np.random.default_rng(2).uniform(0.3, 0.5, 40), 0.004, 0.03, 400
-    halves, states = np.zeros((2, 40)), np.zeros((2, 40))
-    recursion.motors(command[None, :], np.ones(1), np.full((1, 40), lag),
-                     np.stack([knots, values])[None], np.repeat([[1.0], [0.0]], 40, axis=1),
-                     np.zeros(40), dt, 0, 40, halves, states)
-    w, truth = command[0], []
-    for u in command:
-        sums = []
-        for _ in range(parts):
-            sums.append(w)
-            w += dt / parts / lag * math.exp(-np.interp(u - w, knots, values)) * (u - w)
-        truth.append([np.mean(sums[: parts // 2]), np.mean(sums[parts // 2 :])])
-    np.testing.assert_allclose(halves.T, truth, atol=0.003 * np.ptp(command))
 
 
 def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:

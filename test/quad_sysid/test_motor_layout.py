@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flown_craft import DT, Airframe, X, fly
 
 from quad_sysid.craft import of_betaflight
 from quad_sysid.imports.clock import Stream
@@ -16,45 +17,28 @@ from quad_sysid.imports.to_bag import import_log
 from quad_sysid.motor_layout import patterns_of, share_of
 
 SHARED = Path(__file__).resolve().parents[2] / '../shared/data'
-DT, N = 0.004, 6000
 LAYOUTS = {
-    'X': ('+ - - +', '+ + - -', '+ - + -'),
-    'another order': ('- + - +', '+ + - -', '- + + -'),
-    'plus': ('0 - 0 +', '- 0 + 0', '+ - + -'),
-    'hexa X': ('- + + - - +', '0 0 - + - +', '+ - + - - +'),
-    'coaxial X8': ('+ - - + + - - +', '+ + - - + + - -', '+ - + - - + - +'),
+    'X': X, 'another order': ((135, 1), (-135, -1), (45, -1), (-45, 1)),
+    'plus': ((0, -1), (90, 1), (180, -1), (-90, 1)),
+    'hexa X': ((90, -1), (-90, 1), (-30, -1), (150, 1), (30, 1), (-150, -1)),
+    'coaxial X8': (*X, *((angle, -spin) for angle, spin in X)),
 }
 
 
-def signs(text: str) -> np.ndarray:
-    return np.array([{'+': 1.0, '-': -1.0, '0': 0.0}[c] for c in text.split()])
-
-
-def flown(layout: tuple[str, ...], seed: int = 1, push: float = 20.0) -> tuple:
-    """Rates of a plant of each axis in a rate loop, behind 8 ms of delay and 40 ms of lag."""
-    rng = np.random.default_rng(seed)
-    rows = np.array([signs(text) for text in layout])
-    if rows.shape[1] == 6:  # arms of 90° and 30° from the nose
-        rows[0, 2:] *= 0.5
-    k = rows.shape[1]
-    rates = np.zeros((N, 3))
-    motors = np.full((N, k), 0.5)
-    drive = np.zeros(3)
-    wanted = np.repeat(rng.choice([-1.0, 0.0, 1.0], (N // 100 + 1, 3)), 100, axis=0)[:N]
-    for n in range(N - 1):
-        command = 0.05 * (wanted[n] - rates[n])
-        motors[n] = np.clip(0.5 + command @ rows + 0.01 * rng.standard_normal(k), 0.0, 1.0)
-        torque = rows @ (motors[max(0, n - 2)] - 0.5) * (4.0 / k)
-        drive += DT / 0.04 * (torque - drive)
-        rates[n + 1] = rates[n] + DT * (100.0 * drive + push * rng.standard_normal(3))
-    return rates + 0.005 * rng.standard_normal((N, 3)), motors
+def flown(motors) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """What each motor does to roll, pitch and yaw as signs, and rates and motors of a flight."""
+    airframe = Airframe(motors, torque_noise=1.0)
+    forward, left, turn = np.round(airframe.places, 6).T
+    texts = [' '.join('-0+'[int(np.sign(x)) + 1] for x in row) for row in (left, -forward, turn)]
+    flight = fly(airframe, 1, 16.0)
+    return texts, flight['rates'], flight['motors']
 
 
 @pytest.mark.parametrize('layout', LAYOUTS.values(), ids=LAYOUTS)
 def test_every_layout_is_found(layout):
-    rates, motors = flown(layout)
+    texts, rates, motors = flown(layout)
     found = patterns_of(rates, motors, DT)
-    assert [p.text for p in found] == list(layout)
+    assert [p.text for p in found] == texts
     assert all(p.certain for p in found)
     assert all(p.share > 1.4 * p.rival_share for p in found)
     opposite = -np.array(found[0].signs, dtype=float)
@@ -64,32 +48,33 @@ def test_every_layout_is_found(layout):
 def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path):
     """As long in the hand as in flight, then a second in which it hits things, its motors jump."""
     rng = np.random.default_rng(0)
-    rates, motors = flown(LAYOUTS['another order'])
-    crash = slice(N - 250, N)
+    texts, rates, motors = flown(LAYOUTS['another order'])
+    n = len(rates)
+    crash = slice(n - 250, n)
     rates[crash] = np.cumsum(2.0 * rng.standard_normal((250, 3)), axis=0)
     motors[crash] = rng.choice([0.0, 1.0], (250, 4))
-    hand = 3.0 * np.sin(np.arange(N)[:, None] * DT * np.array([5.0, 7.0, 4.0]))
-    idle = 0.06 + 0.02 * rng.random((N, 4))
-    times = DT * np.arange(2 * N)
+    hand = 3.0 * np.sin(np.arange(n)[:, None] * DT * np.array([5.0, 7.0, 4.0]))
+    idle = 0.06 + 0.02 * rng.random((n, 4))
+    times = DT * np.arange(2 * n)
     log = ForeignLog('crash', 'a log', rates=Stream(times, np.vstack([hand, rates])),
                      motors=Stream(times, np.vstack([idle, motors])))
     notes = import_log(log, tmp_path / 'bag').notes
-    for axis, text in zip(('roll', 'pitch', 'yaw'), LAYOUTS['another order'], strict=True):
+    for axis, text in zip(('roll', 'pitch', 'yaw'), texts, strict=True):
         (line,) = (line for line in notes if line.startswith(f'motors on {axis}'))
         assert f': {text} explain' in line
         assert 'not certain' not in line
 
 
 @pytest.mark.parametrize(('layout', 'wanted'), [
-    (('- - + +', '+ - + -', '- + + -'), 'QUADX, propellers out'),
-    (('- - + + - +', '+ - + - 0 0', '- - + + + -'), 'HEX6X, propellers in'),
+    (((135, 1), (45, -1), (-135, -1), (-45, 1)), 'QUADX, propellers out'),
+    (((150, 1), (30, 1), (-150, -1), (-30, -1), (90, -1), (-90, 1)), 'HEX6X, propellers in'),
 ])
 def test_the_motion_says_what_a_log_does_not(layout, wanted):
     """A blackbox header that names neither the mixer nor the sense of the propellers."""
-    mixers = ('QUADX',) if len(signs(layout[0])) == 4 else ('HEX6', 'HEX6X', 'Y6')
+    mixers = ('QUADX',) if len(layout) == 4 else ('HEX6', 'HEX6X', 'Y6')
     crafts = [of_betaflight({'mixer': mixer, 'yaw_motors_reversed': out})
               for mixer in mixers for out in ('0', '1')]
-    rates, motors = flown(layout)
+    _, rates, motors = flown(layout)
     assert chosen(crafts, patterns_of(rates, motors, DT), rates, motors, DT).name == (
         f"Betaflight's {wanted}")
 
@@ -99,7 +84,7 @@ def test_the_motion_says_what_a_log_does_not(layout, wanted):
 def test_nothing_is_certain_where_nothing_turns_the_axes(seed, motors):
     """Motors and rates that have nothing to do with each other, as noise and as slow motions."""
     rng = np.random.default_rng(seed)
-    shape = (N, 3 + motors)
+    shape = (6000, 3 + motors)
     noise = rng.standard_normal(shape)
     slow = np.cumsum(noise, axis=0) * DT
     for made in (noise, slow):
@@ -113,7 +98,7 @@ def test_on_a_rig_that_hangs_the_angle_shows_it():
     rng = np.random.default_rng(0)
     motors = rng.uniform(0.2, 0.8, (300, 4))
     angles = np.zeros((300, 3))
-    angles[:, 0] = 0.2 * motors @ signs('- + - +') + 0.01 * rng.standard_normal(300)
+    angles[:, 0] = 0.2 * motors @ [-1.0, 1.0, -1.0, 1.0] + 0.01 * rng.standard_normal(300)
     rates = np.zeros((300, 3))
     rates[:, 0] = 0.01 * rng.standard_normal(300)
     (found,) = patterns_of(rates, motors, 4.0, angles)

@@ -71,7 +71,6 @@ def test_a_rate_that_does_not_fit_is_told():
 @pytest.mark.usefixtures('quick')
 def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path, refusal):
     """What the command prints, the pictures, the files, a simulation and another flight."""
-    z = plain_flight.axis('roll', 'train')
     result = quad_sysid.identify(plain_flight, axes='roll', effects=())
     assert (result.verdict, result.effects, result.rivals) == ('not_searched', (), {})
     assert list(result) == ['roll']
@@ -94,15 +93,9 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path, refusal):
     found = quad_sysid.evaluate(result.model, plain_flight)
     z = plain_flight.axis('roll', 'train')
     model = quad_sysid.bj(z, 2, 2, 2, 2, 3)
-    for value, words in (
-        (plain_flight, 'train: prbs on roll'), (z, 'at 250 Hz in 1 segments'),
-        (model, '  D = +1 '),
-        (quad_sysid.residual_test(z, model), 'white: yes, p = '), (found, 'base (before) 0.'),
-        (result.model, 'rad/s² per unit command'),
-    ):
-        assert words in repr(value) == str(value)
-        assert len(repr(value)) < 500
-    assert repr(quad_sysid.EFFECTS[0]) == "Torque('coulomb_friction')"
+    for value in (plain_flight, z, model, quad_sysid.residual_test(z, model), found, result.model):
+        assert repr(value) == str(value)
+        assert 20 < len(repr(value)) < 500
     assert found.before == pytest.approx(result.errors['before'], rel=0.3)
     for call, words in (
         (lambda: result['yaw'], 'no such axis'),

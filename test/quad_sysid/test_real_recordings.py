@@ -105,13 +105,16 @@ def test_a_contracts_bag_by_somebody_else_has_its_truth_within_5_percent():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize('name', ['B2_circle_fast_rep1', 'B3_figure8_fast_rep1',
-                                  'B7_oval_fast_rep1', 'B10_lissajous_fast_rep1'])
-def test_a_flight_without_a_test_signal_gets_an_honest_verdict(imported, name):
+@pytest.mark.parametrize(('path', 'options'), [
+    *((f'nanobench/{name}_fast_rep1.csv.gz',
+       f'--axis roll --rate imu_gyro_x --angle roll --battery pwr_pm_vbat {NANOBENCH}')
+      for name in ('B2_circle', 'B3_figure8', 'B7_oval', 'B10_lissajous')),
+    # with landings, whose impacts of 2.7 rad/s in flights of 0.1 rad/s are no effects
+    *((f'flights/crazypad_{name}.csv', CRAZYPAD) for name in ('normal', 'weight_near_m3')),
+])
+def test_a_flight_without_a_test_signal_gets_an_honest_verdict(imported, path, options):
     """Nothing is claimed, and the one line says what would help."""
-    result = qs.identify(imported(
-        f'nanobench/{name}.csv.gz',
-        f'--axis roll --rate imu_gyro_x --angle roll --battery pwr_pm_vbat {NANOBENCH}'), 'roll')
+    result = qs.identify(imported(path, options), 'roll')
     assert (result.verdict, result.effects, result.gains) == ('cannot_tell', (), None)
     assert 'PRBS' in result.reason
     assert all(result.model.parameters[name].std > 0.0 for name in ('lag', 'delay'))
@@ -129,14 +132,6 @@ def test_a_crazyflie_surges_and_sways_by_gravity(imported):
         assert model.value('gain') == pytest.approx(9.81, rel=0.03)
         assert 0.2 < model.value('damping') < 0.6
         assert error['before'] < error['hold_last_value'] / 6.0
-
-
-@pytest.mark.long
-@pytest.mark.parametrize('flight', ['normal', 'weight_near_m3'])
-def test_landings_are_no_effects(imported, flight):
-    """Their impacts, of 2.7 rad/s in flights of 0.1 rad/s, were once named as three effects."""
-    found = qs.identify(imported(f'flights/crazypad_{flight}.csv', CRAZYPAD), 'roll')
-    assert found.verdict == 'cannot_tell'
 
 
 def test_a_delay_of_one_cycle_is_not_taken_for_two(imported):

@@ -15,7 +15,6 @@ from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.virtual.simulation import Excited, fly
 from quad_sysid.axes import THRUST
-from quad_sysid.cli import main as compare
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import in_flight, loop_plant
@@ -105,16 +104,6 @@ def test_gains_of_an_outer_loop_are_not_sent(tmp_path):
     path.write_text(json.dumps({'schema': DESIGN, 'axes': {'surge': design}}))
     with pytest.raises(BadInputError, match='of an outer loop of your own only'):
         read_design(path)
-
-
-def test_two_models_of_the_climb_are_compared(climb, changed, tmp_path, capsys):
-    heavier = changed(climb, base=tuple(
-        changed(p, value=0.9 * p.value) if p.name == 'gain' else p for p in climb.base))
-    for name, one in (('a', climb), ('b', heavier)):
-        (tmp_path / f'{name}.json').write_text(json.dumps(tree_of_models({'climb': one})))
-    assert compare(['compare', *(f'{tmp_path}/{name}.json' for name in 'ab'),
-                    '--axis', 'climb']) == 0
-    assert 'changed: climb gain\n' in capsys.readouterr().out
 
 
 def flown(gains):

@@ -1,7 +1,4 @@
-"""The demo's parts: processes are watched and all stopped, figures are told.
-
-The observer is flown by test/integration.
-"""
+"""The demo's processes are watched and all stopped; test/integration/test_loop.py flies it."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ from node_process import until
 
 pytest.importorskip('ament_index_python', reason='the demo runs in a ROS 2 workspace')
 
-from quad_sysid.loop.figures import SquareFigures
 from quad_tuning.demo import processes
 from quad_tuning.demo.processes import (
     PORT_BASE,
@@ -25,12 +21,8 @@ from quad_tuning.demo.processes import (
     executable,
     own_domain,
 )
-from quad_tuning.demo.summary import FlightSummary, Outcome, lines
 
 SLEEP = 'import time; time.sleep(600)'
-
-
-# ---- processes
 
 
 def python(source: str) -> list[str]:
@@ -96,26 +88,3 @@ def test_two_runs_never_share_a_domain(tmp_path: Path) -> None:
                 user.bind(('', PORT_BASE + PORT_GAIN * free + offset))
             with own_domain() as other:
                 assert other != free
-
-
-# ---- figures
-
-
-def test_the_summary_has_gains_in_their_units_and_errors_before_and_after(tmp_path: Path) -> None:
-    def flown(factor: float) -> FlightSummary:
-        gains = {'roll.angle.kp': 3.0 * factor, 'roll.rate.kd': 0.001 * factor}
-        return FlightSummary(60.0, gains, SquareFigures(0.5, 6.0, 1.0, 2.0, 0.15, 8, 0.2))
-
-    report = {
-        'verdict': 'effects_added', 'error': {
-            'metric': 'rms', 'unit': 'rad/s', 'before': 0.06, 'after': 0.01},
-        'effects': [{'name': 'coulomb_friction', 'probability': 1.0, 'parameters': [
-            {'name': 'torque', 'value': 0.6, 'unit': 'rad/s²'}]}],
-    }
-    text = '\n'.join(lines(Outcome(
-        'roll', flown(1.0), flown(2.0), report, {'before': 0.12, 'after': 0.03}, 17.0,
-        tmp_path, [('bag', tmp_path / 'flight')], 140.0)))
-    for line in ('roll.angle.kp            3         6  1/s', 'torque 0.6 rad/s²',
-                 'roll.rate.kd         0.001     0.002  s²/rad',
-                 'held-out: 0.0600 before, 0.0100 after (0.17)'):
-        assert line in text

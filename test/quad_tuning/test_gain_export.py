@@ -78,14 +78,11 @@ def test_ardupilot_through_a_file(file, tmp_path, capsys):
         ('', [*ONES, '--scale', 'pitch=0.3'], '--scale: names an axis without gains'),
     ],
 )
-def test_wrong_files_and_options_are_one_line(file, content, arguments, words, capsys, tmp_path):
+def test_wrong_files_and_options_are_one_line(file, content, arguments, words, refused, tmp_path):
     path = file if content == '' else tmp_path / 'other.json'
     if content:
         path.write_text(content)
-    assert main(['export', str(path), '--to', 'px4', *arguments]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert len(error.splitlines()) == 1
+    assert words in refused(main, 'export', path, '--to', 'px4', *arguments)
 
 
 def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, capsys):

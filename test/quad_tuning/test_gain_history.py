@@ -106,14 +106,11 @@ def test_the_rollback_shows_what_it_would_send_and_needs_ros_to_send_it(
         (['--aircraft', 'quad_8'], f'schema must be {STORED}: found other'),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(folder, options, words, capsys):
+def test_bad_input_is_one_line_and_status_2(folder, options, words, refused):
     (folder / 'quad_8').mkdir()
     (folder / 'quad_8' / 'gains.jsonl').write_text('{"schema": "other"}\n')
-    given = options if '--folder' in options else ['--folder', str(folder), *options]
-    assert main(['history', *given]) == 2
-    error = capsys.readouterr().err
-    assert error.count('\n') == 1
-    assert words in error
+    given = options if '--folder' in options else ['--folder', folder, *options]
+    assert words in refused(main, 'history', *given)
 
 
 @pytest.mark.parametrize(('schema', 'figures'), [

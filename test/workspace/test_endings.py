@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from node_process import MODULES, STARTS, Started, node_command, program
-from probe import Probe, entries, event
+from probe import entries, event
 
 INT, TERM = signal.SIGINT, signal.SIGTERM
 NODES = {*STARTS} - {'virtual_stm32'}
@@ -120,13 +120,3 @@ session.run = run
     probe.until(lambda: 'identifying' in getattr(entries(told).get(name), 'message', ''))
     process.send(INT)
     ended(process)
-
-
-def test_a_fault_of_the_middleware_is_one_failed_assertion(ros_domain, tmp_path, nursery):
-    del ros_domain
-    probe = Probe(tmp_path, nursery)
-    probe.nodes()
-    os.kill(probe.pid, signal.SIGSEGV)
-    with pytest.raises(AssertionError, match='the probe has ended'):
-        probe.until(lambda: False)
-    assert probe.close() == -signal.SIGSEGV

@@ -55,11 +55,3 @@ def test_what_it_cannot_do_is_one_line(ros2, words, told, request):
     assert (done.returncode, done.stdout) == (2, '')
     assert told in done.stderr
     assert done.stderr.count('\n') == 1
-
-
-def test_a_service_of_another_type_is_named(ros2, start, probe):
-    start('bag_logger', autostart=False)
-    probe.until(lambda: '/bag_logger' in probe.nodes())
-    done = ros2('service', 'call', '/bag_logger/start', 'std_srvs/srv/SetBool')
-    assert (done.returncode, done.stdout) == (2, '')
-    assert done.stderr == 'ros2 service call: /bag_logger/start is a std_srvs/srv/Trigger\n'

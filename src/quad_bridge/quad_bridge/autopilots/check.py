@@ -145,8 +145,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         epilog='Example: ros2 run quad_bridge serial_bridge --check --port /dev/ttyACM0',
     )
     parser.add_argument('--check', action='store_true', help=argparse.SUPPRESS)
-    parser.add_argument('--port', default='/dev/ttyACM0', help='as the parameter port')
-    parser.add_argument('--baud', type=int, default=921600, help='of a serial line')
+    parser.add_argument('--port', default='/dev/ttyACM0',
+                        help='as the parameter port; default %(default)s')
+    parser.add_argument('--baud', type=int, default=921600,
+                        help='of a serial line; default %(default)s')
     parser.add_argument('--seconds', type=positive, default=12.0, help='to listen; default 12')
     options = parser.parse_args(argv)
     if over_network(options.port):
@@ -156,7 +158,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     listener = _Listener(options.port, options.baud)
     listener.port.start()
     pause, until_s = threading.Event(), clock().now_s() + options.seconds
-    while clock().now_s() < until_s:
+    while clock().now_s() < until_s and not listener.port.status.refused:
         pause.wait(0.05)
         listener.tick()
     aircraft, port = listener.connected.autopilot, listener.port.status

@@ -48,7 +48,7 @@ class PortState(Enum):
 
     CLOSED = 'closed'
     OPEN = 'open'
-    NOT_THERE = 'not there: plug it in, or set the parameter port'
+    NOT_THERE = 'not there: plug it in, or name another'
     BUSY = 'busy: another program has it open'
     DENIED = 'not permitted: add the user to the group dialout and log in again'
     UNUSABLE = 'cannot be used as a serial port'
@@ -78,6 +78,13 @@ class PortStatus:
     dropped_writes: int = 0  # writes that found the output of the open port full
     path: str = ''  # the device that is open, or was last: what a link or pattern has led to
     latency_ms: int | None = None  # an FTDI adapter's latency timer; None where there is none
+
+    @property
+    def refused(self) -> str:
+        """Why the port has not opened yet and cannot without the user's help; else empty."""
+        helpless = self.state in {PortState.NOT_THERE, PortState.BUSY, PortState.DENIED,
+                                  PortState.UNUSABLE}  # fmt: skip
+        return f'port {self.state.value}' if helpless and not self.opened else ''
 
 
 class SerialPort:

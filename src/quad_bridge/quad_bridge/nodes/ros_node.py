@@ -102,8 +102,11 @@ def refuse_arguments(name: str) -> None:
         elif ours:
             own.append(word)
     if {'-h', '--help'} & set(own):
+        prefixes = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+        where = f'share/*/config/{name}.yaml'
+        files = [path for prefix in prefixes for path in Path(prefix).glob(where)]
         say(f'usage: {name} [--ros-args -p NAME:=VALUE … --params-file FILE.yaml]\n'
-            f'parameters: its file in config/, or ros2 param list /{name} while it runs\n')
+            + ''.join(f'parameters, with their meaning: {path}\n' for path in files[:1]))
         sys.exit()
     if own:
         remedy = 'parameters stand behind --ros-args: --ros-args -p NAME:=VALUE'

@@ -249,7 +249,7 @@ class _Line:
 
     def __init__(self, port: str, baud: int) -> None:
         self._came, self._lock = bytearray(), threading.Lock()
-        self._port = SerialPort(port, baud, self._hear)
+        self._name, self._port = port, SerialPort(port, baud, self._hear)
         self._port.start()
 
     def _hear(self, data: bytes) -> None:
@@ -257,7 +257,7 @@ class _Line:
             self._came += data
 
     def wait(self, talk: Talk, seconds: float) -> None:
-        """Move bytes for so long."""
+        """Move bytes for so long. Raises BadInputError where the port cannot be opened."""
         until_s = time.monotonic() + seconds
         while True:
             with self._lock:
@@ -266,6 +266,8 @@ class _Line:
             out = talk.to_send()
             if out:
                 self._port.write(out)
+            if self._port.status.refused:
+                raise BadInputError(f'--port {self._name}', self._port.status.refused)
             remaining_s = until_s - time.monotonic()
             if remaining_s <= 0.0:
                 return
@@ -284,8 +286,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument('only', nargs='*', metavar='STEP',
                         help='receiver, motors, board, compass, battery, outputs; default: each')
-    parser.add_argument('--port', default='/dev/ttyACM0', help="as the bridge's parameter port")
-    parser.add_argument('--baud', type=int, default=921600, help='of a serial line')
+    parser.add_argument('--port', default='/dev/ttyACM0',
+                        help="as the bridge's parameter port; default %(default)s")
+    parser.add_argument('--baud', type=int, default=921600,
+                        help='of a serial line; default %(default)s')
     parser.add_argument('--key', type=Path, metavar='FILE', help='where the firmware has one')
     parser.add_argument('--folder', type=Path, default=None,
                         help="of the aircraft's files; default as the bridge's state_folder")

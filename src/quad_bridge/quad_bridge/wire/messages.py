@@ -274,16 +274,20 @@ def _to_command(frame: f.Command) -> Any:
     )
 
 
+def _to_attitude_target(frame: f.SetAttitudeTarget) -> Any:
+    return d.MAVLink_set_attitude_target_message(
+        frame.time_ms, frame.target_system, frame.target_component, frame.mask, frame.q,
+        *frame.rates, frame.thrust,
+    )
+
+
 _TO_MESSAGE: dict[type, Callable[[Any], Any]] = {
     f.Heartbeat: _to_heartbeat,
     f.RcChannels: _to_rc_channels,
     f.Battery: _to_battery,
     f.SlowSensors: _to_slow_sensors,
     f.Command: _to_command,
-    f.SetAttitudeTarget: lambda frame: d.MAVLink_set_attitude_target_message(
-        frame.time_ms, frame.target_system, frame.target_component, frame.mask, frame.q,
-        *frame.rates, frame.thrust,
-    ),
+    f.SetAttitudeTarget: _to_attitude_target,
 }
 
 

@@ -36,7 +36,7 @@ def _run(options: argparse.Namespace) -> int:
         from quad_sysid.app.server import App
     except ImportError as error:
         raise BadInputError('app', f'needs the package {error.name}',
-                            remedy="pip install './src/quad_sysid[app]'") from error
+                            remedy='pip install starlette uvicorn') from error
     if not options.folder.is_dir():
         raise BadInputError(str(options.folder), 'is no folder', remedy='name one with logs')
     if not 0 <= options.port <= 65535:

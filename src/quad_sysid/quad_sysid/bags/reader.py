@@ -30,6 +30,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.record import Record
 
 IMU_TOPIC = '/imu/data'
+PX4_RATES = 'px4_msgs/VehicleAngularVelocity'
 MOTORS, CONTROL = '/motors/command', '/control/wrench'
 SPEEDS, DESCRIPTION = '/motors/state', '/robot_description'
 ACCEL_HZ = 'sensor.accel_filter_hz'
@@ -58,8 +59,8 @@ class _Content:
     streams: dict[str, Stamped]
     events: dict[str, list[bytes]]
     warnings: list[str]
-    same_type: list[str]
-    """Other topics of the type of /imu/data."""
+    rates_elsewhere: list[str]
+    """Other topics of the type of /imu/data, and PX4's."""
     description: str = ''
     """The text of /robot_description."""
 
@@ -78,8 +79,8 @@ def read_bag(path: str | Path) -> Record:
         why = f' ({"; ".join(reasons)})' if reasons else ''
         raise BadInputError(
             source, f'{IMU_TOPIC} is missing or empty{why}',
-            remedy=f'its type is that of {" and ".join(content.same_type)}: `quad-sysid import` '
-            'makes a bag of it' if content.same_type
+            remedy=f'the rates may be in {" or ".join(content.rates_elsewhere)}: '
+            '`quad-sysid import` makes a bag of it' if content.rates_elsewhere
             else 'record it (sensor_msgs/msg/Imu); nothing can be identified without it',
         )
     grid = uniform_grid(imu.stamps, source)
@@ -165,10 +166,11 @@ def _read(path: Path) -> _Content:
                 f'{topic}: {streams[topic].spoiled} messages cannot be read as '
                 f'{TOPIC_TYPES[topic]} of the contract; left out'
             )
-    same_type = [name for name, kind in sorted(storage.others.items())
-                 if kind.replace('/msg/', '/') == TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/')]
+    elsewhere = {TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/'), PX4_RATES}
+    rates = [name for name, kind in sorted(storage.others.items())
+             if kind.replace('/msg/', '/') in elsewhere]
     description = text_of(events.pop(DESCRIPTION, []))
-    return _Content(streams, events, warnings, same_type, description)
+    return _Content(streams, events, warnings, rates, description)
 
 
 def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:

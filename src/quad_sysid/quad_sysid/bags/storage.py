@@ -35,6 +35,7 @@ from quad_sysid.files import readable
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
+STORED = ('.mcap', '.db3')
 RECOVER = '`ros2 run quad_bridge recover` may find more'
 Batch = dict[str, list[bytes]]
 """Topic → serialised messages in the file's order."""
@@ -95,16 +96,10 @@ class Storage:
             if path.suffix in FOREIGN:
                 raise BadInputError(str(path), f'is {FOREIGN[path.suffix]}')
             return [path]
-        files = sorted((p for p in path.iterdir() if p.name.endswith(('.mcap', '.db3', '.zstd'))),
-                       key=lambda p: (len(p.name), p.name))
+        files = storage_in(path)
         listed = self._metadata()
         if not files:
-            raise BadInputError(
-                str(path),
-                'holds no storage file (.mcap or .db3)',
-                remedy=f'metadata.yaml names {", ".join(listed)}: copy it there' if listed
-                else 'give a rosbag2 directory or an .mcap file',
-            )
+            raise without_storage(path, listed)
         if listed is None:
             self.warnings.append(
                 f'{path}: metadata.yaml is missing or unreadable (the recorder was killed?): '
@@ -237,6 +232,23 @@ class Storage:
         if damaged:
             self.warnings.append(f'{shown}: {damaged} compressed messages are damaged; left out')
         return [raw for raw in opened if raw]
+
+
+def storage_in(folder: Path) -> list[Path]:
+    """The storage files of a folder, the parts of a split bag in their order."""
+    return sorted((p for p in folder.iterdir() if p.suffix in {*STORED, '.zstd'}),
+                  key=lambda p: (len(p.name), p.name))
+
+
+def without_storage(path: Path, listed: Collection[str] | None = None) -> BadInputError:
+    """The refusal of a folder that is no bag; names one of those in it, if there are such."""
+    inside = sorted(str(one.parent) for one in path.glob('*/*') if one.suffix in STORED)
+    remedy = 'give a rosbag2 directory or an .mcap file'
+    if inside:
+        remedy = f'give one of the bags in it, such as {inside[0]}, or all to quad-sysid fleet'
+    if listed:
+        remedy = f'metadata.yaml names {", ".join(listed)}: copy it there'
+    return BadInputError(str(path), 'holds no storage file (.mcap or .db3)', remedy=remedy)
 
 
 def _is_part(name: str, listed: Collection[str]) -> bool:

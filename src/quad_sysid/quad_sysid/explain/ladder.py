@@ -205,6 +205,7 @@ class _Climb:
     def hopeful(self, model: Projected, parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
         """The named laws and the effects of the reference that explain most of the missing torque.
 
+        Of the reference's effects also the plainer variants, which say the same with less.
         The missing torque is the reference's acceleration less the model's along the reference's
         trajectory; a law explains of it what its columns do beside the base's own.
         """
@@ -234,8 +235,14 @@ class _Climb:
         for one in sorted(shares, key=lambda one: -one[0]):
             best.setdefault(one[1].effect.label, one)
         most = max((one[0] for one in (*theirs, *best.values())), default=0.0)
-        named = [one for one in best.values() if one[0] >= LEAST_OF_BEST * most][:PROJECTED]
-        return [(part, p) for _, part, p in (*theirs, *named)]
+        size = {part.effect.name: len(part.effect.parameters) for _, part, _ in theirs}
+        plainer, rivals = [], []
+        for share, part, p in best.values():
+            if len(part.effect.parameters) < size.get(part.effect.name, 0):
+                plainer.append((share, part, p))
+            elif share >= LEAST_OF_BEST * most:
+                rivals.append((share, part, p))
+        return [(part, p) for _, part, p in (*theirs, *plainer, *rivals[:PROJECTED])]
 
 
 def _share(here: Along, part: Part, q: FloatArray,

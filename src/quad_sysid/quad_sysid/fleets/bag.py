@@ -272,14 +272,14 @@ def _own_effects(text: str) -> tuple[Effect, ...]:
 def _of_axis(tree: Mapping[str, Any], specs: Mapping[tuple[str, str, str], bool]) -> Row:
     """The row's values of one axis, by OF_AXIS, from its tree in report.json.
 
-    The base is the one without effects, which is of one structure in every flight.
+    Gain, lag and the rest are those beside the effects: alone they take up what the effects do.
     """
     effects = {
         f'{e["name"]}.{p["name"]}': {
             'value': p['value'], 'std': p['std'], 'unit': p['unit'],
             'vanishes': specs.get((e['name'], e.get('variant', ''), p['name']), False)}
         for e in tree['effects'] if e['kind'] == 'named' for p in e['parameters']}
-    known = {p['name']: p for p in tree['base']['parameters']}
+    known = {p['name']: p for p in tree['completed']['parameters']}
     return {'verdict': tree['verdict'], 'effects': ','.join(e['name'] for e in tree['effects']),
             'error_before': tree['error']['before'], 'error_after': tree['error']['after'],
             'effect_parameters': json.dumps(effects), 'gains': json.dumps(tree.get('gains')),

@@ -49,7 +49,7 @@ class Series:
     values: FloatArray
     """(n,)"""
     stds: FloatArray
-    """(n,) standard errors; 0 where none is known."""
+    """(n,) standard errors."""
     comes_and_goes: bool = False
     """Whether it is an effect that some of the flights do not show: its scatter is its own."""
 

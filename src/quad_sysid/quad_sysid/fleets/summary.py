@@ -168,6 +168,7 @@ Values = dict[str, tuple[float, float]]
 def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str, Values]]:
     """Units by name; value and standard error by name and bag.
 
+    A parameter at its bound has no error of its own: it was not measured.
     An effect that a flight does not show is no gap where its parameter vanishes without it: it is
     0 there, give or take half of the least that was found anywhere.
     """
@@ -177,15 +178,15 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
     for row in flights:
         units |= row.get(f'{axis}_base_units', {})
         for name in BASE:
-            if (value := row.get(f'{axis}_{name}')) is not None:
-                values.setdefault(name, {})[row['bag']] = (
-                    float(value), float(row.get(f'{axis}_{name}_std') or 0.0))
+            if std := row.get(f'{axis}_{name}_std'):
+                values.setdefault(name, {})[row['bag']] = float(row[f'{axis}_{name}']), float(std)
     vanishing = set()
     for row in flights:
         for name, one in json.loads(row.get(f'{axis}_effect_parameters') or '{}').items():
+            if not one['std']:
+                continue
             units[name] = one['unit']
-            values.setdefault(name, {})[row['bag']] = (
-                float(one['value']), float(one['std'] or 0.0))
+            values.setdefault(name, {})[row['bag']] = float(one['value']), float(one['std'])
             if one.get('vanishes'):
                 vanishing.add(name)
     searched = [row['bag'] for row in flights if row[f'{axis}_verdict'] != 'not_searched']

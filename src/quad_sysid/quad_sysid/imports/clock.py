@@ -243,6 +243,8 @@ def _gaps(values: FloatArray, dt: float) -> str:
     gaps = finite_runs(lost, (0, len(lost)))
     if not gaps:
         return ''
+    if len(gaps) == 1:
+        return f'; a gap of {lost.sum() * dt:.3g} s stays'
     return (f'; {len(gaps)} gaps of {lost.sum() * dt:.3g} s in all stay, the longest '
             f'{max(b - a for a, b in gaps) * dt:.3g} s')
 

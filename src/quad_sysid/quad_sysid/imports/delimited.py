@@ -85,7 +85,7 @@ def read_text_table(
     numbered = iter(text)
     looked = list(islice(numbered, LOOKED_AT))
     if not looked:
-        raise BadInputError(source, 'is empty', remedy='give a CSV file with a header line')
+        raise BadInputError(source, 'is empty', remedy='record it or copy it again')
     layout = _layout(looked, text.comments, source)
     where = f'{source}, line {layout.header_line}'
     names = layout.names if wanted is None else [

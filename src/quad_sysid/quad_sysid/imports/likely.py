@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.imports.plausible import MIN_RATE_HZ, time_unit
 from quad_sysid.imports.table import Table
-from quad_sysid.imports.units import ONE_G, OPTIONS, UNITS, Role, header_unit
+from quad_sysid.imports.units import ONE_G, OPTIONS, UNITS, Role, header_unit, unit_in_name
 
 SMOOTH_TURN = 20.0
 """99 % quantile of a rate, rad/s, above which it is read as deg/s."""
@@ -90,8 +89,7 @@ def _turn_units(names: Sequence[str], columns: Sequence[np.ndarray], role: Role)
     def named(name: str) -> str | None:
         if header_unit(name, role) in UNITS[role]:
             return header_unit(name, role)
-        match = re.search(r'_(rad|deg|dps)(s|ps)?([^a-z]|$)', name.lower())
-        return match and (si if match[1] == 'rad' else degrees)
+        return unit_in_name(name, role)
 
     own = [named(name) for name in names]
     named_units = {unit for unit in own if unit}

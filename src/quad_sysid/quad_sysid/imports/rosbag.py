@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.bags.storage import storage_in, without_storage
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
@@ -49,6 +50,8 @@ def _opened(path: Path, messages: Path | None) -> Iterator[Any]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
+    if path.is_dir() and not storage_in(path):
+        raise without_storage(path)
     store = get_typestore(Stores.ROS2_JAZZY)
     with read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'):
         kinds = {kind.partition('/')[0] for kind in topics_of(path).values()}

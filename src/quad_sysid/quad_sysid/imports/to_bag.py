@@ -6,6 +6,7 @@ asked, and the result is reported.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,11 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
         notes['import check'] = '; '.join([*log.checks, *warnings])
     return Imported(write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(repairs),
                     (*log.checks, *warnings))
+
+
+def uneven(notes: Sequence[str]) -> list[str]:
+    """The first of the notes, about the clock, unless all samples came in time."""
+    return [one for one in notes[:1] if ', 0 odd intervals; each kept' not in one]
 
 
 def record_of(

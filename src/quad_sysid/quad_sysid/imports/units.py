@@ -128,6 +128,8 @@ WRITTEN = {name.lower(): name for known in UNITS.values() for name in known} | A
 IN_HEADER = re.compile(r'\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$')
 """`[deg/s]` or `(ms)` at the end of a column's name; an index such as `[0]` is not a unit."""
 
+IN_NAME = re.compile(r'_(rad|deg|dps)(s|ps)?([^a-z]|$)')
+
 
 def header_unit(column: str, role: Role | None = None) -> str | None:
     """The unit in brackets at the end of a column's name; None where there is none."""
@@ -135,6 +137,15 @@ def header_unit(column: str, role: Role | None = None) -> str | None:
     if match is None or not match[1] or match[1].isdigit():
         return None
     return written(match[1], role)
+
+
+def unit_in_name(column: str, role: Role) -> str | None:
+    """The unit of an angle or a rate in a name such as `gyro_x_dps`; None where there is none."""
+    match = IN_NAME.search(column.lower()) if role in ('rate', 'angle') else None
+    if match is None:
+        return None
+    angle = 'rad' if match[1] == 'rad' else 'deg'
+    return f'{angle}/s' if role == 'rate' else angle
 
 
 def written(text: str, role: Role | None = None) -> str:
@@ -164,12 +175,13 @@ def as_typed(option: str, columns: Sequence[str]) -> list[str]:
 
 
 def unit_of(role: Role, text: str | None, column: str, likely: str = '') -> Unit:
-    """Look up the unit of a column: as given, else as its header says, else SI.
+    """Look up the unit of a column: as given, else as its header or name says, else SI.
 
     Raises BadInputError naming what the role allows, and `likely` as an example.
     """
     known = UNITS[role]
-    name = written(text, role) if text else header_unit(column, role) or next(iter(known))
+    name = written(text, role) if text else (
+        header_unit(column, role) or unit_in_name(column, role) or next(iter(known)))
     if name in known:
         return Unit(name, *known[name])
     allowed = f'use {", ".join(known)}, a factor or FACTOR:OFFSET'

@@ -22,9 +22,10 @@ from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.foresight import improvement
+from quad_sysid.imports.formats import format_of
 from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.table import head_of, is_bag
-from quad_sysid.imports.to_bag import record_of
+from quad_sysid.imports.to_bag import record_of, uneven
 from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.motor_layout import (
     Pattern,
@@ -291,18 +292,19 @@ class Content:
 
 def content(path: str | Path) -> Content:
     """Content of a bag, a log or a table; raises BadInputError where it cannot be read."""
-    source, held = str(path), Topics((), (), ())
+    source, held, record = str(path), Topics((), (), ()), None
     if is_bag(Path(path), head_of(Path(path))):
         held = topics(Path(path))
         try:
             record = read_bag(path)
         except BadInputError as error:
-            return Content(source, held, unusable=str(error), warnings=held.warnings)
-    else:
+            if format_of(Path(path)) is None:  # else of another autopilot
+                return Content(source, held, unusable=str(error), warnings=held.warnings)
+    if record is None:
         log = read_any(Path(path))
         record, notes, doubts_of_it = record_of(log)
         record = replace(record, warnings=(
-            *log.checks, *doubts_of_it, *notes[:1], *record.warnings))
+            *log.checks, *doubts_of_it, *uneven(notes), *record.warnings))
     named = any(s.role in ('train', 'validation') for s in record.segments)
     with threadpool_limits(limits=1):
         return of_record(split_segments(record), held, split=not named)
@@ -325,7 +327,8 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
                    craft=described(record.craft)
                    if record.motors is not None or record.craft != X else '',
                    rotors=rotors_of(record).lines,
-                   warnings=(*record.warnings, *((warning,) if warning else ()), *odd))
+                   warnings=tuple(dict.fromkeys(
+                       [*record.warnings, *((warning,) if warning else ()), *odd])))
 
 
 def described(craft: Craft) -> str:
@@ -343,9 +346,14 @@ def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
         return patterns, opposite(patterns, {})
     layout = confirmed(patterns_of(record.rates, record.motors, record.dt, record.angles),
                        record.rates, record.motors, record.dt)
-    craft = record.craft
-    return layout, doubts(f'the mixer of {craft.name}', craft.inverse, layout, record.rates,
-                          record.motors, record.dt, record.angles) + places(layout, craft)[1]
+    craft, turned = record.craft, ' turns the wrong way'
+    faults = places(layout, craft)[1]
+    reversed_ = [one.removesuffix(turned) for one in faults if one.endswith(turned)]
+    if len(reversed_) > 1:
+        faults = [one for one in faults if not one.endswith(turned)]
+        faults.append(f'{", ".join(reversed_)} turn the wrong way')
+    return layout, doubts(craft.name, craft.inverse, layout, record.rates, record.motors,
+                          record.dt, record.angles) + faults
 
 
 def _motors(record: Record, layout: Sequence[Pattern]) -> tuple[MotorPlace, ...]:
@@ -387,7 +395,7 @@ def _axis(record: Record, axis: str) -> AxisContent:
                    reference_rms=reference,
                    excitation_order=_order(data, command),
                    coherent_band_rad_s=None if reason
-                   else Support.of(io_data(data, data.train), data.axis).band())
+                   else Support.of(io_data(data, data.train), data.axis).band)
 
 
 def _order(data: AxisData, command_rms: float | None) -> int | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.inspection.content import AxisContent, Content, Use
 from quad_sysid.report.tables import Table, wrapped
@@ -66,8 +67,8 @@ def _flight(content: Content) -> Iterator[str]:
         yield f'battery   {b.first:.2f} V to {b.last:.2f} V, lowest {b.lowest:.2f} V'
     else:
         yield 'battery   not measured'
-    axes = dict.fromkeys(name.partition('.')[0] for name in content.gains)
-    known = ', '.join(axis for axis in axes if axis != 'sensor')
+    known = ', '.join(axis for axis in EVERY if any(
+        name.startswith(f'{axis}.') for name in content.gains))
     if 'sensor.gyro_filter_hz' in content.gains:
         known += ' and the gyro filter'
     yield f'gains     {"of " + known if known else "unknown (/gains/active is missing)"}'
@@ -89,7 +90,7 @@ def _segments(content: Content) -> Iterator[str]:
 
 def _axis(one: AxisContent) -> Iterator[str]:
     yield (f'{one.axis}: {one.train_s:.1f} s to train, {one.validation_s:.1f} s to validate, '
-           f'{one.windows} windows')
+           f'{one.windows} windows of 0.5 s')
     if one.rate_rms is not None and one.command_rms is not None:
         reference = '' if one.reference_rms is None else f', reference {one.reference_rms:.3g}'
         yield f'  RMS: rate {one.rate_rms:.3g} rad/s, command {one.command_rms:.3g}{reference}'

@@ -5,7 +5,7 @@ step.py, spectrum.py and response.py measure; here stands which signals they are
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,9 @@ DELAYS = 60
 """Latencies that are tried up to the longest."""
 LEAST_TRACKED_S = 2.0
 """Time with set-point and measurement from which tracking is stated."""
+UNRELATED = 0.9
+"""Share of the squares of set-point and rate that their difference has, whatever the delay, where
+the rate does not follow: an axis held on a rig, whose set-point is its own noise fed back."""
 SEEN = 0.5
 """Share of a signal's samples with which it counts as measured."""
 
@@ -160,7 +163,8 @@ def _axis(flown: Flown, axis: str, good: npt.NDArray[np.bool_],
         gyro_before = None
     d_term, gyro = _column(flown.d_term, i), frames(rate, good, dt)
     return AxisLook(
-        axis, steps, _loop(flown, i, flying, gains, before if same else None), tracking,
+        axis, steps, _loop(flown, i, flying, gains, before if same else None,
+                           follows=_follows(tracking, rate, good)), tracking,
         gyro, gyro_before,
         _d_frames(gyro, gains, axis, dt) if d_term is None else frames(d_term, good, dt))
 
@@ -176,8 +180,8 @@ def _d_frames(gyro: Frames | None, gains: Mapping[str, float], axis: str,
 
 
 def _loop(flown: Flown, i: int, good: npt.NDArray[np.bool_], gains: Mapping[str, float],
-          before: FloatArray | None) -> response.LoopResponse | None:
-    """The loop, by what was injected into its command, or else by its set-point."""
+          before: FloatArray | None, *, follows: bool) -> response.LoopResponse | None:
+    """The loop, by what was injected into its command, or else by the set-point it follows."""
     axis, dt, rate = AXES[i], flown.dt, flown.rates[:, i]
     setpoint, command = _column(flown.rate_setpoint, i), _column(flown.control, i + 1)
     injected = _column(flown.injected, i)
@@ -188,7 +192,7 @@ def _loop(flown: Flown, i: int, good: npt.NDArray[np.bool_], gains: Mapping[str,
             return _delayed(flown, i, good, gains, before, replace(
                 loop, tracking=np.full_like(loop.tracking, np.nan),  # it is no set-point's
                 bandwidth_hz=np.nan, peak=np.nan, peak_hz=np.nan))
-    if setpoint is None:
+    if setpoint is None or not follows:
         return None
     spectra = response.spectra(setpoint, setpoint if command is None else command, rate, good, dt)
     loop = None if spectra is None else response.loop_response(
@@ -275,6 +279,13 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
         if residual < best:
             best, latency = residual, k * dt
     return (Tracking(quantity, float(np.sqrt(power)), error, best, latency),)
+
+
+def _follows(tracking: Sequence[Tracking], rate: FloatArray, good: npt.NDArray[np.bool_]) -> bool:
+    """Whether the rate has to do with its set-point; True where that was not measured."""
+    power = float(np.mean(rate[good] ** 2)) if good.any() else 0.0
+    return all(one.error_rms_delayed**2 < UNRELATED * (one.setpoint_rms**2 + power)
+               for one in tracking if one.quantity == 'rate')
 
 
 def _motors(flown: Flown) -> tuple[MotorLook, ...]:

@@ -18,7 +18,7 @@ from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.stretches import airborne
 from quad_sysid.imports.table import head_of, is_bag
-from quad_sysid.imports.to_bag import record_of
+from quad_sysid.imports.to_bag import record_of, uneven
 from quad_sysid.logview.flown import Flown
 from quad_sysid.logview.measure import Measured, look_at
 from quad_sysid.record import GainChange, Record
@@ -136,7 +136,8 @@ def of_log(log: ForeignLog) -> Flown:
     except BadInputError as error:
         flown = _without_commands(log, str(error))
     else:
-        flown = replace(of_record(record, log.kind), warnings=(*log.checks, *warnings, *notes[:1]))
+        flown = replace(of_record(record, log.kind),
+                        warnings=(*log.checks, *warnings, *uneven(notes)))
     laid = cycles(base, log.source)
     flown = replace(flown, gains=tuple(
         GainChange(change.time_s - laid.times[0] if change.time_s else 0.0, change.values)

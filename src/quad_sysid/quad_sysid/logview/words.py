@@ -23,6 +23,8 @@ LIMITED_PCT = 0.5
 """Share of the time at a limit from which it is said."""
 MISSED_PCT = 5.0
 """Distance of a step's end from the step from which it is said."""
+ORIGIN = ('import:', 'import clock:')
+"""How the notes of an import begin that say where a bag comes from, and warn of nothing."""
 MOST_GAINS = 6
 """Changed gains that a title names."""
 
@@ -40,7 +42,8 @@ def lines(look: Measured) -> list[str]:
     if look.flown.lacks:
         out += ['', *wrapped('not in the log: ' + '; '.join(look.flown.lacks), '  ', '')]
     for text in look.flown.warnings:
-        out += wrapped(f'warning: {text}', '  ', '')
+        kind = '' if text.startswith(ORIGIN) else 'warning: '
+        out += wrapped(f'{kind}{text}', '  ', '')
     return out
 
 
@@ -62,7 +65,8 @@ def sentences(look: Measured) -> list[str]:
 def header(look: Measured) -> str:
     """What was looked at."""
     flown = look.flown
-    gaps = '' if not flown.gaps else f', {len(flown.gaps)} gaps'
+    count = len(flown.gaps)
+    gaps = f', {count} gap{"s" * (count > 1)}' if count else ''
     name, rate = PurePath(flown.source).name, 1.0 / flown.dt
     return (f'{name}: {flown.kind}, {flown.length_s:.1f} s at {rate:.5g} Hz{gaps}, '
             f'{look.whole.flown_s:.1f} s of it in the air')

@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quad_sysid.axes import EVERY
 from quad_sysid.blackbox import Model, coherence, frequency_response
-from quad_sysid.contract import FloatArray
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.estimate import stored
@@ -127,46 +125,38 @@ def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple
 
 @dataclass(frozen=True)
 class Support:
-    """The frequencies at which the training supports a model of an axis, by one estimate.
+    """The frequencies at which the training supports a model of an axis."""
 
-    Supporting are those at which command and rate are coherent (squared coherence over COHERENT;
-    where the external reference is known, that of reference and rate, since feedback alone makes
-    the first high).
-    """
-
-    w: FloatArray
-    """(m,) rad/s; empty where the segments are too short."""
-    coherent: NDArray[np.bool_]
-    """(m,)"""
+    band: tuple[float, float] | None
+    """The widest unbroken band, rad/s; None without any."""
     lowest: float
     """Lowest frequency that the longest stretch can resolve, rad/s."""
 
     @classmethod
-    def of(cls, z: IOData, axis: str) -> Support:
-        """From the training of an axis."""
+    def of(cls, z: IOData, axis: str, model: Model | None = None) -> Support:
+        """From the training of an axis, and a `model` that shows what it determines.
+
+        In the band command and rate are coherent (squared coherence over COHERENT; where the
+        external reference is known, that of reference and rate, since feedback alone makes the
+        first high), and the 99 % interval of the model's gain, where it has one, is narrower than
+        3 dB to either side.
+        """
         window = max(2, max(b - a for a, b in z.segments) // 4)  # half-width, samples
+        lowest = float(np.pi / (window * z.dt))
         if not EVERY[axis].turns:  # a speed is all slow motion, of which a window sees nothing
             change = np.diff(z.y, prepend=z.y[:1])
             change[[a for a, _ in z.segments]] = 0.0
             z = replace(z, y=change)
         try:
             w, values = coherence(z, window=window, joint=z.r is not None)
-        except QuadSysidError:
-            w = values = np.zeros(0)
-        return cls(w, values > COHERENT, float(np.pi / (window * z.dt)))
-
-    def band(self, model: Model | None = None) -> tuple[float, float] | None:
-        """The widest unbroken band, rad/s; None without any.
-
-        In the band of a `model` the 99 % interval of its gain, where it has one, is narrower than
-        3 dB to either side.
-        """
-        good = self.coherent
-        if model is not None and model.covariance is not None and self.w.size:
-            response = frequency_response(model, self.w)
+        except QuadSysidError:  # the segments are too short
+            return cls(None, lowest)
+        good = values > COHERENT
+        if model is not None and model.covariance is not None and w.size:
+            response = frequency_response(model, w)
             good = good & (CONFIDENT * response.magnitude_std < HALF_POWER * response.magnitude)
         bands = finite_runs(good, (0, good.size))
         if not bands:
-            return None
-        a, b = max(bands, key=lambda e: np.log(self.w[e[1] - 1] / self.w[e[0]]))
-        return float(self.w[a]), float(self.w[b - 1])
+            return cls(None, lowest)
+        a, b = max(bands, key=lambda e: np.log(w[e[1] - 1] / w[e[0]]))
+        return cls((float(w[a]), float(w[b - 1])), lowest)

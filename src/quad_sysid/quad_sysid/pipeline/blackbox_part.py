@@ -87,6 +87,12 @@ class Fits:
     """Delay of the other structures, alike: noise hides a small first coefficient from ARX."""
     refused: tuple[str, ...] = ()
 
+    @property
+    def surest(self) -> Model:
+        """That whose covariance is the best that is known: BJ's, where it converged."""
+        return next((m for m in self.models if m.structure == 'BJ' and m.converged),
+                    self.search.model)
+
 
 def fit_models(z: IOData) -> Fits:
     """Fit ARX by order search (AIC, BIC; the paper's ranges) and the other structures beside it.

@@ -28,13 +28,13 @@ from quad_sysid.model.effect import Effect
 from quad_sysid.own_base import Base, lacking
 from quad_sysid.pipeline.answer import AxisAnswer, Findings
 from quad_sysid.pipeline.assemble import Support, axis_model, outside_of
-from quad_sysid.pipeline.blackbox_part import about_base, io_data
+from quad_sysid.pipeline.blackbox_part import Fits, about_base, fit_models, io_data
 from quad_sysid.pipeline.flight import AxisFlight
 from quad_sysid.pipeline.held_out import held_out, residuals
 from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.step_b import Loop, closed_loop
 from quad_sysid.pipeline.usable import refusal, together
-from quad_sysid.record import Record
+from quad_sysid.record import IOData, Record
 
 Progress = Callable[[str], None]
 NOT_SEARCHED = 'effects were not searched for'
@@ -110,8 +110,10 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         verdict = verdict if verdict == 'cannot_tell' else 'not_searched'
         why_not = DRAWN.format(flight.drawn_hz) if flight.drawn_hz else NOT_SEARCHED
     train = io_data(data, data.train)
-    support = Support.of(train, axis)
-    model = axis_model(findings, flight.gains, support.band(), options.effects,
+    progress(f'{axis}: black-box models')
+    fits = _black_boxes(train)
+    support = Support.of(train, axis, None if isinstance(fits, str) else fits.surest)
+    model = axis_model(findings, flight.gains, support.band, options.effects,
                        flight.units or EVERY[axis].units)
     undetermined = () if options.base is None else \
         lacking(options.base, findings.problem, search_result.base)
@@ -123,17 +125,24 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         attitude_reference=flight.attitude_reference, rate_reference=flight.rate_reference)
     known: AxisAnswer
     known, proposal = side_by_side([
-        partial(_compared, answer, findings, flight.loop, support, progress),
+        partial(_compared, answer, findings, flight.loop, fits, support),
         partial(_proposal, answer, options, (*refused, '')[0], progress),
     ])
     return replace(known, proposal=proposal)
 
 
-def _compared(answer: AxisAnswer, findings: Findings, loop: Loop, support: Support,
-              progress: Progress) -> AxisAnswer:
+def _black_boxes(train: IOData) -> Fits | str:
+    """The black-box models, or why there are none."""
+    try:
+        return fit_models(train)
+    except QuadSysidError as error:
+        return str(error)
+
+
+def _compared(answer: AxisAnswer, findings: Findings, loop: Loop, fits: Fits | str,
+              support: Support) -> AxisAnswer:
     """The answer with the black-box models, what all models leave, and the loop around them."""
-    progress(f'{answer.axis}: black-box models')
-    answer = with_blackbox(answer, findings.data, loop, support)
+    answer = with_blackbox(answer, fits, findings.data, loop, support)
     return replace(answer, residuals=residuals(answer, findings),
                    closed_loop=closed_loop(answer.model, loop, findings.data))
 

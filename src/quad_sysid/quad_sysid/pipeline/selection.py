@@ -8,7 +8,6 @@ evidence.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -205,15 +204,20 @@ def largest_loop_gain(z: IOData, model: Model) -> float:
     return gain * float(y.std() / u.std()) if u.std() > 0.0 else float('inf')
 
 
-def with_blackbox(answer: AxisAnswer, data: AxisData, loop: step_b.Loop,
+def with_blackbox(answer: AxisAnswer, fits: Fits | str, data: AxisData, loop: step_b.Loop,
                   support: Support) -> AxisAnswer:
-    """Add the table of models, the selected one, its error in the metric, and what to know."""
+    """Add the table of models, the selected one, its error in the metric, and what to know.
+
+    fits: the models, or why there are none.
+    """
     known, z = required(answer.model), required(answer.train)
+    if isinstance(fits, str):
+        return replace(answer, warnings=(*answer.warnings, f'no black-box model: {fits}'),
+                       selection=Selection(advice=tuple(rivalry(known))))
     gains = known.active_gains
     cascade = CascadeGains.from_mapping(gains, data.axis) \
         if f'{data.axis}.rate.kp' in gains else None
     try:
-        fits = blackbox_part.fit_models(z)
         closed = feedback(z, fits.search.model, cascade, behind_attitude=loop.behind_attitude,
                           through=loop.through)
         possible, controlled_by = approaches(z, cascade, behind_attitude=loop.behind_attitude,
@@ -221,27 +225,17 @@ def with_blackbox(answer: AxisAnswer, data: AxisData, loop: step_b.Loop,
         others, refused = fit_others(z, fits, possible, controlled_by)
         rows = blackbox_part.rows_of(z, data, fits.models + others)
     except QuadSysidError as error:
-        return replace(answer, warnings=(*answer.warnings, f'no black-box model: {error}'),
-                       selection=Selection(advice=tuple(rivalry(known))))
+        return with_blackbox(answer, str(error), data, loop, support)
     rows, why_not = _second_steps(rows, loop, closed=closed)
     selected = blackbox_part.select(rows, data)
     model = None if selected is None else rows[selected].step_a.model
-    band = support.band(_box_jenkins(rows) or model)
-    answer = replace(answer, model=replace(known, trusted_band_rad_s=band), rows=rows,
-                     selected=selected, selection=Selection(possible, closed))
+    answer = replace(answer, rows=rows, selected=selected, selection=Selection(possible, closed))
     if model is not None:
         answer = replace(
             answer, blackbox_error=blackbox_part.window_error(data, model, data.validation),
             blackbox_horizons=blackbox_part.horizons(data, model, data.validation))
     lines = *advice(answer, fits, support, why_not), *fits.refused, *refused
     return replace(answer, selection=replace(answer.selection, advice=lines))
-
-
-def _box_jenkins(rows: Sequence[ModelRow]) -> Model | None:
-    """The direct Box-Jenkins model, whose covariance is the best that is known; None without."""
-    models = (row.step_a.model for row in rows)
-    return next((m for m in models if m.structure == 'BJ' and m.approach == 'direct'
-                 and m.converged), None)
 
 
 def _second_steps(rows: tuple[ModelRow, ...], loop: step_b.Loop, *,
