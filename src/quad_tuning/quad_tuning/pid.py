@@ -136,8 +136,8 @@ class Problem:
 
     def holds(self, gains: CascadeGains) -> bool:
         """Whether every loop of the ensemble keeps its margins and is stable."""
-        kept = meets(self.ensemble.margins(gains), self.needs).all()
-        return bool(kept and not self.ensemble.unstable(gains).any())
+        within = meets(self.ensemble.margins(gains), self.needs).all()
+        return bool(within and not self.ensemble.unstable(gains).any())
 
 
 def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Requirements,
