@@ -427,7 +427,7 @@ def test_the_next_flight_is_held_to_the_last_good_one(tmp_path):
             assert bench.stored['state'] == 'flown'
         again = Bench(tmp_path / str(calm))  # another bridge
         again.gains.watch = GainWatch(50.0)
-        again.gains.watch.know(again.history.kept('flight.json').get('flight'))
+        again.gains.watch.know(again.history.stored('flight.json').get('flight'))
         again.gains.ask({'roll.rate.kp': 0.15, 'source': 'test'}, again.now_s)
         assert any('in force' in text for text in again.goes_on(2.0))
         again.flags, again.shakes = f.Flag.ARMED, 0.6

@@ -174,7 +174,7 @@ def test_menus_become_options_and_earlier_jobs_say_how_long_one_takes(tmp_path):
         (tmp_path / f'{number}' / TOOK).write_text(json.dumps(['look', 500, seconds]))
     job = Job(4, '', 'quad-sysid', ('look', str(tmp_path / 'flight.csv')), tmp_path / '4')
     assert expected(job) == pytest.approx(8.0)
-    assert job.left() is None
+    assert job.remaining_s() is None
 
 
 class Chromium:

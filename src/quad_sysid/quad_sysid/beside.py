@@ -34,7 +34,7 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
     cores = min(len(calls), len(os.sched_getaffinity(0)))
     context = multiprocessing.get_context('fork')
     try:
-        left, put = os.pipe()
+        queue, put = os.pipe()
     except OSError:
         return [call() for call in calls]
     os.write(put, b''.join(place.to_bytes(WIDE, 'big') for place in range(cores, len(calls))))
@@ -44,12 +44,12 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
         with suppress(OSError):  # no memory for another process
             for first in range(1, cores):
                 receiver, sender = context.Pipe(duplex=False)
-                some = calls, first, left, sender, os.getpid()
+                some = calls, first, queue, sender, os.getpid()
                 process = context.Process(target=_make, args=some)
                 process.start()
                 sender.close()
                 started.append((process, receiver))
-        results = {place: calls[place]() for place in _numbers(0, left)}
+        results = {place: calls[place]() for place in _numbers(0, queue)}
         for _, receiver in started:
             with suppress(Exception):  # its last, or killed, or what it sent cannot be unpacked
                 while True:
@@ -57,22 +57,22 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
                     results[place] = result
         return [results[place] if place in results else call() for place, call in enumerate(calls)]
     finally:
-        os.close(left)
+        os.close(queue)
         for process, receiver in started:
             process.kill()
             process.join()
             receiver.close()
 
 
-def _numbers(first: int, left: int) -> Iterator[int]:
+def _numbers(first: int, queue: int) -> Iterator[int]:
     """A process' first call, then the next ones that are left in the pipe."""
     yield first
-    while number := os.read(left, WIDE):
+    while number := os.read(queue, WIDE):
         yield int.from_bytes(number, 'big')
 
 
 def _make(
-    calls: Sequence[Callable[[], Any]], first: int, left: int, sender: Connection, parent: int
+    calls: Sequence[Callable[[], Any]], first: int, queue: int, sender: Connection, parent: int
 ) -> None:
     """The calls' results to the parent, up to the first that fails; ends silently with it.
 
@@ -82,7 +82,7 @@ def _make(
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     results: list[tuple[int, Any]] = []
     with suppress(Exception):  # the parent makes the call itself and meets the error
-        for place in _numbers(first, left):
+        for place in _numbers(first, queue):
             if os.getppid() != parent:
                 return
             results.append((place, calls[place]()))

@@ -110,12 +110,12 @@ def design_experiment(
     commands, rates, angles = _within(own, amplitude * per_u * np.array(shapes), rate * per_y,
                                       angle * per_angle)
     every = _values(own)
-    kept = [i for i, (value, std) in enumerate(every.values()) if abs(value) > HELD or std]
-    present = {name: every[name] for i, name in enumerate(every) if i in kept}
+    active = [i for i, (value, std) in enumerate(every.values()) if abs(value) > HELD or std]
+    present = {name: every[name] for i, name in enumerate(every) if i in active}
     scores = []
     for i, name in enumerate(names):
         progress(name)
-        information = _information(own, commands[i], rates[i], angles[i])[np.ix_(kept, kept)]
+        information = _information(own, commands[i], rates[i], angles[i])[np.ix_(active, active)]
         scores.append((_score(information, present, criterion), i, information))
     if not any(math.isfinite(score) for score, _, _ in scores):
         raise NotInformativeError('design_experiment: no candidate is informative within these '

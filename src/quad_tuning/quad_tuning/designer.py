@@ -115,12 +115,12 @@ def _around_lean(model: AxisModel, inner: AxisModel | None) -> AxisModel:
 def _check_improvement(designed: PidDesign, needs: Requirements) -> None:
     before, after = designed.before, designed.figures
     drop = 100.0 * (1.0 - after.rms_tracking_rad / before.rms_tracking_rad)
-    kept = (
+    within = (
         before.worst_phase_margin_deg >= needs.phase_margin_deg
         and before.worst_gain_margin_db >= needs.gain_margin_db
         and before.worst_peak_sensitivity <= needs.peak_sensitivity
     )
-    if kept and drop < LEAST_GAIN_PCT:
+    if within and drop < LEAST_GAIN_PCT:
         raise DesignRefusedError(
             'the gains that flew keep all margins, and the best ones would lower the tracking '
             f'error by {drop:.1f} % only'

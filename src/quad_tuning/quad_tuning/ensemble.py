@@ -105,8 +105,8 @@ def _simple(effect: Effect) -> bool:
 
 def _reduced(model: AxisModel, effects: tuple[EffectEstimate, ...]) -> AxisModel:
     """The model with other effects and the rows of the covariance that remain."""
-    kept = {f'{e.name}.{p.name}' for e in effects for p in e.parameters}
-    keep = [i for i, name in enumerate(model.parameter_names) if '.' not in name or name in kept]
+    own = {f'{e.name}.{p.name}' for e in effects for p in e.parameters}
+    keep = [i for i, name in enumerate(model.parameter_names) if '.' not in name or name in own]
     covariance = model.covariance
     return replace(
         model, effects=effects, parameter_names=tuple(model.parameter_names[i] for i in keep),

@@ -116,10 +116,11 @@ class Problem:
         crossover = float('nan')
         if np.isfinite(highest):
             crossover = float(self.nominal.margins(gains).crossover_rad_s[0])
-        kept = [(self.needs.overshoot_pct - beyond) / 100.0, 1.0 - noise / self.needs.noise_factor,
-                1.0 if np.isnan(crossover) else 1.0 - crossover / highest,
-                1.0 - push / self.needs.disturbance_factor]
-        return float(value), np.clip(kept, -1.0, 1.0)
+        slack = [(self.needs.overshoot_pct - beyond) / 100.0,
+                 1.0 - noise / self.needs.noise_factor,
+                 1.0 if np.isnan(crossover) else 1.0 - crossover / highest,
+                 1.0 - push / self.needs.disturbance_factor]
+        return float(value), np.clip(slack, -1.0, 1.0)
 
     def reserve(self, loops: Ensemble, gains: CascadeGains) -> FloatArray:
         """(3 p,) relative margin of every loop to each requirement, satisfied where >= 0.
@@ -135,8 +136,8 @@ class Problem:
 
     def holds(self, gains: CascadeGains) -> bool:
         """Whether every loop of the ensemble keeps its margins and is stable."""
-        kept = meets(self.ensemble.margins(gains), self.needs).all()
-        return bool(kept and not self.ensemble.unstable(gains).any())
+        within = meets(self.ensemble.margins(gains), self.needs).all()
+        return bool(within and not self.ensemble.unstable(gains).any())
 
 
 def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Requirements,
@@ -269,8 +270,8 @@ def _linear_tracking(rows: list[CascadeGains], nominal: ComplexArray, harmonics:
 
 def _merit(problem: Problem, loops: Ensemble, point: FloatArray) -> float:
     gains = problem.gains(point)
-    value, kept = problem.value(gains)
-    short = min(float(np.min(kept)), float(np.min(problem.reserve(loops, gains))))
+    value, slack = problem.value(gains)
+    short = min(float(np.min(slack)), float(np.min(problem.reserve(loops, gains))))
     if loops.unstable(gains).any():
         short = min(short, -1.0)
     return value - 20.0 * min(0.0, short)
@@ -299,17 +300,17 @@ def _polish(problem: Problem, start: FloatArray) -> tuple[float, FloatArray] | N
 
         def judged(point: FloatArray, loops: Ensemble = loops) -> FloatArray:
             gains = problem.gains(point)
-            value, kept = problem.value(gains)
+            value, slack = problem.value(gains)
             # a little is kept back, so that the optimiser's tolerance does not break a margin
-            return np.concatenate(([value], kept - 1e-3, problem.reserve(loops, gains) - 2e-3))
+            return np.concatenate(([value], slack - 1e-3, problem.reserve(loops, gains) - 2e-3))
 
         x = _slsqp(judged, x)
         gains = problem.gains(x)
-        value, kept = problem.value(gains)
-        short = min(np.min(kept), np.min(problem.reserve(loops, gains)))
+        value, slack = problem.value(gains)
+        short = min(np.min(slack), np.min(problem.reserve(loops, gains)))
         if short < -INFEASIBLE:
             return None  # what a part of the loops forbids, all of them forbid
-        if np.min(kept) < -1e-3:
+        if np.min(slack) < -1e-3:
             continue
         if problem.holds(gains):
             return value, x
@@ -377,9 +378,9 @@ def retune(plant: Flying, active: CascadeGains, ensemble: Ensemble,
     """
     needs = needs or Requirements()
     problem = pose(plant, active, ensemble, needs, fixed, bounds)
-    points, kept = search(problem), True
+    points, disturbance_held = search(problem), True
     if not points:
-        kept = False
+        disturbance_held = False
         factor = RELAXED_DISTURBANCE * needs.disturbance_factor
         problem = replace(problem, needs=replace(needs, disturbance_factor=factor))
         points = search(problem)
@@ -396,4 +397,4 @@ def retune(plant: Flying, active: CascadeGains, ensemble: Ensemble,
     chosen = problem.gains(best)
     return PidDesign(gains=chosen, figures=assess(plant, chosen, ensemble), before=before,
                      agreeing=sum(value <= (1.0 + AGREED) * objective for value, _ in points),
-                     searches=len(points), disturbance_kept=kept)
+                     searches=len(points), disturbance_kept=disturbance_held)

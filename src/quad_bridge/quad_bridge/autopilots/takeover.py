@@ -126,11 +126,11 @@ class Takeover:
         self._wanted = 0.0
         entered = self.phase in {Phase.FLYING, Phase.ENTERING}
         ours = self._flight.mode == self._means.mode
-        left = self.phase is Phase.FLYING and not ours  # to a mode that somebody has chosen
+        switched = self.phase is Phase.FLYING and not ours  # to a mode that somebody has chosen
         if self.phase is not Phase.LEAVING:
             self._ask_back = ours or (self._start is not None
                                       and self._flight.mode == self._start.mode)
-            self._go(Phase.LEAVING if entered and not left else Phase.IDLE, now_s)
+            self._go(Phase.LEAVING if entered and not switched else Phase.IDLE, now_s)
 
     def target(self, reported: f.AttitudeTarget) -> None:
         """Take what the autopilot follows: what it is beyond our own reference was added."""

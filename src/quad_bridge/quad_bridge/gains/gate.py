@@ -209,8 +209,8 @@ def _check_observer(axis: str, gains: Mapping[str, float]) -> None:
     gain, damping, observer = (
         gains.get(f'{axis}.lqr.{name}', 0.0) for name in ('gain', 'damping', 'observer')
     )
-    left = (1.0 - observer) * (1.0 - damping / gains.get('loop.rate_hz', USUAL_HZ))
-    if gain > 0.0 and left >= 1.0:
+    pole = (1.0 - observer) * (1.0 - damping / gains.get('loop.rate_hz', USUAL_HZ))
+    if gain > 0.0 and pole >= 1.0:
         raise RefusedError(
             f'{axis}.lqr.observer: the observer diverges: {observer:g} a cycle is too little for '
             f'a damping of {damping:g} 1/s; {_WHOLE}'

@@ -88,9 +88,9 @@ class History:
         if aircraft in {'', self._aircraft}:
             return None
         self._aircraft, self._last = aircraft, {}
-        return self.kept(POLARITY) | self.kept(f'{FLIGHT}.json') | self.kept(f'{TRIAL}.json')
+        return self.stored(POLARITY) | self.stored(f'{FLIGHT}.json') | self.stored(f'{TRIAL}.json')
 
-    def kept(self, name: str) -> dict[str, Any]:
+    def stored(self, name: str) -> dict[str, Any]:
         """What is in one of the aircraft's files that are replaced whole; {} where nothing."""
         try:
             path = self._folder / self._aircraft / name
@@ -133,8 +133,8 @@ class History:
             self._last = active
             entry['gains'] = dict(active)
         entry |= more
-        kept = {'schema': SCHEMA, **{k: v for k, v in entry.items() if v not in ('', {}, None)}}
-        path, line = self._folder / self._aircraft / HISTORY, json.dumps(kept, allow_nan=False)
+        record = {'schema': SCHEMA, **{k: v for k, v in entry.items() if v not in ('', {}, None)}}
+        path, line = self._folder / self._aircraft / HISTORY, json.dumps(record, allow_nan=False)
         self._run(lambda: self._append(path, line))
 
     def keep_polarity(self, record: Mapping[str, Any]) -> None:
@@ -165,9 +165,9 @@ class History:
             path.parent.mkdir(parents=True, exist_ok=True)
             file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
             try:
-                left = f'{_torn(file)}{line}\n'.encode()
-                while left:  # a disk that fills up takes a part
-                    left = left[os.write(file, left) :]
+                remaining = f'{_torn(file)}{line}\n'.encode()
+                while remaining:  # a disk that fills up takes a part
+                    remaining = remaining[os.write(file, remaining) :]
                 os.fsync(file)
             finally:
                 os.close(file)

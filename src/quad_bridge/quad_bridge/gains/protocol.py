@@ -306,8 +306,8 @@ class GainProtocol:
             self._read_again()
         elif self._queue and self._shown is not None:
             name = self._queue[0]
-            kept = f'{name}: the STM32 kept {self._shown:g} instead of {self._writes[name]:g}'
-            self._take_back(What.FAILED, kept)
+            message = f'{name}: the STM32 kept {self._shown:g} instead of {self._writes[name]:g}'
+            self._take_back(What.FAILED, message)
         else:
             name = f'{self._queue[0]}: ' if self._queue else ''
             self._take_back(What.FAILED, name + words)

@@ -26,13 +26,11 @@ class LogLimiter:
     def __init__(self) -> None:
         self._logged: dict[str, float] = {}
         self._times: deque[float] = deque(maxlen=BURST)
-        self.left_out = 0
 
     def allow(self, text: str, now_s: float) -> bool:
-        """Whether to log `text` now, s on a steady clock; counts it where not."""
+        """Whether to log `text` now, s on a steady clock."""
         full = len(self._times) == self._times.maxlen and now_s - self._times[0] < PER_S
         if full or now_s - self._logged.get(text, -REPEAT_S) < REPEAT_S:
-            self.left_out += 1
             return False
         self._logged = {t: s for t, s in self._logged.items() if now_s - s < REPEAT_S}
         self._logged[text] = now_s

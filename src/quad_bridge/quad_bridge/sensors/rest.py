@@ -84,8 +84,8 @@ def estimate_at_rest(
 def _means(values: FloatArray, blocks: npt.NDArray[np.int_]) -> FloatArray:
     """(blocks, w) means of the rows of each block."""
     counts = np.bincount(blocks)
-    kept = counts > 0
-    sums = [np.bincount(blocks, column)[kept] / counts[kept] for column in values.T]
+    occupied = counts > 0
+    sums = [np.bincount(blocks, column)[occupied] / counts[occupied] for column in values.T]
     return np.stack(sums, axis=1)
 
 

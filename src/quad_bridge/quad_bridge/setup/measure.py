@@ -123,8 +123,8 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
     solved, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), place]), force, rcond=None)
     offset, shaped = solved[0], solved[1:]
     scale = 1.0 / np.maximum(np.linalg.norm(shaped, axis=0), 1e-6)
-    left, _, right = np.linalg.svd(shaped * scale)
-    rotation = left @ right
+    u, _, vt = np.linalg.svd(shaped * scale)
+    rotation = u @ vt
     off = force - offset - place @ (rotation / scale)
     worst = int(np.argmax(np.linalg.norm(off, axis=1)))
     if np.linalg.det(rotation) < 0.0 or np.linalg.norm(off[worst]) > MAX_OFF_G * GRAVITY_M_S2:

@@ -58,7 +58,7 @@ class Job:
     expected: float = 0.0
     """Time that it will take by earlier jobs, s; 0 where none is known."""
 
-    def left(self) -> float | None:
+    def remaining_s(self) -> float | None:
         """Time that is left, s, by earlier jobs of its kind; None where nothing says so."""
         if self.state != 'running' or not self.expected:
             return None
@@ -202,7 +202,7 @@ def _begin(job: Job, out: int, terminal: int) -> subprocess.Popen[bytes]:
 
 def _follow(job: Job, terminal: int) -> None:
     """Read what the command says until it ends; what is no progress is an error's line."""
-    kept, rest = [], ''
+    output, rest = [], ''
     while True:
         try:
             raw = os.read(terminal, 4096)
@@ -213,11 +213,11 @@ def _follow(job: Job, terminal: int) -> None:
         rest += raw.decode('utf-8', errors='replace')
         *lines, rest = re.split(r'[\r\n]', rest)
         lines_now = [clean for line in lines if (clean := ESCAPES.sub('', line).strip())]
-        kept += lines_now
+        output += lines_now
         latest = ESCAPES.sub('', rest).strip() or (lines_now[-1] if lines_now else '')
         job.doing = latest or job.doing
     os.close(terminal)
-    last = ESCAPES.sub('', rest).strip() or (kept[-1] if kept else '')
+    last = ESCAPES.sub('', rest).strip() or (output[-1] if output else '')
     job.doing = last
     if last:
         with suppress(OSError), (job.folder / 'output.txt').open('a', encoding='utf-8') as out:

@@ -187,7 +187,7 @@ class App:
 def _shown(job: Job) -> dict[str, Any]:
     pages = [name for name in SHOWN if (job.folder / name).is_file()]
     return {'number': job.number, 'title': job.title, 'state': job.state, 'doing': job.doing,
-            'seconds': round(job.seconds, 1), 'left': job.left(), 'pages': pages,
+            'seconds': round(job.seconds, 1), 'left': job.remaining_s(), 'pages': pages,
             'kind': job.arguments[0]}
 
 

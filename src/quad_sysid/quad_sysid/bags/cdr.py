@@ -264,10 +264,10 @@ def text_of(messages: Sequence[bytes]) -> str:
     return ''
 
 
-def blank(msgtype: str, **given: Any) -> Any:
+def blank(msgtype: str, **values: Any) -> Any:
     """A message of the type with `given` fields; numbers are 0, texts and lists empty."""
     fields = {name: _nothing(kind) for name, kind in typestore().fielddefs[msgtype][1]}
-    return typestore().types[msgtype](**{**fields, **given})
+    return typestore().types[msgtype](**{**fields, **values})
 
 
 def _nothing(description: Any) -> Any:

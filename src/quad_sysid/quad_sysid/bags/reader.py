@@ -59,7 +59,7 @@ class _Content:
     streams: dict[str, Stamped]
     events: dict[str, list[bytes]]
     warnings: list[str]
-    rates_elsewhere: list[str]
+    other_rates: list[str]
     """Other topics of the type of /imu/data, and PX4's."""
     description: str = ''
     """The text of /robot_description."""
@@ -79,8 +79,8 @@ def read_bag(path: str | Path) -> Record:
         why = f' ({"; ".join(reasons)})' if reasons else ''
         raise BadInputError(
             source, f'{IMU_TOPIC} is missing or empty{why}',
-            remedy=f'the rates may be in {" or ".join(content.rates_elsewhere)}: '
-            '`quad-sysid import` makes a bag of it' if content.rates_elsewhere
+            remedy=f'the rates may be in {" or ".join(content.other_rates)}: '
+            '`quad-sysid import` makes a bag of it' if content.other_rates
             else 'record it (sensor_msgs/msg/Imu); nothing can be identified without it',
         )
     grid = uniform_grid(imu.stamps, source)
@@ -166,9 +166,9 @@ def _read(path: Path) -> _Content:
                 f'{topic}: {streams[topic].spoiled} messages cannot be read as '
                 f'{TOPIC_TYPES[topic]} of the contract; left out'
             )
-    elsewhere = {TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/'), PX4_RATES}
+    with_rates = {TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/'), PX4_RATES}
     rates = [name for name, kind in sorted(storage.others.items())
-             if kind.replace('/msg/', '/') in elsewhere]
+             if kind.replace('/msg/', '/') in with_rates]
     description = text_of(events.pop(DESCRIPTION, []))
     return _Content(streams, events, warnings, rates, description)
 

@@ -70,8 +70,8 @@ class Grid:
         rows = _in_order(stamps, np.arange(len(stamps)), '', [])
         cells = np.rint(self.position(stamps[rows])).astype(np.int64)
         inside = (cells >= 0) & (cells < self.n)
-        cells, kept = cells[inside], values[rows][inside]
-        out[cells[::-1]] = kept[::-1]
+        cells, samples = cells[inside], values[rows][inside]
+        out[cells[::-1]] = samples[::-1]
         return out
 
 
@@ -97,11 +97,11 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
     if near.mean() > 0.5:  # the median of steps that jitter is a per cent off, their mean is not
         nominal = float(steps[near].mean())
     cells, phase = count_cycles(steps / nominal)
-    kept = np.concatenate(([True], np.diff(cells) > 0))
-    if not kept.all():
-        warnings.append(f'{topic}: {np.count_nonzero(~kept)} stamps fall into an occupied cycle; '
+    first = np.concatenate(([True], np.diff(cells) > 0))
+    if not first.all():
+        warnings.append(f'{topic}: {np.count_nonzero(~first)} stamps fall into an occupied cycle; '
                         'kept the first')
-    rows, times, cells = rows[kept], times[kept], cells[kept]
+    rows, times, cells = rows[first], times[first], cells[first]
     dt = _interval(times, cells)
     _tell_gaps(cells, dt, topic, warnings)
     jitter = float(np.quantile(np.abs(phase), 0.99))
@@ -118,12 +118,12 @@ def _in_order(stamps: IntArray, rows: IntArray, topic: str, warnings: list[str])
         return rows
     back = int(np.count_nonzero(steps < -JUMP_NS))
     if back:
-        kept = _longest_chain(np.split(rows, np.flatnonzero(np.abs(steps) > JUMP_NS) + 1), stamps)
+        chain = _longest_chain(np.split(rows, np.flatnonzero(np.abs(steps) > JUMP_NS) + 1), stamps)
         warnings.append(
-            f'{topic}: the clock was set back {back} times: {len(rows) - len(kept)} of '
+            f'{topic}: the clock was set back {back} times: {len(rows) - len(chain)} of '
             f'{len(rows)} messages, whose stamps fit to no others, are left out'
         )
-        rows = kept
+        rows = chain
     times = stamps[rows]
     backward = int(np.count_nonzero(np.diff(times) < 0))
     if backward:

@@ -119,7 +119,7 @@ def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     By Gram and Schmidt, each column twice: slow poles make the columns so much alike that one
     pass or their products lose it. A column that depends on those before it is left out.
     """
-    basis, kept = list[FloatArray](), list[int]()
+    basis, independent = list[FloatArray](), list[int]()
     for j, column in enumerate(columns.T):
         rest = column.copy()
         for known in basis * 2:
@@ -127,10 +127,10 @@ def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         remaining, size = math.sqrt(rest @ rest), math.sqrt(column @ column)
         if math.isfinite(size) and remaining > DEPENDENT * size:
             basis.append(rest / remaining)
-            kept.append(j)
-    turn = np.zeros((columns.shape[1], len(kept)))
+            independent.append(j)
+    turn = np.zeros((columns.shape[1], len(independent)))
     whole = np.array(basis).T if basis else np.zeros((columns.shape[0], 0))
-    turn[kept] = np.linalg.inv(whole.T @ columns[:, kept])
+    turn[independent] = np.linalg.inv(whole.T @ columns[:, independent])
     return whole, turn
 
 

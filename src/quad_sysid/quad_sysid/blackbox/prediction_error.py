@@ -261,10 +261,10 @@ def _step(point: Point, free: FloatArray | None = None, damping: float = 0.0) ->
     hessian = free.T @ point.hessian @ free
     scale = _scale(hessian)
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
-    kept = values > FLAT * max(values[-1:], default=0.0)
-    basis = vectors[:, kept]
+    steep = values > FLAT * max(values[-1:], default=0.0)
+    basis = vectors[:, steep]
     return np.asarray(
-        free @ (basis @ ((basis.T @ (free.T @ point.slope / scale)) / (values[kept] + damping))
+        free @ (basis @ ((basis.T @ (free.T @ point.slope / scale)) / (values[steep] + damping))
                 / scale))
 
 

@@ -415,10 +415,10 @@ def shift_by_form(problem: Problem, fitted: Fit) -> FloatArray:
     flight = problem.flight
     if not flight.sensor.noisy:
         return np.zeros(fitted.theta.size)
-    kept, exact = flight.rate, flight.sensors
+    rate, exact = flight.rate, flight.sensors
     flight.sensors = flight.seen_through(stepped=True)
     stepped = flight.predict(fitted.structure, fitted.theta)
-    flight.rate, flight.sensors = kept, exact
+    flight.rate, flight.sensors = rate, exact
     e = fitted.prediction.innovation[problem.rows]
     j = required(fitted.prediction.jacobian)[problem.rows]
     change = (stepped.innovation[problem.rows] - e) * fitted.tail.weights(e) / fitted.tail.scale**2

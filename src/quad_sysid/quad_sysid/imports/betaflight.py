@@ -105,8 +105,8 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     motors, crafts = _motors(table, indi=indi)
     reading = Reading(table)
     reading.take(*signals, motors, *_speeds(table, units, len(motors.columns)))
-    kept = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
-    reading.mapped += [Mapped('header', '-', 'note', kept)] if kept else []
+    filters = ', '.join(f'{name} {table.header[name]}' for name in FILTERS if name in table.header)
+    reading.mapped += [Mapped('header', '-', 'note', filters)] if filters else []
     header = {str(name): str(value) for name, value in table.header.items()}
     throttle, span = _usual_throttle(table), _span_us(table)
     known = tuning(header, throttle, span)

@@ -101,11 +101,11 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     Raises BadInputError, naming `where`, where the time never advances.
     """
     rows = np.flatnonzero(np.isfinite(time_s))
-    notes = _left_out(len(time_s) - len(rows), 'rows without a time')
+    notes = _omitted(len(time_s) - len(rows), 'rows without a time')
     if len(rows) < 2:
         raise BadInputError(where, 'holds no times', remedy='name another column as the time')
     again = np.concatenate(([False], _repeated(time_s, values, rows)))
-    notes += _left_out(int(again.sum()), 'rows written twice')
+    notes += _omitted(int(again.sum()), 'rows written twice')
     rows = rows[~again]
     steps = np.diff(time_s[rows])
     if not (steps > 0.0).any():
@@ -113,7 +113,7 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     interval = float(np.median(steps[steps > 0.0]))
     jump = _jump(interval)
     long = [rows[part] for part in _stretches(time_s[rows], interval)]
-    notes += _left_out(len(rows) - sum(map(len, long)), 'rows with a time far off')
+    notes += _omitted(len(rows) - sum(map(len, long)), 'rows with a time far off')
     if not long:
         raise BadInputError(where, 'jumps from row to row', f'{len(rows)} rows',
                             'name another column as the time')
@@ -130,9 +130,9 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     if jumps:
         notes.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, placed {pause:.3g} s '
                      'apart')
-    kept, moment = _spread(np.concatenate(long), np.concatenate(moments), notes)
+    chosen, moment = _spread(np.concatenate(long), np.concatenate(moments), notes)
     moment = moment if moment[0] > EPOCH_S else moment - moment[0] + 1.0
-    return Unrolled(kept, moment, tuple(notes))
+    return Unrolled(chosen, moment, tuple(notes))
 
 
 def _jump(interval: float) -> float:
@@ -148,7 +148,7 @@ def _stretches(time_s: FloatArray, interval: float) -> list[np.ndarray]:
     return [part for part in parts if len(part) >= min(FEWEST, len(time_s))]
 
 
-def _left_out(count: int, what: str) -> list[str]:
+def _omitted(count: int, what: str) -> list[str]:
     return [f'{count} {what} left out'] if count else []
 
 
@@ -168,7 +168,7 @@ def _spread(
     """Rows of equal time: spread between the ticks if there are many, left out if few."""
     repeated = np.concatenate(([False], np.diff(time_s) <= 0.0))
     if repeated.mean() <= TICKS:
-        notes += _left_out(int(repeated.sum()), 'rows that repeat a time')
+        notes += _omitted(int(repeated.sum()), 'rows that repeat a time')
         return rows[~repeated], time_s[~repeated]
     notes.append(f'the clock ticks more slowly than the rows come ({100 * repeated.mean():.0f} '
                  '% repeat a time): rows are spread between the ticks')
@@ -186,9 +186,9 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     """
     interval = float(np.median(np.diff(samples.time_s)))
     near_others = _stretches(samples.time_s, interval)
-    kept = np.concatenate(near_others) if near_others else np.arange(len(samples.time_s))
-    wrong = _left_out(len(samples.time_s) - len(kept), 'samples with a time far off')
-    samples = Stream(samples.time_s[kept], samples.values[kept])
+    rows = np.concatenate(near_others) if near_others else np.arange(len(samples.time_s))
+    wrong = _omitted(len(samples.time_s) - len(rows), 'samples with a time far off')
+    samples = Stream(samples.time_s[rows], samples.values[rows])
     time_s, values = samples.time_s, samples.values
     span = time_s[-1] - time_s[0]
     if SPARSEST * span > interval * len(time_s):
@@ -226,11 +226,11 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
 def _own(
     time_s: FloatArray, values: FloatArray, dt: float, cells: np.ndarray, head: str
 ) -> Cycles:
-    kept = np.concatenate(([True], np.diff(cells) > 0))
-    crowded = int(np.count_nonzero(~kept))
-    cells, time_s = cells[kept], time_s[kept]
+    first = np.concatenate(([True], np.diff(cells) > 0))
+    crowded = int(np.count_nonzero(~first))
+    cells, time_s = cells[first], time_s[first]
     out = np.full((int(cells[-1]) + 1, values.shape[1]), np.nan)
-    out[cells] = values[kept]
+    out[cells] = values[first]
     more = f', {crowded} in an occupied cycle left out' if crowded else ''
     times = np.interp(np.arange(len(out)), cells, time_s)
     return Cycles(times, dt, out, own=True, notes=(

@@ -165,7 +165,7 @@ def _whole(
     inside = end <= len(data)
     at, end = at[inside], end[inside]
     followed = np.isin(end, at, assume_unique=False) | (end == len(data))
-    kept: list[NDArray[np.int64]] = []
+    accepted: list[NDArray[np.int64]] = []
     runs = np.flatnonzero(np.diff(followed.astype(np.int8), prepend=0, append=0))
     behind = 0
     for a, b in runs.reshape(-1, 2):  # all of these are followed by a message
@@ -173,9 +173,9 @@ def _whole(
         if (starts[1:] < end[a : b - 1]).any() or starts[0] < behind:
             starts = _not_nested(starts, end[a:b], behind)
         if len(starts):
-            kept.append(starts)
+            accepted.append(starts)
             behind = int(starts[-1] + lengths[data[starts[-1] + 2]])
-    good = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
+    good = np.concatenate(accepted) if accepted else np.zeros(0, dtype=np.int64)
     more = [i for i in np.flatnonzero(~followed) if _plausible(data, int(at[i]), at, good, kinds)]
     good = np.sort(np.concatenate([good, at[more]]).astype(np.int64))
     numbers = data[good + 2]

@@ -95,15 +95,15 @@ def read_text_table(
         raise _absent(where, absent, layout)
     places = [layout.names.index(name) for name in names]
     blocks: list[FloatArray] = []
-    kept: list[NDArray[np.int64]] = []
+    row_numbers: list[NDArray[np.int64]] = []
     whole = 0
     for numbers, rows in _rows(chain(looked[layout.begin :], numbered), layout.split):
         whole += sum(_as_wide(cells, len(layout.names)) for cells in rows)
         blocks.append(_block(rows, numbers, places, None if wanted is None else names, source))
-        kept.append(numbers)
+        row_numbers.append(numbers)
     if not blocks:
         raise BadInputError(source, 'has a header but no rows', remedy='give recorded data')
-    at = np.concatenate(kept)
+    at = np.concatenate(row_numbers)
     columns = {}
     for i, name in enumerate(names):  # column by column, each freed in its block
         columns[name] = np.concatenate([block[i] for block in blocks])

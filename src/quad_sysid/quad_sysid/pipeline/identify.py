@@ -222,13 +222,13 @@ def _reason(findings: Findings, not_searched: str) -> str:
         reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')
     else:
         reason = reason or 'no effect predicts the held-out segments better than the base alone'
-    kept = verdict.chosen.structure.labels
+    labels = verdict.chosen.structure.labels
     claimed = ladder.rungs[ladder.answer].model.structure.parts
-    names = ' and '.join(part.effect.name for part in claimed if part.effect.label not in kept)
+    names = ' and '.join(part.effect.name for part in claimed if part.effect.label not in labels)
     if names and verdict.verdict != 'cannot_tell':
         reason += (
-            f'; the training {"also " if kept else ""}suggests {names}, which is not confirmed by '
-            'the held-out segments or does not come again in resampled flights'
+            f'; the training {"also " if labels else ""}suggests {names}, which is not confirmed '
+            'by the held-out segments or does not come again in resampled flights'
         )
     if not verdict.chosen.converged:
         reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'

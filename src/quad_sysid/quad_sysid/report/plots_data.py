@@ -98,10 +98,10 @@ def _traces(answer: AxisAnswer, data: AxisData) -> Figure:
             for at, (a, b) in enumerate(bridged(sorted(spans), data.dt)):
                 shade(one, a * data.dt, b * data.dt, colour, name if at == 0 else '')
         seen: set[str] = set()
-        for left in answer.segments:
-            because = str(left.parameters.get('because', ''))
-            if because and left.axis == answer.axis:
-                shade(one, left.start_s, left.end_s, MUTED,
+        for omitted in answer.segments:
+            because = str(omitted.parameters.get('because', ''))
+            if because and omitted.axis == answer.axis:
+                shade(one, omitted.start_s, omitted.end_s, MUTED,
                       '' if because in seen else f'left out: {because}')
                 seen.add(because)
         if reference is not None:

@@ -33,7 +33,7 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     names = [name for name in SHOWN if name in at]
     figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False,
                           spacing=0.72)
-    drawn, left = False, scale(answer.units, 'left out', 'rad/s²')
+    drawn, shown = False, scale(answer.units, 'left out', 'rad/s²')
     over = {name: scale(answer.units, 'acting command' if name == 'command' else name,
                         missing_torque.OVER[name][1]) for name in names}
     for held, colour, _, label in runs(findings):
@@ -43,13 +43,13 @@ def left_out(answer: AxisAnswer) -> Picture | None:
             if points is None:
                 continue
             drawn = True
-            one.errorbar(over[name](points.x), left(points.mean), Z99 * left(points.spread),
+            one.errorbar(over[name](points.x), shown(points.mean), Z99 * shown(points.spread),
                          color=colour, label=label, marker='o', ms=3, capsize=1.5, lw=1.0,
                          elinewidth=0.8)
     for one, name in zip(axes, names, strict=True):
         one.axhline(0.0, color=MUTED, lw=0.8)
         one.set_xlabel(over[name].label)
-        one.set_ylabel(left.label)
+        one.set_ylabel(shown.label)
     legend(axes[0])
     if not drawn:
         return None

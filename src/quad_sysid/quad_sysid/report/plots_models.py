@@ -150,10 +150,10 @@ def bode(answer: AxisAnswer) -> Picture | None:
     axes[1].set_ylim(-720.0, 60.0)
     axes[1].set_yticks(range(-720, 61, 180))
     finish(axes, 'frequency, rad/s', of.label, 'phase, deg')
-    left = ' Effects that are not linear are left out.' if model.effects else ''
+    note = ' Effects that are not linear are left out.' if model.effects else ''
     return Picture(
         'bode', 'Frequency response', 'From command to measured rate, bands of 99 %. Points: '
-        'spectral analysis without a model, where coherence exceeds 0.2.' + left
+        'spectral analysis without a model, where coherence exceeds 0.2.' + note
         + trusted_words(answer), figure,
     )
 

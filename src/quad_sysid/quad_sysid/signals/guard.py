@@ -145,7 +145,7 @@ class Stall:
 
     def __init__(self) -> None:
         self._last: float | None = None
-        self._left_out_s = 0.0
+        self._stalled_s = 0.0
         self._allowed_s = MAX_DURATION_S
         self.stood_still_s = 0.0
         """Length of the stall before the last tick, s; 0: none."""
@@ -163,8 +163,8 @@ class Stall:
             self._allowed_s = min(self._allowed_s + gap, MAX_DURATION_S)
         elif gap <= self._allowed_s:
             self._allowed_s -= gap
-            self._left_out_s += gap
+            self._stalled_s += gap
 
     def awake_s(self, now_s: float) -> float:
         """`now_s` (s) less the stalls so far; use it for arrival times and for ages."""
-        return now_s - self._left_out_s
+        return now_s - self._stalled_s

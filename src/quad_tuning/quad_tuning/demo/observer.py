@@ -89,8 +89,8 @@ class Observer:
                 raise StageFailedError(stage, f'no {what} within {timeout_s:.0f} s'
                                        + (f' ({"; ".join(bad)})' if bad else ''))
             turn = time.monotonic() + 0.1
-            while (left := turn - time.monotonic()) > 0:
-                self._executor.spin_once(timeout_sec=left)
+            while (remaining_s := turn - time.monotonic()) > 0:
+                self._executor.spin_once(timeout_sec=remaining_s)
             meanwhile()
 
     def call(self, stage: str, service: str, timeout_s: float) -> str:
