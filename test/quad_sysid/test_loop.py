@@ -1,5 +1,6 @@
 """The closed loop: margins against python-control, time against an independent simulation."""
 
+import math
 from dataclasses import replace
 
 import control
@@ -165,7 +166,7 @@ def test_describing_gains_are_those_of_the_textbook():
 # ---- time
 
 
-def by_hand(plant, gains, reference):
+def by_hand(plant, gains, reference, *, torque=lambda *_: 0.0, command=lambda u: u):
     """The same loop, written apart: solve_ivp between the command's changes; angle, command."""
     gain, lag, delay, damping, bias = (BASE | plant).values()
     wc = 2 * np.pi * 42.0
@@ -186,12 +187,12 @@ def by_hand(plant, gains, reference):
         u = gains.rate_kp * e + integral - gains.rate_kd * d
         commands.append(np.clip(u, -gains.output_limit, gains.output_limit))
         for back, span in ((int(whole) + 1, rest), (int(whole), DT - rest)):
-            v = commands[-1 - back] if len(commands) > back else 0.0
+            v = command(commands[-1 - back]) if len(commands) > back else 0.0
             if span < 1e-9:
                 continue
 
             def slope(_, s, v=v):
-                turn = s[0] - damping * s[1] + bias
+                turn = s[0] - damping * s[1] + torque(s[1], s[2]) + bias
                 filtered = wc**2 * (s[1] - s[3]) - np.sqrt(2) * wc * s[4]
                 return [(gain * v - s[0]) / lag, turn, s[1], s[4], filtered, s[3]]
 
@@ -228,6 +229,31 @@ def curve(name: str, knots: list, values: list) -> EffectEstimate:
     at = np.linspace(knots[0], knots[-1], 6)
     return effect(name, *np.interp(at, knots, values), variant='smooth',
                   settings={'knots': tuple(at), 'mean': (0.0,) * 6})
+
+
+@pytest.mark.parametrize(
+    ('found', 'law'),
+    [
+        ((), {}),
+        ((effect('coulomb_friction', 3.0, 0.01),),
+         {'torque': lambda r, _: -3.0 * math.tanh(r / 0.01)}),
+        ((effect('dead_zone', 0.005),),
+         {'command': lambda u: math.copysign(max(abs(u) - 0.005, 0.0), u)}),
+        ((effect('battery_sag', 2.0, settings={'reference_v': 12.0}),),
+         {'command': lambda u: u * (11.0 / 12.0) ** 2}),
+        ((effect('step_event', 3.0, -0.2, variant='gain'),), {'command': lambda u: 0.8 * u}),
+    ],
+    ids=lambda x: ' '.join(e.name for e in x) or 'base' if isinstance(x, tuple) else '',
+)
+def test_a_model_flies_in_the_loop_as_its_effects_say(found, law):
+    """A step of 0.2 rad: within 5e-4 rad of the loop by hand; test_plant.py has all effects."""
+    step = STEP[:120]
+    ours = simulate_cascade(loop_plant(model_of(*found)), GAINS, step, DT)
+    angle, _ = by_hand({}, GAINS, step, **law)
+    np.testing.assert_allclose(ours.angle, angle, atol=5e-4)
+    if law:
+        plain = simulate_cascade(PLANT, GAINS, step, DT)
+        assert np.abs(plain.angle - angle).max() > 2e-3
 
 
 def test_what_varies_over_the_flight_has_its_range_in_the_loop():
