@@ -578,7 +578,7 @@ def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged
         structure, p = Structure((part,)), np.array([GAIN, 0.042, 0.008, 0.4, 0.2, 6.0, 0.1])
 
         def remembered_in(flight, part=part, structure=structure, p=p):
-            s = flight.signals(p, *flight.driven(structure, p), flight.rate)
+            s = flight.signals(structure, p, flight.rate)
             return flight.hidden(part, s, p[5:]).hidden[0]
 
         truth = remembered_in(Flight(whole, whole.stretches))
@@ -678,7 +678,7 @@ def only(*labels: str) -> tuple[Effect, ...]:
 
 def answer_of(record: Record, **options):
     """Without the black-box models, which say nothing of effects."""
-    with mock.patch.object(pipeline, '_black_boxes', lambda *_: 'left out'):
+    with mock.patch.object(pipeline, '_black_boxes', return_value='left out'):
         return pipeline.identify([record], pipeline.Options(axes=('roll',), **options))['roll']
 
 

@@ -34,7 +34,7 @@ PPM_250 = 1.0 + 250e-6
 
 def base_of(*records):
     """Without the black-box models beside it."""
-    with mock.patch.object(pipeline, '_black_boxes', lambda *_: 'left out'):
+    with mock.patch.object(pipeline, '_black_boxes', return_value='left out'):
         return pipeline.identify(records, pipeline.Options(axes=('roll',), effects=()))['roll']
 
 
