@@ -270,7 +270,8 @@ class Flight:
         where a torque is not linear. The third, (b,), says for which of the p the second is.
         """
         pushing, p = structure.pushing(), structure.natural(theta)
-        bent = np.r_[(slice(3), *(where for _, where in structure.sending()))]
+        moving = slice(3), *(where for _, where in structure.sending())
+        bent = np.r_[moving]
         out, bends = np.zeros((rate.size, theta.size)), np.empty((rate.size, bent.size))
         out[:, 3], out[:, 4] = -rate, 1.0
         for place, which in enumerate(structure.shared, theta.size - len(structure.noise)):
