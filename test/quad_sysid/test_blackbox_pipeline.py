@@ -1,6 +1,7 @@
 """The black-box part of an identification: approaches, both steps, preparation, advice."""
 
 import dataclasses
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, GainProposal, Parameter
 from quad_sysid.model.data import axis_data
+from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline import step_b
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.identify import Options, identify
@@ -70,7 +72,7 @@ def shows_its_band(model: AxisModel) -> GainProposal:
 @pytest.fixture(scope='module')
 def answers():
     records = [flight(), flight(7, FAST, source='second')]
-    return identify(records, Options(axes=('roll',), effects=(), designer=shows_its_band))
+    return identify(records, Options(axes=('roll',), effects=()))
 
 
 @pytest.fixture(scope='module')
@@ -97,12 +99,21 @@ def test_every_structure_stands_in_the_table_and_the_selected_one_finds_the_plan
 
 
 def test_gains_are_designed_in_the_band_that_the_report_trusts(roll):
-    """Narrower than where command and rate are coherent: there too the gain must be known."""
-    low, high = roll.model.trusted_band_rad_s
-    assert roll.proposal.refused_because == str((low, high))
-    coherent = Support.of(roll.train, 'roll').band
-    assert coherent[0] <= low < high <= coherent[1]
-    assert (low, high) != coherent
+    """Where a gain is known to 3 dB, which here is so at half of the coherent frequencies."""
+    known = next(row.step_a.model for row in roll.rows if row.step_a.model.structure == 'BJ')
+    low, high = Support.of(roll.train, 'roll').band
+    response = frequency_response(known, np.geomspace(low, high))
+    usual = np.median(response.magnitude_std / response.magnitude)
+    vague = dataclasses.replace(known, covariance=(0.41 / 2.576 / usual) ** 2 * known.covariance)
+    fits = mock.Mock(surest=vague)
+    with mock.patch.multiple(pipeline, findings_of=lambda *_: roll.findings,
+                             fit_models=lambda _: fits, _compared=lambda answer, *_: answer):
+        answer = pipeline.identify_axis(
+            [flight()], 'roll', Options(effects=(), designer=shows_its_band), lambda _: None)
+    band = answer.model.trusted_band_rad_s
+    assert answer.proposal.refused_because == str(band)
+    assert low <= band[0] < band[1] <= high
+    assert band[1] / band[0] < 0.8 * high / low
 
 
 def test_one_loop_is_identified_by_all_three_approaches():

@@ -578,7 +578,7 @@ def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged
         structure, p = Structure((part,)), np.array([GAIN, 0.042, 0.008, 0.4, 0.2, 6.0, 0.1])
 
         def remembered_in(flight, part=part, structure=structure, p=p):
-            s = flight.signals(p, *flight.driven(structure, p), flight.rate)
+            s = flight.signals(structure, p, flight.rate)
             return flight.hidden(part, s, p[5:]).hidden[0]
 
         truth = remembered_in(Flight(whole, whole.stretches))

@@ -10,6 +10,7 @@ from quad_sysid import comparison
 from quad_sysid.discover.accept import Unseen
 from quad_sysid.estimate.fit import stays_bounded
 from quad_sysid.estimate.stored import completed, estimate_of
+from quad_sysid.identified import Identified
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.evaluate import evaluate, simulate
 from quad_sysid.pipeline.identify import Options, identify
@@ -81,8 +82,10 @@ def test_each_flight_has_its_own_gyro_filter():
     assert answer.model.value('lag') == pytest.approx(0.042, abs=0.002)
     third = filtered(20.0, 3, UNSEEN)
     own = evaluate(answer.model, third)
-    lost = evaluate(answer.model, replace(third, gains=(GainChange(0.0, GAINS),)))
-    assert own.after < 0.5 * lost.after
+    unknown = replace(third, gains=(GainChange(0.0, GAINS),))
+    assert own.after < 0.5 * evaluate(answer.model, unknown).after
+    model = Identified(**vars(answer.model))
+    assert 100.0 - model.compare(third) < 0.5 * (100.0 - model.compare(unknown))
 
 
 def test_a_reference_is_of_one_unit(plain_flight):

@@ -301,11 +301,12 @@ def swings(model: AxisModel) -> bool:
 
 
 def test_what_a_loop_cannot_hold_is_named_and_refused_where_it_is_large():
-    coupled = estimate_of('gyroscopic_coupling', [2.0], 'other axis 1',
-                          settings={'other': 'pitch'})
+    """Of two of a name the larger counts."""
+    coupled, less = (estimate_of('gyroscopic_coupling', [2.0], f'other axis {which}')
+                     for which in (1, 2))
     passing = estimate_of('periodic_disturbance', [1.0, 2.0, 0.0])
-    ranges = {'command': (-0.1, 0.1), 'other rate 1': (-1.0, 8.0)}
-    model = replace(model_of(coupled, passing), ranges=ranges)
+    ranges = {'command': (-0.1, 0.1), 'other rate 1': (-1.0, 8.0), 'other angle 1': (-0.1, 0.4)}
+    model = replace(model_of(coupled, less, passing), ranges=ranges)
     assert not_in_the_loop(model) == {
         'gyroscopic_coupling': 'it depends on the other axes',
         'periodic_disturbance': 'it is a disturbance, whatever the loop does'}
@@ -313,6 +314,9 @@ def test_what_a_loop_cannot_hold_is_named_and_refused_where_it_is_large():
     with pytest.raises(DesignRefusedError, match='36 % of the drive'):
         check_inside(model)
     check_inside(replace(model, ranges={}))
+    leant = next(e for e in EFFECTS if type(e) is Memory and e.signal == 'other angle 1')
+    remembers = estimated(leant, np.array([1.0, 4.5]), {'unit': 0.01, 'rest': 0.0})
+    assert [*share_outside(replace(model, effects=(remembers,))).values()] == pytest.approx([0.4])
 
 
 def test_python_control_flies_a_found_model():

@@ -114,6 +114,7 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
 
     from quad_sysid.loop.from_model import loop_plant, whole_plant
     from quad_sysid.loop.linear import STILL, loops_of
+    from quad_sysid.model.plant import flat, unflat
 
     names: dict[str, Any] = {'inputs': ['command'], 'outputs': list(OUTPUTS), 'name': model.axis}
     if linear:
@@ -124,13 +125,13 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
 
     def update(_: float, x: FloatArray, u: FloatArray, __: object) -> FloatArray:
         s = plant.with_motors(replace(flying.around, sent=np.atleast_1d(u)))
-        return plant.flat(plant.step(plant.unflat(x[:, None], rest), s))[:, 0]
+        return flat(plant.step(unflat(x[:, None], rest), s))[:, 0]
 
     def shown(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
-        rate, angle = plant.measured(plant.unflat(x[:, None], rest))
+        rate, angle = plant.measured(unflat(x[:, None], rest))
         return np.array([rate[0], 0.0 if angle is None else angle[0]])
 
-    return control.nlsys(update, shown, states=plant.flat(rest).shape[0], dt=model.dt, **names)
+    return control.nlsys(update, shown, states=flat(rest).shape[0], dt=model.dt, **names)
 
 
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {

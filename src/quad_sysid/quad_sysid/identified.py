@@ -215,8 +215,8 @@ class Identified(AxisModel):
 
     def _data_of(self, flight: Record | IOData | str | Path,
                  ) -> tuple[AxisData, tuple[tuple[int, int], ...]]:
-        from quad_sysid.model.data import axis_alone, axis_data
-        from quad_sysid.pipeline.evaluate import flown_spans
+        from quad_sysid.model.data import axis_alone
+        from quad_sysid.pipeline.evaluate import flight_of, flown_spans
         from quad_sysid.pipeline.usable import same_rate
 
         if isinstance(flight, str | Path):
@@ -227,13 +227,11 @@ class Identified(AxisModel):
             raise BadInputError('flight', 'must be a Record, IOData or the path of a bag',
                                 type(flight).__name__, 'make one with from_arrays(u=…, y=…, dt=…)')
         if isinstance(flight, Record):
-            flight = flight.for_axis(self.axis, self.dt)
+            record, data = flight_of(self, flight)
+            return data, flown_spans(record, data)
         if not same_rate(flight.dt, self.dt):
             raise BadInputError('flight', "sample rate must be the model's",
                                 f'{1 / flight.dt:.6g} Hz, model {1 / self.dt:.6g} Hz')
-        if isinstance(flight, Record):
-            data = axis_data([flight], self.axis)
-            return replace(data, gyro_filter_hz=self.gyro_filter_hz), flown_spans(flight, data)
         u, y = np.nan_to_num(flight.u), flight.y
         if self.units is not None:
             u, y = self.units.command_of(u), self.units.rate_of(y)

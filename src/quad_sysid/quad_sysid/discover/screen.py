@@ -93,8 +93,7 @@ class Along:
         self.problem, self.structure, self.theta = problem, structure, theta
         flight = problem.flight
         self.values = structure.natural(theta)
-        halves, states = flight.driven(structure, self.values)
-        self.signals = flight.signals(self.values, halves, states, rate)
+        self.signals = flight.signals(structure, self.values, rate)
         self.push = flight.pushed(structure, self.values, rate)
         self.slope = self.push.slope
 

@@ -163,9 +163,8 @@ class Problem:
 
     def measure(self, fitted: Fit) -> None:
         """Take the sizes of all later priors and of the innovations from this fit."""
-        flight, p = self.flight, fitted.values
-        flight.variance, self._sizes = fitted.tail.variance, {}
-        self._reference = flight.signals(p, *flight.driven(fitted.structure, p), fitted.rate)
+        self.flight.variance, self._sizes = fitted.tail.variance, {}
+        self._reference = self.flight.signals(fitted.structure, fitted.values, fitted.rate)
 
     def sizes_of(self, part: Part) -> FloatArray:
         """(q,) prior standard deviation of an effect's parameters, in coordinates of the fit."""

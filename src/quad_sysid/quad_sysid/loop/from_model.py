@@ -63,20 +63,16 @@ class Placed:
         return ''
 
     def signals(self, at: Mapping[str, float], n: int = 1, **moved: Any) -> Signals:
-        """Signals (n,) at the usual values `at`, all but `moved` at rest."""
+        """Signals (n,) at the usual values `at`, all but `moved` at rest, its memory steady."""
         usual = {'time': np.full(n, LATE_S), 'throttle': np.full(n, at['throttle']),
                  'battery_v': np.full(n, at['battery']), 'sent': np.zeros(n)}
-        return Signals.at_rest(**(usual | moved))
+        s = Signals.at_rest(**(usual | moved))
+        return s if not self.effect.states else s.but(
+            hidden=self.effect.steady(s, self.p, self.part.settings))
 
     def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
-        """(n,) acceleration, rad/s², at the usual values `at`, all signals but `moved` at rest.
-
-        Its memory is in steady state.
-        """
-        s, settings = self.signals(at, n, **moved), self.part.settings
-        if self.effect.states:
-            s = replace(s, hidden=self.effect.steady(s, self.p, settings))
-        own = self.effect.torque(s, self.p, settings)
+        """(n,) acceleration, rad/s², there."""
+        own = self.effect.torque(self.signals(at, n, **moved), self.p, self.part.settings)
         return np.zeros(n) if own is None else np.broadcast_to(own, (n,))
 
     def factor(self, at: Mapping[str, float], **moved: FloatArray) -> FloatArray:
@@ -247,7 +243,7 @@ def not_in_the_loop(model: AxisModel) -> dict[str, str]:
 
 
 def share_outside(model: AxisModel) -> dict[str, float]:
-    """Of those that depend on more than disturbances, the largest acceleration over the drive's.
+    """Of those that depend on other axes, by name, the largest acceleration over the drive's.
 
     Both over the signals' ranges in the training; none where the model does not know these.
     """
@@ -265,10 +261,9 @@ def share_outside(model: AxisModel) -> dict[str, float]:
             moved[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
         rate = np.repeat(np.abs(model.ranges.get('rate', (0.0, 0.0))).max(), 4)
         s = one.signals(at, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
-        if one.effect.states:
-            continue
         pushed = one.effect.torque(s, one.p, one.part.settings)
         if pushed is None:
             pushed = gain * one.effect.command(s, one.p, one.part.settings)
-        out[effect.name] = float(np.abs(pushed).max() / (gain * command))
+        share = float(np.abs(pushed).max() / (gain * command))
+        out[effect.name] = max(share, out.get(effect.name, 0.0))
     return out

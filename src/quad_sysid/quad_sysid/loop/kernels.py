@@ -14,7 +14,7 @@ from numba import types
 from quad_sysid.compiled import BLOCK, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.laws import IntArray, operate
-from quad_sysid.model.recursion import motor_step
+from quad_sysid.model.recursion import motor_step, uneven
 
 INTEGRAL, LAST, D_PART, TARGET, ERROR, OUTPUT, NOTCH = range(7)
 MEMORY = 8
@@ -146,12 +146,9 @@ def driven(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: i
     r[at.motors] = r[at.motors + 1] = r[at.motors + 2] = r[at.motors + 3] = 0.0
     for c in range(w.size):
         line[newest, c] = r[at.commands[c]]
-        uneven = False
-        for i in range(at.factors.shape[2]):
-            uneven = uneven or at.factors[c, 1, i] != 0.0
         w[c] = motor_step(
             w[c], before(line, newest, c, r[at.when[1]]), before(line, newest, c, r[at.when[0]]),
-            r[at.lag[c]], uneven, at.factors[c], r[at.when[2]], dt, lags, own)
+            r[at.lag[c]], uneven(at.factors[c]), at.factors[c], r[at.when[2]], dt, lags, own)
         r[at.motors] += at.row[c] * own[0] * 2.0 / dt
         r[at.motors + 1] += at.row[c] * own[1] * 2.0 / dt
         r[at.motors + 2] += at.row[c] * own[2]
@@ -182,7 +179,7 @@ def step(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: Floa
 @kernel(PLACES, WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, LINE, WHOLE, NUMBER)
 def cycle(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
           line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
-    """`ahead`, for a controller in Python."""
+    """`step`, for a controller in Python."""
     return int(step(at, code, more, tables, r, line, w, newest, dt))
 
 
@@ -208,7 +205,7 @@ def fly(gains: Constants, at: Places, code: IntArray, more: IntArray, tables: Fl
     """The cascade around a plant by its operations; `lead`: of the angle over the rate's sum, s.
 
     r: registers, with the state at the start; first (2,) rate and angle as they are measured
-    there; line and w as in `ahead`; known (n, s) of each cycle; signals (5, n): angle reference,
+    there; line and w as in `step`; known (n, s) of each cycle; signals (5, n): angle reference,
     noise of the rate, acceleration, excitation of rate and control; out (4, n): angle, rate,
     control, rate reference.
     """

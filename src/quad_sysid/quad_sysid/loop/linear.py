@@ -22,6 +22,7 @@ from quad_sysid.effects.hidden import Linear
 from quad_sysid.loop.likeness import LinearChannels, LinearMap, LinearTorque
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model.effect import SMALL, Drive, Effect, Part, Signals, required
+from quad_sysid.model.plant import flat, unflat
 from quad_sysid.model.structure import Structure
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -77,13 +78,12 @@ def loops_of(every: Sequence[tuple[Flying, Level]]) -> Loops:
 def _cycle(flying: Flying) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A cycle of a plant that is linear, without the states that nothing asks for."""
     plant, rest = flying.plant, flying.begin()
-    still = plant.flat(rest)[:, 0]
+    still = flat(rest)[:, 0]
     n = still.size
-    like = plant.begin(_many(flying.around, n + 2, np.zeros(n + 2)), *np.zeros((2, n + 2)))
     moved = np.column_stack([still[:, None] + np.eye(n), still, still])
     sent = np.r_[np.zeros(n), 1.0, 0.0]
-    x = plant.unflat(moved, like)
-    after = plant.flat(plant.step(x, _many(flying.around, n + 2, sent)))
+    x = unflat(moved, rest)
+    after = flat(plant.step(x, _many(flying.around, n + 2, sent)))
     after = after - after[:, -1:]
     shown = np.stack([required(one) for one in plant.measured(x)])
     shown = shown - shown[:, -1:]

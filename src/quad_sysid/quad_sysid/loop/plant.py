@@ -6,7 +6,7 @@ from_model.py makes it of an identified model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -41,23 +41,22 @@ class Flying:
         """Control cycle, s."""
         return self.plant.dt
 
+    @cached_property
+    def first(self) -> Signals:
+        """What is around in the first cycle, without a command."""
+        return self.plant.with_motors(self.around.at(np.arange(1)).but(sent=np.zeros(1)))
+
     def begin(self, rate: float = 0.0, angle: float = 0.0) -> State:
         """The state with motors at rest, at a rate and an angle, rad/s and rad."""
-        s = replace(self.around.at(np.arange(1)), sent=np.zeros(1))
-        return self.plant.begin(self.plant.with_motors(s), np.array([rate]), np.array([angle]),
+        return self.plant.begin(self.first, np.array([rate]), np.array([angle]),
                                 steady=self.steady)
-
-    def step(self, x: State, u: float, push: float = 0.0, k: int = 0) -> State:
-        """The state after the k-th cycle of what is around; push in rad/s²."""
-        s = replace(self.around.at(np.array([k])), sent=np.array([u]))
-        return self.plant.step(x, self.plant.with_motors(s), push)
 
     @cached_property
     def held(self) -> float:
         """The acceleration by which it turns from rest at angle 0 without a command, rad/s²."""
         x, push = self.begin(), 0.0
         for _ in range(4):
-            push -= float(self.step(x, 0.0, push).turning.rate[0]) / self.dt
+            push -= float(self.plant.step(x, self.first, push).turning.rate[0]) / self.dt
         return -push
 
 

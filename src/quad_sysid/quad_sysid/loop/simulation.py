@@ -22,7 +22,7 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
-from quad_sysid.model.plant import Plant, State, Turning
+from quad_sysid.model.plant import Plant, State, alike, leaves
 from quad_sysid.model.traced import Call, Listing, Untraceable, with_ends
 
 OUTSIDE = ('throttle', 'battery_v', 'time', 'other_rates', 'other_commands', 'other_angles')
@@ -129,19 +129,22 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program:
     }
     sent, push, motors = listing.inputs(1), listing.inputs(1), listing.inputs(4, 1)
     first = len(listing.start)
-    turning, hidden = (_inputs(listing, x) for x in (rest.turning, rest.hidden))
+    turning, hidden = (alike(x, lambda one: listing.inputs(*one.shape))
+                       for x in (rest.turning, rest.hidden))
     s = plant.with_own(replace(given, **fields, sent=sent))  # type: ignore[arg-type]
     s = plant.with_motors(s)
     drive, after = noted.send(hidden, s)
     split = len(listing.code)
-    later = noted.turn(Turning(*turning), s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
+    later = noted.turn(turning, s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
                        plant.sensor.step)
     places = {
         'following': (*later, *after), 'shown': plant.measured(later),
         'commands': drive.commands, 'lag': drive.lag,
         'when': (*required(drive.ages), required(drive.fraction)),
     }
-    at = {name: _places(listing, value) for name, value in places.items()}
+    nowhere = np.zeros(0, np.int64)
+    at = {name: np.concatenate([nowhere, *(listing.places(one).ravel() for one in leaves(value))])
+          for name, value in places.items()}
     code, split = listing.needed([int(i) for one in at.values() for i in one], split)
     number: dict[str, Any] = {
         'given': 0, 'sent': int(sent.at[0]), 'push': int(push.at[0]),
@@ -156,29 +159,6 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program:
     )
 
 
-def _inputs(listing: Listing, x: Any) -> Any:
-    """Registers in the shape of states."""
-    if x is None:
-        return None
-    if isinstance(x, tuple):
-        return tuple(_inputs(listing, one) for one in x)
-    return listing.inputs(*x.shape)
-
-
-def _places(listing: Listing, x: Any) -> npt.NDArray[np.int64]:
-    """The registers of states, in order."""
-    if isinstance(x, tuple):
-        return np.concatenate([np.zeros(0, np.int64), *(_places(listing, one) for one in x)])
-    return np.zeros(0, np.int64) if x is None else listing.places(x).ravel()
-
-
-def _numbers(x: Any) -> list[float]:
-    """The numbers of states of one flight, in order."""
-    if isinstance(x, tuple):
-        return [number for one in x for number in _numbers(one)]
-    return [] if x is None else [float(number) for number in np.ravel(x)]
-
-
 class Running:
     """A plant in flight, in compiled code: `rate` and `angle` as they are measured now."""
 
@@ -187,9 +167,9 @@ class Running:
         self.made, self.dt, self._newest = made, plant.dt, 0
         self.known = [getattr(flying.around, name) for name in OUTSIDE]
         self.registers = made.start.copy()
-        numbers = _numbers((*x.turning, *x.hidden))
+        numbers = np.concatenate([one.ravel() for one in leaves((x.turning, x.hidden))])
         at = made.places
-        self.registers[at.state : at.state + len(numbers)] = numbers
+        self.registers[at.state : at.state + numbers.size] = numbers
         self.line = np.ascontiguousarray(x.line[..., 0])
         self.motors = np.ascontiguousarray(x.motors[:, 0])
         self.calls = [(k, call.on(self.registers)) for k, call in made.calls]

@@ -116,4 +116,4 @@ def _made_up() -> tuple[AxisData, Signals]:
         battery_v=12.0 - 0.5 * time, validation=((0, n),),
     )
     flight, p = Flight(data, ((0, n),)), np.array([100.0, 0.04, 0.01, 0.0, 0.0])
-    return data, flight.signals(p, *flight.driven(Structure(), p), wave)
+    return data, flight.signals(Structure(), p, wave)

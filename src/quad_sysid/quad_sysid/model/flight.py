@@ -25,12 +25,12 @@ from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
 from quad_sysid.model.effect import Part, Signals, required
 from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
 from quad_sysid.model.plant import (
-    LEAST_LAG,
     Acting,
     Plant,
     Turning,
     lag_and_delay,
     sent_on,
+    with_drive,
     with_slopes,
     with_torques,
 )
@@ -132,18 +132,18 @@ class Flight:
         if data.angle is not None:
             derived = self.sensor.derived
             self.angle = np.nan_to_num(data.angle) if derived else led_by_gyro(data, self.gyro)
-        self.others: list[FloatArray] | None = None
+        self.others: tuple[FloatArray, ...] | None = None
         if np.isfinite(data.other_rates).mean() > 0.5:
-            self.others = [self._advanced(np.nan_to_num(column)) for column in data.other_rates.T]
+            self.others = tuple(self._advanced(np.nan_to_num(x)) for x in data.other_rates.T)
         columns = [EVERY[name].index + 1 for name in data.other_axes]
         self.share = data.share
         self._known: dict[str, Any] = {
             'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
             'time': data.clock + 0.5 * data.dt, 'other_rates': self.others,
-            'other_commands': [*np.ascontiguousarray(data.control[:, columns].T)],
-            'motors': [*np.ascontiguousarray(data.motors.T)],
+            'other_commands': tuple(np.ascontiguousarray(data.control[:, columns].T)),
+            'motors': tuple(np.ascontiguousarray(data.motors.T)),
             'other_angles': None if data.other_angles is None
-            else [*np.ascontiguousarray(data.other_angles.T)],
+            else tuple(np.ascontiguousarray(data.other_angles.T)),
         }
         self.disturbances, self.variance = np.zeros((data.rate.size, 2)), 0.0
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
@@ -178,7 +178,7 @@ class Flight:
 
         p: parameters in their units.
         """
-        acting = [one for one in structure.placed() if one[0].effect.moves_command]
+        acting = structure.sending()
         # what remembers the drive needs it from the start, all others from a pass to its end
         remembered = any({'command', 'history'} <= {*part.effect.signals}
                          for part, _ in structure.placed())
@@ -210,24 +210,14 @@ class Flight:
     def commanded(self, p: FloatArray) -> Signals:
         """What acts before the torque sees: the commands, and what else was measured."""
         lag, delay = lag_and_delay(p)
-        known: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in self._known.items()
-        }
-        return Signals.at_rest(**known, angle=None, sent=self.data.command, share=self.share,
+        return Signals.at_rest(**self._known, angle=None, sent=self.data.command, share=self.share,
                                lag=lag, delay=delay, dt=self.data.dt)
 
-    def signals(
-        self, p: FloatArray, halves: FloatArray, states: FloatArray, rate: FloatArray
-    ) -> Signals:
+    def signals(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Signals:
         """Signals for a rate (n,) at mid-cycle, all along the flight."""
-        data, gain = self.data, p[0]
-        lagged, command = 0.5 * (halves[0] + halves[1]), gain * states[1]
-        return replace(
-            self.commanded(p), rate=rate, drive=gain * lagged, command=command, lagged=lagged,
-            angle=None if self.angle is None else self.angle + (0.5 * data.dt + self.late) * rate,
-            change=(command - gain * states[0]) / max(float(p[1]), LEAST_LAG * data.dt),
-        )
+        ahead = 0.5 * self.data.dt + self.late
+        return with_drive(self.commanded(p), p, *self.driven(structure, p)).but(
+            rate=rate, angle=None if self.angle is None else self.angle + ahead * rate)
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
         """The signals with the effect's hidden states, (states, n), if any, along the flight."""
@@ -253,7 +243,7 @@ class Flight:
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
-        drive, acting = self._acting(structure, p, rate, structure.placed())
+        drive, acting = self._acting(structure, p, rate, structure.pushing())
         torque = with_torques(p[4] - p[3] * rate, acting)
         for which, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
             torque = torque + share * self.disturbances[:, which]
@@ -262,17 +252,14 @@ class Flight:
 
     def _acting(
         self, structure: Structure, p: FloatArray, rate: FloatArray,
-        placed: Sequence[tuple[Part, slice]],
+        pushing: Sequence[tuple[Part, slice]],
     ) -> tuple[FloatArray, list[Acting]]:
         """Acceleration by the drive (2, n), and those effects with what they see."""
-        driven = self.driven(structure, p)
-        if not placed:
-            return p[0] * driven[0], []
-        s = self.signals(p, *driven, rate)
-        return p[0] * driven[0], [
-            (part, p[where], self.hidden(part, s, p[where])) for part, where in placed
-            if not part.effect.moves_command
-        ]
+        drive = p[0] * self.driven(structure, p)[0]
+        if not pushing:
+            return drive, []
+        s = self.signals(structure, p, rate)
+        return drive, [(part, p[where], self.hidden(part, s, p[where])) for part, where in pushing]
 
     def columns(
         self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray
@@ -282,19 +269,18 @@ class Flight:
         In the coordinates of the fit along a fixed trajectory, by differences of `steps` (p,)
         where a torque is not linear. The third, (b,), says for which of the p the second is.
         """
-        placed, p = structure.placed(), structure.natural(theta)
-        moving = slice(3), *(where for part, where in placed if part.effect.moves_command)
+        pushing, p = structure.pushing(), structure.natural(theta)
+        moving = slice(3), *(where for _, where in structure.sending())
         bent = np.r_[moving]
         out, bends = np.zeros((rate.size, theta.size)), np.empty((rate.size, bent.size))
         out[:, 3], out[:, 4] = -rate, 1.0
         for place, which in enumerate(structure.shared, theta.size - len(structure.noise)):
             out[:, place] = self.disturbances[:, which]
-        pushing = [(part, where) for part, where in placed if not part.effect.moves_command]
         if pushing:
-            s = self.signals(p, *self.driven(structure, p), rate)
+            s = self.signals(structure, p, rate)
         for part, where in pushing:
             out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
-        follow_drive = [one for one in placed if 'command' in one[0].effect.signals]
+        follow_drive = [one for one in pushing if 'command' in one[0].effect.signals]
 
         def driven(theta: FloatArray) -> FloatArray:
             """(2, n) acceleration of all that follows the command."""
@@ -357,7 +343,7 @@ class Flight:
     ) -> Prediction:
         """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
         n, p, rate = self.data.rate.size, structure.natural(theta), self.rate
-        if all(part.effect.moves_command for part, _ in structure.placed()):
+        if not structure.pushing():
             sweeps = 1  # the physics is linear in the rate
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
@@ -445,7 +431,7 @@ class Flight:
         acting = [(part, p[at]) for part, at in structure.placed() if part.effect.wanders]
         if not acting:
             return np.zeros((rate.size, 0))
-        s = self.signals(p, *self.driven(structure, p), rate)
+        s = self.signals(structure, p, rate)
         return np.stack([per_coefficient(part, s, own) for part, own in acting], axis=1)
 
     def responses(
@@ -489,7 +475,7 @@ class Flight:
         own = np.searchsorted([a for a, _ in self.passes], windows.starts, side='right') - 1
         step = np.stack([one.step for one in self.sensors], axis=2)[:, :, np.maximum(own, 0)]
         out = np.full((windows.count, windows.length), np.nan)
-        seen = self.signals(p, halves, states, prediction.rate)
+        seen = self.signals(structure, p, prediction.rate)
         angle = None if self.angle is None else self.angle[windows.starts] + late * r
         turning = Turning(r, angle, np.stack([g, q]), tuple(
             next(followed)[None, :] if part.effect.wanders else

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,6 +85,13 @@ def lag_and_delay(p: FloatArray) -> tuple[float, float]:
     return max(float(p[1]), SHORTEST_S), min(max(float(p[2]), 0.0), 0.5)
 
 
+def with_drive(s: Signals, p: FloatArray, halves: FloatArray, states: FloatArray) -> Signals:
+    """The signals with the drive, which Flight.driven gives at unit gain."""
+    gain, lagged, command = p[0], 0.5 * (halves[0] + halves[1]), p[0] * states[1]
+    return s.but(drive=gain * lagged, lagged=lagged, command=command,
+                 change=(command - gain * states[0]) / max(float(p[1]), LEAST_LAG * s.dt))
+
+
 class Turning(NamedTuple):
     """The axis at the start of a cycle; arrays of one shape (w,)."""
 
@@ -132,14 +139,12 @@ class Plant:
     @cached_property
     def sending(self) -> Sending:
         """The effects that act before the torque."""
-        return [(part, self.p[at]) for part, at in self.structure.placed()
-                if part.effect.moves_command]
+        return [(part, self.p[at]) for part, at in self.structure.sending()]
 
     @cached_property
     def pushing(self) -> Sending:
         """The effects that add a torque."""
-        return [(part, self.p[at]) for part, at in self.structure.placed()
-                if not part.effect.moves_command]
+        return [(part, self.p[at]) for part, at in self.structure.pushing()]
 
     def with_own(self, s: Signals) -> Signals:
         """The same with what the plant knows itself."""
@@ -218,14 +223,6 @@ class Plant:
             for known, own, (part, p) in zip(hidden, seen, self.sending, strict=True)
         )
 
-    def driven(self, s: Signals, halves: FloatArray, states: FloatArray) -> Signals:
-        """The signals with the drive, as Flight.driven gives it, at unit gain."""
-        drive, command = self.p[0] * halves, self.p[0] * states[1]
-        return s.but(drive=0.5 * (drive[0] + drive[1]), command=command,
-                     lagged=0.5 * (halves[0] + halves[1]),
-                     change=(command - self.p[0] * states[0])
-                     / max(self.p[1], LEAST_LAG * self.dt))
-
     def turn(
         self, x: Turning, s: Signals, halves: FloatArray, states: FloatArray,
         push: FloatArray | float, step: FloatArray,
@@ -235,7 +232,7 @@ class Plant:
         push: more acceleration, rad/s². step (2, 5) or (2, 5, w): of the gyro's filter.
         """
         p, dt, h, r = self.p, self.dt, 0.5 * self.dt, x.rate
-        drive, s = p[0] * halves, self.driven(s, halves, states)
+        drive, s = p[0] * halves, with_drive(s, p, halves, states)
         mean = s.drive
         middle = r + h * mean  # where physics is evaluated, then corrected by its slope
         for _ in range(self.rounds):
@@ -258,29 +255,6 @@ class Plant:
         angle = None if x.angle is None else x.angle + dt / 6.0 * (r + 4.0 * bent + new)
         return Turning(new, angle, seen, hidden)
 
-    def flat(self, x: State) -> FloatArray:
-        """(states, w) all numbers of a state, one below the other."""
-        turning = x.turning
-        hidden = [known for known in (*turning.hidden, *x.hidden) if known is not None]
-        angle = [] if turning.angle is None else [turning.angle[None]]
-        parts = [turning.rate[None], *angle, turning.seen, x.motors, *x.line, *hidden]
-        return np.concatenate(parts)
-
-    def unflat(self, numbers: FloatArray, like: State) -> State:
-        """The inverse, for states of the shapes of another."""
-        rest = iter(numbers)
-
-        def shaped(shape: FloatArray | None) -> FloatArray | None:
-            return None if shape is None else np.stack([next(rest) for _ in shape])
-
-        turning = like.turning
-        rate = next(rest)
-        angle = None if turning.angle is None else next(rest)
-        seen, motors = required(shaped(turning.seen)), required(shaped(like.motors))
-        line = np.stack([required(shaped(one)) for one in like.line])
-        own, sent = (tuple(map(shaped, one)) for one in (turning.hidden, like.hidden))
-        return State(Turning(rate, angle, seen, own), motors, line, sent)
-
     def measured(self, x: State | Turning) -> tuple[FloatArray, FloatArray | None]:
         """Rate and angle as the gyro and what integrates it show them, without noise."""
         rate, angle, (g, slope), _ = x.turning if isinstance(x, State) else x
@@ -288,6 +262,38 @@ class Plant:
             return rate, angle
         late = self.sensor.late_s  # of a Butterworth filter, sqrt(2) / cut-off
         return g, None if angle is None else angle - late * g - 0.5 * late**2 * slope
+
+
+def leaves(x: Any) -> list[Any]:
+    """The arrays of a state, or of a part of it, in order."""
+    if isinstance(x, tuple):
+        return [leaf for one in x for leaf in leaves(one)]
+    return [] if x is None else [x]
+
+
+def alike(x: Any, by: Callable[[Any], Any]) -> Any:
+    """A state, or a part of it, with what `by` makes of each of its arrays."""
+    if isinstance(x, tuple):
+        own = [alike(one, by) for one in x]
+        return type(x)(*own) if isinstance(x, State | Turning) else tuple(own)
+    return None if x is None else by(x)
+
+
+def flat(x: State) -> FloatArray:
+    """(states, w) all numbers of a state, one below the other."""
+    return np.concatenate([one.reshape(-1, one.shape[-1]) for one in leaves(x)])
+
+
+def unflat(numbers: FloatArray, like: State) -> State:
+    """The inverse, for states of the shapes of another but for w."""
+    rows = iter(numbers)
+
+    def filled(one: FloatArray) -> FloatArray:
+        own = np.stack([next(rows) for _ in range(math.prod(one.shape[:-1]))])
+        return own.reshape(*one.shape[:-1], -1)
+
+    state: State = alike(like, filled)
+    return state
 
 
 def _sent_before(line: FloatArray, age: FloatArray) -> FloatArray:

@@ -40,10 +40,19 @@ def between(x, knots, values):
 
 
 @inner
-def motor_step(w, new, before, tau, uneven, factors, fraction, dt, solved, out):
+def uneven(factors):
+    """Whether a motor's lag depends on how far it has to go, by its curve (2, k)."""
+    bent = False
+    for i in range(factors.shape[1]):
+        bent = bent or factors[1, i] != 0.0
+    return bent
+
+
+@inner
+def motor_step(w, new, before, tau, bent, factors, fraction, dt, solved, out):
     """A motor's lagged command w a cycle later, whose command changes after a `fraction` of it.
 
-    tau s, where `uneven` times the exponential of a curve over how far the motor has to go,
+    tau s, where `bent` times the exponential of a curve over how far the motor has to go,
     factors (2, k) its knots and values. out (4,) receives the areas over both halves of the cycle,
     w and the command at its middle. solved (3, 3) holds lengths, lags and decays of the cycle
     before, most often the same. It is exact for a held command and a constant lag.
@@ -57,7 +66,7 @@ def motor_step(w, new, before, tau, uneven, factors, fraction, dt, solved, out):
         u = before if i < older else new
         if h > 0.0:
             lag = tau
-            if uneven:
+            if bent:
                 lag *= math.exp(between(u - w, factors[0], factors[1]))
             if lag != solved[1, i] or h != solved[0, i]:
                 solved[0, i], solved[1, i], solved[2, i] = h, lag, math.exp(-h / lag)
@@ -113,12 +122,10 @@ def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves,
     """
     out = np.zeros(4)
     for c in range(commands.shape[0]):
-        weight, uneven = row[c], False
+        weight, bent = row[c], uneven(factors[c])
         if weight == 0.0:
             continue
-        for i in range(factors.shape[2]):
-            uneven = uneven or factors[c, 1, i] != 0.0
-        even = not uneven
+        even = not bent
         for k in range(start + 1, stop):
             even = even and lag[c, k] == lag[c, start] and fraction[k] == fraction[start] \
                 and ages[0, k] == ages[0, start] and ages[1, k] == ages[1, start]
@@ -130,7 +137,7 @@ def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves,
         for k in range(start, stop):
             w = motor_step(
                 w, sent(commands[c], k, ages[1, k], start),
-                sent(commands[c], k, ages[0, k], start), lag[c, k], uneven, factors[c],
+                sent(commands[c], k, ages[0, k], start), lag[c, k], bent, factors[c],
                 fraction[k], dt, solved, out,
             )
             halves[0, k] += weight * out[0]
@@ -152,11 +159,9 @@ def motors_step(w, new, before, row, lag, factors, fraction, dt, out):
     for i in range(w.shape[1]):
         out[0, i] = out[1, i] = out[2, i] = out[3, i] = 0.0
     for c in range(w.shape[0]):
-        uneven = False
-        for i in range(factors.shape[2]):
-            uneven = uneven or factors[c, 1, i] != 0.0
+        bent = uneven(factors[c])
         for i in range(w.shape[1]):
-            w[c, i] = motor_step(w[c, i], new[c, i], before[c, i], lag[c, i], uneven, factors[c],
+            w[c, i] = motor_step(w[c, i], new[c, i], before[c, i], lag[c, i], bent, factors[c],
                                  fraction[i], dt, solved, own)
             out[0, i] += row[c] * own[0] * 2.0 / dt
             out[1, i] += row[c] * own[1] * 2.0 / dt

@@ -6,8 +6,6 @@ differentiated along a run that was made, in whole arrays; the rest is linear, a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from quad_sysid.contract import FloatArray
@@ -15,21 +13,16 @@ from quad_sysid.model import recursion
 from quad_sysid.model.data import Windows
 from quad_sysid.model.effect import Signals, required
 from quad_sysid.model.flight import Flight, Prediction, Run
-from quad_sysid.model.plant import SLOPE_STEP, Plant, lag_and_delay, with_torques
+from quad_sysid.model.plant import SLOPE_STEP, lag_and_delay, with_drive, with_torques
 from quad_sysid.model.structure import Structure
 
 STATE_STEP = 1e-4
 """Step of a hidden state relative to its RMS."""
 
 
-@dataclass(frozen=True, eq=False)
-class Passed:
-    """What the cycles of all windows saw, one window behind the other."""
-
-    halves: FloatArray
-    """(2, n) acceleration by the drive over the halves of each cycle, rad/s²."""
-    signals: Signals
-    """(n,) each."""
+Passed = tuple[FloatArray, Signals]
+"""What the cycles of all windows saw, one window behind the other: (2, n) acceleration by the
+drive over the halves of each cycle, rad/s², and the signals."""
 
 
 class Sensitivity:
@@ -43,7 +36,7 @@ class Sensitivity:
         self.middle = run.rate.ravel()
         self.angle = None if run.angle is None else \
             run.angle.ravel() + 0.5 * self.dt * self.middle
-        self.pushing = [one for one in structure.placed() if not one[0].effect.moves_command]
+        self.pushing = structure.pushing()
         self.hidden = [x.reshape(x.shape[0], -1) for x in run.hidden if x is not None]
         self.around = flight.commanded(np.zeros(3)).at(self.cells)
 
@@ -53,23 +46,23 @@ class Sensitivity:
         p = structure.natural(self.theta)
         own, first, n = steps.size, int(turns), self.middle.size
         size = first + sum(x.shape[0] for x in self.hidden)
-        here = self._passed(p)
+        halves, s = here = self._passed(p)
         force, following = self._forces(here, p)
         by_state, by_rate = np.zeros((n, size)), np.zeros((n, size))
         onward = np.zeros((n, size, size))
 
         def slopes(signals: Signals, step: float) -> tuple[FloatArray, FloatArray]:
-            there, moved = self._forces(Passed(here.halves, signals), p)
+            there, moved = self._forces((halves, signals), p)
             return (there - force) / step, (moved - following).T / step
 
         (slope, moves), (back, moved) = (
-            slopes(here.signals.but(rate=self.middle + step), step)
+            slopes(s.but(rate=self.middle + step), step)
             for step in (SLOPE_STEP, -SLOPE_STEP)
         )
         slope, by_rate[:, first:] = 0.5 * (slope + back), 0.5 * (moves + moved)
         if turns:
             by_state[:, 0], onward[:, first:, 0] = slopes(
-                here.signals.but(angle=required(self.angle) + SLOPE_STEP), SLOPE_STEP)
+                s.but(angle=required(self.angle) + SLOPE_STEP), SLOPE_STEP)
             slope = slope + 0.5 * dt * by_state[:, 0]
             by_rate[:, first:] += 0.5 * dt * onward[:, first:, 0]
             by_rate[:, 0], onward[:, 0, 0] = dt, 1.0
@@ -78,13 +71,12 @@ class Sensitivity:
             for i, kept in enumerate(x.copy()):
                 step = STATE_STEP * float(np.sqrt(np.mean(kept**2))) or 1e-9
                 x[i] = kept + step
-                by_state[:, k], onward[:, first:, k] = slopes(here.signals, step)
+                by_state[:, k], onward[:, first:, k] = slopes(s, step)
                 x[i] = kept
                 k += 1
         columns, bends = np.empty((n, own)), np.zeros((n, own))
         forward, initial = np.zeros((n, size, own)), np.zeros((self.windows.count, size, own))
-        bent = [*range(3), *(j for part, at in structure.placed() if part.effect.moves_command
-                             for j in range(at.start, at.stop))]
+        bent = [*range(3), *(j for _, at in structure.sending() for j in range(at.start, at.stop))]
         started = self._initial(p, range(own), bent)
         for j, step in enumerate(steps):
             moved = self.theta.copy()
@@ -96,7 +88,7 @@ class Sensitivity:
             forward[:, first:, j] = (later - following).T / step
             initial[:, first:, j] = ((self._initial(q, [j], bent) - started) / step).T
             if j in bent:
-                difference = (there.halves - here.halves) / step
+                difference = (there[0] - halves) / step
                 bends[:, j] = 0.5 * (difference[0] - difference[1])
         if turns:
             forward[:, 0] = dt * dt / 3.0 * bends
@@ -113,22 +105,20 @@ class Sensitivity:
     def _passed(self, p: FloatArray) -> Passed:
         """What the cycles see at parameters p in their units, along the run."""
         flight = self.flight
-        plant = Plant(self.structure, p, self.dt, flight.sensor, flight.data.craft,
-                      flight.data.index)
         halves, states = (x[:, self.cells] for x in flight.driven(self.structure, p))
         lag, delay = lag_and_delay(p)
-        s = plant.driven(self.around.but(lag=lag, delay=delay), halves, states)
-        return Passed(p[0] * halves, s.but(rate=self.middle, angle=self.angle))
+        s = with_drive(self.around.but(lag=lag, delay=delay), p, halves, states)
+        return p[0] * halves, s.but(rate=self.middle, angle=self.angle)
 
     def _forces(self, passed: Passed, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) acceleration; (states, n) all hidden states a cycle later."""
-        s, hidden, own, following = passed.signals, iter(self.hidden), [], []
+        (halves, s), hidden, own, following = passed, iter(self.hidden), [], []
         for (part, at), kept in zip(self.pushing, self.run.hidden, strict=True):
             known = None if kept is None else next(hidden)
             own.append((part, p[at], s if known is None else s.but(hidden=known)))
             if known is not None:
                 following.append(part.effect.advance(known, s, p[at], part.settings))
-        force = with_torques(np.mean(passed.halves, axis=0) + p[4] - p[3] * s.rate, own)
+        force = with_torques(np.mean(halves, axis=0) + p[4] - p[3] * s.rate, own)
         return force, np.concatenate(following) if following else np.zeros((0, s.rate.size))
 
     def _initial(self, p: FloatArray, which: range | list[int], bent: list[int]) -> FloatArray:
@@ -143,7 +133,7 @@ class Sensitivity:
                 out.append(x[:, :, 0])
                 continue
             if seen is None:
-                seen = flight.signals(p, *flight.driven(self.structure, p), self.prediction.rate)
+                seen = flight.signals(self.structure, p, self.prediction.rate)
             known = required(flight.hidden(part, seen, p[at]).hidden)
             out.append(known[:, self.windows.starts])
         return np.concatenate(out) if out else np.zeros((0, self.windows.count))

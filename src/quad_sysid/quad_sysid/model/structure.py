@@ -120,6 +120,14 @@ class Structure:
         law = [] if self.law is None else [(self.law, slice(len(BASE), len(self.base)))]
         return [*law, *self.effects()]
 
+    def sending(self) -> list[tuple[Part, slice]]:
+        """Those of them that act before the torque."""
+        return [one for one in self.placed() if one[0].effect.moves_command]
+
+    def pushing(self) -> list[tuple[Part, slice]]:
+        """Those of them that add a torque."""
+        return [one for one in self.placed() if not one[0].effect.moves_command]
+
     def plus(self, part: Part) -> Structure:
         """The structure with one more effect."""
         return replace(self, parts=(*self.parts, part))

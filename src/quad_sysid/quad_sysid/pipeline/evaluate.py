@@ -25,6 +25,7 @@ from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, Outside
 from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.model.effect import Signals
+from quad_sysid.model.structure import coordinates
 from quad_sysid.pipeline import blackbox_part
 from quad_sysid.pipeline.assemble import outside_of
 from quad_sysid.pipeline.usable import check_limits, same_craft, same_rate
@@ -86,16 +87,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     suit the model, NotInformativeError where there is no window of 0.5 s, motors or gyro are at
     their limits, or the rate does not move.
     """
-    record = record.for_axis(model.axis, model.dt)
-    if not same_rate(record.dt, model.dt):
-        raise BadInputError(record.source, "sample rate must be the model's",
-                            f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz',
-                            f'import its log with --grid {1 / model.dt:.6g}, or identify anew')
-    data = axis_data([record], model.axis)
-    # a model without a filter holds it in its lag and delay; else the bag knows its own best
-    own = data.gyro_filter_hz if model.gyro_filter_hz else None
-    data = replace(data, gyro_filter_hz=own or model.gyro_filter_hz,
-                   derived_s=None if data.angle is None else data.derived_s)
+    record, data = flight_of(model, record)
     spans = flown_spans(record, data, spans_s)
     if not data.windows(spans).count:
         raise NotInformativeError(
@@ -146,6 +138,23 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     )
 
 
+def flight_of(model: AxisModel, record: Record) -> tuple[Record, AxisData]:
+    """A record as the model's axis flew it, and its data behind the filter of its gyro.
+
+    Raises BadInputError where its sample rate is not the model's.
+    """
+    record = record.for_axis(model.axis, model.dt)
+    if not same_rate(record.dt, model.dt):
+        raise BadInputError(record.source, "sample rate must be the model's",
+                            f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz',
+                            f'import its log with --grid {1 / model.dt:.6g}, or identify anew')
+    data = axis_data([record], model.axis)
+    # a model without a filter holds it in its lag and delay; else the bag knows its own best
+    own = data.gyro_filter_hz if model.gyro_filter_hz else None
+    return record, replace(data, gyro_filter_hz=own or model.gyro_filter_hz,
+                           derived_s=None if data.angle is None else data.derived_s)
+
+
 def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) -> None:
     """Raise BadInputError where an effect needs a signal that the bag lacks."""
     data = unseen.problem.data
@@ -168,18 +177,15 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
     A phase is estimated again by its likelihood; after an event its new values apply (contract,
     evaluate).
     """
-    structure = model.structure
+    structure, p = model.structure, model.structure.natural(model.theta)
 
     def at(phase: float) -> Stored:
         theta = model.theta.copy()
         for part, where in structure.effects():
-            logs = [spec.log for spec in part.effect.parameters]
-            p = structure.natural(model.theta)[where]
-            other = part.effect.in_another_flight(p, part.settings, phase)
-            theta[where] = np.where(logs, np.log(np.where(logs, other, 1.0)), other)
+            other = part.effect.in_another_flight(p[where], part.settings, phase)
+            theta[where] = coordinates(part.effect.parameters, other, 1e-17)
         return replace(model, theta=theta)
 
-    p = structure.natural(model.theta)
     if not any(part.effect.repeats_hz(p[where]) for part, where in structure.placed()):
         return at(0.0)
 

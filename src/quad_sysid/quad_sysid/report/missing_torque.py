@@ -79,9 +79,7 @@ class Replay:
     @property
     def signals(self) -> Signals:
         """The signals on which effects depend."""
-        flight, values = self.problem.flight, self.fit.values
-        halves, states = flight.driven(self.fit.structure, values)
-        return flight.signals(values, halves, states, self.fit.rate)
+        return self.problem.flight.signals(self.fit.structure, self.fit.values, self.fit.rate)
 
     def acceleration(self, without: int | None = None) -> FloatArray:
         """(n,) mean over each cycle, rad/s², also without one effect."""

@@ -154,40 +154,31 @@ def fly(aircraft: Aircraft, acting: Sequence[Placed],
     """Each excitation simulated from rest with the effects `acting` and the aircraft's noise."""
     added = [e.added(aircraft.dt) for e in excitations]
     n = min(a.shape[1] for a in added)
-    inputs = np.stack([a[:, :n] for a in added])
     around = [_surroundings(aircraft, e, n) for e in excitations]
-    rates, angles, commands = _run(aircraft, acting, around, inputs)
-    peaks = np.nan_to_num(np.max(np.abs(angles), axis=0), nan=np.inf)
-    flown = []
-    for i, (data, peak) in enumerate(zip(around, peaks, strict=True)):
-        control = data.control.copy()
-        control[:, data.index + 1] = commands[:, i]
-        flown.append(Flown(replace(
-            data, rate=np.ascontiguousarray(rates[:, i]), control=control,
-            angle=np.ascontiguousarray(angles[:, i]), motors=data.craft.commands(control),
-        ), float(peak)))
-    return flown
+    return _flown(aircraft, acting, around, [a[:, :n] for a in added])
 
 
-def _run(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData],
-         inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, f) measured rate and angle, and command, of f flights."""
-    dt = aircraft.dt
-    flying = plant_like(
-        aircraft.axis, np.concatenate([aircraft.theta, *(one.p for one in acting)]), dt,
+def _flown(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData],
+           added: Sequence[FloatArray]) -> list[Flown]:
+    """Flights with what goes on around them, and the excitation (3, n) of each."""
+    plant = plant_like(
+        aircraft.axis, np.concatenate([aircraft.theta, *(one.p for one in acting)]), aircraft.dt,
         aircraft.gyro_filter_hz, craft=aircraft.craft,
         structure=Structure(tuple(one.part for one in acting)),
     )
-    torque, gyro = _noise(aircraft, inputs.shape[2])
-    runs = [
-        simulate_cascade(
-            replace(flying, around=_known(data), steady=False), aircraft.gains, wanted, dt, gyro,
-            torque, rate_excitation=at_rate, control_excitation=at_control,
-        ) for data, (wanted, at_rate, at_control) in zip(around, inputs, strict=True)
-    ]
-    return (np.stack([run.rate for run in runs], axis=1),
-            np.stack([run.angle for run in runs], axis=1),
-            np.stack([run.control for run in runs], axis=1))
+    torque, gyro = _noise(aircraft, added[0].shape[1])
+    flown = []
+    for data, (wanted, at_rate, at_control) in zip(around, added, strict=True):
+        run = simulate_cascade(
+            replace(plant, around=_known(data), steady=False), aircraft.gains, wanted, data.dt,
+            gyro, torque, rate_excitation=at_rate, control_excitation=at_control)
+        control = data.control.copy()
+        control[:, data.index + 1] = run.control
+        flown.append(Flown(
+            replace(data, rate=run.rate, angle=run.angle, control=control,
+                    motors=data.craft.commands(control)),
+            float(np.nan_to_num(np.max(np.abs(run.angle)), nan=np.inf))))
+    return flown
 
 
 def _known(data: AxisData) -> Signals:
@@ -247,12 +238,12 @@ def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisDat
 def _stirred(axis: str, dt: float, n: int) -> tuple[FloatArray, FloatArray]:
     """Rate (rad/s) and command (n,) of another axis that the pilot moves."""
     t, phase = np.arange(n) * dt, AXES.index(axis)
-    inputs = np.zeros((1, 3, n))
+    added = np.zeros((3, n))
     for i, f in enumerate(PILOT_HZ):
-        inputs[0, 0] += 0.5 * np.deg2rad(PILOT_DEG) * np.sin(
+        added[0] += 0.5 * np.deg2rad(PILOT_DEG) * np.sin(
             2.0 * np.pi * (1.0 + 0.17 * phase) * f * t + i + phase
         )
     own = Aircraft(axis, np.array(PAPER[axis]), CascadeGains.default(axis), dt=dt)
     still = _surroundings(own, Excitation(schedule.Part('train', n * dt)), n)
-    rate, _, command = _run(own, (), (still,), inputs)
-    return rate[:, 0], command[:, 0]
+    (flown,) = _flown(own, (), [still], [added])
+    return flown.data.rate, flown.data.command

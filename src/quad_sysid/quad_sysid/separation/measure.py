@@ -20,7 +20,7 @@ from quad_sysid.estimate.fit import Fit, Problem, fit
 from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Part
-from quad_sysid.model.structure import NOISE, Structure, coordinates
+from quad_sysid.model.structure import BASE, NOISE, Structure, coordinates
 from quad_sysid.separation.flight import Aircraft
 
 GAIN_KNOWN = 0.1
@@ -161,8 +161,7 @@ def judged(aircraft: Aircraft, data: AxisData) -> Judged:
     """Fit the model without the rivals to a flight, from the aircraft's own values."""
     problem = Problem(data, data.train)
     noise = aircraft.noise
-    base = np.r_[aircraft.theta[0], np.log(np.maximum(aircraft.theta[1:3], 1e-4)),
-                 aircraft.theta[3:]]
+    base = coordinates(BASE, aircraft.theta, 1e-4)
     known = np.log([max(noise.ratios.get(s.name, math.exp(s.centre)), 1e-3) for s in NOISE])
     fitted = fit(problem, Structure(), np.r_[base, known])
     problem.measure(fitted)
