@@ -179,22 +179,23 @@ class Bends(Effect):
 
 
 class Creeps(Effect):
-    """A user's memory whose law compiled code has all words for."""
+    """A user's memory whose law compiled code has all words for; the last is the first, late."""
 
-    name, states, signals = 'creeps', 2, ('rate', 'angle', 'history')
+    name, states, signals = 'creeps', 3, ('rate', 'angle', 'history')
 
     def advance(self, x, s, *_):
         gone = np.where(s.rate > 0.1, x[0] - x[1], np.tanh(x[0] + s.angle))
-        return np.stack([x[0] + s.dt * (s.rate - gone), np.maximum(x[1], 0.9 * gone)])
+        return np.stack([x[0] + s.dt * (s.rate - gone), np.maximum(x[1], 0.9 * gone), x[0]])
 
 
 def test_a_memory_along_a_flight_is_its_law_cycle_by_cycle_compiled_where_that_is_possible():
     """To 1e-12, in each stretch from where it begins."""
     data = replace(flight_of_commands(), rate=np.sin(4.0 * DT * np.arange(N)))
     s = Flight(data, data.stretches).commanded(BASE).but(rate=data.rate, angle=data.angle)
-    spans, begun = ((0, 100), (110, N)), np.full((2, N), 0.2)
-    first = [begun[:, 0]] * 2
+    spans = (0, 100), (110, N)
     for effect, called in ((Creeps(), 0), (Branches(), 1)):
+        begun = np.full((effect.states, N), 0.2)
+        first = [begun[:, 0]] * 2
         with mock.patch.object(type(effect), 'cycles', side_effect=effect.cycles) as plain:
             along = effect.trace(s, BASE[:1], {}, spans, begun)
         assert plain.call_count == called

@@ -138,17 +138,19 @@ def before(line: FloatArray, newest: int, channel: int, age: float) -> float:
 
 
 @inner
-def driven(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: int,
-           dt: float) -> int:
-    """The motors in a cycle, between the operations on what was sent and those on the axis."""
-    own, lags = np.zeros(4), np.zeros((3, 3))
+def driven(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: int, dt: float,
+           lags: FloatArray, own: FloatArray) -> int:
+    """The motors in a cycle, between the operations on what was sent and those on the axis.
+
+    lags (c, 3, 3) and own (4,) are arrays of motor_step, the first kept from cycle to cycle.
+    """
     newest = (newest + line.shape[0] - 1) % line.shape[0]
     r[at.motors] = r[at.motors + 1] = r[at.motors + 2] = r[at.motors + 3] = 0.0
     for c in range(w.size):
         line[newest, c] = r[at.commands[c]]
         w[c] = motor_step(
             w[c], before(line, newest, c, r[at.when[1]]), before(line, newest, c, r[at.when[0]]),
-            r[at.lag[c]], uneven(at.factors[c]), at.factors[c], r[at.when[2]], dt, lags, own)
+            r[at.lag[c]], uneven(at.factors[c]), at.factors[c], r[at.when[2]], dt, lags[c], own)
         r[at.motors] += at.row[c] * own[0] * 2.0 / dt
         r[at.motors + 1] += at.row[c] * own[1] * 2.0 / dt
         r[at.motors + 2] += at.row[c] * own[2]
@@ -158,20 +160,20 @@ def driven(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: i
 
 @inner
 def step(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
-         line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
+         line: FloatArray, w: FloatArray, newest: int, dt: float, lags: FloatArray,
+         own: FloatArray, following: FloatArray) -> int:
     """One cycle of a plant by its operations: the state in the registers r a cycle later.
 
     The command, the acceleration and what is known of the cycle are in r already; line (d, c) and
     w (c,) commands under way, from `newest` on, and behind their lags. Gives the new `newest`.
+    Through following (states,) they are copied, for a state may become another one.
     """
     operate(code, more, tables, r, 0, at.split)
-    newest = driven(at, r, line, w, newest, dt)
+    newest = driven(at, r, line, w, newest, dt, lags, own)
     operate(code, more, tables, r, at.split, code.shape[0])
-    m = at.following.size
-    following = np.empty(m)
-    for i in range(m):
+    for i in range(following.size):
         following[i] = r[at.following[i]]
-    for i in range(m):
+    for i in range(following.size):
         r[at.state + i] = following[i]
     return newest
 
@@ -180,7 +182,8 @@ def step(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: Floa
 def cycle(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
           line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
     """`step`, for a controller in Python."""
-    return int(step(at, code, more, tables, r, line, w, newest, dt))
+    return int(step(at, code, more, tables, r, line, w, newest, dt, np.zeros((w.size, 3, 3)),
+                    np.zeros(4), np.empty(at.following.size)))
 
 
 @kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, WHOLE, WHOLE)
@@ -194,7 +197,7 @@ def part(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, begi
 def motors(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: int,
            dt: float) -> int:
     """`driven`, alike."""
-    return int(driven(at, r, line, w, newest, dt))
+    return int(driven(at, r, line, w, newest, dt, np.zeros((w.size, 3, 3)), np.zeros(4)))
 
 
 @kernel(GAINS, PLACES, WHOLE[:, ::1], WHOLES, LINE, LINE, LINE, TABLE, LINE, TABLE, TABLE, TABLE,
@@ -210,6 +213,7 @@ def fly(gains: Constants, at: Places, code: IntArray, more: IntArray, tables: Fl
     control, rate reference.
     """
     memory, shown, angle_shown, newest = np.zeros(MEMORY), first[0], first[1], 0
+    lags, own, following = np.zeros((w.size, 3, 3)), np.zeros(4), np.empty(at.following.size)
     if gains.d_on_error == 0.0:
         memory[LAST] = shown
         memory[NOTCH] = memory[NOTCH + 1] = (1.0 - gains.notch) * shown
@@ -222,7 +226,7 @@ def fly(gains: Constants, at: Places, code: IntArray, more: IntArray, tables: Fl
         for i in range(known.shape[1]):
             r[at.given + i] = known[k, i]
         r[at.sent], r[at.push] = u, signals[2, k]
-        newest = step(at, code, more, tables, r, line, w, newest, gains.dt)
+        newest = step(at, code, more, tables, r, line, w, newest, gains.dt, lags, own, following)
         shown, angle_shown = r[at.shown[0]], r[at.shown[1]]
 
 

@@ -194,11 +194,14 @@ def carried(code, more, tables, r, known, at, following, begin, end, out):
     numbers stands in the first registers, those of a cycle later in `following` (m,).
     """
     m = following.size
+    new = np.empty(m)
     for k in range(begin, end):
         for i in range(m):
             out[i, k] = r[i]
         for i in range(at.size):
             r[at[i]] = known[i, k]
         operate(code, more, tables, r, 0, code.shape[0])
-        for i in range(m):  # no state is read any more
-            r[i] = r[following[i]]
+        for i in range(m):  # a state may become another one
+            new[i] = r[following[i]]
+        for i in range(m):
+            r[i] = new[i]

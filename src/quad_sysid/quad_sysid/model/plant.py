@@ -146,6 +146,11 @@ class Plant:
         """The effects that add a torque."""
         return [(part, self.p[at]) for part, at in self.structure.pushing()]
 
+    @cached_property
+    def bends(self) -> bool:
+        """Whether a torque follows the motion within a cycle, so that one round may not do."""
+        return any({'rate', 'angle'} & {*part.effect.signals} for part, _ in self.pushing)
+
     def with_own(self, s: Signals) -> Signals:
         """The same with what the plant knows itself."""
         lag, delay = lag_and_delay(self.p)
@@ -235,7 +240,7 @@ class Plant:
         drive, s = p[0] * halves, with_drive(s, p, halves, states)
         mean = s.drive
         middle = r + h * mean  # where physics is evaluated, then corrected by its slope
-        for _ in range(self.rounds):
+        for _ in range(self.rounds if self.bends else 1):
             s = s.but(rate=middle, angle=None if x.angle is None else x.angle + h * middle)
             now = [(part, own, s if known is None else s.but(hidden=known))
                    for (part, own), known in zip(self.pushing, x.hidden, strict=True)]
