@@ -20,7 +20,6 @@ from quad_sysid.arguments import (
     progress,
     quiet_and_json,
 )
-from quad_sysid.axes import ALL_WORDS, NAMES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_place, make_folder
 from quad_sysid.fleets.bag import ANSWERED, LIMIT_S, jobs
@@ -42,8 +41,8 @@ def add(commands: Commands) -> None:
                         'aircraft; a path, or an address such as s3://bucket/flights')
     parser.add_argument('--out', metavar='DIR', help='results, path or address (default: '
                         'FOLDER_fleet here)')
-    parser.add_argument('--axis', choices=NAMES,
-                        help='default: the axes that each bag says were excited')
+    parser.add_argument('--axis', metavar='AXES', default='', help='as of identify, such as '
+                        'roll,pitch or all (default: the axes that each bag says were excited)')
     parser.add_argument('--workers', metavar='N', type=int, default=os.cpu_count() or 1,
                         help='bags at a time on this machine (default: one per core)')
     parser.add_argument('--cluster', metavar='ADDRESS|FILE', default='',
@@ -71,6 +70,7 @@ def _run(options: argparse.Namespace) -> int:
     from quad_sysid.fleets.engine import known, run, shard_of
     from quad_sysid.fleets.page import Fleet
     from quad_sysid.fleets.table import CSV, write
+    from quad_sysid.session import keywords
 
     name = options.folder.rstrip('/').rpartition('/')[2] if '://' in options.folder else (
         Path(options.folder).resolve().name)
@@ -80,7 +80,7 @@ def _run(options: argparse.Namespace) -> int:
     if out.store is None:
         check_place(out.path)
     Fleet([], options.group_by, options.since)  # refused before the work
-    axes = ALL_WORDS.get(options.axis, (options.axis,)) if options.axis else ()
+    axes = keywords(options.axis.split(',') if options.axis else ())['axes']
     own_effects(options.effects)
     text = Path(options.effects).read_text(encoding='utf-8') if options.effects else ''
     every = jobs(options.folder, out.address, axes=axes, effects=text,

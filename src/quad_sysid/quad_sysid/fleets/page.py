@@ -103,6 +103,8 @@ def _nothing(fleet: Summary) -> str:
 
 
 def _counts(fleet: Summary) -> str:
+    if not fleet.flights:
+        return f'No flight since {fleet.since}.' if fleet.since else 'No bag is done yet.'
     craft = len({row['aircraft'] for row in fleet.flights} - {''}) or 1
     counts = ', '.join(f'{count} {name.replace("_", " ")}' for name, count in fleet.counts.items())
     since = f' since {fleet.since}' if fleet.since else ''
