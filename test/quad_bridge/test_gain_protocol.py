@@ -71,7 +71,7 @@ class World:
         return (
             b.state, b._number, b._checksum, values, tuple(b._queue),
             b.state in protocol.AT_REST
-            or (b._left, b._due_s, tuple(b._writes.items()), b._outcome, b._late),
+            or (b._tries, b._due_s, tuple(b._writes.items()), b._outcome, b._late),
             b.reported and b.reported.transaction, s.of(NAMES), s.of(NAMES, 'good'),
             s.staging and s.of(NAMES, 'copy'), s.transaction, s.watching,
             (s.staging or s.watching) and (s.heard_us, s.watching and s.flown_us),

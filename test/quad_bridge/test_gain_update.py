@@ -152,8 +152,8 @@ class Walk:
         flight = g._update and (g._update.written, str(g._update.steps), g._update.armed)
         return (
             g.state, flight, bool(g._pending), c.flags, c.arrived_s, c.excited_s > -0.5,
-            g.state is State.WATCHING and g._left_s, c.flying,
-            g.watch.bad, g.watch.begun, g.polarity.left, g.polarity.known, p.state, p._left,
+            g.state is State.WATCHING and g._remaining_s, c.flying,
+            g.watch.bad, g.watch.begun, g.polarity.left, g.polarity.known, p.state, p._tries,
             p._due_s, p._number % 4, tuple(p._queue), len(p._values), p._values.get(KP),
             self.flown(), self.flown('good'), s.staging and self.flown('copy'),
             s.watching and (s.flown_us, s.heard_us), self.asks, self.faults, self.armed,

@@ -28,8 +28,7 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
     thread: the command line's, but not a node's or a notebook's, where the calls follow each
     other. A call whose result did not come whole is made here, so errors are raised as they are.
     """
-    alone = TASKS.is_dir() and len(list(TASKS.iterdir())) == 1
-    if not alone or multiprocessing.parent_process() is not None or not calls:
+    if not _single_threaded() or multiprocessing.parent_process() is not None or not calls:
         return [call() for call in calls]
     cores = min(len(calls), len(os.sched_getaffinity(0)))
     context = multiprocessing.get_context('fork')
@@ -89,3 +88,7 @@ def _make(
     with suppress(Exception):  # what cannot be packed, the parent makes itself
         for result in results:
             sender.send(result)
+
+
+def _single_threaded() -> bool:
+    return TASKS.is_dir() and len(list(TASKS.iterdir())) == 1

@@ -77,6 +77,10 @@ def _px4_mode(mode: int) -> f.Command:
     return f.Command(DO_SET_MODE, (CUSTOM_MODE, float(main), float(sub)))
 
 
+def _ardupilot_mode(mode: int) -> f.Command:
+    return f.Command(DO_SET_MODE, (CUSTOM_MODE, float(mode)))
+
+
 def _px4_units(craft: Craft, known: Values) -> Units:
     del known
     x, y = ([getattr(m, axis) for m in craft.motors] for axis in 'xy')
@@ -138,8 +142,7 @@ KINDS = (
     Kind(
         ARDUPILOT.number, 'ArduPilot', ARDUPILOT, bytewise=False,
         pilot_modes={0: 'Stabilize', 1: 'Acro', 2: 'AltHold', 5: 'Loiter', 16: 'PosHold'},
-        means=Means(20, 'GUIDED_NOGPS',
-                    lambda mode: f.Command(DO_SET_MODE, (CUSTOM_MODE, float(mode))), climb=True),
+        means=Means(20, 'GUIDED_NOGPS', _ardupilot_mode, climb=True),
         units=lambda craft, known: ardupilot_units(np.asarray(craft.mixer), known),
         requested_hz=OF_FLIGHT_HZ,
         reads=(*OF_MOTORS, 'MOT_HOVER_LEARN', 'LOG_BITMASK', 'FLTMODE_GCSBLOCK', 'SCHED_LOOP_RATE',
