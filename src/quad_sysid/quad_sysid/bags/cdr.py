@@ -265,7 +265,7 @@ def text_of(messages: Sequence[bytes]) -> str:
 
 
 def blank(msgtype: str, **values: Any) -> Any:
-    """A message of the type with `given` fields; numbers are 0, texts and lists empty."""
+    """A message of the type with `values` in its fields; numbers are 0, texts and lists empty."""
     fields = {name: _nothing(kind) for name, kind in typestore().fielddefs[msgtype][1]}
     return typestore().types[msgtype](**{**fields, **values})
 

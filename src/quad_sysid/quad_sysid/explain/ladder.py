@@ -175,7 +175,7 @@ class _Climb:
         """Labels of what runs away beside the rung."""
 
     def next(self, model: Projected, *, finer: bool) -> Projected | None:
-        """The model with one more effect, as it is believed to be, that comes nearest.
+        """The model with one more effect, of those believed, that is nearest to the reference.
 
         A named law that explains EXPLAINS is taken before a curve is tried. Of those that take
         nearly as much the search's most probable one is taken, and of its variants the plainest.
