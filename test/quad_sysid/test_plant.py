@@ -215,6 +215,31 @@ def test_a_law_that_cannot_be_compiled_is_called_in_its_place(effect, p):
     np.testing.assert_allclose(called.rate, flown(plant, data)[0].rate, atol=1e-12)
 
 
+def test_flights_at_once_are_each_as_alone():
+    """To 1e-12: two draws of each effect, with delays and curves of their own, in other winds."""
+    data, rng = flight_of_commands(), np.random.default_rng(2)
+    sensor = Flight(data, data.stretches).sensor
+    around = Flight(data, data.stretches).commanded(BASE)
+    effects = [e for e in SHAPED if e.label in (
+        'shape:lag:direction/smooth, motors', 'shape:throttle/smooth', 'mode:loose_load/turning')]
+
+    def drawn(effect, p):
+        part = Part(effect, effect.prepare(replace(data, rate=np.sin(4.0 * DT * np.arange(N)))))
+        values = np.r_[BASE, p, QUIET] * rng.uniform(0.7, 1.4, BASE.size + p.size + QUIET.size)
+        return Flying(Plant(Structure((part,)), values, DT, sensor, X, 0), around, steady=False)
+
+    some = [drawn(e, p) for _ in range(2) for e, p in (
+        *((e, parameters(e)) for e in effects), (Bends(), np.array([0.04])))]
+    assert len({running(one).kind for one in some}) == len(effects) + 1 == 4
+    wanted, gusts = np.repeat([0.2, -0.1], N // 2), rng.standard_normal((len(some), N))
+    together = simulate_cascade(some, GAINS, wanted, DT, 0.01 * gusts)
+    alone = [simulate_cascade(one, GAINS, wanted, DT, 0.01 * gust)
+             for one, gust in zip(some, gusts, strict=True)]
+    np.testing.assert_allclose(together, np.stack(alone, axis=1), atol=1e-12)
+    of_one = simulate_cascade(some[0], GAINS, wanted, DT, 0.01 * gusts[[3, 0]])
+    np.testing.assert_allclose([x[1] for x in of_one], alone[0], atol=1e-12)
+
+
 # ---- the loop that margins are judged of
 
 

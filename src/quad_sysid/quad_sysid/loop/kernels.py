@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from quad_sysid.compiled import BLOCK, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
+from quad_sysid.compiled import BLOCK, BLOCKS, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.laws import IntArray, operate
 from quad_sysid.model.recursion import motor_step, uneven
@@ -47,12 +47,10 @@ class Constants(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where a plant's numbers stand among the registers, and how its motors are mixed."""
+    """Where a plant's numbers stand among the registers."""
 
     split: int
     """Operations before the motors."""
-    given: int
-    """The first register of the known signals of a cycle."""
     sent: int
     push: int
     motors: int
@@ -69,15 +67,10 @@ class Places(NamedTuple):
     """(c,)."""
     when: IntArray
     """(3,) the two ages and the fraction, as in Drive."""
-    row: FloatArray
-    """(c,)."""
-    factors: FloatArray
-    """(c, 2, k)."""
 
 
 GAINS = types.NamedUniTuple(NUMBER, len(Constants._fields), Constants)
-PLACES = types.NamedTuple(
-    (*[WHOLE] * 6, *[WHOLES] * 5, LINE, BLOCK), Places)
+PLACES = types.NamedTuple((*[WHOLE] * 5, *[WHOLES] * 5), Places)
 
 
 @inner
@@ -127,107 +120,93 @@ def control_each(gains: Constants, memory: FloatArray, inputs: FloatArray, angle
 
 
 @inner
-def before(line: FloatArray, newest: int, channel: int, age: float) -> float:
-    """The command that was sent so many cycles ago, linear between two; `line` (d, c) turns."""
+def before(line: FloatArray, newest: int, channel: int, i: int, age: float) -> float:
+    """The command that was sent so many cycles ago, linear between two; `line` (d, c, f) turns."""
     whole = math.floor(age)
-    new = line[(newest + whole) % line.shape[0], channel]
+    new = line[(newest + whole) % line.shape[0], channel, i]
     share = age - whole
     if share > 0.0:
-        new += share * (line[(newest + whole + 1) % line.shape[0], channel] - new)
+        new += share * (line[(newest + whole + 1) % line.shape[0], channel, i] - new)
     return float(new)
 
 
 @inner
-def driven(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: int, dt: float,
-           lags: FloatArray, own: FloatArray) -> int:
+def driven(at: Places, row: FloatArray, factors: FloatArray, r: FloatArray, line: FloatArray,
+           w: FloatArray, newest: int, dt: float, lags: FloatArray, own: FloatArray) -> int:
     """The motors in a cycle, between the operations on what was sent and those on the axis.
 
-    lags (c, 3, 3) and own (4,) are arrays of motor_step, the first kept from cycle to cycle.
+    line (d, c, f) and w (c, f): commands under way, from `newest` on, and behind their lags; row
+    and factors as in Program, of each flight. lags (f, c, 3, 3) and own (4,) are arrays of
+    motor_step, the first kept from cycle to cycle. Gives the new `newest`.
     """
     newest = (newest + line.shape[0] - 1) % line.shape[0]
-    r[at.motors] = r[at.motors + 1] = r[at.motors + 2] = r[at.motors + 3] = 0.0
-    for c in range(w.size):
-        line[newest, c] = r[at.commands[c]]
-        w[c] = motor_step(
-            w[c], before(line, newest, c, r[at.when[1]]), before(line, newest, c, r[at.when[0]]),
-            r[at.lag[c]], uneven(at.factors[c]), at.factors[c], r[at.when[2]], dt, lags[c], own)
-        r[at.motors] += at.row[c] * own[0] * 2.0 / dt
-        r[at.motors + 1] += at.row[c] * own[1] * 2.0 / dt
-        r[at.motors + 2] += at.row[c] * own[2]
-        r[at.motors + 3] += at.row[c] * own[3]
+    for i in range(r.shape[1]):
+        area0 = area1 = lagged = command = 0.0
+        for c in range(w.shape[0]):
+            line[newest, c, i] = r[at.commands[c], i]
+            w[c, i] = motor_step(
+                w[c, i], before(line, newest, c, i, r[at.when[1], i]),
+                before(line, newest, c, i, r[at.when[0], i]), r[at.lag[c], i],
+                uneven(factors[i, c]), factors[i, c], r[at.when[2], i], dt, lags[i, c], own)
+            area0 += row[i, c] * own[0]
+            area1 += row[i, c] * own[1]
+            lagged += row[i, c] * own[2]
+            command += row[i, c] * own[3]
+        r[at.motors, i], r[at.motors + 1, i] = area0 * 2.0 / dt, area1 * 2.0 / dt
+        r[at.motors + 2, i], r[at.motors + 3, i] = lagged, command
     return newest
 
 
-@inner
-def step(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
-         line: FloatArray, w: FloatArray, newest: int, dt: float, lags: FloatArray,
-         own: FloatArray, following: FloatArray) -> int:
-    """One cycle of a plant by its operations: the state in the registers r a cycle later.
-
-    The command, the acceleration and what is known of the cycle are in r already; line (d, c) and
-    w (c,) commands under way, from `newest` on, and behind their lags. Gives the new `newest`.
-    Through following (states,) they are copied, for a state may become another one.
-    """
-    operate(code, more, tables, r, 0, at.split)
-    newest = driven(at, r, line, w, newest, dt, lags, own)
-    operate(code, more, tables, r, at.split, code.shape[0])
-    for i in range(following.size):
-        following[i] = r[at.following[i]]
-    for i in range(following.size):
-        r[at.state + i] = following[i]
-    return newest
+@kernel(PLACES, TABLE, BLOCKS, TABLE, BLOCK, TABLE, WHOLE, NUMBER)
+def motors(at: Places, row: FloatArray, factors: FloatArray, r: FloatArray, line: FloatArray,
+           w: FloatArray, newest: int, dt: float) -> int:
+    """`driven`, for a controller or laws in Python."""
+    lags = np.zeros((w.shape[1], w.shape[0], 3, 3))
+    return int(driven(at, row, factors, r, line, w, newest, dt, lags, np.zeros(4)))
 
 
-@kernel(PLACES, WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, LINE, WHOLE, NUMBER)
-def cycle(at: Places, code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray,
-          line: FloatArray, w: FloatArray, newest: int, dt: float) -> int:
-    """`step`, for a controller in Python."""
-    return int(step(at, code, more, tables, r, line, w, newest, dt, np.zeros((w.size, 3, 3)),
-                    np.zeros(4), np.empty(at.following.size)))
-
-
-@kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, WHOLE, WHOLE)
-def part(code: IntArray, more: IntArray, tables: FloatArray, r: FloatArray, begin: int,
-         end: int) -> None:
-    """Some operations, where laws in Python stand between them."""
-    operate(code, more, tables, r, begin, end)
-
-
-@kernel(PLACES, LINE, TABLE, LINE, WHOLE, NUMBER)
-def motors(at: Places, r: FloatArray, line: FloatArray, w: FloatArray, newest: int,
-           dt: float) -> int:
-    """`driven`, alike."""
-    return int(driven(at, r, line, w, newest, dt, np.zeros((w.size, 3, 3)), np.zeros(4)))
-
-
-@kernel(GAINS, PLACES, WHOLE[:, ::1], WHOLES, LINE, LINE, LINE, TABLE, LINE, TABLE, TABLE, TABLE,
-        NUMBER)
+@kernel(GAINS, PLACES, WHOLE[:, ::1], WHOLES, TABLE, TABLE, BLOCKS, TABLE, TABLE, BLOCK, TABLE,
+        WHOLES, BLOCK, BLOCK, BLOCK, NUMBER)
 def fly(gains: Constants, at: Places, code: IntArray, more: IntArray, tables: FloatArray,
-        r: FloatArray, first: FloatArray, line: FloatArray, w: FloatArray, known: FloatArray,
-        signals: FloatArray, out: FloatArray, lead: float) -> None:
-    """The cascade around a plant by its operations; `lead`: of the angle over the rate's sum, s.
+        row: FloatArray, factors: FloatArray, r: FloatArray, first: FloatArray, line: FloatArray,
+        w: FloatArray, moving: IntArray, known: FloatArray, signals: FloatArray, out: FloatArray,
+        lead: float) -> None:
+    """The cascade around f plants by their operations; `lead`: of the angle over the sum, s.
 
-    r: registers, with the state at the start; first (2,) rate and angle as they are measured
-    there; line and w as in `step`; known (n, s) of each cycle; signals (5, n): angle reference,
-    noise of the rate, acceleration, excitation of rate and control; out (4, n): angle, rate,
-    control, rate reference.
+    r (registers, f), with the state and what stays at the start; first (f, 2) rate and angle as
+    they are measured there; line and w as in `driven`; known (f, s, n) of each cycle, for the
+    registers `moving`; signals (f, 5, n): angle reference, noise of the rate, acceleration,
+    excitation of rate and control; out (f, 4, n): angle, rate, control, rate reference.
     """
-    memory, shown, angle_shown, newest = np.zeros(MEMORY), first[0], first[1], 0
-    lags, own, following = np.zeros((w.size, 3, 3)), np.zeros(4), np.empty(at.following.size)
-    if gains.d_on_error == 0.0:
-        memory[LAST] = shown
-        memory[NOTCH] = memory[NOTCH + 1] = (1.0 - gains.notch) * shown
-    for k in range(signals.shape[1]):
-        rate = shown + signals[1, k]
-        angle = angle_shown + lead * rate
-        wanted, u = control(gains, memory, signals[0, k], angle, rate, signals[3, k])
-        u += signals[4, k]
-        out[0, k], out[1, k], out[2, k], out[3, k] = angle, rate, u, wanted
-        for i in range(known.shape[1]):
-            r[at.given + i] = known[k, i]
-        r[at.sent], r[at.push] = u, signals[2, k]
-        newest = step(at, code, more, tables, r, line, w, newest, gains.dt, lags, own, following)
-        shown, angle_shown = r[at.shown[0]], r[at.shown[1]]
+    f, states, newest, own = r.shape[1], at.following.size, 0, np.zeros(4)
+    memory, lags = np.zeros((f, MEMORY)), np.zeros((f, w.shape[0], 3, 3))
+    following, shown = np.empty((states, f)), np.empty((f, 2))
+    for i in range(f):
+        shown[i, 0], shown[i, 1] = first[i, 0], first[i, 1]
+        if gains.d_on_error == 0.0:
+            memory[i, LAST] = first[i, 0]
+            memory[i, NOTCH] = memory[i, NOTCH + 1] = (1.0 - gains.notch) * first[i, 0]
+    for k in range(signals.shape[2]):
+        for i in range(f):
+            rate = shown[i, 0] + signals[i, 1, k]
+            angle = shown[i, 1] + lead * rate
+            wanted, u = control(gains, memory[i], signals[i, 0, k], angle, rate, signals[i, 3, k])
+            u += signals[i, 4, k]
+            out[i, 0, k], out[i, 1, k], out[i, 2, k], out[i, 3, k] = angle, rate, u, wanted
+            for j in range(moving.size):
+                r[moving[j], i] = known[i, j, k]
+            r[at.sent, i], r[at.push, i] = u, signals[i, 2, k]
+        operate(code, more, tables, r, 0, at.split)
+        newest = driven(at, row, factors, r, line, w, newest, gains.dt, lags, own)
+        operate(code, more, tables, r, at.split, code.shape[0])
+        for j in range(states):  # a state may become another one
+            for i in range(f):
+                following[j, i] = r[at.following[j], i]
+        for j in range(states):
+            for i in range(f):
+                r[at.state + j, i] = following[j, i]
+        for i in range(f):
+            shown[i, 0], shown[i, 1] = r[at.shown[0], i], r[at.shown[1], i]
 
 
 @kernel(GAINS, TABLE, LINE, LINE, TABLE, NUMBER)

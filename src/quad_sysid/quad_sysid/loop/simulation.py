@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -20,7 +20,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.loop import kernels
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import Flying
-from quad_sysid.model import AxisModel
+from quad_sysid.model import AxisModel, laws
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
 from quad_sysid.model.plant import Plant, State, alike, leaves
 from quad_sysid.model.traced import Call, Listing, Untraceable, with_ends
@@ -56,11 +56,23 @@ class Program:
     tables: FloatArray
     start: FloatArray
     places: kernels.Places
+    row: FloatArray
+    """(c,) as in Drive."""
+    factors: FloatArray
+    """(c, 2, k) as in Drive."""
     calls: Sequence[tuple[int, Call]]
     """Which operations are laws in Python."""
 
+    @cached_property
+    def kind(self) -> tuple[Any, ...]:
+        """What programs share whose plants differ in numbers only."""
+        return (self.code.tobytes(), self.more.tobytes(), self.tables.size, self.start.size,
+                self.factors.shape, *(x if isinstance(x, int) else x.tobytes()
+                                      for x in self.places))
+
 
 LAWS = ('torque', 'command', 'actuate', 'advance')
+NOWHERE, NOTHING = np.zeros(0, np.int64), np.zeros((0, 1))
 CHANNELS = ('commands', 'lag', 'ages', 'fraction')
 """What a law may change of a Drive from cycle to cycle."""
 
@@ -142,20 +154,18 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program:
         'commands': drive.commands, 'lag': drive.lag,
         'when': (*required(drive.ages), required(drive.fraction)),
     }
-    nowhere = np.zeros(0, np.int64)
-    at = {name: np.concatenate([nowhere, *(listing.places(one).ravel() for one in leaves(value))])
+    at = {name: np.array([i for one in leaves(value) for i in listing.apart(one)], dtype=np.int64)
           for name, value in places.items()}
     code, split = listing.needed([int(i) for one in at.values() for i in one], split)
     number: dict[str, Any] = {
-        'given': 0, 'sent': int(sent.at[0]), 'push': int(push.at[0]),
+        'sent': int(sent.at[0]), 'push': int(push.at[0]),
         'motors': int(motors.at[0, 0]), 'state': first, 'split': split, **at,
     }
     return Program(
         code, np.array([*listing.more, 0], dtype=np.int64), np.array([*listing.tables, 0.0]),
         np.array(listing.start),
-        kernels.Places(**number, row=np.ascontiguousarray(drive.row),
-                       factors=np.ascontiguousarray(drive.factors)),
-        listing.called(code),
+        kernels.Places(**number), np.ascontiguousarray(drive.row),
+        np.ascontiguousarray(drive.factors), listing.called(code),
     )
 
 
@@ -165,77 +175,90 @@ class Running:
     def __init__(self, made: Program, flying: Flying, x: State) -> None:
         plant = flying.plant
         self.made, self.dt, self._newest = made, plant.dt, 0
-        self.known = [getattr(flying.around, name) for name in OUTSIDE]
+        known = [row for name in OUTSIDE for row in _rows(getattr(flying.around, name))]
+        self.moving = [i for i, row in enumerate(known) if row.size > 1]
+        """Which of the known signals change from cycle to cycle."""
+        self._known = [known[i] for i in self.moving]
         self.registers = made.start.copy()
+        self.registers[: len(known)] = [row[0] for row in known]
         numbers = np.concatenate([one.ravel() for one in leaves((x.turning, x.hidden))])
         at = made.places
         self.registers[at.state : at.state + numbers.size] = numbers
         self.line = np.ascontiguousarray(x.line[..., 0])
         self.motors = np.ascontiguousarray(x.motors[:, 0])
+        self._wide = (made.row[None], made.factors[None], self.registers[:, None],
+                      self.line[..., None], self.motors[:, None])
         self.calls = [(k, call.on(self.registers)) for k, call in made.calls]
         rate, angle = plant.measured(x)
         self.rate, self.angle = float(rate[0]), float(required(angle)[0])
 
+    @property
+    def kind(self) -> tuple[Any, ...]:
+        """What those share that can fly side by side."""
+        return *self.made.kind, *self.moving
+
     def rows(self, n: int) -> FloatArray:
-        """(n, s) what is known of each cycle."""
-        rows = [np.broadcast_to(row, (n,)) for value in self.known for row in _rows(value)]
-        return np.ascontiguousarray(np.stack(rows, axis=1))
+        """(s, n) what is known of each cycle, of `moving`."""
+        return np.array([np.broadcast_to(row, (n,)) for row in self._known]).reshape(-1, n)
 
     def step(self, u: float, push: float = 0.0) -> None:
         """Fly one cycle with a command, where what is around stays; push in rad/s²."""
         r, made = self.registers, self.made
         at = made.places
         r[at.sent], r[at.push] = u, push
-        if self.calls:
-            self._operate(0, at.split)
-            self._newest = kernels.motors(at, r, self.line, self.motors, self._newest, self.dt)
-            self._operate(at.split, len(made.code))
-            r[at.state : at.state + at.following.size] = r[at.following]
-        else:
-            self._newest = kernels.cycle(at, made.code, made.more, made.tables, r, self.line,
-                                         self.motors, self._newest, self.dt)
+        self._operate(0, at.split)
+        self._newest = kernels.motors(at, *self._wide, self._newest, self.dt)
+        self._operate(at.split, len(made.code))
+        r[at.state : at.state + at.following.size] = r[at.following]
         self.rate, self.angle = float(r[at.shown[0]]), float(r[at.shown[1]])
 
     def _operate(self, begin: int, end: int) -> None:
         """Do the operations [begin, end), with the laws in Python among them."""
-        made = self.made
         for k, call in self.calls:
             if begin <= k < end:
-                kernels.part(made.code, made.more, made.tables, self.registers, begin, k)
+                self._compiled(begin, k)
                 call()
                 begin = k + 1
-        kernels.part(made.code, made.more, made.tables, self.registers, begin, end)
+        self._compiled(begin, end)
+
+    def _compiled(self, begin: int, end: int) -> None:
+        made = self.made
+        if begin < end:
+            laws.carried(made.code[begin:end], made.more, made.tables, self.registers, NOTHING,
+                         NOWHERE, NOWHERE, 0, 1, NOTHING)
 
 
 def running(flying: Flying, rate: float = 0.0, angle: float = 0.0) -> Running:
     """The plant from a rate and an angle on, rad/s and rad, motors at rest."""
     known = tuple(getattr(flying.around, name) is not None for name in OUTSIDE)
-    out = Running(program(flying.plant, known), flying, flying.begin(rate, angle))
-    given = out.rows(flying.around.time.size)[0]
-    out.registers[: given.size] = given
-    return out
+    return Running(program(flying.plant, known), flying, flying.begin(rate, angle))
 
 
 def _signal(values: npt.ArrayLike | None, n: int, name: str) -> FloatArray:
-    if values is None:
-        return np.zeros(n)
-    array = np.ascontiguousarray(np.broadcast_to(np.asarray(values, dtype=float), (n,)))
+    array = np.asarray(0.0 if values is None else values, dtype=float)
     if not np.isfinite(array).all():
         raise BadInputError('simulate', f'{name} must be finite')
-    return array
+    return np.broadcast_to(array, (*array.shape[:-1], n))
 
 
-def _checked_reference(reference: npt.ArrayLike, dt: float, plant_dt: float) -> FloatArray:
+def _checked_reference(reference: npt.ArrayLike, dt: float, own: Sequence[float],
+                       most: int = 1) -> FloatArray:
     array = np.ascontiguousarray(np.asarray(reference, dtype=float))
-    if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
+    if not 1 <= array.ndim <= most or array.size == 0 or not np.isfinite(array).all():
         raise BadInputError('simulate', 'the reference must be (n,), finite, n > 0', array.shape)
-    if not math.isclose(dt, plant_dt, rel_tol=1e-6):
-        raise BadInputError('simulate', f"dt must be the plant's {plant_dt} s", dt)
+    for plant_dt in own:
+        if not math.isclose(dt, plant_dt, rel_tol=1e-6):
+            raise BadInputError('simulate', f"dt must be the plant's {plant_dt} s", dt)
     return array
+
+
+TOGETHER = 32
+"""Flights whose cycles are computed side by side: the numbers of more leave the fast cache."""
 
 
 def simulate_cascade(
-    flying: Flying | AxisModel, gains: CascadeGains, reference_angle: npt.ArrayLike, dt: float,
+    flying: Flying | AxisModel | Sequence[Flying], gains: CascadeGains,
+    reference_angle: npt.ArrayLike, dt: float,
     noise: npt.ArrayLike | None = None, disturbance: npt.ArrayLike | None = None, *,
     rate_excitation: npt.ArrayLike | None = None, control_excitation: npt.ArrayLike | None = None,
     initial_angle: float = 0.0, initial_rate: float = 0.0, angle_lead_s: float = 0.0,
@@ -246,32 +269,63 @@ def simulate_cascade(
     axis and is held over the cycle. rate_excitation and control_excitation (n,) are added after
     the limits of C1 and C2, as in the firmware; the reference contains an excitation of the
     attitude. The drive starts at zero. angle_lead_s is the lead of the measured angle over the
-    rate's integral (`angle_lead_s`). Raises BadInputError for wrong shapes, values that are not
-    finite, and a dt that is not the plant's.
+    rate's integral (`angle_lead_s`). f flights at once, which is quicker: f plants, signals
+    (f, n), or both. Raises BadInputError for wrong shapes, values that are not finite, and a dt
+    that is not the plant's.
     """
     if isinstance(flying, AxisModel):
         from quad_sysid.loop.from_model import loop_plant
 
         flying = loop_plant(flying)
-    reference = _checked_reference(reference_angle, dt, flying.dt)
-    n, plant = reference.size, flying.plant
-    signals = np.stack((reference, _signal(noise, n, 'noise'),
-                        _signal(disturbance, n, 'disturbance'),
-                        _signal(rate_excitation, n, 'rate_excitation'),
-                        _signal(control_excitation, n, 'control_excitation')))
-    now = running(flying, initial_rate, initial_angle)
-    if now.calls:
-        return _in_python(now, gains, signals, float(angle_lead_s))
-    made, out = now.made, np.zeros((4, n))
-    kernels.fly(gains.constants(plant.dt), made.places, made.code, made.more, made.tables,
-                now.registers, np.array([now.rate, now.angle]), now.line, now.motors, now.rows(n),
-                signals, out, float(angle_lead_s))
-    return LoopResponse(*out)
+    plants = list(flying) if isinstance(flying, Sequence) else [flying]
+    reference = _checked_reference(reference_angle, dt, [one.dt for one in plants], 2)
+    n = reference.shape[-1]
+    signals = (reference, _signal(noise, n, 'noise'), _signal(disturbance, n, 'disturbance'),
+               _signal(rate_excitation, n, 'rate_excitation'),
+               _signal(control_excitation, n, 'control_excitation'))
+    rows = np.broadcast_arrays(np.zeros((len(plants), 1)), *signals)[1:]
+    flights = len(rows[0])
+    begin, lead = partial(running, rate=initial_rate, angle=initial_angle), float(angle_lead_s)
+    plants *= flights // len(plants)
+    starts = [begin(one) for one in plants] if isinstance(flying, Sequence) else \
+        [begin(flying)] * flights
+    alike: dict[Any, list[int]] = {}
+    for i, now in enumerate(starts):
+        alike.setdefault(now.kind, []).append(i)
+    out = np.empty((flights, 4, n))
+    for each in alike.values():
+        for first in range(0, len(each), TOGETHER):
+            some = each[first : first + TOGETHER]
+            moved = np.stack([row[some] for row in rows], axis=1)
+            if starts[some[0]].calls:
+                for i, own in zip(some, moved, strict=True):
+                    out[i] = _in_python(begin(plants[i]), gains, own, lead)
+            else:
+                out[some] = _side_by_side([starts[i] for i in some], gains, moved, lead)
+    alone = not isinstance(flying, Sequence) and all(signal.ndim == 1 for signal in signals)
+    return LoopResponse(*(out[0] if alone else out.transpose(1, 0, 2)))
 
 
-def _in_python(now: Running, gains: CascadeGains, signals: FloatArray,
-               lead: float) -> LoopResponse:
-    """The same cycle by cycle, where laws are called."""
+def _side_by_side(starts: Sequence[Running], gains: CascadeGains, signals: FloatArray,
+                  lead: float) -> FloatArray:
+    """(f, 4, n) flights of one kind, as kernels.fly says."""
+    made, n = starts[0].made, signals.shape[2]
+    longest = max(len(now.line) for now in starts)  # each holds the first command all over
+    out = np.empty((len(starts), 4, n))
+    kernels.fly(
+        gains.constants(starts[0].dt), made.places, made.code, made.more,
+        np.stack([now.made.tables for now in starts], axis=1),
+        np.stack([now.made.row for now in starts]), np.stack([now.made.factors for now in starts]),
+        np.stack([now.registers for now in starts], axis=1),
+        np.array([(now.rate, now.angle) for now in starts]),
+        np.stack([np.resize(now.line, (longest, now.motors.size)) for now in starts], axis=2),
+        np.stack([now.motors for now in starts], axis=1), np.array(starts[0].moving, np.int64),
+        np.stack([now.rows(n) for now in starts]), signals, out, lead)
+    return out
+
+
+def _in_python(now: Running, gains: CascadeGains, signals: FloatArray, lead: float) -> FloatArray:
+    """(4, n) a flight cycle by cycle, where laws are called."""
     numbers, (_, n) = gains.constants(now.dt), signals.shape
     memory, out, rows = np.zeros((1, kernels.MEMORY)), np.zeros((4, n)), now.rows(n)
     seen, inputs, u = np.zeros((2, 1)), np.zeros((1, 3)), np.zeros(1)
@@ -285,9 +339,9 @@ def _in_python(now: Running, gains: CascadeGains, signals: FloatArray,
         kernels.control_each(numbers, memory, inputs, seen[0], seen[1], u)
         aim = min(max(gains.angle_kp * (wanted - angle), -gains.rate_limit), gains.rate_limit)
         out[:, k] = angle, rate, u[0], aim + at_rate
-        now.registers[: rows.shape[1]] = rows[k]
+        now.registers[now.moving] = rows[:, k]
         now.step(float(u[0]), push)
-    return LoopResponse(*out)
+    return out
 
 
 def simulate_polynomial_cascade(
@@ -300,7 +354,7 @@ def simulate_polynomial_cascade(
     delay. The angle is the trapezoidal sum of the rate, ahead by angle_lead_s. A model without
     delay would need u before it is known: BadInputError.
     """
-    array = _checked_reference(reference, dt, dt)
+    array = _checked_reference(reference, dt, [dt])
     a = np.asarray(A, dtype=float)
     b = np.asarray(B, dtype=float)
     if a.ndim != 1 or a.size == 0 or a[0] == 0 or not np.isfinite(a).all():

@@ -112,78 +112,101 @@ def all_yielded(x, push, slope, lean, flow, dt, out):
 
 
 @inner
-def over(table, at, n, x):
-    """numpy.interp over n knots, which stand at a place of the table with their values behind."""
-    if x <= table[at]:
-        return float(table[at + n])
-    for i in range(1, n):
-        if x < table[at + i]:
-            low = table[at + n + i - 1]
-            slope = (table[at + n + i] - low) / (table[at + i] - table[at + i - 1])
-            return float(slope * (x - table[at + i - 1]) + low)
-    return float(table[at + 2 * n - 1])
+def over(tables, at, n, i, x):
+    """numpy.interp over n knots, which stand at a place of table i with their values behind."""
+    if x <= tables[at, i]:
+        return float(tables[at + n, i])
+    for j in range(1, n):
+        if x < tables[at + j, i]:
+            low = tables[at + n + j - 1, i]
+            slope = (tables[at + n + j, i] - low) / (tables[at + j, i] - tables[at + j - 1, i])
+            return float(slope * (x - tables[at + j - 1, i]) + low)
+    return float(tables[at + 2 * n - 1, i])
+
+
+@inner
+def value(what, x, y):  # noqa: PLR0911 - a table
+    """What one of the rarer operations makes of a number or two."""
+    if what == POWER:
+        return x ** y
+    if what == GREATER:
+        return 1.0 if x > y else 0.0
+    if what == GREATER_EQUAL:
+        return 1.0 if x >= y else 0.0
+    if what == LESS:
+        return 1.0 if x < y else 0.0
+    if what == LESS_EQUAL:
+        return 1.0 if x <= y else 0.0
+    if what == SIGN:
+        return 1.0 if x > 0.0 else -1.0 if x < 0.0 else x
+    if what == LOG:
+        return math.log(x)
+    if what == SQRT:
+        return math.sqrt(x)
+    if what == SIN:
+        return math.sin(x)
+    if what == COS:
+        return math.cos(x)
+    if what == FLOOR:
+        return np.floor(x)
+    return np.rint(x)
 
 
 @inner
 def operate(code, more, tables, r, begin, end):
-    """Do the operations [begin, end) of `code` (m, 4) on the registers r."""
+    """Do the operations [begin, end) of `code` (m, 4) on the registers r (registers, w)."""
     for k in range(begin, end):
         what, to, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3]
         if what == ADD:
-            r[to] = r[a] + r[b]
+            for i in range(r.shape[1]):
+                r[to, i] = r[a, i] + r[b, i]
         elif what == SUBTRACT:
-            r[to] = r[a] - r[b]
+            for i in range(r.shape[1]):
+                r[to, i] = r[a, i] - r[b, i]
         elif what == MULTIPLY:
-            r[to] = r[a] * r[b]
+            for i in range(r.shape[1]):
+                r[to, i] = r[a, i] * r[b, i]
         elif what == DIVIDE:
-            r[to] = r[a] / r[b]
+            for i in range(r.shape[1]):
+                r[to, i] = r[a, i] / r[b, i]
         elif what == MAXIMUM:
-            r[to] = max(r[a], r[b])
+            for i in range(r.shape[1]):
+                r[to, i] = max(r[a, i], r[b, i])
         elif what == MINIMUM:
-            r[to] = min(r[a], r[b])
-        elif what == POWER:
-            r[to] = r[a] ** r[b]
-        elif what == GREATER:
-            r[to] = 1.0 if r[a] > r[b] else 0.0
-        elif what == GREATER_EQUAL:
-            r[to] = 1.0 if r[a] >= r[b] else 0.0
-        elif what == LESS:
-            r[to] = 1.0 if r[a] < r[b] else 0.0
-        elif what == LESS_EQUAL:
-            r[to] = 1.0 if r[a] <= r[b] else 0.0
+            for i in range(r.shape[1]):
+                r[to, i] = min(r[a, i], r[b, i])
         elif what == NEGATIVE:
-            r[to] = -r[a]
+            for i in range(r.shape[1]):
+                r[to, i] = -r[a, i]
         elif what == ABSOLUTE:
-            r[to] = abs(r[a])
-        elif what == SIGN:
-            r[to] = 1.0 if r[a] > 0.0 else -1.0 if r[a] < 0.0 else r[a]
+            for i in range(r.shape[1]):
+                r[to, i] = abs(r[a, i])
         elif what == EXP:
-            r[to] = math.exp(r[a])
-        elif what == LOG:
-            r[to] = math.log(r[a])
-        elif what == SQRT:
-            r[to] = math.sqrt(r[a])
-        elif what == SIN:
-            r[to] = math.sin(r[a])
-        elif what == COS:
-            r[to] = math.cos(r[a])
+            for i in range(r.shape[1]):
+                r[to, i] = math.exp(r[a, i])
         elif what == TANH:
-            r[to] = math.tanh(r[a])
-        elif what == FLOOR:
-            r[to] = np.floor(r[a])
-        elif what == RINT:
-            r[to] = np.rint(r[a])
+            for i in range(r.shape[1]):
+                r[to, i] = math.tanh(r[a, i])
         elif what == WHERE:
-            r[to] = r[more[a + 1]] if r[more[a]] != 0.0 else r[more[a + 2]]
+            for i in range(r.shape[1]):
+                r[to, i] = r[more[a + 1], i] if r[more[a], i] != 0.0 else r[more[a + 2], i]
         elif what == INTERP:
-            r[to] = over(tables, int(r[more[a + 1]]), int(r[more[a + 2]]), r[more[a]])
+            for i in range(r.shape[1]):
+                r[to, i] = over(tables, int(r[more[a + 1], i]), int(r[more[a + 2], i]), i,
+                                r[more[a], i])
         elif what == LOOSE:
-            r[to], r[to + 1], r[to + 2] = loose_ahead(
-                r[more[a]], r[more[a + 1]], r[more[a + 4]], r[more[a + 5]], r[more[a + 6]],
-                r[more[a + 2]], r[more[a + 3]])
+            for i in range(r.shape[1]):
+                r[to, i], r[to + 1, i], r[to + 2, i] = loose_ahead(
+                    r[more[a], i], r[more[a + 1], i], r[more[a + 4], i], r[more[a + 5], i],
+                    r[more[a + 6], i], r[more[a + 2], i], r[more[a + 3], i])
         elif what == YIELDED:
-            r[to] = yielded(r[more[a]], r[more[a + 1]], r[more[a + 2]], r[more[a + 3]],
-                            r[more[a + 4]], r[more[a + 5]])
+            for i in range(r.shape[1]):
+                r[to, i] = yielded(
+                    r[more[a], i], r[more[a + 1], i], r[more[a + 2], i], r[more[a + 3], i],
+                    r[more[a + 4], i], r[more[a + 5], i])
+        else:
+            for i in range(r.shape[1]):
+                r[to, i] = value(what, r[a, i], r[b, i])
 
 
 @kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, WHOLES, WHOLES, WHOLE, WHOLE, TABLE)
@@ -193,14 +216,14 @@ def carried(code, more, tables, r, known, at, following, begin, end, out):
     known (s, n): what is known of each cycle, whose registers are `at` (s,); the state of m
     numbers stands in the first registers, those of a cycle later in `following` (m,).
     """
-    m = following.size
+    m, column, numbers = following.size, r.reshape((-1, 1)), tables.reshape((-1, 1))
     new = np.empty(m)
     for k in range(begin, end):
         for i in range(m):
             out[i, k] = r[i]
         for i in range(at.size):
             r[at[i]] = known[i, k]
-        operate(code, more, tables, r, 0, code.shape[0])
+        operate(code, more, numbers, column, 0, code.shape[0])
         for i in range(m):  # a state may become another one
             new[i] = r[following[i]]
         for i in range(m):

@@ -169,6 +169,15 @@ class Listing:
         return np.array([self.constant(x) for x in array.ravel()],
                         dtype=np.int64).reshape(array.shape)
 
+    def apart(self, value: Any) -> list[int]:
+        """The same one below the other, known numbers in registers that nothing shares.
+
+        So that it does not depend on their values which register is which.
+        """
+        if isinstance(value, Traced):
+            return [int(i) for i in value.at.ravel()]
+        return [self.place(x) for x in np.ravel(value)]
+
     def each(self, name: str, *values: Any, numbers: Sequence[float] = ()) -> Traced:
         """An operation on every element."""
         together = np.broadcast_arrays(*(self.places(value) for value in values))
