@@ -2,13 +2,16 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from known_plants import reference_study
 
 from quad_sysid.blackbox import bj, simulate
+from quad_sysid.estimate.stored import completed
 from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
+from quad_sysid.pipeline.evaluate import simulate as simulate_model
 from quad_sysid.report.model_file import (
     POLYNOMIALS,
     load_blackbox,
@@ -73,6 +76,21 @@ def test_a_damaged_file_is_named_in_one_line(tmp_path, refusal, damage, said):
     line = refusal(load_models, path)
     assert said in line
     assert str(path) in line
+
+
+def test_a_file_of_an_earlier_version_is_read_as_it_was_meant_or_refused(tmp_path, refusal):
+    """The rates are those that the version which wrote the file computes."""
+    path = Path(__file__).parents[1] / 'data' / 'model_2.json'
+    model = load_models(path)['yaw']
+    rate = simulate_model(model, 0.05 * np.repeat([1.0, -1.0, 0.5], 40))
+    there = [-0.006016, -0.013561, -0.01941, -0.020571, -0.02451]
+    np.testing.assert_allclose(rate[[20, 39, 60, 100, 119]], there, atol=1e-6)
+    assert {name.rpartition('.')[0] for name in model.parameter_names} == {
+        '', 'mode:swinging', 'inertia_coupling'}
+    gone = tmp_path / 'model.json'
+    gone.write_text(path.read_text().replace('"swinging"', '"rough"'))
+    assert 'only versions before the release of 0.2.0' in refusal(
+        completed, load_models(gone)['yaw'])
 
 
 # black-box models beside them

@@ -158,6 +158,8 @@ class Listing:
         """The registers of an array, a number or what is Traced."""
         if isinstance(value, Traced):
             return value.at
+        if isinstance(value, float):
+            return np.array(self.constant(value))
         if id(value) in self._along:
             return self._along[id(value)][1]
         array = np.asarray(value, dtype=np.float64)
@@ -180,7 +182,11 @@ class Listing:
 
     def each(self, name: str, *values: Any, numbers: Sequence[float] = ()) -> Traced:
         """An operation on every element."""
-        together = np.broadcast_arrays(*(self.places(value) for value in values))
+        places = [self.places(value) for value in values]
+        if all(one.size == 1 for one in places):  # most often, and much quicker
+            at = np.array(self.note(name, [one.item() for one in places], numbers))
+            return Traced(self, at.reshape(max((one.shape for one in places), key=len)))
+        together = np.broadcast_arrays(*places)
         out = np.array([self.note(name, operands, numbers) for operands
                         in zip(*(one.ravel().tolist() for one in together), strict=True)],
                        dtype=np.int64)

@@ -29,6 +29,17 @@ from quad_sysid.model.effect import Effect
 SCHEMA = 'quad_sysid/model/3'
 BEFORE = 'quad_sysid/model/2'
 """Had no explanation; read as one that has none."""
+RENAMED = {
+    'lead': ('mode:lead', ''), 'second lag': ('mode:second_lag', ''),
+    'second order': ('mode:second_order', ''), 'slow state': ('mode:slow_state', ''),
+    'swinging': ('mode:swinging', ''), 'hysteresis': ('mode:hysteresis', ''),
+    'loose, leaning': ('mode:loose_load', 'leaning'),
+    'loose, turning': ('mode:loose_load', 'turning'), 'loose, driven': ('mode:soft_mount', ''),
+    'yielding, turning': ('mode:yielding', 'turning'),
+    'yielding, leaning': ('mode:yielding', 'leaning'),
+    'yielding, driven': ('mode:yielding', 'driven'), 'response to drive': ('mode:response', ''),
+}
+"""Variants of what was one effect `mode` before each had a name: name and variant now."""
 FILE = 'model.json'
 """Its name in the folder of a report."""
 BASE_NAMES = ('gain', 'lag', 'delay', 'damping', 'bias')
@@ -103,7 +114,7 @@ def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> di
     for axis in axes:
         axis_of(f'{path}: axes', axis)
     own = tuple(own_effects)
-    models = {axis: _model(axis, tree, f'{path}: axes.{axis}', own)
+    models = {axis: _renamed(_model(axis, tree, f'{path}: axes.{axis}', own))
               for axis, tree in axes.items()}
     return {
         axis: replace(model, own_effects=own, reference=None if model.reference is None
@@ -170,6 +181,21 @@ def _model(axis: str, tree: object, where: str, own: Sequence[Effect]) -> AxisMo
             if isinstance(value, float) and not value > 0.0:
                 raise BadInputError(f'{where}.{name}.{key}', 'must be positive', value)
     return model
+
+
+def _renamed(model: AxisModel) -> AxisModel:
+    """The model with the names that its effects have now."""
+    if not any(effect.name == 'mode' for effect in model.effects):
+        return model
+    effects = []
+    for effect in model.effects:
+        name, variant = RENAMED.get(effect.variant, ('mode', effect.variant)) \
+            if effect.name == 'mode' else (effect.name, effect.variant)
+        effects.append(replace(effect, name=name, variant=variant))
+    names = (*(one.name for one in model.base),
+             *(f'{effect.name}.{one.name}' for effect in effects for one in effect.parameters))
+    return replace(model, effects=tuple(effects), parameter_names=names
+                   if len(names) == len(model.parameter_names) else model.parameter_names)
 
 
 def _refuse_negative(model: AxisModel, where: str) -> None:

@@ -167,17 +167,18 @@ def _flown(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisDa
         structure=Structure(tuple(one.part for one in acting)),
     )
     torque, gyro = _noise(aircraft, added[0].shape[1])
+    wanted, at_rate, at_control = np.stack(added, axis=1)
+    run = simulate_cascade(
+        [replace(plant, around=_known(data), steady=False) for data in around], aircraft.gains,
+        wanted, aircraft.dt, gyro, torque, rate_excitation=at_rate, control_excitation=at_control)
     flown = []
-    for data, (wanted, at_rate, at_control) in zip(around, added, strict=True):
-        run = simulate_cascade(
-            replace(plant, around=_known(data), steady=False), aircraft.gains, wanted, data.dt,
-            gyro, torque, rate_excitation=at_rate, control_excitation=at_control)
+    for i, data in enumerate(around):
         control = data.control.copy()
-        control[:, data.index + 1] = run.control
+        control[:, data.index + 1] = run.control[i]
         flown.append(Flown(
-            replace(data, rate=run.rate, angle=run.angle, control=control,
+            replace(data, rate=run.rate[i], angle=run.angle[i], control=control,
                     motors=data.craft.commands(control)),
-            float(np.nan_to_num(np.max(np.abs(run.angle)), nan=np.inf))))
+            float(np.nan_to_num(np.max(np.abs(run.angle[i])), nan=np.inf))))
     return flown
 
 
