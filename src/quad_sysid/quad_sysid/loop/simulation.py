@@ -188,7 +188,9 @@ class Running:
         self.motors = np.ascontiguousarray(x.motors[:, 0])
         self._wide = (made.row[None], made.factors[None], self.registers[:, None],
                       self.line[..., None], self.motors[:, None])
-        self.calls = [(k, call.on(self.registers)) for k, call in made.calls]
+        self.calls = made.calls
+        self._before = self._operations(0, at.split)
+        self._behind = self._operations(at.split, len(made.code))
         rate, angle = plant.measured(x)
         self.rate, self.angle = float(rate[0]), float(required(angle)[0])
 
@@ -206,26 +208,27 @@ class Running:
         r, made = self.registers, self.made
         at = made.places
         r[at.sent], r[at.push] = u, push
-        self._operate(0, at.split)
+        for do in self._before:
+            do()
         self._newest = kernels.motors(at, *self._wide, self._newest, self.dt)
-        self._operate(at.split, len(made.code))
+        for do in self._behind:
+            do()
         r[at.state : at.state + at.following.size] = r[at.following]
         self.rate, self.angle = float(r[at.shown[0]]), float(r[at.shown[1]])
 
-    def _operate(self, begin: int, end: int) -> None:
-        """Do the operations [begin, end), with the laws in Python among them."""
-        for k, call in self.calls:
-            if begin <= k < end:
-                self._compiled(begin, k)
-                call()
-                begin = k + 1
-        self._compiled(begin, end)
-
-    def _compiled(self, begin: int, end: int) -> None:
-        made = self.made
-        if begin < end:
-            laws.carried(made.code[begin:end], made.more, made.tables, self.registers, NOTHING,
-                         NOWHERE, NOWHERE, 0, 1, NOTHING)
+    def _operations(self, begin: int, end: int) -> list[Callable[[], Any]]:
+        """The operations [begin, end): compiled code, and the laws in Python among it."""
+        made, out = self.made, list[Callable[[], Any]]()
+        inside = [(k, call) for k, call in made.calls if begin <= k < end]
+        for k, call in (*inside, (end, None)):
+            if begin < k:
+                out.append(partial(
+                    laws.carried, made.code[begin:k], made.more, made.tables, self.registers,
+                    NOTHING, NOWHERE, NOWHERE, 0, 1, NOTHING))
+            if call is not None:
+                out.append(call.on(self.registers))
+            begin = k + 1
+        return out
 
 
 def running(flying: Flying, rate: float = 0.0, angle: float = 0.0) -> Running:
