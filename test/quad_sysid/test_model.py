@@ -210,6 +210,18 @@ def test_a_gust_at_an_angle_is_no_coupling_and_its_twin_is():
     assert 'gyroscopic_coupling' in found(3.0, 0.0, SHORT)[0]
 
 
+def test_a_law_that_another_one_hides_is_found_beside_it():
+    """Drag beside friction, for which the damping stands alone; no curve over the rate for both."""
+    def torque(_t, rate, _angle):
+        return -0.18 * np.tanh(rate / 0.018) - 0.57 * rate * abs(rate)
+
+    data = axis_data([fly(Axis(torque=torque), 1, SHORT)], 'roll')
+    tried = [e for e in EFFECTS
+             if e.label in ('coulomb_friction', 'quadratic_drag', 'shape:rate/smooth')]
+    best = search(Problem(data, data.train), tried).best.structure
+    assert set(best.labels) == {'coulomb_friction', 'quadratic_drag'}
+
+
 def test_of_a_long_flight_a_search_sees_blocks_and_what_leads_is_fitted_on_all(
     rubbed, monkeypatch
 ):
