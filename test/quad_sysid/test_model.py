@@ -211,7 +211,7 @@ def test_a_gust_at_an_angle_is_no_coupling_and_its_twin_is():
 
 
 def test_a_law_that_another_one_hides_is_found_beside_it():
-    """Drag beside friction, for which the damping stands alone; no curve over the rate for both."""
+    """Drag beside friction, which the damping hides alone; no curve over the rate for both."""
     def torque(_t, rate, _angle):
         return -0.18 * np.tanh(rate / 0.018) - 0.57 * rate * abs(rate)
 
