@@ -33,8 +33,7 @@ SHORT_S = HORIZONS_S[2]
 AT_ONCE = 20
 """Draws of random signs that are run side by side, which bounds the memory."""
 HUGE = 1e100
-SURE = 1e-12
-"""A chance below which, or nearer to one, none is told from another."""
+LEAST_P = 1e-12
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 
@@ -63,12 +62,11 @@ def p_of_both(long: FloatArray, shorter: FloatArray, ahead: FloatArray) -> float
 
     Each (windows,), -1 to 1. Two tests: the metric's own windows alone, and the mean of all three,
     for where gusts rule long windows shorter ones may tell. A model that was projected onto the
-    long ones may predict the next sample worse. As they depend on each other, their chances are
-    joined as Cauchy variables (Liu, Xie 2020).
+    long ones may predict the next sample worse. As they depend on each other, their harmonic mean
+    is the chance of both (Wilson 2019).
     """
-    both = np.array([p_value(long), p_value((long + shorter + ahead) / 3.0)])
-    quantiles = stats.cauchy.isf(np.clip(both, SURE, 1.0 - SURE))
-    return float(stats.cauchy.sf(np.mean(quantiles)))
+    both = p_value(long), p_value((long + shorter + ahead) / 3.0)
+    return float(stats.hmean(np.maximum(both, LEAST_P)))
 
 
 def shares_of(speaks_for: FloatArray, against: FloatArray) -> FloatArray:
