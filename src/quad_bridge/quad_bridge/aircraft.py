@@ -21,6 +21,8 @@ ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED = 'accepted'
 RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 STILL = (0.0, 0.0, 0.0)
+INJECTIONS = {'attitude': f.Injection.ATTITUDE, 'rate': f.Injection.RATE,
+              'control': f.Injection.CONTROL}
 
 
 def outcome_of(result: int) -> str:

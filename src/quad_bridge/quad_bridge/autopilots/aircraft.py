@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from quad_bridge.aircraft import STILL, Ability, Aircraft, Quad
+from quad_bridge.aircraft import INJECTIONS, STILL, Ability, Aircraft, Quad
 from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.autopilots.gains import ParameterGains
 from quad_bridge.autopilots.kinds import BY_NUMBER, Kind
@@ -24,7 +24,6 @@ from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Injection, Vector3
 
 REQUEST_MESSAGE, VERSION = 512, 148
-INJECTIONS = {'attitude': Injection.ATTITUDE, 'rate': Injection.RATE, 'control': Injection.CONTROL}
 AGAIN_S, REQUESTS = 1.0, 3
 """Between two questions for the version, and how many there are before it does without."""
 RATE_CHANGE = 1.2  # by which the rate of the attitudes must change to count as another
