@@ -171,11 +171,24 @@ def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
         for g in (ACTIVE, new)
     )
     assert said['rate_rms_ratio'] == pytest.approx(np.std(after) / np.std(before), rel=0.05)
-    assert said['oscillation_ratio'] > said['rate_rms_ratio']
+    at = 2.0 * np.pi * np.fft.rfftfreq(gusts.size, m.dt)
+    old, new_power = (np.abs(np.fft.rfft(rate)) ** 2 for rate in (before, after))
+    bands = [(at > w / np.sqrt(2.0)) & (at < w * np.sqrt(2.0)) for w in TURNING.bands_rad_s]
+    worst = max(np.sqrt(new_power[band].sum() / old[band].sum()) for band in bands)
+    assert said['oscillation_ratio'] == pytest.approx(worst, rel=0.1)
     assert 0.99 < said['peak'] < 1.8
     assert said['peak'] == promise(loops, new, new, 0.043)['peak']
     same = promise(loops, ACTIVE, ACTIVE, 0.043)
     assert same['rate_rms_ratio'] == same['oscillation_ratio'] == 1.0
+
+
+def test_draws_scatter_by_what_airframes_differ_at_least(model):
+    """A covariance holds the noise alone; what is known worse scatters by its own error."""
+    m = model(stds={'gain': 0.1, 'lag': 1e-6, 'delay': 1e-6, 'damping': 0.2})
+    draws = ensembles.draw_models(m, np.random.default_rng(1), 4000)
+    for name, std in (('gain', 0.015 * 450.0), ('lag', 0.01 * 0.043), ('delay', 0.05 * 0.004),
+                      ('damping', 0.2)):
+        assert np.std([one.value(name) for one in draws]) == pytest.approx(std, rel=0.05), name
 
 
 # ---- refusals
