@@ -186,6 +186,13 @@ def test_nothing_is_stated_of_a_rate_that_does_not_follow(seen):
     assert one.loop is None
 
 
+def test_a_rate_that_follows_late_is_late_by_its_latency():
+    asked = flown(noise=0.0)[0]
+    (one,) = look(record(asked, np.roll(asked, 10), asked)).whole.axes['roll'].tracking
+    assert one.latency_s == pytest.approx(10 * DT)
+    assert one.error_rms_delayed < 0.01 * one.error_rms
+
+
 def test_no_class_is_stated_whose_windows_hold_no_low_frequencies():
     """A chirp whose size falls: its small set-points are its fast ones, and say no level."""
     time = DT * np.arange(round(SECONDS / DT))
