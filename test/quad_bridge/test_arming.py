@@ -2,8 +2,7 @@
 
 import pytest
 
-from quad_bridge.aircraft import ARM_DISARM
-from quad_bridge.arming import Arming, SecondCall
+from quad_bridge.arming import ARM_DISARM, Arming, SecondCall
 from quad_bridge.errors import RefusedError
 from quad_bridge.wire.frames import CommandAck
 

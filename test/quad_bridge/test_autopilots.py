@@ -237,7 +237,7 @@ def test_what_a_parameter_may_not_be_is_refused_in_one_line():
     with pytest.raises(UnfitError, match='no such gain that can be set'):
         ARDUPILOT.parameters({'roll.lqr.share': 0.5}, {}, (0.5, 0.5, 0.5))
     lowest = PX4.parameters({f'{a}.rate.d_filter_hz': v for a, v in
-                             (('roll', 40.0), ('pitch', 30.0))}, {}, (1.0, 1.0, 1.0))
+                             (('roll', 30.0), ('pitch', 40.0))}, {}, (1.0, 1.0, 1.0))
     assert lowest == {'IMU_DGYRO_CUTOFF': 30.0}
 
 

@@ -137,6 +137,12 @@ def answers(order, spins=(1, 1, 1, 1)):
     return rows
 
 
+def test_an_axis_counts_where_three_of_the_motors_moved_it():
+    three = {**answers(range(4)), 'motor_2': np.zeros(3)}
+    assert [*merge_motors({}, three)] == ['motor_1', 'motor_3', 'motor_4']
+    assert merge_motors({}, {**three, 'motor_4': np.zeros(3)}) == {}
+
+
 def test_the_craft_that_describes_itself_says_where_its_motors_have_to_be():
     """The contract's frame with propellers that turn the other way; a plus frame."""
     check, turned = PolarityCheck('auto', 250.0), answers(range(4), (-1,) * 4)

@@ -441,7 +441,7 @@ BAD_UPDATES = [
     ({'aircraft': 'A'}, 'aircraft A: connected is'),
     ({'predicted': '{"roll.peak": NaN}'}, 'roll.peak must be finite'),
     ({'predicted': '{"roll.colour": 1}'}, 'roll.colour is not known'),
-    ({'flown': '{"roll.rate.kp": 0.2}'}, 'the design began from 0.2, and the aircraft has 0.1'),
+    ({'flown': '{"roll.rate.kp": 0.105}'}, 'began from 0.105, and the aircraft has 0.1'),
     ({'rollback': 'false'}, "rollback: must be true or false: found 'false'"),
     ({'model': 3.0}, r'model: must be a text: found 3\.0'),
     ({'predicted': 'good'}, 'predicted: must be a JSON object'),

@@ -101,9 +101,11 @@ def test_a_drift_away_from_the_reference_is_heard_without_any_oscillation():
     for _ in range(750):
         watch.step(STILL, lean, lean, STILL)
     watch.begin()
+    turns = np.array([0.5, 0.0, 0.0])
     for k in range(1000):
-        watch.step(STILL, lean + np.array([0.002 * k, 0.0, 0.0]), lean, STILL)
+        watch.step(turns, lean + DT * k * turns, lean, STILL)
         if watch.alarm() is not None:
             break
     assert str(watch.alarm()).startswith('roll: away from its reference')
-    assert 5.0 < np.degrees(0.002 * k) < 10.5
+    # 8 degrees are allowed, and heard of 0.06 s ahead; then they must last for 0.04 s
+    assert 6.0 < np.degrees(0.5 * DT * k) < 8.5

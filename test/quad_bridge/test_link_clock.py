@@ -63,6 +63,9 @@ def test_stamps_follow_a_drifting_clock_through_stalls(
     assert clock.rejected > 10  # trips over 10 ms
     # a constant asymmetry cannot be seen; half the shortest round trip bounds it
     assert np.abs(np.mean(errors)) < 500.0 * clock.round_trip_s
+    # through a silence of ten seconds the drift goes on
+    later_s = pair.now_s + 10.0
+    assert 1e-6 * abs(clock.host_ns(round(1e9 * later_s)) - pair.host(later_s)) < 0.6
 
 
 def test_arrivals_do_where_nobody_answers_and_an_answer_ends_it():

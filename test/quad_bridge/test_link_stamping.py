@@ -131,6 +131,10 @@ STORIES = {
     'a time of 32 bits': (
         (('run', 1500),), {'bits': 32, 'clock_us': 2**32 - 4_000_000, 'wraps': 1},
     ),
+    'a time of 32 bits that wraps in a silence': (
+        (('run', 400), ('lose', 1.0), ('run', 400)),
+        {'bits': 32, 'clock_us': 2**32 - 4_000_000, 'wraps': 1},
+    ),
     'a time of 32 bits that wraps while the cable is out': (
         (('lose', 4.0), ('reopen',), ('fly', 1.0)),
         {'bits': 32, 'clock_us': 2**32 - 4_000_000, 'held': NEW_CLOCK, 'clock restarts': 1},

@@ -376,6 +376,12 @@ def test_what_the_files_cannot_tell_metadata_does(tmp_path):
     result = recover(tmp_path / 'bag')
     assert result.lost == len(ledger) - result.messages == 100
     assert 'metadata.yaml counts 400 messages' in '\n'.join(result.notes)
+    with theirs(tmp_path / 'empty', 'MCAP') as writer:
+        topic = writer.add_connection('/a', VECTOR, typestore=STORE)
+        for k in range(3):
+            writer.write(topic, 1000 + k, b'\0\1\0\0' + bytes([k]) if k else b'')
+    result = recover(tmp_path / 'empty')
+    assert (result.messages, result.undecodable, result.lost) == (2, 1, 0)
 
 
 @each_storage

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.motor_outputs import MotorOutputs
 from quad_bridge.wire import frames as f
+from quad_bridge.wire.axes import quaternion, upwards
 
 pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
 from quad_bridge.nodes import conversion
@@ -133,6 +134,12 @@ def test_facing_north_is_a_yaw_of_ninety_degrees_from_east():
     q = m.imu.orientation
     forward = rotation((q.x, q.y, q.z, q.w))[:, 0]
     assert forward == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)  # ENU: north is y
+
+
+def test_the_force_along_the_vertical_is_the_weight_however_it_leans():
+    for rpy in ((0.5, 0.0, 1.0), (-0.4, 0.3, 2.0), (0.0, -0.6, 0.0)):
+        force = rotation(quaternion(rpy)).T @ [0.0, 0.0, -9.81]  # FRD against NED
+        assert upwards(tuple(force), rpy) == pytest.approx(9.81)
 
 
 @pytest.mark.parametrize(

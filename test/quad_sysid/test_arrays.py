@@ -282,7 +282,10 @@ def test_the_model_speaks_the_units_of_its_arrays(result):
     error, unseen = found.errors, qs.from_arrays(
         u=20.0 * flight.control[:, 1], y=30.0 / math.pi * flight.rates[:, 0], dt=DT,
         units={'u': 'V', 'y': 'rpm'})
-    assert error['unit'] == qs.evaluate(found.model, unseen).unit == 'rpm'
+    again = qs.evaluate(found.model, unseen)
+    assert error['unit'] == again.unit == 'rpm'
+    # 0.005 rad/s of the gyro, and what gusts do in a step
+    assert again.one_step_after == pytest.approx(30.0 / math.pi * 0.006, rel=0.1)
     assert error['after'] == pytest.approx(
         30.0 / math.pi * found.answer.findings.verdict.after)
     assert re.search(r'gain +\S+ ± \S+ +\S+ ± \S+ +rev/s² per V', str(found))

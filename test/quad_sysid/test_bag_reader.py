@@ -8,6 +8,7 @@ from unittest import mock
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from quad_sysid.bags import (
     BagOptions,
@@ -207,6 +208,21 @@ def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, there):
     got = read_bag(write_imu(tmp_path / 'bag', regular(100), **{'/battery': battery}))
     assert (got.battery_v is not None) is there
     assert ('/battery' in got.missing) is ('/battery' in ' '.join(got.warnings)) is not there
+
+
+@pytest.mark.parametrize('frame', ['body', 'world', 'none'])
+def test_speeds_are_along_the_heading_whatever_frame_the_twist_is_in(tmp_path, frame):
+    """REP-105 has it in the body's; where it is not, or not filled in, the positions say so."""
+    t = 1e-9 * STEP * np.arange(N)
+    attitude = np.column_stack([0.1 * np.sin(t), 0.2 * np.cos(t), 2.0 + t])
+    level = np.column_stack([1.0 + np.sin(2.0 * t), 0.5 * np.cos(3.0 * t), 0.3 * np.sin(t)])
+    world = Rotation.from_euler('z', attitude[:, 2:]).apply(level)
+    body = Rotation.from_euler('ZYX', attitude[:, ::-1])
+    twist = {'body': body.inv().apply(world), 'world': world, 'none': 0.0 * world}[frame]
+    place = 1e-9 * STEP * np.cumsum(world, axis=0)
+    odom = Stamped(regular(), np.hstack([place, body.as_quat(), twist]))
+    got = read_bag(write_imu(tmp_path / 'bag', regular(), **{'/odom': odom}))
+    np.testing.assert_allclose(got.velocity, level, atol=0.02)
 
 
 # ---- damaged and foreign bags -----------------------------------------------------------------

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from known_plants import Study, prbs_bits, reference_study
+from scipy.signal import lfilter
 
 from quad_sysid.blackbox import (
     arx,
@@ -74,6 +75,14 @@ def test_residual_test_passes_the_truth_as_often_as_stated(study):
     for name in ('residual_white', 'residual_uncorrelated_with_input', 'causal'):
         assert sum(not getattr(t, name) for t in tests) <= 4, name
     assert {t.causality_signal for t in tests} == {'r'}
+    # of single lags one in a hundred lies beyond its bound, coloured as both sides may be
+    beyond = []
+    for seed in range(20):
+        white_both = np.random.default_rng(seed).standard_normal((2, 4000))
+        e, u = lfilter([1.0], [1.0, -0.9], white_both)
+        found = innovation_test(e, IOData(u, e, 0.004))
+        beyond.append(np.abs(found.cross_correlation) > found.cross_bound)
+    assert 0.002 < np.mean(beyond) < 0.03
 
 
 def test_residual_test_sees_feedback_only_where_there_is_some(study, record):
@@ -103,14 +112,15 @@ def test_frequency_response_band_covers_the_truth():
     truth, w = polynomial_model([0, 0.5, 0.2], A=[1, -0.8], dt=0.1), np.array([0.3, 3.0, 12.0])
     expected, z = frequency_response(truth, w).response, np.exp(1j * w * 0.1)
     np.testing.assert_allclose(expected, (0.5 / z + 0.2 / z**2) / (1 - 0.8 / z))
-    inside = 0
+    inside = np.zeros(2)
     for seed in range(200):
         u, e = np.random.default_rng(seed).standard_normal((2, 400))
         y = simulate(truth, u) + filter_signal(np.ones(1), truth.A, e)
         found = frequency_response(arx(IOData(u, y, 0.1), 1, 2, 1), w)
         error = np.abs(found.magnitude - np.abs(expected))
-        inside += np.sum(error < 1.96 * found.magnitude_std)
-    assert 0.92 < inside / 600 < 0.98
+        turned = np.abs(np.angle(found.response / expected))
+        inside += np.sum([error < 1.96 * found.magnitude_std, turned < 1.96 * found.phase_std], 1)
+    assert ((inside > 0.92 * 600) & (inside < 0.98 * 600)).all()
 
 
 def test_spa_and_coherence_in_open_and_closed_loop(study, record):

@@ -73,7 +73,7 @@ def test_a_hundredth_of_the_motion_is_no_cause_unless_it_raises_the_error(
 ):
     """By a tenth: a friction may double the error of a lively flight and be less of its motion."""
     ladder = rubbed_answer.findings.ladder
-    projection, missed = ladder.projection, ladder.rungs[0].model.total
+    projection, missed = ladder.projection, ladder.rungs[0].total
     monkeypatch.setattr(projection, 'motion', 1.01e4 * missed)
     assert (ladder.negligible, ladder.answer) == (False, 1)
     error = np.sqrt(missed / (0.2 * np.sum(projection.goal**2)))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.fleets.drift import Series, _mean
+from quad_sysid.fleets.drift import Series, _mean, over_fleet
 from quad_sysid.fleets.page import Fleet
 from quad_sysid.fleets.summary import DAY_NS
 
@@ -93,6 +93,15 @@ def test_a_wearing_bearing_and_a_weakening_motor_are_named_and_dated():
     assert one == 1
     with pytest.raises(BadInputError, match='group_by'):
         found.only(group_by='month')
+
+
+def test_a_step_is_dated_by_the_last_flight_before_it():
+    days = np.arange(10.0)
+    values = np.where(days > 4.0, 1.5, 1.0) + 0.01 * np.random.default_rng(1).standard_normal(10)
+    ((drift,),) = (one.drifts for one in over_fleet(
+        [[Series('craft', tuple('abcdefghij'), days, values, np.full(10, 0.02))]]))
+    assert (drift.kind, drift.since, drift.claimed) == ('step', 4.0, True)
+    assert (drift.before, drift.after) == pytest.approx((1.0, 1.5), abs=0.03)
 
 
 @pytest.mark.parametrize('seed', range(4))

@@ -152,6 +152,19 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         assert gains[name] == pytest.approx(value, rel=1e-4)
 
 
+def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, tmp_path):
+    pytest.importorskip('pyulog')
+    topics, control = px4_topics(flight), flight.control
+    stamps = topics.pop('actuator_motors')['timestamp']
+    path = ulog(tmp_path / 'log.ulg', topics | {
+        'vehicle_torque_setpoint': {'timestamp': stamps, 'xyz': FRD * control[:, 1:]},
+        'vehicle_thrust_setpoint': {
+            'timestamp': stamps, 'xyz': control[:, :1] * [0.0, 0.0, -1.0]},
+    }, {})
+    log = read_log(path, format_of(path))
+    np.testing.assert_allclose(log.control.values, control, atol=1e-6)
+
+
 def ardupilot_messages(flight: Flight) -> dict:
     stamps = 3_000_000 + DT_US * np.arange(N)
     pulses = [1000.0 + 1000.0 * flight.thrusts[place] for place in PX4]
@@ -332,6 +345,8 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
         **{f'motor[{i}]': 48.0 + 1999.0 * flight.thrusts[p] for i, p in enumerate(BETAFLIGHT)},
         **{f'eRPM[{i}]': 100.0 + i + 50.0 * flight.thrusts[p] for i, p in enumerate(BETAFLIGHT)},
         'vbatLatest': 100.0 * flight.volts,
+        **{f'attitude[{i}]': np.degrees(10.0 * x) for i, x in enumerate(
+            (flight.angles * [1.0, 1.0, -1.0] + [0.0, 0.0, 0.5 * np.pi]).T)},
     }
     header = {'motorOutput': '48,2047', 'motor_poles': '12', 'gyro_scale': '0x3f800000',
               'rollPID': '45,80,40'}
@@ -345,6 +360,7 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     assert n > 0.99 * N
     np.testing.assert_allclose(record.rates, flight.rates[:n], atol=np.radians(0.51))
     np.testing.assert_allclose(record.control, flight.control[:n], atol=1e-3)
+    np.testing.assert_allclose(record.angles, flight.angles[:n], atol=np.radians(0.06))
     assert record.battery_v[0] == pytest.approx(12.0, abs=0.02)
     turns = 100.0 + np.arange(4) + 50.0 * record.motors
     np.testing.assert_allclose(record.speeds, turns * 100.0 / 6.0 * np.pi / 30.0, rtol=0.01)

@@ -98,6 +98,16 @@ def test_other_forms_of_the_table(options, tmp_path, kind):
                                atol=1e-9)
 
 
+@pytest.mark.parametrize(('role', 'unit', 'values', 'si'), [
+    ('control', 'pulse_us', (1500.0, 2000.0), (0.0, 0.5)), ('control', 'V', (-10.0,), (-0.5,)),
+    ('motor', 'dshot', (48.0, 2047.0), (0.0, 1.0)), ('motor', 'pulse_us', (1000.0,), (0.0,)),
+    ('thrust', 'percent', (40.0,), (0.4,)), ('acceleration', 'mg', (1000.0,), (9.80665,)),
+    ('battery', 'mV', (11100.0,), (11.1,)), ('place', 'mm', (250.0,), (0.25,)),
+])
+def test_units_are_what_they_are_called(role, unit, values, si):
+    assert unit_of(role, unit, 'column')(np.array(values)) == pytest.approx(si)
+
+
 def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsys):
     fast = columns()['rate'] * 30.0 / np.pi
     file = write(tmp_path / 'a.csv', columns() | {

@@ -1,10 +1,7 @@
 """The model is not a list of cases: another sensor, another motion, physics of another package."""
 
 import math
-import os
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -84,38 +81,6 @@ def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
         assert base[name].std < 0.15 * truth
     noise = savgol_filter(seen - flight.angles[:, 0], 11, 3, deriv=1, delta=flight.dt)
     assert verdict.noise_floor == pytest.approx(np.std(noise), rel=0.25)
-
-
-OUTSIDE = """
-import quad_sysid as qs
-
-class Cogging(qs.Effect):
-    name = 'acme_cogging'
-    signals = ('angle',)
-    parameters = (qs.Spec('torque', 'rad/s²'),)
-
-    def torque(self, s, p, settings):
-        return -p[0] * s.angle
-
-EFFECTS = (Cogging(),)
-"""
-
-
-def test_an_effect_of_an_installed_package_is_one_of_ours(tmp_path):
-    """By an entry point; what else it can, test_own_effect.py shows."""
-    info = tmp_path / 'acme_effects-1.dist-info'
-    info.mkdir()
-    (tmp_path / 'acme_effects.py').write_text(OUTSIDE, encoding='utf-8')
-    (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: acme_effects\nVersion: 1\n')
-    (info / 'entry_points.txt').write_text(
-        '[quad_sysid.effects]\nacme = acme_effects:EFFECTS\n', encoding='utf-8'
-    )
-    done = subprocess.run(
-        [sys.executable, '-c', 'import quad_sysid as qs; print(*(e.name for e in qs.EFFECTS))'],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-        env={**os.environ, 'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'},
-    )
-    assert 'acme_cogging' in done.stdout.split(), done.stderr
 
 
 def test_noise_of_a_filter_that_was_computed_once_a_cycle_is_no_vibration():
@@ -208,6 +173,18 @@ def test_a_gust_at_an_angle_is_no_coupling_and_its_twin_is():
     assert names == set()
     assert 'the same gusts' in reasons['gyroscopic_coupling/other axis 1']
     assert 'gyroscopic_coupling' in found(3.0, 0.0, SHORT)[0]
+
+
+def test_a_law_that_another_one_hides_is_found_beside_it():
+    """Drag beside friction, which the damping hides alone; no curve over the rate for both."""
+    def torque(_t, rate, _angle):
+        return -0.18 * np.tanh(rate / 0.018) - 0.57 * rate * abs(rate)
+
+    data = axis_data([fly(Axis(torque=torque), 1, SHORT)], 'roll')
+    tried = [e for e in EFFECTS
+             if e.label in ('coulomb_friction', 'quadratic_drag', 'shape:rate/smooth')]
+    best = search(Problem(data, data.train), tried).best.structure
+    assert set(best.labels) == {'coulomb_friction', 'quadratic_drag'}
 
 
 def test_of_a_long_flight_a_search_sees_blocks_and_what_leads_is_fitted_on_all(

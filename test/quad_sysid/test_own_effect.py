@@ -3,6 +3,9 @@
 import inspect
 import json
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,6 +84,22 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
         assert run(words) == status
         assert '--effects FILE.py' in capsys.readouterr().err
         assert run([*words, '--effects', file, '--quiet']) == 0
+
+
+def test_one_of_an_installed_package_is_among_ours(tmp_path):
+    """By an entry point."""
+    with Path(written(tmp_path)).open('a') as file:
+        file.write('EFFECTS = (Cogging(),)\n')
+    info = tmp_path / 'mine-1.dist-info'
+    info.mkdir()
+    (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: mine\nVersion: 1\n')
+    (info / 'entry_points.txt').write_text('[quad_sysid.effects]\nmine = mine:EFFECTS\n')
+    done = subprocess.run(
+        [sys.executable, '-c', 'import quad_sysid as qs; print(*(e.name for e in qs.EFFECTS))'],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, 'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'},
+    )
+    assert 'cogging' in done.stdout.split(), done.stderr
 
 
 class Unmeasured(Cogging):

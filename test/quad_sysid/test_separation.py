@@ -46,6 +46,7 @@ def test_what_flies_is_what_identification_fits(name):
     flight = replace(design.plain_prbs('roll', 12.0), throttle_steps=True, others_move=True)
     effect = variants(name)[0]
     plain = fly(aircraft, (), [flight])[0].data
+    assert np.corrcoef(plain.battery_v, plain.control[:, 0])[0, 1] < -0.9  # which it loads
     settings = effect.prepare(plain)
     assert not isinstance(settings, str), settings
     acting = Placed(Part(effect, settings), values)

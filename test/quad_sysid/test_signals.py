@@ -168,6 +168,16 @@ def test_one_axis_at_a_time_with_ramps_and_rest():
 GOOD = {'segment': 'train', 'signal': 'square', 'period_s': 2.0, 'duration_s': 10.0}
 
 
+@pytest.mark.parametrize(('injection', 'key', 'value', 'si'), [
+    ('attitude', 'amplitude_deg', 10.0, math.radians(10.0)),
+    ('rate', 'amplitude_deg_s', 90.0, math.radians(90.0)), ('control', 'amplitude', 0.05, 0.05),
+])
+def test_an_amplitude_has_the_unit_of_its_injection(injection, key, value, si):
+    given = {'segments': [{**GOOD, 'injection': injection, key: value}]}
+    (part,) = parse_schedule({'schedule': given}, 'flight.yaml').parts
+    assert part.amplitude == pytest.approx(si)
+
+
 @pytest.mark.parametrize(
     ('change', 'named'),
     [

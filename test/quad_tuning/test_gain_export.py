@@ -88,13 +88,16 @@ def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, capsys):
     before, after = ({'roll.rate.kp': p * 0.032029 * unit, 'roll.rate.ki': 80 * 0.244381 * unit,
                       'roll.rate.kd': d * 0.000529 * unit} for p, d in ((45, 30), (60, 38)))
     path = tmp_path / 'gains.json'
-    path.write_text(design({'roll': {'gains': after, 'steps': [before, after]}}))
+    yaw = {'yaw.rate.kp': 45 * 0.032029 * unit, 'yaw.rate.ki': 80 * 2.5 * 0.244381 * unit}
+    path.write_text(design({'roll': {'gains': after, 'steps': [before, after]},
+                            'yaw': {'gains': yaw}}))
     assert main(['export', str(path), '--to', 'betaflight']) == 0
     lines = capsys.readouterr().out.splitlines()
     sets = [line for line in lines if not line.startswith('#')]
+    same = ['set p_yaw = 45', 'set i_yaw = 80', 'save']
     assert sets == ['set simplified_pids_mode = OFF', 'set p_roll = 45', 'set i_roll = 80',
-                    'set d_roll = 30', 'save', 'set simplified_pids_mode = OFF',
-                    'set p_roll = 60', 'set i_roll = 80', 'set d_roll = 38', 'save']
+                    'set d_roll = 30', *same, 'set simplified_pids_mode = OFF',
+                    'set p_roll = 60', 'set i_roll = 80', 'set d_roll = 38', *same]
     assert any('from 45 (+15)' in line for line in lines)
     assert main(['export', str(path), '--to', 'inav']) == 0
     assert 'set mc_p_roll = 60' in capsys.readouterr().out  # 1/31 beside 0.032029

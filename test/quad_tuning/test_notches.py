@@ -59,6 +59,7 @@ def test_what_lies_near_the_crossover_or_beyond_the_d_notch_is_left_to_others():
     gains['roll.rate.kd'] = 0.02
     by_d = propose_notches({'roll': (Peak(80.0, 0.5),)}, gains, CROSSING, 0.004)
     assert [one.place for one in by_d] == ['rate.d_notch']
+    assert 0.0 < by_d[0].phase_deg <= MOST_PHASE_DEG
     high = propose_notches({'roll': (Peak(D_HIGHEST_HZ + 8.0, 0.5),)}, gains, CROSSING, 0.004)
     assert [one.place for one in high] == ['sensor.notch_1']
     used = gains | {'sensor.notch_1_hz': 90.0, 'sensor.notch_2_hz': 100.0}

@@ -11,11 +11,10 @@ from node_process import until
 from probe import PATIENCE_S
 
 COMMANDS = {
-    'quad-sysid': ('quad_sysid.start', 'main'), 'quad-tune': ('quad_tuning.start', 'main'),
-    'demo': ('quad_tuning.start', 'demo'), 'recover': ('quad_bridge.start', 'recover'),
-    'sensors': ('quad_bridge.start', 'sensors'), 'make_key': ('quad_bridge.start', 'make_key'),
+    'quad-sysid': ('quad_sysid.start', 'main'), 'demo': ('quad_tuning.start', 'demo'),
+    'recover': ('quad_bridge.start', 'recover'),
 }
-"""Name of a program, the module and the function of its console entry."""
+"""Name of a program, the module and the function of its console entry; others begin as these."""
 AT_IMPORT = """
 import importlib.abc, os, sys
 class Interrupt(importlib.abc.MetaPathFinder):
@@ -76,8 +75,7 @@ def work(tmp_path, nursery) -> Callable[[str], tuple[int, str, str]]:
 
 @pytest.mark.parametrize(
     ('program', 'module'),
-    [('quad-sysid', 'numpy'), ('quad-tune', 'numpy'), ('demo', 'quad_tuning.demo.main'),
-     ('recover', 'yaml'), ('sensors', 'numpy'), ('make_key', 'quad_bridge.errors')],
+    [('quad-sysid', 'numpy'), ('demo', 'quad_tuning.demo.main'), ('recover', 'yaml')],
 )
 def test_while_it_imports(tmp_path, program, module):
     done = subprocess.run(

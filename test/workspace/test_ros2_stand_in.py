@@ -38,11 +38,8 @@ def test_it_becomes_the_executable(ros2):
     ('words', 'told'),
     [
         (('run', 'quad_bridge', 'tlak'), 'quad_bridge has no tlak; it has talk'),
-        (('run', 'quad_brigde', 'talk'), 'quad_brigde: is not built; run make build'),
         (('topic', 'list'), 'without ROS 2 installed there is only'),
-        (('service', 'call', '/x', 'std_srvs/srv/Nix'), 'no service type'),
         (('service', 'call', '/x', 'std_srvs/srv/SetBool', '{up: true}'), 'no up; it has data'),
-        (('service', 'call', '/x', 'std_srvs/srv/SetBool', '{data: x}'), 'must be of type'),
         (('service', 'call', '/x', 'std_srvs/srv/SetBool', '{data'), 'service call: {data: '),
     ],
 )

@@ -1,4 +1,4 @@
-"""One aircraft as the bridge asks it: excitation, set-points, gains, arming, what it cannot do.
+"""One aircraft as the bridge asks it: excitation, gains, what it cannot do.
 
 `Aircraft` is what bridge, relay and services know; the frames that an autopilot wants for it are
 its own class's. `Quad` speaks to the firmware of this project, `autopilots/` to PX4 and ArduPilot.
@@ -12,15 +12,15 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any, Protocol
 
-from quad_bridge.errors import RefusedError
 from quad_bridge.gains.protocol import GainEvent, GainProtocol, Keep, Request
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_body
 
-ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED = 'accepted'
 RESULTS = (ACCEPTED, 'not now', 'denied', 'not supported', 'failed')
 STILL = (0.0, 0.0, 0.0)
+INJECTIONS = {'attitude': f.Injection.ATTITUDE, 'rate': f.Injection.RATE,
+              'control': f.Injection.CONTROL}
 
 
 def outcome_of(result: int) -> str:
@@ -32,7 +32,6 @@ class Ability(Enum):
     """Abilities that an aircraft may have."""
 
     EXCITE = 'excitation'
-    SET_POINTS = 'set-points'
     GAINS = 'gains'
     PULSES = 'test pulses'
     MOTORS = 'motor tests'
@@ -97,7 +96,7 @@ class Gains(Protocol):
 
 
 class Aircraft(ABC):
-    """See the module. What it cannot do raises RefusedError with the words of `cannot`."""
+    """See the module."""
 
     gains: Gains
 
@@ -118,22 +117,6 @@ class Aircraft(ABC):
     def segment(self, parameters: Mapping[str, Any] | None) -> None:  # noqa: B027
         """A segment of the schedule begins, as it was announced; None: it has ended."""
 
-    def fly_to(self, attitude: f.Vector3, thrust: float) -> f.Frame:
-        """Give the frame that makes `attitude` (rad, FLU against ENU) the set-point.
-
-        Refused here: its pilot flies it.
-        """
-        del attitude, thrust
-        raise RefusedError(self.cannot(Ability.SET_POINTS))
-
-    def arm(self, on: bool) -> f.Frame:
-        """Give the frame that arms or disarms, by MAVLink's standard."""
-        return f.Command(ARM_DISARM, (1.0 if on else 0.0,))
-
-    def armed_answer(self, frame: f.CommandAck) -> str | None:
-        """Say what an answer to `arm` says (`ACCEPTED` or why not); None where it is no such."""
-        return outcome_of(frame.result) if frame.command == ARM_DISARM else None
-
 
 class Quad(Aircraft):
     """An aircraft with this project's firmware; of another, what MAVLink's standard gives."""
@@ -148,8 +131,6 @@ class Quad(Aircraft):
 
     def cannot(self, ability: Ability) -> str:
         """Why it has not this ability; empty where it has."""
-        if ability is Ability.SET_POINTS:
-            return 'it is flown by its pilot: it takes no set-points from the bridge'
         name = self._standard()
         if not name:
             return ''

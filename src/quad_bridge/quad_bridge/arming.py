@@ -14,11 +14,12 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from quad_bridge.aircraft import ACCEPTED, Aircraft, Quad
+from quad_bridge.aircraft import ACCEPTED, outcome_of
 from quad_bridge.errors import RefusedError
 from quad_bridge.fresh import stale
-from quad_bridge.wire.frames import CommandAck, Frame
+from quad_bridge.wire.frames import Command, CommandAck, Frame
 
+ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
 ANSWER_S = 1.0  # an answer is waited for so long; a late one may come for as long again
 LATE_S = 60.0  # so long a request may have lain on the way
 AGAIN_S = 0.2  # interval at which an unanswered disarm is repeated
@@ -96,8 +97,7 @@ class Arming:
     its request.
     """
 
-    def __init__(self, aircraft: Aircraft | None = None) -> None:
-        self._aircraft = aircraft or Quad()
+    def __init__(self) -> None:
         self._lock = threading.RLock()
         self._request: _Request | None = None
         self._sent: deque[_Request] = deque()  # one per command on the way, of earlier ones too
@@ -142,13 +142,12 @@ class Arming:
         """Take the STM32's answer to a command."""
         with self._lock:
             self._expire(now_s)
-            answer = self._aircraft.armed_answer(ack)
-            if answer is None or not self._sent:
+            if ack.command != ARM_DISARM or not self._sent:
                 return
             answered, request = self._sent.popleft(), self._request
             # an answer to the disarm of before is as good for the one that waits
             if request is not None and (answered is request or not (answered.arm or request.arm)):
-                self._end(answer, now_s)
+                self._end(outcome_of(ack.result), now_s)
 
     def late(self, now_s: float, *, armed: bool) -> str:
         """A warning, once, where the aircraft armed after the request had been given up."""
@@ -168,7 +167,7 @@ class Arming:
     def _send(self, request: _Request, now_s: float) -> Frame:
         request.last_s = now_s
         self._sent.append(request)
-        return self._aircraft.arm(request.arm)
+        return Command(ARM_DISARM, (1.0 if request.arm else 0.0,))
 
     def _end(self, text: str, now_s: float) -> None:
         """End the waiting request and answer its caller."""

@@ -10,14 +10,12 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from quad_bridge.aircraft import Ability, Aircraft, Quad
+from quad_bridge.aircraft import INJECTIONS, Ability, Aircraft, Quad
 from quad_bridge.arming import OperatorEnable
 from quad_bridge.fresh import stale
 from quad_bridge.status import OK, WARN, Status
 from quad_bridge.wire.frames import Cycle, Flag, Frame, Injection
 from quad_bridge.wire.plausible import LARGEST
-
-INJECTIONS = {'attitude': Injection.ATTITUDE, 'rate': Injection.RATE, 'control': Injection.CONTROL}
 
 
 class ExcitationRelay:

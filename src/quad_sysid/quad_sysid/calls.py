@@ -16,7 +16,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.identified import Identified
 from quad_sysid.model import AxisModel
 from quad_sysid.record import IOData, Record
-from quad_sysid.result import Result, identify, model_of
+from quad_sysid.result import Result, model_of
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -63,25 +63,8 @@ def compare(data: Any, *others: Any, horizon: float = math.inf) -> tuple[Any, ..
         return tuple(model_of(one).compare(_data(one, data), horizon) for one in others)
     from quad_sysid import comparison
 
-    return comparison.compare(_flight_of(data), [_flight_of(one) for one in others])
-
-
-def _flight_of(one: Any) -> Any:
-    """What comparison compares: parameters by axis."""
-    from quad_sysid.comparison import Flight, of_model, trims
-    from quad_sysid.report.model_file import load_models, names_model
-
-    if isinstance(one, AxisModel):
-        return Flight('model', {one.axis: of_model(one)}, {})
-    if isinstance(one, str | Path) and names_model(one):
-        return Flight(str(one), {axis: of_model(m) for axis, m in load_models(one).items()}, {})
-    trim = trims(one) if isinstance(one, Record) else {}
-    result = one if isinstance(one, Result) else identify(one)
-    known = {axis: of_model(answer.model) | ({'trim': trim[axis]} if axis in trim else {})
-             for axis, answer in result.answers.items()
-             if answer.answered and answer.model is not None}
-    return Flight(', '.join(result.flights), known, {
-        axis: answer.reason for axis, answer in result.answers.items() if axis not in known})
+    reference, *rest = map(comparison.flight_of, (data, *others))
+    return comparison.compare(reference, rest)
 
 
 def bode(model: AnyModel, w: npt.ArrayLike | None = None) -> FrequencyResponse:

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain, islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -126,6 +127,41 @@ def trims(record: Record) -> dict[str, Estimate]:
     }
 
 
+def flight_of(one: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect] | None = None,
+              show: Callable[[str], None] = lambda _: None) -> Flight:
+    """The parameters of a model or a result, or of a flight, which is identified for them.
+
+    `one` may be the path of a model.json or a bag. Without `axes` all that it has; `effects` and
+    `show` as in `identify`.
+    """
+    from quad_sysid.bags import read_bag, split_segments
+    from quad_sysid.model import AxisModel, GainProposal
+    from quad_sysid.record import Record
+    from quad_sysid.report.model_file import load_models, names_model
+    from quad_sysid.result import Result, identify
+
+    if isinstance(one, AxisModel):
+        return Flight('model', {one.axis: of_model(one)}, {})
+    if isinstance(one, str | Path) and names_model(one):
+        models = load_models(one, effects or ())
+        return Flight(str(one), {axis: of_model(models[axis]) for axis in axes or models
+                                 if axis in models},
+                      {axis: 'not in the file' for axis in axes if axis not in models})
+    trim: dict[str, Estimate] = {}
+    if not isinstance(one, Result):
+        record = split_segments(one if isinstance(one, Record) else read_bag(one),
+                                axes=axes or None)
+        one = identify(record, axes, effects=effects, designer=lambda _: GainProposal(None),
+                       progress=lambda line: show(f'{record.source}: {line}' if line else ''))
+        trim = {axis: mean for axis, mean in trims(record).items() if axis in one}
+    known = {axis: of_model(answer.model) for axis, answer in one.answers.items()
+             if answer.answered and answer.model is not None}
+    reasons = {axis: answer.reason for axis, answer in one.answers.items() if axis not in known}
+    for axis, mean in trim.items():
+        known.setdefault(axis, {})['trim'] = mean
+    return Flight(', '.join(one.flights), known, reasons)
+
+
 def compare(reference: Flight, others: Sequence[Flight]) -> tuple[Pair, ...]:
     """All parameters of each flight and the first, in the order of axes and names.
 
@@ -201,7 +237,7 @@ def _run(options: argparse.Namespace) -> int:
                             'name what is to be compared with the first')
     axes = ALL_WORDS.get(options.axis, (options.axis,))
     show, effects = progress(quiet=options.quiet), candidates(options)
-    reference, *others = [_flight(name, axes, effects, show) for name in options.flights]
+    reference, *others = [flight_of(name, axes, effects, show) for name in options.flights]
     show('')
     pairs = compare(reference, others)
     if options.json:
@@ -213,32 +249,6 @@ def _run(options: argparse.Namespace) -> int:
               'error in both flights', file=sys.stderr)
         return NOT_ANSWERED
     return 0
-
-
-def _flight(name: str, axes: tuple[str, ...], effects: tuple[Effect, ...] | None,
-            show: Callable[[str], None]) -> Flight:
-    """A stored model as it is; a bag identified, with its trim."""
-    from quad_sysid.bags import read_bag, split_segments
-    from quad_sysid.model import GainProposal
-    from quad_sysid.report.model_file import load_models, names_model
-    from quad_sysid.result import identify
-
-    if names_model(name):
-        models = load_models(name, effects or ())
-        return Flight(name, {axis: of_model(models[axis]) for axis in axes if axis in models},
-                      {axis: 'not in the file' for axis in axes if axis not in models})
-    record = split_segments(read_bag(name), axes=axes)
-    result = identify(record, axes, effects=effects, designer=lambda _: GainProposal(None),
-                      progress=lambda line: show(f'{name}: {line}' if line else ''))
-    answers = result.answers
-    by_axis = {axis: of_model(answer.model) for axis, answer in answers.items()
-               if answer.answered and answer.model}
-    answered = tuple(by_axis)
-    for axis, trim in trims(record).items():
-        if axis in axes:
-            by_axis.setdefault(axis, {})['trim'] = trim
-    return Flight(name, by_axis, {axis: answer.reason for axis, answer in answers.items()
-                                  if axis not in answered})
 
 
 def tree(reference: Flight, pairs: Sequence[Pair]) -> dict[str, Any]:

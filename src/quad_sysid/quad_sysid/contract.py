@@ -11,6 +11,8 @@ from quad_sysid.craft import AXES, FloatArray, X
 TOPIC_TYPES = {name: kind for name, kind in topics.TOPIC_TYPES.items()
                if name != '/operator/enable'}
 """Topics that say something of a flight, as the operator's switch does not."""
+STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
+"""How the names of a bag's storage files end."""
 
 MIXER, MIXER_INVERSE = X.mixer, X.inverse
 """(4, 4) each: m1..m4 = MIXER @ (U1..U4) of the X frame, and back; another craft has its own."""
@@ -23,6 +25,7 @@ __all__ = [
     'IDLE',
     'MIXER',
     'MIXER_INVERSE',
+    'STORAGE',
     'TOPIC_TYPES',
     'FloatArray',
     'control_from_motors',

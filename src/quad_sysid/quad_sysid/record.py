@@ -39,6 +39,8 @@ INJECTIONS = ('attitude', 'rate', 'control')
 SHORT_GAP_S = 0.05
 """A gap up to this long, some motors' lag, does not end a segment: the filter predicts through it,
 and the rate is compared with a straight line."""
+AT_LIMIT = 1e-3
+"""A motor this near to 0 or 1 is at its limit."""
 
 
 @dataclass(frozen=True)
@@ -372,6 +374,11 @@ def _joined(values: FloatArray, most: float) -> FloatArray:
         near = (known[after] - known[after - 1] <= most) & (rows >= known[0]) & (rows <= known[-1])
         column[near] = np.interp(rows[near], known, column[known])
     return np.asarray(out.reshape(values.shape))
+
+
+def motors_at_limit(motors: FloatArray) -> np.ndarray:
+    """Where commands of motors, of any shape, are at a limit of their range."""
+    return np.asarray((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT))
 
 
 def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from quad_bridge.aircraft import STILL, Ability, Aircraft, Quad
+from quad_bridge.aircraft import INJECTIONS, STILL, Ability, Aircraft, Quad
 from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.autopilots.gains import ParameterGains
 from quad_bridge.autopilots.kinds import BY_NUMBER, Kind
@@ -24,7 +24,6 @@ from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Injection, Vector3
 
 REQUEST_MESSAGE, VERSION = 512, 148
-INJECTIONS = {'attitude': Injection.ATTITUDE, 'rate': Injection.RATE, 'control': Injection.CONTROL}
 AGAIN_S, REQUESTS = 1.0, 3
 """Between two questions for the version, and how many there are before it does without."""
 RATE_CHANGE = 1.2  # by which the rate of the attitudes must change to count as another
@@ -68,8 +67,6 @@ class AutopilotAircraft(Aircraft):
             return f'{name} takes no test pulses: that it flies shows its signs'
         if ability is Ability.MOTORS:
             return f'{name} has a motor test of its own, in its ground station'
-        if ability is Ability.SET_POINTS:
-            return 'it is flown by its pilot: it takes no set-points from the bridge'
         if not self._allow[ability]:
             key = 'gains' if ability is Ability.GAINS else 'excitation'
             return f'{name}: {key} are ' + OFF.format(f'{name.lower()}.md', key)
@@ -267,18 +264,6 @@ class Connected(Aircraft):
     def abort(self) -> f.Frame | None:
         """Give the frame that ends an excitation at once, where one does."""
         return self.now.abort()
-
-    def fly_to(self, attitude: Vector3, thrust: float) -> f.Frame:
-        """Give the frame that makes `attitude` the set-point."""
-        return self.now.fly_to(attitude, thrust)
-
-    def arm(self, on: bool) -> f.Frame:
-        """Give the frame that arms or disarms."""
-        return self.now.arm(on)
-
-    def armed_answer(self, frame: f.CommandAck) -> str | None:
-        """Say what an answer to `arm` says."""
-        return self.now.armed_answer(frame)
 
     def poll(self, now_s: float) -> list[f.Frame]:
         """Say what to send now, beside parameters."""

@@ -15,7 +15,8 @@ from itertools import starmap
 
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.frames import Vector3, Vector4
+from quad_bridge.wire.axes import angles_of
+from quad_bridge.wire.frames import Vector3
 
 FRESH_S = 0.3  # a line whose last attitude is older is stale
 BEAT_S = 2.5  # the same of heartbeats, which come once a second
@@ -190,14 +191,6 @@ class FlightState:
             climb = METRES_PER_HPA * (before - self._level_hpa) / since_s
             self.climb_m_s += share * (climb - self.climb_m_s)
         self.height_m = -METRES_PER_HPA * self._level_hpa
-
-
-def angles_of(q: Vector4) -> Vector3:
-    """Roll, pitch, yaw (Z-Y-X, rad) of a quaternion w x y z."""
-    w, x, y, z = q
-    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
-    return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def wrapped(angles: Iterable[float]) -> Vector3:

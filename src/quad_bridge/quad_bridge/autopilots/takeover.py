@@ -14,10 +14,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from quad_bridge.autopilots.flight import FlightState, angles_of, wrapped
+from quad_bridge.autopilots.flight import FlightState, wrapped
 from quad_bridge.autopilots.guard import Guard
 from quad_bridge.wire import frames as f
-from quad_bridge.wire.axes import quaternion
+from quad_bridge.wire.axes import angles_of, quaternion
 from quad_bridge.wire.frames import Injection, Vector3
 
 PERIOD_S = 0.01  # between two set-points; the autopilots want them at 50 Hz or faster

@@ -29,6 +29,7 @@ from quad_bridge.monitor.coverage import BAND, Pairs, coverage
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.node_time import nanoseconds
 from quad_bridge.nodes.qos import EVENT, HEARD, STREAM
+from quad_bridge.wire.axes import angles_of
 
 MIN_NEW = 250  # cycles between two looks at the coverage
 CLEAR, HOME, BELL = '\x1b[2J', '\x1b[H\x1b[J', '\a'
@@ -93,7 +94,8 @@ class Monitor(Node):  # type: ignore[misc]
         self._stamps.append(stamp)
         self._state.imu_at_s = time.monotonic()
         q, rate = message.orientation, message.angular_velocity
-        self._state.angles_deg = _degrees(q.w, q.x, q.y, q.z)
+        roll, pitch, yaw = map(math.degrees, angles_of((q.w, q.x, q.y, q.z)))
+        self._state.angles_deg = roll, pitch, yaw
         if self._role == 'train':
             self._pairs.rate(stamp, (rate.x, rate.y, rate.z)[AXES.index(self._axis)])
 
@@ -150,15 +152,6 @@ class Monitor(Node):  # type: ignore[misc]
     def _write(self, text: str) -> None:
         if not say(text):
             raise ExternalShutdownException  # nobody looks
-
-
-def _degrees(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Roll, pitch, yaw of a unit quaternion, deg."""
-    return (
-        math.degrees(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))),
-        math.degrees(math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))),
-        math.degrees(math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))),
-    )
 
 
 def main() -> None:

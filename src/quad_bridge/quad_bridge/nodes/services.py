@@ -110,7 +110,7 @@ class OperatorServices:
         self._node, self._enable, self._send, self._armed = node, enable, send, armed
         self._name, self._flies = name, flies
         self._second = SecondCall()
-        self._arming, self._test = Arming(aircraft), MotorTest(enable)
+        self._arming, self._test = Arming(), MotorTest(enable)
         self._aircraft = aircraft
         self._late = ''
 

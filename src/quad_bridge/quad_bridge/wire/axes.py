@@ -48,3 +48,11 @@ def quaternion(rpy: Vector3) -> Vector4:
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
+
+
+def angles_of(q: Vector4) -> Vector3:
+    """Roll, pitch, yaw (Z-Y-X, rad) of a quaternion w x y z."""
+    w, x, y, z = q
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
+    return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 from quad_sysid.axes import EVERY
 from quad_sysid.bags.cdr import blank, typestore
 from quad_sysid.contract import AXES, IDLE
-from quad_sysid.record import GainChange, Segment
+from quad_sysid.record import ROLES, GainChange, Segment
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
-ROLES = ('train', 'validation', 'idle')
 DESATURATION = 'mixer.desaturation'
 DESATURATIONS = ('clip', 'yaw_first', 'none')
 """Its values; the first holds where a bag does not say."""

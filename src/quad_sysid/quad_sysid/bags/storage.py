@@ -28,14 +28,13 @@ from quad_sysid.bags.stored.files import (
 )
 from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.bags.stored.scan import BATCH, McapScan
-from quad_sysid.contract import TOPIC_TYPES
+from quad_sysid.contract import STORAGE, TOPIC_TYPES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-STORED = ('.mcap', '.db3')
 RECOVER = '`ros2 run quad_bridge recover` may find more'
 Batch = dict[str, list[bytes]]
 """Topic → serialised messages in the file's order."""
@@ -236,13 +235,13 @@ class Storage:
 
 def storage_in(folder: Path) -> list[Path]:
     """The storage files of a folder, the parts of a split bag in their order."""
-    return sorted((p for p in folder.iterdir() if p.suffix in {*STORED, '.zstd'}),
+    return sorted((p for p in folder.iterdir() if p.name.endswith(STORAGE)),
                   key=lambda p: (len(p.name), p.name))
 
 
 def without_storage(path: Path, listed: Collection[str] | None = None) -> BadInputError:
     """The refusal of a folder that is no bag; names one of those in it, if there are such."""
-    inside = sorted(str(one.parent) for one in path.glob('*/*') if one.suffix in STORED)
+    inside = sorted(str(one.parent) for one in path.glob('*/*') if one.name.endswith(STORAGE))
     remedy = 'give a rosbag2 directory or an .mcap file'
     if inside:
         remedy = f'give one of the bags in it, such as {inside[0]}, or all to quad-sysid fleet'

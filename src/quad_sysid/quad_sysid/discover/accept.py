@@ -33,6 +33,7 @@ SHORT_S = HORIZONS_S[2]
 AT_ONCE = 20
 """Draws of random signs that are run side by side, which bounds the memory."""
 HUGE = 1e100
+LEAST_P = 1e-12
 LEAST_REPORTED = 0.005
 """Share of the rivals' probability below which one is not reported."""
 
@@ -59,11 +60,13 @@ def p_value(shares: FloatArray) -> float:
 def p_of_both(long: FloatArray, shorter: FloatArray, ahead: FloatArray) -> float:
     """Chance of what a model's free runs, shorter ones and the next sample's likelihood show.
 
-    Each (windows,), -1 to 1. Two tests, hence twice the smaller chance (Bonferroni): the metric's
-    own windows alone, and the mean of all three, for where gusts rule long windows shorter ones
-    may tell. A model that was projected onto the long ones may predict the next sample worse.
+    Each (windows,), -1 to 1. Two tests: the metric's own windows alone, and the mean of all three,
+    for where gusts rule long windows shorter ones may tell. A model that was projected onto the
+    long ones may predict the next sample worse. As they depend on each other, their harmonic mean
+    is the chance of both (Wilson 2019).
     """
-    return min(1.0, 2.0 * min(p_value(long), p_value((long + shorter + ahead) / 3.0)))
+    both = p_value(long), p_value((long + shorter + ahead) / 3.0)
+    return float(stats.hmean(np.maximum(both, LEAST_P)))
 
 
 def shares_of(speaks_for: FloatArray, against: FloatArray) -> FloatArray:

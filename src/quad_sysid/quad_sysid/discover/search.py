@@ -244,11 +244,12 @@ class _Search:
     def scores(self, parent: Fit, *, whole: bool) -> list[Score]:
         """Linear scores of the candidates beside a structure, best first.
 
-        Not whole: of those that have explained something beside another structure.
+        Not whole: of the named laws, which may mask each other (friction and drag behind the
+        damping), and of the others that have explained something beside another structure.
         """
         found = screen(self.problem, parent, [
             part for part in self.parts if part.effect.label not in parent.structure.labels
-            and (whole or part.effect.label in self.hopeful)
+            and (whole or part.effect.kind == 'named' or part.effect.label in self.hopeful)
         ])
         self.hopeful |= {one.part.effect.label for one in found if one.nats > 0.0}
         return found

@@ -47,7 +47,14 @@ class Rung:
     """A projected model, and the share of the base's miss that it explains."""
 
     model: Projected
+    missed: FloatArray
+    """(windows,) what its structure misses with parameters of the other stretches, (rad/s)²."""
     explains_pct: float
+
+    @property
+    def total(self) -> float:
+        """Sum of `missed`."""
+        return float(np.sum(self.missed))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -81,12 +88,12 @@ class Ladder:
     @property
     def negligible(self) -> bool:
         """Whether the reference sees more than the base, but little (discover/search.py)."""
-        return 0.0 < self.rungs[0].model.total < self.small
+        return 0.0 < self.rungs[0].total < self.small
 
     @property
     def predicts_pct(self) -> float:
         """Share of the motion's RMS that the base already predicts, as the reference sees it."""
-        missed = self.rungs[0].model.total / max(self.projection.motion, 1e-30)
+        missed = self.rungs[0].total / max(self.projection.motion, 1e-30)
         return 100.0 * (1.0 - math.sqrt(min(missed, 1.0)))
 
     @property
@@ -100,7 +107,7 @@ class Ladder:
         if len(self.rungs) == 1:
             return 0
         enough = (i for i, rung in enumerate(self.rungs)
-                  if rung.explains_pct >= EXPLAINS or rung.model.total < self.small)
+                  if rung.explains_pct >= EXPLAINS or rung.total < self.small)
         return next(enough, len(self.rungs) - 1)
 
 
@@ -121,33 +128,37 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
     projection = Projection(problem, reference)
     models = Models(found, projection)
     if not reference.structure.parts:  # nothing to explain
-        return Ladder(models, (Rung(projection.ordered(reference.structure), 0.0),))
+        alone = projection.ordered(reference.structure)
+        return Ladder(models, (Rung(alone, alone.missed, 0.0),))
     plain = projection.structure(())
     if not projection.windows.count:  # too short for a free run
         alone = Projected(plain, projection.alone(base.theta), np.zeros(0))
-        return Ladder(models, (Rung(alone, 0.0),))
+        return Ladder(models, (Rung(alone, alone.missed, 0.0),))
     starts = [projection.alone(own) for own in (reference.theta, base.theta)]
     begun = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, begun.theta)
-    ladder = Ladder(models, (Rung(lowest, 0.0),))
+    rungs = [Rung(lowest, projection.apart(lowest.structure, lowest.theta), 0.0)]
+    ladder = Ladder(models, tuple(rungs))
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
     climb = _Climb(projection, found, parts, lowest.total)
-    rungs = [*ladder.rungs]
-    while (rungs[-1].explains_pct < ENOUGH and rungs[-1].model.total >= ladder.small
+    while (rungs[-1].explains_pct < ENOUGH and rungs[-1].total >= ladder.small
            and len(rungs) <= MOST_RUNGS):
-        last = rungs[-1].model
-        step = climb.next(last, finer=rungs[-1].explains_pct >= EXPLAINS)
-        if step is None or last.total - step.total < NEGLIGIBLE * lowest.total:
+        last = rungs[-1]
+        step = climb.next(last.model, finer=last.explains_pct >= EXPLAINS)
+        if step is None or last.model.total - step.total < NEGLIGIBLE * lowest.total:
             break
-        if models.follows(step):
+        missed = projection.apart(step.structure, step.theta) if step.total else step.missed
+        share = 1.0 - float(np.sum(missed)) / rungs[0].total
+        if 100.0 * share - last.explains_pct >= 100.0 * NEGLIGIBLE and models.follows(step):
             climb.left_out.clear()
-            rungs.append(Rung(step, 100.0 * (1.0 - step.total / lowest.total)))
+            rungs.append(Rung(step, missed, 100.0 * share))
         else:
             climb.left_out.add(_added(step).label)
     if rungs[-1].explains_pct < ENOUGH:
-        rungs.append(Rung(projection.ordered(reference.structure), 100.0))
+        whole = projection.ordered(reference.structure)
+        rungs.append(Rung(whole, whole.missed, 100.0))
     return replace(ladder, rungs=tuple(rungs))
 
 
@@ -172,7 +183,7 @@ class _Climb:
         self.projection, self.parts, self.whole = projection, parts, whole
         self.likely = {frozenset(one.fit.structure.labels): one.score for one in found.all}
         self.left_out: set[str] = set()
-        """Labels of what runs away beside the rung."""
+        """Labels of what runs away beside the rung, or explains too little elsewhere."""
 
     def next(self, model: Projected, *, finer: bool) -> Projected | None:
         """The model with one more effect, of those believed, that is nearest to the reference.
@@ -317,7 +328,7 @@ def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict
         reference = kept[which].fit
         if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
             continue
-        missed = np.array([rung.model.missed for rung in rungs] if reference is found.best
+        missed = np.array([rung.missed for rung in rungs] if reference is found.best
                           else _missed(problem, reference, rungs))
         for draw in np.flatnonzero(leading == which):
             again = missed @ weights[draw, of_window]
@@ -335,5 +346,5 @@ def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[Flo
         model = rung.model
         structure = projection.structure(model.structure.parts)
         own = model.theta[: len(structure.specs) - projection.noise.size]
-        out.append(projection.project(structure, np.r_[own, projection.noise], coarse=True).missed)
+        out.append(projection.apart(structure, np.r_[own, projection.noise]))
     return out

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.estimate.fit import Fit, Problem, derivative_steps, limited
@@ -30,6 +32,8 @@ ENOUGH = 1e-3
 """A step that lowers the sum of squares by a smaller share ends the projection."""
 ROUGHLY = 2e-2
 """The same where candidates are compared."""
+STRETCHES = 3
+"""Parts of the training, each of which is judged with parameters of the others."""
 RANGE = (-14.0, 8.0)
 """Of a logarithm: what is smaller than e^-14 of its unit acts as nothing."""
 HUGE = 1e6
@@ -150,6 +154,29 @@ class Projection:
                 break
         difference = run.errors - self.goal
         return Projected(structure, theta, np.sum(difference**2, axis=1))
+
+    def apart(self, structure: Structure, start: FloatArray) -> FloatArray:
+        """(windows,) what a structure misses of stretches that its parameters have not seen.
+
+        Each of STRETCHES of the training is missed by the parameters that the others give: a
+        curve that holds only where it was fitted explains less elsewhere.
+        """
+        count = self.windows.count
+        stretch = np.arange(count) * STRETCHES // max(count, 1)
+        missed = np.empty(count)
+        for one in range(min(STRETCHES, count)):
+            inside = stretch == one
+            others = self._on(~inside).project(structure, start, coarse=True)
+            here = self._on(inside)
+            missed[inside] = np.sum((here.run(structure, others.theta) - here.goal)**2, axis=1)
+        return missed
+
+    def _on(self, which: NDArray[np.bool_]) -> Projection:
+        """The same on some of the windows (windows,)."""
+        part = copy(self)
+        part.windows = Windows(self.windows.starts[which], self.windows.length)
+        part.goal = self.goal[which]
+        return part
 
     def covariance(self, model: Projected, of_reference: FloatArray) -> FloatArray:
         """(p, p) of a model's coordinates, those of the noise zero.

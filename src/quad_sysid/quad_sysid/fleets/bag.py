@@ -23,6 +23,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from quad_sysid import interrupt
+from quad_sysid.contract import STORAGE
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.fleets.place import Place
 
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 ANSWERED, CANNOT_TELL, FAILED = 'answered', 'cannot_tell', 'failed'
-STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 LOGS = ('.ulg', '.bin', '.log', '.bbl', '.bfl')
 """Endings of raw logs, which are read as `quad-sysid import` reads them."""
 PACKED = ('.gz', '.xz', '.bz2')
@@ -288,7 +288,7 @@ def _of_axis(tree: Mapping[str, Any], specs: Mapping[tuple[str, str, str], bool]
                for name in BASE for end, field in (('', 'value'), ('_std', 'std'))}}
 
 
-def alone(job: Job, work: Callable[[Job], Row] = look) -> Row:
+def alone(job: Job, work: Callable[[Job], Row]) -> Row:
     """The row of a bag, made in this thread's process and kept among the results.
 
     A process that dies costs its bag one more try; one that takes too long is ended.

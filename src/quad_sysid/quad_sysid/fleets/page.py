@@ -14,7 +14,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.fleets.drift import LEAST_FLIGHTS, LEVEL
 from quad_sysid.fleets.summary import Quantity, Summary
 from quad_sysid.report.canvas import AFTER, BEFORE, MUTED, Picture, finish, panels, svg
-from quad_sysid.report.style import SHEET
+from quad_sysid.report.style import document
 from quad_sysid.report.tables import Table, wrapped
 from quad_sysid.report.words import chance, named, number
 
@@ -131,7 +131,7 @@ def _tables(fleet: Summary) -> tuple[Table, Table, Table]:
 
 def page(fleet: Summary) -> str:
     """fleet.html: what is wrong first, then what every aircraft lacks and is."""
-    title = escape(fleet.title or 'fleet')
+    title = f'Fleet {fleet.title or "fleet"}'
     lacks, means, failures = _tables(fleet)
     drifts, odd = fleet.drifts, fleet.odd
     sentences = [*(drift_words(*pair) for pair in drifts),
@@ -155,14 +155,10 @@ def page(fleet: Summary) -> str:
          f'{levels.html()}</details>' if levels.rows else ''),
         ('Without an answer', failures.html()),
     ]
-    return '\n'.join([
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width,initial-scale=1">',
-        f'<title>Fleet {title}</title><style>{SHEET}</style></head><body>',
-        f'<h1>Fleet {title}</h1><p>{escape(_counts(fleet))}</p>',
+    return document(
+        title, f'<h1>{escape(title)}</h1><p>{escape(_counts(fleet))}</p>',
         f'<section class="answer {"open" if sentences else "good"}">{answer}</section>',
-        *(f'<section><h2>{name}</h2>{text}</section>' for name, text in sections if text),
-        '</body></html>\n'])
+        *(f'<section><h2>{name}</h2>{text}</section>' for name, text in sections if text))
 
 
 def _drawn(fleet: Summary) -> list[Quantity]:

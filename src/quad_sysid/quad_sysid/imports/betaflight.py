@@ -40,7 +40,7 @@ from quad_sysid.imports.log import (
 from quad_sysid.imports.mixers import MIRROR, ned_angles
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
-from quad_sysid.imports.units import header_unit, unit_of
+from quad_sysid.imports.units import ONE_G, header_unit, unit_of
 
 POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
@@ -49,7 +49,6 @@ PULSE_US = (1000.0, 2000.0)
 IN_THE_AIR = 0.25  # of the throttle stick: below it an aircraft stands or falls
 MAX_VOLTS = 100.0
 """A larger battery value is in hundredths of a volt."""
-ONE_G = 9.80665
 FEWEST = 200
 """Least number of frames of a flight."""
 UNIT_AS_INTEGER = 8127.0

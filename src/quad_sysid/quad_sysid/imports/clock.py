@@ -296,6 +296,18 @@ def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
     return np.asarray(out, dtype=np.float64)
 
 
+def drawn_on(stream: Stream | None, times: FloatArray) -> FloatArray | None:
+    """A smooth curve between samples; NaN in pauses and beyond the ends, None without two."""
+    if stream is None or len(stream.time_s) < 2:
+        return None
+    return draw(stream, times, MAX_PAUSE / stream.rate_hz)
+
+
+def held_on(stream: Stream | None, times: FloatArray, dt: float) -> FloatArray | None:
+    """As `hold`; None where there is no stream."""
+    return None if stream is None else hold(stream, times, dt)
+
+
 def mean_of_next_cycle(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
     """Mean of the active value from each time to the next."""
     parts = dt / PARTS

@@ -20,15 +20,11 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.formats import format_of, read_log
-from quad_sysid.imports.log import ForeignLog
+from quad_sysid.imports.log import TOPICS, ForeignLog
 from quad_sysid.imports.to_bag import record_of
 from quad_sysid.record import GainChange, Record
 
-STREAMS = (
-    'rates', 'control', 'motors', 'speeds', 'armed', 'angles', 'acceleration',
-    'attitude_setpoint', 'rate_setpoint', 'battery', 'velocity', 'position', 'rates_before',
-    'd_term',
-)
+STREAMS = (*TOPICS, 'armed')
 """Fields of a ForeignLog that are streams."""
 MIN_S = 5.0
 """A log that has less of the bag's flight is of another flight."""

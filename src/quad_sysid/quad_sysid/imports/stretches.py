@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.record import Record, Segment, finite_runs
+from quad_sysid.record import Record, Segment, finite_runs, motors_at_limit
 
 PIECE_S = 1.0
 MAX_LOST = 0.2
@@ -26,8 +26,8 @@ STILL = 0.1
 """Share of the usual motion and command below which nothing is excited."""
 USUAL = 0.75
 """Quantile over the pieces that counts as usual."""
-AT_LIMIT, MAX_AT_LIMIT = 1e-3, 0.2
-"""A motor this close to 0 or 1 stands at its limit; for this share of a piece it may."""
+MAX_AT_LIMIT = 0.2
+"""Share of a piece for which a motor may be at its limit."""
 NEARLY_ALL = 0.9
 """Usable share of a short record from which it keeps no segments."""
 MIN_DURATION_S = 3.0
@@ -133,8 +133,7 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
     out = []
     for i, piece in enumerate(pieces):
         lost = 1.0 - float(known[piece].mean())
-        stuck = 0.0 if motors is None else float(np.mean(
-            ((motors[piece] <= AT_LIMIT) | (motors[piece] >= 1.0 - AT_LIMIT)).any(axis=1)))
+        stuck = 0.0 if motors is None else float(motors_at_limit(motors[piece]).any(axis=1).mean())
         out.append(
             'gap' if lost > MAX_LOST else
             'ground' if not flying[piece].mean() >= 1.0 - MAX_LOST else

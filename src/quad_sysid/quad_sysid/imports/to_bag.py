@@ -21,11 +21,11 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.foresight import drawn_hz
 from quad_sysid.imports.clock import (
     EPOCH_S,
-    MAX_PAUSE,
     Cycles,
     Stream,
     cycles,
-    draw,
+    drawn_on,
+    held_on,
     hold,
     mean_of_next_cycle,
 )
@@ -143,10 +143,10 @@ def record_of(
         rates=rates, control=control, wrench=None if motors is not None else control,
         motors=motors, craft=craft, speeds=_speeds(log, grid, motors),
         desaturation='clip' if motors is not None else 'none', angles=angles,
-        acceleration=_drawn(log.acceleration, grid),
-        attitude_setpoint=_maybe_held(log.attitude_setpoint, grid),
-        rate_setpoint=_maybe_held(log.rate_setpoint, grid),
-        battery_v=_volts(log.battery, grid.times), **_moved(log, grid, angles),
+        acceleration=drawn_on(log.acceleration, grid.times),
+        attitude_setpoint=held_on(log.attitude_setpoint, grid.times, grid.dt),
+        rate_setpoint=held_on(log.rate_setpoint, grid.times, grid.dt),
+        battery_v=volts_on(log.battery, grid.times), **_moved(log, grid, angles),
         gains=(GainChange(0.0, gains),) if gains else (),
     )
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
@@ -178,7 +178,7 @@ def _motion(
     log: ForeignLog, grid: Cycles, gains: dict[str, float], notes: list[str], warnings: list[str]
 ) -> tuple[FloatArray, FloatArray | None]:
     """Rates (n, 3) and angles (n, 3); those that contradict the rates are left out."""
-    angles = _drawn(log.angles, grid)
+    angles = drawn_on(log.angles, grid.times)
     if log.rates is None:
         rates, how = _derivative(grid.values, grid.dt)
         gains['sensor.rate_from_angle_s'] = DERIVATIVE_HALF_WIDTH_S
@@ -268,17 +268,6 @@ def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatAr
     return joined(log.speeds.time_s, log.speeds.values, grid.times)
 
 
-def _maybe_held(stream: Stream | None, grid: Cycles) -> FloatArray | None:
-    return None if stream is None else hold(stream, grid.times, grid.dt)
-
-
-def _drawn(stream: Stream | None, grid: Cycles) -> FloatArray | None:
-    """A smooth curve between samples; NaN in pauses and beyond the ends."""
-    if stream is None or len(stream.time_s) < 2:
-        return None
-    return draw(stream, grid.times, MAX_PAUSE / stream.rate_hz)
-
-
 def _moved(log: ForeignLog, grid: Cycles, angles: FloatArray | None) -> dict[str, Any]:
     """Speed along the heading and altitude, in the cycles in which they were logged."""
     velocity, position = log.velocity, log.position
@@ -306,7 +295,8 @@ def _in_cells(stream: Stream, grid: Cycles) -> FloatArray:
     return out
 
 
-def _volts(stream: Stream | None, times: FloatArray) -> FloatArray | None:
+def volts_on(stream: Stream | None, times: FloatArray) -> FloatArray | None:
+    """(n,) V, as straight lines; None where it was not logged."""
     if stream is None or not len(stream.time_s):
         return None
     return np.asarray(np.interp(times, stream.time_s, stream.values[:, 0]))

@@ -41,8 +41,8 @@ from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.evaluate import flown_spans
 from quad_sysid.pipeline.identify import excited_axes
-from quad_sysid.pipeline.usable import AT_LIMIT, check_usable, refusal
-from quad_sysid.record import Record, Segment, finite_runs
+from quad_sysid.pipeline.usable import check_usable, refusal
+from quad_sysid.record import Record, Segment, finite_runs, motors_at_limit
 from quad_sysid.rotors import rotors_of
 
 GAP_CYCLES = 1.5
@@ -424,8 +424,7 @@ def _at_limit(record: Record) -> tuple[float, ...]:
     if record.motors is None:
         return ()
     known = record.motors[np.isfinite(record.motors).all(axis=1)]
-    stuck = (known <= AT_LIMIT) | (known >= 1.0 - AT_LIMIT)
-    return tuple(float(100.0 * share) for share in stuck.mean(axis=0))
+    return tuple(float(100.0 * share) for share in motors_at_limit(known).mean(axis=0))
 
 
 def _battery(record: Record) -> Battery | None:

@@ -58,8 +58,6 @@ class Flown:
     injected: FloatArray | None = None
     """(n, 3) what an experiment added to the command of an axis, normalised; NaN without one."""
     gains: tuple[GainChange, ...] = ()
-    start_s: float = 0.0
-    """Time of the first sample in the log's own clock, s."""
     lacks: tuple[str, ...] = ()
     """What is not in the log, and what cannot be measured for that reason."""
     warnings: tuple[str, ...] = ()

@@ -15,13 +15,13 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.logview import response, step
 from quad_sysid.logview.flown import Flown, Stretch, stretches
 from quad_sysid.logview.spectrum import Frames, frames
+from quad_sysid.record import AT_LIMIT
 
+DEG = 180.0 / np.pi
 NOISE_HZ = 80.0
 """From here on what the gyro shows is called noise: no aircraft of this kind turns so fast."""
 LEAST_BAND = 1.2
 """Factor by which a spectrum must reach beyond NOISE_HZ for an RMS above it."""
-AT_LIMIT = 1e-3
-"""Distance from 0 or 1 within which a motor stands at its limit."""
 LONGEST_LATENCY_S, LONGEST_ANGLE_LATENCY_S = 0.3, 1.0
 DELAYS = 60
 """Latencies that are tried up to the longest."""

@@ -11,14 +11,13 @@ from pathlib import PurePath
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES
-from quad_sysid.logview.measure import Measured
+from quad_sysid.logview.measure import DEG, Measured
 from quad_sysid.logview.pictures import makers
 from quad_sysid.logview.words import header, part_tables, sentences, tables
 from quad_sysid.report import zoom
 from quad_sysid.report.canvas import Picture, framed
 from quad_sysid.report.style import document
 
-DEG = math.degrees(1.0)
 MARK = '<meta name="generator" content="quad-sysid look">'
 """By which a page of this command is recognised, and may be replaced."""
 MOTORS = ('--blue', '--orange', '--green', '--pink', '--sky', '--ink', '--muted', '--grid')

@@ -11,7 +11,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.logview.measure import Measured, Part
+from quad_sysid.logview.measure import DEG, Measured, Part
 from quad_sysid.logview.spectrum import LOWEST_PEAK_HZ, ORDERS, THROTTLE, Frames
 from quad_sysid.report.canvas import (
     BLUE,
@@ -22,6 +22,7 @@ from quad_sysid.report.canvas import (
     PINK,
     SKY,
     Picture,
+    finish,
     legend,
     panels,
     plain_logarithms,
@@ -30,7 +31,6 @@ from quad_sysid.report.canvas import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DEG = math.degrees(1.0)
 COLOURS = {'all': INK, 'small': SKY, 'medium': BLUE, 'large': ORANGE}
 STRETCHES = (BLUE, ORANGE, GREEN, PINK, SKY, MUTED)
 MOST_PIXELS = 300
@@ -67,7 +67,7 @@ def steps(look: Measured, quantity: str) -> Picture | None:
     if not axes:
         return None
     figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
-    for one, (axis, responses) in zip(drawn, axes.items(), strict=True):
+    for one, responses in zip(drawn, axes.values(), strict=True):
         one.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
         for s in responses:
             colour = COLOURS[s.amplitude]
@@ -75,11 +75,9 @@ def steps(look: Measured, quantity: str) -> Picture | None:
                 one.fill_between(s.time_s, s.low, s.high, color=MUTED, alpha=0.25, linewidth=0)
             one.plot(s.time_s, s.mean, color=colour, label=s.amplitude,
                      linewidth=1.6 if s.amplitude == 'all' else 1.0)
-        one.set_ylabel(f'{axis}, 1')
         one.set_ylim(min(-0.1, *(float(s.mean.min()) for s in responses)),
                      max(1.5, *(1.05 * float(s.mean.max()) for s in responses)))
-    drawn[-1].set_xlabel('time after the step, s')
-    legend(drawn[0])
+    finish(drawn, 'time after the step, s', *(f'{axis}, 1' for axis in axes))
     return Picture(
         f'step_{quantity}', f'Step response of the {quantity}',
         'Response to a unit step of the set-point, by regularised deconvolution. '
@@ -101,9 +99,7 @@ def by_gains(look: Measured) -> Picture | None:
             if step is not None:
                 one.plot(step.time_s, step.mean, color=STRETCHES[k % len(STRETCHES)],
                          label=f'{part.stretch.start_s:.0f} to {part.stretch.end_s:.0f} s')
-        one.set_ylabel(f'{axis}, 1')
-    drawn[-1].set_xlabel('time after the step, s')
-    legend(drawn[0], 3)
+    finish(drawn, 'time after the step, s', *(f'{axis}, 1' for axis in axes))
     return Picture('step_by_gains', 'Step response by set of gains',
                    'One line for each stretch of the flight with its own gains.', figure)
 
@@ -116,21 +112,19 @@ def spectra(look: Measured) -> Picture | None:
     motors = look.motor_frames
     figure, drawn = panels(len(axes) + (motors is not None),
                            height_in=0.7 + 1.5 * (len(axes) + (motors is not None)))
-    for one, (axis, signals) in zip(drawn, axes.items(), strict=False):
+    for one, signals in zip(drawn, axes.values(), strict=False):
         for name, frames, colour in (('gyro before filters', signals.gyro_before, SKY),
                                      ('gyro', signals.gyro, INK)):
             if frames is not None:
                 _line(one, frames, DEG, colour, name)
         if signals.d_term is not None:
             _line(one, signals.d_term, 1e3, ORANGE, 'D part, ‰ of command')
-        one.set_ylabel(f'{axis}, deg/s/√Hz')
     if motors is not None:
         _line(drawn[-1], motors, 1e3, GREEN, 'motor commands, ‰')
-        drawn[-1].set_ylabel('motors, ‰/√Hz')
         legend(drawn[-1])
-    drawn[-1].set_xlabel('frequency, Hz')
     plain_logarithms(drawn)
-    legend(drawn[0], 3)
+    finish(drawn, 'frequency, Hz', *(f'{axis}, deg/s/√Hz' for axis in axes),
+           *['motors, ‰/√Hz'] * (motors is not None))
     return Picture('spectra', 'Spectra of gyro, D part and motors',
                    'Amplitude density in the air: mean power of Hann windows of 0.5 s.', figure)
 
@@ -151,12 +145,11 @@ def throttle_map(look: Measured) -> Picture | None:
     if not maps:
         return None
     figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
-    for one, (axis, (frames, values)) in zip(drawn, maps.items(), strict=True):
+    for one, (frames, values) in zip(drawn, maps.values(), strict=True):
         finite = np.flatnonzero(np.isfinite(values).any(axis=1))
         used = values[finite[0]:finite[-1] + 1]
         _map(one, used.T, (float(THROTTLE[finite[0]]), float(THROTTLE[finite[-1] + 1])), frames)
-        one.set_ylabel(f'{axis}, Hz')
-    drawn[-1].set_xlabel('throttle (mean motor command)')
+    finish(drawn, 'throttle (mean motor command)', *(f'{axis}, Hz' for axis in maps))
     return Picture('throttle', 'Gyro spectrum over throttle', _map_words(look), figure)
 
 
@@ -166,7 +159,7 @@ def time_map(look: Measured) -> Picture | None:
     if not maps:
         return None
     figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
-    for one, (axis, frames) in zip(drawn, maps.items(), strict=True):
+    for one, frames in zip(drawn, maps.values(), strict=True):
         edges = np.linspace(0.0, look.flown.length_s, min(
             MOST_PIXELS, max(2, math.ceil(look.flown.length_s / COLUMN_S))) + 1)
         group = np.digitize(frames.time_s, edges) - 1
@@ -174,8 +167,7 @@ def time_map(look: Measured) -> Picture | None:
         for c in np.unique(group[group < len(values)]):
             values[c] = frames.density[group == c].mean(axis=0)
         _map(one, values.T, (0.0, look.flown.length_s), frames)
-        one.set_ylabel(f'{axis}, Hz')
-    drawn[-1].set_xlabel('time, s')
+    finish(drawn, 'time, s', *(f'{axis}, Hz' for axis in maps))
     return Picture('spectrogram', 'Spectrogram of the gyro', _map_words(look), figure)
 
 
@@ -222,10 +214,8 @@ def orders(look: Measured) -> Picture | None:
     for (axis, m), colour in zip(maps.items(), (BLUE, ORANGE, GREEN), strict=False):
         if m is not None:
             one.semilogy(centres, DEG * np.sqrt(m), color=colour, label=axis)
-    one.set_xlabel("frequency over the rotors' mean frequency")
-    one.set_ylabel('deg/s/√Hz')
     plain_logarithms([one])
-    legend(one)
+    finish([one], "frequency over the rotors' mean frequency", 'deg/s/√Hz')
     return Picture('orders', 'Gyro spectrum in orders of the rotors',
                    'Whole orders are imbalance and blades; what stands between them is not driven '
                    'by the rotors.', figure)
@@ -247,13 +237,10 @@ def loop(look: Measured) -> Picture | None:
         if known and one.loop is not None:
             finite = np.isfinite(one.loop)
             drawn[3].loglog(f[finite], np.abs(1.0 / (1.0 + one.loop[finite])), color=colour)
-    for axes, label in zip(drawn, ('tracking, 1', 'phase, °', 'coherence²', 'sensitivity, 1'),
-                           strict=False):
-        axes.set_ylabel(label)
     drawn[2].set_ylim(0.0, 1.05)
-    drawn[-1].set_xlabel('frequency, Hz')
     plain_logarithms(drawn)
-    legend(drawn[0])
+    finish(drawn, 'frequency, Hz', 'tracking, 1', 'phase, °', 'coherence²',
+           *['sensitivity, 1'] * known)
     return Picture('loop', 'Rate loop over frequency',
                    'Rate over set-point where both are coherent' + (
                        '; the sensitivity 1 / (1 + L) by the measured plant and the known gains.'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +13,13 @@ import numpy as np
 from quad_sysid.bags import read_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import MAX_PAUSE, Stream, cycles, draw, hold
+from quad_sysid.imports.clock import cycles, drawn_on, held_on, hold
 from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.stretches import airborne
 from quad_sysid.imports.table import head_of, is_bag
-from quad_sysid.imports.to_bag import record_of, uneven
+from quad_sysid.imports.to_bag import record_of, uneven, volts_on
 from quad_sysid.logview.flown import Flown
 from quad_sysid.logview.measure import Measured, look_at
 from quad_sysid.record import GainChange, Record
@@ -150,7 +151,7 @@ def of_log(log: ForeignLog) -> Flown:
         flown = replace(flown, d_term=d_term)
     before = log.rates_before
     if before is not None and before.rate_hz >= SAME_GRID / flown.dt and len(times) == flown.n:
-        flown = replace(flown, rates_before=_drawn(before, times), before_dt=flown.dt)
+        flown = replace(flown, rates_before=drawn_on(before, times), before_dt=flown.dt)
     elif before is not None and len(before.time_s) > 2:
         own = cycles(before, log.source)
         flown = replace(flown, rates_before=own.values, before_dt=own.dt)
@@ -163,21 +164,16 @@ def _without_commands(log: ForeignLog, why: str) -> Flown:
         raise BadInputError(log.source, 'holds no body rates')
     laid = cycles(base, log.source)
     rates = laid.values if log.rates is not None else np.gradient(laid.values, laid.dt, axis=0)
-    motors = None if log.motors is None else hold(log.motors, laid.times, laid.dt)
+    held = partial(held_on, times=laid.times, dt=laid.dt)
+    motors = held(log.motors)
     throttle = None if motors is None else motors.mean(axis=1)
     flying = np.ones(len(rates), bool) if throttle is None or not np.isfinite(throttle).any() \
         else airborne(throttle, laid.dt)
-
-    def held(stream: Stream | None) -> FloatArray | None:
-        return None if stream is None else hold(stream, laid.times, laid.dt)
-
     return Flown(
         source=log.source, kind=log.kind, dt=laid.dt, rates=rates, flying=flying,
         axes=tuple(a for a in log.axes if a in _moving(rates)), motors=motors,
         rate_setpoint=held(log.rate_setpoint), attitude_setpoint=held(log.attitude_setpoint),
-        angles=None if log.angles is None else _drawn(log.angles, laid.times),
-        battery_v=None if log.battery is None else np.interp(
-            laid.times, log.battery.time_s, log.battery.values[:, 0]),
+        angles=drawn_on(log.angles, laid.times), battery_v=volts_on(log.battery, laid.times),
         gains=(GainChange(0.0, log.gains),) if log.gains else (),
         warnings=(f'it cannot be identified: {why}',))
 
@@ -206,10 +202,6 @@ def _complete(flown: Flown) -> Flown:
     lacks = [text for name, text in LACKING.items()
              if getattr(flown, name) is None or (name == 'gains' and not flown.gains)]
     return replace(flown, lacks=tuple(lacks))
-
-
-def _drawn(stream: Stream, times: FloatArray) -> FloatArray:
-    return draw(stream, times, MAX_PAUSE / stream.rate_hz)
 
 
 def _moving(rates: FloatArray) -> tuple[str, ...]:

@@ -10,13 +10,13 @@ With the gains of the log that plant gives the loop, its margins and its sensiti
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import margins, weight_of
+from quad_sysid.loop.cascade import UNFILTERED_HZ, CascadeGains, margins, weight_of
 from quad_sysid.loop.linear import ComplexArray
 
 FRAME_S = 2.0
@@ -31,6 +31,8 @@ REFERENCE_HZ = 10.0
 NEAR = 0.35
 """Distance of frequencies, in logarithms, whose phases give the delay at one."""
 FEWEST_LINES = 3
+NEARLY_0_HZ = 1e-6
+"""In the place of 0, where an integrator has no response."""
 
 
 @dataclass(frozen=True)
@@ -168,29 +170,27 @@ def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
 
 def feedback(gains: Mapping[str, float], axis: str, frequency_hz: FloatArray,
              dt: float) -> ComplexArray | None:
-    """(f,) command over minus the rate, by the contract's gains; None where kp is not known.
-
-    P and I behind the error's filter, D behind its filters, all behind the output's.
-    """
-    def of(name: str) -> float:
-        return float(gains.get(f'{axis}.rate.{name}', 0.0))
-
+    """(f,) command over minus the rate, by the contract's gains; None where kp is not known."""
     if f'{axis}.rate.kp' not in gains:
         return None
-    back = np.exp(-2j * np.pi * frequency_hz * dt)
-    error = first_order(of('error_filter_hz'), frequency_hz, dt)
-    common = (of('kp') + of('ki') * dt / (1.0 - back)) * error
-    common = common + derivative(gains, axis, frequency_hz, dt)
-    return np.asarray(common * first_order(of('output_filter_hz'), frequency_hz, dt))
+    return np.asarray(-_cascade(gains, axis).response(2.0 * np.pi * frequency_hz, dt)[0])
 
 
 def derivative(gains: Mapping[str, float], axis: str, frequency_hz: FloatArray,
                dt: float) -> ComplexArray:
     """(f,) the D part over minus the rate, behind its filters."""
-    out = gains.get(f'{axis}.rate.kd', 0.0) * (
-        1.0 - np.exp(-2j * np.pi * frequency_hz * dt)) / dt
-    return np.asarray(out * first_order(gains.get(f'{axis}.rate.d_filter_hz', 0.0),
-                                        frequency_hz, dt))
+    alone = replace(_cascade(gains, axis), rate_kp=0.0, rate_ki=0.0, output_filter_hz=0.0)
+    omega = 2.0 * np.pi * np.maximum(frequency_hz, NEARLY_0_HZ)
+    return np.asarray(-alone.response(omega, dt)[0])
+
+
+def _cascade(gains: Mapping[str, float], axis: str) -> CascadeGains:
+    """The log's controller as a linear one; what the log does not name is not there."""
+    name = f'{axis}.rate.d_filter_hz'
+    linear = {key: value for key, value in gains.items() if not key.endswith('limit')}
+    return CascadeGains.from_mapping(
+        {f'{axis}.rate.ki': 0.0, f'{axis}.rate.kd': 0.0, **linear,
+         name: gains.get(name) or UNFILTERED_HZ}, axis)
 
 
 def first_order(cutoff_hz: float, frequency_hz: FloatArray, dt: float) -> ComplexArray:

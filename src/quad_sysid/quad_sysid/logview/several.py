@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.logview.measure import AxisLook, Measured
+from quad_sysid.logview.measure import DEG, AxisLook, Measured
 from quad_sysid.logview.page import MARK
 from quad_sysid.report import zoom
 from quad_sysid.report.canvas import (
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, INK, MUTED)
 MOST = len(COLOURS)
-DEG = math.degrees(1.0)
 
 
 def names(looks: Sequence[Measured]) -> list[str]:

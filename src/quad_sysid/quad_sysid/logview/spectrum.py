@@ -26,8 +26,6 @@ PEAK, PEAKS = 3.0, 3
 AROUND_HZ = 30.0
 LOWEST_PEAK_HZ = 20.0
 """Below this is what the aircraft flies."""
-ON_ORDER = 0.04
-"""Relative distance up to which a peak counts as an order of the rotors."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +35,6 @@ class Peak:
     frequency_hz: float
     rms: float
     """RMS of the lines that stand out of the background, in the signal's unit."""
-    order: float | None = None
-    """Whole multiple of the rotors' mean frequency, where it is one."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +85,7 @@ class Frames:
         total = np.where(finite, rows, 0.0).sum(axis=0)
         return np.where(finite.any(axis=0), total / np.maximum(finite.sum(axis=0), 1), np.nan)
 
-    def peaks(self, rotor_hz: float | None = None) -> tuple[Peak, ...]:
+    def peaks(self) -> tuple[Peak, ...]:
         """The largest peaks above what surrounds them."""
         line = float(self.frequency_hz[1])
         reach = max(3, round(AROUND_HZ / line))
@@ -103,11 +99,7 @@ class Frames:
         for a, b in edges.reshape(-1, 2):
             power = float((self.mean[a:b] - floor[a:b]).sum() * line)
             at = float(self.frequency_hz[a:b] @ self.mean[a:b] / self.mean[a:b].sum())
-            order = None
-            if rotor_hz and rotor_hz > 0.0:
-                whole = max(1, round(at / rotor_hz))
-                order = float(whole) if abs(at / rotor_hz / whole - 1.0) < ON_ORDER else None
-            out.append(Peak(at, float(np.sqrt(power)), order))
+            out.append(Peak(at, float(np.sqrt(power))))
         return tuple(sorted(out, key=lambda p: -p.rms)[:PEAKS])
 
 

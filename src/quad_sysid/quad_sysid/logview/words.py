@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.logview.measure import NOISE_HZ, AxisLook, Measured, Part, noise_rms
+from quad_sysid.logview.measure import DEG, NOISE_HZ, AxisLook, Measured, Part, noise_rms
 from quad_sysid.logview.response import LoopResponse
 from quad_sysid.logview.spectrum import Frames, Peak
 from quad_sysid.logview.step import Response
 from quad_sysid.report.tables import Table, wrapped
 
 SCHEMA = 'quad_sysid/look/1'
-DEG = math.degrees(1.0)
 UNEVEN_PCT = 5.0
 """A motor's command this far from the mean of all is said in words."""
 LIMITED_PCT = 0.5
@@ -219,8 +218,7 @@ def noise(part: Part) -> Table:
 
 
 def _peaks(peaks: Sequence[Peak], scale: float) -> str:
-    return ', '.join(f'{scale * p.rms:.2g} at {p.frequency_hz:.0f} Hz'
-                     + (f' ({p.order:.0f} x rotor)' if p.order else '') for p in peaks) or '–'
+    return ', '.join(f'{scale * p.rms:.2g} at {p.frequency_hz:.0f} Hz' for p in peaks) or '–'
 
 
 def tracking(part: Part) -> Table:

@@ -17,7 +17,7 @@ from quad_sysid.contract import IDLE, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
-from quad_sysid.record import SHORT_GAP_S, Record, RotorLag
+from quad_sysid.record import SHORT_GAP_S, Record, RotorLag, motors_at_limit
 from quad_sysid.rotors import rotors_of
 
 SAME_RATE = 5e-3
@@ -138,8 +138,6 @@ def refusal(record: Record) -> str:
 
 LEAST_WINDOWS = 8
 """Least number of training windows of 0.5 s for a fit."""
-AT_LIMIT = 1e-3
-"""A motor this near to 0 or 1 is at its limit."""
 THROUGHOUT = 0.9
 """Share of the training in which all motors at their limits leave nothing to learn from."""
 CLIPPED = 0.1
@@ -180,7 +178,7 @@ def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:
 def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
     """Raise NotInformativeError for motors or gyro at their limits over spans, named `where`."""
     motors = _inside(data.motors, spans)
-    stuck = np.all((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT), axis=1)
+    stuck = motors_at_limit(motors).all(axis=1)
     # the commands no longer say what the controller does
     if motors.shape[1] and stuck.mean() > THROUGHOUT:
         raise NotInformativeError(

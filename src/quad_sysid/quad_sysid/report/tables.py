@@ -326,9 +326,7 @@ def residuals(tree: Tree) -> Table:
 
 
 def _value(p: Tree | None) -> str:
-    if p is None:
-        return '–'
-    return estimate(p)
+    return '–' if p is None else estimate(p)
 
 
 def _span(interval: Sequence[float] | None) -> str:

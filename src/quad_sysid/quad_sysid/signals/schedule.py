@@ -14,9 +14,9 @@ from itertools import accumulate, pairwise
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, shortened
+from quad_sysid.record import ROLES
 from quad_sysid.signals.waveforms import Silence, Waveform, parameter_names, waveform
 
-ROLES = ('train', 'validation', 'idle')
 MOUNTS = ('rig', 'hover')
 MAX_DURATION_S = 3600.0
 """Longest segment, s: an hour."""

@@ -31,7 +31,6 @@ class StageFailedError(Exception):
 
     def __init__(self, stage: str, reason: str) -> None:
         super().__init__(f'{stage}: {" ".join(reason.split())}')
-        self.stage = stage
         self.reason = reason
 
 
