@@ -113,9 +113,11 @@ def _log(options: argparse.Namespace, known: Format) -> int:
 
 def _table(options: argparse.Namespace, columns: list[str]) -> int:
     from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
+    from quad_sysid.imports.formats import check_single
     from quad_sysid.imports.guess import described, lines
     from quad_sysid.imports.table import is_ours, open_table
 
+    check_single(options.file, 'a table', options.log)
     if not columns:
         if is_ours(options.file):
             raise BadInputError(f'{options.file}', 'is a bag of this project already',

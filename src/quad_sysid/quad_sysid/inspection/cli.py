@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
     parser = command(
         commands, 'inspect', _run,
         'Show on one page what a bag or log holds and what it can be used for, without a fit.',
-        'quad-sysid inspect flight/', writes='file',
+        'quad-sysid inspect flight/', reads='bag', writes='file',
     )
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory, .mcap file, a log of PX4, '
                         'ArduPilot, Betaflight or INAV, or a table')

@@ -20,6 +20,7 @@ from quad_sysid.contract import AXES, TOPIC_TYPES
 from quad_sysid.craft import Craft, X
 from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
+from quad_sysid.effects.actuators import SAG_SHOWS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.foresight import improvement
 from quad_sysid.imports.formats import format_of
@@ -191,7 +192,16 @@ def _effect(words: str, name: str, data: AxisData) -> Use:
     answers = [effect.prepare(data) for effect in EFFECTS if effect.name == name]
     refused = [one for one in answers if isinstance(one, str)]
     because = refused[0] if len(refused) == len(answers) else ''
-    return Use(f'find {words}', possible=not because, because=because)
+    return Use(f'find {words}', possible=not because,
+               because=because or (_weak_sag(data) if name == 'battery_sag' else ''))
+
+
+def _weak_sag(data: AxisData) -> str:
+    """A condition where the voltage moves less than shows how the thrust follows it."""
+    volts = data.training(required(data.battery_v))
+    moved = float(np.ptp(volts) / np.mean(volts))
+    return '' if moved >= SAG_SHOWS else (
+        f'a strong one only: the voltage moves by {moved:.1%}, {SAG_SHOWS:.0%} shows it surely')
 
 
 _EFFECTS = (
