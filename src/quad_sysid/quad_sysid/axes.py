@@ -94,7 +94,7 @@ NAMES = (*EVERY, *ALL_WORDS)
 
 
 def axes_in(words: str | Sequence[str], where: str = '--axis') -> tuple[str, ...]:
-    """The axes that a text such as `roll,pitch` or `all` names, each once; raises BadInputError."""
+    """The axes that `roll,pitch` or `all`, or a list, names, each once; raises BadInputError."""
     names = words.split(',') if isinstance(words, str) else words
     for name in names:
         if name not in NAMES:

@@ -110,8 +110,8 @@ def _evaluate_parser(commands: Commands) -> None:
     parser.add_argument('model', metavar='MODEL.json',
                         help='written by quad-sysid identify, or its folder')
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, several with '
-                        'commas between (default: every axis of the model)')
+    parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, '
+                        'several with commas between (default: every axis of the model)')
     parser.add_argument('--validate', metavar='A:B',
                         help='seconds; default: all but the idle segments')
     effects_option(parser)

@@ -166,8 +166,8 @@ def add(commands: Commands) -> None:
                         help='written by quad-sysid identify, or its folder')
     parser.add_argument('--to', required=True, choices=sorted(WRITERS),
                         help='control: a Python file; mat: MATLAB')
-    parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, several with '
-                        'commas between (default: every axis of the model)')
+    parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, '
+                        'several with commas between (default: every axis of the model)')
     parser.add_argument('--out', metavar='FILE', type=Path,
                         help='default: beside the model, with the suffix of the format')
     effects_option(parser)

@@ -33,7 +33,7 @@ FELL = 0.03
 SHAKING_S = 0.2
 """Means over so long are without what shakes the accelerometer."""
 FREE = 0.5
-"""Largest share that free flight leaves of what gravity along a rig leaves of the accelerometer."""
+"""Free flight leaves at most this share of what a rig leaves of the accelerometer unexplained."""
 AWAY = 0.3
 """m/s. Spread of a horizontal speed that no rig has."""
 NEAR_TRIM = 0.35

@@ -19,7 +19,7 @@ from rosbags.rosbag2.metadata import parse_qos
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.reader import messages_of, missing_parts, storage_files
-from quad_bridge.log.stored.files import PACKED
+from quad_bridge.log.stored.files import PACKED, RECORDING, is_recorded
 from quad_bridge.log.stored.records import Topic
 from quad_bridge.log.stored.scan import McapScan, Message
 from quad_bridge.log.writer import BagWriter, Definition
@@ -76,6 +76,8 @@ def recover(bag: Path, out: Path | None = None) -> Recovered:
     nothing can be recovered or the new bag exists already.
     """
     files, whole = storage_files(bag), bag.resolve()
+    if is_recorded(files[-1]):
+        raise BadInputError(str(bag), RECORDING, remedy='stop the recording first')
     stem = whole.name.removesuffix(PACKED).removesuffix('.mcap').removesuffix('.db3')
     target = whole.with_name(f'{stem}_recovered') if out is None else out.absolute()
     if out is not None and target.exists():
@@ -231,10 +233,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         'damaged. The bag is only read; a sound one is left as it is.'
     )
     parser.add_argument('bag', type=Path, metavar='BAG', help='bag directory, .mcap or .db3 file')
-    parser.add_argument('--out', type=Path, metavar='DIR', help='the new bag, which must not exist '
+    parser.add_argument('--out', type=Path, metavar='DIR', help='a new folder '
                         '(default: BAG_recovered beside a damaged bag, none of a sound one)')
     options = parser.parse_args(arguments)
     result = ended_in_one_line('recover', lambda: recover(options.bag, options.out))
     say('\n'.join(result.lines()) + '\n')
     if result.path == options.bag:
-        say('the bag is sound: nothing to recover, nothing written (--out DIR copies it)\n')
+        say('the bag is sound: nothing to recover, nothing copied (--out DIR does)\n')

@@ -171,8 +171,8 @@ def check_extent(pairs: Sequence[tuple[Column, Column]]) -> list[str]:
         return []
     names = ' and '.join(angle.name for _, angle in pairs)
     advice = ' '.join(c.advise(unit) for c, unit in zip(both, other, strict=True))
-    return [f'{names} moves by {said}, and the rate agrees: if both are in '
-            f'{"radians" if other[0].startswith("rad") else "degrees"}, {advice}']
+    unit = 'radians' if other[0].startswith('rad') else 'degrees'
+    return [f'{names} moves by {said}, and the rate agrees: if both are in {unit}, {advice}']
 
 
 def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, float] | None:

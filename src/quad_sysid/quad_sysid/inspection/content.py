@@ -28,6 +28,7 @@ from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.table import head_of, is_bag
 from quad_sysid.imports.to_bag import record_of, uneven
 from quad_sysid.model.data import AxisData, Span, axis_data
+from quad_sysid.model.effect import required
 from quad_sysid.motor_layout import (
     Pattern,
     commands_of,
