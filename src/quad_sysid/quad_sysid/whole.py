@@ -16,7 +16,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.model import AxisModel, Parameter
-from quad_sysid.motion import GRAVITY, upright
+from quad_sysid.motion import GRAVITY, in_body, upright
 from quad_sysid.record import Record
 
 URDF = 'aircraft.urdf'
@@ -164,9 +164,8 @@ def flies(record: Record) -> bool:
     if record.acceleration is None:
         return False
     thrust, count = record.control[:, 0], max(2, round(SHAKING_S / record.dt))
-    roll, pitch, _ = np.zeros((3, record.n)) if record.angles is None else record.angles.T
-    gravity = GRAVITY * np.column_stack([-np.sin(pitch), np.sin(roll) * np.cos(pitch),
-                                         np.cos(roll) * np.cos(pitch)])
+    angles = np.zeros_like(record.rates) if record.angles is None else record.angles
+    gravity = in_body(np.tile((0.0, 0.0, GRAVITY), (record.n, 1)), angles)
     seen = slice(2 if record.angles is None else 0, 3)
     rows = record.n // count * count
     felt, on_rig, thrust = (one[:rows].reshape(rows // count, count, -1).mean(axis=1)
