@@ -236,6 +236,7 @@ def _compile(_: argparse.Namespace) -> int:
 
 
 def _design(options: argparse.Namespace) -> int:
+    from quad_sysid.report.tables import wrapped
     from quad_sysid.signals.design import design_excitation, parse_band
 
     if options.out:
@@ -244,7 +245,8 @@ def _design(options: argparse.Namespace) -> int:
         text, content = _separation(options)
     else:
         design = design_excitation(*parse_band(options.band), options.rate, options.seconds)
-        text = design.text()
+        text = '\n'.join(part for line in design.text().splitlines()
+                         for part in wrapped(line, '  ', ''))
         content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
     if options.out:
         write_whole(options.out, content)

@@ -23,7 +23,7 @@ from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.actuators import SAG_SHOWS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.foresight import improvement
-from quad_sysid.imports.formats import format_of
+from quad_sysid.imports.formats import check_single, format_of
 from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.table import head_of, is_bag
 from quad_sysid.imports.to_bag import record_of, uneven
@@ -301,8 +301,11 @@ class Content:
     warnings: tuple[str, ...] = ()
 
 
-def content(path: str | Path) -> Content:
-    """Content of a bag, a log or a table; raises BadInputError where it cannot be read."""
+def content(path: str | Path, log: int = 1, messages: Path | None = None) -> Content:
+    """Content of a bag, a log or a table; raises BadInputError where it cannot be read.
+
+    `log`: of several in a blackbox file; `messages`: a folder of .msg files.
+    """
     source, held = str(path), Topics((), (), ())
     record: Record | None = None
     if is_bag(Path(path), head_of(Path(path))):
@@ -312,11 +315,13 @@ def content(path: str | Path) -> Content:
         except BadInputError as error:
             if format_of(Path(path)) is None:  # else of another autopilot
                 return Content(source, held, unusable=str(error), warnings=held.warnings)
-    if record is None:
-        log = read_any(Path(path))
-        record, notes, doubts_of_it = record_of(log)
+    if record is not None:
+        check_single(Path(path), 'a bag', log)
+    else:
+        read = read_any(Path(path), log, messages)
+        record, notes, doubts_of_it = record_of(read)
         record = replace(record, warnings=(
-            *log.checks, *doubts_of_it, *uneven(notes), *record.warnings))
+            *read.checks, *doubts_of_it, *uneven(notes), *record.warnings))
     named = any(s.role in ('train', 'validation') for s in record.segments)
     with threadpool_limits(limits=1):
         return of_record(split_segments(record), held, split=not named)
