@@ -276,7 +276,7 @@ def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'
         yield ''
-    yield 'error: standard error of the change; chance: of as large a one if nothing changed'
+    yield 'error: standard error of the change; chance: of one as large if nothing changed'
 
 
 def _rows(changes: Sequence[Change]) -> Iterator[list[str]]:

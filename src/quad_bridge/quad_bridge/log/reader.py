@@ -8,7 +8,7 @@ from __future__ import annotations
 import mmap
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -128,7 +128,7 @@ def storage_files(bag: Path) -> list[Path]:
     return files
 
 
-def missing_parts(files: list[Path]) -> list[str]:
+def missing_parts(files: Sequence[Path]) -> list[str]:
     """A line for each missing part of a split bag, by the recorder's numbers."""
     stems = [file.name.partition('.')[0] for file in files]
     numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', stem) for stem in stems) if m]

@@ -78,16 +78,22 @@ class Table:
 
 
 def _widths(cells: Sequence[Sequence[str]], words: Collection[int]) -> list[int]:
-    """Of the columns: where a line is too long the heads are broken, then the widest `words`."""
+    """Of the columns: where a line is too long the heads are broken, then one column of `words`.
+
+    That is the widest of those that can be broken between words.
+    """
     columns = [*zip(*cells, strict=True)]
     widths = [max(map(len, column)) for column in columns]
     free = COLUMNS - 1 - 2 * (len(widths) - 1)
     for between in ('(?<=,) ', ' '):  # before a unit, else anywhere
         if sum(widths) > free:
             widths = [max(map(len, (*re.split(between, head), *body))) for head, *body in columns]
-    if sum(widths) > free and words:
-        widest = max(words, key=widths.__getitem__)
-        widths[widest] = max(NARROWEST, widths[widest] + free - sum(widths))
+    over = sum(widths) - free
+    if over > 0 and words:
+        longest = [max((len(word) for cell in column for word in cell.split()), default=0)
+                   for column in columns]
+        at = max(words, key=lambda i: (longest[i] <= widths[i] - over, widths[i]))
+        widths[at] = max(NARROWEST, widths[at] - over)
     return widths
 
 

@@ -233,7 +233,7 @@ def horizon_words(error: Tree) -> str:
     at = next(h for h in listed if h['horizon_s'] == reach_s)
     last = listed[-1]['horizon_s']
     beyond = '' if reach_s == last else f'; further ahead, up to {last:g} s, it predicts less well'
-    return (f' It halves the error of holding the last value up to {reach_s:g} s ahead (off by '
+    return (f' It at least halves the error of holding the last value up to {reach_s:g} s ahead (off by '
             f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.')
 
 
