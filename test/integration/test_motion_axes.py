@@ -25,7 +25,7 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import behind_lean, loop_plant, not_in_the_loop
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import GainProposal
-from quad_sysid.motion import altitude_of, lean, over_level, vertical_motion
+from quad_sysid.motion import altitude_of, in_body, lean, over_level, vertical_motion
 from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.whole import whole_of
 from quad_tuning.designer import propose
@@ -177,6 +177,10 @@ def test_the_aircraft_as_a_whole(climbed):
     assert facts['full_thrust'].value == pytest.approx(full, rel=0.01)
     assert facts['hover_throttle'].value == pytest.approx(BODY.mass_kg * 9.81 / full, rel=0.01)
     assert abs(facts['centre_of_mass_x'].value) < 1.0
+    rig = replace(record, velocity=None,
+                  acceleration=in_body(np.tile((0.0, 0.0, 9.81), (record.n, 1)), record.angles))
+    assert {'hover_throttle', 'centre_of_mass_x'}.isdisjoint(
+        fact.name for fact in whole_of({}, [rig]).facts)
     turned = whole_of({'climb': found.answer.model}, [record], thrust_n=full)
     assert turned.facts[0].value == pytest.approx(BODY.mass_kg, rel=0.01)
     assert from_urdf(found.report['aircraft']['urdf']).count == 4

@@ -12,11 +12,13 @@ from node_process import until
 from rosbags.highlevel import AnyReader
 
 from quad_bridge import status as level
+from quad_bridge.errors import BadInputError
 from quad_bridge.log import mcap
 from quad_bridge.log.recording import Gaps, Recording, recording_status
 from quad_bridge.log.recover import recover
 from quad_bridge.log.stored.scan import McapScan
 from quad_bridge.log.writer import BagWriter, Limits
+from quad_sysid.bags.storage import Storage
 
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 TOPIC = '/setpoint/rates'
@@ -161,7 +163,13 @@ def test_a_bag_is_split_by_time_and_by_size_into_files_that_are_whole(bag, limit
 
 
 def test_of_a_split_bag_all_files_are_recovered_and_a_missing_one_is_told(bag):
-    split(bag, BY_TIME).abort()
+    writer = split(bag, BY_TIME)
+    storage = Storage(bag, (TOPIC,))
+    assert sum(len(batch[TOPIC]) for batch in storage.batches()) == 450
+    assert 'is still being recorded' in ''.join(storage.warnings)
+    with pytest.raises(BadInputError, match='is still being recorded'):
+        recover(bag)
+    writer.abort()
     (bag / 'bag_5.mcap').touch()  # opened, nothing in it yet
     result = recover(bag)
     assert numbers_in(result.path) == list(range(450))

@@ -154,8 +154,9 @@ def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(t
     assert f'{count}  {TOPICS[0]}' in said
     assert stands_in(tmp_path / 'killed_recovered') == ledger[:n]
     assert {p.name: p.read_bytes() for p in killed.iterdir()} == before
-    with pytest.raises(BadInputError, match='exists already'):
-        recover(killed)
+    for out in (None, tmp_path / 'killed_recovered'):
+        with pytest.raises(BadInputError, match='exists already'):
+            recover(killed, out)
 
 
 @pytest.mark.parametrize(
@@ -415,5 +416,7 @@ def test_files_compressed_as_a_whole_are_unpacked(tmp_path, storage):
     writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
     ledger = fill(writer)
     assert len(list((tmp_path / 'bag').glob('*.zstd'))) == 1
-    with AnyReader([recover(tmp_path / 'bag').path]) as reader:
+    assert recover(tmp_path / 'bag').sound  # so that it is copied only on demand
+    assert [path.name for path in tmp_path.iterdir()] == ['bag']
+    with AnyReader([recover(tmp_path / 'bag', tmp_path / 'copy').path]) as reader:
         assert [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()] == ledger

@@ -24,6 +24,7 @@ SCHEMA = Path(quad_sysid.report.__file__).with_name('report.schema.json')
         ('--train 100:130', '--train starts after the end'),
         *((f'--inertia {three}', '--inertia: needs three positive numbers')
           for three in ('abc', '0.01,0.02', '0.01,0.02,-1')),
+        ('--mass -1', '--mass: must be a positive number: found -1.0'),
         ('--colour', 'unrecognized arguments: --colour; see quad-sysid identify --help'),
         ('--effects nothere.py', '--effects nothere.py: there is no such file; check the path'),
     ],
@@ -89,14 +90,15 @@ def test_evaluate_answers_the_axes_it_can_and_names_the_others(
 ):
     model = tmp_path / 'model.json'
     save_models({axis: replace(true_model, axis=axis) for axis in ('roll', 'pitch')}, model)
-    assert main(['evaluate', str(model), str(plain_bag), '--json']) == 0
+    assert main(['evaluate', str(model), str(plain_bag), '--axis', 'all', '--json']) == 0
     said = capsys.readouterr()
     tree = json.loads(said.out)
     assert list(tree['axes']) == ['roll']
     assert 'pitch: the rate does not move' in tree['not_answered']['pitch']
     assert said.err.count('\n') == 1
     for words, status, told in (
-        ('--axis pitch', 3, 'does not move'), ('--validate 1e5:2e5', 2, '--validate starts after'),
+        ('--axis pitch', 3, 'does not move'), ('--axis roll,yaw', 2, 'lacks this axis: found yaw'),
+        ('--validate 1e5:2e5', 2, '--validate starts after'),
     ):
         assert told in refused(main, 'evaluate', model, plain_bag, *words.split(), status=status)
 
@@ -132,6 +134,7 @@ def test_where_a_model_is_wanted_the_folder_of_its_report_will_do(
         ('--band 1', "in rad/s: found '1'; for example --band 0.1:20"),
         ('--band 0.1:2000', 'HIGH is too fast for 250 Hz'),
         ('--band 0.1:20 --amplitude-deg nan', '--amplitude-deg: must be above 0'),
+        ('--separate coulomb nothing', "found 'coulomb'; do you mean coulomb_friction? docs/what"),
         ('--band 0.1:20 --out no/such/folder/s.yaml', 'cannot be written'),
     ],
 )

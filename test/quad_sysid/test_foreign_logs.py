@@ -366,6 +366,8 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     np.testing.assert_allclose(record.speeds, turns * 100.0 / 6.0 * np.pi / 30.0, rtol=0.01)
     assert main(['import', str(path), '--log', '3', '--out', str(tmp_path / 'b')]) == 2
     assert 'must be 1 to 2' in capsys.readouterr().err
+    assert main(['look', str(tmp_path / 'bag'), '--log', '2']) == 2
+    assert '--log: a bag holds one log: found 2; leave it out' in capsys.readouterr().err
     assert main(['import', str(path)]) == 0
     assert f'quad-sysid import {path} --out' in capsys.readouterr().out
     assert main(['import', str(path), '--out', str(tmp_path / 'b')]) == 2

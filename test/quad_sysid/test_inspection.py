@@ -67,6 +67,7 @@ def test_an_axis_and_its_uses(record, tmp_path):
     assert uses['identify roll'].possible
     assert uses['closed-loop check, gain design'].possible
     assert 'throttle stays' in uses['find thrust curve'].because
+    assert 'only: the voltage moves by' in uses['find battery sag'].because
 
 
 def test_without_an_angle_no_effects_of_the_angle_are_promised(record, tmp_path):

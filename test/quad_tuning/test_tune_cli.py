@@ -108,7 +108,7 @@ def test_what_no_plant_can_be_is_the_fault_of_a_field(stored, refused, part, row
     [
         ('{model} --axis pitch', 3, 'lowers the rate'),
         ('{model} --axis pitch --method lqr', 3, 'lowers the rate'),
-        ('{model} --axis yaw', 2, 'lacks this axis: found yaw'),
+        ('{model} --axis roll,yaw', 2, 'lacks this axis: found yaw'),
         ('none.json', 2, 'none.json'), ('', 2, 'MODEL.json'),
         ('{model} --method lqr --max-angle -1', 2, 'must be a positive number'),
         ('{model} --max-angle -1', 2, '--max-angle: belongs to --method lqr'),

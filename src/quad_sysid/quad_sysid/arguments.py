@@ -91,6 +91,15 @@ def quiet_and_json(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
 
 
+def log_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--log` and `--messages`, of logs that need them."""
+    parser.add_argument('--log', metavar='N', type=int, default=1,
+                        help='of several logs in one blackbox file (default 1)')
+    parser.add_argument('--messages', metavar='FOLDER', type=Path,
+                        help='checkout with the .msg files of a bag that holds no definitions, '
+                        'such as px4_msgs')
+
+
 def effects_option(parser: argparse.ArgumentParser) -> None:
     """Add `--effects`, which `own_effects` reads."""
     parser.add_argument('--effects', metavar='FILE.py', help='your own effects: the list EFFECTS '

@@ -7,6 +7,7 @@ rotation do, metres for radians. Nothing is read or fitted here.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from quad_sysid.craft import AXES
@@ -90,6 +91,16 @@ ALL_WORDS = {'all': AXES, 'every': tuple(EVERY)}
 """What stands for several axes in a command."""
 NAMES = (*EVERY, *ALL_WORDS)
 """What an option that names axes takes."""
+
+
+def axes_in(words: str | Sequence[str], where: str = '--axis') -> tuple[str, ...]:
+    """The axes that `roll,pitch` or `all`, or a list, names, each once; raises BadInputError."""
+    names = words.split(',') if isinstance(words, str) else words
+    for name in names:
+        if name not in NAMES:
+            raise BadInputError(where, f'must be one of {", ".join(NAMES)}', repr(name),
+                                'several stand with commas between, as in roll,pitch')
+    return tuple(dict.fromkeys(one for name in names for one in ALL_WORDS.get(name, (name,))))
 
 
 def axis_of(where: str, name: str) -> Axis:

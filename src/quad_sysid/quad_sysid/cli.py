@@ -26,11 +26,11 @@ from quad_sysid.arguments import (
     command,
     effects_option,
     own_effects,
+    positive,
     progress,
     quiet_and_json,
     run_command,
 )
-from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.files import check_new, write_whole
@@ -110,7 +110,8 @@ def _evaluate_parser(commands: Commands) -> None:
     parser.add_argument('model', metavar='MODEL.json',
                         help='written by quad-sysid identify, or its folder')
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--axis', choices=EVERY, help='default: every axis of the model')
+    parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, '
+                        'several with commas between (default: every axis of the model)')
     parser.add_argument('--validate', metavar='A:B',
                         help='seconds; default: all but the idle segments')
     effects_option(parser)
@@ -137,7 +138,8 @@ def _design_parser(commands: Commands) -> None:
     parser.add_argument('--rate', type=float, default=250.0, metavar='HZ',
                         help='with --band: sample rate (default 250)')
     parser.add_argument('--axis', choices=AXES,
-                        help="default: roll, or the model's axis with the nearest rivals")
+                        help='one, since a schedule excites one (default: roll, or '
+                        "the model's axis with the nearest rivals)")
     parser.add_argument('--amplitude-deg', type=float, default=12.0, metavar='DEG',
                         help='with --band: amplitude of the angle, degrees (default 12)')
     parser.add_argument('--out', metavar='FILE', type=Path,
@@ -153,7 +155,9 @@ def _identify(options: argparse.Namespace) -> int:
     wanted = session.keywords(
         () if options.axis is None else options.axis.split(','), options.train or '',
         options.validate or '', options.inertia or '',
-    ) | {'effects': candidates(options), 'mass': options.mass, 'thrust': options.thrust}
+    ) | {'effects': candidates(options)} | {
+        name: positive(f'--{name}', value) for name in ('mass', 'thrust')
+        if (value := getattr(options, name)) is not None}
     show = progress(quiet=options.quiet)
     outcome = session.run(options.bags, options.out, wanted, show)
     if options.json:
@@ -177,10 +181,9 @@ def _evaluate(options: argparse.Namespace) -> int:
         swapped = f'the model comes first: quad-sysid evaluate {options.bag} {options.model}'
         raise BadInputError(options.bag, 'is a model, where a bag is wanted',
                             remedy='give a bag' if names_model(options.model) else swapped)
-    models = load_models(options.model, own_effects(options.effects))
+    models = pick(load_models(options.model, own_effects(options.effects)), options.axis,
+                  options.model)
     polynomials = load_blackbox(options.model)
-    if options.axis:
-        models = pick(models, options.axis, options.model)
     wanted = parse_span(options.validate, '--validate') if options.validate else None
     record = read_bag(options.bag)
     span, warnings = clip_span(wanted, record, '--validate')
@@ -233,6 +236,7 @@ def _compile(_: argparse.Namespace) -> int:
 
 
 def _design(options: argparse.Namespace) -> int:
+    from quad_sysid.report.tables import wrapped
     from quad_sysid.signals.design import design_excitation, parse_band
 
     if options.out:
@@ -241,7 +245,8 @@ def _design(options: argparse.Namespace) -> int:
         text, content = _separation(options)
     else:
         design = design_excitation(*parse_band(options.band), options.rate, options.seconds)
-        text = design.text()
+        text = '\n'.join(part for line in design.text().splitlines()
+                         for part in wrapped(line, '  ', ''))
         content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
     if options.out:
         write_whole(options.out, content)

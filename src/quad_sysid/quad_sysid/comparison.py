@@ -26,7 +26,7 @@ from quad_sysid.arguments import (
     progress,
     quiet_and_json,
 )
-from quad_sysid.axes import ALL_WORDS, EVERY, NAMES
+from quad_sysid.axes import EVERY, axes_in
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table, wrapped
 from quad_sysid.report.words import number
@@ -223,8 +223,9 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument('flights', nargs='+', metavar='BAG|MODEL.json',
                         help='the first is what the others are compared with')
-    parser.add_argument('--axis', choices=NAMES, default='all',
-                        help='all: roll, pitch and yaw (default); every: all six')
+    parser.add_argument('--axis', metavar='AXES', default='all',
+                        help='roll, pitch, yaw, surge, sway or climb, several with commas '
+                        'between; all: roll, pitch and yaw (default); every: all six')
     parser.add_argument('--no-effects', action='store_true',
                         help='compare base and trim only, which takes less time')
     effects_option(parser)
@@ -235,7 +236,7 @@ def _run(options: argparse.Namespace) -> int:
     if len(options.flights) < 2:
         raise BadInputError('compare', 'needs two flights or more', len(options.flights),
                             'name what is to be compared with the first')
-    axes = ALL_WORDS.get(options.axis, (options.axis,))
+    axes = axes_in(options.axis)
     show, effects = progress(quiet=options.quiet), candidates(options)
     reference, *others = [flight_of(name, axes, effects, show) for name in options.flights]
     show('')
@@ -285,7 +286,7 @@ def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'
         yield ''
-    yield 'error: standard error of the change; chance: of as large a one if nothing changed'
+    yield 'error: standard error of the change; chance: of one as large if nothing changed'
 
 
 def _rows(changes: Sequence[Change]) -> Iterator[list[str]]:

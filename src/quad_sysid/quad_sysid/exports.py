@@ -166,7 +166,8 @@ def add(commands: Commands) -> None:
                         help='written by quad-sysid identify, or its folder')
     parser.add_argument('--to', required=True, choices=sorted(WRITERS),
                         help='control: a Python file; mat: MATLAB')
-    parser.add_argument('--axis', choices=EVERY, help='default: every axis of the model')
+    parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, '
+                        'several with commas between (default: every axis of the model)')
     parser.add_argument('--out', metavar='FILE', type=Path,
                         help='default: beside the model, with the suffix of the format')
     effects_option(parser)
@@ -177,9 +178,7 @@ def _run(options: argparse.Namespace) -> int:
     from quad_sysid.report.model_file import load_models, located, pick
 
     model = located(options.model)
-    models = load_models(model, own_effects(options.effects))
-    if options.axis is not None:
-        models = pick(models, options.axis, model)
+    models = pick(load_models(model, own_effects(options.effects)), options.axis, model)
     suffix = WRITERS[options.to][1]
     out = export(models, options.out or model.with_name(f'{model.stem}_export{suffix}'),
                  options.to)

@@ -26,7 +26,8 @@ def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
     try:
         return json.loads(Path(path).read_text(encoding='utf-8'))
     except OSError as error:
-        raise BadInputError(str(path), 'cannot be read', error.strerror, remedy) from error
+        raise BadInputError(str(path), f'cannot be read ({error.strerror})', None,
+                            remedy) from error
     except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
         raise BadInputError(str(path), 'is not JSON', str(error),
                             'give a file that quad-sysid or quad-tune wrote') from error

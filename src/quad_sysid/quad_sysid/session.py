@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quad_sysid.axes import ALL_WORDS, NAMES
+from quad_sysid.axes import axes_in
 from quad_sysid.bags import parse_span
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
@@ -25,12 +25,7 @@ def keywords(axes: Sequence[str] = (), train: str = '', validate: str = '',
     `axes`: names, `all` of the attitude, or `every` one; `train`, `validate`: `A:B`, s;
     `inertia`: `IX,IY,IZ`, kg m². Raises BadInputError naming the option.
     """
-    for name in axes:
-        if name not in NAMES:
-            raise BadInputError('axis', f'must be one of {", ".join(NAMES)}',
-                                repr(name), 'several stand with commas between, as in roll,pitch')
-    return {'axes': tuple(dict.fromkeys(one for name in axes
-                                        for one in ALL_WORDS.get(name, (name,)))),
+    return {'axes': axes_in(axes),
             'train': parse_span(train, '--train') if train else None,
             'validate': parse_span(validate, '--validate') if validate else None,
             'inertia': _inertia(inertia) if inertia else None}

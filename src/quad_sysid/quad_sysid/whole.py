@@ -16,7 +16,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.model import AxisModel, Parameter
-from quad_sysid.motion import GRAVITY, upright
+from quad_sysid.motion import GRAVITY, in_body, upright
 from quad_sysid.record import Record
 
 URDF = 'aircraft.urdf'
@@ -30,6 +30,12 @@ STEADY = 0.1
 FEWEST = 6
 FELL = 0.03
 """Relative change of the voltage that shows what the thrust makes of it."""
+SHAKING_S = 0.2
+"""Means over so long are without what shakes the accelerometer."""
+FREE = 0.5
+"""Free flight leaves at most this share of what a rig leaves of the accelerometer unexplained."""
+AWAY = 0.3
+"""m/s. Spread of a horizontal speed that no rig has."""
 NEAR_TRIM = 0.35
 """rad. Leaning further, or turning faster (rad/s), it is not trimmed."""
 
@@ -81,7 +87,8 @@ def whole_of(models: Mapping[str, AxisModel], records: Sequence[Record],
                               gain.std))
     if mass_kg is not None and not any(fact.name == 'mass' for fact in facts):
         facts.insert(0, Fact('mass', mass_kg, 'kg', 'as given'))
-    facts += _hover(records)
+    free = [record for record in records if flies(record)]
+    facts += _hover(free)
     for name in ('climb', 'roll'):
         if name in models:
             lag = _base(models[name], 'lag')
@@ -91,7 +98,7 @@ def whole_of(models: Mapping[str, AxisModel], records: Sequence[Record],
     facts += [Fact(f'inertia_{name}', value, 'kg m²', how) for name, value, how in inertia]
     facts += [fact for name in ('surge', 'sway', 'climb') if name in models
               for fact in _drag(models[name], mass_kg)]
-    facts += _centre(records, craft)
+    facts += _centre(free, craft)
     if mass_kg is not None and len(inertia) == len(craft.inertia or (0, 0, 0)):
         craft = replace(craft, mass_kg=mass_kg,
                         inertia=tuple(value for _, value, _ in inertia))  # type: ignore[arg-type]
@@ -143,8 +150,39 @@ def _inertia(models: Mapping[str, AxisModel], craft: Craft,
     return out
 
 
+def flies(record: Record) -> bool:
+    """Whether speed or accelerometer show free flight; not where nothing tells it from a rig.
+
+    On a rig an accelerometer feels gravity, whose direction turns with the attitude; in flight it
+    feels the thrust, which stays along z and follows the throttle, until drag holds a fast lean.
+    """
+    if record.velocity is not None:
+        along = record.velocity[:, :2]
+        known = along[np.isfinite(along)]
+        if known.size and known.std() > AWAY:
+            return True
+    if record.acceleration is None:
+        return False
+    thrust, count = record.control[:, 0], max(2, round(SHAKING_S / record.dt))
+    angles = np.zeros_like(record.rates) if record.angles is None else record.angles
+    gravity = in_body(np.tile((0.0, 0.0, GRAVITY), (record.n, 1)), angles)
+    seen = slice(2 if record.angles is None else 0, 3)
+    rows = record.n // count * count
+    felt, on_rig, thrust = (one[:rows].reshape(rows // count, count, -1).mean(axis=1)
+                            for one in (record.acceleration, gravity, thrust))
+    known = np.isfinite(felt + on_rig + thrust).all(axis=1) & (thrust[:, 0] > LEAST_THROTTLE)
+    if known.sum() < FEWEST:
+        return False
+    felt, on_rig, thrust = felt[known], on_rig[known], thrust[known]
+    in_flight = GRAVITY * thrust / thrust.mean() * (0.0, 0.0, 1.0)
+    left = [(felt - one)[:, seen].var(axis=0).sum() for one in (in_flight, on_rig)]
+    return bool(left[0] < FREE * left[1])
+
+
 def _hover(records: Sequence[Record]) -> list[Fact]:
     """Throttle of the hover, and what becomes of it as the battery sinks."""
+    if not records:
+        return []
     throttle, volts = (np.concatenate(parts) for parts in zip(*map(_steady, records), strict=True))
     if throttle.size < FEWEST:
         return []

@@ -1,6 +1,7 @@
 # PYTHON_ARGCOMPLETE_OK
 """`quad-tune design`: gains from a model.json, as a table or as JSON. Wiring only, no maths.
 
+What takes long to import (numba, scipy) is imported where a design needs it.
 Exit status by the contract: 0 done, 2 bad input (one line on stderr), 3 no axis could be answered.
 """
 
@@ -26,14 +27,10 @@ from quad_sysid.arguments import (
 from quad_sysid.axes import EVERY
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_there, read_json, write_whole
-from quad_sysid.loop.from_model import not_in_the_loop
 from quad_sysid.model import BEFORE, AxisModel
-from quad_sysid.report.model_file import load_models, pick
 from quad_sysid.report.tables import Table, figure_rows, wrapped
 from quad_sysid.report.words import left_out, number
 from quad_tuning import exports, history
-from quad_tuning.bounds import ROWS
-from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
 
 BRYSON = {'angle': ('RAD', 0.1, 'angle error'), 'rate': ('RAD/S', 0.7, 'rate'),
@@ -65,8 +62,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
                         help='written by quad-sysid identify, or its folder')
     parser.add_argument('--method', choices=('pid', 'lqr'), default='pid',
                         help='pid: the cascade of angle and rate (default); lqr: state feedback')
-    parser.add_argument('--axis', choices=(*EVERY, 'all'), default='all',
-                        help='default: every axis of the model')
+    parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, '
+                        'several with commas between (default: every axis of the model)')
     parser.add_argument('--flight', metavar='BAG',
                         help='a flight, of which notches are proposed where the frame shakes')
     effects_option(parser)
@@ -82,9 +79,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from quad_sysid.report.model_file import load_models, pick
+
     _check(arguments)
     models = load_models(arguments.model, own_effects(arguments.effects))
-    chosen = models if arguments.axis == 'all' else pick(models, arguments.axis, arguments.model)
+    chosen = pick(models, arguments.axis, arguments.model)
     answers = {axis: _answer(model, models, arguments) for axis, model in chosen.items()}
     tree = {'schema': exports.DESIGN, 'method': arguments.method, 'axes': answers}
     if arguments.flight is not None:
@@ -128,6 +127,8 @@ def _answer(model: AxisModel, models: Mapping[str, AxisModel],
             arguments: argparse.Namespace) -> dict[str, Any]:
     model = model.predicting
     if arguments.method == 'pid':
+        from quad_tuning.designer import design
+
         inner = models.get(EVERY[model.axis].excited_as)
         proposal = design(model, None if inner is None else inner.predicting)
         gains = None if proposal.gains is None else dict(proposal.gains)
@@ -139,7 +140,8 @@ def _answer(model: AxisModel, models: Mapping[str, AxisModel],
             'left_out': dict(proposal.left_out),
             'figures': dict(proposal.figures),
         }
-    from quad_tuning.lqr import Weights, propose_lqr  # python-control takes its time
+    from quad_sysid.loop.from_model import not_in_the_loop
+    from quad_tuning.lqr import Weights, propose_lqr
 
     largest = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
     limits = {name: positive(f'--max-{name}', value) for name, value in largest
@@ -218,6 +220,8 @@ def _notch_table(notches: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _unit(name: str) -> str:
+    from quad_tuning.bounds import ROWS
+
     unit = ROWS[name].unit if name in ROWS else ''
     return '' if unit == '1' else unit
 

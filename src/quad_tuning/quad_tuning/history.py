@@ -19,7 +19,6 @@ from typing import Any
 from quad_sysid.arguments import NOT_ANSWERED, command
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table
-from quad_sysid.result import sent_with
 from quad_tuning.exports import finite, read_axes, read_gains
 
 SCHEMA = 'quad_tuning/history/1'
@@ -260,6 +259,8 @@ def _report(refusal: str, success: str) -> int:
 
 def read_design(path: Path) -> tuple[dict[str, float], dict[str, str]]:
     """Gains of all axes in a design's file, and what is sent with them. Raises BadInputError."""
+    from quad_sysid.result import sent_with  # slow to import
+
     gains = read_gains(path, bounded=False)
     sent = {name.partition('.')[0] for name in gains}
     figures = {axis: {name: finite(value, f'{path}: axes.{axis}.figures.{name}')

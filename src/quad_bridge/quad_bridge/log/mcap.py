@@ -7,10 +7,12 @@ Source: the MCAP specification, version 0 (little-endian; opcodes in stored/reco
 
 from __future__ import annotations
 
+import fcntl
 import os
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -113,6 +115,8 @@ class McapFile:
         """Create the file; FileExistsError where it exists."""
         self.path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        with suppress(OSError):  # a reader looks just now, or the disk has no locks
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)  # ends with the process: files.py
         self._end = 0
         """End of the last complete record; what follows may be truncated."""
         self._schemas: dict[str, bytes] = {}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import mmap
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,9 @@ from rosbags.typesys.store import Typestore
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.stored.files import (
     PACKED,
+    RECORDING,
     ZSTD_MAGIC,
+    is_recorded,
     plain_file,
     plain_message,
     sqlite_fault,
@@ -62,12 +64,12 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
     result, store = Contents(), get_typestore(Stores.ROS2_JAZZY)
     files = storage_files(bag)
     result.warnings += [f'{bag}: {note}' for note in missing_parts(files)]
-    if bag.is_dir() and not (bag / 'metadata.yaml').is_file():
-        result.warnings.append(f'{bag}: has no metadata.yaml (the recorder was killed?); {REMEDY}')
+    growing = files[-1] if is_recorded(files[-1]) else None
+    result.warnings += _unfinished(bag, growing)
     damaged = 0
 
     def judge(scan: McapScan, file: Path) -> None:
-        if not scan.complete:
+        if not (scan.complete or file == growing):
             lost = f', at least {scan.lost} messages are missing' if scan.lost else ''
             result.warnings.append(
                 f'{file}: damaged or cut off{lost}: read what is whole; {REMEDY}'
@@ -85,6 +87,15 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
     if damaged:
         result.warnings.append(f'{bag}: {damaged} messages are damaged and left out; {REMEDY}')
     return result
+
+
+def _unfinished(bag: Path, growing: Path | None) -> list[str]:
+    """A line on a bag that is not closed, or not yet."""
+    if growing:
+        return [f'{bag}: {RECORDING}: read as far as it is on the disk']
+    if bag.is_dir() and not (bag / 'metadata.yaml').is_file():
+        return [f'{bag}: has no metadata.yaml (the recorder was killed?); {REMEDY}']
+    return []
 
 
 def _stored(message: Message, result: Contents, store: Typestore) -> bool:
@@ -117,7 +128,7 @@ def storage_files(bag: Path) -> list[Path]:
     return files
 
 
-def missing_parts(files: list[Path]) -> list[str]:
+def missing_parts(files: Sequence[Path]) -> list[str]:
     """A line for each missing part of a split bag, by the recorder's numbers."""
     stems = [file.name.partition('.')[0] for file in files]
     numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', stem) for stem in stems) if m]

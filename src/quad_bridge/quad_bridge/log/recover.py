@@ -1,12 +1,13 @@
 """`ros2 run quad_bridge recover BAG`: a damaged bag read as far as it is whole, written as mcap.
 
-The original is only read. A damaged sqlite3 file is left to the `sqlite3` command. The losses are
-printed; exit status as in the contract.
+The original is only read, and a sound one is copied only where --out asks for it. A damaged
+sqlite3 file is left to the `sqlite3` command. The losses are printed; exit status as in the
+contract.
 """
 
 from __future__ import annotations
 
-import shutil
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from rosbags.rosbag2.metadata import parse_qos
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.reader import messages_of, missing_parts, storage_files
-from quad_bridge.log.stored.files import PACKED
+from quad_bridge.log.stored.files import PACKED, RECORDING, is_recorded
 from quad_bridge.log.stored.records import Topic
 from quad_bridge.log.stored.scan import McapScan, Message
 from quad_bridge.log.writer import BagWriter, Definition
@@ -32,6 +33,7 @@ class Recovered:
     """The result of a recovery."""
 
     path: Path
+    """The new bag; of a sound one that nobody wants copied, that bag itself."""
     counts: dict[str, int] = field(default_factory=dict)
     lost: int = 0
     """Messages known to be lost; where the end of a file is missing, there were more."""
@@ -40,6 +42,8 @@ class Recovered:
     undecodable: int = 0
     """Messages with damaged compression, time or topic."""
     notes: list[str] = field(default_factory=list)
+    sound: bool = True
+    """Whether the bag is whole as it lies there."""
     kinds: dict[str, str] = field(default_factory=dict)
     """First type of each topic."""
     refused: set[str] = field(default_factory=set)
@@ -47,72 +51,100 @@ class Recovered:
 
     @property
     def messages(self) -> int:
-        """Messages written to the new bag."""
+        """Messages that are whole, all of which a new bag has."""
         return sum(self.counts.values())
 
     def lines(self) -> list[str]:
         """The summary as text lines."""
+        counts = [f'  {count:8d}  {topic}' for topic, count in sorted(self.counts.items())]
+        if self.sound:
+            return [f'{self.path}: {self.messages} messages, none missing', *counts]
         share = 100.0 * self.unread_bytes / max(self.total_bytes, 1)
         lost = f'{self.unread_bytes} of {self.total_bytes} bytes ({share:.2f} %) are not whole'
         if self.undecodable:
             lost += f', {self.undecodable} messages are damaged in themselves'
         if self.lost:
             lost += f', at least {self.lost} messages are missing'
-        counts = [f'  {count:8d}  {topic}' for topic, count in sorted(self.counts.items())]
         head = f'{self.path}: {self.messages} messages recovered; lost: {lost}'
         return [head, *self.notes, *counts]
 
 
-def recover(bag: Path) -> Recovered:
-    """Write `<bag>_recovered` beside `bag` (a directory or an .mcap or .db3 file).
+def recover(bag: Path, out: Path | None = None) -> Recovered:
+    """Write what is whole of `bag` (a directory or an .mcap or .db3 file) as a new bag.
 
-    Raises BadInputError where nothing can be recovered or the result exists already.
+    `out`: default `<bag>_recovered` beside it, where it is damaged. Raises BadInputError where
+    nothing can be recovered or the new bag exists already.
     """
-    files = storage_files(bag)
-    whole = bag.resolve()
+    files, whole = storage_files(bag), bag.resolve()
+    if is_recorded(files[-1]):
+        raise BadInputError(str(bag), RECORDING, remedy='stop the recording first')
     stem = whole.name.removesuffix(PACKED).removesuffix('.mcap').removesuffix('.db3')
-    target = whole.with_name(f'{stem}_recovered')
+    target = whole.with_name(f'{stem}_recovered') if out is None else out.absolute()
+    if out is not None and target.exists():
+        raise BadInputError(str(target), 'exists already', remedy='name another with --out')
+    if out is None and (checked := _copied(bag, files, bag, Tally())).sound:
+        return checked
     if target.exists():
-        raise BadInputError(str(target), 'exists already', remedy='move it away first')
-    result = Recovered(target)
-    result.notes += [f'  {note}' for note in missing_parts(files)]
-    counted = _counted(bag)
-    work = target.with_name(f'{target.name}.part')
-    shutil.rmtree(work, ignore_errors=True)
+        raise BadInputError(str(target), 'exists already',
+                            remedy='move it away, or name another with --out')
     try:
-        work.mkdir()
-        writer = BagWriter(work / target.name)
-        for file in files:
-            _copy_file(file, writer, result, alone=len(files) == 1)
-        writer.close()
-        if not result.messages:
-            what = '; '.join(('holds no whole message', *map(str.strip, result.notes)))
-            raise BadInputError(str(bag), what, remedy='nothing to recover')
-        absent = counted - result.messages - result.undecodable
-        if absent > 0:
-            result.notes.append(f'  metadata.yaml counts {counted} messages')
-            result.lost = max(result.lost, absent)
-        (work / target.name).rename(target)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix='.unfinished_') as work:
+            writer = BagWriter(Path(work, target.name))
+            result = _copied(bag, files, target, writer)
+            writer.close()
+            writer.path.rename(target)
     except OSError as error:
-        remedy = 'make room, or copy the bag elsewhere'
-        raise BadInputError(
-            str(target), f'cannot be written: {error.strerror}', remedy=remedy
-        ) from error
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+        raise BadInputError(str(target), f'cannot be written: {error.strerror}',
+                            remedy='make room, or choose another place by --out') from error
     return result
 
 
-def _counted(bag: Path) -> int:
-    """Number of messages by metadata.yaml; 0 where it does not say."""
+class Tally:
+    """In place of a writer: counts what one would have written."""
+
+    def __init__(self) -> None:
+        self.counts: dict[str, int] = {}
+
+    def add_topic(self, key: str, *_: object, **__: object) -> None:
+        """Count messages of this key."""
+        self.counts[key] = 0
+
+    def write(self, key: str, *_: object) -> None:
+        """Count one."""
+        self.counts[key] += 1
+
+
+def _copied(bag: Path, files: Sequence[Path], target: Path,
+            writer: BagWriter | Tally) -> Recovered:
+    """Copy all intact messages; BadInputError where there are none."""
+    result = Recovered(target)
+    result.notes += [f'  {note}' for note in missing_parts(files)]
+    counted = _counted(bag)
+    result.sound = not result.notes and (counted is not None or not bag.is_dir())
+    for file in files:
+        _copy_file(file, writer, result, alone=len(files) == 1)
+    if not result.messages:
+        what = '; '.join(('holds no whole message', *map(str.strip, result.notes)))
+        raise BadInputError(str(bag), what, remedy='nothing to recover')
+    absent = (counted or 0) - result.messages - result.undecodable
+    if absent > 0:
+        result.notes.append(f'  metadata.yaml counts {counted} messages')
+        result.lost = max(result.lost, absent)
+    result.sound &= not (result.lost or result.undecodable or result.refused)
+    return result
+
+
+def _counted(bag: Path) -> int | None:
+    """Number of messages by metadata.yaml; None where it does not say."""
     try:
         content = yaml.safe_load((bag / 'metadata.yaml').read_text(encoding='utf-8'))
         return int(content['rosbag2_bagfile_information']['message_count'])
     except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
-        return 0
+        return None
 
 
-def _copy_file(file: Path, writer: BagWriter, result: Recovered, *, alone: bool) -> None:
+def _copy_file(file: Path, writer: BagWriter | Tally, result: Recovered, *, alone: bool) -> None:
     """Copy the intact messages; BadInputError where the bag's only file is unreadable."""
     undecodable = result.undecodable
 
@@ -120,6 +152,7 @@ def _copy_file(file: Path, writer: BagWriter, result: Recovered, *, alone: bool)
         result.total_bytes += len(scan.data)
         result.unread_bytes += scan.unread
         result.lost += scan.lost
+        result.sound &= scan.complete
         notes = _notes(scan, all_decoded=result.undecodable == undecodable)
         result.notes += [f'  {file.name}: {note}' for note in notes]
 
@@ -132,9 +165,10 @@ def _copy_file(file: Path, writer: BagWriter, result: Recovered, *, alone: bool)
         if alone:
             raise
         result.notes.append(f'  {error}')
+        result.sound = False
 
 
-def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
+def _copy(message: Message, writer: BagWriter | Tally, result: Recovered) -> None:
     sound = message.data and message.time_ns < LATEST_NS
     key = _declared(message.topic, writer, result) if sound else ''
     if not key:
@@ -144,7 +178,7 @@ def _copy(message: Message, writer: BagWriter, result: Recovered) -> None:
     result.counts[key] = writer.counts[key]
 
 
-def _declared(topic: Topic, writer: BagWriter, result: Recovered) -> str:
+def _declared(topic: Topic, writer: BagWriter | Tally, result: Recovered) -> str:
     """Declare the topic; returns its key, empty where its type is damaged."""
     key = topic.name
     if result.kinds.setdefault(key, topic.kind) != topic.kind:
@@ -166,6 +200,7 @@ def _qos(topic: Topic, result: Recovered) -> tuple[Qos, ...]:
         return tuple(parse_qos(topic.qos))
     except Exception as error:  # noqa: BLE001  (whatever a damaged text makes the parser raise)
         result.notes.append(f'  {topic.name}: its QoS is not readable ({error}); left out')
+        result.sound = False
         return ()
 
 
@@ -194,9 +229,14 @@ def _notes(scan: McapScan, *, all_decoded: bool) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; exits with the contract's status."""
     parser = OneLineParser(
-        prog='recover', description='Rebuild a bag whose recorder was killed, as BAG_recovered.'
+        prog='recover', description='Rebuild a bag whose recorder was killed or whose files are '
+        'damaged. The bag is only read; a sound one is left as it is.'
     )
     parser.add_argument('bag', type=Path, metavar='BAG', help='bag directory, .mcap or .db3 file')
-    bag = parser.parse_args(arguments).bag
-    result = ended_in_one_line('recover', lambda: recover(bag))
+    parser.add_argument('--out', type=Path, metavar='DIR', help='a new folder '
+                        '(default: BAG_recovered beside a damaged bag, none of a sound one)')
+    options = parser.parse_args(arguments)
+    result = ended_in_one_line('recover', lambda: recover(options.bag, options.out))
     say('\n'.join(result.lines()) + '\n')
+    if result.path == options.bag:
+        say('the bag is sound: nothing to recover, nothing copied (--out DIR does)\n')

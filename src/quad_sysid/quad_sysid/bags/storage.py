@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING
 import yaml
 
 from quad_sysid.bags.stored.files import (
+    RECORDING,
     SQLITE_MAGIC,
     ZSTD_MAGIC,
     address,
+    is_recorded,
     plain_file,
     plain_message,
     sqlite_fault,
@@ -63,6 +65,8 @@ class Storage:
     """`custom_data` of metadata.yaml."""
     others: dict[str, str] = field(default_factory=dict)
     """Topics of the files that are not wanted, with their types."""
+    _growing: Path | None = None
+    """The file that a logger still writes."""
 
     def batches(self) -> Iterator[Batch]:
         """Messages of `topics`, decompressed. BadInputError for a damaged or foreign file."""
@@ -94,16 +98,16 @@ class Storage:
         if path.is_file():
             if path.suffix in FOREIGN:
                 raise BadInputError(str(path), f'is {FOREIGN[path.suffix]}')
+            self._unlisted([path])
             return [path]
         files = storage_in(path)
         listed = self._metadata()
         if not files:
             raise without_storage(path, listed)
         if listed is None:
-            self.warnings.append(
-                f'{path}: metadata.yaml is missing or unreadable (the recorder was killed?): '
-                f'read {", ".join(p.name for p in files)} as it is'
-            )
+            names = ', '.join(p.name for p in files)
+            self._unlisted(files, f'metadata.yaml is missing or unreadable (the recorder was '
+                           f'killed?): read {names} as it is')
             return files
         absent = [name for name in listed if not (path / name).exists()]
         if absent:
@@ -122,6 +126,15 @@ class Storage:
                 names = ', '.join(file.name for file in group)
                 self.warnings.append(f'{path}: metadata.yaml does not list {names}: {what}')
         return sorted([*present, *parts], key=lambda p: (len(p.name), p.name))
+
+    def _unlisted(self, files: list[Path], otherwise: str = '') -> None:
+        """Warn of files that are still being recorded, or else say this."""
+        if is_recorded(files[-1]):
+            self._growing = files[-1]
+            otherwise = (f'{RECORDING}: read as far as it is on the disk; stop the recording for '
+                         'all of it')
+        if otherwise:
+            self.warnings.append(f'{self.path}: {otherwise}')
 
     def _metadata(self) -> list[str] | None:
         """File names that metadata.yaml lists; None where it is missing or unreadable."""
@@ -173,7 +186,7 @@ class Storage:
         if not (scan.ended or scan.returned or scan.others or scan.unnamed):
             raise BadInputError(str(shown), 'is cut off before its first whole message',
                                 remedy='nothing can be recovered: record again')
-        if not scan.ended:
+        if not scan.ended and shown != self._growing:
             self.warnings.append(f'{shown}: cut off (no end of data): read the intact part; '
                                  '`ros2 run quad_bridge recover` rebuilds the bag')
         elif scan.bad_chunks:

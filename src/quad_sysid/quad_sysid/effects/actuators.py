@@ -208,6 +208,10 @@ MAPS = (
 )
 
 
+SAG_SHOWS = 0.05
+"""Relative change of the voltage that shows it; a smaller one shows a strong one at most."""
+
+
 class BatterySag(Effect):
     """The gain follows a power of the battery's voltage."""
 
@@ -222,7 +226,8 @@ class BatterySag(Effect):
             return volts
         used = data.training(volts)
         if np.ptp(used) < 0.002 * np.mean(used):
-            return f'the voltage moves by {np.ptp(used):.3f} V only; fly longer'
+            return (f'the voltage moves by {np.ptp(used):.3f} V only; fly until it has sunk by '
+                    f'{SAG_SHOWS:.0%}')
         return {'reference_v': float(np.mean(used))}
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:

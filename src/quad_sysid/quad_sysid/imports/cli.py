@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quad_sysid.arguments import Commands, command, positive
+from quad_sysid.arguments import Commands, command, log_options, positive
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.units import OPTIONS, columns_of, flag
@@ -40,16 +40,12 @@ def add(commands: Commands) -> None:
     parser.add_argument('--grid', metavar='HZ', type=float,
                         help='rate of the bag, at most 4 times that of the log (default: what the '
                         'times say)')
-    parser.add_argument('--log', metavar='N', type=int, default=1,
-                        help='of several logs in one blackbox file (default 1)')
+    log_options(parser)
     parser.add_argument('--mixer', metavar='auto|LAYOUT|FILE',
                         help='where the motors are: a layout such as x, plus, crazyflie, '
                         'ardupilot_hexa_x, betaflight_octox8, a URDF, or a YAML file with '
                         'matrix: (default what the log says, else x; auto: what the motion '
                         'shows)')
-    parser.add_argument('--messages', metavar='FOLDER', type=Path,
-                        help='checkout with the .msg files of a bag that holds no definitions, '
-                        'such as px4_msgs')
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
     parser.add_argument('--json', action='store_true',
                         help='list the columns of a table and their guesses as JSON')
@@ -113,9 +109,11 @@ def _log(options: argparse.Namespace, known: Format) -> int:
 
 def _table(options: argparse.Namespace, columns: list[str]) -> int:
     from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
+    from quad_sysid.imports.formats import check_single
     from quad_sysid.imports.guess import described, lines
     from quad_sysid.imports.table import is_ours, open_table
 
+    check_single(options.file, 'a table', options.log)
     if not columns:
         if is_ours(options.file):
             raise BadInputError(f'{options.file}', 'is a bag of this project already',

@@ -22,6 +22,7 @@ from quad_sysid.imports.mixers import MIRROR, mixer_of
 from quad_sysid.imports.plausible import (
     TOGETHER,
     Column,
+    check_extent,
     check_rate,
     check_reference,
     check_times,
@@ -447,7 +448,7 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
         role: grid.values if stream is base else draw(stream, grid.times, 3.0 / stream.rate_hz)
         for role in ('rate', 'angle', 'reference') if (stream := streams[role]) is not None
     }
-    odd = []
+    odd, leaning = [], []
     for i, axis in enumerate(options.axes):
         columns = {
             role: _column(options, units, getattr(options, role)[i], values[:, i],
@@ -458,9 +459,11 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
             _check_angle(columns['angle'], axis)
         if 'rate' in columns:
             odd += check_rate(columns['rate'], columns.get('angle'), grid.dt)
+        if columns.keys() >= {'rate', 'angle'} and axis != 'yaw':
+            leaning.append((columns['rate'], columns['angle']))
         if 'reference' in columns and 'angle' in columns:
             check_reference(columns['reference'], columns['angle'])
-    return odd
+    return odd + check_extent(leaning)
 
 
 def _check_angle(angle: Column, axis: str) -> None:

@@ -64,14 +64,20 @@ def format_of(path: Path) -> Format | None:
     return next((one for one in FORMATS if one.recognises(of)), None)
 
 
+def check_single(path: Path, kind: str, log: int) -> None:
+    """Raise BadInputError where --log asks for another than the only one that a file holds."""
+    if log != 1:
+        raise BadInputError(f'{path}: --log', f'{kind} holds one log', log, 'leave it out')
+
+
 def read_log(path: Path, known: Format, log: int = 1, messages: Path | None = None) -> ForeignLog:
     """Read a log; `log` counts those of a file that holds several. Raises BadInputError."""
     values: dict[str, Any] = {'log': log, 'messages': messages}
-    for name, unset in (('log', 1), ('messages', None)):
-        if values[name] != unset and name not in known.options:
-            what = 'holds one log' if name == 'log' else 'needs no definitions'
-            raise BadInputError(f'{path}: --{name}', f'{known.name} {what}', values[name],
-                                'leave it out')
+    if 'log' not in known.options:
+        check_single(path, known.name, log)
+    if messages is not None and 'messages' not in known.options:
+        raise BadInputError(f'{path}: --messages', f'{known.name} needs no definitions', messages,
+                            'leave it out')
     with plain(path) as unpacked:
         read = known.read(unpacked, **{name: values[name] for name in known.options})
     return replace(read, source=str(path)) if unpacked != path else read

@@ -19,7 +19,7 @@ import numpy as np
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.columns import ColumnOptions, read_columns
-from quad_sysid.imports.formats import format_of, read_log
+from quad_sysid.imports.formats import check_single, format_of, read_log
 from quad_sysid.imports.likely import likely_units, one_sided
 from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.plausible import time_unit
@@ -409,6 +409,7 @@ def read_any(path: Path, log: int = 1, messages: Path | None = None) -> ForeignL
     known = format_of(path)
     if known is not None:
         return read_log(path, known, log, messages)
+    check_single(path, 'a table', log)
     content, refused = open_table(path, messages=messages), ''
     for guessed in guesses(content):
         options = guessed.options(path)

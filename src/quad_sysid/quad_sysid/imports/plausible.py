@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,10 @@ TOGETHER = 0.6
 NEAR = 0.4
 """Largest difference of a factor's logarithm that counts as near (a factor of 1.5)."""
 TOLERATED = 0.2
+ABSURD = 10.0
+"""Factor between rate and angle that no filter or drift makes: a unit is wrong."""
+CALM, WILD = DEGREE, 1.0
+"""Angles, rad, below and above which rate and angle together may be in the wrong unit."""
 MIN_TICK = 0.5
 """Least interval of times in ms, us or ns, as it stands: they are whole numbers, or nearly so."""
 SLOWEST_HZ = 1.0
@@ -129,18 +134,45 @@ def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
     alone = (f'the unit of {rate.name} could not be checked: its RMS is {size:.3g} rad/s, '
              f'{size / DEGREE:.3g} deg/s')
     compared = None if angle is None else turn_factor(rate.values, angle.values, dt)
+    check_size(rate)
     if angle is None or compared is None:
-        check_size(rate)
         return [] if rate.named else [alone + ('; add --angle' if angle is None else '')]
     together, factor = compared
     if abs(together) < TOGETHER:
         loose = f'(correlation {together:.2f})'
         return [f'{rate.name} and the change of {angle.name} disagree {loose}: {alone}']
     _refuse(rate, angle, factor)
+    if not 1.0 / ABSURD < abs(factor) < ABSURD:
+        raise BadInputError(
+            rate.where, f'{angle.name} moves {factor:.3g} times as far as {rate.name} says',
+            f'{rate.name} in {rate.unit.name}, {angle.name} in {angle.unit.name}',
+            f'name the true unit of one, such as {rate.advise(rate.unit.factor * factor)}')
     if abs(factor - 1.0) > TOLERATED:
         advice = f'if the rate is at fault, {rate.advise(rate.unit.factor * factor)}'
         return [f'{angle.name} changes by {factor:.3g} times what {rate.name} gives: {advice}']
     return []
+
+
+def check_extent(pairs: Sequence[tuple[Column, Column]]) -> list[str]:
+    """A line where rates and angles agree, but move so that both may be in the wrong unit.
+
+    Nothing else tells: the integral of a rate in deg/s is an angle in degrees, whatever both are
+    called. `pairs`: rate and angle of roll and pitch.
+    """
+    sizes = [float(np.nanquantile(np.abs(angle.values - np.nanmedian(angle.values)), 0.99))
+             for _, angle in pairs]
+    both = [column for pair in pairs for column in pair]
+    if pairs and max(sizes) < CALM and all(c.unit.name == c.degrees for c in both):
+        said, other = f'{max(sizes) / DEGREE:.2g} deg only', [c.radians for c in both]
+    elif pairs and max(sizes) > WILD and not any(
+            c.named or c.unit.name == c.degrees for c in both):
+        said, other = f'{max(sizes):.2g} rad', [c.degrees for c in both]
+    else:
+        return []
+    names = ' and '.join(angle.name for _, angle in pairs)
+    advice = ' '.join(c.advise(unit) for c, unit in zip(both, other, strict=True))
+    unit = 'radians' if other[0].startswith('rad') else 'degrees'
+    return [f'{names} moves by {said}, and the rate agrees: if both are in {unit}, {advice}']
 
 
 def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, float] | None:
@@ -214,6 +246,12 @@ def _refuse(first: Column, angle: Column, factor: float) -> None:
     if factor < 0.0 and _near(factor, 1.0):
         ways: list[tuple[Column, str | float]] = [(c, -c.unit.factor) for c in (first, angle)]
         remedy = 'one of them turns against forward-left-up'
+    elif _near(factor, DEGREE**2, DEGREE**-2):
+        large, small = (angle, first) if abs(factor) > 1.0 else (first, angle)
+        raise BadInputError(
+            large.where, f'{angle.name} moves {factor:.3g} times as far as {first.name} says',
+            f'{first.name} in {first.unit.name}, {angle.name} in {angle.unit.name}',
+            f'name both units: {large.advise(large.degrees)} {small.advise(small.radians)}')
     elif _near(factor, DEGREE, 1.0 / DEGREE):
         large, small = (angle, first) if abs(factor) > 1.0 else (first, angle)
         degrees, radians = (large.degrees, small.radians) if factor > 0.0 else (-DEGREE, -1.0)

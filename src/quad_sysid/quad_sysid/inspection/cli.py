@@ -15,6 +15,7 @@ from quad_sysid.arguments import (
     NOT_ANSWERED,
     Commands,
     command,
+    log_options,
     quiet_and_json,
 )
 from quad_sysid.report.words import by_reason
@@ -30,10 +31,11 @@ def add(commands: Commands) -> None:
     parser = command(
         commands, 'inspect', _run,
         'Show on one page what a bag or log holds and what it can be used for, without a fit.',
-        'quad-sysid inspect flight/', writes='file',
+        'quad-sysid inspect flight/', reads='bag', writes='file',
     )
     parser.add_argument('bag', metavar='BAG', help='rosbag2 directory, .mcap file, a log of PX4, '
                         'ArduPilot, Betaflight or INAV, or a table')
+    log_options(parser)
     parser.add_argument('--out', metavar='HTML', type=Path,
                         help='write a page too, with the motors drawn in their places')
     quiet_and_json(parser, 'one JSON object')
@@ -44,7 +46,7 @@ def _run(options: argparse.Namespace) -> int:
     from quad_sysid.inspection.content import content
     from quad_sysid.inspection.text import lines
 
-    report = content(options.bag)
+    report = content(options.bag, options.log, options.messages)
     if options.out is not None:
         from quad_sysid.files import check_page, write_whole
         from quad_sysid.inspection.page import MARK, page

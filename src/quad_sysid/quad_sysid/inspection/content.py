@@ -20,13 +20,15 @@ from quad_sysid.contract import AXES, TOPIC_TYPES
 from quad_sysid.craft import Craft, X
 from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
+from quad_sysid.effects.actuators import SAG_SHOWS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.foresight import improvement
-from quad_sysid.imports.formats import format_of
+from quad_sysid.imports.formats import check_single, format_of
 from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.table import head_of, is_bag
 from quad_sysid.imports.to_bag import record_of, uneven
 from quad_sysid.model.data import AxisData, Span, axis_data
+from quad_sysid.model.effect import required
 from quad_sysid.motor_layout import (
     Pattern,
     commands_of,
@@ -191,7 +193,16 @@ def _effect(words: str, name: str, data: AxisData) -> Use:
     answers = [effect.prepare(data) for effect in EFFECTS if effect.name == name]
     refused = [one for one in answers if isinstance(one, str)]
     because = refused[0] if len(refused) == len(answers) else ''
-    return Use(f'find {words}', possible=not because, because=because)
+    return Use(f'find {words}', possible=not because,
+               because=because or (_weak_sag(data) if name == 'battery_sag' else ''))
+
+
+def _weak_sag(data: AxisData) -> str:
+    """A condition where the voltage moves less than shows how the thrust follows it."""
+    volts = data.training(required(data.battery_v))
+    moved = float(np.ptp(volts) / np.mean(volts))
+    return '' if moved >= SAG_SHOWS else (
+        f'a strong one only: the voltage moves by {moved:.1%}, {SAG_SHOWS:.0%} shows it surely')
 
 
 _EFFECTS = (
@@ -290,8 +301,11 @@ class Content:
     warnings: tuple[str, ...] = ()
 
 
-def content(path: str | Path) -> Content:
-    """Content of a bag, a log or a table; raises BadInputError where it cannot be read."""
+def content(path: str | Path, log: int = 1, messages: Path | None = None) -> Content:
+    """Content of a bag, a log or a table; raises BadInputError where it cannot be read.
+
+    `log`: of several in a blackbox file; `messages`: a folder of .msg files.
+    """
     source, held = str(path), Topics((), (), ())
     record: Record | None = None
     if is_bag(Path(path), head_of(Path(path))):
@@ -301,11 +315,13 @@ def content(path: str | Path) -> Content:
         except BadInputError as error:
             if format_of(Path(path)) is None:  # else of another autopilot
                 return Content(source, held, unusable=str(error), warnings=held.warnings)
-    if record is None:
-        log = read_any(Path(path))
-        record, notes, doubts_of_it = record_of(log)
+    if record is not None:
+        check_single(Path(path), 'a bag', log)
+    else:
+        read = read_any(Path(path), log, messages)
+        record, notes, doubts_of_it = record_of(read)
         record = replace(record, warnings=(
-            *log.checks, *doubts_of_it, *uneven(notes), *record.warnings))
+            *read.checks, *doubts_of_it, *uneven(notes), *record.warnings))
     named = any(s.role in ('train', 'validation') for s in record.segments)
     with threadpool_limits(limits=1):
         return of_record(split_segments(record), held, split=not named)

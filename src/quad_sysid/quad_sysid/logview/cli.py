@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from quad_sysid.arguments import Commands, command, progress, quiet_and_json
+from quad_sysid.arguments import Commands, command, log_options, progress, quiet_and_json
 from quad_sysid.errors import BadInputError
 
 
@@ -22,12 +22,9 @@ def add(commands: Commands) -> None:
                         'Betaflight or INAV, a table, or a bag; several are laid over one another')
     parser.add_argument('--out', metavar='HTML', help='the page to write (default: FILE_look.html '
                         'in this folder; an older one of look is replaced)')
-    parser.add_argument('--log', metavar='N', type=int, default=1,
-                        help='of several logs in one blackbox file (default 1)')
-    parser.add_argument('--messages', metavar='FOLDER', type=Path,
-                        help='checkout with the .msg files of a bag that holds no definitions')
+    log_options(parser)
     parser.add_argument('--no-page', action='store_true', help='write no page')
-    quiet_and_json(parser, 'one JSON object, of several files a list')
+    quiet_and_json(parser, 'one JSON object (of several files a list)')
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from quad_sysid.bags import read_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import cycles, drawn_on, held_on, hold
+from quad_sysid.imports.formats import check_single
 from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.plausible import FASTEST_RAD_S
@@ -90,9 +91,13 @@ def look(flight: Record | Flown | str | Path, *, log: int = 1,
 
 def read(path: Path, log: int = 1, messages: Path | None = None) -> Flown:
     """Everything that is looked at in a file or bag; raises BadInputError."""
+    record = None
     if is_bag(path, head_of(path)):
         with suppress(BadInputError):  # then it holds other topics, which the readers below know
-            return of_record(read_bag(path), 'a bag')
+            record = read_bag(path)
+    if record is not None:
+        check_single(path, 'a bag', log)
+        return of_record(record, 'a bag')
     return of_log(read_any(path, log, messages))
 
 

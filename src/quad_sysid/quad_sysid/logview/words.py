@@ -30,7 +30,7 @@ MOST_GAINS = 6
 
 def lines(look: Measured) -> list[str]:
     """One page for a terminal."""
-    out = [*answer(look), '', header(look)]
+    out = [*answer(look), '', *wrapped(header(look), '  ', '')]
     for table in tables(look):
         if table.rows:
             out += ['', *table.text()]
@@ -155,12 +155,13 @@ def steps(part: Part) -> Table:
         for s in one.steps:
             f = s.figures
             largest = f'{DEG * s.largest:.0f}' + (' deg/s' if s.quantity == 'rate' else ' deg')
-            rows.append([axis, s.quantity, s.amplitude, largest, _ms(f.rise_time_s),
-                         f'{f.overshoot_pct:.1f}', _ms(f.settling_time_s), _ms(s.latency_s),
+            rows.append([axis, s.quantity, s.amplitude, largest, _or(1e3 * f.rise_time_s, '.3g'),
+                         f'{f.overshoot_pct:.1f}', _or(1e3 * f.settling_time_s, '.3g'),
+                         _or(1e3 * s.latency_s, '.3g'),
                          f'{100.0 - f.final_error_pct:.0f}', f'{100.0 * s.fit:.0f}',
                          str(s.windows)])
-    return Table(['axis', 'of', 'set-points', 'up to', 'rise', 'over, %', 'settled', 'half',
-                  'end, %', 'fit, %', 'n'], rows, range(3, 11), caption=(
+    return Table(['axis', 'of', 'set-points', 'up to', 'rise, ms', 'over, %', 'settled, ms',
+                  'half, ms', 'end, %', 'fit, %', 'n'], rows, range(3, 11), caption=(
                       f'{_title(part)}Step response by regularised deconvolution of set-point and '
                       'measurement; rise 10 to 90 %, settled within 5 %, half: time to half the '
                       'step; end: level reached; fit: share of the output that it explains; n '

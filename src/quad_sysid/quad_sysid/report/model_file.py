@@ -18,7 +18,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
-from quad_sysid.axes import axis_of
+from quad_sysid.axes import axes_in, axis_of
 from quad_sysid.blackbox import Model, polynomial_model
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
@@ -123,13 +123,21 @@ def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> di
     }
 
 
-def pick(models: Mapping[str, AxisModel], axis: str,
+def pick(models: Mapping[str, AxisModel], axes: str | None,
          path: str | os.PathLike[str]) -> dict[str, AxisModel]:
-    """The model of one axis alone; BadInputError naming the file where it has none."""
-    if axis not in models:
-        raise BadInputError(f'{path}: axes', 'lacks this axis', axis,
+    """The models of the axes that --axis names, of all without it; `all` takes what is there.
+
+    BadInputError naming the file where it lacks one that is named, or holds none of `all`.
+    """
+    if axes is None:
+        return dict(models)
+    wanted, named = axes_in(axes), axes.split(',')
+    chosen = {axis: models[axis] for axis in wanted if axis in models}
+    lacking = [axis for axis in wanted if axis not in models and (axis in named or not chosen)]
+    if lacking:
+        raise BadInputError(f'{path}: axes', 'lacks this axis', ', '.join(lacking),
                             f'it holds {", ".join(models)}')
-    return {axis: models[axis]}
+    return chosen
 
 
 def tree_of(model: Model) -> dict[str, Any]:

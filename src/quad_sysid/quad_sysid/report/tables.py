@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import zip_longest
 from typing import Any
 
 from quad_sysid.axes import units_of
@@ -14,6 +16,10 @@ from quad_sysid.units import shown_in
 
 Tree = Mapping[str, Any]
 WIDTH = 78
+COLUMNS = 80
+"""Most of a table's line."""
+NARROWEST = 8
+"""Width to which a column of words is broken at most."""
 MODELS = (('before', 'base'), ('after', 'completed'), ('blackbox', 'black box'))
 GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_kd': 's²/rad',
               'd_filter_hz': 'Hz'}
@@ -56,15 +62,39 @@ class Table:
             return []
         shown = [c for c in (columns or range(len(self.head))) if c != below]
         cells = [[line[c] for c in shown] for line in (self.head, *self.rows)]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        widths = _widths(cells, [i for i, c in enumerate(shown) if c not in self.numeric])
         out = []
         for at, line in enumerate(cells, -1):
-            padded = (cell.rjust(width) if c in self.numeric else cell.ljust(width)
-                      for cell, width, c in zip(line, widths, shown, strict=True))
-            out.append(('*' if at == self.marked else ' ') + '  '.join(padded).rstrip())
+            broken = (textwrap.wrap(cell, width) if len(cell) > width else [cell]
+                      for cell, width in zip(line, widths, strict=True))
+            for k, parts in enumerate(zip_longest(*broken, fillvalue='')):
+                padded = (part.rjust(width) if c in self.numeric else part.ljust(width)
+                          for part, width, c in zip(parts, widths, shown, strict=True))
+                mark = '*' if at == self.marked and not k else ' '
+                out.append(mark + '  '.join(padded).rstrip())
             if at >= 0 and below is not None:
                 out += wrapped(self.rows[at][below], '    ')
         return out + wrapped(self.caption if caption else '', ' ')
+
+
+def _widths(cells: Sequence[Sequence[str]], words: Collection[int]) -> list[int]:
+    """Of the columns: where a line is too long the heads are broken, then one column of `words`.
+
+    That is the widest of those that can be broken between words.
+    """
+    columns = [*zip(*cells, strict=True)]
+    widths = [max(map(len, column)) for column in columns]
+    free = COLUMNS - 1 - 2 * (len(widths) - 1)
+    for between in ('(?<=,) ', ' '):  # before a unit, else anywhere
+        if sum(widths) > free:
+            widths = [max(map(len, (*re.split(between, head), *body))) for head, *body in columns]
+    over = sum(widths) - free
+    if over > 0 and words:
+        longest = [max((len(word) for cell in column for word in cell.split()), default=0)
+                   for column in columns]
+        at = max(words, key=lambda i: (longest[i] <= widths[i] - over, widths[i]))
+        widths[at] = max(NARROWEST, widths[at] - over)
+    return widths
 
 
 def _cell(tag: str, name: str, text: str) -> str:

@@ -233,8 +233,9 @@ def horizon_words(error: Tree) -> str:
     at = next(h for h in listed if h['horizon_s'] == reach_s)
     last = listed[-1]['horizon_s']
     beyond = '' if reach_s == last else f'; further ahead, up to {last:g} s, it predicts less well'
-    return (f' It halves the error of holding the last value up to {reach_s:g} s ahead (off by '
-            f'{number(at["after"])} instead of {number(at["hold"])} {error["unit"]}){beyond}.')
+    return (f' It at least halves the error of holding the last value up to {reach_s:g} s ahead '
+            f'(off by {number(at["after"])} instead of {number(at["hold"])} {error["unit"]})'
+            f'{beyond}.')
 
 
 def causes(tree: Tree) -> str:

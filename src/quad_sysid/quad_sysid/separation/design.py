@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 
 from threadpoolctl import threadpool_limits
 
@@ -288,8 +289,11 @@ def _check(names: Names, seconds: float, effects: Sequence[Effect]) -> None:
     all_names = [NOTHING, *dict.fromkeys(e.name for e in effects)]
     for name in names:
         if name not in all_names:
-            raise BadInputError('--separate', 'unknown effect', repr(name),
-                                f'use {", ".join(all_names)}')
+            near = [one for one in all_names if name in one][:3] or get_close_matches(
+                name, all_names)
+            raise BadInputError('--separate', 'unknown effect', repr(name), (
+                f'do you mean {" or ".join(near)}? ' if near else '')
+                + 'docs/what_is_missing.md lists the effects')
     if names[0] == names[1]:
         raise BadInputError('--separate', 'needs two different effects', ' '.join(names))
     if not MIN_DURATION_S <= seconds <= MAX_DURATION_S:

@@ -5,6 +5,7 @@ rosbags reads sqlite3 files; here is only the check whether SQLite can still rea
 
 from __future__ import annotations
 
+import fcntl
 import shutil
 import sqlite3
 import sys
@@ -24,6 +25,19 @@ ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 PACKED = '.zstd'
 """Suffix of a storage file that is compressed as a whole."""
 SQLITE_MAGIC = b'SQLite format 3\x00'
+
+
+RECORDING = 'is still being recorded'
+
+
+def is_recorded(file: Path) -> bool:
+    """Whether a logger of ours still writes this file: it keeps it locked."""
+    try:
+        with file.open('rb') as stream:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
+    return False
 
 
 def plain_message(data: bytes) -> bytes:
