@@ -138,7 +138,7 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
     begun = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, begun.theta)
-    rungs = [Rung(lowest, projection.apart(lowest.structure, lowest.theta), 0.0)]
+    rungs = [Rung(lowest, projection.apart(lowest), 0.0)]
     ladder = Ladder(models, tuple(rungs))
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
@@ -149,7 +149,7 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
         step = climb.next(last.model, finer=last.explains_pct >= EXPLAINS)
         if step is None or last.model.total - step.total < NEGLIGIBLE * lowest.total:
             break
-        missed = projection.apart(step.structure, step.theta) if step.total else step.missed
+        missed = projection.apart(step) if step.total else step.missed
         share = 1.0 - float(np.sum(missed)) / rungs[0].total
         if 100.0 * share - last.explains_pct >= 100.0 * NEGLIGIBLE and models.follows(step):
             climb.left_out.clear()
@@ -346,5 +346,6 @@ def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[Flo
         model = rung.model
         structure = projection.structure(model.structure.parts)
         own = model.theta[: len(structure.specs) - projection.noise.size]
-        out.append(projection.apart(structure, np.r_[own, projection.noise]))
+        again = projection.project(structure, np.r_[own, projection.noise], coarse=True)
+        out.append(projection.apart(again))
     return out

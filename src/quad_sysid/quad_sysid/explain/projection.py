@@ -103,12 +103,12 @@ class Projection:
         """(p,) the base's coordinates of a fit, with the reference's noise."""
         return np.concatenate([theta[: self.base], self.noise])
 
-    def project(self, structure: Structure, start: FloatArray, *,
-                coarse: bool = False) -> Projected:
+    def project(self, structure: Structure, start: FloatArray, *, coarse: bool = False,
+                most: int = MOST_STEPS) -> Projected:
         """The parameters with the least squares to the reference, by Levenberg and Marquardt.
 
         The priors of the fit count beside errors of the size of the reference's innovations, so
-        that curves stay smooth. coarse: near enough to choose among candidates.
+        that curves stay smooth. coarse: near enough to choose among candidates. most: steps.
         """
         theta = start.astype(float)
         own = theta.size - self.noise.size
@@ -129,7 +129,7 @@ class Projection:
 
         run, rows = residuals(theta)
         value, damping = float(rows @ rows), 1e-3
-        for _ in range(MOST_STEPS // 2 if coarse else MOST_STEPS):
+        for _ in range(min(most, MOST_STEPS // 2) if coarse else most):
             columns = np.vstack([self._differences(structure, theta, run, steps), root])
             factor = upper(np.column_stack([columns, rows]))[:own]
             a, b = factor[:, :-1], factor[:, -1]
@@ -155,20 +155,21 @@ class Projection:
         difference = run.errors - self.goal
         return Projected(structure, theta, np.sum(difference**2, axis=1))
 
-    def apart(self, structure: Structure, start: FloatArray) -> FloatArray:
-        """(windows,) what a structure misses of stretches that its parameters have not seen.
+    def apart(self, model: Projected) -> FloatArray:
+        """(windows,) what a model misses of stretches that its parameters have not seen.
 
-        Each of STRETCHES of the training is missed by the parameters that the others give: a
-        curve that holds only where it was fitted explains less elsewhere.
+        Each of STRETCHES of the training is run with what the others give, one step from the
+        parameters of all: a curve that holds only where it was fitted explains less elsewhere.
         """
         count = self.windows.count
         stretch = np.arange(count) * STRETCHES // max(count, 1)
         missed = np.empty(count)
         for one in range(min(STRETCHES, count)):
             inside = stretch == one
-            others = self._on(~inside).project(structure, start, coarse=True)
+            others = self._on(~inside).project(model.structure, model.theta, most=1)
             here = self._on(inside)
-            missed[inside] = np.sum((here.run(structure, others.theta) - here.goal)**2, axis=1)
+            error = here.run(model.structure, others.theta) - here.goal
+            missed[inside] = np.sum(error**2, axis=1)
         return missed
 
     def _on(self, which: NDArray[np.bool_]) -> Projection:
