@@ -162,9 +162,10 @@ class Projection:
         parameters of all: a curve that holds only where it was fitted explains less elsewhere.
         """
         count = self.windows.count
-        stretch = np.arange(count) * STRETCHES // max(count, 1)
-        missed = np.empty(count)
-        for one in range(min(STRETCHES, count)):
+        if count < STRETCHES:  # too short to be cut
+            return model.missed
+        stretch, missed = np.arange(count) * STRETCHES // count, np.empty(count)
+        for one in range(STRETCHES):
             inside = stretch == one
             others = self._on(~inside).project(model.structure, model.theta, most=1)
             here = self._on(inside)
