@@ -149,7 +149,7 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
         step = climb.next(last.model, finer=last.explains_pct >= EXPLAINS)
         if step is None or last.model.total - step.total < NEGLIGIBLE * lowest.total:
             break
-        missed = projection.apart(step) if step.total else step.missed
+        missed = projection.apart(step)
         share = 1.0 - float(np.sum(missed)) / rungs[0].total
         if 100.0 * share - last.explains_pct >= 100.0 * NEGLIGIBLE and models.follows(step):
             climb.left_out.clear()
@@ -183,7 +183,7 @@ class _Climb:
         self.projection, self.parts, self.whole = projection, parts, whole
         self.likely = {frozenset(one.fit.structure.labels): one.score for one in found.all}
         self.left_out: set[str] = set()
-        """Labels of what runs away beside the rung, or explains too little elsewhere."""
+        """Labels of what runs away beside the rung, or explains too little of the rest."""
 
     def next(self, model: Projected, *, finer: bool) -> Projected | None:
         """The model with one more effect, of those believed, that is nearest to the reference.

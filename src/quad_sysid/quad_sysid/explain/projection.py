@@ -159,18 +159,17 @@ class Projection:
         """(windows,) what a model misses of stretches that its parameters have not seen.
 
         Each of STRETCHES of the training is run with what the others give, one step from the
-        parameters of all: a curve that holds only where it was fitted explains less elsewhere.
+        parameters of all: a curve that holds only where it was fitted explains less of the rest.
         """
         count = self.windows.count
-        if count < STRETCHES:  # too short to be cut
+        if count < STRETCHES or not model.total:  # too short to be cut, or the reference itself
             return model.missed
         stretch, missed = np.arange(count) * STRETCHES // count, np.empty(count)
         for one in range(STRETCHES):
             inside = stretch == one
             others = self._on(~inside).project(model.structure, model.theta, most=1)
-            here = self._on(inside)
-            error = here.run(model.structure, others.theta) - here.goal
-            missed[inside] = np.sum(error**2, axis=1)
+            as_they_are = self._on(inside).project(model.structure, others.theta, most=0)
+            missed[inside] = as_they_are.missed
         return missed
 
     def _on(self, which: NDArray[np.bool_]) -> Projection:
