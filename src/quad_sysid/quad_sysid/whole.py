@@ -153,12 +153,12 @@ def _inertia(models: Mapping[str, AxisModel], craft: Craft,
 def flies(record: Record) -> bool:
     """Whether speed or accelerometer show free flight; not where nothing tells it from a rig.
 
-    On a rig an accelerometer feels gravity, whose direction turns with the attitude; in flight it
-    feels the thrust, which stays along z and follows the throttle, until drag holds a fast lean.
+    On a rig an accelerometer shows gravity, whose direction turns with the attitude; in flight it
+    shows the thrust, which stays along z and follows the throttle, until drag holds a fast lean.
     """
     if record.velocity is not None:
-        along = record.velocity[:, :2]
-        known = along[np.isfinite(along)]
+        over_ground = record.velocity[:, :2]
+        known = over_ground[np.isfinite(over_ground)]
         if known.size and known.std() > AWAY:
             return True
     if record.acceleration is None:
@@ -168,14 +168,14 @@ def flies(record: Record) -> bool:
     gravity = in_body(np.tile((0.0, 0.0, GRAVITY), (record.n, 1)), angles)
     seen = slice(2 if record.angles is None else 0, 3)
     rows = record.n // count * count
-    felt, on_rig, thrust = (one[:rows].reshape(rows // count, count, -1).mean(axis=1)
-                            for one in (record.acceleration, gravity, thrust))
-    known = np.isfinite(felt + on_rig + thrust).all(axis=1) & (thrust[:, 0] > LEAST_THROTTLE)
+    measured, on_rig, thrust = (one[:rows].reshape(rows // count, count, -1).mean(axis=1)
+                                for one in (record.acceleration, gravity, thrust))
+    known = np.isfinite(measured + on_rig + thrust).all(axis=1) & (thrust[:, 0] > LEAST_THROTTLE)
     if known.sum() < FEWEST:
         return False
-    felt, on_rig, thrust = felt[known], on_rig[known], thrust[known]
+    measured, on_rig, thrust = measured[known], on_rig[known], thrust[known]
     in_flight = GRAVITY * thrust / thrust.mean() * (0.0, 0.0, 1.0)
-    left = [(felt - one)[:, seen].var(axis=0).sum() for one in (in_flight, on_rig)]
+    left = [(measured - one)[:, seen].var(axis=0).sum() for one in (in_flight, on_rig)]
     return bool(left[0] < FREE * left[1])
 
 
