@@ -185,15 +185,20 @@ def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
         _check_paths(options)
         status: int = options.run(options)
     except QuadSysidError as error:
-        sys.stderr.write(f'{parser.prog}: {error}\n')
+        _say(f'{parser.prog}: {error}')
         return error.exit_status
     except KeyboardInterrupt:
-        sys.stderr.write(f'{parser.prog}: interrupted\n')
+        _say(f'{parser.prog}: interrupted')
         return INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return status
+
+
+def _say(line: str) -> None:
+    """A line on stderr, over one of progress."""
+    sys.stderr.write(('\r\x1b[2K' if sys.stderr.isatty() else '') + f'{line}\n')
 
 
 def _check_paths(options: argparse.Namespace) -> None:

@@ -4,10 +4,13 @@ const $ = id => document.getElementById(id);
 const chosen = new Set(); let shown = 0, mode = 'zoom', files = [], known = '';
 const say = text => { $('say').textContent = text; };
 async function ask(path, options) {
-  const answer = await fetch(path, options);
+  let answer;
+  try { answer = await fetch(path, options); } catch (e) {
+    throw new Error('no answer: start quad-sysid app again, and open the address that it prints');
+  }
   if (!answer.ok) {
-    let why = answer.statusText;
-    try { why = (await answer.json()).error || why; } catch (e) { /* plain text */ }
+    let why = await answer.text() || answer.statusText;
+    try { why = JSON.parse(why).error || why; } catch (e) { /* plain text */ }
     throw new Error(why);
   }
   return answer;
@@ -25,16 +28,30 @@ async function listFiles() {
     more.className = 'small'; more.textContent = file.kind + ', ' + file.megabytes.toFixed(1) + ' MB';
     label.append(more); item.append(label); list.append(item);
   }
-  if (!files.length) list.append(Object.assign(document.createElement('li'), {textContent: 'no logs here yet'}));
+  const note = !files.length ? 'no logs here yet' : files.length >= 500 ? 'there are more: start the app on a smaller folder' : '';
+  if (note) list.append(Object.assign(document.createElement('li'), {textContent: note}));
 }
 const upload = guarded(async picked => {
+  const done = [], most = +$('drop').dataset.most; chosen.clear();
   for (const file of picked) {
     say('reading in ' + file.name);
-    const answer = await ask('/upload?name=' + encodeURIComponent(file.name), {method: 'POST', body: file});
-    const path = (await answer.json()).path; chosen.clear(); chosen.add(path); say(path + ' is there');
+    try {
+      // a browser loses the answer of a server that hangs up while it sends
+      if (file.size > most) throw new Error(file.name + ': larger than ' + (most / 1e6).toFixed(0) + ' MB: start quad-sysid app with a larger --most-mb');
+      const answer = await ask('/upload?name=' + encodeURIComponent(file.name), {method: 'POST', body: file});
+      const path = (await answer.json()).path; chosen.add(path);
+      done.push(path === file.name ? path + ' is there' : file.name + ' is there as ' + path);
+    } catch (e) { done.push(e.message); }
   }
+  say(done.join('; ') || 'a folder without a log');
   await listFiles();
 });
+async function within(entry) { // the files of what is dropped: of a bag, which is a folder, those with data
+  if (entry.isFile) return [await new Promise((take, fail) => entry.file(take, fail))];
+  const reader = entry.createReader(), found = [];
+  for (let some; (some = await new Promise((take, fail) => reader.readEntries(take, fail))).length;) found.push(...some);
+  return (await Promise.all(found.filter(one => one.isFile && one.name !== 'metadata.yaml').map(within))).flat();
+}
 const start = (kind, given) => guarded(async () => {
   const body = {kind, files: [...chosen], axis: $('axis').value, to: $('to').value};
   if (given) body.columns = given();
@@ -139,7 +156,10 @@ $('file').onchange = () => upload([...$('file').files]);
 const drop = $('drop');
 for (const name of ['dragover', 'dragleave', 'drop']) addEventListener(name, e => {
   e.preventDefault(); drop.classList.toggle('over', name === 'dragover');
-  if (name === 'drop' && e.dataTransfer.files.length) upload([...e.dataTransfer.files]);
+  if (name === 'drop') {
+    const all = [...e.dataTransfer.items].map(one => one.webkitGetAsEntry()).filter(Boolean);
+    if (all.length) guarded(async () => upload((await Promise.all(all.map(within))).flat()))();
+  }
 });
 for (const kind of ['look', 'columns', 'inspect', 'import', 'schedule', 'identify', 'compare', 'export']) $(kind).onclick = start(kind);
 $('copy').onclick = () => {

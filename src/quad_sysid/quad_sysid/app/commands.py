@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,17 @@ Command = tuple[str, str, list[str]]
 """Title, program, arguments."""
 
 
-def commands(folder: Path, request: Mapping[str, Any]) -> list[Command]:
+Free = Callable[..., str]
+"""A path in the folder, by its stem and ending, that nothing has yet."""
+
+
+def commands(folder: Path, request: Mapping[str, Any],
+             promised: Collection[str] = ()) -> list[Command]:
     """Title, program and arguments of what the page asks for, one after the other.
 
     Only what stands here can be started; @ is the job's own folder. A log that is to be
-    identified is made a bag first. Raises RefusedError.
+    identified is made a bag first. promised: paths that other jobs will write. Raises
+    RefusedError.
     """
     kind, names = request.get('kind'), request.get('files')
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
@@ -35,52 +42,64 @@ def commands(folder: Path, request: Mapping[str, Any]) -> list[Command]:
     if not isinstance(kind, str) or kind not in KINDS:
         raise RefusedError('no such command')
     paths = [inside(folder, name) for name in names]
+    if kind not in OF_SEVERAL and len(paths) > 1:
+        raise RefusedError('choose one alone: this is done for one after the other')
+    free = partial(_free, folder.resolve(), set(promised))
     before: dict[Path, Command] = {}
     if kind == 'identify':
-        from quad_sysid.imports.formats import format_of  # slow to import
-
         for log in (path for path in paths if not is_bag(path)):
-            try:
-                known = format_of(log)
-            except BadInputError as error:
-                raise RefusedError(str(error)) from error
-            if known is None:
-                raise RefusedError('make a bag of the table first: Columns shows what is what')
-            before[log] = _to_bag(folder.resolve(), log)
+            _check_log(log)
+            before[log] = _to_bag(free, log)
     paths = [Path(before[path][-1][-1]) if path in before else path for path in paths]
-    return [*before.values(), KINDS[kind](folder.resolve(), paths, request)]
+    return [*before.values(), KINDS[kind](free, paths, request)]
 
 
-def _look(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
+def _check_log(path: Path) -> None:
+    """Raise RefusedError for a table: nobody knows what its columns are."""
+    from quad_sysid.imports.formats import format_of  # slow to import
+
+    try:
+        known = format_of(path)
+    except BadInputError as error:
+        raise RefusedError(str(error)) from error
+    if known is None:
+        raise RefusedError(f'{path.name} is a table: press Columns, correct what each is, and '
+                           'make the bag there')
+
+
+def _look(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
     title = paths[0].name if len(paths) == 1 else f'{len(paths)} flights'
     return f'look at {title}', SYSID, ['look', *map(str, paths), '--out', '@look.html']
 
 
-def _inspect(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
+def _inspect(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
     return f'inspect {paths[0].name}', SYSID, [
         'inspect', str(paths[0]), '--out', '@inspect.html']
 
 
-def _columns(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
+def _columns(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
     return f'columns of {paths[0].name}', SYSID, ['import', str(paths[0]), '--json']
 
 
-def _import(root: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
-    return _to_bag(root, paths[0], named_columns(request.get('columns')))
+def _import(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
+    columns = named_columns(request.get('columns'))
+    if not columns and not is_bag(paths[0]):
+        _check_log(paths[0])
+    return _to_bag(free, paths[0], columns)
 
 
-def _to_bag(root: Path, log: Path, columns: Sequence[str] = ()) -> Command:
-    bag = _free(root, f"{log.name.partition('.')[0] or 'log'}_bag")
+def _to_bag(free: Free, log: Path, columns: Sequence[str] = ()) -> Command:
+    bag = free(f"{log.name.partition('.')[0] or 'log'}_bag")
     return f'import {log.name}', SYSID, ['import', str(log), *columns, '--out', bag]
 
 
-def _compare(_: Path, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
+def _compare(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
     if len(paths) < 2:
         raise RefusedError('choose two or more bags or models to compare')
     return f'compare {len(paths)} flights', SYSID, ['compare', *map(str, paths)]
 
 
-def _export(_: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
+def _export(_: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
     model, to, axes = paths[0], request.get('to'), _answers(paths[0])
     if to not in FIRMWARES:
         raise RefusedError('choose a firmware')
@@ -102,7 +121,7 @@ def _answers(model: Path) -> dict[str, Any]:
         raise RefusedError('choose the model of a result') from error
 
 
-def _identify(_: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
+def _identify(_: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
     from quad_sysid.bags import parse_span  # slow to import
 
     axis = request.get('axis', 'all')
@@ -120,7 +139,7 @@ def _identify(_: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> Com
     return f'identify {axis} of {paths[0].name}', SYSID, arguments
 
 
-def _schedule(root: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
+def _schedule(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
     """The next flight that the report of a result proposes, as a schedule in the folder."""
     from quad_sysid.report.next_flight import next_flight
 
@@ -130,21 +149,25 @@ def _schedule(root: Path, paths: Sequence[Path], request: Mapping[str, Any]) -> 
     planned = [one.command for one in next_flight(str(axis), axes[axis]) if one.command]
     if not planned:
         raise RefusedError(f'nothing is left to fly for {axis}')
-    places = {'model.json': str(model), 'next.yaml': _free(root, f'next_flight_{axis}', '.yaml')}
+    places = {'model.json': str(model), 'next.yaml': free(f'next_flight_{axis}', '.yaml')}
     return f'next flight of {axis}', SYSID, [
         places.get(word, word) for word in shlex.split(planned[0])[1:]]
 
 
-KINDS: dict[str, Callable[[Path, Sequence[Path], Mapping[str, Any]], Command]] = {
+KINDS: dict[str, Callable[[Free, Sequence[Path], Mapping[str, Any]], Command]] = {
     'look': _look, 'inspect': _inspect, 'columns': _columns, 'import': _import,
     'identify': _identify, 'compare': _compare, 'export': _export, 'schedule': _schedule,
 }
+OF_SEVERAL = ('look', 'identify', 'compare')
+"""Those that take several files at once."""
 
 
-def _free(root: Path, stem: str, ending: str = '') -> str:
+def _free(root: Path, promised: set[str], stem: str, ending: str = '') -> str:
     numbers = ('', *(f'_{k}' for k in range(2, 1000)))
-    free = (root / f'{stem}{k}{ending}' for k in numbers)
-    return str(next(path for path in free if not path.exists()))
+    paths = (root / f'{stem}{k}{ending}' for k in numbers)
+    found = str(next(path for path in paths if not path.exists() and str(path) not in promised))
+    promised.add(found)
+    return found
 
 
 def named_columns(columns: object) -> list[str]:

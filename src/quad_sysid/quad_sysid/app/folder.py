@@ -16,7 +16,8 @@ SUFFIXES = ('.mcap', '.db3', '.ulg', '.bin', '.log', '.bbl', '.bfl', '.txt', '.c
 MOST_FILES = 500
 DEEPEST = 3
 ALLOWED = re.compile(r'[^\w.+\-() ]')
-LONGEST_NAME = 120
+LONGEST_NAME = 200
+"""Bytes of it: file systems take 255."""
 
 
 class RefusedError(Exception):
@@ -88,8 +89,11 @@ def new_file(folder: Path, name: str) -> Path:
 
     Raises RefusedError for a name of no known kind.
     """
-    plain = ALLOWED.sub('_', re.split(r'[/\\]', name)[-1]).strip(' .')[-LONGEST_NAME:]
-    if not plain or not plain.lower().endswith(SUFFIXES):
+    plain = ALLOWED.sub('_', re.split(r'[/\\]', name)[-1]).strip(' .')
+    plain = plain.encode()[-LONGEST_NAME:].decode(errors='ignore').lstrip()
+    if plain == 'metadata.yaml':
+        raise RefusedError('of a bag drop its .mcap files alone: they hold all that is needed')
+    if not plain.lower().endswith(SUFFIXES):
         raise RefusedError(f'no log by its name: known endings are {", ".join(SUFFIXES)}')
     stem, dot, ending = plain.partition('.')
     number = 1
@@ -111,11 +115,11 @@ async def receive(target: Path, body: AsyncIterable[bytes], most_bytes: int) -> 
             async for part in body:
                 size += len(part)
                 if size > most_bytes:
-                    raise RefusedError(f'larger than {most_bytes / 1e6:.0f} MB (--most-mb)')
+                    raise RefusedError(too_large(most_bytes))
                 stream.write(part)
         whole = size > 0
         if not whole:
-            raise RefusedError('the file is empty')
+            raise RefusedError('is empty: copy it again')
     finally:
         if not whole:
             _remove(target)
@@ -123,3 +127,8 @@ async def receive(target: Path, body: AsyncIterable[bytes], most_bytes: int) -> 
 
 def _remove(target: Path) -> None:
     target.unlink(missing_ok=True)
+
+
+def too_large(most_bytes: int) -> str:
+    """Why a file is refused that is larger."""
+    return f'larger than {most_bytes / 1e6:.0f} MB: start quad-sysid app with a larger --most-mb'

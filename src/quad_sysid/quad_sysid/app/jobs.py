@@ -27,12 +27,15 @@ from quad_sysid.axes import ALL_WORDS
 MOST_JOBS = 200
 """Jobs that are remembered; the oldest finished ones are forgotten."""
 MOST_WAITING = 20
+KEPT = 'job.json'
+"""What a job was and what became of it, in its folder: the next start of the app shows it."""
 TOOK = 'took.json'
 """Kind, size and time of a finished job, in its folder: what the time left is judged by."""
 STOP_S = 5.0
 """Time for a process to end by itself before it is killed."""
 MOST_TEXT = 200_000
 """Characters of a job's output that are shown."""
+OUTPUT = 'output.txt'
 ESCAPES = re.compile(r'\x1b\[[0-9;]*[A-Za-z]')
 STATES = {0: 'done', NOT_ANSWERED: 'no answer'}
 PROGRAMS = {'quad-sysid': 'quad_sysid.start', 'quad-tune': 'quad_tuning.start'}
@@ -57,6 +60,8 @@ class Job:
     process: subprocess.Popen[bytes] | None = field(default=None, repr=False)
     expected: float = 0.0
     """Time that it will take by earlier jobs, s; 0 where none is known."""
+    after: Sequence[Job] = ()
+    """Jobs whose bags it reads: without them it is not begun."""
 
     def remaining_s(self) -> float | None:
         """Time that is left, s, by earlier jobs of its kind; None where nothing says so."""
@@ -78,10 +83,23 @@ class Job:
         """Time that it has run."""
         return (self.ended or time.monotonic()) - self.begun if self.begun else 0.0
 
+    def keep(self) -> None:
+        """Leave in its folder what it is and what became of it."""
+        with suppress(OSError):
+            (self.folder / KEPT).write_text(json.dumps({
+                'title': self.title, 'program': self.program, 'arguments': self.arguments,
+                'state': self.state, 'doing': self.doing, 'seconds': self.seconds}))
+
+    def say(self, line: str) -> None:
+        """Put a line below what it printed, unless it stands there."""
+        self.doing = line
+        with suppress(OSError), (self.folder / OUTPUT).open('a', encoding='utf-8') as out:
+            out.write('' if line in self.text() else f'{line}\n')
+
     def text(self) -> str:
         """What it printed."""
         with suppress(OSError):
-            return (self.folder / 'output.txt').read_text(
+            return (self.folder / OUTPUT).read_text(
                 encoding='utf-8', errors='replace')[-MOST_TEXT:]
         return ''
 
@@ -89,28 +107,32 @@ class Job:
 class Queue:
     """Jobs in the order of their coming, one at a time, in a thread of its own."""
 
-    def __init__(self) -> None:
-        self._jobs: dict[int, Job] = {}
+    def __init__(self, place: Path) -> None:
+        """`place`: the folder of their folders, which may hold those of an earlier start."""
+        self._place = place
+        self._jobs = {job.number: job for job in kept(place)}
         self._wake = threading.Condition()
         self._closed = False
-        self._last = 0
+        self._last = max(self._jobs, default=0)
         self._thread = threading.Thread(target=self._work, name='jobs', daemon=True)
         self._thread.start()
 
-    def add(self, title: str, program: str, arguments: Sequence[str], place: Path) -> Job:
-        """Put a job at the end; its folder is made in `place`. ValueError where too many wait."""
+    def add(self, title: str, program: str, arguments: Sequence[str],
+            after: Sequence[Job] = ()) -> Job:
+        """Put a job at the end and make its folder. ValueError where too many wait."""
         with self._wake:
             if sum(job.state == 'waiting' for job in self._jobs.values()) >= MOST_WAITING:
                 raise ValueError(f'{MOST_WAITING} jobs wait already: stop some')
             number = self._last + 1
-            while (folder := place / f'{number:03d}').exists():
+            while (folder := self._place / f'{number:03d}').exists():
                 number += 1
             self._last = number
             folder.mkdir(parents=True)
             placed = tuple(str(folder / a.removeprefix('@')) if a.startswith('@') else a
                            for a in arguments)
-            job = Job(number, title, program, placed, folder)
+            job = Job(number, title, program, placed, folder, after=after)
             self._jobs[number] = job
+            job.keep()
             for old in [j for j in self._jobs.values() if j.ended][:-MOST_JOBS]:
                 del self._jobs[old.number]
             self._wake.notify()
@@ -131,11 +153,17 @@ class Queue:
         with self._wake:
             if job.state == 'waiting':
                 job.state, job.ended = 'stopped', time.monotonic()
+                job.keep()
                 return
             if job.state != 'running' or job.process is None:
                 return
             job.state, process = 'stopped', job.process
         _end(process)
+
+    def promised(self) -> set[str]:
+        """Paths that jobs will read or write which have not ended."""
+        with self._wake:
+            return {a for job in self._jobs.values() if not job.ended for a in job.arguments}
 
     def close(self) -> None:
         """End everything."""
@@ -157,18 +185,26 @@ class Queue:
                 if self._closed:
                     return
                 job = min(waiting, key=lambda j: j.number)
-                job.state, job.begun = 'running', time.monotonic()
-                job.expected = expected(job)
+                job.begun = time.monotonic()
+                lacks = next((one for one in job.after if one.state != 'done'), None)
+                if lacks is not None:
+                    job.state, job.ended = lacks.state, job.begun
+                    job.say(f'{lacks.title}: {lacks.doing or lacks.state}')
+                    job.keep()
+                    continue
                 ours, theirs = pty.openpty()
                 try:
-                    with (job.folder / 'output.txt').open('wb') as out:
+                    job.state, job.expected = 'running', expected(job)
+                    with (job.folder / OUTPUT).open('wb') as out:
                         job.process = _begin(job, out.fileno(), theirs)
                 except OSError as error:
-                    job.state, job.doing, job.ended = 'failed', str(error), time.monotonic()
+                    job.state, job.ended = 'failed', time.monotonic()
+                    job.say(f'{error.filename}: {error.strerror}; check the folder and the disk')
                     os.close(ours)
                     continue
                 finally:
                     os.close(theirs)
+                job.keep()
             _follow(job, ours)
             status = job.process.wait()
             with self._wake:
@@ -179,6 +215,23 @@ class Queue:
                 with suppress(OSError):
                     (job.folder / TOOK).write_text(json.dumps(
                         [job.arguments[0], job.size, job.seconds]))
+            job.keep()
+
+
+def kept(place: Path) -> list[Job]:
+    """The latest jobs of earlier starts; what had not ended then is stopped."""
+    jobs, now = [], time.monotonic()
+    paths = sorted(place.glob(f'*/{KEPT}'), key=lambda path: path.lstat().st_mtime)
+    for path in paths[-MOST_JOBS:]:
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            tree = json.loads(path.read_text(encoding='utf-8'))
+            job = Job(int(path.parent.name), str(tree['title']), str(tree['program']),
+                      tuple(map(str, tree['arguments'])), path.parent, str(tree['state']),
+                      str(tree['doing']), now - float(tree['seconds']), now)
+            if job.state in {'waiting', 'running'}:
+                job.state, job.doing = 'stopped', 'the app ended first: start it again'
+            jobs.append(job)
+    return jobs
 
 
 def expected(job: Job) -> float:
@@ -218,10 +271,8 @@ def _follow(job: Job, terminal: int) -> None:
         job.doing = latest or job.doing
     os.close(terminal)
     last = ESCAPES.sub('', rest).strip() or (output[-1] if output else '')
-    job.doing = last
     if last:
-        with suppress(OSError), (job.folder / 'output.txt').open('a', encoding='utf-8') as out:
-            out.write('' if last in job.text() else f'{last}\n')
+        job.say(last)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

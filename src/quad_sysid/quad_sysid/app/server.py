@@ -29,11 +29,13 @@ from starlette.responses import (
 from starlette.routing import Route
 
 from quad_sysid.app.commands import commands
-from quad_sysid.app.folder import RESULTS, RefusedError, entries, new_file, receive
+from quad_sysid.app.folder import RESULTS, RefusedError, entries, new_file, receive, too_large
 from quad_sysid.app.jobs import Job, Queue
 from quad_sysid.report.style import SHEET
 
 COOKIE = 'quad_sysid_token'
+SHOWN_NAME = 60
+"""Characters of a file's name in a message."""
 MOST_REQUEST = 100_000
 """Bytes of a request that is no upload."""
 HERE = Path(__file__).parent
@@ -54,7 +56,7 @@ class App:
     def __init__(self, folder: Path, most_mb: float) -> None:
         self.folder, self.most_bytes = folder, int(1e6 * most_mb)
         self.token = secrets.token_urlsafe(24)
-        self.queue = Queue()
+        self.queue = Queue(folder.resolve() / RESULTS)
 
     def starlette(self) -> Starlette:
         """The application that a server runs."""
@@ -91,6 +93,10 @@ class App:
                 return _sealed(await handler(request))
             except RefusedError as error:
                 return _sealed(JSONResponse({'error': str(error)}, 400))
+            except OSError as error:
+                where = Path(error.filename or self.folder).name
+                return _sealed(JSONResponse({'error': f'{where}: {error.strerror}; check the '
+                                             'permissions of the folder, and the disk'}, 400))
             except ClientDisconnect:
                 return Response(status_code=499)
 
@@ -115,6 +121,7 @@ class App:
 
     async def _home(self, _: Request) -> Response:
         page = (HERE / 'app.html').read_text(encoding='utf-8')
+        page = page.replace('MOST_BYTES', str(self.most_bytes))
         return HTMLResponse(page.replace('FOLDER', escape(self.folder.resolve().name)))
 
     async def _script(self, _: Request) -> Response:
@@ -128,12 +135,20 @@ class App:
         return JSONResponse([asdict(one) for one in entries(self.folder)])
 
     async def _upload(self, request: Request) -> Response:
+        name = request.query_params.get('name', '')
+        try:
+            path = await self._received(name, request)
+        except RefusedError as error:
+            raise RefusedError(f'{name[-SHOWN_NAME:]}: {error}') from error
+        return JSONResponse({'path': path.name})
+
+    async def _received(self, name: str, request: Request) -> Path:
         length = request.headers.get('content-length', '')
         if length.isdigit() and int(length) > self.most_bytes:
-            raise RefusedError(f'larger than {self.most_bytes / 1e6:.0f} MB (--most-mb)')
-        target = new_file(self.folder, request.query_params.get('name', ''))
+            raise RefusedError(too_large(self.most_bytes))
+        target = new_file(self.folder, name)
         await receive(target, request.stream(), self.most_bytes)
-        return JSONResponse({'path': target.name})
+        return target
 
     async def _jobs(self, _: Request) -> Response:
         return JSONResponse([_shown(job) for job in self.queue.all()])
@@ -150,13 +165,12 @@ class App:
             raise RefusedError('is not JSON') from error
         if not isinstance(request_tree, dict):
             raise RefusedError('is not JSON')
-        place = self.folder.resolve() / RESULTS
+        *before, last = commands(self.folder, request_tree, self.queue.promised())
         try:
-            jobs = [self.queue.add(title, program, arguments, place)
-                    for title, program, arguments in commands(self.folder, request_tree)]
-        except (ValueError, OSError) as error:
+            made = [self.queue.add(*one) for one in before]
+            return JSONResponse(_shown(self.queue.add(*last, after=made)))
+        except ValueError as error:
             raise RefusedError(str(error)) from error
-        return JSONResponse(_shown(jobs[-1]))
 
     def _job(self, request: Request) -> Job:
         job = self.queue.get(request.path_params['number'])
