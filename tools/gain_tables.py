@@ -100,7 +100,8 @@ def page() -> str:
     lines = [
         '# Gains',
         '',
-        'Generated from `quad_bridge/gains/table.py` by `tools/gain_tables.py`.',
+        'You look up what each gain means, its unit, and which values are taken. Generated from',
+        '`quad_bridge/gains/table.py` by `tools/gain_tables.py`.',
         'Names are those on `/gains/update` and `/gains/active`; those of an axis stand behind it',
         '(`roll.rate.kp`, on the wire `ROLL_RATE_KP`). *Limits* are what the firmware takes.',
         '*Bound* is what the [gate](../tune.md) of the bridge lets through unless its parameter',
@@ -124,7 +125,11 @@ def page() -> str:
         for name, bound in DEFAULT_BOUNDS.items()
         if bound != ROWS[name].bound
     ]
-    lines += ['', f'An axis of its own bound: {", ".join(own)}.']
+    lines += ['', f'An axis of its own bound: {", ".join(own)}.', '', '## What may go wrong', '']
+    lines += [
+        '- A set is refused: a gain lies outside its bound, which the answer names.',
+        '- Values differ by a factor: in another firmware they have [another unit](../tune.md).',
+    ]
     return '\n'.join(lines) + '\n'
 
 

@@ -1,4 +1,4 @@
-"""The app where something goes wrong: each message is one line, and nothing is lost or replaced."""
+"""The app where something goes wrong: each message is one line, and nothing is lost."""
 
 import importlib.util
 import json
@@ -20,7 +20,7 @@ browser = APP.browser
 
 
 @pytest.fixture
-def started(tmp_path):
+def started():
     """Servers on folders; all end with the test."""
     servers = []
 

@@ -1,1 +1,1 @@
-"""The link to the flight controller: wire, gains, log, sensors, the virtual STM32."""
+"""The flight controller from this side: wire, link, gains, log, sensors; the virtual STM32."""

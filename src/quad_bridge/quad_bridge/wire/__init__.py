@@ -1,4 +1,4 @@
-"""The wire, without I/O: MAVLink dialect, bytes to frames and back, clock, parameter writes."""
+"""The wire, without I/O: MAVLink dialect, bytes to frames and back, signing, axes."""
 
 from quad_bridge.wire.codec import Decoder, Encoder
 from quad_bridge.wire.framing import Counts

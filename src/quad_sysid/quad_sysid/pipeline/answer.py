@@ -94,7 +94,7 @@ class Findings:
     data: AxisData
     """The whole flight."""
     problem: Problem
-    """Its training segments, cut out, on which `found` was fitted."""
+    """Its training segments, cut out, on which `search` was fitted."""
     search: Found
     ladder: Ladder
     verdict: Verdict

@@ -1,6 +1,7 @@
 """The black-box side of one axis: the models that are tried, step A, the error in the metric.
 
-Step B stands in step_b.py, the approaches of Table 1 in selection.py, advice in advice.py.
+Steps A and B are the two of the paper's selection (docs/theory.md). Step B stands in step_b.py,
+the approaches of Table 1 in selection.py, advice in advice.py.
 """
 
 from __future__ import annotations
