@@ -225,9 +225,10 @@ def kept(place: Path) -> list[Job]:
     for path in paths[-MOST_JOBS:]:
         with suppress(OSError, ValueError, TypeError, KeyError):
             tree = json.loads(path.read_text(encoding='utf-8'))
+            kind, *more = map(str, tree['arguments'])
             job = Job(int(path.parent.name), str(tree['title']), str(tree['program']),
-                      tuple(map(str, tree['arguments'])), path.parent, str(tree['state']),
-                      str(tree['doing']), now - float(tree['seconds']), now)
+                      (kind, *more), path.parent, str(tree['state']), str(tree['doing']),
+                      now - float(tree['seconds']), now)
             if job.state in {'waiting', 'running'}:
                 job.state, job.doing = 'stopped', 'the app ended first: start it again'
             jobs.append(job)
