@@ -83,6 +83,16 @@ def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
     assert verdict.noise_floor == pytest.approx(np.std(noise), rel=0.25)
 
 
+def test_friction_is_found_where_the_rate_carries_no_noise():
+    """As of a simulation, or of positions that were smoothed: the sizes of the noise run away."""
+    flight = fly(Axis(torque=friction, gyro_noise=0.0, torque_noise=0.0), 1, SHORT)
+    problem, base = based(axis_data([flight], 'roll'))
+    best = search(problem, TORQUES).best
+    assert best.structure.labels == ('coulomb_friction',)
+    assert best.value('coulomb_friction.torque') == pytest.approx(2.0, rel=0.05)
+    assert best.evidence > base.evidence + 1000.0
+
+
 def test_noise_of_a_filter_that_was_computed_once_a_cycle_is_no_vibration():
     """Such a filter leaves nothing of the noise near half the sample rate. The innovations are
     white, the noise has its size, and no line of vibration is needed."""

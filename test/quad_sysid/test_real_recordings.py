@@ -57,7 +57,8 @@ def test_emps_has_the_friction_of_its_makers_and_foresees_the_second_file(import
     """35.15 N/V, 95 kg, 204 N s/m, 20.4 N: within 5 % and 15 %, whatever curves carry it.
 
     In a quick motion at 0.1 m/s; half the difference between forwards and backwards. The unseen
-    file: at most 0.0026 m/s; the base within 10 % of the 0.0117 m/s of a plain fit.
+    file, by the first rung: at most 0.0040 m/s; the base within 15 % of the 0.0117 m/s of a plain
+    fit.
     """
     first, second = (imported(f'emps/{name}.csv', EMPS)
                      for name in ('DATA_EMPS', 'DATA_EMPS_PULSES'))
@@ -77,8 +78,19 @@ def test_emps_has_the_friction_of_its_makers_and_foresees_the_second_file(import
     )
     assert 0.5 * (torque[0] - torque[1]) == pytest.approx((204.0 * 0.1 + 20.4) / 95.0, rel=0.15)
     found = qs.evaluate(model, second)
-    assert found.before == pytest.approx(0.0117, rel=0.10)
-    assert found.after <= 0.0026
+    assert found.before == pytest.approx(0.0117, rel=0.15)
+    assert found.after <= 0.0040
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('name', ['DATA_EMPS', 'DATA_EMPS_PULSES'])
+def test_each_file_of_emps_is_answered_by_dry_friction(imported, name):
+    """0.215 m/s² by its makers; the second file's derived speed has next to no white noise."""
+    result = qs.identify(imported(f'emps/{name}.csv', EMPS), 'roll')
+    (claimed,) = result.effects
+    assert claimed.name == 'coulomb_friction'
+    assert claimed.parameters[0].value == pytest.approx(0.215, abs=0.03)
+    assert result.error.after < 0.4 * result.error.before
 
 
 @pytest.mark.long

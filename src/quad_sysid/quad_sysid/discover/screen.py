@@ -13,7 +13,7 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 from scipy.signal import fftconvolve, find_peaks, lfilter
 
 from quad_sysid.beside import side_by_side
@@ -25,6 +25,7 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.flight import per_coefficient
 from quad_sysid.model.structure import BASE, Structure, coordinates, natural
+from quad_sysid.qr import upper
 
 FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
@@ -148,9 +149,9 @@ class _Beside(Along):
         self.weight[problem.rows, 0] = np.sqrt(counts) / fitted.tail.scale
         own = required(fitted.prediction.jacobian) * self.weight
         root = np.linalg.cholesky(fitted.precision).T
-        self.q = np.linalg.qr(np.vstack([own, root]))[0][: e.size]
-        weighted = e * self.weight[:, 0]
-        self.left = weighted - self.q @ (self.q.T @ weighted)
+        self.q = np.linalg.qr(np.vstack([own, root]))[0]
+        weighted, q = e * self.weight[:, 0], self.q[: e.size]
+        self.left = weighted - q @ (q.T @ weighted)
 
     def best(self, part: Part) -> Score | None:
         """The best start and score of a candidate; None where none is physical.
@@ -266,17 +267,18 @@ class _Beside(Along):
         """
         effect = part.effect
         out = self.weight * (self._followed(p, psi) if effect.wanders else psi)
-        inside = self.q.T @ out  # what the fit's own parameters can do as well
-        gram, b = out.T @ out - inside.T @ inside, -(out.T @ self.left)
+        rest = -self.q @ (self.q[: len(out)].T @ out)  # what the fit's own parameters can do too
+        rest[: len(out)] += out
+        b = -(out.T @ self.left)
         nats = -PER_NONLINEAR * (p.size - len(linear))
         if not linear:  # what it does from this start, as it is
-            return Score(part, (p,), nats + float(b[0] - 0.5 * gram[0, 0]))
+            return Score(part, (p,), nats + float(b[0] - 0.5 * rest[:, 0] @ rest[:, 0]))
         precision = effect.precision(part.settings, self.problem.sizes_of(part))
-        precision = precision[np.ix_(linear, linear)]
-        factor = cho_factor(gram + precision)
-        x = cho_solve(factor, b)
-        logdet = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
-        nats += 0.5 * float(b @ x) - 0.5 * (logdet - float(np.linalg.slogdet(precision)[1]))
+        root = np.linalg.cholesky(precision[np.ix_(linear, linear)]).T
+        factor = upper(np.vstack([rest, root]))
+        x = cho_solve((factor, False), b)
+        narrowed = np.abs(np.diag(factor)) / np.diag(root)
+        nats += 0.5 * float(b @ x) - float(np.sum(np.log(narrowed)))
         if any(effect.parameters[j].positive and v < 0.0 for j, v in zip(linear, x, strict=True)):
             return None
         start, gentle = p.copy(), p.copy()  # a linear step may overshoot what is not linear

@@ -138,22 +138,25 @@ def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
     return Scored(fitted, fitted.evidence + sum(prices.get(label, 0.0) for label in labels))
 
 
-def extension(parent: Fit, one: Score) -> Try:
-    """A structure with one more effect, begun with moderate sizes of the noise.
+def extensions(parent: Fit, one: Score) -> list[Try]:
+    """A structure with one more effect, begun with the parent's noise and with moderate sizes.
 
     What a poor model misses counts as torque noise, beside which the gyro's is nothing. There the
-    likelihood is flat in the sizes, and no step leads back.
+    likelihood is flat in the sizes, and no step leads back. Where the rate is as good as free of
+    noise, differentiated positions for example, it is the moderate sizes that no step leaves.
     """
     specs = parent.structure.noise
     most = [s.centre + required(s.spread) if s in SIZES else math.inf for s in specs]
-    own, noise = parent.theta[: -len(specs)], np.minimum(parent.theta[-len(specs) :], most)
-    return Try(parent.structure.plus(one.part),
-               [np.r_[own, start, noise] for start in one.starts], parent.rate)
+    own, noise = parent.theta[: -len(specs)], parent.theta[-len(specs) :]
+    moderate = np.minimum(noise, most)
+    return [Try(parent.structure.plus(one.part), [np.r_[own, start, sizes] for start in one.starts],
+                parent.rate)
+            for sizes in ([moderate] if np.array_equal(moderate, noise) else [moderate, noise])]
 
 
 def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
     """A structure with one more effect; None where its fit diverges."""
-    return most_probable(contest(problem, [extension(parent, one)]))
+    return most_probable(contest(problem, extensions(parent, one)))
 
 
 def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
@@ -234,8 +237,8 @@ class _Search:
         hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:REFITS]
         if self.halt():
             return []
-        fits = contest(self.problem, [extension(fit, one) for _, fit, one in hopeful],
-                       self.best().fit.evidence - FAR_BEHIND)
+        tries = [each for _, fit, one in hopeful for each in extensions(fit, one)]
+        fits = contest(self.problem, tries, self.best().fit.evidence - FAR_BEHIND)
         kept = [self.keep(fit) for fit in fits]
         best = ' and '.join(self.best().names) or 'the base'
         self.listen(f'{len(self.known)} structures, best so far {best}')

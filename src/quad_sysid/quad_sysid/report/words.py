@@ -244,7 +244,7 @@ def causes(tree: Tree) -> str:
     for effect in tree.get('effects', ()):
         size = effect['parameters'][0] if effect['parameters'] else None
         of = f' of {size["value"]:.3g} {size["unit"]}'.rstrip(' 1') if size and (
-            effect['kind'] == 'named') else ''
+            size['value'] and effect['kind'] == 'named') else ''
         parts.append(f'{named(effect)}{of} explains {effect["explains_pct"]:.0f} %')
     if not parts:
         return ''
