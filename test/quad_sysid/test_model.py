@@ -89,7 +89,9 @@ def test_friction_is_found_where_the_rate_carries_no_noise():
     problem, base = based(axis_data([flight], 'roll'))
     best = search(problem, TORQUES).best
     assert best.structure.labels == ('coulomb_friction',)
-    assert best.value('coulomb_friction.torque') == pytest.approx(2.0, rel=0.05)
+    assert best.value('gain') == pytest.approx(450.0, rel=0.001)
+    # what it does within the cycle of a reversal is all that the model does not follow
+    assert best.value('coulomb_friction.torque') == pytest.approx(2.0, rel=0.25)
     assert best.evidence > base.evidence + 1000.0
 
 

@@ -148,9 +148,8 @@ def extensions(parent: Fit, one: Score) -> list[Try]:
     specs = parent.structure.noise
     most = [s.centre + required(s.spread) if s in SIZES else math.inf for s in specs]
     own, noise = parent.theta[: -len(specs)], parent.theta[-len(specs) :]
-    moderate = np.minimum(noise, most)
-    return [Try(parent.structure.plus(one.part), [np.r_[own, start, sizes] for start in one.starts],
-                parent.rate)
+    moderate, structure = np.minimum(noise, most), parent.structure.plus(one.part)
+    return [Try(structure, [np.r_[own, start, sizes] for start in one.starts], parent.rate)
             for sizes in ([moderate] if np.array_equal(moderate, noise) else [moderate, noise])]
 
 
