@@ -1,6 +1,7 @@
-"""Whole flights as arrays, faster than real time: the process's aircraft and firmware, no process.
+"""For tests, benchmarks and tools only: whole flights as arrays, faster than real time.
 
-For studies and tests. Nothing here writes files; tools/flight.py makes a bag of a flight.
+The aircraft and firmware of virtual_stm32 without its process. No node or command imports this.
+Nothing here writes files; tools/flight.py makes a bag of a flight.
 """
 
 from __future__ import annotations

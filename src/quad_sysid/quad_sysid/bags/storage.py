@@ -18,13 +18,12 @@ from typing import TYPE_CHECKING
 import yaml
 
 from quad_sysid.bags.stored.files import (
-    RECORDING,
     SQLITE_MAGIC,
     ZSTD_MAGIC,
     address,
-    is_recorded,
     plain_file,
     plain_message,
+    recording_state,
     sqlite_fault,
     sqlite_remedy,
 )
@@ -66,7 +65,7 @@ class Storage:
     others: dict[str, str] = field(default_factory=dict)
     """Topics of the files that are not wanted, with their types."""
     _growing: Path | None = None
-    """The file that a logger still writes."""
+    """The file that a recorder still writes."""
 
     def batches(self) -> Iterator[Batch]:
         """Messages of `topics`, decompressed. BadInputError for a damaged or foreign file."""
@@ -129,9 +128,10 @@ class Storage:
 
     def _unlisted(self, files: list[Path], otherwise: str = '') -> None:
         """Warn of files that are still being recorded, or else say this."""
-        if is_recorded(files[-1]):
+        state = recording_state(files[-1])
+        if state:
             self._growing = files[-1]
-            otherwise = (f'{RECORDING}: read as far as it is on the disk; stop the recording for '
+            otherwise = (f'{state}: read as far as it is on the disk; stop the recording for '
                          'all of it')
         if otherwise:
             self.warnings.append(f'{self.path}: {otherwise}')

@@ -241,7 +241,8 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str], list[Adjustme
     with read_by_library(path, 'cannot be decoded', remedy):
         count = int(Parser.load(str(path), 1, allow_invalid_header=True).reader.log_count)
     if not 1 <= log <= count:
-        raise BadInputError(f'{path}: --log', f'must be 1 to {count}', log)
+        what = f'must be 1 to {count}' if count > 1 else 'the file holds one log'
+        raise BadInputError(f'{path}: --log', what, log, '' if count > 1 else 'leave it out')
     with read_by_library(path, f'log {log} of {count} cannot be decoded', remedy):
         parser: Any = Parser.load(str(path), log, allow_invalid_header=True)
         names = list(parser.field_names)
