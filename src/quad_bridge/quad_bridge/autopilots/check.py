@@ -115,7 +115,7 @@ class _Listener:
     def _take(self, frame: object, now_ns: int) -> None:
         self.connected.take(frame, 1e-9 * now_ns)
         if isinstance(frame, f.ParamValue) and self.connected.autopilot is not None:
-            self.connected.gains.take(frame, 1e-9 * now_ns)
+            self.connected.aircraft.gains.take(frame, 1e-9 * now_ns)
 
     def _send(self, now_ns: int) -> None:
         aircraft = self.connected.autopilot

@@ -12,14 +12,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.craft import AXES, Craft, X
 from quad_bridge.errors import RefusedError
+from quad_bridge.si import FloatArray
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag, Injection, Vector3
 
-FloatArray = npt.NDArray[np.float64]
 Signs = dict[str, dict[str, int]]  # motor channel to axis to the sign of its answer
 
 QUIET_S, HALF_S, REST_S = 0.16, 0.12, 0.36

@@ -15,11 +15,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.gains.table import AXES
-
-FloatArray = npt.NDArray[np.float64]
+from quad_bridge.si import GRAVITY_M_S2, FloatArray
 
 CENTRES_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
 """Bands one octave wide, from slow angle loops to fast rate loops; the last channel is the RMS."""
@@ -43,7 +41,6 @@ BEFORE_S, BLOCK_S = 10.0, 0.5
 MAX_HZ = 125.0
 """A faster loop is watched by the means of so many of its cycles that no more remain: twice what
 the fastest band needs, and half the work of every cycle."""
-GRAVITY_M_S2 = 9.80665
 UPRIGHT_S = 2.0  # time after take-off in which the angle may still approach its reference
 SETTLE_S = 1.0  # duration of data before the first figures count
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from quad_bridge.si import FloatArray
 
 BAND = 0.1, 20.0  # rad/s, the default of the wanted band: its lowest period lasts 63 s
 SPARED = 0.63

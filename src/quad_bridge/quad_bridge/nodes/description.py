@@ -13,9 +13,10 @@ from typing import Any
 from std_msgs.msg import String
 
 from quad_bridge.craft import LAYOUTS, Craft, from_urdf
-from quad_bridge.errors import BadInputError, shortened
+from quad_bridge.errors import BadInputError
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.qos import HEARD, STATE
+from quad_bridge.one_line import shortened
 
 TOPIC, PARAMETER = '/robot_description', 'robot_description'
 WITHOUT_MOTORS = f'{TOPIC} has no joint motor_1: left aside, as a model that is drawn'

@@ -101,7 +101,7 @@ class OperatorServices:
         self,
         node: Any,
         enable: OperatorEnable,
-        aircraft: Aircraft,
+        aircraft: Callable[[], Aircraft],
         send: Callable[[Frame], None],
         armed: Callable[[], bool | None],
         flies: Callable[[], bool],
@@ -193,7 +193,7 @@ class OperatorServices:
         """Answer once the motor has spun, or with the reason why it does not."""
         def begin(done: Any) -> None:
             self._node.refuse_unless_active()
-            words = self._aircraft.cannot(Ability.MOTORS)
+            words = self._aircraft().cannot(Ability.MOTORS)
             if words:
                 raise RefusedError(words)
             self._send(self._test.ask(

@@ -19,7 +19,8 @@ from quad_bridge.arguments import OneLineParser, ended_in_one_line, positive, sa
 from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.log.reader import read_topics
 from quad_bridge.sensors.correction import STATUS, as_sent, from_values
-from quad_bridge.sensors.rest import MIN_S, FloatArray, RestEstimate, estimate_at_rest
+from quad_bridge.sensors.rest import MIN_S, RestEstimate, estimate_at_rest
+from quad_bridge.si import FloatArray
 
 IMU, DIAGNOSTICS = '/imu/data', '/diagnostics'
 KINDS = {IMU: 'sensor_msgs/msg/Imu', DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray'}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from quad_bridge.sensors.rest import FloatArray
+from quad_bridge.si import FloatArray
 from quad_bridge.wire.frames import Vector3
 
 STATUS = 'sensors'  # name of the entry in /diagnostics, behind the node's

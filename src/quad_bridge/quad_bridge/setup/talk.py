@@ -9,18 +9,17 @@ import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.aircraft import ACCEPTED, outcome_of
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.protocol import GainProtocol, What
 from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.motor_test import COMMAND, VALID_S, frame
+from quad_bridge.si import FloatArray
 from quad_bridge.wire import Decoder, Encoder
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.signing import Signing
 
-FloatArray = npt.NDArray[np.float64]
 CHANNELS = 9
 READ_S, WRITE_S, STEP_S = 10.0, 10.0, 0.05
 REST_S = 1.5  # over it the specific force of a position is averaged

@@ -11,9 +11,9 @@ import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.gains.table import AXES, ROWS, split
+from quad_bridge.si import FloatArray
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.cycle import (
     MAX_DELAY,
@@ -36,8 +36,6 @@ from quad_bridge.virtual.plant import build_plant, hover_throttle
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Channels
 from quad_bridge.virtual.sensors import MAG, PRESSURE, SAMPLES, build_chips, initial_sensors
-
-FloatArray = npt.NDArray[np.float64]
 
 EffectFunction = Callable[[float, FloatArray, FloatArray, FloatArray, float], FloatArray]
 """effect(t_s, rates, angles, thrusts, battery_v) -> extra body torque (3,) in N m."""

@@ -13,9 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from quad_bridge.virtual.airframe import GRAVITY_M_S2
+from quad_bridge.si import GRAVITY_M_S2, FloatArray
 from quad_bridge.virtual.compiled import kernel
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import (
@@ -24,8 +23,6 @@ from quad_bridge.virtual.rotation import (
     quaternion_rate,
     world_from_body,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 RATES, QUAT, ROTORS, MODE, POSITION, VELOCITY = 0, 3, 7, 11, 17, 20
 RK_STATES = 23

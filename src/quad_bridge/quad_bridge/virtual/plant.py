@@ -9,13 +9,12 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.gains.table import AXES
-from quad_bridge.virtual.airframe import GRAVITY_M_S2, Airframe
+from quad_bridge.si import GRAVITY_M_S2, FloatArray
+from quad_bridge.virtual.airframe import Airframe
 from quad_bridge.virtual.effects import CrossAxisInput, Effects
 
-FloatArray = npt.NDArray[np.float64]
 Triple = tuple[float, float, float]
 Quad = tuple[float, float, float, float]
 

@@ -19,7 +19,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.arguments import (
     BAD_INPUT,
@@ -33,6 +32,7 @@ from quad_bridge.arguments import (
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.key_file import signing_from
 from quad_bridge.lockstep import START_NS
+from quad_bridge.si import FloatArray
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, EffectFunction, boot
 from quad_bridge.virtual.board import ELF, Board, EmulatedBoard, EndedError
@@ -41,8 +41,6 @@ from quad_bridge.virtual.line import Line
 from quad_bridge.virtual.native import built_file
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.receiver import Receiver, channels_at
-
-FloatArray = npt.NDArray[np.float64]
 
 WAIT_S = 0.5  # how long a signal may have to wait in lockstep
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_bridge.gains.table import AXES
+from quad_bridge.si import FloatArray
 from quad_bridge.virtual.aircraft import Aircraft, EffectFunction
 from quad_bridge.virtual.cycle import (
     ADDED,
@@ -33,7 +34,6 @@ from quad_bridge.virtual.receiver import channels_at
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-FloatArray = npt.NDArray[np.float64]
 
 INJECTIONS = ('none', 'attitude', 'rate', 'control', 'thrust')
 

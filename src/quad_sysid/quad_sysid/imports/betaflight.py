@@ -40,7 +40,8 @@ from quad_sysid.imports.log import (
 from quad_sysid.imports.mixers import MIRROR, ned_angles
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
-from quad_sysid.imports.units import ONE_G, header_unit, unit_of
+from quad_sysid.imports.units import header_unit, unit_of
+from quad_sysid.motion import GRAVITY
 
 POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
@@ -219,11 +220,12 @@ def _signals(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Signal
           for name in ('vbatLatest', 'vbat')),
     ]
     unit = units.get('accSmooth[0]', '')
-    counts = {'m/s2': ONE_G, 'm/s/s': ONE_G, 'g': 1.0}.get(unit) or float(
+    counts = {'m/s2': GRAVITY, 'm/s/s': GRAVITY, 'g': 1.0}.get(unit) or float(
         table.header.get('acc_1G') or 2048)
     if counts > 0.0:  # else a board without an accelerometer
         out.append(Signal('acceleration', _several('accSmooth', 3), unit or 'raw',
-                          f'{counts:g} are {ONE_G} m/s²', lambda v: v * (ONE_G / counts) * frame))
+                          f'{counts:g} are {GRAVITY} m/s²',
+                          lambda v: v * (GRAVITY / counts) * frame))
     return tuple(out)
 
 

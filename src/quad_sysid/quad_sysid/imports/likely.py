@@ -10,7 +10,8 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.imports.plausible import MIN_RATE_HZ, time_unit
 from quad_sysid.imports.table import Table
-from quad_sysid.imports.units import ONE_G, OPTIONS, UNITS, Role, header_unit, unit_in_name
+from quad_sysid.imports.units import OPTIONS, UNITS, Role, header_unit, unit_in_name
+from quad_sysid.motion import GRAVITY
 
 SMOOTH_TURN = 20.0
 """99 % quantile of a rate, rad/s, above which it is read as deg/s."""
@@ -63,7 +64,7 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
         size = max(float(np.nanmedian(np.abs(values))) for values in columns)
         named = header_unit(names[0], 'acceleration') in UNITS['acceleration']
         near = next((unit for unit, (factor, _) in UNITS['acceleration'].items()
-                     if 0.5 < size * factor / ONE_G < 2.0), f'{ONE_G / size:.4g}')
+                     if 0.5 < size * factor / GRAVITY < 2.0), f'{GRAVITY / size:.4g}')
         return ['' if named or near == 'm/s2' else near] * len(names)
     if option == 'battery':
         return ['mV' if float(np.nanmedian(columns[0])) > MAX_V else '']

@@ -8,7 +8,7 @@ swings whatever the loop does, is a range of the gain or a longer delay.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from quad_sysid.loop.likeness import Trim
 from quad_sysid.loop.linear import loops_of
 from quad_sysid.loop.plant import LATE_S, Flying, around, plant_like
 from quad_sysid.model import AxisModel, EffectEstimate
-from quad_sysid.model.effect import Effect, Part, Signals
+from quad_sysid.model.effect import ActingEffect, Part, Signals
 from quad_sysid.model.structure import Structure
 
 HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
@@ -40,63 +40,60 @@ SLOW_HZ = 10.0
 """What repeats itself slower than this is no vibration to a loop: its worst case counts."""
 
 
-@dataclass(frozen=True)
-class Placed:
-    """An effect of a model with its parameters (p,), as on the next flight."""
-
-    part: Part
-    p: FloatArray
-
-    @property
-    def effect(self) -> Effect:
-        """Its physics."""
-        return self.part.effect
-
-    @property
-    def why_outside(self) -> str:
-        """Why one axis' loop cannot hold it; '' where it does."""
-        effect = self.effect
-        if not set(effect.signals) <= HERE:
-            return OTHER_AXES
-        if effect.repeats_hz(self.p) and effect.term == 'torque':
-            return 'it is a disturbance, whatever the loop does'
-        return ''
-
-    def signals(self, at: Mapping[str, float], n: int = 1, **moved: Any) -> Signals:
-        """Signals (n,) at the usual values `at`, all but `moved` at rest, its memory steady."""
-        usual = {'time': np.full(n, LATE_S), 'throttle': np.full(n, at['throttle']),
-                 'battery_v': np.full(n, at['battery']), 'sent': np.zeros(n)}
-        s = Signals.at_rest(**(usual | moved))
-        return s if not self.effect.states else s.but(
-            hidden=self.effect.steady(s, self.p, self.part.settings))
-
-    def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
-        """(n,) acceleration, rad/s², there."""
-        own = self.effect.torque(self.signals(at, n, **moved), self.p, self.part.settings)
-        return np.zeros(n) if own is None else np.broadcast_to(own, (n,))
-
-    def factor(self, at: Mapping[str, float], **moved: FloatArray) -> FloatArray:
-        """Factor on the drive in small motion."""
-        n = max((x.size for x in moved.values()), default=1)
-        with_drive = self.torque(at, n, drive=np.ones(n), **moved)
-        out: FloatArray = 1.0 + with_drive - self.torque(at, n, **moved)
-        return out
+def why_outside(acting: ActingEffect) -> str:
+    """Why one axis' loop cannot hold an effect; '' where it does."""
+    effect = acting.effect
+    if not set(effect.signals) <= HERE:
+        return OTHER_AXES
+    if effect.repeats_hz(acting.p) and effect.term == 'torque':
+        return 'it is a disturbance, whatever the loop does'
+    return ''
 
 
-def placed(model: AxisModel, effect: EffectEstimate) -> Placed:
+def signals_at(
+    acting: ActingEffect, usual: Mapping[str, float], n: int = 1, **moved: Any
+) -> Signals:
+    """Signals (n,) at these usual values, all but `moved` at rest, the effect's memory steady."""
+    values = {'time': np.full(n, LATE_S), 'throttle': np.full(n, usual['throttle']),
+              'battery_v': np.full(n, usual['battery']), 'sent': np.zeros(n)}
+    s = Signals.at_rest(**(values | moved))
+    return s if not acting.effect.states else s.but(
+        hidden=acting.effect.steady(s, acting.p, acting.part.settings))
+
+
+def torque_at(
+    acting: ActingEffect, usual: Mapping[str, float], n: int = 1, **moved: FloatArray
+) -> FloatArray:
+    """(n,) acceleration by an effect, rad/s², there."""
+    s = signals_at(acting, usual, n, **moved)
+    torque = acting.effect.torque(s, acting.p, acting.part.settings)
+    return np.zeros(n) if torque is None else np.broadcast_to(torque, (n,))
+
+
+def _factor(
+    acting: ActingEffect, usual: Mapping[str, float], **moved: FloatArray
+) -> FloatArray:
+    """Factor on the drive in small motion."""
+    n = max((x.size for x in moved.values()), default=1)
+    with_drive = torque_at(acting, usual, n, drive=np.ones(n), **moved)
+    out: FloatArray = 1.0 + with_drive - torque_at(acting, usual, n, **moved)
+    return out
+
+
+def acting_effect(model: AxisModel, effect: EffectEstimate) -> ActingEffect:
     """An effect of a model. Raises BadInputError for one that this version does not know."""
     part = part_of(model, effect)
-    return Placed(part, fitted_of(part, effect))
+    return ActingEffect(part, fitted_of(part, effect))
 
 
-def _outside(model: AxisModel, effect: EffectEstimate) -> tuple[Placed, str]:
+def _outside(model: AxisModel, effect: EffectEstimate) -> tuple[ActingEffect, str]:
     """An effect, and why the loop of its axis leaves it out; '' where it does not."""
-    one = placed(model, effect)
-    anywhere = 'angle' in one.effect.signals and not EVERY[model.axis].turns
-    return one, one.why_outside or (PLACE if anywhere else '')
+    acting = acting_effect(model, effect)
+    anywhere = 'angle' in acting.effect.signals and not EVERY[model.axis].turns
+    return acting, why_outside(acting) or (PLACE if anywhere else '')
 
 
-def _inside(model: AxisModel) -> list[Placed]:
+def _inside(model: AxisModel) -> list[ActingEffect]:
     return [one for one, why in (_outside(model, e) for e in model.effects) if not why]
 
 
@@ -113,7 +110,7 @@ def in_flight(model: AxisModel) -> AxisModel:
                    gyro_filter_hz=gains.get('sensor.accel_filter_hz') or None)
 
 
-def _usual(model: AxisModel, effects: list[Placed]) -> dict[str, float]:
+def _usual(model: AxisModel, effects: list[ActingEffect]) -> dict[str, float]:
     """Throttle and battery voltage (V) at which the loop is judged: the flight's means.
 
     Where the model does not know them, those at which its effects count as usual.
@@ -127,7 +124,7 @@ def _usual(model: AxisModel, effects: list[Placed]) -> dict[str, float]:
 
 def usual_signals(model: AxisModel) -> dict[str, float]:
     """Throttle (`throttle`) and voltage (`battery`, V) at which a model counts as flown."""
-    return _usual(model, [placed(model, effect) for effect in model.effects])
+    return _usual(model, [acting_effect(model, effect) for effect in model.effects])
 
 
 def whole_plant(model: AxisModel) -> Flying:
@@ -228,8 +225,8 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
         elif isinstance(effect, Warming):
             factors = effect.factors(one.p, one.part.settings)
         elif 'knots' in one.part.settings and effect.signals[0] == 'time':
-            usual *= float(one.factor(at)[0])
-            factors = one.factor(at, time=np.array(one.part.settings['knots'], dtype=float))
+            usual *= float(_factor(one, at)[0])
+            factors = _factor(one, at, time=np.array(one.part.settings['knots'], dtype=float))
         else:
             continue
         factors = np.maximum(factors, 0.1)
@@ -251,8 +248,8 @@ def share_outside(model: AxisModel) -> dict[str, float]:
     gain, command = model.value('gain'), np.abs(model.ranges.get('command', (0.0, 0.0))).max()
     at = usual_signals(model)
     for effect in model.effects:
-        one = placed(model, effect)
-        if one.why_outside != OTHER_AXES or not gain * command > 0.0:
+        one = acting_effect(model, effect)
+        if why_outside(one) != OTHER_AXES or not gain * command > 0.0:
             continue
         moved: dict[str, Any] = {}
         for name, field in (('other rate', 'other_rates'), ('other angle', 'other_angles'),
@@ -260,7 +257,7 @@ def share_outside(model: AxisModel) -> dict[str, float]:
             ends = [np.array(model.ranges.get(f'{name} {i}', (0.0, 0.0))) for i in (1, 2)]
             moved[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
         rate = np.repeat(np.abs(model.ranges.get('rate', (0.0, 0.0))).max(), 4)
-        s = one.signals(at, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
+        s = signals_at(one, at, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
         pushed = one.effect.torque(s, one.p, one.part.settings)
         if pushed is None:
             pushed = gain * one.effect.command(s, one.p, one.part.settings)

@@ -13,7 +13,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -439,3 +439,15 @@ class Part:
 
     effect: Effect
     settings: Settings = field(default_factory=dict)
+
+
+class ActingEffect(NamedTuple):
+    """An effect with its parameters (p,) in their units, as it acts in one flight."""
+
+    part: Part
+    p: FloatArray
+
+    @property
+    def effect(self) -> Effect:
+        """Its physics."""
+        return self.part.effect

@@ -22,10 +22,10 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
-from quad_sysid.model.effect import Part, Signals, required
+from quad_sysid.model.effect import ActingEffect, Part, Signals, required
 from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
 from quad_sysid.model.plant import (
-    Acting,
+    EffectOnSignals,
     Plant,
     Turning,
     lag_and_delay,
@@ -190,7 +190,7 @@ class Flight:
         if stored is not None:
             return stored
         data = self.data
-        sending = [(part, p[where]) for part, where in acting]
+        sending = [ActingEffect(part, p[where]) for part, where in acting]
 
         def hidden(i: int, s: Signals) -> FloatArray | None:
             part, own = sending[i]
@@ -253,7 +253,7 @@ class Flight:
     def _acting(
         self, structure: Structure, p: FloatArray, rate: FloatArray,
         pushing: Sequence[tuple[Part, slice]],
-    ) -> tuple[FloatArray, list[Acting]]:
+    ) -> tuple[FloatArray, list[EffectOnSignals]]:
         """Acceleration by the drive (2, n), and those effects with what they see."""
         drive = p[0] * self.driven(structure, p)[0]
         if not pushing:

@@ -19,7 +19,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.model import recursion
-from quad_sysid.model.effect import Drive, Part, Signals, required
+from quad_sysid.model.effect import ActingEffect, Drive, Part, Signals, required
 from quad_sysid.model.noise import Sensor
 from quad_sysid.model.structure import Structure
 
@@ -31,11 +31,11 @@ SHORTEST_S = 1e-5
 """A lag or delay below this counts as none."""
 
 
-Acting = tuple[Part, FloatArray, Signals]
+EffectOnSignals = tuple[Part, FloatArray, Signals]
 """An effect with its own parameters and the signals that it sees."""
 
 
-def with_torques(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
+def with_torques(start: FloatArray, acting: Sequence[EffectOnSignals]) -> FloatArray:
     """An acceleration and those of the effects, rad/s²."""
     for part, p, s in acting:
         own = part.effect.torque(s, p, part.settings)
@@ -44,7 +44,7 @@ def with_torques(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
     return start
 
 
-def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
+def with_slopes(start: FloatArray, acting: Sequence[EffectOnSignals]) -> FloatArray:
     """The slope of an acceleration over the rate and those of the effects' torques, 1/s."""
     for part, p, s in acting:
         if 'rate' in part.effect.signals:
@@ -56,12 +56,9 @@ def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
     return start
 
 
-Sending = Sequence[tuple[Part, FloatArray]]
-"""Effects that act before the torque, each with its own parameters."""
-
-
 def sent_on(
-    sending: Sending, s: Signals, remembered: Callable[[int, Signals], FloatArray | None]
+    sending: Sequence[ActingEffect], s: Signals,
+    remembered: Callable[[int, Signals], FloatArray | None],
 ) -> Drive:
     """What becomes of a command s.sent before the motors; along a flight or in one cycle.
 
@@ -137,14 +134,14 @@ class Plant:
     """Rounds of Newton's method in a cycle; one is enough where torques hardly bend in it."""
 
     @cached_property
-    def sending(self) -> Sending:
+    def sending(self) -> list[ActingEffect]:
         """The effects that act before the torque."""
-        return [(part, self.p[at]) for part, at in self.structure.sending()]
+        return [ActingEffect(part, self.p[at]) for part, at in self.structure.sending()]
 
     @cached_property
-    def pushing(self) -> Sending:
+    def pushing(self) -> list[ActingEffect]:
         """The effects that add a torque."""
-        return [(part, self.p[at]) for part, at in self.structure.pushing()]
+        return [ActingEffect(part, self.p[at]) for part, at in self.structure.pushing()]
 
     @cached_property
     def bends(self) -> bool:

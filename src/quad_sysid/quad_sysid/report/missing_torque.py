@@ -18,9 +18,9 @@ import numpy.typing as npt
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.events import Clocked
 from quad_sysid.estimate.fit import Fit, Problem, covariance
-from quad_sysid.loop.from_model import Placed
+from quad_sysid.loop.from_model import signals_at, torque_at
 from quad_sysid.model.data import AxisData, Span
-from quad_sysid.model.effect import Drive, Effect, Part, Signals, per_unit
+from quad_sysid.model.effect import ActingEffect, Drive, Effect, Part, Signals, per_unit
 from quad_sysid.units import COMMAND
 
 HALF_SPAN_S = 0.025
@@ -243,7 +243,7 @@ def _picture(replay: Replay, part: Part) -> tuple[Evaluate, FloatArray, Label]:
 
     def evaluate(p: FloatArray) -> FloatArray:
         at = REST | dict(part.effect.usual(p, part.settings))
-        return np.asarray(Placed(part, p).torque(at, GRID, **moved))
+        return np.asarray(torque_at(ActingEffect(part, p), at, GRID, **moved))
 
     return evaluate, x, over
 
@@ -282,7 +282,7 @@ def _lag(part: Part, x: FloatArray) -> Evaluate:
     drive = Drive(np.zeros((1, n)), np.ones(1), np.ones((1, n)))
 
     def evaluate(p: FloatArray) -> FloatArray:
-        s = Placed(part, p).signals(REST, n, sent=x, throttle=x, battery_v=x, time=x)
+        s = signals_at(ActingEffect(part, p), REST, n, sent=x, throttle=x, battery_v=x, time=x)
         return np.asarray(part.effect.actuate(drive, s, p, part.settings).lag[0])
 
     return evaluate

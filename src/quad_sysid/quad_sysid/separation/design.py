@@ -16,10 +16,9 @@ from quad_sysid.axes import EVERY
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import library
-from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Effect, Part
+from quad_sysid.model.effect import ActingEffect, Effect, Part
 from quad_sysid.separation.flight import Aircraft, Excitation, Flown, effect_of, fly
 from quad_sysid.separation.measure import Apart, Judged, judged
 from quad_sysid.signals import schedule
@@ -128,7 +127,7 @@ class Rival:
     """An effect of a given strength, or nothing."""
 
     name: str
-    acting: Placed | None = None
+    acting: ActingEffect | None = None
     variants: tuple[Effect, ...] = ()
     """Every effect of this name."""
 

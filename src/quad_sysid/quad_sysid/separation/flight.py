@@ -15,12 +15,12 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.from_model import Placed, placed
+from quad_sysid.loop.from_model import acting_effect
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, NoiseEstimate
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Signals, required
+from quad_sysid.model.effect import ActingEffect, Signals, required
 from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.signals import schedule
@@ -47,7 +47,7 @@ class Aircraft:
     theta: FloatArray
     """(5,) gain, lag, delay, damping, bias."""
     gains: CascadeGains
-    acting: tuple[Placed, ...] = ()
+    acting: tuple[ActingEffect, ...] = ()
     """The effects that are no rivals."""
     dt: float = PAPER_DT
     """Control cycle, s."""
@@ -81,7 +81,7 @@ def aircraft_of(model: AxisModel, less: str, source: str) -> Aircraft:
                             f'{theta[0]:.4g}', 'check mixer and gyro, identify again')
     return Aircraft(
         axis=model.axis, theta=theta,
-        acting=tuple(placed(model, effect) for effect in model.effects if effect.name != less),
+        acting=tuple(acting_effect(model, e) for e in model.effects if e.name != less),
         gains=CascadeGains.from_mapping(model.active_gains, model.axis) if known
         else CascadeGains.default(model.axis),
         dt=model.dt, gyro_filter_hz=model.gyro_filter_hz, noise=model.noise or PAPER_NOISE,
@@ -89,9 +89,9 @@ def aircraft_of(model: AxisModel, less: str, source: str) -> Aircraft:
     )
 
 
-def effect_of(model: AxisModel, name: str) -> Placed | None:
+def effect_of(model: AxisModel, name: str) -> ActingEffect | None:
     """One effect of a model; None without it."""
-    return next((placed(model, effect) for effect in model.effects if effect.name == name), None)
+    return next((acting_effect(model, e) for e in model.effects if e.name == name), None)
 
 
 LEAD_S = 1.0
@@ -149,7 +149,7 @@ class Flown:
         return float(np.sqrt(np.mean(self.data.rate**2)))
 
 
-def fly(aircraft: Aircraft, acting: Sequence[Placed],
+def fly(aircraft: Aircraft, acting: Sequence[ActingEffect],
         excitations: Sequence[Excitation]) -> list[Flown]:
     """Each excitation simulated from rest with the effects `acting` and the aircraft's noise."""
     added = [e.added(aircraft.dt) for e in excitations]
@@ -158,7 +158,7 @@ def fly(aircraft: Aircraft, acting: Sequence[Placed],
     return _flown(aircraft, acting, around, [a[:, :n] for a in added])
 
 
-def _flown(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData],
+def _flown(aircraft: Aircraft, acting: Sequence[ActingEffect], around: Sequence[AxisData],
            added: Sequence[FloatArray]) -> list[Flown]:
     """Flights with what goes on around them, and the excitation (3, n) of each."""
     plant = plant_like(

@@ -17,9 +17,8 @@ from scipy import special
 
 from quad_sysid.discover.screen import Score, screen
 from quad_sysid.estimate.fit import Fit, Problem, fit
-from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import ActingEffect, Part
 from quad_sysid.model.structure import BASE, NOISE, Structure, coordinates
 from quad_sysid.separation.flight import Aircraft
 
@@ -105,7 +104,7 @@ class Judged:
                 best = max(best, fitted.evidence - self.base.evidence)
         return best
 
-    def trace(self, one: Placed) -> float:
+    def trace(self, one: ActingEffect) -> float:
         """Evidence for an effect on this flight, nats, beyond what the base can explain."""
         flight, base = self.problem.flight, self.base
         count = base.theta.size - len(NOISE)
@@ -124,7 +123,7 @@ class Judged:
         c = out[rows, 0] / base.tail.scale
         return 0.5 * float(c @ c - np.sum((q.T @ c) ** 2))
 
-    def sized(self, part: Part, wanted: float) -> Placed:
+    def sized(self, part: Part, wanted: float) -> ActingEffect:
         """The effect at about the strength that gives `wanted` nats on this flight.
 
         Parameters that are zero without the effect are scaled (several in a direction drawn from
@@ -145,16 +144,16 @@ class Judged:
             scale = 0.1
             for _ in range(8):
                 p[free] = scale * direction
-                nats = self.trace(Placed(part, p))
+                nats = self.trace(ActingEffect(part, p))
                 scale *= float(np.clip(math.sqrt(wanted / max(nats, 1e-12)), 0.05, 20.0))
             p[free] = scale * direction
-            return Placed(part, p)
+            return ActingEffect(part, p)
         spread = specs[0].spread or 1.0
         reach = np.linspace(-REACH, REACH, GRID)
         grid = p[0] * np.exp(reach) if specs[0].log else p[0] + 0.5 * spread * reach
-        levels = [self.trace(Placed(part, np.r_[value, p[1:]])) for value in grid]
+        levels = [self.trace(ActingEffect(part, np.r_[value, p[1:]])) for value in grid]
         misses = np.abs(np.log(np.maximum(levels, 1e-12) / wanted))
-        return Placed(part, np.r_[grid[int(np.argmin(misses))], p[1:]])
+        return ActingEffect(part, np.r_[grid[int(np.argmin(misses))], p[1:]])
 
 
 def judged(aircraft: Aircraft, data: AxisData) -> Judged:

@@ -13,7 +13,8 @@ from itertools import accumulate, pairwise
 
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError, shortened
+from quad_sysid.errors import BadInputError
+from quad_sysid.one_line import shortened
 from quad_sysid.record import ROLES
 from quad_sysid.signals.waveforms import Silence, Waveform, parameter_names, waveform
 

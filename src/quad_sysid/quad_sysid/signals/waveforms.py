@@ -15,7 +15,8 @@ from typing import Protocol
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.errors import BadInputError, shortened
+from quad_sysid.errors import BadInputError
+from quad_sysid.one_line import shortened
 
 TAPS: dict[int, tuple[int, ...]] = {2: (2, 1), 3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5),
                                     7: (7, 6), 8: (8, 6, 5, 4), 9: (9, 5), 10: (10, 7),
