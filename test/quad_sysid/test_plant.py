@@ -191,7 +191,7 @@ class Creeps(Effect):
 def test_a_memory_along_a_flight_is_its_law_cycle_by_cycle_compiled_where_that_is_possible():
     """To 1e-12, in each stretch from where it begins."""
     data = replace(flight_of_commands(), rate=np.sin(4.0 * DT * np.arange(N)))
-    s = Flight(data, data.stretches).commanded(BASE).but(rate=data.rate, angle=data.angle)
+    s = Flight(data, data.stretches).commanded(BASE).replaced(rate=data.rate, angle=data.angle)
     spans = (0, 100), (110, N)
     for effect, called in ((Creeps(), 0), (Branches(), 1)):
         begun = np.full((effect.states, N), 0.2)
@@ -262,7 +262,7 @@ def smooth(effect) -> bool:
     warms = isinstance(effect, Memory) and not effect.leans
     acting = ActingEffect(Part(effect), effect.centre())
     steep_lag = effect.term == 'lag' and effect.signals[0] == 'command'
-    sought = type(effect).sought is not Effect.sought
+    sought = type(effect).starts_by_residual is not Effect.starts_by_residual
     return not (steep_lag or effect.name in steep or sought
                 or warms or effect.name == 'mode:hysteresis' or why_outside(acting))
 

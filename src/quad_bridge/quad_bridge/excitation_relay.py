@@ -78,9 +78,9 @@ class ExcitationRelay:
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
         if parameters.get('axis') == 'climb':  # the third of the values
             wanted = Injection.THRUST if wanted is Injection.CONTROL else None
-        before, self._lost = self._injection, False
+        previous, self._lost = self._injection, False
         self._injection = wanted if running and wanted is not None else Injection.NONE
-        end = self._aircraft().abort() if Injection.NONE in {before, self._injection} else None
+        end = self._aircraft().abort() if Injection.NONE in {previous, self._injection} else None
         self._aircraft().segment(parameters if self._injection is not Injection.NONE else None)
         return end
 

@@ -83,8 +83,8 @@ class AutopilotAircraft(Aircraft):
         if fault:
             return fault
         if flight.mode not in self.kind.pilot_modes:
-            known = ', '.join(self.kind.pilot_modes.values())
-            return f'it flies in {self.kind.mode_name(flight.mode)}: the pilot must fly ({known})'
+            modes = ', '.join(self.kind.pilot_modes.values())
+            return f'it flies in {self.kind.mode_name(flight.mode)}: the pilot must fly ({modes})'
         return flight.hover_fault(now_s)
 
     def segment(self, parameters: Mapping[str, Any] | None) -> None:
@@ -234,8 +234,8 @@ class Connected:
 
     def _meet(self, beat: f.Heartbeat) -> None:
         kind = BY_NUMBER.get(beat.autopilot)
-        known = self.autopilot
-        if (known.kind if known is not None else None) is kind:
+        previous = self.autopilot
+        if (previous.kind if previous is not None else None) is kind:
             return
         self.autopilot = None if kind is None else AutopilotAircraft(
             kind, beat.system, now_s=self._now_s, **self._allow

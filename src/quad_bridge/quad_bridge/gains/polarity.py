@@ -117,12 +117,12 @@ def judge_axes(answers: Mapping[str, FloatArray]) -> dict[str, str]:
     for i, axis in enumerate(AXES):
         if axis not in answers:
             continue
-        own = float(answers[axis][i])
+        answer = float(answers[axis][i])
         foreign = float(np.abs(np.delete(answers[axis], i)).max())
-        verdicts[axis] = 'right' if own > 0.0 else 'wrong'
-        if foreign > abs(own):
+        verdicts[axis] = 'right' if answer > 0.0 else 'wrong'
+        if foreign > abs(answer):
             verdicts[axis] = 'crossed'
-        elif own == 0.0:
+        elif answer == 0.0:
             verdicts[axis] = 'silent'
     return verdicts
 

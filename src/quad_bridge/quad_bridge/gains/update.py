@@ -445,9 +445,9 @@ class GainUpdates:
         rate_hz = self.protocol.cycles_hz or active.get('loop.rate_hz', gate.USUAL_HZ)
         if rate_hz != self.rate_hz:
             self.rate_hz = self.polarity.rate_hz = rate_hz
-            known = self.watch.known
+            history = self.watch.known
             self.watch = GainWatch(min(max(rate_hz, MIN_HZ), MAX_HZ))
-            self.watch.know(known)
+            self.watch.know(history)
 
     def _committed(self, event: GainEvent) -> None:
         update = self._update

@@ -75,12 +75,12 @@ def recover(bag: Path, out: Path | None = None) -> Recovered:
     `out`: default `<bag>_recovered` beside it, where it is damaged. Raises BadInputError where
     nothing can be recovered or the new bag exists already.
     """
-    files, whole = storage_files(bag), bag.resolve()
+    files, resolved = storage_files(bag), bag.resolve()
     state = recording_state(files[-1])
     if state == RECORDING:
         raise BadInputError(str(bag), state, remedy='stop the recording first')
-    stem = whole.name.removesuffix(PACKED).removesuffix('.mcap').removesuffix('.db3')
-    target = whole.with_name(f'{stem}_recovered') if out is None else out.absolute()
+    stem = resolved.name.removesuffix(PACKED).removesuffix('.mcap').removesuffix('.db3')
+    target = resolved.with_name(f'{stem}_recovered') if out is None else out.absolute()
     if out is not None and target.exists():
         raise BadInputError(str(target), 'exists already', remedy='name another with --out')
     if out is None and (checked := _copied(bag, files, bag, Tally())).sound:

@@ -45,9 +45,9 @@ def craft_of(value: str) -> Craft:
         try:
             text = Path(value).expanduser().read_text(encoding='utf-8')
         except (OSError, UnicodeDecodeError, ValueError) as error:
-            known = f'layouts are {", ".join(LAYOUTS)}'
+            layouts = f'layouts are {", ".join(LAYOUTS)}'
             what = 'is neither a layout, nor a URDF, nor a file that can be read'
-            raise BadInputError(where, what, remedy=known) from error
+            raise BadInputError(where, what, remedy=layouts) from error
     try:
         craft = from_urdf(text)
     except ValueError as error:

@@ -132,17 +132,18 @@ class SerialBridge(ManagedNode):
         self._port = self._new_port()
 
     def _new_port(self) -> SerialPort:
-        around, settings = self.fence.around, self._settings
-        return SerialPort(settings.port, settings.baud, around(self._on_bytes),
-                          around(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
+        fenced, settings = self.fence.around, self._settings
+        return SerialPort(settings.port, settings.baud, fenced(self._on_bytes),
+                          fenced(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
 
     def _logger_inside(self, options: Mapping[str, Any]) -> Any:
         """A logger for this process, in the same namespace, with these parameters."""
-        own = {name: self.get_parameter(name).value for name in ('managed', 'use_sim_time')}
-        parameters = [Parameter(name, value=value) for name, value in {**own, **options}.items()]
-        made = importlib.import_module('quad_bridge.nodes.bag_logger').BagLogger
-        return made(STREAMS, namespace=self.get_namespace(), use_global_arguments=False,
-                    parameter_overrides=parameters)  # fmt: skip
+        declared = {name: self.get_parameter(name).value for name in ('managed', 'use_sim_time')}
+        parameters = [Parameter(name, value=value)
+                      for name, value in {**declared, **options}.items()]
+        logger_class = importlib.import_module('quad_bridge.nodes.bag_logger').BagLogger
+        return logger_class(STREAMS, namespace=self.get_namespace(), use_global_arguments=False,
+                            parameter_overrides=parameters)  # fmt: skip
 
     def configure(self) -> None:
         """Create what is published, and the services."""
@@ -228,8 +229,8 @@ class SerialBridge(ManagedNode):
             self._gains.disturb('the port was opened again')
             self._time.opened(*self._epoch())
         path = self._port.status.path
-        at = '' if '://' in path else f' at {self._settings.baud} baud'
-        self._say_once(f'{path}: open{at}')
+        speed = '' if '://' in path else f' at {self._settings.baud} baud'
+        self._say_once(f'{path}: open{speed}')
 
     def _on_bytes(self, data: bytes) -> None:
         now_ns = clock().now_ns()
@@ -289,13 +290,13 @@ class SerialBridge(ManagedNode):
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
-        known = stamp_ns > 0  # simulated time may not have come yet
+        is_timed = stamp_ns > 0  # simulated time may not have come yet
         if isinstance(frame, f.Cycle):
-            if known:
+            if is_timed:
                 self._publish_cycle(frame, stamp_ns)
             return
         self._connected.take(frame, clock().now_s())
-        if not known:
+        if not is_timed:
             return
         if isinstance(frame, f.RcChannels):
             last = self._link.last_cycle

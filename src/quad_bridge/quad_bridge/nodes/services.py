@@ -63,7 +63,7 @@ class GainServices:
         """Answer those who have waited too long."""
         now_s = clock().now_s()
         late = [done for until_s, done in self._waiting if now_s > until_s]
-        self._waiting = [one for one in self._waiting if now_s <= one[0] and not one[1].done()]
+        self._waiting = [call for call in self._waiting if now_s <= call[0] and not call[1].done()]
         for done in late:
             _settle(done, (False, f'not read back in {GAINS_S:g} s: /diagnostics says why'))
 

@@ -46,8 +46,8 @@ def estimate_at_rest(
     Axes FLU; at rest the acceleration points up. Raises RefusedError, in one line, where the data
     are too short or the aircraft moves.
     """
-    good = (np.abs(np.hstack([gyro, acceleration])) < MAX_READING).all(axis=1)
-    t, rates, force = times[good], gyro[good], acceleration[good]
+    plausible = (np.abs(np.hstack([gyro, acceleration])) < MAX_READING).all(axis=1)
+    t, rates, force = times[plausible], gyro[plausible], acceleration[plausible]
     duration = float(t[-1] - t[0]) if len(t) else 0.0
     if duration < MIN_S:
         raise RefusedError(f'only {duration:.1f} s of data; let it stand still for {MIN_S:g} s')

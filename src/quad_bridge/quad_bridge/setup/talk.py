@@ -78,7 +78,7 @@ class Talk:
         """The bytes to send now."""
         request = self._protocol.poll(self._now_s())
         frames, self._queue = [*self._queue, *([request] if request is not None else [])], []
-        return b''.join(self._encoder.encode(one) for one in frames)
+        return b''.join(self._encoder.encode(frame) for frame in frames)
 
     def wait(self, seconds: float) -> None:
         """Let so much time pass on the line."""

@@ -52,9 +52,9 @@ def arguments() -> argparse.ArgumentParser:
         description='A simulated quadrotor with its STM32 behind a pseudo-terminal, in real time.',
         epilog='Example: virtual_stm32 --profile plain --mount rig --axis roll --link /tmp/stm32',
     )
-    known = ', '.join(profile_names())
+    names = ', '.join(profile_names())
     parser.add_argument(
-        '--profile', default='plain', help=f'name ({known}) or YAML file; default plain'
+        '--profile', default='plain', help=f'name ({names}) or YAML file; default plain'
     )
     parser.add_argument(
         '--mount', choices=('rig', 'hover'), help='one free axis on a bearing, or free flight'
@@ -199,8 +199,8 @@ def prepared(profile: Profile, *, seed: int, effect: EffectFunction | None = Non
 
     A compilation takes seconds, after which the missed cycles are more than a port holds.
     """
-    nothing = None if effect is None else lambda *_: np.zeros(3)
-    first = Aircraft(profile, seed=0, effect=nothing)
+    no_effect = None if effect is None else lambda *_: np.zeros(3)
+    first = Aircraft(profile, seed=0, effect=no_effect)
     first.measure(channels_at(Receiver(), 0.0))
     first.move(hil.Motors(0, (0.0, 0.0, 0.0, 0.0), 0, 0, 0))
     return Aircraft(profile, seed=seed, effect=effect)

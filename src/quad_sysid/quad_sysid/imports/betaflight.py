@@ -109,10 +109,10 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     reading.mapped += [Mapped('header', '-', 'note', filters)] if filters else []
     header = {str(name): str(value) for name, value in table.header.items()}
     throttle, span = _usual_throttle(table), _span_us(table)
-    known = tuning(header, throttle, span)
-    reading.mapped += [Mapped('header.rollPID, …', '-', '/gains/active', known.how)] * bool(
-        known.gains)
-    return reading.log('a blackbox log', signals, crafts=crafts, faster=FASTER, gains=known.gains,
+    gains = tuning(header, throttle, span)
+    reading.mapped += [Mapped('header.rollPID, …', '-', '/gains/active', gains.how)] * bool(
+        gains.gains)
+    return reading.log('a blackbox log', signals, crafts=crafts, faster=FASTER, gains=gains.gains,
                        gain_changes=changes(header, adjusted, throttle, span),
                        no_gains=NO_GAINS, experiments=tuple(_chirps(reading)))
 
@@ -123,8 +123,8 @@ def _usual_throttle(table: Table) -> float | None:
     if stick is None:
         return None
     share = (stick - PULSE_US[0]) / (PULSE_US[1] - PULSE_US[0])
-    flown = share[(share > IN_THE_AIR) & (share <= 1.0)]
-    return float(np.median(flown)) if flown.size else None
+    in_flight = share[(share > IN_THE_AIR) & (share <= 1.0)]
+    return float(np.median(in_flight)) if in_flight.size else None
 
 
 def _span_us(table: Table) -> float:
@@ -299,12 +299,12 @@ def _events() -> Iterator[_Events]:
     from orangebox.types import EventType
 
     events, kind = _Events(), EventType.INFLIGHT_ADJUSTMENT
-    before = event_map[kind]
+    previous = event_map[kind]
     event_map[kind] = events
     try:
         yield events
     finally:
-        event_map[kind] = before
+        event_map[kind] = previous
 
 
 def _frames(parser: Any, places: Sequence[int], width: int,
@@ -400,7 +400,7 @@ def _motors(table: Table, *, indi: bool) -> tuple[Signal, tuple[Craft, ...]]:
     if name == 'u':
         low, high, why = 0.0, UNIT_AS_INTEGER, 'the largest number'
     else:
-        low, high, why = _motor_range(table, np.array([table.columns[one] for one in columns]))
+        low, high, why = _motor_range(table, np.array([table.columns[name] for name in columns]))
     crafts = () if indi else _crafts(table, count)
     how = f'({name} - {low:g}) / {high - low:g} ({why}); in the places of ' + (
         crafts[0].name if len(crafts) == 1 else 'what the motion shows' if not crafts else
@@ -420,7 +420,7 @@ def _crafts(table: Table, count: int) -> tuple[Craft, ...]:
     mixers = ['QUADX'] if count == 4 else mixers
     crafts = (of_betaflight({'mixer': mixer, 'yaw_motors_reversed': out})
               for mixer in mixers for out in ((reversed_yaw,) if reversed_yaw else ('0', '1')))
-    return tuple(one for one in crafts if isinstance(one, Craft))
+    return tuple(craft for craft in crafts if isinstance(craft, Craft))
 
 
 def _motor_range(table: Table, raw: FloatArray) -> tuple[float, float, str]:

@@ -26,8 +26,8 @@ def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
     is unknown. An empty name is no column.
     """
     role, names = OPTIONS[option].role, [name for name in names if name]
-    known = {None, *UNITS[role]}
-    return [unit or ('' if header_unit(name, role) in known else next(iter(UNITS[role])))
+    units = {None, *UNITS[role]}
+    return [unit or ('' if header_unit(name, role) in units else next(iter(UNITS[role])))
             for name, unit in zip(names, _by_size(table, option, names), strict=True)]
 
 
@@ -47,8 +47,8 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
 ) -> list[str]:
     columns = [table.columns[name] for name in names]
     if option == 'time':
-        known = header_unit(names[0])
-        unit = known if known in UNITS['time'] else time_unit(columns[0])
+        header = header_unit(names[0])
+        unit = header if header in UNITS['time'] else time_unit(columns[0])
         steps = np.diff(columns[0][np.isfinite(columns[0])])
         usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
         if unit == 's' and usual * MIN_RATE_HZ > 1.0:
@@ -58,8 +58,8 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
         return _turn_units(names, columns, OPTIONS[option].role)
     high = max(float(np.nanmax(np.abs(values))) for values in columns)
     if option == 'motors' and min(map(np.nanmin, columns)) < 0.0:
-        whole = f'{rounded_down(1.0 / high):g}' if high > 1.0 else ''
-        return [whole] * len(names)  # signed by their spin
+        upper = f'{rounded_down(1.0 / high):g}' if high > 1.0 else ''
+        return [upper] * len(names)  # signed by their spin
     if option == 'acceleration':
         size = max(float(np.nanmedian(np.abs(values))) for values in columns)
         named = header_unit(names[0], 'acceleration') in UNITS['acceleration']

@@ -179,14 +179,14 @@ def unit_of(role: Role, text: str | None, column: str, likely: str = '') -> Unit
 
     Raises BadInputError naming what the role allows, and `likely` as an example.
     """
-    known = UNITS[role]
+    units = UNITS[role]
     name = written(text, role) if text else (
-        header_unit(column, role) or unit_in_name(column, role) or next(iter(known)))
-    if name in known:
-        return Unit(name, *known[name])
-    allowed = f'use {", ".join(known)}, a factor or FACTOR:OFFSET'
+        header_unit(column, role) or unit_in_name(column, role) or next(iter(units)))
+    if name in units:
+        return Unit(name, *units[name])
+    allowed = f'use {", ".join(units)}, a factor or FACTOR:OFFSET'
     if not text:
-        example = shlex.quote(f'{column}={likely or next(iter(known))}')
+        example = shlex.quote(f'{column}={likely or next(iter(units))}')
         raise BadInputError(f'column {column}', 'has no known unit in its brackets', repr(name),
                             f'{allowed}, such as --unit {example}')
     factor, colon, offset = name.partition(':')

@@ -27,11 +27,11 @@ from quad_sysid.model import AxisModel, EffectEstimate
 from quad_sysid.model.effect import ActingEffect, Part, Signals
 from quad_sysid.model.structure import Structure
 
-HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
-        'direction'}
+LOOP_SIGNALS = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
+                'direction'}
 """Signals that one axis' loop contains or holds constant."""
 OTHER_AXES = 'it depends on the other axes'
-PLACE = 'it depends on the height, and gains must hold at any height'
+NEEDS_HEIGHT = 'it depends on the height, and gains must hold at any height'
 LEANING_RAD_S = (0.1, 4.0)
 """Where a loop around the lean works."""
 ROUNDS = 4
@@ -43,7 +43,7 @@ SLOW_HZ = 10.0
 def why_outside(acting: ActingEffect) -> str:
     """Why one axis' loop cannot hold an effect; '' where it does."""
     effect = acting.effect
-    if not set(effect.signals) <= HERE:
+    if not set(effect.signals) <= LOOP_SIGNALS:
         return OTHER_AXES
     if effect.repeats_hz(acting.p) and effect.term == 'torque':
         return 'it is a disturbance, whatever the loop does'
@@ -57,7 +57,7 @@ def signals_at(
     values = {'time': np.full(n, LATE_S), 'throttle': np.full(n, usual['throttle']),
               'battery_v': np.full(n, usual['battery']), 'sent': np.zeros(n)}
     s = Signals.at_rest(**(values | moved))
-    return s if not acting.effect.states else s.but(
+    return s if not acting.effect.states else s.replaced(
         hidden=acting.effect.steady(s, acting.p, acting.part.settings))
 
 
@@ -90,11 +90,11 @@ def _outside(model: AxisModel, effect: EffectEstimate) -> tuple[ActingEffect, st
     """An effect, and why the loop of its axis leaves it out; '' where it does not."""
     acting = acting_effect(model, effect)
     anywhere = 'angle' in acting.effect.signals and not EVERY[model.axis].turns
-    return acting, why_outside(acting) or (PLACE if anywhere else '')
+    return acting, why_outside(acting) or (NEEDS_HEIGHT if anywhere else '')
 
 
 def _inside(model: AxisModel) -> list[ActingEffect]:
-    return [one for one, why in (_outside(model, e) for e in model.effects) if not why]
+    return [acting for acting, why in (_outside(model, e) for e in model.effects) if not why]
 
 
 def in_flight(model: AxisModel) -> AxisModel:
@@ -103,8 +103,8 @@ def in_flight(model: AxisModel) -> AxisModel:
     A rotation was measured by that. A speed comes more rarely and from elsewhere, while the
     firmware integrates its accelerometer, and the noise of that is not in the model.
     """
-    gains, own = model.active_gains, EVERY[model.axis]
-    if own.turns or own.outer or 'loop.rate_hz' not in gains:
+    gains, axis = model.active_gains, EVERY[model.axis]
+    if axis.turns or axis.outer or 'loop.rate_hz' not in gains:
         return model
     return replace(model, dt=1.0 / gains['loop.rate_hz'], noise=None,
                    gyro_filter_hz=gains.get('sensor.accel_filter_hz') or None)
@@ -115,11 +115,11 @@ def _usual(model: AxisModel, effects: list[ActingEffect]) -> dict[str, float]:
 
     Where the model does not know them, those at which its effects count as usual.
     """
-    at = {'throttle': 0.5, 'battery': 1.0}
-    for one in reversed(effects):
-        at |= one.effect.usual(one.p, one.part.settings)
-    known = {'throttle': model.mean_throttle, 'battery': model.mean_battery_v}
-    return at | {name: value for name, value in known.items() if value is not None}
+    usual = {'throttle': 0.5, 'battery': 1.0}
+    for acting in reversed(effects):
+        usual |= acting.effect.usual(acting.p, acting.part.settings)
+    means = {'throttle': model.mean_throttle, 'battery': model.mean_battery_v}
+    return usual | {name: value for name, value in means.items() if value is not None}
 
 
 def usual_signals(model: AxisModel) -> dict[str, float]:
@@ -129,8 +129,8 @@ def usual_signals(model: AxisModel) -> dict[str, float]:
 
 def whole_plant(model: AxisModel) -> Flying:
     """The plant with all its effects, at the flight's mean throttle and voltage."""
-    plant, at = plant_of(model), usual_signals(model)
-    return Flying(plant, around(at['throttle'], at['battery']))
+    plant, usual = plant_of(model), usual_signals(model)
+    return Flying(plant, around(usual['throttle'], usual['battery']))
 
 
 def behind_lean(model: AxisModel, inner: AxisModel) -> AxisModel:
@@ -148,13 +148,14 @@ def behind_lean(model: AxisModel, inner: AxisModel) -> AxisModel:
     answer = reference_response(gains, response, omega, inner.dt)[0]
 
     def missed(p: FloatArray) -> FloatArray:
-        like = np.exp(-1j * omega * p[1]) / (1.0 + 1j * omega * p[0])
-        return np.concatenate([(like - answer).real, (like - answer).imag])
+        approximation = np.exp(-1j * omega * p[1]) / (1.0 + 1j * omega * p[0])
+        return np.concatenate([(approximation - answer).real, (approximation - answer).imag])
 
     lag, delay = least_squares(missed, [0.2, 0.05], bounds=(0.0, 2.0)).x
     added = {'lag': lag - model.value('lag'), 'delay': delay + model.value('lag')}
     return replace(model, base=tuple(
-        replace(one, value=one.value + added.get(one.name, 0.0)) for one in model.base))
+        replace(parameter, value=parameter.value + added.get(parameter.name, 0.0))
+        for parameter in model.base))
 
 
 def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Flying:
@@ -163,32 +164,32 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
     Raises BadInputError for effects that are not known and parameters that are not finite.
     """
     inside = _inside(model)
-    flying = [one for one in inside
-              if not one.effect.repeats_hz(one.p) and not one.effect.wanders]
+    flying = [acting for acting in inside
+              if not acting.effect.repeats_hz(acting.p) and not acting.effect.wanders]
     law = Part(model.law) if model.law else None
     p = np.array([model.value(name) for name in Structure(law=law).base_names])
-    at = {**_usual(model, inside), **(moved or {})}
+    usual = {**_usual(model, inside), **(moved or {})}
     p[0] *= schedule_factor(model, (moved or {}).get('battery'))
     p[2] = max(0.0, p[2]) + sum(
-        one.effect.longest_s(one.p) for one in inside
-        if 0.0 < one.effect.repeats_hz(one.p) < SLOW_HZ
+        acting.effect.longest_s(acting.p) for acting in inside
+        if 0.0 < acting.effect.repeats_hz(acting.p) < SLOW_HZ
     )
-    parts = tuple(one.part for one in flying)
+    parts = tuple(acting.part for acting in flying)
     plant = plant_like(
-        model.axis, np.concatenate([p, *(one.p for one in flying)]), model.dt,
+        model.axis, np.concatenate([p, *(acting.p for acting in flying)]), model.dt,
         model.gyro_filter_hz, structure=Structure(parts, law=law),
-        craft=model.craft, at=(at['throttle'], at['battery']),
+        craft=model.craft, conditions=(usual['throttle'], usual['battery']),
     )
     return plant if EVERY[model.axis].turns else _about_trim(plant)
 
 
 def _about_trim(flying: Flying) -> Flying:
     """The same about the command that holds it: a climb flies beside the throttle of the hover."""
-    plant, at = flying.plant, 0.0
+    plant, trim = flying.plant, 0.0
     gain, out = float(plant.p[0]), flying
     for _ in range(ROUNDS if plant.structure.parts else 1):
-        at -= out.held / gain if gain else 0.0
-        structure = replace(plant.structure, parts=(Part(Trim(at)), *plant.structure.parts))
+        trim -= out.held / gain if gain else 0.0
+        structure = replace(plant.structure, parts=(Part(Trim(trim)), *plant.structure.parts))
         out = replace(flying, plant=replace(plant, structure=structure))
     return out
 
@@ -211,22 +212,23 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
     """
     low = usual = high = 1.0
     effects = _inside(model)
-    at = _usual(model, effects)
-    for one in effects:
-        effect = one.effect
+    conditions = _usual(model, effects)
+    for acting in effects:
+        effect = acting.effect
         if effect.term != 'gain' or effect.moves_command:
             continue
-        if effect.repeats_hz(one.p):
-            size = float(np.hypot(*one.p[1:3]))
+        if effect.repeats_hz(acting.p):
+            size = float(np.hypot(*acting.p[1:3]))
             factors = np.array([1.0 - size, 1.0 + size])
         elif effect.wanders:
-            size = 2.0 * float(one.p[0])
+            size = 2.0 * float(acting.p[0])
             factors = np.array([1.0 - size, 1.0 + size])
         elif isinstance(effect, Warming):
-            factors = effect.factors(one.p, one.part.settings)
-        elif 'knots' in one.part.settings and effect.signals[0] == 'time':
-            usual *= float(_factor(one, at)[0])
-            factors = _factor(one, at, time=np.array(one.part.settings['knots'], dtype=float))
+            factors = effect.factors(acting.p, acting.part.settings)
+        elif 'knots' in acting.part.settings and effect.signals[0] == 'time':
+            usual *= float(_factor(acting, conditions)[0])
+            knots = np.array(acting.part.settings['knots'], dtype=float)
+            factors = _factor(acting, conditions, time=knots)
         else:
             continue
         factors = np.maximum(factors, 0.1)
@@ -240,16 +242,16 @@ def not_in_the_loop(model: AxisModel) -> dict[str, str]:
 
 
 def share_outside(model: AxisModel) -> dict[str, float]:
-    """Of those that depend on other axes, by name, the largest acceleration over the drive's.
+    """The largest acceleration over the drive's, by name, of effects that depend on other axes.
 
     Both over the signals' ranges in the training; none where the model does not know these.
     """
     out: dict[str, float] = {}
     gain, command = model.value('gain'), np.abs(model.ranges.get('command', (0.0, 0.0))).max()
-    at = usual_signals(model)
+    usual = usual_signals(model)
     for effect in model.effects:
-        one = acting_effect(model, effect)
-        if why_outside(one) != OTHER_AXES or not gain * command > 0.0:
+        acting = acting_effect(model, effect)
+        if why_outside(acting) != OTHER_AXES or not gain * command > 0.0:
             continue
         moved: dict[str, Any] = {}
         for name, field in (('other rate', 'other_rates'), ('other angle', 'other_angles'),
@@ -257,10 +259,10 @@ def share_outside(model: AxisModel) -> dict[str, float]:
             ends = [np.array(model.ranges.get(f'{name} {i}', (0.0, 0.0))) for i in (1, 2)]
             moved[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
         rate = np.repeat(np.abs(model.ranges.get('rate', (0.0, 0.0))).max(), 4)
-        s = signals_at(one, at, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
-        pushed = one.effect.torque(s, one.p, one.part.settings)
+        s = signals_at(acting, usual, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
+        pushed = acting.effect.torque(s, acting.p, acting.part.settings)
         if pushed is None:
-            pushed = gain * one.effect.command(s, one.p, one.part.settings)
+            pushed = gain * acting.effect.command(s, acting.p, acting.part.settings)
         share = float(np.abs(pushed).max() / (gain * command))
         out[effect.name] = max(share, out.get(effect.name, 0.0))
     return out
