@@ -168,7 +168,7 @@ def bound(problem: Problem, theta: FloatArray, truth: FloatArray) -> FloatArray:
     at = np.r_[truth, theta[5:]]
     at[1:3] = np.log(at[1:3])
     structure = Structure(lines=(theta.size - 5 - len(NOISE)) // 3)
-    held = fit(problem, structure, at, most_steps=0)
+    held = fit(problem, structure, at, max_steps=0)
     information = held.hessian - held.precision
     variance = np.diag(np.linalg.pinv(information))[:5].copy()
     variance[1:3] *= truth[1:3] ** 2

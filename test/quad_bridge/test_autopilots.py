@@ -70,7 +70,7 @@ class Cockpit(Line):
         )
         self.history = History(self.folder, lambda job: job())
         self.updates = GainUpdates(GainSettings(folder=self.folder), self.history)
-        self.relay = ExcitationRelay(100, None, self.connected)
+        self.relay = ExcitationRelay(100, None, lambda: self.connected.aircraft)
         self.connected.on_change = self.changed
         self.notes = []
         self.link.opened()
@@ -122,7 +122,7 @@ class Cockpit(Line):
     def ask(self, **gains):
         """Ask as ~/set_gains does; keys with _ for dots: roll_rate_kp."""
         wanted = {name.replace('_', '.', 2): value for name, value in gains.items()}
-        fault = self.connected.cannot(Ability.GAINS)
+        fault = self.connected.aircraft.cannot(Ability.GAINS)
         if fault:
             raise RefusedError(fault)
         return self.updates.ask({'source': 'test', **wanted}, 1e-9 * self.now_ns)
@@ -300,7 +300,7 @@ def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
     for given, words in (({'amplitude': 0.9}, 'at most 0.25'), ({'axis': 'nose'}, "axis 'nose'")):
         line.segment(signal='chirp', injection='control', **{**CHIRP, **given})
         line.fly(0.5)
-        assert words in line.connected.cannot(Ability.EXCITE)
+        assert words in line.connected.aircraft.cannot(Ability.EXCITE)
         assert line.controller.parameters == before
 
 
@@ -364,7 +364,7 @@ def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, n
         with pytest.raises(RefusedError, match=words):
             line.ask(roll_rate_kp=0.05)
         line.segment()
-        assert words in line.connected.cannot(Ability.EXCITE)
+        assert words in line.connected.aircraft.cannot(Ability.EXCITE)
         line.excite(1.6, 0.1)
         assert not line.controller.written
         assert line.controller.mode == mode
@@ -375,7 +375,7 @@ def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, n
     line.allow = (True, True)
     line.connect(Link())
     line.fly(4.5)
-    assert line.connected.cannot(Ability.GAINS) == ''
+    assert line.connected.aircraft.cannot(Ability.GAINS) == ''
     if name == 'px4':
         line.controller.mode = 4 << 16
         line.fly(1.3)
@@ -411,7 +411,7 @@ def test_a_segment_in_flight_ends_and_the_mode_is_given_back(flying, name):
                 line.relay.setpoint(0.05, 0.0, 0.0, 1e-9 * line.now_ns)
             line.run()
         assert controller.mode == (chosen if case == 'mode' else controller.pilot_mode), case
-        assert words in line.connected.cannot(Ability.EXCITE)
+        assert words in line.connected.aircraft.cannot(Ability.EXCITE)
         assert line.cycles[-1].flags & f.Flag.EXCITATION_REFUSED
 
 

@@ -16,6 +16,7 @@ from quad_bridge.errors import BadInputError
 from quad_bridge.log import mcap
 from quad_bridge.log.recording import Gaps, Recording, recording_status
 from quad_bridge.log.recover import recover
+from quad_bridge.log.stored.files import recording_state
 from quad_bridge.log.stored.scan import McapScan
 from quad_bridge.log.writer import BagWriter, Limits
 from quad_sysid.bags.storage import Storage
@@ -170,6 +171,12 @@ def test_of_a_split_bag_all_files_are_recovered_and_a_missing_one_is_told(bag):
     with pytest.raises(BadInputError, match='is still being recorded'):
         recover(bag)
     writer.abort()
+    storage = Storage(bag, (TOPIC,))  # as another recorder's, that keeps no lock
+    assert sum(len(batch[TOPIC]) for batch in storage.batches()) == 450
+    assert 'is still being recorded, or its recorder was killed: read' in ''.join(storage.warnings)
+    last = max(bag.glob('*.mcap'))
+    os.utime(last, (0.0, 0.0))
+    assert recording_state(last) == ''
     (bag / 'bag_5.mcap').touch()  # opened, nothing in it yet
     result = recover(bag)
     assert numbers_in(result.path) == list(range(450))

@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 from quad_bridge.errors import RefusedError
 from quad_bridge.log.writer import BagWriter
 from quad_bridge.sensors.command import main
-from quad_bridge.sensors.rest import GRAVITY, estimate_at_rest
+from quad_bridge.sensors.rest import GRAVITY_M_S2, estimate_at_rest
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 RATE_HZ = 250.0
@@ -22,7 +22,7 @@ def resting(seconds=20.0, seed=3):
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
     gyro = BIAS + DRIFT * (t - t.mean())[:, None] + 0.005 * rng.standard_normal((len(t), 3))
-    up = GRAVITY * np.array(
+    up = GRAVITY_M_S2 * np.array(
         [-math.sin(PITCH), math.cos(PITCH) * math.sin(ROLL), math.cos(PITCH) * math.cos(ROLL)]
     )
     return t, gyro, up + 0.05 * rng.standard_normal((len(t), 3))

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from quad_sysid.discover import base
 from quad_sysid.discover.accept import p_of_both
 from quad_sysid.discover.screen import candidates
-from quad_sysid.discover.search import Found, Scored
+from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import derivative_steps, fit
 from quad_sysid.explain.ladder import explain
@@ -46,7 +46,7 @@ def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch,
     start = coordinates(part.effect.parameters,
                         part.effect.starts(problem.data, part.settings)[0])
     reference = fit(problem, Structure((part,)), np.insert(found.base.theta, -4, start))
-    only = Found(found.base, (Scored(reference, 9.0), Scored(found.base, 0.0)), {})
+    only = SearchResult(found.base, (Scored(reference, 9.0), Scored(found.base, 0.0)), {})
     ladder = explain(problem, only, parts)
     assert ladder.rungs[1].labels == ('coulomb_friction',)
     assert ladder.rungs[1].explains_pct > 90.0
@@ -97,15 +97,15 @@ def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):
     """Of two that are as likely half of their difference's square; one alone adds nothing."""
     found = rubbed_answer.findings.search
     moved = replace(found.base, theta=found.base.theta + 4.0 * (np.arange(9) == 3))
-    both = Found(found.base, (Scored(found.base, 0.0), Scored(moved, 0.0)), {})
-    assert both.apart(found.base)[3, 3] == pytest.approx(8.0)
-    assert np.count_nonzero(both.apart(found.base)) == 1
-    assert not replace(both, all=both.all[:1]).apart(found.base).any()
+    both = SearchResult(found.base, (Scored(found.base, 0.0), Scored(moved, 0.0)), {})
+    assert both.disagreement(found.base)[3, 3] == pytest.approx(8.0)
+    assert np.count_nonzero(both.disagreement(found.base)) == 1
+    assert not replace(both, all=both.all[:1]).disagreement(found.base).any()
     curved = found.base.structure.plus(next(
         part for part in candidates(rubbed_answer.findings.problem, EFFECTS)[0]
         if part.effect.label == 'shape:rate/smooth'))  # which holds part of the damping
     beside = replace(moved, structure=curved)
-    assert not replace(both, all=(both.all[0], Scored(beside, 0.0))).apart(found.base).any()
+    assert not replace(both, all=(both.all[0], Scored(beside, 0.0))).disagreement(found.base).any()
 
 
 def test_the_derivatives_of_free_runs_are_their_differences(rubbed_answer):

@@ -166,11 +166,11 @@ def test_the_bandwidth_ends_where_half_of_the_power_is_left():
 def test_describing_gains_are_those_of_the_textbook():
     """Relay 4M/(pi A); dead zone of half width d at A = 2d: 1 - 2/pi (asin .5 + .5 sqrt(.75))."""
     relay = linear(loop_plant(model_of(effect('coulomb_friction', 3.0, 1e-3))), (2.0, 0.2, 0.1))
-    (part,) = (part for part, _ in relay.plant.pushing)
+    (part,) = (part for part, _ in relay.plant.torque_effects)
     assert part.effect.rows[0, 0] == pytest.approx(-4 * 3.0 / (np.pi * 2.0), rel=1e-2)
     dead = linear(loop_plant(model_of(effect('dead_zone', 0.05))), (2.0, 0.2, 0.1))
     want = 1 - 2 / np.pi * (np.arcsin(0.5) + 0.5 * np.sqrt(0.75))
-    assert dead.plant.sending[1][0].effect.rows[0, 0] == pytest.approx(want, rel=5e-3)
+    assert dead.plant.command_effects[1][0].effect.rows[0, 0] == pytest.approx(want, rel=5e-3)
 
 
 # ---- time

@@ -13,14 +13,14 @@ from scipy.signal import butter, lfilter, savgol_filter
 from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.base import best_base, both_orders
 from quad_sysid.discover.screen import candidates, screen
-from quad_sysid.discover.search import Found, Scored, extended, search
+from quad_sysid.discover.search import Scored, SearchResult, extended, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.events import Held, PeriodicDelay
 from quad_sysid.estimate.fit import Fit, Problem, Tail, fit, slowness
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
 from quad_sysid.explain.models import Models
-from quad_sysid.model.data import axis_data, part_of
+from quad_sysid.model.data import axis_data, slice_of
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import NOISE, Structure
@@ -123,10 +123,10 @@ def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept(ru
         fitted = extended(problem, fitted, score_of(problem, fitted, label))
     wrong = fitted.theta.copy()
     wrong[fitted.structure.names.index('pendulum_stiffness.stiffness')] = 2.0
-    both = fit(problem, fitted.structure, wrong, rate=fitted.rate, most_steps=0)
+    both = fit(problem, fitted.structure, wrong, rate=fitted.rate, max_steps=0)
     unseen = Unseen(data, data.validation)
     assert np.std(unseen.errors(both)) < 0.5 * np.std(unseen.errors(base))
-    found = Found(base, (Scored(both, 9.0), Scored(base, 0.0)), {})
+    found = SearchResult(base, (Scored(both, 9.0), Scored(base, 0.0)), {})
     verdict = judged(data, problem, found)
     assert verdict.chosen.structure.labels == labels[:1]
     assert verdict.after < 0.7 * verdict.before
@@ -137,7 +137,7 @@ def test_a_claim_stands_where_the_model_without_it_cannot_follow_the_flight(rubb
     """No fit of it exists then; its free runs diverge, which speaks for the effect."""
     data, problem, base = rubbed
     fitted = extended(problem, base, score_of(problem, base, 'coulomb_friction'))
-    found = Found(base, (Scored(fitted, 9.0), Scored(base, 0.0)), {})
+    found = SearchResult(base, (Scored(fitted, 9.0), Scored(base, 0.0)), {})
 
     def runs_away(_, model):
         theta = model.theta[: base.theta.size].copy()
@@ -218,7 +218,7 @@ def test_a_delay_by_another_clock_is_the_same_in_segments_that_are_joined():
     flown = fly(Axis(), 4, SHORT)
     whole = axis_data([flown], 'roll')
     spans = (300, 1300), (2000, 3000)
-    torn = part_of(whole, spans)
+    torn = slice_of(whole, spans)
     at = np.concatenate([np.arange(a + 20, b - 20) for a, b in spans])
     here = np.concatenate([np.arange(20, 980), np.arange(1020, 1980)])
     for effect, p in ((PeriodicDelay(), np.r_[1.3, np.full(12, 0.002)]),
@@ -297,6 +297,6 @@ def test_of_both_orders_of_lag_and_damping_the_likelier_is_taken(monkeypatch, le
 
     monkeypatch.setattr('quad_sysid.discover.base.fitted_from', refitted)
     monkeypatch.setattr(Fit, 'rate', None)
-    chosen = both_orders(SimpleNamespace(held=[]), quick)
+    chosen = both_orders(SimpleNamespace(held_terms=[]), quick)
     assert (chosen.value('lag') * chosen.value('damping') > 1.0) is (lead > 0.0)
     assert chosen.value('gain') / chosen.value('lag') == pytest.approx(160.0 / 0.05)

@@ -134,7 +134,7 @@ def test_one_that_loses_is_reported_with_its_evidence(plain_flight):
 
 def test_it_is_linearised_designed_for_and_separated(result):
     """In small motion a spring of 12 T; gains and the flight that tells it from a spring."""
-    (part, _), *_ = linear(loop_plant(result.model), STILL).plant.pushing
+    (part, _), *_ = linear(loop_plant(result.model), STILL).plant.torque_effects
     slope = part.effect.rows[0, 1]
     assert slope == pytest.approx(-12.0 * TRUTH, rel=0.05)
     assert result.gains['roll.rate.kp'] > 0.0

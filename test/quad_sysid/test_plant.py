@@ -19,13 +19,13 @@ from quad_sysid.effects.hidden import Linear, Load, Memory
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.exports import to_control
 from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
-from quad_sysid.loop.from_model import Placed, loop_plant, not_in_the_loop, share_outside
+from quad_sysid.loop.from_model import loop_plant, not_in_the_loop, share_outside, why_outside
 from quad_sysid.loop.linear import STILL, Level, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.loop.simulation import running, simulate_cascade
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.data import AxisData, Windows
-from quad_sysid.model.effect import Drive, Effect, Part, Spec
+from quad_sysid.model.effect import ActingEffect, Drive, Effect, Part, Spec
 from quad_sysid.model.flight import Flight, Prediction
 from quad_sysid.model.plant import Plant
 from quad_sysid.model.structure import Structure
@@ -191,7 +191,7 @@ class Creeps(Effect):
 def test_a_memory_along_a_flight_is_its_law_cycle_by_cycle_compiled_where_that_is_possible():
     """To 1e-12, in each stretch from where it begins."""
     data = replace(flight_of_commands(), rate=np.sin(4.0 * DT * np.arange(N)))
-    s = Flight(data, data.stretches).commanded(BASE).but(rate=data.rate, angle=data.angle)
+    s = Flight(data, data.stretches).commanded(BASE).replaced(rate=data.rate, angle=data.angle)
     spans = (0, 100), (110, N)
     for effect, called in ((Creeps(), 0), (Branches(), 1)):
         begun = np.full((effect.states, N), 0.2)
@@ -260,11 +260,11 @@ def smooth(effect) -> bool:
     """Whether it has a slope in small motion, which is also what a loop is judged by."""
     steep = {'dead_zone', 'backlash', 'shape:lag:direction', 'saturation'}
     warms = isinstance(effect, Memory) and not effect.leans
-    part = Placed(Part(effect), effect.centre())
+    acting = ActingEffect(Part(effect), effect.centre())
     steep_lag = effect.term == 'lag' and effect.signals[0] == 'command'
-    sought = type(effect).sought is not Effect.sought
+    sought = type(effect).starts_by_residual is not Effect.starts_by_residual
     return not (steep_lag or effect.name in steep or sought
-                or warms or effect.name == 'mode:hysteresis' or part.why_outside)
+                or warms or effect.name == 'mode:hysteresis' or why_outside(acting))
 
 
 @pytest.mark.parametrize('effect', of_the_table([e for e in SHAPED if smooth(e)]))

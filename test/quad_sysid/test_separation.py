@@ -14,9 +14,8 @@ from quad_sysid.cli import main
 from quad_sysid.errors import NotInformativeError
 from quad_sysid.estimate.fit import Problem, fit
 from quad_sysid.estimate.stored import estimate_of
-from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import AxisModel, Parameter
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import ActingEffect, Part
 from quad_sysid.model.identified import UNLISTED
 from quad_sysid.model.structure import Structure
 from quad_sysid.pipeline.advice import rivalry
@@ -49,7 +48,7 @@ def test_what_flies_is_what_identification_fits(name):
     assert np.corrcoef(plain.battery_v, plain.control[:, 0])[0, 1] < -0.9  # which it loads
     settings = effect.prepare(plain)
     assert not isinstance(settings, str), settings
-    acting = Placed(Part(effect, settings), values)
+    acting = ActingEffect(Part(effect, settings), values)
     found = judged(aircraft, fly(aircraft, [acting], [flight])[0].data)
     assert found.fitted([acting.part]) > 8.0
     problem: Problem = found.problem

@@ -98,6 +98,7 @@ def test_what_both_packages_share_is_linked_and_knows_neither() -> None:
         ('log/stored', SYSID / 'bags/stored'),
         ('craft.py', SYSID / 'craft.py'),
         ('topics.py', SYSID / 'topics.py'),
+        ('one_line.py', SYSID / 'one_line.py'),
         ('autopilots/table.py', SYSID / 'autopilot_table.py'),
         ('gains/table.py', TUNING / 'gain_table.py'),
     ):

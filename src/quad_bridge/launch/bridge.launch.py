@@ -19,7 +19,7 @@ def nodes(context: LaunchContext) -> list[Any]:
     record = ParameterValue(arguments['record'], value_type=bool)
     bridge, logger = values(context, BRIDGE), values(context, LOGGER) | {'autostart': record}
     if arguments['log'] == 'inside':
-        bridge |= {'log': 'inside', **{f'bag_logger.{name}': one for name, one in logger.items()}}
+        bridge |= {'log': 'inside', **{f'bag_logger.{key}': logger[key] for key in logger}}
     nodes = [node(context, 'quad_bridge', 'serial_bridge', bridge)]
     if arguments['log'] == 'true':
         nodes.append(node(context, 'quad_bridge', 'bag_logger', logger))

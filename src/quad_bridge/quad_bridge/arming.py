@@ -126,7 +126,7 @@ class Arming:
             if request is None:
                 return None
             late = [reply for until_s, reply in request.replies if now_s > until_s]
-            request.replies = [one for one in request.replies if now_s <= one[0]]
+            request.replies = [reply for reply in request.replies if now_s <= reply[0]]
             if not request.replies:
                 if request.arm and armed:
                     text = ACCEPTED
@@ -135,8 +135,8 @@ class Arming:
                 self._end(text, now_s)
             for reply in late:
                 reply(text)
-            again = request.replies and not request.arm and now_s - request.last_s >= AGAIN_S
-            return self._send(request, now_s) if again else None
+            is_due = request.replies and not request.arm and now_s - request.last_s >= AGAIN_S
+            return self._send(request, now_s) if is_due else None
 
     def acknowledged(self, ack: CommandAck, now_s: float) -> None:
         """Take the STM32's answer to a command."""
@@ -180,4 +180,4 @@ class Arming:
     def _expire(self, now_s: float) -> None:
         """Wait no more for answers to requests that ended long ago."""
         if now_s >= self._owed_until_s:
-            self._sent = deque(one for one in self._sent if one is self._request)
+            self._sent = deque(request for request in self._sent if request is self._request)

@@ -94,7 +94,7 @@ class Craft:
 
     def _fitted(self, control: FloatArray, idle: float) -> FloatArray:
         """The control that the motors can give, roll and pitch first."""
-        lift, own = self.mixer[:, 0], self.mixer[:, 3]
+        lift, spin = self.mixer[:, 0], self.mixer[:, 3]
         turning = control[:, 1:3] @ self.mixer[:, 1:3].T
         span = turning.max(axis=1) - turning.min(axis=1)
         share = np.minimum(1.0, (1.0 - idle) / np.maximum(span, 1e-300))[:, None]
@@ -102,9 +102,9 @@ class Craft:
         throttle = np.maximum(lowest, np.minimum(
             ((1.0 - share * turning) / lift).min(axis=1), control[:, 0]))
         here = throttle[:, None] * lift + share * turning
-        turns = np.abs(own) > 0.0
-        ends = np.stack([np.minimum(0.0, idle - here[:, turns]) / own[turns],
-                         np.maximum(0.0, 1.0 - here[:, turns]) / own[turns]])
+        turns = np.abs(spin) > 0.0
+        ends = np.stack([np.minimum(0.0, idle - here[:, turns]) / spin[turns],
+                         np.maximum(0.0, 1.0 - here[:, turns]) / spin[turns]])
         yaw = np.maximum(ends.min(axis=0).max(axis=1, initial=-np.inf),
                          np.minimum(ends.max(axis=0).min(axis=1, initial=np.inf), control[:, 3]))
         return np.column_stack([throttle, share * control[:, 1:3], yaw])

@@ -5,8 +5,7 @@ Commands turn these into their exit status (contract, Commands); nodes into /dia
 
 from __future__ import annotations
 
-MAX_VALUE = 300
-"""Characters of a value that a message shows; it may be a whole file."""
+from quad_bridge.one_line import one_line
 
 
 class QuadBridgeError(Exception):
@@ -22,12 +21,7 @@ class BadInputError(QuadBridgeError, ValueError):
     """
 
     def __init__(self, where: str, what: str, value: object = None, remedy: str = '') -> None:
-        text = f'{where}: {what}'
-        if value is not None:
-            text += f': found {shortened(value)}'
-        if remedy:
-            text += f'; {remedy}'
-        super().__init__(' '.join(text.split()))
+        super().__init__(one_line(where, what, value, remedy))
         self.where = where
 
 
@@ -37,11 +31,3 @@ class EncodeError(QuadBridgeError, ValueError):
 
 class RefusedError(QuadBridgeError, ValueError):
     """Wanted gains that must not reach the aircraft; `str()` names gain, value and bound."""
-
-
-def shortened(value: object) -> str:
-    """A value as one line of a message that stays readable."""
-    text = ' '.join(str(value).split())
-    if len(text) <= MAX_VALUE:
-        return text
-    return f'{text[:MAX_VALUE]} … ({len(text)} characters)'

@@ -7,7 +7,7 @@ operator's enable is required and lost, the excitation ends, until the next segm
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from quad_bridge.aircraft import INJECTIONS, Ability, Aircraft, Quad
@@ -22,10 +22,12 @@ class ExcitationRelay:
     """Hands on the set-points of the running segment."""
 
     def __init__(
-        self, valid_ms: int, enable: OperatorEnable | None = None, aircraft: Aircraft | None = None
+        self, valid_ms: int, enable: OperatorEnable | None = None,
+        aircraft: Callable[[], Aircraft] | None = None,
     ) -> None:
         self._valid_ms = valid_ms
-        self._aircraft = aircraft or Quad()
+        quad = Quad()
+        self._aircraft = aircraft or (lambda: quad)
         self._enable = enable or OperatorEnable(required=False)
         self._lost = False
         self._injection = Injection.NONE
@@ -54,7 +56,7 @@ class ExcitationRelay:
         elif Flag.STALE_SETPOINT in flags:
             level, text = WARN, 'the STM32 dropped a stale set-point'
         elif Flag.EXCITATION_REFUSED in flags:
-            why = self._aircraft.cannot(Ability.EXCITE)
+            why = self._aircraft().cannot(Ability.EXCITE)
             level, text = WARN, why or 'the STM32 refuses the excitation' + (
                 ' of U1: its firmware may be older than the axis climb'
                 if self._injection is Injection.THRUST else '')
@@ -76,10 +78,10 @@ class ExcitationRelay:
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
         if parameters.get('axis') == 'climb':  # the third of the values
             wanted = Injection.THRUST if wanted is Injection.CONTROL else None
-        before, self._lost = self._injection, False
+        previous, self._lost = self._injection, False
         self._injection = wanted if running and wanted is not None else Injection.NONE
-        end = self._aircraft.abort() if Injection.NONE in {before, self._injection} else None
-        self._aircraft.segment(parameters if self._injection is not Injection.NONE else None)
+        end = self._aircraft().abort() if Injection.NONE in {previous, self._injection} else None
+        self._aircraft().segment(parameters if self._injection is not Injection.NONE else None)
         return end
 
     def tick(self, now_s: float) -> Frame | None:
@@ -88,13 +90,14 @@ class ExcitationRelay:
         if not running or not self._enable.fault(now_s):
             return None
         self._lost = True
-        return self._aircraft.abort()
+        return self._aircraft().abort()
 
     def setpoint(
         self, x: float, y: float, z: float, now_s: float = 0.0, age_s: float = 0.0
     ) -> Frame | None:
         """The frame of a set-point (FLU, the segment's unit); None where it must not be sent."""
-        fault = self._aircraft.cannot(Ability.EXCITE) or self._enable.fault(now_s) or stale(age_s)
+        fault = self._aircraft().cannot(Ability.EXCITE)
+        fault = fault or self._enable.fault(now_s) or stale(age_s)
         if self._lost:
             fault = fault or 'the operator has released the enable: start the next segment'
         elif self._injection is Injection.NONE:
@@ -106,7 +109,7 @@ class ExcitationRelay:
             return None
         self.forwarded += 1
         self.reason = ''
-        return self._aircraft.excite((x, y, z), self._injection, self._valid_ms)
+        return self._aircraft().excite((x, y, z), self._injection, self._valid_ms)
 
     def _drop(self, reason: str) -> None:
         self.dropped += 1

@@ -80,5 +80,5 @@ def px4_channels(parameters: Mapping[str, float], count: int) -> tuple[int, ...]
         for name, value in parameters.items()
         if name.startswith('PWM_MAIN_FUNC')
     }
-    whole = all(k in named for k in range(count))
-    return tuple(named[k] if whole else k for k in range(count))
+    is_complete = all(k in named for k in range(count))
+    return tuple(named[k] if is_complete else k for k in range(count))

@@ -94,7 +94,7 @@ class MotorTest:
             return self.end(f'no answer in {ANSWER_S:g} s')
         if now_s >= self._until_s:
             words = f'motor {self._motor} spun at {100.0 * self._throttle:.0f} %'
-            return self.end(words, good=self._accepted)
+            return self.end(words, is_success=self._accepted)
         return self._send(now_s) if now_s - self._sent_s >= AGAIN_S else None
 
     def acknowledged(self, ack: CommandAck) -> None:
@@ -108,12 +108,12 @@ class MotorTest:
                    'throttle down, kill switch off, and a set-up without fault')  # fmt: skip
             self.end(f'the aircraft says {words}' + (f': {why}' if words == 'not now' else ''))
 
-    def end(self, words: str, *, good: bool = False) -> Command | None:
+    def end(self, words: str, *, is_success: bool = False) -> Command | None:
         """Stop; the frame that does, which need not arrive."""
         with self._lock:
             reply, self._reply = self._reply, None
         if reply is not None:
-            reply(good, words)
+            reply(is_success, words)
         return frame(self._motor, 0.0) if reply is not None else None
 
     def _send(self, now_s: float) -> Command:

@@ -120,11 +120,11 @@ def make_key() -> int:
 
 
 def _command(name: str, module: str) -> int:
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     words = f'{name}: interrupted\n'
     _guard(INTERRUPTED, words)
     main = importlib.import_module(module).main
-    for number, handler in before.items():
+    for number, handler in handlers.items():
         signal.signal(number, handler)
     try:
         return int(main() or 0)

@@ -144,12 +144,12 @@ def candidates(options: argparse.Namespace) -> tuple[Effect, ...] | None:
     """What `identify` takes as its effects, by --effects and --no-effects; None: its default."""
     if options.no_effects:
         return ()
-    own = own_effects(options.effects)
-    if not own:
+    effects = own_effects(options.effects)
+    if not effects:
         return None
     from quad_sysid.effects import EFFECTS
 
-    return (*EFFECTS, *own)
+    return (*EFFECTS, *effects)
 
 
 def positive(option: str, value: float) -> float:

@@ -117,12 +117,12 @@ def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None
     if axis not in AXES:
         raise BadInputError(WHERE, f'axis must be one of {", ".join(AXES)}', repr(axis))
     arguments = {'u': u, 'y': y, 't': t, 'angle': angle, 'reference': reference, 'dt': dt,
-                 **{f'signals: {name}': one for name, one in _signals(signals).items()}}
+                 **{f'signals: {name}': signal for name, signal in _signals(signals).items()}}
     several = isinstance(data, list) or any(map(_several, arguments.values()))
     count = 1
     if several:
-        lengths = {name: len(one) for name, one in [('the data', data), *arguments.items()]
-                   if _several(one) or (one is data and isinstance(data, list))}
+        lengths = {name: len(values) for name, values in [('the data', data), *arguments.items()]
+                   if _several(values) or (values is data and isinstance(data, list))}
         count = next(iter(lengths.values()))
         if len(set(lengths.values())) > 1:
             raise BadInputError(WHERE, 'needs lists of as many experiments', ', '.join(
@@ -134,14 +134,15 @@ def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None
         return value[k] if several and (_several(value) or isinstance(value, list)) else value
 
     read = [_columns(data[k] if isinstance(data, list) else data,
-                     {name: of(one, k) for name, one in arguments.items()}, _texts(units))
+                     {name: of(value, k) for name, value in arguments.items()}, _texts(units))
             for k in range(count)]
-    known = _units(read, _texts(units))
+    units_read = _units(read, _texts(units))
     return [
-        _record(one, known, _texts(units), axis, WHERE if count == 1 else f'experiment {k + 1}',
+        _record(columns, units_read, _texts(units), axis,
+                WHERE if count == 1 else f'experiment {k + 1}',
                 *(of(part, k) if isinstance(part, list) and len(part) == count else part
                   for part in (train, validate)))
-        for k, one in enumerate(read)
+        for k, columns in enumerate(read)
     ]
 
 
@@ -150,7 +151,7 @@ def are_arrays(data: object) -> bool:
     if data is None or isinstance(data, Record | str | Path):
         return False
     if isinstance(data, Sequence):
-        return not all(isinstance(one, Record | str | Path) for one in data)
+        return not all(isinstance(item, Record | str | Path) for item in data)
     return True
 
 
@@ -187,8 +188,8 @@ def _texts(units: Any) -> Mapping[str, Any]:
 def _several(value: object) -> bool:
     """Whether a list or tuple has an array for each experiment."""
     return isinstance(value, list | tuple) and bool(value) and all(
-        not isinstance(one, str | bytes) and (np.ndim(one) > 0 if not hasattr(one, 'shape')
-                                              else len(one.shape) > 0) for one in value)
+        not isinstance(item, str | bytes) and (np.ndim(item) > 0 if not hasattr(item, 'shape')
+                                               else len(item.shape) > 0) for item in value)
 
 
 def _columns(data: Any, arguments: Mapping[str, Any], units: Mapping[str, Any]) -> _Columns:
@@ -196,32 +197,33 @@ def _columns(data: Any, arguments: Mapping[str, Any], units: Mapping[str, Any]) 
     time, dt = arguments.pop('t'), arguments.pop('dt')
     if time is None and dt is None:
         time = _own_time(arguments)
-    arrays = {name: _numbers(name, one) for name, one in arguments.items() if one is not None}
+    arrays = {name: _numbers(name, value) for name, value in arguments.items()
+              if value is not None}
     if 'u' not in arrays:
         raise BadInputError(WHERE, 'lack u, the input', remedy='identify(u=…, y=…, dt=…)')
     if 'y' not in arrays and 'angle' not in arrays:
         raise BadInputError(WHERE, 'lack y or angle, what was measured',
                             remedy='identify(u=…, y=…, dt=…)')
     n = arrays['u'].size
-    for name, one in arrays.items():
-        if one.size != n:
-            raise BadInputError(WHERE, f'{name} must be as long as u', f'{one.size} and {n}')
+    for name, array in arrays.items():
+        if array.size != n:
+            raise BadInputError(WHERE, f'{name} must be as long as u', f'{array.size} and {n}')
     if n < MIN_SAMPLES:
         raise BadInputError(WHERE, f'need {MIN_SAMPLES} samples at least', n, 'measure longer')
     for name in ('u', 'y' if 'y' in arrays else 'angle'):
         _check_moving(name, arrays[name])
     return _Columns(
         arrays['u'], arrays.get('y'), arrays.get('angle'), arrays.get('reference'),
-        {name.partition(': ')[2]: one for name, one in arrays.items() if ': ' in name},
+        {name.partition(': ')[2]: array for name, array in arrays.items() if ': ' in name},
         *_times(time, dt, n, units))
 
 
 def _check_moving(name: str, values: FloatArray) -> None:
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         raise BadInputError(WHERE, f'{name} holds no number', 'NaN throughout')
-    if known.min() == known.max():
-        raise BadInputError(WHERE, f'{name} never changes', f'{known[0]:g} throughout',
+    if finite.min() == finite.max():
+        raise BadInputError(WHERE, f'{name} never changes', f'{finite[0]:g} throughout',
                             'record an experiment in which it moves')
 
 
@@ -229,20 +231,22 @@ def _with_data(data: Any, arguments: dict[str, Any]) -> dict[str, Any]:
     """The arguments with what the data bring: columns by name, or a response's own."""
     own = _own_of(data)
     if own is None and data is not None:
-        arguments, own = {name: _column(data, name, one) for name, one in arguments.items()}, {}
+        arguments = {name: _column(data, name, value) for name, value in arguments.items()}
+        own = {}
         index = getattr(data, 'index', None)
         if arguments['t'] is None and arguments['dt'] is None and _is_time(index):
             own = {'t': index}
-    for name, one in arguments.items():
-        if isinstance(one, str) and name != 'dt':
-            raise BadInputError(WHERE, f'{name} names a column of no frame', repr(one),
-                                f'identify(frame, {name}={one!r}, …)')
+    for name, argument in arguments.items():
+        if isinstance(argument, str) and name != 'dt':
+            raise BadInputError(WHERE, f'{name} names a column of no frame', repr(argument),
+                                f'identify(frame, {name}={argument!r}, …)')
     own = own or {}
     if 't' in own and arguments['dt'] is not None:
         del own['t']
     if 'dt' in own and arguments['t'] is not None:
         del own['dt']
-    return arguments | {name: one for name, one in own.items() if arguments.get(name) is None}
+    return arguments | {name: value for name, value in own.items()
+                        if arguments.get(name) is None}
 
 
 def _own_of(data: Any) -> dict[str, Any] | None:
@@ -267,15 +271,15 @@ def _inside(z: IOData, values: FloatArray) -> FloatArray:
     return out
 
 
-def _column(data: Any, name: str, one: Any) -> Any:
-    if not isinstance(one, str):
-        return one
+def _column(data: Any, name: str, value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
     try:
-        return data[one]
+        return data[value]
     except Exception as error:
         names = getattr(data, 'columns', None)
         names = list(data) if names is None else list(names)
-        raise BadInputError(WHERE, f'{name} names a column that is not there', repr(one),
+        raise BadInputError(WHERE, f'{name} names a column that is not there', repr(value),
                             f'there are {", ".join(map(str, names))}') from error
 
 
@@ -288,11 +292,11 @@ def _is_time(index: object) -> bool:
 def _own_time(arguments: Mapping[str, Any]) -> Any:
     """The times that an xarray.DataArray or a series brings with it."""
     for name in ('y', 'angle', 'u'):
-        one = arguments.get(name)
-        if _is_time(getattr(one, 'index', None)):
-            return getattr(one, 'index')  # noqa: B009
-        dims: Any = getattr(one, 'dims', ())
-        coords: Any = getattr(one, 'coords', None)
+        value = arguments.get(name)
+        if _is_time(getattr(value, 'index', None)):
+            return getattr(value, 'index')  # noqa: B009
+        dims: Any = getattr(value, 'dims', ())
+        coords: Any = getattr(value, 'coords', None)
         if coords is not None and len(dims) == 1 and dims[0] in coords:
             return coords[dims[0]]
     raise BadInputError(WHERE, 'lack dt or t, the sample interval or the times',
@@ -328,15 +332,15 @@ def _numbers(name: str, value: Any) -> FloatArray:
 
 def _of_objects(name: str, array: Any) -> Any:
     """Python's numbers as float64; None and pandas' NA are missing."""
-    def number(one: Any) -> float:
-        if one is None or type(one).__name__ in ('NAType', 'NaTType'):
+    def number(value: Any) -> float:
+        if value is None or type(value).__name__ in ('NAType', 'NaTType'):
             return math.nan
-        if isinstance(one, str | bytes):
+        if isinstance(value, str | bytes):
             raise TypeError
-        return float(one)
+        return float(value)
 
     try:
-        return np.array([number(one) for one in array.ravel()]).reshape(array.shape)
+        return np.array([number(value) for value in array.ravel()]).reshape(array.shape)
     except (TypeError, ValueError) as error:
         raise BadInputError(WHERE, f'{name} must hold real numbers', 'objects') from error
 
@@ -366,9 +370,10 @@ def _times(time: Any, dt: Any, n: int,
         raise BadInputError(WHERE, 't holds NaN', f'sample {np.isnan(seconds_of).argmax()}')
     back = np.diff(seconds_of) <= 0.0
     if back.any():
-        at = int(back.argmax()) + 1
-        raise BadInputError(WHERE, 't must increase', f'{seconds_of[at]:g} s after '
-                            f'{seconds_of[at - 1]:g} s at sample {at}', 'sort the rows by time')
+        index = int(back.argmax()) + 1
+        raise BadInputError(WHERE, 't must increase', f'{seconds_of[index]:g} s after '
+                            f'{seconds_of[index - 1]:g} s at sample {index}',
+                            'sort the rows by time')
     _check_interval('t', float(np.median(np.diff(seconds_of))))
     return seconds_of, None
 
@@ -384,20 +389,20 @@ def _check_interval(name: str, seconds: float) -> None:
 # units
 
 
-def _factor(name: str, unit: Any, known: Mapping[str, float]) -> float:
+def _factor(name: str, unit: Any, factors: Mapping[str, float]) -> float:
     """What one of a unit is inside, by its name or as a number."""
     if isinstance(unit, int | float | np.number) and not isinstance(unit, bool):
         if math.isfinite(float(unit)) and unit:
             return float(unit)
-    elif isinstance(unit, str) and written(unit) in known:
-        return known[written(unit)]
-    elif isinstance(unit, str) and unit in known:
-        return known[unit]
+    elif isinstance(unit, str) and written(unit) in factors:
+        return factors[written(unit)]
+    elif isinstance(unit, str) and unit in factors:
+        return factors[unit]
     every = {*RATES, *MOTIONS, *PHYSICAL, *(u for role in UNITS.values() for u in role)}
     what = 'is not a unit of it' if isinstance(unit, str) and written(unit) in every \
         else 'is no known unit'
     raise BadInputError(WHERE, f'units: {name} {what}', repr(unit),
-                        f'use {", ".join(known)}, or a factor')
+                        f'use {", ".join(factors)}, or a factor')
 
 
 def _units(read: Sequence[_Columns], units: Mapping[str, Any]) -> Units:
@@ -405,31 +410,31 @@ def _units(read: Sequence[_Columns], units: Mapping[str, Any]) -> Units:
     command, per_command, zero = _command(read, units.get('u'))
     rate, motion = units.get('y', 'rad/s'), units.get('angle')
     if isinstance(rate, str) and written(rate) in MOTIONS and written(rate) not in RATES:
-        if any(one.angle is not None for one in read):
+        if any(columns.angle is not None for columns in read):
             raise BadInputError(WHERE, 'units: y is a position beside an angle', repr(rate),
                                 'hand in one of them, or y as a rate')
         rate, motion = None, rate
-    if rate is None or all(one.y is None for one in read):
+    if rate is None or all(columns.y is None for columns in read):
         motion = 'rad' if motion is None else motion
         per_motion = _factor('angle', motion, MOTIONS)
         name = written(motion) if isinstance(motion, str) else 'unit'
         return Units(command, per_command, zero, f'{name}/s', per_motion, name, per_motion)
     per_rate = _factor('y', rate, RATES | MOTIONS)
     name = written(rate) if isinstance(rate, str) else 'unit/s'
-    own = OF_RATE.get(name, name.removesuffix('/s'))
-    return Units(command, per_command, zero, name, per_rate, own, MOTIONS.get(own, per_rate))
+    unit = OF_RATE.get(name, name.removesuffix('/s'))
+    return Units(command, per_command, zero, name, per_rate, unit, MOTIONS.get(unit, per_rate))
 
 
 def _command(read: Sequence[_Columns], unit: Any) -> tuple[str, float, float]:
     """Name, factor and offset of u; what has no range of its own is scaled by a power of two."""
-    largest = max(float(np.nanmax(np.abs(one.u))) for one in read)
+    largest = max(float(np.nanmax(np.abs(columns.u))) for columns in read)
     scaled = 2.0 ** -math.ceil(math.log2(2.0 * largest))
-    known = UNITS['control']
+    control_units = UNITS['control']
     if unit is None:
         return Units.command, min(1.0, scaled), 0.0
     name = written(unit) if isinstance(unit, str) else ''
-    if name in known:
-        factor, offset = known[name]
+    if name in control_units:
+        factor, offset = control_units[name]
         low, high = _reach(read, factor, offset)
         if max(-low, high) <= MOST_COMMAND + 1e-6:
             return name, factor, offset
@@ -437,9 +442,9 @@ def _command(read: Sequence[_Columns], unit: Any) -> tuple[str, float, float]:
             raise BadInputError(WHERE, f'u in {name} is outside {-MOST_COMMAND:g}..'
                                 f'{MOST_COMMAND:g} of a normalised command',
                                 f'{low:.3g}..{high:.3g}', 'name its unit, or leave units out')
-    if name in known or name in PHYSICAL or unit in PHYSICAL:
+    if name in control_units or name in PHYSICAL or unit in PHYSICAL:
         return unit, scaled, 0.0
-    factor = _factor('u', unit, dict.fromkeys((*known, *PHYSICAL), 1.0))
+    factor = _factor('u', unit, dict.fromkeys((*control_units, *PHYSICAL), 1.0))
     low, high = _reach(read, factor, 0.0)
     if max(-low, high) > MOST_COMMAND + 1e-6:
         raise BadInputError(WHERE, 'u by its factor is outside -0.5..0.5 of a normalised command',
@@ -448,29 +453,29 @@ def _command(read: Sequence[_Columns], unit: Any) -> tuple[str, float, float]:
 
 
 def _reach(read: Sequence[_Columns], factor: float, offset: float) -> tuple[float, float]:
-    values = [factor * one.u + offset for one in read]
+    values = [factor * columns.u + offset for columns in read]
     return min(float(np.nanmin(v)) for v in values), max(float(np.nanmax(v)) for v in values)
 
 
 # columns → record
 
 
-def _record(one: _Columns, units: Units, texts: Mapping[str, Any], axis: str, source: str,
+def _record(series: _Columns, units: Units, texts: Mapping[str, Any], axis: str, source: str,
             train: Any, validate: Any) -> Record:
     index = AXES.index(axis)
-    y_moves = one.y is not None and units.rate == f'{units.motion}/s' and \
+    y_moves = series.y is not None and units.rate == f'{units.motion}/s' and \
         isinstance(texts.get('y'), str) and written(texts['y']) in MOTIONS
-    rate, angle = (None, one.y) if y_moves else (one.y, one.angle)
+    rate, angle = (None, series.y) if y_moves else (series.y, series.angle)
 
     def stream(columns: Mapping[int, FloatArray], width: int = 3) -> Stream:
-        out = np.zeros((one.u.size, width))
-        for at, values in columns.items():
-            out[:, at] = values
-        known = np.isfinite(out).all(axis=1)
-        return Stream(one.time_s[known], out[known])
+        out = np.zeros((series.u.size, width))
+        for index, values in columns.items():
+            out[:, index] = values
+        is_finite = np.isfinite(out).all(axis=1)
+        return Stream(series.time_s[is_finite], out[is_finite])
 
     def signal(kind: str, name: str) -> FloatArray | None:
-        values = one.signals.get(f'{name}_{kind}')
+        values = series.signals.get(f'{name}_{kind}')
         if values is None:
             return None
         role, usual = SIGNALS[f'{name}_{kind}']
@@ -478,46 +483,46 @@ def _record(one: _Columns, units: Units, texts: Mapping[str, Any], axis: str, so
             role, {unit: factor for unit, (factor, _) in UNITS[role].items()})
         return _factor(f'{name}_{kind}', texts.get(f'{name}_{kind}', usual), table) * values
 
-    others = [name for name in AXES if name != axis]
-    rates, angles, control = ({AXES.index(name): values for name in others
+    other_axes = [name for name in AXES if name != axis]
+    rates, angles, control = ({AXES.index(name): values for name in other_axes
                                if (values := signal(kind, name)) is not None}
                               for kind in ('rate', 'angle', 'command'))
-    per_angle = units.per_motion if angle is one.y or one.angle is None else _factor(
+    per_angle = units.per_motion if angle is series.y or series.angle is None else _factor(
         'angle', texts.get('angle', units.motion), MOTIONS | {units.motion: units.per_motion})
-    command = {1 + at: values for at, values in control.items()}
-    throttle = one.signals.get('throttle')
-    command[0] = np.full(one.u.size, MIDDLE_COMMAND) if throttle is None else throttle
-    command[1 + index] = units.command_of(one.u)
-    wanted = one.reference
-    if wanted is not None:
-        wanted = wanted * _factor('reference', texts.get('reference', units.motion),
-                                  MOTIONS | {units.motion: units.per_motion})
-    battery = one.signals.get('battery')
+    command = {1 + index: values for index, values in control.items()}
+    throttle = series.signals.get('throttle')
+    command[0] = np.full(series.u.size, MIDDLE_COMMAND) if throttle is None else throttle
+    command[1 + index] = units.command_of(series.u)
+    reference = series.reference
+    if reference is not None:
+        reference = reference * _factor('reference', texts.get('reference', units.motion),
+                                        MOTIONS | {units.motion: units.per_motion})
+    battery = series.signals.get('battery')
     log = ForeignLog(
         source=source, kind='a table',
         rates=None if rate is None else stream({**rates, index: units.rate_of(rate)}),
         control=stream(command, 4), axes=(axis,),
         angles=None if angle is None else stream({**angles, index: per_angle * angle}),
-        attitude_setpoint=None if wanted is None else stream({index: wanted}),
+        attitude_setpoint=None if reference is None else stream({index: reference}),
         battery=None if battery is None else stream({0: _factor(
             'battery', texts.get('battery', 'V'), {'V': 1.0, 'mV': 1e-3}) * battery}, 1),
     )
     record, _, warnings = record_of(log)
-    if one.dt is not None and abs(record.dt - one.dt) <= 1e-3 * one.dt:
-        record = record.at_interval(one.dt)
+    if series.dt is not None and abs(record.dt - series.dt) <= 1e-3 * series.dt:
+        record = record.at_interval(series.dt)
     measured = np.asarray(angle if rate is None else rate)
     record = replace(record, units=units, warnings=(
         *record.warnings, *warnings, *_too_coarse(measured, record.dt)))
-    begun = float(one.time_s[int(np.isfinite(measured).argmax())])
-    return split_segments(with_parts(record, one.time_s - begun, (axis,), train, validate),
+    begun = float(series.time_s[int(np.isfinite(measured).argmax())])
+    return split_segments(with_parts(record, series.time_s - begun, (axis,), train, validate),
                           axes=(axis,))
 
 
 def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:
     """A warning where what was measured oscillates too fast for its sampling; else nothing."""
-    known = np.nan_to_num(measured - np.nanmean(measured))
-    power = np.abs(np.fft.rfft(known)) ** 2
-    frequency_hz = np.fft.rfftfreq(known.size, dt)
+    centred = np.nan_to_num(measured - np.nanmean(measured))
+    power = np.abs(np.fft.rfft(centred)) ** 2
+    frequency_hz = np.fft.rfftfreq(centred.size, dt)
     middle = frequency_hz[int(np.searchsorted(np.cumsum(power), 0.5 * power.sum()))]
     near = (frequency_hz > middle / NARROW) & (frequency_hz < middle * NARROW)
     if middle * dt * FEWEST_PER_OSCILLATION < 1.0 or power[near].sum() < 0.5 * power.sum():
@@ -533,9 +538,9 @@ def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: A
     if train is None and validate is None:
         return record
     trained = None if train is None else _mask('train', train, time_s, last=False)
-    held = ~np.asarray(trained) if validate is None else _mask('validate', validate, time_s,
-                                                               last=True)
-    masks = {'train': ~held if trained is None else trained, 'validation': held}
+    held_out = ~np.asarray(trained) if validate is None else _mask('validate', validate, time_s,
+                                                                   last=True)
+    masks = {'train': ~held_out if trained is None else trained, 'validation': held_out}
     both = masks['train'] & masks['validation']
     if both.any():
         raise BadInputError(WHERE, 'train and validate overlap', f'{both.sum()} samples',

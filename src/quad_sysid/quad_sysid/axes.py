@@ -100,7 +100,7 @@ def axes_in(words: str | Sequence[str], where: str = '--axis') -> tuple[str, ...
         if name not in NAMES:
             raise BadInputError(where, f'must be one of {", ".join(NAMES)}', repr(name),
                                 'several stand with commas between, as in roll,pitch')
-    return tuple(dict.fromkeys(one for name in names for one in ALL_WORDS.get(name, (name,))))
+    return tuple(dict.fromkeys(axis for name in names for axis in ALL_WORDS.get(name, (name,))))
 
 
 def axis_of(where: str, name: str) -> Axis:

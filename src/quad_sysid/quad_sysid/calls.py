@@ -59,12 +59,12 @@ def compare(data: Any, *others: Any, horizon: float = math.inf) -> tuple[Any, ..
     if not others:
         raise BadInputError('compare', 'needs something to compare with', remedy='compare(z, '
                             'model), or two flights')
-    if isinstance(data, IOData) or any(isinstance(one, Model) for one in others):
-        return tuple(model_of(one).compare(_data(one, data), horizon) for one in others)
+    if isinstance(data, IOData) or any(isinstance(other, Model) for other in others):
+        return tuple(model_of(other).compare(_data(other, data), horizon) for other in others)
     from quad_sysid import comparison
 
-    reference, *rest = map(comparison.flight_of, (data, *others))
-    return comparison.compare(reference, rest)
+    reference, *further = map(comparison.flight_of, (data, *others))
+    return comparison.compare(reference, further)
 
 
 def bode(model: AnyModel, w: npt.ArrayLike | None = None) -> FrequencyResponse:
@@ -82,11 +82,11 @@ def export(model: AnyModel, path: str | Path, to: str = '') -> Path:
 
     if isinstance(model, Result):
         return write({axis: model[axis].model for axis in model}, path, to)
-    own = model_of(model)
-    if not isinstance(own, Identified):
+    identified = model_of(model)
+    if not isinstance(identified, Identified):
         raise BadInputError('export', 'writes models of an axis', 'a black box',
                             'model.to_control() makes it a system of python-control')
-    return own.export(path, to)
+    return identified.export(path, to)
 
 
 def inspect(flight: AnyFlight) -> Content:
@@ -137,35 +137,35 @@ def import_log(path: str | Path, out: str | Path) -> Record:
     from quad_sysid.imports.formats import format_of, read_log
     from quad_sysid.imports.to_bag import import_log as write
 
-    known = format_of(Path(path))
-    if known is None:
+    log_format = format_of(Path(path))
+    if log_format is None:
         raise BadInputError(str(path), 'is of no known format of logs',
                             remedy="read the table and call from_arrays(frame, u='…', y='…')")
-    return write(read_log(Path(path), known), Path(out)).record
+    return write(read_log(Path(path), log_format), Path(out)).record
 
 
 def design(model: AnyModel) -> GainProposal:
     """Gains of one axis, or why there are none, by the installed designer (quad_tuning)."""
     from quad_sysid.result import installed_designer
 
-    own = model_of(model)
-    if not isinstance(own, Identified):
+    identified = model_of(model)
+    if not isinstance(identified, Identified):
         raise BadInputError('design', 'needs the model of an axis', 'a black box')
     designer, missing = installed_designer()
     if designer is None:
         raise BadInputError('design', missing)
-    return designer(own.predicting)
+    return designer(identified.predicting)
 
 
 def _data(model: Any, flight: Any) -> Any:
     """The flight as a black box takes it; as it is for a model of an axis."""
     from quad_sysid.blackbox import Model
 
-    own = model_of(model)
+    identified = model_of(model)
     if isinstance(flight, Model | AxisModel | Result):
         raise BadInputError('predict', 'the model comes first', type(flight).__name__,
                             'predict(model, z)')
-    if not isinstance(own, Model) or isinstance(flight, IOData):
+    if not isinstance(identified, Model) or isinstance(flight, IOData):
         return flight
     from quad_sysid.bags import read_bag
 

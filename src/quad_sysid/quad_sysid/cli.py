@@ -212,7 +212,7 @@ def _evaluate(options: argparse.Namespace) -> int:
                  'explanation': [{'effects': names, 'explains_pct': percent, 'error': error,
                                   'answer': {*names} == {x.name for x in models[e.axis].effects}}
                                  for names, percent, error in e.rungs],
-                 'outside': [vars(one) for one in e.outside]}
+                 'outside': [vars(excess) for excess in e.outside]}
         for e in evaluations
     }
     if options.json:
@@ -221,7 +221,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         return DONE
     for e in () if options.quiet else evaluations:
         tree = {**axes[e.axis], 'effects': models[e.axis].effects}
-        beyond = (line for one in e.outside for line in tables.wrapped(str(one)))
+        beyond = (line for excess in e.outside for line in tables.wrapped(str(excess)))
         print('\n'.join([e.axis, *tables.wrapped(words.on_this_flight(tree)),
                          *tables.errors(tree).text((0, 1, 3)),
                          *tables.explanation(tree).text(), *text.growth(tree), *beyond]))

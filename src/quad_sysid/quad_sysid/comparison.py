@@ -123,11 +123,11 @@ def trims(record: Record) -> dict[str, Estimate]:
     std = means.std(axis=0, ddof=1)
     return {
         axis: Estimate(float(means[:, i].mean()), float(std[i]), COMMAND, QUARTERS - 1.0)
-        for axis, own in EVERY.items() if not own.outer and std[i := own.index + 1] > ROUNDING
+        for axis, row in EVERY.items() if not row.outer and std[i := row.index + 1] > ROUNDING
     }
 
 
-def flight_of(one: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect] | None = None,
+def flight_of(flight: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect] | None = None,
               show: Callable[[str], None] = lambda _: None) -> Flight:
     """The parameters of a model or a result, or of a flight, which is identified for them.
 
@@ -140,26 +140,27 @@ def flight_of(one: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect] | 
     from quad_sysid.report.model_file import load_models, names_model
     from quad_sysid.result import Result, identify
 
-    if isinstance(one, AxisModel):
-        return Flight('model', {one.axis: of_model(one)}, {})
-    if isinstance(one, str | Path) and names_model(one):
-        models = load_models(one, effects or ())
-        return Flight(str(one), {axis: of_model(models[axis]) for axis in axes or models
-                                 if axis in models},
+    if isinstance(flight, AxisModel):
+        return Flight('model', {flight.axis: of_model(flight)}, {})
+    if isinstance(flight, str | Path) and names_model(flight):
+        models = load_models(flight, effects or ())
+        return Flight(str(flight), {axis: of_model(models[axis]) for axis in axes or models
+                                    if axis in models},
                       {axis: 'not in the file' for axis in axes if axis not in models})
     trim: dict[str, Estimate] = {}
-    if not isinstance(one, Result):
-        record = split_segments(one if isinstance(one, Record) else read_bag(one),
+    if not isinstance(flight, Result):
+        record = split_segments(flight if isinstance(flight, Record) else read_bag(flight),
                                 axes=axes or None)
-        one = identify(record, axes, effects=effects, designer=lambda _: GainProposal(None),
-                       progress=lambda line: show(f'{record.source}: {line}' if line else ''))
-        trim = {axis: mean for axis, mean in trims(record).items() if axis in one}
-    known = {axis: of_model(answer.model) for axis, answer in one.answers.items()
-             if answer.answered and answer.model is not None}
-    reasons = {axis: answer.reason for axis, answer in one.answers.items() if axis not in known}
+        flight = identify(record, axes, effects=effects, designer=lambda _: GainProposal(None),
+                          progress=lambda line: show(f'{record.source}: {line}' if line else ''))
+        trim = {axis: mean for axis, mean in trims(record).items() if axis in flight}
+    of_axes = {axis: of_model(answer.model) for axis, answer in flight.answers.items()
+               if answer.answered and answer.model is not None}
+    reasons = {axis: answer.reason for axis, answer in flight.answers.items()
+               if axis not in of_axes}
     for axis, mean in trim.items():
-        known.setdefault(axis, {})['trim'] = mean
-    return Flight(', '.join(one.flights), known, reasons)
+        of_axes.setdefault(axis, {})['trim'] = mean
+    return Flight(', '.join(flight.flights), of_axes, reasons)
 
 
 def compare(reference: Flight, others: Sequence[Flight]) -> tuple[Pair, ...]:
@@ -186,8 +187,8 @@ def _changes(reference: Flight, other: Flight) -> list[Change]:
 def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Change:
     from scipy.stats import t  # slow to import
 
-    known = a or b
-    unit = known.unit if known else ''
+    parameter = a or b
+    unit = parameter.unit if parameter else ''
     change = Change(axis, name, unit, a.value if a else None, b.value if b else None)
     if a is None or b is None:
         return change
@@ -197,8 +198,10 @@ def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Cha
     variances = np.array([a.std**2, b.std**2])
     std = float(np.sqrt(variances.sum()))
     # Welch 1947
-    lost = float(np.sum(variances**2 / np.array([a.degrees, b.degrees])))
-    degrees = min(float(variances.sum()) ** 2 / lost, MANY) if lost > 0.0 else MANY
+    variance_share = float(np.sum(variances**2 / np.array([a.degrees, b.degrees])))
+    degrees = MANY
+    if variance_share > 0.0:
+        degrees = min(float(variances.sum()) ** 2 / variance_share, MANY)
     p = float(2.0 * t.sf(abs(b.value - a.value) / std, degrees))
     return replace(change, std=std, p_value=p)
 
@@ -271,10 +274,10 @@ def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
         yield f'{reference.source} -> {flight.source}'
         head = ['', 'axis', '', 'before', 'after', 'change', 'error', 'chance', 'unit']
         yield from Table(head, [*_rows(changes)], range(3, 8)).text()
-        for known in (reference, flight):
-            for axis, reason in known.reasons.items():
+        for compared in (reference, flight):
+            for axis, reason in compared.reasons.items():
                 if axis in reference.parameters or axis in flight.parameters:
-                    yield from wrapped(f'{known.source}, {axis}: no model ({reason})', '    ',
+                    yield from wrapped(f'{compared.source}, {axis}: no model ({reason})', '    ',
                                        '  ')
         changed = [f'{c.axis} {c.name}' for c in changes if c.changed]
         alone = [f'{c.axis} {c.name}' for c in changes

@@ -44,11 +44,12 @@ def kernel(*arguments: Any, **options: Any) -> Callable[[Callable[..., Any]], An
         chosen = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = chosen or _place()
         try:
-            made = numba.njit(cache=True, nogil=True, error_model='numpy', **options)(function)
+            dispatcher = numba.njit(
+                cache=True, nogil=True, error_model='numpy', **options)(function)
         finally:
             numba.config.CACHE_DIR = chosen
-        _kernels.append((made, arguments))
-        return made
+        _kernels.append((dispatcher, arguments))
+        return dispatcher
 
     return decorate
 
@@ -68,9 +69,9 @@ def compile_all() -> list[str]:
     """Compile every kernel that is not there yet; the folders in which they are kept."""
     for module in MODULES:
         importlib.import_module(f'quad_sysid.{module}')
-    for made, arguments in _kernels if not numba.config.DISABLE_JIT else ():
-        made.compile(arguments)
-    return sorted({made.stats.cache_path for made, _ in _kernels if hasattr(made, 'stats')})
+    for dispatcher, arguments in _kernels if not numba.config.DISABLE_JIT else ():
+        dispatcher.compile(arguments)
+    return sorted({kernel.stats.cache_path for kernel, _ in _kernels if hasattr(kernel, 'stats')})
 
 
 class _Notice(event.Listener):  # type: ignore[misc]

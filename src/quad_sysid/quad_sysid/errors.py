@@ -5,8 +5,7 @@ Commands exit with the error's `exit_status`.
 
 from __future__ import annotations
 
-MAX_VALUE = 300
-"""Characters of a value that a message shows; it may be a whole file."""
+from quad_sysid.one_line import one_line
 
 
 class QuadSysidError(Exception):
@@ -22,12 +21,7 @@ class BadInputError(QuadSysidError, ValueError):
     """
 
     def __init__(self, where: str, what: str, value: object = None, remedy: str = '') -> None:
-        text = f'{where}: {what}'
-        if value is not None:
-            text += f': found {shortened(value)}'
-        if remedy:
-            text += f'; {remedy}'
-        super().__init__(' '.join(text.split()))
+        super().__init__(one_line(where, what, value, remedy))
 
 
 class NoSuchAttributeError(BadInputError, AttributeError):
@@ -43,11 +37,3 @@ class NotInformativeError(QuadSysidError):
 def p_in_words(p: float) -> str:
     """A p-value in a message, to follow `p`: `= 0.03` or `< 0.0001`."""
     return '< 0.0001' if p < 1e-4 else f'= {p:.2g}'
-
-
-def shortened(value: object) -> str:
-    """A value as one line of a message that stays readable."""
-    text = ' '.join(str(value).split())
-    if len(text) <= MAX_VALUE:
-        return text
-    return f'{text[:MAX_VALUE]} … ({len(text)} characters)'

@@ -161,14 +161,14 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         if not self._player.active:
             self._refusal = False
         began_s = clock().now_s()  # the first decoding takes its time, and so may the first tick
-        refused = self._player.start(self._now_s(), self._readings(decode_angles=True))
-        if not refused:
+        reason = self._player.start(self._now_s(), self._readings(decode_angles=True))
+        if not reason:
             self._began_s = began_s
             self._stall.begin(began_s)
             self._timer.reset()
             self.get_logger().info('excitation runs')
             self._report()
-        return refused
+        return reason
 
     def _try_autostart(self) -> None:
         if self._waiting:
@@ -177,10 +177,10 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
 
     def _on_start(self, request: Any, response: Any) -> Any:
         del request
-        refused = self._start()
-        if refused:
-            self.get_logger().warning(f'not started: {refused}')
-        return answered(response, not refused, refused or 'running')
+        reason = self._start()
+        if reason:
+            self.get_logger().warning(f'not started: {reason}')
+        return answered(response, not reason, reason or 'running')
 
     def _on_stop(self, request: Any, response: Any) -> Any:
         del request
@@ -198,9 +198,9 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             self.get_logger().warning(
                 f'this node stood still for {self._stall.stood_still_s:.2f} s: the host is busy'
             )
-        before = self._player.state
+        previous = self._player.state
         self._publish(self._player.tick(self._now_s(), readings), stamp)
-        if self._player.state is not before:
+        if self._player.state is not previous:
             self._on_state()
 
     def _publish(self, tick: Tick, stamp: int) -> None:

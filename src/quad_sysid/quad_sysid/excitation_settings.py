@@ -76,10 +76,10 @@ def find_schedule(name: str, share: Callable[[], Path]) -> Path:
         ) from error
     shipped = folder / f'{name}.yaml'
     if not shipped.exists():
-        known = ', '.join(sorted(p.stem for p in folder.glob('schedule_*.yaml')))
+        names = ', '.join(sorted(p.stem for p in folder.glob('schedule_*.yaml')))
         raise BadInputError(
             'parameter schedule', 'is neither a file nor a shipped schedule', repr(name),
-            f'shipped are {known}',
+            f'shipped are {names}',
         )
     return shipped
 

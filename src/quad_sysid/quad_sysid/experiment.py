@@ -69,8 +69,8 @@ class Experiment:
     def __str__(self) -> str:
         lines = [f'{self.name}, amplitude {self.amplitude:.3g}, {self.u.size * self.dt:g} s']
         for name, now in self.std_now.items():
-            before = 'unknown' if now is None else f'{now:.2g}'
-            lines.append(f'  {name}: standard error {before} -> {self.std_expected[name]:.2g}')
+            std_before = 'unknown' if now is None else f'{now:.2g}'
+            lines.append(f'  {name}: standard error {std_before} -> {self.std_expected[name]:.2g}')
         return '\n'.join(lines)
 
 
@@ -86,8 +86,8 @@ def design_experiment(
     information, or `A`, the sum of the relative variances. Raises BadInputError for wrong limits,
     NotInformativeError where no candidate stays within them.
     """
-    own = model_of(getattr(model, 'model', model))
-    if isinstance(own, Model):
+    target = model_of(getattr(model, 'model', model))
+    if isinstance(target, Model):
         raise BadInputError('design_experiment', 'needs the model of an axis', 'a black box',
                             'design_excitation gives a signal for a band')
     for name, limit in (('amplitude', amplitude), ('rate', rate), ('angle', angle),
@@ -96,38 +96,39 @@ def design_experiment(
             raise BadInputError('design_experiment', f'{name} must be positive', limit)
     if criterion not in CRITERIA:
         raise BadInputError('design_experiment', 'criterion must be D or A', repr(criterion))
-    units, n = own.units, round(seconds / own.dt)
+    units, n = target.units, round(seconds / target.dt)
     per_u, per_y, per_angle = (1.0, 1.0, 1.0) if units is None else (
         abs(units.per_command), abs(units.per_rate), abs(units.per_motion))
     names, shapes = [], []
-    for name, (signal, known) in CANDIDATES.items():
-        wave = waveform(signal, known, 'design_experiment')
-        shape = np.array([wave.at(k * own.dt) for k in range(n)])
+    for name, (signal, parameters) in CANDIDATES.items():
+        wave = waveform(signal, parameters, 'design_experiment')
+        shape = np.array([wave.at(k * target.dt) for k in range(n)])
         for level in (1.0, LOW):
             names.append(name)
             shapes.append(level * shape)
     progress(f'{len(names)} candidates')
-    commands, rates, angles = _within(own, amplitude * per_u * np.array(shapes), rate * per_y,
+    commands, rates, angles = _within(target, amplitude * per_u * np.array(shapes), rate * per_y,
                                       angle * per_angle)
-    every = _values(own)
+    every = _values(target)
     active = [i for i, (value, std) in enumerate(every.values()) if abs(value) > HELD or std]
     present = {name: every[name] for i, name in enumerate(every) if i in active}
     scores = []
     for i, name in enumerate(names):
         progress(name)
-        information = _information(own, commands[i], rates[i], angles[i])[np.ix_(active, active)]
+        information = _information(target, commands[i], rates[i], angles[i])
+        information = information[np.ix_(active, active)]
         scores.append((_score(information, present, criterion), i, information))
     if not any(math.isfinite(score) for score, _, _ in scores):
         raise NotInformativeError('design_experiment: no candidate is informative within these '
                                   'limits; widen them or take longer')
-    ordered = sorted(scores, key=lambda one: -one[0])
+    ordered = sorted(scores, key=lambda entry: -entry[0])
     _, best, information = ordered[0]
     covariance = np.linalg.pinv(np.array(_with_present(information, present), dtype=np.float64))
     expected = dict(zip(present, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
     sign = 1.0 if criterion == 'D' else -1.0
     zero = 0.0 if units is None else units.zero_command
     return Experiment(
-        name=names[best], amplitude=float(np.abs(commands[best]).max()) / per_u, dt=own.dt,
+        name=names[best], amplitude=float(np.abs(commands[best]).max()) / per_u, dt=target.dt,
         u=(commands[best] - zero) / (1.0 if units is None else units.per_command),
         std_now={name: std for name, (_, std) in present.items()},
         std_expected={name: float(value) for name, value in expected.items()},
@@ -212,20 +213,20 @@ def _information(model: Identified, command: FloatArray, rate: FloatArray,
 
 
 def _with_present(information: FloatArray,
-                  known: Mapping[str, tuple[float, float | None]]) -> FloatArray:
+                  parameters: Mapping[str, tuple[float, float | None]]) -> FloatArray:
     """The information with that of the data so far."""
-    present = [0.0 if not std else std**-2.0 for _, std in known.values()]
+    present = [0.0 if not std else std**-2.0 for _, std in parameters.values()]
     return information + np.diag(present)
 
 
-def _score(information: FloatArray, known: Mapping[str, tuple[float, float | None]],
+def _score(information: FloatArray, parameters: Mapping[str, tuple[float, float | None]],
            criterion: str) -> float:
     """What a candidate brings, the more the better; minus infinity for nothing."""
     if not information.any() or not np.isfinite(information).all():
         return -math.inf
-    sizes = np.array([abs(value) or std or 1.0 for value, std in known.values()])
-    whole = _with_present(information, known) * np.outer(sizes, sizes)
-    values = np.linalg.eigvalsh(whole)
+    sizes = np.array([abs(value) or std or 1.0 for value, std in parameters.values()])
+    scaled = _with_present(information, parameters) * np.outer(sizes, sizes)
+    values = np.linalg.eigvalsh(scaled)
     if criterion == 'D':
         return 0.5 * float(np.sum(np.log(np.maximum(values, 1e-12))))
     return -math.sqrt(float(np.mean(1.0 / np.maximum(values, 1e-12))))

@@ -44,13 +44,13 @@ def matrices(model: AxisModel) -> dict[str, Any]:
     p = flying.plant.p.copy()
     p[1], p[2] = max(lag_s, 0.25 * dt), 0.0
     prompt = replace(flying, plant=replace(flying.plant, p=p))
-    whole, one = loops_of([(flying, STILL)]), loops_of([(prompt, STILL)])
-    n = one.b.shape[1]
+    loop, prompt_loop = loops_of([(flying, STILL)]), loops_of([(prompt, STILL)])
+    n = prompt_loop.b.shape[1]
     block = np.eye(n + 1)
-    block[:n, :n], block[:n, n] = one.a[0], one.b[0]
+    block[:n, :n], block[:n, n] = prompt_loop.a[0], prompt_loop.b[0]
     rates = np.real(logm(block)) / dt
-    return {'A': rates[:n, :n], 'B': rates[:n, n:], 'C': one.c[0], 'delay_s': delay_s,
-            'Ad': whole.a[0], 'Bd': whole.b[0][:, None], 'Cd': whole.c[0], 'dt_s': dt}
+    return {'A': rates[:n, :n], 'B': rates[:n, n:], 'C': prompt_loop.c[0], 'delay_s': delay_s,
+            'Ad': loop.a[0], 'Bd': loop.b[0][:, None], 'Cd': loop.c[0], 'dt_s': dt}
 
 
 NOTE = (
@@ -118,20 +118,20 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
 
     names: dict[str, Any] = {'inputs': ['command'], 'outputs': list(OUTPUTS), 'name': model.axis}
     if linear:
-        one = loops_of([(loop_plant(model), STILL)])
-        return control.ss(one.a[0], one.b[0][:, None], one.c[0], 0.0, model.dt, **names)
+        loop = loops_of([(loop_plant(model), STILL)])
+        return control.ss(loop.a[0], loop.b[0][:, None], loop.c[0], 0.0, model.dt, **names)
     flying = whole_plant(model)
-    plant, rest = flying.plant, flying.begin()
+    plant, start = flying.plant, flying.begin()
 
     def update(_: float, x: FloatArray, u: FloatArray, __: object) -> FloatArray:
         s = plant.with_motors(replace(flying.around, sent=np.atleast_1d(u)))
-        return flat(plant.step(unflat(x[:, None], rest), s))[:, 0]
+        return flat(plant.step(unflat(x[:, None], start), s))[:, 0]
 
     def shown(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
-        rate, angle = plant.measured(unflat(x[:, None], rest))
+        rate, angle = plant.measured(unflat(x[:, None], start))
         return np.array([rate[0], 0.0 if angle is None else angle[0]])
 
-    return control.nlsys(update, shown, states=flat(rest).shape[0], dt=model.dt, **names)
+    return control.nlsys(update, shown, states=flat(start).shape[0], dt=model.dt, **names)
 
 
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {

@@ -54,19 +54,20 @@ def improvement(
 
 def _ratio(rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, int]], step: int,
            horizon: int) -> float:
-    at = np.concatenate([np.zeros(0, dtype=np.int64), *(
+    rows = np.concatenate([np.zeros(0, dtype=np.int64), *(
         np.arange(a + (LAGS - 1) * step, b - horizon) for a, b in spans)])
-    if at.size <= ROWS_EACH * ((1 + commands.shape[1]) * LAGS + 1):
+    if rows.size <= ROWS_EACH * ((1 + commands.shape[1]) * LAGS + 1):
         return 1.0
-    at = at[:: -(-at.size // MAX_ROWS)]
-    past = at[:, None] - step * np.arange(LAGS)
-    rates = np.column_stack([np.ones(at.size), rate[past]])
-    both = np.column_stack([rates, commands[past].reshape(at.size, -1)])
-    wanted = rate[at + horizon]
+    rows = rows[:: -(-rows.size // MAX_ROWS)]
+    lagged_rows = rows[:, None] - step * np.arange(LAGS)
+    rates = np.column_stack([np.ones(rows.size), rate[lagged_rows]])
+    both = np.column_stack([rates, commands[lagged_rows].reshape(rows.size, -1)])
+    future_rate = rate[rows + horizon]
 
-    def error(known: FloatArray) -> float:
-        residual = wanted - known @ np.linalg.lstsq(known, wanted, rcond=None)[0]
-        return float(np.sqrt(residual @ residual / (at.size - known.shape[1])))
+    def error(regressors: FloatArray) -> float:
+        theta = np.linalg.lstsq(regressors, future_rate, rcond=None)[0]
+        residual = future_rate - regressors @ theta
+        return float(np.sqrt(residual @ residual / (rows.size - regressors.shape[1])))
 
     alone, together = error(rates), error(both)
     return alone / together if together > 0.0 else 1.0
@@ -86,13 +87,13 @@ def _drawn(command: FloatArray) -> float | None:
     """The rate of one command's samples, per sample; 0 if it is as logged, None if it rests."""
     slope = np.diff(command)
     bend = np.diff(slope)
-    known = np.isfinite(bend)
-    if known.sum() < ROWS_EACH * LAGS or not np.ptp(bend[known]) > 0.0:
+    is_finite = np.isfinite(bend)
+    if is_finite.sum() < ROWS_EACH * LAGS or not np.ptp(bend[is_finite]) > 0.0:
         return None
-    flat = np.abs(bend) < FLAT * float(np.sqrt(np.mean(bend[known] ** 2)))
+    flat = np.abs(bend) < FLAT * float(np.sqrt(np.mean(bend[is_finite] ** 2)))
     usual = float(np.sqrt(np.nanmean(slope**2)))
-    moving = known & (np.abs(slope[1:]) > FLAT * usual) & (np.abs(slope[:-1]) > FLAT * usual)
-    ends = np.diff(np.flatnonzero(known & ~flat))
+    moving = is_finite & (np.abs(slope[1:]) > FLAT * usual) & (np.abs(slope[:-1]) > FLAT * usual)
+    ends = np.diff(np.flatnonzero(is_finite & ~flat))
     if moving.sum() < ROWS_EACH * LAGS or ends.size < LAGS or flat[moving].mean() < DRAWN:
         return 0.0
     interval = float(np.median(ends))

@@ -103,8 +103,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
             return
         if earlier:
             # the logger repeats its last ones to whoever comes late; the newest may be of use
-            before = {one for one, why in self._seen.items() if why == EARLIER}
-            self._queue = deque(one for one in self._queue if one not in before)
+            before = {bag for bag, why in self._seen.items() if why == EARLIER}
+            self._queue = deque(bag for bag in self._queue if bag not in before)
         unseen = '' if bag in self._begun else 'its recording has not begun since this node did'
         self._seen[bag] = EARLIER if earlier else stranger or unseen
         self._queue.append(bag)
@@ -118,16 +118,16 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
     def _stranger(self, node: str, topic: str = '/logger/bag', by: str = LOGGER) -> str:
         """Why what was said on a topic may not be that node's; empty if it is."""
-        known = f'{self.get_namespace().rstrip("/")}/{by}'
+        bridge = f'{self.get_namespace().rstrip("/")}/{by}'
         name = self.resolve_topic_name(topic.removeprefix('/'))
         sources = [
-            f'{one.node_namespace.rstrip("/")}/{one.node_name}'
-            for one in self.get_publishers_info_by_topic(name)
+            f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
+            for publisher in self.get_publishers_info_by_topic(name)
         ]
-        if node == known and sources == [known]:
+        if node == bridge and sources == [bridge]:
             return ''
-        others = ', '.join(sorted({node, *sources} - {known})) or 'another of that name'
-        return f'{known} is not the only publisher of {topic}: {others}'
+        publishers = ', '.join(sorted({node, *sources} - {bridge})) or 'another of that name'
+        return f'{bridge} is not the only publisher of {topic}: {publishers}'
 
     def _ours(self, bag: Path) -> bool:
         try:
@@ -192,12 +192,12 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
         out = free_folder(Path(bag).with_name(f'{Path(bag).stem}_log'))
         try:
-            made = str(joined(Path(bag), Path(path), offset_s, out))
+            merged = str(joined(Path(bag), Path(path), offset_s, out))
         except QuadSysidError as error:
             self.get_logger().warning(f'the bag alone is used: {error}')
             return bag
-        self.get_logger().info(f"{made}: the bag with the autopilot's own log in it")
-        return made
+        self.get_logger().info(f"{merged}: the bag with the autopilot's own log in it")
+        return merged
 
     def _collect(self) -> None:
         if self._outcome is None:

@@ -147,14 +147,14 @@ class Identified(AxisModel):
         from quad_sysid.loop.from_model import in_flight, loop_plant
         from quad_sysid.loop.simulation import simulate_cascade
 
-        known = {} if gains is None else gains
-        if isinstance(known, Mapping):
+        changed = {} if gains is None else gains
+        if isinstance(changed, Mapping):
             from quad_sysid.loop.cascade import CascadeGains
 
-            known = CascadeGains.from_mapping({**self.active_gains, **known}, self.axis)
+            changed = CascadeGains.from_mapping({**self.active_gains, **changed}, self.axis)
         seen = in_flight(self)
         reference = np.full(round(seconds / seen.dt), size)
-        return simulate_cascade(loop_plant(seen), known, reference, seen.dt)
+        return simulate_cascade(loop_plant(seen), changed, reference, seen.dt)
 
     def to_control(self, *, linear: bool = False) -> Any:
         """The model as a system of python-control; see exports.to_control."""
@@ -253,17 +253,17 @@ def response_of(model: AxisModel, w: FloatArray, amplitude: Level) -> FrequencyR
     from quad_sysid.loop.linear import loops_of
 
     of, names = model.covariance, model.parameter_names
-    known = [] if of is None else [i for i, name in enumerate(names) if np.isfinite(of[i, i])
-                                   and name in {p.name for p in model.base}]
-    steps = [] if of is None else [NUDGE * math.sqrt(of[i, i]) or 1e-9 for i in known]
+    shared = [] if of is None else [i for i, name in enumerate(names) if np.isfinite(of[i, i])
+                                    and name in {p.name for p in model.base}]
+    steps = [] if of is None else [NUDGE * math.sqrt(of[i, i]) or 1e-9 for i in shared]
     moved = [replace(model, base=tuple(replace(p, value=p.value + by * (p.name == names[i]))
                                        for p in model.base))
-             for i, by in zip(known, steps, strict=True)]
-    here, *near = loops_of([(loop_plant(one), amplitude)
-                            for one in (model, *moved)]).response(w)[0]
-    if of is None or not known:
+             for i, by in zip(shared, steps, strict=True)]
+    here, *near = loops_of([(loop_plant(candidate), amplitude)
+                            for candidate in (model, *moved)]).response(w)[0]
+    if of is None or not shared:
         return FrequencyResponse(w, here, None)
     gradient = (np.stack(near) - here) / np.array(steps)[:, None]
     slopes = np.stack([gradient.real, gradient.imag]).transpose(2, 0, 1)
-    covariance = slopes @ of[np.ix_(known, known)] @ np.swapaxes(slopes, 1, 2)
+    covariance = slopes @ of[np.ix_(shared, shared)] @ np.swapaxes(slopes, 1, 2)
     return FrequencyResponse(w, here, covariance)

@@ -83,8 +83,9 @@ def in_body(level: FloatArray, angles: FloatArray) -> FloatArray:
 def altitude_of(pressure_pa: FloatArray) -> FloatArray:
     """(n,) m above the first known of these pressures, by the standard atmosphere."""
     height = (1.0 - (pressure_pa / SEA_LEVEL_PA) ** (1.0 / POWER)) / PER_METRE
-    known = height[np.isfinite(height)]
-    return np.asarray(height - (known[: max(1, known.size // 100)].mean() if known.size else 0.0))
+    finite = height[np.isfinite(height)]
+    start = finite[: max(1, finite.size // 100)]
+    return np.asarray(height - (start.mean() if finite.size else 0.0))
 
 
 def vertical_motion(height: FloatArray, force: FloatArray,

@@ -182,10 +182,10 @@ def confirmed(
     Otherwise the feedback alone joins them: the noise of a held axis is in its motors too.
     """
 
-    def predicted(one: Pattern) -> bool:
-        rate = rates[:, AXES.index(one.axis)]
-        known = np.isfinite(rate) & np.isfinite(drives).all(axis=1)
-        return predictive(rate, drives, finite_runs(known, (0, known.size)), dt)
+    def predicted(pattern: Pattern) -> bool:
+        rate = rates[:, AXES.index(pattern.axis)]
+        is_finite = np.isfinite(rate) & np.isfinite(drives).all(axis=1)
+        return predictive(rate, drives, finite_runs(is_finite, (0, is_finite.size)), dt)
 
     return tuple(
         replace(p, certain=p.certain and (p.response == 'angle' or predicted(p))) for p in patterns
@@ -207,7 +207,8 @@ def _best_of(
     responses: Mapping[str, tuple[_Response, ...]], idle: tuple[str, ...]
 ) -> tuple[Pattern, ...]:
     """The best pattern of each axis that moves; motors may be idle for the axes of `idle`."""
-    tried = [[_best(axis, one, idle=axis in idle) for one in of] for axis, of in responses.items()]
+    tried = [[_best(axis, response, idle=axis in idle) for response in candidates]
+             for axis, candidates in responses.items()]
     return tuple(
         max(patterns, key=lambda p: (p.certain, p.response != 'angle', p.share))
         for patterns in tried if patterns
@@ -270,12 +271,13 @@ def _best(axis: str, response: _Response, *, idle: bool) -> Pattern:
     spread = signs @ response.gram[setting].sum(axis=0) @ signs.T
     driven = np.diag(spread) / (signs**2).sum(axis=1)
     size = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-    whole = (signs != 0.0).all(axis=1)
+    is_complete = (signs != 0.0).all(axis=1)
     explained = shares[setting]
-    if FULL_PREFERRED * explained[whole].max(initial=0.0) < explained.max() and not whole.all():
-        whole = ~whole
-    best = int(np.argmax(np.where(whole, explained, -1.0)))
-    comparable = whole & (explained >= COMPARABLE * explained[best]) & (
+    complete_share = explained[is_complete].max(initial=0.0)
+    if FULL_PREFERRED * complete_share < explained.max() and not is_complete.all():
+        is_complete = ~is_complete
+    best = int(np.argmax(np.where(is_complete, explained, -1.0)))
+    comparable = is_complete & (explained >= COMPARABLE * explained[best]) & (
         spread[best] > NEAR * size[best] * size)
     first = int(np.argmax(np.where(comparable, driven, -1.0)))
     near = spread[first] > NEAR * size[first] * size
@@ -316,8 +318,8 @@ def _sums(
     """Products per delay, lag and block; the motors are averaged over the response's interval."""
     from scipy.signal import lfilter  # slow to import
 
-    known = np.asarray(np.isfinite(motors).all(axis=1))
-    centred = np.where(known[:, None], motors - motors[known].mean(axis=0), 0.0)
+    is_finite = np.asarray(np.isfinite(motors).all(axis=1))
+    centred = np.where(is_finite[:, None], motors - motors[is_finite].mean(axis=0), 0.0)
     n, k = centred.shape
     products: list[tuple[FloatArray, ...]] = []
     for lag in LAGS_S:
@@ -328,10 +330,10 @@ def _sums(
         for delay in sorted({round(d / dt) for d in DELAYS_S} | {1}):
             shifted = np.zeros((n, k))
             shifted[delay : delay + len(mean)] = mean[: n - delay]
-            good = known & np.isfinite(response)
-            good[:delay] = False
+            usable = is_finite & np.isfinite(response)
+            usable[:delay] = False
             sums = [_block(shifted[rows], response[rows])
-                    for rows in np.array_split(np.flatnonzero(good), BLOCKS)]
+                    for rows in np.array_split(np.flatnonzero(usable), BLOCKS)]
             products.append(tuple(map(np.array, zip(*sums, strict=True))))
     return _Response(name, *(np.array(part) for part in zip(*products, strict=True)))
 

@@ -96,17 +96,18 @@ class Base:
                 raise BadInputError(where, f'{name} must be a tuple of different names', words)
         if (self.rhs is None) == (self.step is None):
             raise BadInputError(where, 'needs one of rhs and step')
-        for one in self.parameters:
-            if not math.isfinite(one.start) or (one.positive and one.start <= 0.0):
-                raise BadInputError(where, f'{one.name} must start at a positive number',
-                                    one.start, 'or say positive=False')
-        for name, word, known in (('output', self.output, self.states),
-                                  ('position', self.position, ('', *self.states)),
-                                  *(('keep', word, BUILT_IN_TERMS) for word in self.keep),
-                                  *(('inputs', word, SIGNALS) for word in self.inputs[1:])):
-            if word not in known:
+        for parameter in self.parameters:
+            start = parameter.start
+            if not math.isfinite(start) or (parameter.positive and start <= 0.0):
+                raise BadInputError(where, f'{parameter.name} must start at a positive number',
+                                    start, 'or say positive=False')
+        for name, word, allowed in (('output', self.output, self.states),
+                                    ('position', self.position, ('', *self.states)),
+                                    *(('keep', word, BUILT_IN_TERMS) for word in self.keep),
+                                    *(('inputs', word, SIGNALS) for word in self.inputs[1:])):
+            if word not in allowed:
                 raise BadInputError(where, f'{name} must be among '
-                                    f'{", ".join(filter(None, known))}', repr(word))
+                                    f'{", ".join(filter(None, allowed))}', repr(word))
         self._try(where)
 
     def _try(self, where: str) -> None:
@@ -134,8 +135,8 @@ class Base:
         settings = law.prepare(data)
         if isinstance(settings, str):
             raise BadInputError(f'base {self.name}', 'needs what was not measured', settings)
-        held = [i for i, name in enumerate(BUILT_IN_TERMS) if name not in self.keep]
-        return Problem(data, data.train, law=Part(law), held=held)
+        held_terms = [i for i, name in enumerate(BUILT_IN_TERMS) if name not in self.keep]
+        return Problem(data, data.train, law=Part(law), held=held_terms)
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -157,7 +158,7 @@ class _Law(Effect):
 
     def __init__(self, base: Base, units: Units) -> None:
         self.base, self.units, self.name = base, units, base.name
-        self.parameters = tuple(one.spec for one in base.parameters)
+        self.parameters = tuple(parameter.spec for parameter in base.parameters)
         self.states = len(base.hidden)
         self.signals = ('rate', 'command', *(['angle'] if base.position else []),
                         *(s for s in SIGNALS if s in base.inputs),
@@ -181,11 +182,11 @@ class _Law(Effect):
             x[base.position] = required(s.angle) / units.per_motion
         sent = np.zeros_like(s.lagged) if settings.get('silent') else s.lagged
         u: dict[str, Any] = {base.inputs[0]: (sent - units.zero_command) / units.per_command}
-        known = {'battery': s.battery_v, 'throttle': s.throttle, 'time': s.time}
-        return x, u | {name: known[name] for name in base.inputs[1:]}
+        signals = {'battery': s.battery_v, 'throttle': s.throttle, 'time': s.time}
+        return x, u | {name: signals[name] for name in base.inputs[1:]}
 
     def _named(self, p: FloatArray) -> dict[str, float]:
-        return {one.name: float(value) for one, value in zip(
+        return {parameter.name: float(value) for parameter, value in zip(
             self.base.parameters, p, strict=True)}
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
@@ -214,8 +215,8 @@ class _Law(Effect):
                first: Sequence[FloatArray]) -> FloatArray:
         """As Effect, from number to number."""
         named, out = self._named(p), np.zeros((self.states, s.time.size))
-        x, u = ({name: value.tolist() for name, value in one.items()}
-                for one in self._seen(s, settings))
+        x, u = ({name: value.tolist() for name, value in signal.items()}
+                for signal in self._seen(s, settings))
         for (start, stop), begin in zip(stretches, first, strict=True):
             hidden: Any = begin.tolist()
             for k in range(start, stop):
@@ -245,13 +246,13 @@ def lacking(base: Base, problem: Problem, fitted: Fit | None = None) -> tuple[st
     """
     structure, theta = (problem.plain, start_of(problem)) if fitted is None else (
         fitted.structure, fitted.theta)
-    sizes, own = problem.sizes(structure), structure.placed()[0][1]
+    sizes, where = problem.sizes(structure), structure.placed()[0][1]
     prediction = problem.flight.predict(structure, theta, sweeps=3, steps=derivative_steps(sizes))
     if prediction.jacobian is None:
         raise NotInformativeError(f'base {base.name}: it runs away at the start values; start '
                                   'nearer, or simulate it first')
-    names = [one.name for one in base.parameters]
-    columns = prediction.jacobian[problem.rows][:, own] * sizes[own]
+    names = [parameter.name for parameter in base.parameters]
+    columns = prediction.jacobian[problem.rows][:, where] * sizes[where]
     length = np.linalg.norm(columns, axis=0)
     noise = float(np.nanstd(prediction.innovation[problem.rows]))
     lines = [f'{name}: the data do not depend on it' for name, size in zip(

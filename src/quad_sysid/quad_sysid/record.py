@@ -63,10 +63,10 @@ class Segment:
 
         Without an experiment the segments of all axes are the same: roll's stand for the climb.
         """
-        own = EVERY[axis]
-        if not own.turns and not own.excited_as and self.injection not in INJECTIONS:
+        row = EVERY[axis]
+        if not row.turns and not row.excited_as and self.injection not in INJECTIONS:
             return self.axis in {axis, AXES[0]}
-        return self.axis in {axis, own.excited_as}
+        return self.axis in {axis, row.excited_as}
 
 
 @dataclass(frozen=True)
@@ -197,8 +197,8 @@ class Record:
             spans: list[tuple[int, int]] = [(0, self.n)]
         else:
             spans = [self.span(s) for s in self.segments if s.role == role and s.excites(name)]
-        good = np.isfinite(y) & np.isfinite(u)
-        runs = [run for span in spans for run in finite_runs(good, span)]
+        is_finite = np.isfinite(y) & np.isfinite(u)
+        runs = [run for span in spans for run in finite_runs(is_finite, span)]
         if not runs:
             raise NotInformativeError(
                 f'{self.source}: {name} has no sample with both rate and command'
@@ -247,16 +247,16 @@ class Record:
         if not axis_of('Record.external', name).turns:
             return None
         index = AXES.index(name)
-        at = self.injected_at(name)
-        if len(at) > 1:
+        injections = self.injected_at(name)
+        if len(injections) > 1:
             return None
-        behind = self.excitation is not None and not at <= {'attitude'}
+        behind = self.excitation is not None and not injections <= {'attitude'}
         signal = self.excitation if behind else self.attitude_setpoint
         if signal is None:
             return None
         out = np.nan_to_num(signal[:, index]) if behind else signal[:, index]
         others = [s for s in self.segments if s.axis == name and s.role != 'idle'
-                  and at and s.injection in INJECTIONS and s.injection not in at]
+                  and injections and s.injection in INJECTIONS and s.injection not in injections]
         if others:
             out = out.copy()
             for segment in others:
@@ -265,10 +265,10 @@ class Record:
 
     def injected_at(self, name: str) -> set[str]:
         """Where the axis is excited in its training (without any, in all of its segments)."""
-        own = [s for s in self.segments if s.axis == name and s.injection in INJECTIONS
-               and s.role != 'idle']
-        trained = {s.injection for s in own if s.role == 'train'}
-        return trained or {s.injection for s in own}
+        excitations = [s for s in self.segments if s.axis == name and s.injection in INJECTIONS
+                       and s.role != 'idle']
+        trained = {s.injection for s in excitations if s.role == 'train'}
+        return trained or {s.injection for s in excitations}
 
     def span(self, segment: Segment) -> tuple[int, int]:
         """Index range [start, stop) of a segment."""
@@ -300,8 +300,8 @@ class Record:
         measured = np.flatnonzero(np.isfinite(self.velocity[:, axis.index]))
         if measured.size < 2:
             return self
-        own = float(np.median(np.diff(measured))) * self.dt
-        count = round(min(max(own, SPEED_DT_S[0]), SPEED_DT_S[1]) / self.dt if dt is None
+        interval = float(np.median(np.diff(measured))) * self.dt
+        count = round(min(max(interval, SPEED_DT_S[0]), SPEED_DT_S[1]) / self.dt if dt is None
                       else dt / self.dt)
         if count < 2:
             return self
@@ -316,8 +316,9 @@ class Record:
             values = getattr(self, array)
             if values is None:
                 continue
-            known = _joined(values, SPEED_GAP_S / self.dt) if array in SPARSE else values
-            arrays[array] = cells(known).mean(axis=1) if array in ACTING else cells(known)[:, 0]
+            bridged = _joined(values, SPEED_GAP_S / self.dt) if array in SPARSE else values
+            values = cells(bridged)
+            arrays[array] = values.mean(axis=1) if array in ACTING else values[:, 0]
         shift_s = phase * self.dt
         return replace(
             self, dt=count * self.dt, t0_ns=self.t0_ns + round(1e9 * shift_s), **arrays,
@@ -332,13 +333,13 @@ class Record:
         Those of an axis flown by the LQR (`<axis>.lqr.share`) are left out, since the analysis
         knows the cascade only.
         """
-        known: dict[str, float] = {}
+        gains: dict[str, float] = {}
         for change in self.gains:
-            if change.time_s <= time_s or not known:
-                known.update(change.values)
-        other = {axis for axis in AXES if known.get(f'{axis}.lqr.share', 0.0) > 0.0}
+            if change.time_s <= time_s or not gains:
+                gains.update(change.values)
+        other = {axis for axis in AXES if gains.get(f'{axis}.lqr.share', 0.0) > 0.0}
         return {
-            name: value for name, value in known.items()
+            name: value for name, value in gains.items()
             if name.partition('.')[0] not in other or name.split('.')[1] not in {'angle', 'rate'}
         }
 
@@ -348,18 +349,18 @@ def _unwrapped(setpoint: FloatArray, yaw: FloatArray | None) -> FloatArray:
 
     Without one, it goes on without jumps.
     """
-    turn, wanted = 2.0 * np.pi, setpoint[:, 2]
-    known = np.flatnonzero(np.isfinite(wanted))
+    turn, heading = 2.0 * np.pi, setpoint[:, 2]
+    finite = np.flatnonzero(np.isfinite(heading))
     if yaw is None or not np.isfinite(yaw).any():
-        near = np.unwrap(wanted[known])
-        whole = np.round((near - wanted[known]) / turn)
+        near = np.unwrap(heading[finite])
+        turns = np.round((near - heading[finite]) / turn)
     else:
         measured = np.flatnonzero(np.isfinite(yaw))
-        whole = np.round((np.interp(known, measured, yaw[measured]) - wanted[known]) / turn)
-    if not whole.any():
+        turns = np.round((np.interp(finite, measured, yaw[measured]) - heading[finite]) / turn)
+    if not turns.any():
         return setpoint
     out = setpoint.copy()
-    out[known, 2] += turn * whole
+    out[finite, 2] += turn * turns
     return np.asarray(out)
 
 
@@ -367,12 +368,13 @@ def _joined(values: FloatArray, most: float) -> FloatArray:
     """(n,) or (n, k) with straight lines between known samples at most so many rows apart."""
     out, rows = values.reshape(values.shape[0], -1).copy(), np.arange(values.shape[0])
     for column in out.T:
-        known = np.flatnonzero(np.isfinite(column))
-        if known.size < 2:
+        finite = np.flatnonzero(np.isfinite(column))
+        if finite.size < 2:
             continue
-        after = np.clip(np.searchsorted(known, rows), 1, known.size - 1)
-        near = (known[after] - known[after - 1] <= most) & (rows >= known[0]) & (rows <= known[-1])
-        column[near] = np.interp(rows[near], known, column[known])
+        after = np.clip(np.searchsorted(finite, rows), 1, finite.size - 1)
+        near = (finite[after] - finite[after - 1] <= most) & (rows >= finite[0])
+        near &= rows <= finite[-1]
+        column[near] = np.interp(rows[near], finite, column[finite])
     return np.asarray(out.reshape(values.shape))
 
 
@@ -381,10 +383,10 @@ def motors_at_limit(motors: FloatArray) -> np.ndarray:
     return np.asarray((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT))
 
 
-def finite_runs(good: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:
+def finite_runs(mask: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:
     """Index ranges [start, stop) inside `span` where `good` (n,) is True without a break."""
     start, stop = span
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], good[start:stop], [False]))))
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask[start:stop], [False]))))
     return [(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2)]
 
 
@@ -492,8 +494,8 @@ def _spans(value: object, n: int) -> tuple[tuple[int, int], ...]:
         if not 0 <= start < stop <= n:
             raise BadInputError('IOData', f'a segment must lie in 0..{n}', (start, stop))
     ordered = sorted(spans)
-    for one, other in itertools.pairwise(ordered):
-        if other[0] < one[1]:
+    for first, other in itertools.pairwise(ordered):
+        if other[0] < first[1]:
             raise BadInputError('IOData', 'segments must not overlap, samples would count twice',
-                                f'{one} and {other}')
+                                f'{first} and {other}')
     return spans or ((0, n),)

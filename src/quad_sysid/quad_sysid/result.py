@@ -133,9 +133,9 @@ class Result:
     def __repr__(self) -> str:
         """One line for each axis; `print` shows all of the answer."""
         lines = []
-        for axis, one in self.answers.items():
-            effects = one.model.effects if one.model else ()
-            lines.append(' '.join([f'{axis}:', one.verdict, *(effect.name for effect in effects)]))
+        for axis, answer in self.answers.items():
+            effects = answer.model.effects if answer.model else ()
+            lines.append(' '.join([f'{axis}:', answer.verdict, *(e.name for e in effects)]))
         return '\n'.join(lines)
 
     def __str__(self) -> str:
@@ -170,7 +170,8 @@ class Result:
         """The answer as text: report and models, without loss; see `from_json`."""
         from quad_sysid.report.model_file import tree_of_models
 
-        models = {axis: one.model for axis, one in self.answers.items() if one.model is not None}
+        models = {axis: answer.model for axis, answer in self.answers.items()
+                  if answer.model is not None}
         return json.dumps({'report': self.report, 'flights': list(self.flights),
                            'inertia': self.inertia and dict(self.inertia),
                            'models': tree_of_models(models) if models else None},
@@ -191,8 +192,8 @@ class Result:
             flights, inertia = tuple(tree['flights']), tree['inertia']
         except (ValueError, TypeError, KeyError) as error:
             raise BadInputError('from_json', 'is no result of to_json', str(error)) from error
-        known = models_of(models, 'from_json', effects) if models else {}
-        result = cls(answers_of(report, known), flights, inertia)
+        stored = models_of(models, 'from_json', effects) if models else {}
+        result = cls(answers_of(report, stored), flights, inertia)
         vars(result)['report'] = report
         return result
 
@@ -251,12 +252,12 @@ def sent_with(figures: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
     `predicted` is for the watch in flight; `flown` are the gains that the design improves, which
     the aircraft must have.
     """
-    predicted = {f'{axis}.{name}': round(own[name], 6)
-                 for axis, own in figures.items() for name in PROMISES if name in own}
-    flown = {name.removesuffix(BEFORE): value
-             for axis, own in figures.items() for name, value in own.items()
-             if name.startswith(f'{axis}.') and name.endswith(BEFORE)}
-    return {'predicted': json.dumps(predicted), 'flown': json.dumps(flown)}
+    predicted = {f'{axis}.{name}': round(row[name], 6)
+                 for axis, row in figures.items() for name in PROMISES if name in row}
+    error_before = {name.removesuffix(BEFORE): value
+                    for axis, own in figures.items() for name, value in own.items()
+                    if name.startswith(f'{axis}.') and name.endswith(BEFORE)}
+    return {'predicted': json.dumps(predicted), 'flown': json.dumps(error_before)}
 
 
 def identify(
@@ -317,8 +318,8 @@ def identify(
     )
     whole = None
     if records[0].units is None and base is None:
-        models = {axis: one.model for axis, one in answers.items()
-                  if one.model is not None and one.answered}
+        models = {axis: answer.model for axis, answer in answers.items()
+                  if answer.model is not None and answer.answered}
         whole = whole_of(models, records, mass, thrust)
     return Result(answers, tuple(record.source for record in records), inertia, whole)
 
@@ -336,9 +337,9 @@ def undetermined(base: Base, flights: Flights | None = None, axis: str = '',
 
     train, validate = (arrays.pop(name, None) for name in ('train', 'validate'))
     wanted, records = _request(flights, axis, arrays, train, validate, lambda _: None)
-    known = together(records)
-    data = axis_data(known, (wanted or excited_axes(known))[0])
-    return lacking(base, base.problem(data, known[0].units))
+    unified = together(records)
+    data = axis_data(unified, (wanted or excited_axes(unified))[0])
+    return lacking(base, base.problem(data, unified[0].units))
 
 
 def _request(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any], train: Any,
@@ -346,13 +347,13 @@ def _request(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any],
     """The axes that are asked for, empty for those that the flights excite, and the records."""
     from quad_sysid.arrays import are_arrays, records_of
 
-    if not isinstance(axes, str) and not all(isinstance(one, str) for one in axes):
+    if not isinstance(axes, str) and not all(isinstance(axis, str) for axis in axes):
         raise BadInputError('identify', 'axes must be names', type(axes).__name__,
                             'hand in arrays by their names: identify(u=…, y=…, dt=…)')
     wanted = (axes,) if isinstance(axes, str) and axes else tuple(axes)
     for axis in wanted:
         axis_of('identify', axis)
-    if not are_arrays(flights) and all(one is None for one in arrays.values()):
+    if not are_arrays(flights) and all(array is None for array in arrays.values()):
         return wanted, _flown(flights, wanted, train, validate, show)
     if isinstance(flights, Record | str | Path) or len(wanted) > 1:
         raise BadInputError('identify', 'takes flights or arrays, not both, and arrays of one '
@@ -375,17 +376,17 @@ def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,
     for flight in every:
         if not isinstance(flight, Record):
             show(f'reading {flight}')
-        one = flight if isinstance(flight, Record) else read_bag(flight)
+        record = flight if isinstance(flight, Record) else read_bag(flight)
         spans = _is_span(train) and _is_span(validate)
-        records.append(split_segments(one, train, validate, axes or None) if spans
-                       else with_parts(one, one.time_s, axes or AXES, train, validate))
+        records.append(split_segments(record, train, validate, axes or None) if spans
+                       else with_parts(record, record.time_s, axes or AXES, train, validate))
     return records
 
 
 def _is_span(part: object) -> bool:
     """Whether it is (start, end) in s, or nothing."""
     return part is None or (isinstance(part, tuple) and len(part) == 2
-                            and not any(isinstance(one, slice) for one in part))
+                            and not any(isinstance(entry, slice) for entry in part))
 
 
 def _listener(progress: Any) -> Callable[[str], None]:
@@ -496,7 +497,7 @@ def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float =
 
     if isinstance(model, str):
         return design.separate(paper_aircraft(model), _pair(names), seconds, progress=progress,
-                               own=effects)
+                               own_effects=effects)
     pair = _pair(names) if names else design.rivals_of(model)
     inside = next((name for name in pair if effect_of(model, name) is not None), '')
     aircraft = aircraft_of(model, inside, source)

@@ -91,50 +91,50 @@ def rotors_of(record: Record, *, training: bool = False) -> Rotors:
     for start, stop in spans or [(0, record.n)]:
         chosen[start:stop] = True
     commands = record.motors
-    known = np.isfinite(record.speeds) & np.isfinite(commands) & chosen[:, None]
-    rotors = tuple(_rotor(commands[:, i], record.speeds[:, i], known[:, i], record.dt)
+    is_finite = np.isfinite(record.speeds) & np.isfinite(commands) & chosen[:, None]
+    rotors = tuple(_rotor(commands[:, i], record.speeds[:, i], is_finite[:, i], record.dt)
                    for i in range(commands.shape[1]))
     lags = np.array([(math.log(r.lag_s), r.spread) for r in rotors if r is not None])
     if not lags.size:
-        return Rotors(rotors, tuple(_remarks(record, rotors, known)), None, math.inf)
+        return Rotors(rotors, tuple(_remarks(record, rotors, is_finite)), None, math.inf)
     middle = float(np.median(lags[:, 0]))
     differ = 1.4826 * float(np.median(np.abs(lags[:, 0] - middle)))
-    own = float(np.median(lags[:, 1]))
-    return Rotors(rotors, tuple(_remarks(record, rotors, known)), math.exp(middle),
-                  math.hypot(own, differ, FORM))
+    delay = float(np.median(lags[:, 1]))
+    return Rotors(rotors, tuple(_remarks(record, rotors, is_finite)), math.exp(middle),
+                  math.hypot(delay, differ, FORM))
 
 
-def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor | None:
+def _rotor(u: FloatArray, w: FloatArray, is_known: np.ndarray, dt: float) -> Rotor | None:
     """Lag, delay and curve of one motor by least squares."""
     from scipy.optimize import minimize  # slow to import
 
-    rows = np.flatnonzero(known)
+    rows = np.flatnonzero(is_known)
     if rows.size * dt < MIN_S:
         return None
     window = _liveliest(u, rows)
-    u, w, known = u[window], w[window], known[window].copy()
-    for start, _ in finite_runs(known, (0, known.size)):
-        known[start : start + round(SETTLE_S / dt)] = False
-    rows, known_at = np.flatnonzero(known), np.flatnonzero(np.isfinite(u))
+    u, w, is_known = u[window], w[window], is_known[window].copy()
+    for start, _ in finite_runs(is_known, (0, is_known.size)):
+        is_known[start : start + round(SETTLE_S / dt)] = False
+    rows, known_at = np.flatnonzero(is_known), np.flatnonzero(np.isfinite(u))
     if rows.size * dt < 0.5 * MIN_S or np.ptp(w[rows]) <= 0.0 or np.ptp(u[rows]) <= 0.0:
         return None
-    held = np.interp(np.arange(u.size), known_at, u[known_at])
+    sampled = np.interp(np.arange(u.size), known_at, u[known_at])
     target = w[rows]
 
     def fitted(log_lag: float, delay: float) -> tuple[FloatArray, FloatArray]:
         """What a curve of the lagged command leaves, and the curve."""
-        x = np.stack([_behind(held**k, math.exp(log_lag), delay, dt)[rows] for k in (0, 1, 2)])
+        x = np.stack([_behind(sampled**k, math.exp(log_lag), delay, dt)[rows] for k in (0, 1, 2)])
         coefficients = np.linalg.lstsq(x @ x.T, x @ target, rcond=None)[0]
         return target - coefficients @ x, coefficients
 
-    def inside(at: FloatArray) -> tuple[float, float]:
-        return (float(np.clip(at[0], math.log(1e-4), math.log(MAX_LAG_S))),
-                float(np.clip(0.01 * at[1], 0.0, MAX_DELAY_S)))
+    def inside(point: FloatArray) -> tuple[float, float]:
+        return (float(np.clip(point[0], math.log(1e-4), math.log(MAX_LAG_S))),
+                float(np.clip(0.01 * point[1], 0.0, MAX_DELAY_S)))
 
-    def cost(at: FloatArray) -> float:
-        log_lag, delay = inside(at)
+    def cost(point: FloatArray) -> float:
+        log_lag, delay = inside(point)
         e = fitted(log_lag, delay)[0]
-        beyond = abs(at[0] - log_lag) + abs(at[1] - 100.0 * delay)
+        beyond = abs(point[0] - log_lag) + abs(point[1] - 100.0 * delay)
         return float(math.log(float(e @ e) + 1e-300) + beyond)
 
     grid = [np.array([math.log(lag), 100.0 * delay]) for lag in LAGS_S for delay in DELAYS_S]
@@ -145,8 +145,8 @@ def _rotor(u: FloatArray, w: FloatArray, known: np.ndarray, dt: float) -> Rotor 
     fit = 1.0 - float(e @ e) / float(np.sum((target - target.mean()) ** 2))
     if fit < MIN_FIT:
         return None
-    ends = [fitted(log_lag + sign * 0.02, delay)[0] for sign in (1.0, -1.0)]
-    j = np.stack([(ends[0] - ends[1]) / 0.04,
+    costs = [fitted(log_lag + sign * 0.02, delay)[0] for sign in (1.0, -1.0)]
+    j = np.stack([(costs[0] - costs[1]) / 0.04,
                   (fitted(log_lag, delay + 5e-4)[0] - e) / 5e-4], axis=1)
     starts = np.arange(0, rows.size, max(1, round(BLOCK_S / dt)))
     scores = np.add.reduceat(j * e[:, None], starts)
@@ -177,12 +177,12 @@ def _behind(u: FloatArray, lag: float, delay: float, dt: float) -> FloatArray:
     return np.asarray(np.interp(grid - delay / dt, grid, out), dtype=np.float64)
 
 
-def _remarks(record: Record, rotors: Sequence[Rotor | None], known: np.ndarray) -> list[str]:
+def _remarks(record: Record, rotors: Sequence[Rotor | None], is_finite: np.ndarray) -> list[str]:
     out: list[str] = []
     usable = [r for r in rotors if r is not None]
     for i, rotor in enumerate(rotors):
         others = [r for r in usable if r is not rotor]
-        name, measured = f'motor_{i + 1}', known[:, i]
+        name, measured = f'motor_{i + 1}', is_finite[:, i]
         if not measured.any():
             out.append(f'{name}: its speed was not measured')
             continue
@@ -216,8 +216,8 @@ def _failures(
         return []
     lag = float(np.median([r.lag_s for r in others]))
     u = np.nan_to_num(record.motors[:, i])
-    held = _behind(u, lag, 0.0, record.dt)
-    wanted: FloatArray = np.median([_speed(r, held) for r in others], axis=0)
+    lagged = _behind(u, lag, 0.0, record.dt)
+    wanted: FloatArray = np.median([_speed(r, lagged) for r in others], axis=0)
     turning = measured & (u > IDLE) & (wanted > 0.0)
     share = np.where(turning, record.speeds[:, i] / np.where(turning, wanted, 1.0), 1.0)
     usual = float(np.median(share[turning])) if turning.any() else 1.0

@@ -97,12 +97,13 @@ class Scale:
 def scale(units: Units | None, name: str, unit: str) -> Scale:
     """The scale of a quantity of an axis, whose name and unit are those of a rotation in SI."""
     if unit == COMMAND:
-        known = units or Units()
-        plain = 'norm.' if known.per_command == 1.0 else '1'
-        own = plain if known.command == COMMAND else known.command
-        return Scale(f'{spoken(units, name)}, {own}', 1.0 / known.per_command, known.zero_command)
+        chosen = units or Units()
+        plain = 'norm.' if chosen.per_command == 1.0 else '1'
+        command_unit = plain if chosen.command == COMMAND else chosen.command
+        return Scale(f'{in_units_of(units, name)}, {command_unit}', 1.0 / chosen.per_command,
+                     chosen.zero_command)
     shown, factor = shown_in(units, unit)
-    return Scale(f'{spoken(units, name)}, {shown}', factor)
+    return Scale(f'{in_units_of(units, name)}, {shown}', factor)
 
 
 def shown_in(units: Units | None, unit: str) -> tuple[str, float]:
@@ -110,7 +111,7 @@ def shown_in(units: Units | None, unit: str) -> tuple[str, float]:
     return (unit, 1.0) if units is None else units.parameter(unit)
 
 
-def spoken(units: Units | None, text: str) -> str:
+def in_units_of(units: Units | None, text: str) -> str:
     """A text about an axis in the words of its motion."""
     if units is None or units.motion not in LENGTHS:
         return text
@@ -124,4 +125,4 @@ def with_error(value: float, std: float) -> str:
     digits = 1 - math.floor(math.log10(std)) if 0.0 < std < math.inf else SMALLEST + 1
     if digits > SMALLEST:
         return f'{value:.4g} ± {std:.2g}'
-    return ' ± '.join(f'{round(one, digits):.{max(digits, 0)}f}' for one in (value, std))
+    return ' ± '.join(f'{round(number, digits):.{max(digits, 0)}f}' for number in (value, std))

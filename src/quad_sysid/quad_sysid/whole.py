@@ -122,11 +122,11 @@ def _drag(model: AxisModel, mass_kg: float | None) -> list[Fact]:
                 _times(damping.std, per))]
     for effect in model.effects:
         if effect.name == 'quadratic_drag':
-            one = effect.parameters[0]
+            parameter = effect.parameters[0]
             unit = '1/m' if mass_kg is None else 'N s²/m²'
-            out.append(Fact(f'quadratic_drag_{axis}', per * one.value, unit,
+            out.append(Fact(f'quadratic_drag_{axis}', per * parameter.value, unit,
                             'times the speed squared' + ('' if mass_kg else ', over the mass'),
-                            _times(one.std, per)))
+                            _times(parameter.std, per)))
     return out
 
 
@@ -158,8 +158,8 @@ def flies(record: Record) -> bool:
     """
     if record.velocity is not None:
         over_ground = record.velocity[:, :2]
-        known = over_ground[np.isfinite(over_ground)]
-        if known.size and known.std() > AWAY:
+        usable = over_ground[np.isfinite(over_ground)]
+        if usable.size and usable.std() > AWAY:
             return True
     if record.acceleration is None:
         return False
@@ -168,14 +168,14 @@ def flies(record: Record) -> bool:
     gravity = in_body(np.tile((0.0, 0.0, GRAVITY), (record.n, 1)), angles)
     seen = slice(2 if record.angles is None else 0, 3)
     rows = record.n // count * count
-    measured, on_rig, thrust = (one[:rows].reshape(rows // count, count, -1).mean(axis=1)
-                                for one in (record.acceleration, gravity, thrust))
-    known = np.isfinite(measured + on_rig + thrust).all(axis=1) & (thrust[:, 0] > LEAST_THROTTLE)
-    if known.sum() < FEWEST:
+    measured, on_rig, thrust = (array[:rows].reshape(rows // count, count, -1).mean(axis=1)
+                                for array in (record.acceleration, gravity, thrust))
+    usable = np.isfinite(measured + on_rig + thrust).all(axis=1) & (thrust[:, 0] > LEAST_THROTTLE)
+    if usable.sum() < FEWEST:
         return False
-    measured, on_rig, thrust = measured[known], on_rig[known], thrust[known]
+    measured, on_rig, thrust = measured[usable], on_rig[usable], thrust[usable]
     in_flight = GRAVITY * thrust / thrust.mean() * (0.0, 0.0, 1.0)
-    left = [(measured - one)[:, seen].var(axis=0).sum() for one in (in_flight, on_rig)]
+    left = [(measured - predicted)[:, seen].var(axis=0).sum() for predicted in (in_flight, on_rig)]
     return bool(left[0] < FREE * left[1])
 
 
@@ -189,9 +189,9 @@ def _hover(records: Sequence[Record]) -> list[Fact]:
     out = [Fact('hover_throttle', float(np.median(throttle)), '1',
                 'median U1 while the vertical speed is steady',
                 float(np.std(throttle) / math.sqrt(throttle.size)))]
-    known = np.isfinite(volts)
-    x, y = np.log(volts[known]), np.log(throttle[known])
-    if known.sum() >= FEWEST and np.ptp(x) > FELL:
+    is_finite = np.isfinite(volts)
+    x, y = np.log(volts[is_finite]), np.log(throttle[is_finite])
+    if is_finite.sum() >= FEWEST and np.ptp(x) > FELL:
         slope, _ = np.polyfit(x, y, 1)
         residual = y - np.polyval(np.polyfit(x, y, 1), x)
         spread = float(np.std(residual) / (np.std(x) * math.sqrt(max(1, x.size - 2))))
@@ -221,9 +221,9 @@ def _steady(record: Record) -> tuple[FloatArray, FloatArray]:
     # what the block's change of speed took of the lift is given back
     gained = (speed[:, -1] - speed[:, 0]) / (size * record.dt) / GRAVITY
     mean = lifted.mean(axis=1)
-    good = np.isfinite(mean) & (mean > LEAST_THROTTLE) & (np.abs(gained) < STEADY) \
+    steady = np.isfinite(mean) & (mean > LEAST_THROTTLE) & (np.abs(gained) < STEADY) \
         & (np.abs(speed).max(axis=1) > 0.0)
-    return mean[good] / (1.0 + gained[good]), volts[good]
+    return mean[steady] / (1.0 + gained[steady]), volts[steady]
 
 
 def _centre(records: Sequence[Record], craft: Craft) -> list[Fact]:

@@ -17,7 +17,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.loop.cascade import FOREIGN_NAMES, TUNED, CascadeGains, contract_names
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
-from quad_sysid.units import spoken
+from quad_sysid.units import in_units_of
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.gain_table import AXES, CLIMB, OPTIONAL, PER_AXIS, Bound, Gain
 
@@ -163,7 +163,7 @@ def _refuse(model: AxisModel, reasons: Iterator[str]) -> None:
 def _wrong_way(model: AxisModel) -> Iterator[str]:
     gain = model.in_units(next(p for p in model.base if p.name == 'gain'))
     order = "check the motors' order and spin, and the gyro's axes"
-    rate, unit = spoken(model.units, 'rate'), gain.unit
+    rate, unit = in_units_of(model.units, 'rate'), gain.unit
     if not math.isfinite(gain.value):
         yield f'the plant gain is {gain.value}; identify again'
     if gain.value <= 0.0:

@@ -26,17 +26,17 @@ from quad_sysid.loop.cascade import (
     open_loop,
 )
 from quad_sysid.loop.from_model import (
-    Placed,
+    acting_effect,
     gain_range,
     loop_plant,
-    placed,
+    torque_at,
     usual_signals,
 )
 from quad_sysid.loop.likeness import Trim
 from quad_sysid.loop.linear import ComplexArray, Loops, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
-from quad_sysid.model.effect import Effect, Part
+from quad_sysid.model.effect import ActingEffect, Effect, Part
 
 LEAST_PROBABILITY = 0.02
 """Probability below which a rival is ignored."""
@@ -75,11 +75,11 @@ def _own(effect: EffectEstimate) -> float:
 
 def _with_rival(model: AxisModel, effect: EffectEstimate, name: str) -> AxisModel:
     rest = tuple(e for e in model.effects if e is not effect)
-    matched = _matched(placed(model, effect), name, model.own_effects)
+    matched = _matched(acting_effect(model, effect), name, model.own_effects)
     return _reduced(model, rest if matched is None else (*rest, matched))
 
 
-def _matched(acting: Placed, name: str, own: Sequence[Effect]) -> EffectEstimate | None:
+def _matched(acting: ActingEffect, name: str, own: Sequence[Effect]) -> EffectEstimate | None:
     """The rival at the strength that matches the effect over a sine of the flown amplitude."""
     rival = next((e for e in library(own) if e.name == name), None)
     signal = acting.effect.signals[0]
@@ -88,11 +88,11 @@ def _matched(acting: Placed, name: str, own: Sequence[Effect]) -> EffectEstimate
     if rival.signals != acting.effect.signals:
         return None
     x = FLOWN[signal] * np.sin((np.arange(256) + 0.5) * (2.0 * np.pi / 256))
-    torque = acting.torque(REST, x.size, **{signal: x})
+    torque = torque_at(acting, REST, x.size, **{signal: x})
     shape = np.array([
         1.0 if spec.spread is None else math.exp(spec.centre) for spec in rival.parameters
     ])
-    unit = Placed(Part(rival), shape).torque(REST, x.size, **{signal: x})
+    unit = torque_at(ActingEffect(Part(rival), shape), REST, x.size, **{signal: x})
     size = float(np.dot(unit, torque) / np.dot(unit, unit))
     return estimate_of(name, (size,), rival.variant, own=own)
 

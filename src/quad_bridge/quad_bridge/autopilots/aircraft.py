@@ -1,7 +1,6 @@
 """An aircraft with PX4 or ArduPilot as the bridge asks it. No I/O; what differs is in kinds.py.
 
-Whoever answers on the line is known by its heartbeat: `Connected` is the one aircraft that the
-bridge holds, and hands everything on to what is there now.
+Whoever answers on the line is known by its heartbeat: `Connected` has the aircraft that it is now.
 """
 
 from __future__ import annotations
@@ -84,8 +83,8 @@ class AutopilotAircraft(Aircraft):
         if fault:
             return fault
         if flight.mode not in self.kind.pilot_modes:
-            known = ', '.join(self.kind.pilot_modes.values())
-            return f'it flies in {self.kind.mode_name(flight.mode)}: the pilot must fly ({known})'
+            modes = ', '.join(self.kind.pilot_modes.values())
+            return f'it flies in {self.kind.mode_name(flight.mode)}: the pilot must fly ({modes})'
         return flight.hover_fault(now_s)
 
     def segment(self, parameters: Mapping[str, Any] | None) -> None:
@@ -196,7 +195,7 @@ class AutopilotAircraft(Aircraft):
         return None if self.craft is None else self.kind.units(self.craft, known)
 
 
-class Connected(Aircraft):
+class Connected:
     """The aircraft on the line, whichever it is: ours until a heartbeat says otherwise."""
 
     def __init__(
@@ -204,17 +203,12 @@ class Connected(Aircraft):
         *, allow_gains: bool, allow_excitation: bool,
     ) -> None:  # fmt: skip
         self._quad = Quad(standard)
-        self.now: Aircraft = self._quad
+        self.aircraft: Aircraft = self._quad
         self.autopilot: AutopilotAircraft | None = None
         """It, where it is no aircraft of ours."""
         self.on_change: Callable[[Aircraft], None] = lambda _: None
         self._allow = {'allow_gains': allow_gains, 'allow_excitation': allow_excitation}
         self._now_s = now_s
-
-    @property
-    def gains(self) -> Any:  # type: ignore[override]
-        """Its sets of gains."""
-        return self.now.gains
 
     @property
     def last_cycle(self) -> f.Cycle | None:
@@ -240,30 +234,14 @@ class Connected(Aircraft):
 
     def _meet(self, beat: f.Heartbeat) -> None:
         kind = BY_NUMBER.get(beat.autopilot)
-        known = self.autopilot
-        if (known.kind if known is not None else None) is kind:
+        previous = self.autopilot
+        if (previous.kind if previous is not None else None) is kind:
             return
         self.autopilot = None if kind is None else AutopilotAircraft(
             kind, beat.system, now_s=self._now_s, **self._allow
         )
-        self.now = self.autopilot or self._quad
-        self.on_change(self.now)
-
-    def cannot(self, ability: Ability) -> str:
-        """Why it has not this ability now; empty where it has."""
-        return self.now.cannot(ability)
-
-    def segment(self, parameters: Mapping[str, Any] | None) -> None:
-        """A segment begins; None: it has ended."""
-        self.now.segment(parameters)
-
-    def excite(self, value: Vector3, injection: Injection, valid_ms: int) -> f.Frame | None:
-        """Give the frame that adds `value`, where one is sent for each."""
-        return self.now.excite(value, injection, valid_ms)
-
-    def abort(self) -> f.Frame | None:
-        """Give the frame that ends an excitation at once, where one does."""
-        return self.now.abort()
+        self.aircraft = self.autopilot or self._quad
+        self.on_change(self.aircraft)
 
     def poll(self, now_s: float) -> list[f.Frame]:
         """Say what to send now, beside parameters."""

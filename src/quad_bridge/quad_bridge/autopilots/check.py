@@ -42,8 +42,9 @@ def report(aircraft: AutopilotAircraft, link: Link, now_ns: int, craft: str) -> 
     budget = link.autopilot.budget
     if math.isfinite(budget):
         carried = load({name: rate for name, (rate, _) in rates.items()})
-        whole = budget / LINE_SHARE / 1000.0
-        advice.append((f'the line carries {whole:.1f} kB/s: {carried / 1000:.1f} used', True, ''))
+        capacity = budget / LINE_SHARE / 1000.0
+        used = f'{carried / 1000:.1f} used'
+        advice.append((f'the line carries {capacity:.1f} kB/s: {used}', True, ''))
     advice.append((
         f'rates for a live bag: {fastest:.0f} Hz', fastest >= FAST_HZ,
         f'below {FAST_HZ:g} Hz identify from the log on the card, or take 921600 baud',
@@ -66,18 +67,18 @@ def report(aircraft: AutopilotAircraft, link: Link, now_ns: int, craft: str) -> 
         else 'no ATTITUDE_TARGET', flight.target is not None,
         'without it the excitation is not measured, and none is flown',
     ))  # fmt: skip
-    known = {**aircraft.gains.values, **({} if aircraft.system_id is None
-                                         else aircraft.system_id.known)}  # fmt: skip
-    return [*advice, *kind.advice(known, aircraft.number)]
+    parameters = {**aircraft.gains.values, **({} if aircraft.system_id is None
+                                              else aircraft.system_id.known)}  # fmt: skip
+    return [*advice, *kind.advice(parameters, aircraft.number)]
 
 
 def lines(advice: Sequence[Advice]) -> list[str]:
     """The screen."""
     out = []
-    for what, good, remedy in advice:
-        out.append(f'  {"ok" if good else "--"}  {what}' + (
-            f': {remedy}' if remedy and not good else ''))
-    bad = sum(not good for _, good, _ in advice)
+    for what, is_met, remedy in advice:
+        out.append(f'  {"ok" if is_met else "--"}  {what}' + (
+            f': {remedy}' if remedy and not is_met else ''))
+    bad = sum(not is_met for _, is_met, _ in advice)
     out.append('ready' if not bad else f'{bad} of {len(advice)} lines are not as they should be')
     return out
 
@@ -115,7 +116,7 @@ class _Listener:
     def _take(self, frame: object, now_ns: int) -> None:
         self.connected.take(frame, 1e-9 * now_ns)
         if isinstance(frame, f.ParamValue) and self.connected.autopilot is not None:
-            self.connected.gains.take(frame, 1e-9 * now_ns)
+            self.connected.aircraft.gains.take(frame, 1e-9 * now_ns)
 
     def _send(self, now_ns: int) -> None:
         aircraft = self.connected.autopilot
@@ -171,4 +172,4 @@ def main(argv: Sequence[str] | None = None) -> int:
         return BAD_INPUT
     advice = report(aircraft, listener.link, clock().now_ns(), listener.craft)
     say('\n'.join(lines(advice)) + '\n')
-    return 0 if all(good for _, good, _ in advice) else NOT_READY
+    return 0 if all(is_met for _, is_met, _ in advice) else NOT_READY

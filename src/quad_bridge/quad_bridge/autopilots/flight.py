@@ -130,9 +130,9 @@ class FlightState:
             return "the pilot's sticks are not received"
         return 'the receiver is in failsafe' if self.failsafe else ''
 
-    def moved(self, before: tuple[float, ...]) -> bool:
+    def moved(self, previous: tuple[float, ...]) -> bool:
         """Whether the pilot has moved a stick since `before`."""
-        return any(abs(a - b) > STICK for a, b in zip(self.sticks[:4], before[:4], strict=False))
+        return any(abs(a - b) > STICK for a, b in zip(self.sticks[:4], previous[:4], strict=False))
 
     def hover_throttle(self, now_s: float) -> float | None:
         """The mean throttle of the last seconds in the air; None where it is not known."""
@@ -172,9 +172,9 @@ class FlightState:
 
     def _take_sticks(self, frame: f.RcChannels, now_s: float) -> None:
         pulses = frame.channels[:4]
-        known = len(pulses) == 4 and all(800 <= pulse <= 2200 for pulse in pulses)
-        self.failsafe = not known
-        if known:
+        is_valid = len(pulses) == 4 and all(800 <= pulse <= 2200 for pulse in pulses)
+        self.failsafe = not is_valid
+        if is_valid:
             self.sticks = tuple((pulse - 1500) / 500.0 for pulse in pulses)
             self.sticks_s = now_s
 
@@ -182,13 +182,13 @@ class FlightState:
         since_s, self._baro_s = now_s - self._baro_s, now_s
         if self.place is not None and now_s - self.place_s < 1.0:
             return
-        before = self._level_hpa
-        if not math.isfinite(before) or since_s > 1.0:
+        previous = self._level_hpa
+        if not math.isfinite(previous) or since_s > 1.0:
             self._level_hpa, self.climb_m_s = hpa, 0.0
         elif since_s > 0.0:
             share = min(since_s / BARO_S, 1.0)
             self._level_hpa += share * (hpa - self._level_hpa)
-            climb = METRES_PER_HPA * (before - self._level_hpa) / since_s
+            climb = METRES_PER_HPA * (previous - self._level_hpa) / since_s
             self.climb_m_s += share * (climb - self.climb_m_s)
         self.height_m = -METRES_PER_HPA * self._level_hpa
 

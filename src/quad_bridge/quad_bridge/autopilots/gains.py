@@ -202,15 +202,15 @@ class ParameterGains:
         late = value == replaced and now_s < until_s and name not in self._queue
         if late or not math.isfinite(value):
             return
-        before = self.values.get(name)
-        if before is not None and value == self._queue.get(name) != before:
-            self._replaced[name] = before, now_s + STALE_S
+        previous = self.values.get(name)
+        if previous is not None and value == self._queue.get(name) != previous:
+            self._replaced[name] = previous, now_s + STALE_S
         self.values[name], self._kinds[name] = value, frame.kind
         if self.state is State.READING:
             self._read()
         elif name in self._queue and self.state in {State.WRITING, State.REVERTING}:
             self._answered(name, value)
-        elif value != before:
+        elif value != previous:
             self._changed(name, value)
 
     # Reading.

@@ -121,12 +121,12 @@ class LogFetch:
             if entry.number < entry.last:
                 return
         elif entry.count:  # PX4's `last` is none of its numbers, which begin at 0
-            known = [*self._listed_so_far.values(), entry]
-            self._listed_so_far = {one.number: one for one in known if one.count == entry.count}
+            entries = [*self._listed_so_far.values(), entry]
+            self._listed_so_far = {log.number: log for log in entries if log.count == entry.count}
             self._tries, self._due_s = 0, now_s + LIST_S
             if len(self._listed_so_far) < entry.count:
                 return
-            entry = max(self._listed_so_far.values(), key=lambda one: (one.time_utc_s, one.number))
+            entry = max(self._listed_so_far.values(), key=lambda log: (log.time_utc_s, log.number))
         if entry.count == 0 or entry.size == 0:
             self.phase, self.reason = Phase.FAILED, 'the autopilot has no log'
             return

@@ -74,9 +74,9 @@ class Table:
     @property
     def names(self) -> tuple[str, ...]:
         """All parameters that are to be read."""
-        own = [name for *_, name in self.of_axes()]
-        own += [self.multiplier.format(axis) for axis in self.axes if self.multiplier]
-        return tuple(dict.fromkeys([*own, *(row.theirs for row in self.shared)]))
+        names = [name for *_, name in self.of_axes()]
+        names += [self.multiplier.format(axis) for axis in self.axes if self.multiplier]
+        return tuple(dict.fromkeys([*names, *(row.theirs for row in self.shared)]))
 
     @property
     def written(self) -> tuple[str, ...]:

@@ -102,8 +102,8 @@ class Takeover:
     def fault(self, injection: Injection, now_s: float) -> str:
         """Why no segment may begin beside what the aircraft's own rules say."""
         if injection not in self._means.injections:
-            known = ' or '.join(one.name.lower() for one in self._means.injections)
-            return f'{self._means.name} takes an injection of {known}'
+            injections = ' or '.join(i.name.lower() for i in self._means.injections)
+            return f'{self._means.name} takes an injection of {injections}'
         if not self._means.climb:
             if self._flight.height_m is None:
                 return 'its height is not known: neither LOCAL_POSITION_NED nor a barometer comes'
@@ -125,11 +125,11 @@ class Takeover:
             self.refusal = self.refusal or reason
         self._wanted = 0.0
         entered = self.phase in {Phase.FLYING, Phase.ENTERING}
-        ours = self._flight.mode == self._means.mode
-        switched = self.phase is Phase.FLYING and not ours  # to a mode that somebody has chosen
+        is_our_mode = self._flight.mode == self._means.mode
+        switched = self.phase is Phase.FLYING and not is_our_mode  # to another's mode
         if self.phase is not Phase.LEAVING:
-            self._ask_back = ours or (self._start is not None
-                                      and self._flight.mode == self._start.mode)
+            self._ask_back = is_our_mode or (self._start is not None
+                                             and self._flight.mode == self._start.mode)
             self._go(Phase.LEAVING if entered and not switched else Phase.IDLE, now_s)
 
     def target(self, reported: f.AttitudeTarget) -> None:
@@ -141,7 +141,7 @@ class Takeover:
         followed = reported.rates if rate else angles_of(reported.q)
         _, _, reference = min(
             self._sent,
-            key=lambda one: sum(abs(d) for d in self._differ(followed, one[1], rate=rate))
+            key=lambda sent: sum(abs(d) for d in self._differ(followed, sent[1], rate=rate))
         )
         added = self._differ(followed, reference, rate=rate)
         self.applied = tuple(added[i] if i == self._axis else 0.0 for i in range(3))  # type: ignore[assignment]
@@ -185,12 +185,12 @@ class Takeover:
         """Ask for the mode from before, until it is no longer ours or somebody's."""
         if self.phase is not Phase.LEAVING:
             return
-        waited_s, ours = now_s - self._since_s, self._flight.mode == self._means.mode
-        if not ours and waited_s > BEAT_S:
+        waited_s, is_our_mode = now_s - self._since_s, self._flight.mode == self._means.mode
+        if not is_our_mode and waited_s > BEAT_S:
             self._go(Phase.IDLE, now_s)
         elif waited_s > LEAVE_S and now_s - self._flight.beat_s > LEAVE_S:
             self._go(Phase.IDLE, now_s)  # nobody hears: the autopilot's own loss of OFFBOARD acts
-        elif (ours or self._ask_back) and now_s - self._requested_s > AGAIN_S:
+        elif (is_our_mode or self._ask_back) and now_s - self._requested_s > AGAIN_S:
             self._requested_s, self._ask_back = now_s, False
             out.append(self._means.set_mode(start.mode))
 

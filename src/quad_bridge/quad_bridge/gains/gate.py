@@ -106,11 +106,11 @@ def _text(name: str, text: object) -> str:
 def _predictions(pairs: Mapping[str, float]) -> dict[str, Predicted]:
     """What `{"roll.peak": 1.2, "roll.rate_rms_ratio": 0.9}` says of each axis."""
     values: dict[str, dict[str, float]] = {}
-    known = {f.name for f in fields(Predicted)}
+    field_names = {f.name for f in fields(Predicted)}
     for name, value in pairs.items():
         axis, _, figure = name.partition('.')
-        if axis not in {*AXES, CLIMB} or figure not in known:
-            words = f'{shorten(name)} is not known; known are {", ".join(sorted(known))}'
+        if axis not in {*AXES, CLIMB} or figure not in field_names:
+            words = f'{shorten(name)} is not known; known are {", ".join(sorted(field_names))}'
             raise RefusedError(f'predicted: {words}')
         low, high = _LIMITS[figure]
         values.setdefault(axis, {})[figure] = min(max(value, low), high)
@@ -139,8 +139,8 @@ def shorten(text: str) -> str:
 def check_source(source: str, allowed: Sequence[str]) -> None:
     """Raise RefusedError unless `source` fits one of the patterns (`*`, `identification*`)."""
     if not any(fnmatchcase(source, pattern) for pattern in allowed):
-        known = ', '.join(allowed) or 'none'
-        raise RefusedError(f'the source is not allowed; parameter sources has {known}')
+        names = ', '.join(allowed) or 'none'
+        raise RefusedError(f'the source is not allowed; parameter sources has {names}')
 
 
 def check_flown(request: GainRequest, active: Mapping[str, float]) -> None:
@@ -149,13 +149,13 @@ def check_flown(request: GainRequest, active: Mapping[str, float]) -> None:
     Then the design is of another aircraft, in another unit of the commands, or it is old. On the
     way from those gains to the new ones is where an update that was reverted has left it.
     """
-    for name, before in request.flown.items():
+    for name, value in request.flown.items():
         now = active.get(name)
-        low, high = sorted((before, request.gains.get(name, before)))
+        low, high = sorted((value, request.gains.get(name, value)))
         slack = SAME * max(abs(low), abs(high))
         if now is not None and not low - slack <= now <= high + slack:
             raise RefusedError(
-                f'{name}: the design began from {before:.4g}, and the aircraft has {now:.4g}: it '
+                f'{name}: the design began from {value:.4g}, and the aircraft has {now:.4g}: it '
                 'is of another aircraft or of older gains; fly, identify and design again'
             )
 
@@ -232,8 +232,8 @@ def _check_one(
     name: str, value: float, active: Mapping[str, float], bounds: Mapping[str, Bound]
 ) -> None:
     if name not in SETTABLE:
-        known = 'docs/reference/gains.md lists them'
-        raise RefusedError(f'{shorten(name)}: no gain of this name can be set; {known}')
+        listing = 'docs/reference/gains.md lists them'
+        raise RefusedError(f'{shorten(name)}: no gain of this name can be set; {listing}')
     if not math.isfinite(value):
         raise RefusedError(f'{name}: must be finite: found {value}')
     bound = bounds.get(name)

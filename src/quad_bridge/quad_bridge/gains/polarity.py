@@ -12,14 +12,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.craft import AXES, Craft, X
 from quad_bridge.errors import RefusedError
+from quad_bridge.si import FloatArray
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Cycle, Flag, Injection, Vector3
 
-FloatArray = npt.NDArray[np.float64]
 Signs = dict[str, dict[str, int]]  # motor channel to axis to the sign of its answer
 
 QUIET_S, HALF_S, REST_S = 0.16, 0.12, 0.36
@@ -118,12 +117,12 @@ def judge_axes(answers: Mapping[str, FloatArray]) -> dict[str, str]:
     for i, axis in enumerate(AXES):
         if axis not in answers:
             continue
-        own = float(answers[axis][i])
+        answer = float(answers[axis][i])
         foreign = float(np.abs(np.delete(answers[axis], i)).max())
-        verdicts[axis] = 'right' if own > 0.0 else 'wrong'
-        if foreign > abs(own):
+        verdicts[axis] = 'right' if answer > 0.0 else 'wrong'
+        if foreign > abs(answer):
             verdicts[axis] = 'crossed'
-        elif own == 0.0:
+        elif answer == 0.0:
             verdicts[axis] = 'silent'
     return verdicts
 

@@ -273,20 +273,20 @@ class GainProtocol:
 
     def _acted(self, state: f.GainsState) -> None:
         """Take the answer to an action."""
-        good = state.result == f.GainsResult.OK
+        is_ok = state.result == f.GainsResult.OK
         if self.state is State.REVERTING:
             idle = state.phase == f.GainsPhase.IDLE
             if self._late and idle and state.checksum == self._checksum:
                 self._confirmed(self._reason)
             else:
                 self._back_again()
-        elif not good and self.state is not State.CONFIRMING:
+        elif not is_ok and self.state is not State.CONFIRMING:
             words = f.GainsResult(state.result).name.lower().replace('_', ' ')
             self._take_back(What.FAILED, f'the STM32 refused the set: {words}')
         elif self.state is State.OPENING:
             self._queue = list(self._writes)
             self._go(State.STAGING)
-        elif not good or state.checksum != self._checksum:
+        elif not is_ok or state.checksum != self._checksum:
             outcome = What.REVERTED if self.state is State.CONFIRMING else What.FAILED
             self._take_back(outcome, 'the STM32 has other gains in force')
         elif self.state is State.COMMITTING:

@@ -232,8 +232,8 @@ update of gains changes them, and the firmware accepts none while it is armed.""
 def _all() -> dict[str, tuple[str, Gain]]:
     """Contract name to wire name and row, in the order of the index on the wire."""
     rows = {}
-    whole = (*OF_AIRCRAFT, *CLIMB, *SET_UP)
-    for gains, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES), (whole, ('',))):
+    groups = (*OF_AIRCRAFT, *CLIMB, *SET_UP)
+    for gains, axes in ((PER_AXIS, AXES), (SHARED, ('',)), (OPTIONAL, AXES), (groups, ('',))):
         for axis in axes:
             for row in gains:
                 name = f'{axis}.{row.name}' if axis else row.name

@@ -97,10 +97,8 @@ class _Update:
 class GainUpdates:
     """See the module. `ask` and `check` raise RefusedError, the rest never."""
 
-    def __init__(
-        self, settings: GainSettings, history: History, protocol: GainProtocol | None = None
-    ) -> None:
-        """`protocol` is the aircraft's: how its sets of gains are written and read back."""
+    def __init__(self, settings: GainSettings, history: History) -> None:
+        """For this project's firmware, until `use` says otherwise."""
         self.notes: list[Note] = []
         self.refused = ''
         """Why the last update was refused, failed or reverted; empty after a good one."""
@@ -108,7 +106,7 @@ class GainUpdates:
         self.state = State.IDLE
         self._settings, self._history = settings, history
         self._trial: Any = None  # what the files know of a trial, once they are open
-        self.use(protocol or GainProtocol())
+        self.use(GainProtocol())
         self.rate_hz = gate.USUAL_HZ
         self.watch = GainWatch(gate.USUAL_HZ)
         self.polarity = PolarityCheck(settings.polarity, gate.USUAL_HZ)
@@ -447,9 +445,9 @@ class GainUpdates:
         rate_hz = self.protocol.cycles_hz or active.get('loop.rate_hz', gate.USUAL_HZ)
         if rate_hz != self.rate_hz:
             self.rate_hz = self.polarity.rate_hz = rate_hz
-            known = self.watch.known
+            history = self.watch.known
             self.watch = GainWatch(min(max(rate_hz, MIN_HZ), MAX_HZ))
-            self.watch.know(known)
+            self.watch.know(history)
 
     def _committed(self, event: GainEvent) -> None:
         update = self._update

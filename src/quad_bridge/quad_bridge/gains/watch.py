@@ -15,11 +15,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.gains.table import AXES
-
-FloatArray = npt.NDArray[np.float64]
+from quad_bridge.si import GRAVITY_M_S2, FloatArray
 
 CENTRES_RAD_S = (4.0, 8.0, 16.0, 32.0, 64.0)
 """Bands one octave wide, from slow angle loops to fast rate loops; the last channel is the RMS."""
@@ -43,7 +41,6 @@ BEFORE_S, BLOCK_S = 10.0, 0.5
 MAX_HZ = 125.0
 """A faster loop is watched by the means of so many of its cycles that no more remain: twice what
 the fastest band needs, and half the work of every cycle."""
-GRAVITY_M_S2 = 9.80665
 UPRIGHT_S = 2.0  # time after take-off in which the angle may still approach its reference
 SETTLE_S = 1.0  # duration of data before the first figures count
 
@@ -172,8 +169,8 @@ class GainWatch:
     @property
     def good(self) -> bool:
         """Whether this flight has gone well for ten seconds, by what a sound aircraft may do."""
-        whole = len(self._blocks) == self._blocks.maxlen
-        return whole and bool((self._before() <= self._most(self._unknown)).all())
+        is_full = len(self._blocks) == self._blocks.maxlen
+        return is_full and bool((self._before() <= self._most(self._unknown)).all())
 
     def know(self, before: object) -> None:
         """Take `before` of the aircraft's last good flight; what is none leaves none known."""
@@ -228,9 +225,9 @@ class GainWatch:
             memory[1] = b[2] * signal - a[1] * out
             self._energy += self._share * (out * out - self._energy)
             slow[k], energies[k] = self._slow, self._energy
-        moved = np.abs(reference - slow) + TURN_S * np.abs(injected)
+        motion = np.abs(reference - slow) + TURN_S * np.abs(injected)
         distance = np.abs(attitude + LEAD_S * rates - reference)[:, :2]
-        follows = FOLLOW_FACTOR * moved[:, :2]
+        follows = FOLLOW_FACTOR * motion[:, :2]
         allowed = _fading(follows, self._allowed, 1.0 - self._dt / FOLLOW_S)
         explained = _fading(energies[:, 1], self._explained, self._fade)
         self._distance, self._allowed = distance[-1], allowed[-1]
@@ -340,11 +337,11 @@ class GainWatch:
         self._over_s = np.where(over, self._over_s + self._dt, 0.0)
 
 
-def _fading(values: FloatArray, before: FloatArray, fade: FloatArray | float) -> FloatArray:
+def _fading(values: FloatArray, previous: FloatArray, fade: FloatArray | float) -> FloatArray:
     """In each row the largest value so far, which fades from row to row; `before` the first."""
-    ages = np.arange(1, len(values) + 1).reshape(-1, *[1] * before.ndim)
+    ages = np.arange(1, len(values) + 1).reshape(-1, *[1] * previous.ndim)
     faded = np.power(fade, ages)
-    largest = np.maximum.accumulate(np.concatenate((before[np.newaxis], values / faded)))
+    largest = np.maximum.accumulate(np.concatenate((previous[np.newaxis], values / faded)))
     return np.asarray(largest[1:] * faded)
 
 

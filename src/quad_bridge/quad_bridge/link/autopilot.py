@@ -165,8 +165,8 @@ class Autopilot:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all received messages, sorted."""
-        known = self._streams.items()
-        return tuple(sorted(name for name, s in known if s.count or s.rate_hz > 0.0))
+        streams = self._streams.items()
+        return tuple(sorted(name for name, s in streams if s.count or s.rate_hz > 0.0))
 
     def feeds(self, topic: str, name: str, now_ns: int) -> bool:
         """Take a message's content for a topic; False where a better message brings it."""
@@ -207,8 +207,8 @@ class Autopilot:
         Betaflight sends them in its own order, yaw before throttle.
         """
         self.note(frame.name)
-        there = frame.port == 0 and bool(frame.channels)
-        if not there or not self.feeds(STICKS, frame.name, now_ns):
+        has_channels = frame.port == 0 and bool(frame.channels)
+        if not has_channels or not self.feeds(STICKS, frame.name, now_ns):
             return None
         if self.betaflight and len(frame.channels) > 3:
             roll, pitch, yaw, throttle, *others = frame.channels
@@ -236,10 +236,10 @@ class Autopilot:
         measured = not all(math.isnan(v) for v in frame.rpm)
         if not measured or not self.feeds(ROTORS, source, now_ns):
             return None
-        whole = frame.first + len(frame.rpm) > max(self._rpm, default=-1)
+        is_complete = frame.first + len(frame.rpm) > max(self._rpm, default=-1)
         self._rpm |= dict(enumerate(frame.rpm, frame.first))
         rpm = tuple(self._rpm.get(k, math.nan) for k in range(max(self._rpm) + 1))
-        return replace(frame, first=0, rpm=rpm) if whole else None
+        return replace(frame, first=0, rpm=rpm) if is_complete else None
 
     def due(self, now_ns: int) -> list[Command]:
         """Messages to request now: those that come too rarely, or not at all."""

@@ -91,7 +91,7 @@ class ClockEstimator:
             if device_ns < self._block[0][0]:
                 self.reset()
             return
-        device, arrived = min(self._block, key=lambda one: one[1] - one[0])
+        device, arrived = min(self._block, key=lambda trip: trip[1] - trip[0])
         self._block.clear()
         self.one_way = True
         self._take(_Trip(device, arrived - device, 0))
@@ -135,9 +135,9 @@ class ClockEstimator:
         since = trip.device_ns - self._trips[-1].device_ns
         self.off_ns = trip.offset_ns - self.offset_ns - self.drift * since
         shortest = min(t.round_trip_ns for t in self._trips)
-        own = abs(trip.round_trip_ns - shortest) / 2
+        uncertainty = abs(trip.round_trip_ns - shortest) / 2
         jump = JUMP_NS * (20 if self.one_way else 1 if self.converged else 5)
-        allowed = jump + own + 2.0 * DRIFT_PRIOR * abs(since)
+        allowed = jump + uncertainty + 2.0 * DRIFT_PRIOR * abs(since)
         return since < 0 or abs(self.off_ns) > allowed
 
     def _fit(self) -> None:

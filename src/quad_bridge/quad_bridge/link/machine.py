@@ -229,8 +229,8 @@ class Link:
     @staticmethod
     def _moved(frame: f.Cycle, now_ns: int, started_ns: int) -> bool:
         """Whether the aircraft has started at another time; its µs may wrap at 32 bits."""
-        moved = now_ns - 1000 * frame.time_us - started_ns
-        return abs((moved + WRAP_NS // 2) % WRAP_NS - WRAP_NS // 2) > SAME_START_NS
+        offset_ns = now_ns - 1000 * frame.time_us - started_ns
+        return abs((offset_ns + WRAP_NS // 2) % WRAP_NS - WRAP_NS // 2) > SAME_START_NS
 
     def _ask_urgently(self, now_ns: int) -> None:
         if self.stamping.asks and now_ns >= self._next_urgent_ns:

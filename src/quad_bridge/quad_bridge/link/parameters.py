@@ -41,8 +41,8 @@ def encoded(value: float, kind: int, *, bytewise: bool) -> float:
         return value
     if not bytewise:
         return float(round(value))
-    whole = struct.pack(f'<{layout}', round(value)).ljust(4, b'\0')
-    return float(struct.unpack('<f', whole)[0])
+    packed = struct.pack(f'<{layout}', round(value)).ljust(4, b'\0')
+    return float(struct.unpack('<f', packed)[0])
 
 
 class Parameters:

@@ -181,10 +181,10 @@ class SerialPort:
                     )
             except FAULTS as error:
                 number = getattr(error, 'errno', None)
-                known = _BY_ERRNO.get(number) if isinstance(number, int) else None
+                remedy = _BY_ERRNO.get(number) if isinstance(number, int) else None
                 network = device.lower().startswith(NETWORK)
                 otherwise = PortState.UNREACHABLE if network else PortState.UNUSABLE
-                self._note(state=known or otherwise, detail=_one_line(error))
+                self._note(state=remedy or otherwise, detail=_one_line(error))
                 continue
             self._note(state=PortState.OPEN, detail='', opened=self.status.opened + 1, path=device,
                        latency_ms=latency_timer(device))  # fmt: skip
@@ -214,8 +214,8 @@ class SerialPort:
                 continue
             self._on_silence()
             if identity(self.status.path) != opened:
-                moved = 'its name leads to another device now, or to none'
-                self._note(state=PortState.HUNG_UP, detail=moved)
+                reason = 'its name leads to another device now, or to none'
+                self._note(state=PortState.HUNG_UP, detail=reason)
                 return
             if clock().now_s() - received_s > self._patience_s:
                 # half-open: a peer that went without a word, or the wrong one of several

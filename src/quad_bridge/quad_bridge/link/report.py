@@ -66,11 +66,11 @@ class LinkReport:
         """
         link, counts = self._link, self._link.decoder.counts
         due = now_s - self._last.time_s > MIN_REPORT_S
-        before = self._last if due else self._earlier
+        previous = self._last if due else self._earlier
         if due:
             now = _Before(now_s, replace(counts), link.cycles, port.dropped_writes)
-            self._earlier, self._last = before, now
-        rate = (link.cycles - before.cycles) / max(now_s - before.time_s, 1e-3)
+            self._earlier, self._last = previous, now
+        rate = (link.cycles - previous.cycles) / max(now_s - previous.time_s, 1e-3)
         values = {
             'port': port.state.value,
             'port fault': port.detail,
@@ -82,12 +82,12 @@ class LinkReport:
             **{name: getattr(counts, field) for name, field in _COUNTED.items()},
             'aircraft': link.name,
         }
-        if link.cycles == before.cycles:
+        if link.cycles == previous.cycles:
             values |= {
                 f'{name} (Hz)': f'{rate_hz:.1f} of {wanted_hz:.0f}'
                 for name, (rate_hz, wanted_hz) in link.autopilot.rates(round(1e9 * now_s)).items()
             }
-        level, text = self._verdict(port, counts, before, now_s)
+        level, text = self._verdict(port, counts, previous, now_s)
         clock = clock_status(link, behind_ns, unset=unset, now_s=now_s)
         return [Status('link', level, text, values), clock]
 

@@ -144,8 +144,8 @@ class McapFile:
         channel = len(self._channels) + 1
         schema = list(self._schemas).index(topic.kind) + 1
         body = struct.pack('<HH', channel, schema) + text(topic.name) + text('cdr')
-        about = {'offered_qos_profiles': topic.qos_text, 'topic_type_hash': topic.digest}
-        self._channels[topic.key] = channel, record(CHANNEL, body + text_map(about))
+        metadata = {'offered_qos_profiles': topic.qos_text, 'topic_type_hash': topic.digest}
+        self._channels[topic.key] = channel, record(CHANNEL, body + text_map(metadata))
         self._chunk += self._channels[topic.key][1]
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
@@ -200,9 +200,9 @@ class McapFile:
             summary += body
         footer = struct.pack('<BQ', FOOTER, 20)
         footer += struct.pack('<QQ', summary_start, summary_start + len(summary))
-        whole = summary + offsets + footer
-        whole += struct.pack('<I', zlib.crc32(whole))
-        self._append(described + end_of_data + whole + MAGIC)
+        ending = summary + offsets + footer
+        ending += struct.pack('<I', zlib.crc32(ending))
+        self._append(described + end_of_data + ending + MAGIC)
         os.fsync(self._fd)
         self.abandon()
 

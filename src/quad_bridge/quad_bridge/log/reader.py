@@ -22,11 +22,10 @@ from rosbags.typesys.store import Typestore
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.stored.files import (
     PACKED,
-    RECORDING,
     ZSTD_MAGIC,
-    is_recorded,
     plain_file,
     plain_message,
+    recording_state,
     sqlite_fault,
     sqlite_remedy,
 )
@@ -64,8 +63,9 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
     result, store = Contents(), get_typestore(Stores.ROS2_JAZZY)
     files = storage_files(bag)
     result.warnings += [f'{bag}: {note}' for note in missing_parts(files)]
-    growing = files[-1] if is_recorded(files[-1]) else None
-    result.warnings += _unfinished(bag, growing)
+    state = recording_state(files[-1])
+    growing = files[-1] if state else None
+    result.warnings += _unfinished(bag, state)
     damaged = 0
 
     def judge(scan: McapScan, file: Path) -> None:
@@ -89,10 +89,10 @@ def read_topics(bag: Path, kinds: Mapping[str, str]) -> Contents:
     return result
 
 
-def _unfinished(bag: Path, growing: Path | None) -> list[str]:
+def _unfinished(bag: Path, state: str) -> list[str]:
     """A line on a bag that is not closed, or not yet."""
-    if growing:
-        return [f'{bag}: {RECORDING}: read as far as it is on the disk']
+    if state:
+        return [f'{bag}: {state}: read as far as it is on the disk']
     if bag.is_dir() and not (bag / 'metadata.yaml').is_file():
         return [f'{bag}: has no metadata.yaml (the recorder was killed?); {REMEDY}']
     return []

@@ -239,12 +239,12 @@ class Gaps:
             self._last.remove(number - 1)
             self._last.append(number)
             return 0
-        known = max(publishers(), 1)
+        count = max(publishers(), 1)
         below = [last for last in self._last if last < number]
-        if number == 1 or len(self._last) < known or not below:  # a new publisher, or a restart
-            self._last = [*self._last, number][-known:]
+        if number == 1 or len(self._last) < count or not below:  # a new publisher, or a restart
+            self._last = [*self._last, number][-count:]
             return 0
-        before = max(below)
-        self._last.remove(before)
+        previous = max(below)
+        self._last.remove(previous)
         self._last.append(number)
-        return number - before - 1
+        return number - previous - 1

@@ -19,7 +19,7 @@ from rosbags.rosbag2.metadata import parse_qos
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.reader import messages_of, missing_parts, storage_files
-from quad_bridge.log.stored.files import PACKED, RECORDING, is_recorded
+from quad_bridge.log.stored.files import PACKED, RECORDING, recording_state
 from quad_bridge.log.stored.records import Topic
 from quad_bridge.log.stored.scan import McapScan, Message
 from quad_bridge.log.writer import BagWriter, Definition
@@ -75,11 +75,12 @@ def recover(bag: Path, out: Path | None = None) -> Recovered:
     `out`: default `<bag>_recovered` beside it, where it is damaged. Raises BadInputError where
     nothing can be recovered or the new bag exists already.
     """
-    files, whole = storage_files(bag), bag.resolve()
-    if is_recorded(files[-1]):
-        raise BadInputError(str(bag), RECORDING, remedy='stop the recording first')
-    stem = whole.name.removesuffix(PACKED).removesuffix('.mcap').removesuffix('.db3')
-    target = whole.with_name(f'{stem}_recovered') if out is None else out.absolute()
+    files, resolved = storage_files(bag), bag.resolve()
+    state = recording_state(files[-1])
+    if state == RECORDING:
+        raise BadInputError(str(bag), state, remedy='stop the recording first')
+    stem = resolved.name.removesuffix(PACKED).removesuffix('.mcap').removesuffix('.db3')
+    target = resolved.with_name(f'{stem}_recovered') if out is None else out.absolute()
     if out is not None and target.exists():
         raise BadInputError(str(target), 'exists already', remedy='name another with --out')
     if out is None and (checked := _copied(bag, files, bag, Tally())).sound:

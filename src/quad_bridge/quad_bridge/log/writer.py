@@ -75,18 +75,18 @@ class BagWriter:
         self._closed: list[FileEntry] = []
         self._began_ns = 0
         self._split_due = False
-        made = False
+        created = False
         try:
             _check_space(path, self._limits.reserve_bytes)
             path.mkdir(parents=True)
-            made = True
+            created = True
             self._closing = reserved(path, CLOSING_RESERVE if self._limits.reserve_bytes else 0)
             self._file = self._open_file()
             sync_folder(path.parent)
         except FileExistsError as error:  # another recorder's, of this moment
             raise PathExistsError(str(path), 'exists already, not overwritten') from error
         except OSError as error:
-            if made:
+            if created:
                 shutil.rmtree(path, ignore_errors=True)
             raise BadInputError(str(path), f'cannot write a bag here: {error.strerror}') from error
 
@@ -152,9 +152,9 @@ class BagWriter:
         self._closing.close()
         if not self._file_closed:
             self._close_file()
-        whole = information(list(self._topics.values()), self._closed)
+        text = information(list(self._topics.values()), self._closed)
         part = self.path / 'metadata.yaml.part'
-        part.write_text(yaml_text({'rosbag2_bagfile_information': whole}), encoding='utf-8')
+        part.write_text(yaml_text({'rosbag2_bagfile_information': text}), encoding='utf-8')
         part.replace(self.path / 'metadata.yaml')
         sync_folder(self.path)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from quad_bridge.si import FloatArray
 
 BAND = 0.1, 20.0  # rad/s, the default of the wanted band: its lowest period lasts 63 s
 SPARED = 0.63
@@ -81,12 +81,12 @@ def coverage(
     w = np.geomspace(*wanted, POINTS)
     xx, yy, windows = np.zeros(POINTS), np.zeros(POINTS), np.zeros(POINTS)
     xy = np.zeros(POINTS, dtype=complex)
-    every = max(1, int(2.0 * np.pi / (FINENESS * wanted[1] * dt)))
+    step = max(1, int(2.0 * np.pi / (FINENESS * wanted[1] * dt)))
     for x, y in parts:
         seconds = x.size * dt
         covered = w * seconds >= 2.0 * np.pi * MIN_PERIODS
-        if covered.any() and x.size > 4 * every:
-            sums = _spectra(_thinned(x, every), _thinned(y, every), every * dt, w[covered])
+        if covered.any() and x.size > 4 * step:
+            sums = _spectra(_thinned(x, step), _thinned(y, step), step * dt, w[covered])
             xx[covered] += sums[0]
             yy[covered] += sums[1]
             xy[covered] += sums[2]
@@ -120,8 +120,8 @@ def _spectra(
     bins = 2.0 * np.pi / (n * dt)
     low = np.clip(np.floor((1.0 - SMOOTHING) * w / bins + 0.5).astype(int), 0, xx.size - 1)
     high = np.clip(np.floor((1.0 + SMOOTHING) * w / bins + 0.5).astype(int), 0, xx.size - 1)
-    total = [np.concatenate(([0.0], np.cumsum(one))) for one in (xx, yy, xy)]
-    xx, yy, xy = (one[high + 1] - one[low] for one in total)
+    total = [np.concatenate(([0.0], np.cumsum(sums))) for sums in (xx, yy, xy)]
+    xx, yy, xy = (sums[high + 1] - sums[low] for sums in total)
     return xx.real, yy.real, xy
 
 
@@ -165,7 +165,8 @@ class Pairs:
         dt = float(np.median(steps)) * 1e-9 if steps.size > 1 else 0.0
         if dt <= 0.0:
             return [], 0.0
-        x, y = (np.array([one[s] for s in stamps.tolist()]) for one in (self._inputs, self._rates))
+        x, y = (np.array([values[s] for s in stamps.tolist()])
+                for values in (self._inputs, self._rates))
         time_s = 1e-9 * (stamps - stamps[0])
         cuts = np.flatnonzero(steps > 1e9 * max(BRIDGED_S, 1.5 * dt)) + 1
         return [_even(*part, dt) for part in zip(

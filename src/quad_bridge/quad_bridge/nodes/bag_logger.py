@@ -177,8 +177,8 @@ class BagLogger(ManagedNode):
         """Subscribe as the topic's publishers offer; again where that has changed."""
         qos = adapted(topic, self._offers(topic))
         if topic in self._subscribed:
-            subscription, before = self._subscribed[topic]
-            if before == qos:
+            subscription, previous = self._subscribed[topic]
+            if previous == qos:
                 return
             self._take(topic, subscription)
             self.destroy_subscription(subscription)
@@ -212,10 +212,10 @@ class BagLogger(ManagedNode):
             self._take(topic, subscription)
 
     def _take(self, topic: str, subscription: Any) -> None:
-        for data, about in waiting(subscription, STREAM.depth):
-            self._receive(topic, data, about)
+        for data, info in waiting(subscription, STREAM.depth):
+            self._receive(topic, data, info)
 
-    def _receive(self, topic: str, data: bytes, about: dict[str, Any]) -> None:
+    def _receive(self, topic: str, data: bytes, info: dict[str, Any]) -> None:
         recording = self._recording
         if recording is not None and len(data) > MAX_BYTES:
             self.refused_large += 1
@@ -227,13 +227,13 @@ class BagLogger(ManagedNode):
             return
         if recording is None or (topic == description.TOPIC and not self._describes(data)):
             return
-        number = about.get('publication_sequence_number')
+        number = info.get('publication_sequence_number')
         if number is not None:
             self._numbered.add(topic)
             gaps = self._gaps.setdefault(topic, Gaps())
             lost = gaps.lost_before(number, lambda: len(self._offers(topic)))
             recording.count_lost(lost)
-        arrived_ns = 0 if self._simulated else about.get('received_timestamp')
+        arrived_ns = 0 if self._simulated else info.get('received_timestamp')
         self._put(recording, topic, data, arrived_ns or self._now_ns())
 
     def take(self, topic: str, data: bytes) -> None:

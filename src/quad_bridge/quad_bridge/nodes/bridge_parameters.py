@@ -60,8 +60,8 @@ def declare(node: Any) -> BridgeSettings:
     """Declare and read the parameters. Raises BadInputError naming the one that is wrong."""
     bounds = {f'bounds.{name}': name for name in SETTABLE}
     overrides = ros_node.overrides(node)
-    inside = overrides.get('log') == INSIDE
-    loggers = [name for name in overrides if inside and name.startswith(LOGGER)]
+    logs_inside = overrides.get('log') == INSIDE
+    loggers = [name for name in overrides if logs_inside and name.startswith(LOGGER)]
     ros_node.refuse_unknown(node, [*OWN, *bounds, *loggers])
     log = ros_node.declared(
         node, 'log', '', f'{INSIDE}: a logger in this process; its parameters are {LOGGER}NAME'
@@ -99,7 +99,7 @@ def declare(node: Any) -> BridgeSettings:
             node, 'fetch_log', True,
             "fetch the log of PX4 or ArduPilot over the line after each landing",
         ),
-        logger={n.removeprefix(LOGGER): overrides[n] for n in loggers} if inside else None,
+        logger={n.removeprefix(LOGGER): overrides[n] for n in loggers} if logs_inside else None,
     )  # fmt: skip
 
 

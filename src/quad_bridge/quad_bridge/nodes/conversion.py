@@ -239,8 +239,8 @@ def values_of(parameters: Sequence[Parameter]) -> dict[str, object]:
 
 _FIELDS = {
     getattr(ParameterType, f'PARAMETER_{name.upper()}'): f'{name}_value'
-    for one in ('bool', 'integer', 'double', 'string', 'byte')
-    for name in (one, f'{one}_array')
+    for kind in ('bool', 'integer', 'double', 'string', 'byte')
+    for name in (kind, f'{kind}_array')
     if name != 'byte'
 }
 """Type of a parameter to the field that holds its value."""

@@ -13,9 +13,10 @@ from typing import Any
 from std_msgs.msg import String
 
 from quad_bridge.craft import LAYOUTS, Craft, from_urdf
-from quad_bridge.errors import BadInputError, shortened
+from quad_bridge.errors import BadInputError
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.qos import HEARD, STATE
+from quad_bridge.one_line import shortened
 
 TOPIC, PARAMETER = '/robot_description', 'robot_description'
 WITHOUT_MOTORS = f'{TOPIC} has no joint motor_1: left aside, as a model that is drawn'
@@ -44,9 +45,9 @@ def craft_of(value: str) -> Craft:
         try:
             text = Path(value).expanduser().read_text(encoding='utf-8')
         except (OSError, UnicodeDecodeError, ValueError) as error:
-            known = f'layouts are {", ".join(LAYOUTS)}'
+            layouts = f'layouts are {", ".join(LAYOUTS)}'
             what = 'is neither a layout, nor a URDF, nor a file that can be read'
-            raise BadInputError(where, what, remedy=known) from error
+            raise BadInputError(where, what, remedy=layouts) from error
     try:
         craft = from_urdf(text)
     except ValueError as error:

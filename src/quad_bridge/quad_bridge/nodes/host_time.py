@@ -68,9 +68,9 @@ class HostTime:
         if step > 0 and not armed:
             self.opened(epoch_ns, error_ns)
             return f'the system clock was set: stamps move by {step * 1e-6:.0f} ms'
-        known = abs(step - self.behind_ns) <= STEP_NS
+        is_known = abs(step - self.behind_ns) <= STEP_NS
         self.behind_ns = step
-        if known:
+        if is_known:
             return ''
         return (
             f'the system clock was set by {step * 1e-6:.0f} ms: stamps still use the old time'

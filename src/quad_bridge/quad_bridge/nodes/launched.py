@@ -43,8 +43,8 @@ EXCITATION: dict[str, Any] = {
 
 def arguments(*names: str, **defaults: str) -> list[Any]:
     """Declarations of launch arguments; those without a default are not set."""
-    known = dict.fromkeys((*COMMON, *names), '') | defaults
-    return [DeclareLaunchArgument(name, default_value=value) for name, value in known.items()]
+    arguments = dict.fromkeys((*COMMON, *names), '') | defaults
+    return [DeclareLaunchArgument(name, default_value=value) for name, value in arguments.items()]
 
 
 def values(context: Any, kinds: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,13 +54,13 @@ def values(context: Any, kinds: Mapping[str, Any]) -> dict[str, Any]:
             if arguments.get(name)}  # fmt: skip
 
 
-def node(context: Any, package: str, name: str, own: Mapping[str, Any]) -> Any:
+def node(context: Any, package: str, name: str, defaults: Mapping[str, Any]) -> Any:
     """The node with these parameters over those of the file."""
     arguments = context.launch_configurations
     files = [arguments['params_file']] if arguments['params_file'] else []
     return Node(
         package=package, executable=name, name=name, namespace=arguments['namespace'],
-        output='screen', parameters=[*files, *([dict(own)] if own else [])],
+        output='screen', parameters=[*files, *([dict(defaults)] if defaults else [])],
     )  # fmt: skip
 
 

@@ -74,7 +74,7 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         overrides = options.get('parameter_overrides', ())
-        self.own_overrides = {one.name: one.value for one in overrides}
+        self.own_overrides = {override.name: override.value for override in overrides}
         self.keep_time()
         self.active = False
         self.refused_large = 0  # messages that were too large to be looked at
@@ -101,8 +101,8 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
 
     def publisher(self, kind: Any, topic: str, qos: Any) -> Any:
         """Create a publisher; `topic` relative to the namespace."""
-        made = self.create_publisher(kind, relative(topic), qos)
-        return self._keep(made, self.destroy_publisher)
+        publisher = self.create_publisher(kind, relative(topic), qos)
+        return self._keep(publisher, self.destroy_publisher)
 
     def stream(self, kind: Any, topic: str, qos: Any) -> Callable[[bytes], None]:
         """Create a publisher of serialised messages; what publishes one."""
@@ -122,8 +122,8 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     ) -> None:
         """Create a service, which answers though its callback fails."""
         callback = ros_node.answering(callback, self.fence)
-        made = self.create_service(kind, name, callback, callback_group=group)
-        self._keep(made, self.destroy_service)
+        service = self.create_service(kind, name, callback, callback_group=group)
+        self._keep(service, self.destroy_service)
 
     def timer(self, period_s: float, callback: Callable[[], None]) -> None:
         """Create a timer."""
@@ -145,25 +145,25 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
                 'taken', throttle_duration_sec=5.0,
             )  # fmt: skip
 
-        made = self.create_subscription(kind, relative(topic), take, qos, raw=True)
-        self._keep(made, self.destroy_subscription)
+        subscription = self.create_subscription(kind, relative(topic), take, qos, raw=True)
+        self._keep(subscription, self.destroy_subscription)
 
-    def _keep(self, made: Any, destroy: Callable[[Any], object]) -> Any:
-        self._entities.append((destroy, made))
-        self.look_seldom(made)
-        return made
+    def _keep(self, entity: Any, destroy: Callable[[Any], object]) -> Any:
+        self._entities.append((destroy, entity))
+        self.look_seldom(entity)
+        return entity
 
-    def look_seldom(self, made: Any) -> None:
+    def look_seldom(self, entity: Any) -> None:
         """Have the executor look seldom at the events of a publisher or subscription."""
-        for handler in getattr(made, 'event_handlers', ()):
+        for handler in getattr(entity, 'event_handlers', ()):
             handler.callback_group = self._seldom
             self._seldom.add_entity(handler)
 
     def _destroy(self, first: int) -> None:
         """Destroy all entities from the one of this number on, the last one first."""
         while len(self._entities) > first:
-            destroy, made = self._entities.pop()
-            destroy(made)
+            destroy, entity = self._entities.pop()
+            destroy(entity)
 
     def bounds(self) -> list[Status]:
         """The entry for /diagnostics of messages that were too large; empty without any."""
@@ -197,8 +197,8 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     def on_configure(self, _state: Any) -> Any:
         """Configure, and look seldom at the events of the entities."""
         answer = self._try(self.configure)
-        for one in self.publishers:  # rclpy's own too
-            self.look_seldom(one)
+        for publisher in self.publishers:  # rclpy's own too
+            self.look_seldom(publisher)
         self._configured = len(self._entities)
         if self._fault is not None:
             self._destroy(0)

@@ -49,15 +49,15 @@ class Monitor(Node):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__('monitor')
         ros_node.refuse_unknown(self, [*NUMBERS, 'every_s'])
-        known = {name: ros_node.declared(self, name, *rest) for name, rest in NUMBERS.items()}
-        self._band = known['band_low_rad_s'], known['band_high_rad_s']
+        numbers = {name: ros_node.declared(self, name, *rest) for name, rest in NUMBERS.items()}
+        self._band = numbers['band_low_rad_s'], numbers['band_high_rad_s']
         if not self._band[0] < self._band[1]:
             raise BadInputError(
                 'parameter band_low_rad_s', f'is not below band_high_rad_s {self._band[1]:g}',
                 f'{self._band[0]:g}', 'lower it',
             )
-        self._validation_s = known['validation_s']
-        every = ros_node.declared(self, 'every_s', 5, 'between blocks when piped, s', (1, 3600))
+        self._validation_s = numbers['validation_s']
+        period_s = ros_node.declared(self, 'every_s', 5, 'between blocks when piped, s', (1, 3600))
         self._terminal = sys.stdout is not None and sys.stdout.isatty()
         self._state = view.State(target_band=self._band)
         self._pairs, self._stamps = Pairs(), deque[int](maxlen=250)
@@ -70,7 +70,7 @@ class Monitor(Node):  # type: ignore[misc]
         self.create_subscription(ParameterEvent, 'excitation/segment', self._on_segment, HEARD)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, HEARD)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # whatever becomes of simulated time
-        self.create_timer(0.5 if self._terminal else every, self._show, clock=steady)
+        self.create_timer(0.5 if self._terminal else period_s, self._show, clock=steady)
         self.create_timer(1.0, self._look, clock=steady)
 
     def begin(self) -> None:

@@ -43,11 +43,12 @@ class TimedNode:
 
     def create_publisher(self, kind: Any, topic: str, *others: Any, **more: Any) -> Any:
         """As rclpy's."""
-        made: Any = super().create_publisher(kind, topic, *others, **more)  # type: ignore[misc]
+        publisher: Any = super().create_publisher(kind, topic, *others, **more)  # type: ignore[misc]
         stream = _contract(topic)
         if here().simulated and stream in STREAMS:
-            made.publish = _then(made.publish, functools.partial(here().published, stream))
-        return made
+            published = functools.partial(here().published, stream)
+            publisher.publish = _then(publisher.publish, published)
+        return publisher
 
     def create_subscription(
         self, kind: Any, topic: str, callback: Any, qos: Any, **more: Any

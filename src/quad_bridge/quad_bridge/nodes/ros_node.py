@@ -55,8 +55,8 @@ def overrides(node: Any) -> dict[str, Any]:
     """Parameters set by files, the command line or the node's maker, declared or not."""
     with node.handle:
         parameters = node.handle.get_parameters(Parameter)
-    own = getattr(node, 'own_overrides', {})
-    return {name: one.value for name, one in parameters.items()} | own
+    overrides = getattr(node, 'own_overrides', {})
+    return {name: parameter.value for name, parameter in parameters.items()} | overrides
 
 
 def refuse_unknown(node: Any, known: Iterable[str]) -> None:
@@ -65,7 +65,7 @@ def refuse_unknown(node: Any, known: Iterable[str]) -> None:
     for name in overrides(node):
         if name not in names and not name.startswith(_ROS_OWN):
             near = difflib.get_close_matches(name, names, cutoff=0.7)
-            groups = sorted({re.sub(r'\..*', '.*', one) for one in names})
+            groups = sorted({re.sub(r'\..*', '.*', name) for name in names})
             remedy = f'is it {near[0]}?' if near else f'known are {", ".join(groups)}'
             raise BadInputError(f'parameter {name}', 'is unknown', remedy=remedy)
 
@@ -195,19 +195,19 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
             begin_ros()
             node = factory()
             nodes = [*getattr(node, 'inside', ()), node]
-            for one in nodes:
-                ending.callback(one.destroy_node)
+            for other in nodes:
+                ending.callback(other.destroy_node)
             fence = getattr(node, 'fence', None) or Fence(node.get_logger().error)
             executor = SingleThreadedExecutor()
             ending.callback(executor.shutdown, timeout_sec=0)
-            for one in nodes:
-                for service in one.services:
+            for other in nodes:
+                for service in other.services:
                     service.callback = answering(service.callback, fence)
-                executor.add_node(one)
-                ending.callback(fence.around(one.close))
+                executor.add_node(other)
+                ending.callback(fence.around(other.close))
             tell_unused(node)
-            for one in nodes:
-                getattr(one, 'begin', bool)()
+            for other in nodes:
+                getattr(other, 'begin', bool)()
             while status is None:
                 _spin_once(executor, fence)
                 status = 0 if stopping.is_set() else getattr(node, 'exit_status', None)

@@ -83,26 +83,27 @@ class SerialBridge(ManagedNode):
                           settings.line_baud)  # fmt: skip
         self._report = LinkReport(self._link, clock().now_s())
         self._enable = OperatorEnable(required=settings.require_enable)
-        self._aircraft = Connected(
+        self._connected = Connected(
             self._standard, clock().now_s, allow_gains=settings.allow_gains,
             allow_excitation=settings.allow_excitation,
         )  # fmt: skip
-        self._aircraft.on_change = self._on_aircraft
-        self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable, self._aircraft)
+        self._connected.on_change = self._on_aircraft
+        self._relay = ExcitationRelay(settings.excitation_valid_ms, self._enable, self._present)
         self._worker, self._log_worker = Worker(), Worker()
         self._history = History(settings.gains.folder, self._worker)
-        self._gains = GainUpdates(settings.gains, self._history, self._aircraft.gains)
+        self._gains = GainUpdates(settings.gains, self._history)
+        self._gains.use(self._present().gains)
         self._sensors = LiveSensors(correct=settings.correct_sensors)
         self._description = Description(self, settings.craft, self._on_craft)
         self._motors: MotorOutputs | None = None  # of another autopilot, once it is known
         self._gain_services = GainServices(self, self._ask_gains, self._ask_check)
         self._operator = OperatorServices(
-            self, self._enable, self._aircraft, self._forward, self._armed, self._flies,
+            self, self._enable, self._present, self._forward, self._armed, self._flies,
             lambda: self._link.name,
         )
         self._sensor_services = SensorServices(self, self._sensors, self._on_report)
         self._logs = AutopilotLogs(
-            self, lambda: self._aircraft.autopilot, self._aircraft_folder, self._offset_ns,
+            self, lambda: self._connected.autopilot, self._aircraft_folder, self._offset_ns,
             self._log_worker, by_itself=settings.fetch_log,
         )  # fmt: skip
         self._messages = conversion.Messages()
@@ -131,17 +132,18 @@ class SerialBridge(ManagedNode):
         self._port = self._new_port()
 
     def _new_port(self) -> SerialPort:
-        around, settings = self.fence.around, self._settings
-        return SerialPort(settings.port, settings.baud, around(self._on_bytes),
-                          around(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
+        fenced, settings = self.fence.around, self._settings
+        return SerialPort(settings.port, settings.baud, fenced(self._on_bytes),
+                          fenced(self._on_open), lambda: clock().forget(WIRE))  # fmt: skip
 
     def _logger_inside(self, options: Mapping[str, Any]) -> Any:
         """A logger for this process, in the same namespace, with these parameters."""
-        own = {name: self.get_parameter(name).value for name in ('managed', 'use_sim_time')}
-        parameters = [Parameter(name, value=value) for name, value in {**own, **options}.items()]
-        made = importlib.import_module('quad_bridge.nodes.bag_logger').BagLogger
-        return made(STREAMS, namespace=self.get_namespace(), use_global_arguments=False,
-                    parameter_overrides=parameters)  # fmt: skip
+        declared = {name: self.get_parameter(name).value for name in ('managed', 'use_sim_time')}
+        parameters = [Parameter(name, value=value)
+                      for name, value in {**declared, **options}.items()]
+        logger_class = importlib.import_module('quad_bridge.nodes.bag_logger').BagLogger
+        return logger_class(STREAMS, namespace=self.get_namespace(), use_global_arguments=False,
+                            parameter_overrides=parameters)  # fmt: skip
 
     def configure(self) -> None:
         """Create what is published, and the services."""
@@ -227,14 +229,14 @@ class SerialBridge(ManagedNode):
             self._gains.disturb('the port was opened again')
             self._time.opened(*self._epoch())
         path = self._port.status.path
-        at = '' if '://' in path else f' at {self._settings.baud} baud'
-        self._say_once(f'{path}: open{at}')
+        speed = '' if '://' in path else f' at {self._settings.baud} baud'
+        self._say_once(f'{path}: open{speed}')
 
     def _on_bytes(self, data: bytes) -> None:
         now_ns = clock().now_ns()
         with self._lock:
             # what arrives beside cycles may be answered, and what is in flight may have to go back
-            asks = self._gains.state is not State.IDLE or self._aircraft.autopilot is not None
+            asks = self._gains.state is not State.IDLE or self._connected.autopilot is not None
             for event in self._link.receive(data, now_ns):
                 if isinstance(event, Stamped):
                     self._publish(event)
@@ -254,7 +256,7 @@ class SerialBridge(ManagedNode):
             clock().handled(WIRE, START_NS + 1000 * received_us)
 
     def _on_arrived(self, frame: Any, now_ns: int) -> None:
-        self._aircraft.take(frame, 1e-9 * now_ns)
+        self._connected.take(frame, 1e-9 * now_ns)
         handle = self._arrived.get(type(frame))
         if handle is not None:
             handle(frame, now_ns)
@@ -267,31 +269,34 @@ class SerialBridge(ManagedNode):
                 self._gains.disturb(fault)
         pulse = self._gains.cycle(frame, 1e-9 * now_ns)
         if pulse is not None:
-            self._send(self._aircraft.excite(*pulse, PULSE_VALID_MS))
+            self._send(self._present().excite(*pulse, PULSE_VALID_MS))
 
     def _on_gains_frame(self, frame: f.ParamValue | f.GainsState, now_ns: int) -> None:
-        if self._aircraft.has_gains:
+        if self._connected.has_gains:
             self._gains.take(frame, 1e-9 * now_ns)
 
     def _on_text(self, frame: f.StatusText, _: int) -> None:
         self._logs.status_text(frame.text)
         self._say_once(f'{self._link.name}: {frame.text}')
 
+    def _present(self) -> Aircraft:
+        return self._connected.aircraft
+
     def _on_aircraft(self, aircraft: Aircraft) -> None:
         """Another aircraft is on the line, by its heartbeat."""
         self._gains.use(aircraft.gains)
-        autopilot = self._aircraft.autopilot
+        autopilot = self._connected.autopilot
         self._link.autopilot.also_hz = autopilot.kind.requested_hz if autopilot is not None else {}
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
-        known = stamp_ns > 0  # simulated time may not have come yet
+        is_timed = stamp_ns > 0  # simulated time may not have come yet
         if isinstance(frame, f.Cycle):
-            if known:
+            if is_timed:
                 self._publish_cycle(frame, stamp_ns)
             return
-        self._aircraft.take(frame, clock().now_s())
-        if not known:
+        self._connected.take(frame, clock().now_s())
+        if not is_timed:
             return
         if isinstance(frame, f.RcChannels):
             last = self._link.last_cycle
@@ -307,7 +312,7 @@ class SerialBridge(ManagedNode):
 
     def _publish_autopilot(self, frame: Inertial, stamp_ns: int) -> None:
         """Publish an autopilot's attitude beside /imu/data; watch and gate use it too."""
-        autopilot, now_s = self._aircraft.autopilot, clock().now_s()
+        autopilot, now_s = self._connected.autopilot, clock().now_s()
         cycle = autopilot.cycle(frame, now_s) if autopilot is not None else None
         if self._clock_topic is not None:
             self._clock_topic.publish(ClockMessage(clock=conversion.time_message(stamp_ns)))
@@ -336,8 +341,8 @@ class SerialBridge(ManagedNode):
             event.peer.autopilot, self._link.name, event.parameters, self._description.craft
         )
         self._say_once(self._motors.words)
-        if self._aircraft.autopilot is not None:
-            self._aircraft.autopilot.craft = self._motors.craft
+        if self._connected.autopilot is not None:
+            self._connected.autopilot.craft = self._motors.craft
         if self._motors.craft is not None:
             self._description.publish(self._motors.craft)
 
@@ -351,10 +356,10 @@ class SerialBridge(ManagedNode):
 
     def _poll_gains(self, now_ns: int) -> None:
         self._poll_ns = now_ns + POLL_NS
-        if self._aircraft.has_gains:  # parameters of others are their own, and a thousand
+        if self._connected.has_gains:  # parameters of others are their own, and a thousand
             self._send(self._gains.poll(1e-9 * now_ns))
         self._link.autopilot.log_comes(now=self._logs.coming)
-        for frame in [*self._aircraft.poll(1e-9 * now_ns), *self._logs.poll()]:
+        for frame in [*self._connected.poll(1e-9 * now_ns), *self._logs.poll()]:
             self._link.send(frame)
 
     def _send(self, frame: f.Frame | None) -> None:
@@ -461,7 +466,7 @@ class SerialBridge(ManagedNode):
 
     def _refuse(self, ability: Ability) -> None:
         """Raise RefusedError where the aircraft takes no such now."""
-        words = self._aircraft.cannot(ability)
+        words = self._present().cannot(ability)
         if words:
             self._say_once(words)
             raise RefusedError(words)
@@ -511,8 +516,9 @@ class SerialBridge(ManagedNode):
                 self._port.status, now_s, behind_ns=self._time.behind_ns, unset=unset
             )
             entries += [
-                self._gains.status(self._aircraft.cannot(Ability.GAINS) if link.peer else ''),
-                self._relay.status(self._aircraft.last_cycle or link.last_cycle, now_s),
+                self._gains.status(
+                    self._present().cannot(Ability.GAINS) if link.peer else ''),
+                self._relay.status(self._connected.last_cycle or link.last_cycle, now_s),
             ]
         log, port = self.get_logger(), self._settings.port
         for entry in self._changes.new(entries[:2], now_s):
@@ -522,7 +528,7 @@ class SerialBridge(ManagedNode):
             else:
                 log.warning(text)
         entries += [self._sensors.status(), *self._operator.entries()]
-        if self._aircraft.autopilot is not None:
+        if self._connected.autopilot is not None:
             entries.append(self._logs.status())
         entries += [*self.bounds(), *self.fence.entries()]
         self._diagnostics.publish(diagnostics.diagnostic_array(self, port, entries))

@@ -63,7 +63,7 @@ class GainServices:
         """Answer those who have waited too long."""
         now_s = clock().now_s()
         late = [done for until_s, done in self._waiting if now_s > until_s]
-        self._waiting = [one for one in self._waiting if now_s <= one[0] and not one[1].done()]
+        self._waiting = [call for call in self._waiting if now_s <= call[0] and not call[1].done()]
         for done in late:
             _settle(done, (False, f'not read back in {GAINS_S:g} s: /diagnostics says why'))
 
@@ -101,7 +101,7 @@ class OperatorServices:
         self,
         node: Any,
         enable: OperatorEnable,
-        aircraft: Aircraft,
+        aircraft: Callable[[], Aircraft],
         send: Callable[[Frame], None],
         armed: Callable[[], bool | None],
         flies: Callable[[], bool],
@@ -193,7 +193,7 @@ class OperatorServices:
         """Answer once the motor has spun, or with the reason why it does not."""
         def begin(done: Any) -> None:
             self._node.refuse_unless_active()
-            words = self._aircraft.cannot(Ability.MOTORS)
+            words = self._aircraft().cannot(Ability.MOTORS)
             if words:
                 raise RefusedError(words)
             self._send(self._test.ask(

@@ -19,7 +19,8 @@ from quad_bridge.arguments import OneLineParser, ended_in_one_line, positive, sa
 from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.log.reader import read_topics
 from quad_bridge.sensors.correction import STATUS, as_sent, from_values
-from quad_bridge.sensors.rest import MIN_S, FloatArray, RestEstimate, estimate_at_rest
+from quad_bridge.sensors.rest import MIN_S, RestEstimate, estimate_at_rest
+from quad_bridge.si import FloatArray
 
 IMU, DIAGNOSTICS = '/imu/data', '/diagnostics'
 KINDS = {IMU: 'sensor_msgs/msg/Imu', DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray'}
@@ -38,11 +39,11 @@ def at_rest(bag: Path, seconds: float, warnings: list[str]) -> RestEstimate:
     received = read.messages[IMU]
     if not received:
         raise BadInputError(str(bag), f'holds no {IMU} ({KINDS[IMU]})', remedy='record it')
-    headers = [one.content.header.stamp for one in received]
+    headers = [message.content.header.stamp for message in received]
     stamps = np.array([10**9 * stamp.sec + stamp.nanosec for stamp in headers], np.int64)
-    age = np.array([one.time_ns for one in received], float) - stamps
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(age, USUAL // 2, 'edge'), USUAL)
-    usual = np.median(around, axis=1)  # of its neighbours: a system clock may have been set
+    age = np.array([message.time_ns for message in received], float) - stamps
+    neighbours = np.lib.stride_tricks.sliding_window_view(np.pad(age, USUAL // 2, 'edge'), USUAL)
+    usual = np.median(neighbours, axis=1)  # of its neighbours: a system clock may have been set
     sound = np.flatnonzero(np.abs(age - usual) <= 1e9 * MAX_AGE_S)
     if len(sound) < len(stamps):
         count = len(stamps) - len(sound)
@@ -52,12 +53,12 @@ def at_rest(bag: Path, seconds: float, warnings: list[str]) -> RestEstimate:
     messages, stamps = [received[k].content for k in order], stamps[order]
     corrections = [
         from_values({v.key: v.value for v in status.values})
-        for one in read.messages[DIAGNOSTICS]
-        for status in one.content.status
+        for message in read.messages[DIAGNOSTICS]
+        for status in message.content.status
         if status.name.endswith(f': {STATUS}')
     ]
     rates = _rows([message.angular_velocity for message in messages])
-    sent = as_sent(stamps, rates, [one for one in corrections if one is not None])
+    sent = as_sent(stamps, rates, [known for known in corrections if known is not None])
     forces = _rows([message.linear_acceleration for message in messages])
     try:
         return estimate_at_rest(1e-9 * (stamps - stamps[0]), sent, forces)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from quad_bridge.sensors.rest import FloatArray
+from quad_bridge.si import FloatArray
 from quad_bridge.wire.frames import Vector3
 
 STATUS = 'sensors'  # name of the entry in /diagnostics, behind the node's
@@ -49,9 +49,10 @@ def as_sent(
     subtracted.
     """
     sent = np.array(rates, dtype=float)
-    by_begin = {one.since_ns: one for one in corrections if one.since_ns > 0}
+    by_begin = {correction.since_ns: correction
+                for correction in corrections if correction.since_ns > 0}
     begins = sorted(by_begin)
-    which = np.searchsorted(begins, stamps_ns, side='right') - 1
+    index = np.searchsorted(begins, stamps_ns, side='right') - 1
     for k, begin in enumerate(begins):
-        sent[which == k] += by_begin[begin].gyro_bias
+        sent[index == k] += by_begin[begin].gyro_bias
     return sent

@@ -76,10 +76,10 @@ class LiveSensors:
 
     def cycle(self, frame: Cycle) -> None:
         """Take one cycle; the one that arms requests an estimate."""
-        before, self._armed = self._armed, bool(frame.flags & Flag.ARMED)
+        was_armed, self._armed = self._armed, bool(frame.flags & Flag.ARMED)
         time_s = 1e-6 * frame.time_us
         if self._armed:
-            if not before:
+            if not was_armed:
                 self.want('arming')
                 with self._lock:
                     self._standing.clear()

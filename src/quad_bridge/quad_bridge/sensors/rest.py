@@ -12,10 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_bridge.errors import RefusedError
+from quad_bridge.si import GRAVITY_M_S2, FloatArray
 
-FloatArray = npt.NDArray[np.float64]
-
-GRAVITY = 9.80665
 BLOCK_S = 0.5
 MIN_S = 5.0
 STILL_RATE = 0.01  # rad/s: by how much the mean of a block may leave the straight line through all
@@ -48,8 +46,8 @@ def estimate_at_rest(
     Axes FLU; at rest the acceleration points up. Raises RefusedError, in one line, where the data
     are too short or the aircraft moves.
     """
-    good = (np.abs(np.hstack([gyro, acceleration])) < MAX_READING).all(axis=1)
-    t, rates, force = times[good], gyro[good], acceleration[good]
+    plausible = (np.abs(np.hstack([gyro, acceleration])) < MAX_READING).all(axis=1)
+    t, rates, force = times[plausible], gyro[plausible], acceleration[plausible]
     duration = float(t[-1] - t[0]) if len(t) else 0.0
     if duration < MIN_S:
         raise RefusedError(f'only {duration:.1f} s of data; let it stand still for {MIN_S:g} s')
@@ -72,12 +70,12 @@ def estimate_at_rest(
         raise RefusedError(f'rate {axis} is {np.abs(bias).max():.3f} rad/s throughout: it turns')
     up = force.mean(axis=0)
     norm = float(np.linalg.norm(up))
-    if abs(norm - GRAVITY) > MAX_NORM_ERROR:
+    if abs(norm - GRAVITY_M_S2) > MAX_NORM_ERROR:
         raise RefusedError(f'gravity is measured as {norm:.2f} m/s²; calibrate the accelerometer')
     level = float(np.arctan2(up[1], up[2])), float(np.arctan2(-up[0], np.hypot(up[1], up[2])))
     return RestEstimate(
         duration, _three(bias), _three(errors[0]), _three(line[1]), _three(errors[1]),
-        _three(np.std(np.diff(rates, axis=0), axis=0) / np.sqrt(2.0)), norm - GRAVITY, level,
+        _three(np.std(np.diff(rates, axis=0), axis=0) / np.sqrt(2.0)), norm - GRAVITY_M_S2, level,
     )  # fmt: skip
 
 

@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.craft import rotation_of
 from quad_bridge.errors import RefusedError
+from quad_bridge.si import GRAVITY_M_S2, FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Values = dict[str, float]
 
-GRAVITY_M_S2 = 9.80665
 MIN_MOVE_US = 150.0  # least travel of a stick or switch that was moved
 ON_US = 1750.0  # a switch is on above it (SWITCHED_US of the firmware)
 SNAP_RAD = np.radians(15.0)

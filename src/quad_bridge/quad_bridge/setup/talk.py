@@ -9,18 +9,17 @@ import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.aircraft import ACCEPTED, outcome_of
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.protocol import GainProtocol, What
 from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.motor_test import COMMAND, VALID_S, frame
+from quad_bridge.si import FloatArray
 from quad_bridge.wire import Decoder, Encoder
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.signing import Signing
 
-FloatArray = npt.NDArray[np.float64]
 CHANNELS = 9
 READ_S, WRITE_S, STEP_S = 10.0, 10.0, 0.05
 REST_S = 1.5  # over it the specific force of a position is averaged
@@ -79,7 +78,7 @@ class Talk:
         """The bytes to send now."""
         request = self._protocol.poll(self._now_s())
         frames, self._queue = [*self._queue, *([request] if request is not None else [])], []
-        return b''.join(self._encoder.encode(one) for one in frames)
+        return b''.join(self._encoder.encode(frame) for frame in frames)
 
     def wait(self, seconds: float) -> None:
         """Let so much time pass on the line."""

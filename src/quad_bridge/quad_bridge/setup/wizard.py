@@ -191,9 +191,9 @@ class Wizard:
             self._talk.spin(motor, throttle, SPIN_S)
             place = int(self._number(f'which one was it ({PLACES})', motor, 1.0, 4.0))
             clockwise = place in CLOCKWISE
-            way = 'clockwise' if clockwise else 'counter-clockwise'
+            direction = 'clockwise' if clockwise else 'counter-clockwise'
             seen[motor] = place
-            if not self._yes(f'  did it turn {way}, seen from above'):
+            if not self._yes(f'  did it turn {direction}, seen from above'):
                 wrong.append(place)
         for place in wrong:
             self._tell(f'  motor {place}: swap two of its three wires, so that it turns round')
@@ -296,10 +296,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument('--restore', type=Path, metavar='FILE',
                         help='write what such a file holds, instead of measuring')
     args = parser.parse_args(argv)
-    known = ('receiver', 'motors', 'board', 'compass', 'battery', 'outputs')
+    steps = ('receiver', 'motors', 'board', 'compass', 'battery', 'outputs')
     for name in args.only:
-        if name not in known:
-            parser.error(f'no step {name!r}: known are {", ".join(known)}')
+        if name not in steps:
+            parser.error(f'no step {name!r}: known are {", ".join(steps)}')
     return ended_in_one_line('setup', lambda: _set_up(args))
 
 

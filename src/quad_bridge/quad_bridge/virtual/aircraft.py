@@ -11,9 +11,9 @@ import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.gains.table import AXES, ROWS, split
+from quad_bridge.si import FloatArray
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.cycle import (
     MAX_DELAY,
@@ -36,8 +36,6 @@ from quad_bridge.virtual.plant import build_plant, hover_throttle
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Channels
 from quad_bridge.virtual.sensors import MAG, PRESSURE, SAMPLES, build_chips, initial_sensors
-
-FloatArray = npt.NDArray[np.float64]
 
 EffectFunction = Callable[[float, FloatArray, FloatArray, FloatArray, float], FloatArray]
 """effect(t_s, rates, angles, thrusts, battery_v) -> extra body torque (3,) in N m."""
@@ -126,9 +124,9 @@ class Aircraft:
         width = NORMALS_PER_CYCLE + self._steps * NORMALS_PER_STEP
         self._normals = self._rng.standard_normal(width)
         trim = self.hover_throttle if channels.throttle is None else channels.throttle
-        seen = np.empty(2)
-        measure_cycle(machine, self._cycle, trim, self._normals[:NORMALS_PER_CYCLE], seen)
-        throttle, volts = map(float, seen)
+        values = np.empty(2)
+        measure_cycle(machine, self._cycle, trim, self._normals[:NORMALS_PER_CYCLE], values)
+        throttle, volts = map(float, values)
         if channels.hold:
             throttle = trim
         elif channels.throttle is None and not self._turning:
@@ -189,9 +187,10 @@ class Aircraft:
         """Torque (3,), N m, of the Python effect at the present state."""
         if self._effect is None:
             return np.zeros(3)
-        seen = np.empty(OBSERVED)
-        observe(self.machine, seen)
-        return self._effect(float(seen[0]), seen[1:4], seen[4:7], seen[7:11], float(seen[11]))
+        values = np.empty(OBSERVED)
+        observe(self.machine, values)
+        return self._effect(float(values[0]), values[1:4], values[4:7], values[7:11],
+                            float(values[11]))
 
 
 def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:

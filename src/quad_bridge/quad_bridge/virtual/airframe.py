@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-GRAVITY_M_S2 = 9.80665
-
 Vector = tuple[float, float, float]
 
 

@@ -29,8 +29,8 @@ def read_yaml(path: Path, library: Path, above: tuple[Path, ...] = ()) -> dict[s
     parent = mapping.pop('extends', None)
     if parent is None:
         return mapping
-    here = (path.parent / str(parent)).with_suffix('.yaml')
-    base = here if here.is_file() else (library / str(parent)).with_suffix('.yaml')
+    parent_file = (path.parent / str(parent)).with_suffix('.yaml')
+    base = parent_file if parent_file.is_file() else (library / str(parent)).with_suffix('.yaml')
     children = (*above, path.resolve())
     if base.resolve() in children:
         raise ConfigurationError(f'{path}: extends', 'profiles extend each other in a circle')
@@ -71,8 +71,8 @@ def build(kind: type[_T], mapping: object, where: str) -> _T:
     hints = typing.get_type_hints(kind)
     for key in mapping:
         if key not in hints:
-            known = ', '.join(hints)
-            raise ConfigurationError(f'{where}.{key}', f'unknown key; known are {known}')
+            names = ', '.join(hints)
+            raise ConfigurationError(f'{where}.{key}', f'unknown key; known are {names}')
     for key in _required(kind):
         if key not in mapping:
             raise ConfigurationError(f'{where}.{key}', 'is missing; give it beside the others')

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import types
 
+from quad_bridge.si import FloatArray
 from quad_bridge.virtual.compiled import entry, kernel, source_digest
 from quad_bridge.virtual.native import library
 from quad_bridge.virtual.physics import (
@@ -30,8 +31,6 @@ from quad_bridge.virtual.physics import (
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import euler_from_quaternion
 from quad_bridge.virtual.sensors import MAG, PRESSURE, SAMPLES, Chips, sense_cycle, sense_step
-
-FloatArray = npt.NDArray[np.float64]
 
 ARMED, INJECTION, ADDED = 0, 1, 2
 STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW, HOLD = 5, 6, 7, 8, 9

@@ -85,8 +85,8 @@ def motors(frame: bytes) -> Motors:
 
 
 def _framed(kind: bytes, payload: bytes) -> bytes:
-    whole = _HEAD.pack(START, kind[0], len(payload)) + payload
-    return whole + _crc(whole[1:])
+    frame = _HEAD.pack(START, kind[0], len(payload)) + payload
+    return frame + _crc(frame[1:])
 
 
 def _crc(data: bytes) -> bytes:

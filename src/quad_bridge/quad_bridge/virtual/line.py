@@ -87,11 +87,11 @@ class Line:
     def attend(self, wait_s: float) -> None:
         """Take answers, and who comes and goes; wait for `wait_s` at most."""
         ready, _, _ = select.select([self._listener, *self._members], [], [], wait_s)
-        for one in ready:
-            if one is self._listener:
+        for line in ready:
+            if line is self._listener:
                 self._members[self._listener.accept()[0]] = _Member(self._now_ns)
             else:
-                self._hear(one)
+                self._hear(line)
         stands_s = time.monotonic() - self._since_s
         if stands_s > STALLED_S and not self.ready:
             self._since_s = time.monotonic()

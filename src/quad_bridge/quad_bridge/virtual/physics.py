@@ -13,9 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from quad_bridge.virtual.airframe import GRAVITY_M_S2
+from quad_bridge.si import GRAVITY_M_S2, FloatArray
 from quad_bridge.virtual.compiled import kernel
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import (
@@ -24,8 +23,6 @@ from quad_bridge.virtual.rotation import (
     quaternion_rate,
     world_from_body,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 RATES, QUAT, ROTORS, MODE, POSITION, VELOCITY = 0, 3, 7, 11, 17, 20
 RK_STATES = 23
@@ -110,18 +107,18 @@ def shaped_command(motors: FloatArray, state: FloatArray, plant: Plant, out: Flo
 @kernel
 def drive_torque(thrusts: FloatArray, plant: Plant, time_s: float, drive: FloatArray) -> None:
     """Write the body torque (3,) of the rotors in N m, cross-axis share and event included."""
-    own = np.empty(3)
+    rates = np.empty(3)
     for i in range(3):
         total = 0.0
         for j in range(4):
             total += plant.torque_map[i][j] * thrusts[j]
         if time_s >= plant.event_time_s:
             total *= 1.0 + plant.event_gain[i]
-        own[i] = total
+        rates[i] = total
     for i in range(3):
-        drive[i] = own[i]
+        drive[i] = rates[i]
         for j in range(3):
-            drive[i] += plant.cross[i][j] * own[j]
+            drive[i] += plant.cross[i][j] * rates[j]
 
 
 @kernel

@@ -9,13 +9,12 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.gains.table import AXES
-from quad_bridge.virtual.airframe import GRAVITY_M_S2, Airframe
+from quad_bridge.si import GRAVITY_M_S2, FloatArray
+from quad_bridge.virtual.airframe import Airframe
 from quad_bridge.virtual.effects import CrossAxisInput, Effects
 
-FloatArray = npt.NDArray[np.float64]
 Triple = tuple[float, float, float]
 Quad = tuple[float, float, float, float]
 
@@ -124,7 +123,7 @@ def build_plant(
 ) -> Plant:
     """The constants of one aircraft on one mount; `phase` (rad) of the periodic disturbance."""
     hovers, inertia = mount == 'hover', np.array(airframe.inertia_kg_m2)
-    around = airframe.mounts.hover if hovers else airframe.mounts.rig
+    centre = airframe.mounts.hover if hovers else airframe.mounts.rig
     motors, battery = airframe.motors, airframe.battery
     lag, limits, gyro = effects.motor_lag, effects.saturation, effects.gyroscopic_coupling
     lags = np.full(4, motors.lag_s)
@@ -142,10 +141,10 @@ def build_plant(
         'full_thrust': motors.full_thrust_n,
         'lag': lags,
         'linear_drag': airframe.linear_drag_per_s,
-        'damping': np.array(around.damping_per_s) * inertia,
-        'bias_torque': around.bias_torque_nm,
-        'noise': around.torque_noise_nm_rthz,
-        'noise_bandwidth_hz': around.torque_noise_bandwidth_hz,
+        'damping': np.array(centre.damping_per_s) * inertia,
+        'bias_torque': centre.bias_torque_nm,
+        'noise': centre.torque_noise_nm_rthz,
+        'noise_bandwidth_hz': centre.torque_noise_bandwidth_hz,
         'charge_points': battery.charge_points,
         'pack_voltage': np.array(battery.cell_voltage_v) * battery.cells,
         'resistance': battery.resistance_ohm,
@@ -179,8 +178,8 @@ def build_plant(
         'rotor_height': effects.ground.rotor_height_m,
     }
     for name, (effect, strength) in STRENGTHS.items():
-        one = getattr(effects, effect)
-        values[name] = one.enabled * np.array(getattr(one, strength))
+        parts = getattr(effects, effect)
+        values[name] = parts.enabled * np.array(getattr(parts, strength))
     return Plant(**{name: _frozen(value) for name, value in values.items()})
 
 
@@ -207,8 +206,8 @@ def hover_throttle(airframe: Airframe, plant: Plant) -> float:
         np.interp(airframe.battery.start_charge, plant.charge_points, plant.pack_voltage)
     )
     scale = float((voltage / plant.sag_reference_v) ** plant.sag_exponent)
-    wanted = airframe.mass_kg * GRAVITY_M_S2 / (4.0 * plant.full_thrust * scale)
+    hover = airframe.mass_kg * GRAVITY_M_S2 / (4.0 * plant.full_thrust * scale)
     c = plant.curvature
     if abs(c) < 1e-9:
-        return min(1.0, wanted)
-    return min(1.0, (-(1 - c) + math.sqrt((1 - c) ** 2 + 4 * c * wanted)) / (2 * c))
+        return min(1.0, hover)
+    return min(1.0, (-(1 - c) + math.sqrt((1 - c) ** 2 + 4 * c * hover)) / (2 * c))

@@ -19,7 +19,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_bridge.arguments import (
     BAD_INPUT,
@@ -33,6 +32,7 @@ from quad_bridge.arguments import (
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.key_file import signing_from
 from quad_bridge.lockstep import START_NS
+from quad_bridge.si import FloatArray
 from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft, EffectFunction, boot
 from quad_bridge.virtual.board import ELF, Board, EmulatedBoard, EndedError
@@ -41,8 +41,6 @@ from quad_bridge.virtual.line import Line
 from quad_bridge.virtual.native import built_file
 from quad_bridge.virtual.profile import Profile, load_profile, profile_names
 from quad_bridge.virtual.receiver import Receiver, channels_at
-
-FloatArray = npt.NDArray[np.float64]
 
 WAIT_S = 0.5  # how long a signal may have to wait in lockstep
 
@@ -54,9 +52,9 @@ def arguments() -> argparse.ArgumentParser:
         description='A simulated quadrotor with its STM32 behind a pseudo-terminal, in real time.',
         epilog='Example: virtual_stm32 --profile plain --mount rig --axis roll --link /tmp/stm32',
     )
-    known = ', '.join(profile_names())
+    names = ', '.join(profile_names())
     parser.add_argument(
-        '--profile', default='plain', help=f'name ({known}) or YAML file; default plain'
+        '--profile', default='plain', help=f'name ({names}) or YAML file; default plain'
     )
     parser.add_argument(
         '--mount', choices=('rig', 'hover'), help='one free axis on a bearing, or free flight'
@@ -201,8 +199,8 @@ def prepared(profile: Profile, *, seed: int, effect: EffectFunction | None = Non
 
     A compilation takes seconds, after which the missed cycles are more than a port holds.
     """
-    nothing = None if effect is None else lambda *_: np.zeros(3)
-    first = Aircraft(profile, seed=0, effect=nothing)
+    no_effect = None if effect is None else lambda *_: np.zeros(3)
+    first = Aircraft(profile, seed=0, effect=no_effect)
     first.measure(channels_at(Receiver(), 0.0))
     first.move(hil.Motors(0, (0.0, 0.0, 0.0, 0.0), 0, 0, 0))
     return Aircraft(profile, seed=seed, effect=effect)

@@ -83,8 +83,8 @@ def load_profile(name_or_path: str | Path) -> Profile:
     if path.suffix not in {'.yaml', '.yml'}:
         path = FOLDER / f'{name_or_path}.yaml'
         if not path.is_file():
-            known = ', '.join(profile_names())
+            names = ', '.join(profile_names())
             raise ConfigurationError(
-                'profile', f'unknown name {str(name_or_path)!r}', remedy=f'known are {known}'
+                'profile', f'unknown name {str(name_or_path)!r}', remedy=f'known are {names}'
             )
     return build(Profile, read_yaml(path, FOLDER), f'{path}: profile')

@@ -24,8 +24,8 @@ class Event:
 
     def __post_init__(self) -> None:
         """Check names and ranges."""
-        known = (*NAMES, 'failsafe')
-        require(self.channel in known, f'channel must be one of {known}, is {self.channel!r}')
+        names = (*NAMES, 'failsafe')
+        require(self.channel in names, f'channel must be one of {names}, is {self.channel!r}')
         require(self.value is not None or self.channel == 'throttle', 'value is missing')
         require(self.value is None or abs(self.value) <= 1.0, f'value beyond +-1: {self.value}')
 

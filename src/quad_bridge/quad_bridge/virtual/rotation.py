@@ -7,12 +7,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-import numpy.typing as npt
-
+from quad_bridge.si import FloatArray
 from quad_bridge.virtual.compiled import kernel
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @kernel

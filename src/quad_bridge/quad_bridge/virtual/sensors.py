@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from quad_bridge.virtual.airframe import GRAVITY_M_S2, Vector, require
+from quad_bridge.si import GRAVITY_M_S2, FloatArray
+from quad_bridge.virtual.airframe import Vector, require
 from quad_bridge.virtual.compiled import kernel
 from quad_bridge.virtual.effects import Vibration
 from quad_bridge.virtual.physics import (
@@ -29,8 +29,6 @@ from quad_bridge.virtual.physics import (
 )
 from quad_bridge.virtual.plant import Plant
 from quad_bridge.virtual.rotation import body_from_world
-
-FloatArray = npt.NDArray[np.float64]
 
 BIAS, MAG, PRESSURE, SAMPLES = 0, 3, 6, 7
 """`SAMPLES`: samples of gyro and accelerometer since the last cycle."""

@@ -1,6 +1,7 @@
-"""Whole flights as arrays, faster than real time: the process's aircraft and firmware, no process.
+"""For tests, benchmarks and tools only: whole flights as arrays, faster than real time.
 
-For studies and tests. Nothing here writes files; tools/flight.py makes a bag of a flight.
+The aircraft and firmware of virtual_stm32 without its process. No node or command imports this.
+Nothing here writes files; tools/flight.py makes a bag of a flight.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_bridge.gains.table import AXES
+from quad_bridge.si import FloatArray
 from quad_bridge.virtual.aircraft import Aircraft, EffectFunction
 from quad_bridge.virtual.cycle import (
     ADDED,
@@ -32,7 +34,6 @@ from quad_bridge.virtual.receiver import channels_at
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-FloatArray = npt.NDArray[np.float64]
 
 INJECTIONS = ('none', 'attitude', 'rate', 'control', 'thrust')
 

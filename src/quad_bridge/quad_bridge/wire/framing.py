@@ -82,69 +82,69 @@ class Framer:
         pending = self._pending
         pending += data
         packets: list[Packet] = []
-        at, end = 0, len(pending)
+        position, end = 0, len(pending)
         while True:
-            start = pending.find(MARKER, at)
-            if start != at:
+            start = pending.find(MARKER, position)
+            if start != position:
                 stop = end if start < 0 else start
-                self._waste(at, stop)
-                at = stop
-            if end - at < 3:
+                self._waste(position, stop)
+                position = stop
+            if end - position < 3:
                 break
-            flags = pending[at + 2]
-            size = HEADER + pending[at + 1] + CHECKSUM + (SIGNATURE if flags & SIGNED else 0)
+            flags = pending[position + 2]
+            size = HEADER + pending[position + 1] + CHECKSUM + (SIGNATURE if flags & SIGNED else 0)
             if flags & ~SIGNED:
-                at = self._false_start(at, size, known=True)
-            elif end - at < size:
+                position = self._false_start(position, size, known=True)
+            elif end - position < size:
                 break
             else:
-                at = self._packet(at, size, flags, packets)
-        del pending[:at]
-        self._suspect = max(0, self._suspect - at)
+                position = self._packet(position, size, flags, packets)
+        del pending[:position]
+        self._suspect = max(0, self._suspect - position)
         return packets
 
-    def _packet(self, at: int, size: int, flags: int, packets: list[Packet]) -> int:
+    def _packet(self, start: int, size: int, flags: int, packets: list[Packet]) -> int:
         """Take the candidate at `at`; where to look on."""
-        whole = bytes(self._pending[at : at + size])
+        whole = bytes(self._pending[start : start + size])
         message = whole[7] | whole[8] << 8 | whole[9] << 16
         sender = (whole[5], whole[6])
         extra = self._extras.get(message)
         if extra is None:
             if self._expected.get(sender) != whole[4]:
-                return self._false_start(at, size, known=False)
+                return self._false_start(start, size, known=False)
             self._counts.unknown += 1  # in sequence: a true message of which only the sender knows
         else:
             last = size - (CHECKSUM + SIGNATURE if flags else CHECKSUM)
             crc = mcrf4xx(whole[1:last] + bytes((extra,)))
             if crc != whole[last] | whole[last + 1] << 8:
-                return self._false_start(at, size, known=True)
+                return self._false_start(start, size, known=True)
             packets.append(Packet(message, *sender, whole[HEADER:last], whole))
         if sender in self._expected or len(self._expected) < _SENDERS:
             self._expected[sender] = (whole[4] + 1) % 256
-        return at + size
+        return start + size
 
-    def _false_start(self, at: int, size: int, *, known: bool) -> int:
-        if at >= self._suspect:
+    def _false_start(self, start: int, size: int, *, known: bool) -> int:
+        if start >= self._suspect:
             self._counts.bad_crc += known
             self._counts.unknown += not known
-        self._suspect = max(self._suspect, at + size)
+        self._suspect = max(self._suspect, start + size)
         self._counts.garbage_bytes += 1
-        return at + 1
+        return start + 1
 
     def _waste(self, begin: int, end: int) -> None:
         """Count garbage; say how much of it is the protocol's first version."""
         self._counts.garbage_bytes += end - begin
         pending, extras = self._pending, self._extras
-        at = pending.find(OLD_MARKER, begin, end)
-        while at >= 0 and at + _OLD_HEADER + CHECKSUM <= end:
-            last = at + _OLD_HEADER + pending[at + 1]
-            extra = extras.get(pending[at + 5])
+        start = pending.find(OLD_MARKER, begin, end)
+        while start >= 0 and start + _OLD_HEADER + CHECKSUM <= end:
+            last = start + _OLD_HEADER + pending[start + 1]
+            extra = extras.get(pending[start + 5])
             if (
                 extra is not None
                 and last + CHECKSUM <= end
-                and mcrf4xx(bytes(pending[at + 1 : last]) + bytes((extra,)))
+                and mcrf4xx(bytes(pending[start + 1 : last]) + bytes((extra,)))
                 == pending[last] | pending[last + 1] << 8
             ):
                 self._counts.old_version += 1
-                at = last + CHECKSUM - 1
-            at = pending.find(OLD_MARKER, at + 1, end)
+                start = last + CHECKSUM - 1
+            start = pending.find(OLD_MARKER, start + 1, end)

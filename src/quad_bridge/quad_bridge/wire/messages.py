@@ -9,12 +9,12 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from quad_bridge.si import GRAVITY_M_S2
 from quad_bridge.wire import dialect as d
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.framing import Packet
 
 Fields = dict[str, Any]
-GRAVITY = 9.80665
 _ARMED = 128
 _NOT_MEASURED = 0xFFFF
 _CHANNELS = tuple(f'chan{i}_raw' for i in range(1, 19))
@@ -137,7 +137,7 @@ def _scaled_imu(m: Fields) -> f.SlowSensors:
         time_us=1000 * m['time_boot_ms'],
         mag_gauss=mag if any(mag) else None,
         gyro=_columns(m, ('xgyro', 'ygyro', 'zgyro'), 1e-3),
-        accel=_columns(m, ('xacc', 'yacc', 'zacc'), 1e-3 * GRAVITY),
+        accel=_columns(m, ('xacc', 'yacc', 'zacc'), 1e-3 * GRAVITY_M_S2),
         name='SCALED_IMU',
     )
 

@@ -103,10 +103,10 @@ def _export(_: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Comma
     model, to, axes = paths[0], request.get('to'), _answers(paths[0])
     if to not in FIRMWARES:
         raise RefusedError('choose a firmware')
-    known = [axis for axis in AXES if axes.get(axis, {}).get('gains')]
-    if not known:
+    with_gains = [axis for axis in AXES if axes.get(axis, {}).get('gains')]
+    if not with_gains:
         raise RefusedError('this result has no gains: its report says why')
-    more = [f for axis in known for f in ('--scale', f'{axis}=1')] if to in FIRMWARES[:2] \
+    more = [f for axis in with_gains for f in ('--scale', f'{axis}=1')] if to in FIRMWARES[:2] \
         else ['--flown', str(model)]
     return f'gains for {to}', 'quad-tune', [
         'export', str(model.with_name('report.json')), '--to', str(to), *more]
@@ -146,7 +146,7 @@ def _schedule(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> 
     model, axis = paths[0], request.get('axis')
     axes = _answers(model)
     axis = axis if axis in axes else next(iter(axes))
-    planned = [one.command for one in next_flight(str(axis), axes[axis]) if one.command]
+    planned = [advice.command for advice in next_flight(str(axis), axes[axis]) if advice.command]
     if not planned:
         raise RefusedError(f'nothing is left to fly for {axis}')
     places = {'model.json': str(model), 'next.yaml': free(f'next_flight_{axis}', '.yaml')}
@@ -182,11 +182,11 @@ def named_columns(columns: object) -> list[str]:
     by_option: dict[str, dict[int, str]] = {}
     units = []
     for name, role, unit in _checked(columns):
-        option, at = _place(role)
-        if option and at in by_option.setdefault(option, {}):
+        option, place = _place(role)
+        if option and place in by_option.setdefault(option, {}):
             raise RefusedError(f'{role}: two columns have this role')
         if option:
-            by_option[option][at] = name
+            by_option[option][place] = name
             units += [f'--unit={name}={unit}'] if unit else []
     measured = by_option.get('rate') or by_option.get('angle') or {}
     driven = range(len(AXES)) if 'motors' in by_option else by_option.get('control', {})
@@ -196,8 +196,8 @@ def named_columns(columns: object) -> list[str]:
     out = ['--axis', ','.join(AXES[i] for i in axes)]
     for option, own in by_option.items():
         wanted = axes if OPTIONS[option].per_axis else sorted(own)
-        if all(at in own for at in wanted):
-            out += as_typed(option, [own[at] for at in wanted])
+        if all(name in own for name in wanted):
+            out += as_typed(option, [own[name] for name in wanted])
     return [*out, *(['--mixer', 'auto'] if 'motors' in by_option else []), *units]
 
 
@@ -220,9 +220,9 @@ def _place(role: str) -> tuple[str, int]:
         return '', 0
     if role.startswith('motor ') and number.isdecimal() and 1 <= int(number) <= MOST_MOTORS:
         return 'motors', int(number) - 1
-    known = OPTIONS.get(option)
-    if known is not None and known.per_axis and axis in AXES:
+    entry = OPTIONS.get(option)
+    if entry is not None and entry.per_axis and axis in AXES:
         return option, AXES.index(axis)
-    if known is not None and not (known.per_axis or known.several or axis):
+    if entry is not None and not (entry.per_axis or entry.several or axis):
         return option, 0
     raise RefusedError(f'{role}: is no role of the menu')

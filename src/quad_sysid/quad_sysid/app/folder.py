@@ -109,7 +109,7 @@ def new_file(folder: Path, name: str) -> Path:
 
 async def receive(target: Path, body: AsyncIterable[bytes], most_bytes: int) -> None:
     """Fill a new file; RefusedError, and the file is gone, where it is empty or too large."""
-    whole, size = False, 0
+    is_complete, size = False, 0
     try:
         with target.open('wb') as stream:
             async for part in body:
@@ -117,11 +117,11 @@ async def receive(target: Path, body: AsyncIterable[bytes], most_bytes: int) -> 
                 if size > most_bytes:
                     raise RefusedError(too_large(most_bytes))
                 stream.write(part)
-        whole = size > 0
-        if not whole:
+        is_complete = size > 0
+        if not is_complete:
             raise RefusedError('is empty: copy it again')
     finally:
-        if not whole:
+        if not is_complete:
             _remove(target)
 
 

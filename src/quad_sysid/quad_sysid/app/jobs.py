@@ -73,7 +73,7 @@ class Job:
     def size(self) -> int:
         """What it works on: bytes of its files, times axes."""
         paths = [Path(a) for a in self.arguments if a.startswith('/') and Path(a).exists()]
-        files = [f for one in paths for f in (one.iterdir() if one.is_dir() else [one])
+        files = [f for path in paths for f in (path.iterdir() if path.is_dir() else [path])
                  if f.is_file() and self.folder not in f.parents]
         axes = [len(ALL_WORDS[word]) for word in self.arguments if word in ALL_WORDS]
         return max(axes, default=1) * sum(f.stat().st_size for f in files)

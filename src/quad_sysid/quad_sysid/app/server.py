@@ -128,11 +128,11 @@ class App:
         return FileResponse(HERE / 'app.js', media_type='text/javascript')
 
     async def _style(self, _: Request) -> Response:
-        own = (HERE / 'app.css').read_text(encoding='utf-8')
-        return Response(SHEET + own, media_type='text/css')
+        styles = (HERE / 'app.css').read_text(encoding='utf-8')
+        return Response(SHEET + styles, media_type='text/css')
 
     async def _files(self, _: Request) -> Response:
-        return JSONResponse([asdict(one) for one in entries(self.folder)])
+        return JSONResponse([asdict(entry) for entry in entries(self.folder)])
 
     async def _upload(self, request: Request) -> Response:
         name = request.query_params.get('name', '')

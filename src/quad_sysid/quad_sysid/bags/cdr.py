@@ -145,8 +145,9 @@ def layout_of(msgtype: str, raw: bytes, joints: Joints = FOUR) -> Layout:
         kind = Nodetype.NAME, msgtype
         bare, full, counted = (_numbered(kind, message, numbers)
                                for numbers in (repeat(0), repeat(None), count(FIRST)))
-        low, high, plain = (np.frombuffer(bytes(typestore().serialize_cdr(one, msgtype)), np.uint8)
-                            for one in (bare, full, counted))
+        low, high, plain = (
+            np.frombuffer(bytes(typestore().serialize_cdr(message, msgtype)), np.uint8)
+            for message in (bare, full, counted))
         wanted = _values(msgtype, counted, joints).tolist()
         columns = tuple(_place(plain, value) for value in wanted)
     except Exception as error:  # rosbags raises many kinds on spoiled bytes
@@ -167,11 +168,11 @@ def _numbered(description: Any, value: Any, numbers: Iterator[int | None]) -> An
     if base[0] == 'string':
         return value
     full = np.frombuffer(b'\x01' if base[0] == 'bool' else b'\x5a' * 8, _DTYPES[base[0]])[0]
-    whole = full.dtype.kind in 'iub'  # counted numbers are looked for among the others
+    is_integer = full.dtype.kind in 'iub'  # counted numbers are looked for among the others
     size = 1 if kind == Nodetype.BASE else len(value)
-    drawn = [full if n is None else n * (not whole) for n in islice(numbers, size)]
-    made = np.array(drawn, full.dtype)
-    return made[0].item() if kind == Nodetype.BASE else made
+    drawn = [full if n is None else n * (not is_integer) for n in islice(numbers, size)]
+    drawn_messages = np.array(drawn, full.dtype)
+    return drawn_messages[0].item() if kind == Nodetype.BASE else drawn_messages
 
 
 def _place(content: npt.NDArray[np.uint8], value: float) -> tuple[int, str]:
@@ -179,9 +180,9 @@ def _place(content: npt.NDArray[np.uint8], value: float) -> tuple[int, str]:
     for dtype in ('<f8', '<f4'):
         size = np.dtype(dtype).itemsize
         words = content[4 : 4 + (content.size - 4) // size * size].view(dtype)
-        at = np.flatnonzero(words == value)
-        if at.size == 1:
-            return 4 + size * int(at[0]), dtype
+        index = np.flatnonzero(words == value)
+        if index.size == 1:
+            return 4 + size * int(index[0]), dtype
     raise LayoutError(f'{value} cannot be found')
 
 
@@ -189,7 +190,7 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
     """Stamps and values of `messages` in order; unreadable ones are left out and counted."""
     stamps = np.zeros(len(messages), dtype=np.int64)
     values = np.full((len(messages), WIDTH.get(msgtype, joints.count)), np.nan)
-    good = np.zeros(len(messages), dtype=bool)
+    is_regular = np.zeros(len(messages), dtype=bool)
     lengths = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
@@ -206,22 +207,22 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
                 except LayoutError:
                     rows = rows[~unread]
                     continue
-            whole = len(rows) == len(messages)
-            joined = b''.join(messages if whole else [messages[i] for i in rows.tolist()])
+            is_complete = len(rows) == len(messages)
+            joined = b''.join(messages if is_complete else [messages[i] for i in rows.tolist()])
             table = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), -1)
             same = np.ones(len(rows), dtype=bool)
             for start, stop in layout.fixed:
                 same &= (table[:, start:stop] == layout.pattern[start:stop]).all(axis=1)
             _fill(table if same.all() else table[same], rows[same], layout, stamps, values)
-            good[rows[same]] = True
+            is_regular[rows[same]] = True
             rows, layout = rows[~(same | unread)], None
-    for i in np.flatnonzero(~good).tolist():
+    for i in np.flatnonzero(~is_regular).tolist():
         try:
             stamps[i], values[i] = _decode_one(msgtype, messages[i], joints)
         except Exception:  # noqa: BLE001, S112 - rosbags raises many kinds on spoiled bytes
             continue
-        good[i] = True
-    return Stamped(stamps[good], values[good], int(np.count_nonzero(~good)))
+        is_regular[i] = True
+    return Stamped(stamps[is_regular], values[is_regular], int(np.count_nonzero(~is_regular)))
 
 
 _LAST: dict[tuple[str, Joints, int], Layout] = {}
@@ -245,9 +246,9 @@ def encode(msgtype: str, template: bytes, stamps: npt.NDArray[np.int64],
            values: FloatArray, joints: Joints = FOUR) -> list[bytes]:
     """Serialised copies of `template` with stamps (n,) ns and values (n, w)."""
     table = np.tile(np.frombuffer(template, dtype=np.uint8), (len(stamps), 1))
-    seconds, rest = np.divmod(stamps, 1_000_000_000)
+    seconds, nanoseconds = np.divmod(stamps, 1_000_000_000)
     columns = zip(layout_of(msgtype, template, joints).columns, values.T, strict=False)
-    for (offset, dtype), numbers in [((4, '<i4'), seconds), ((8, '<u4'), rest), *columns]:
+    for (offset, dtype), numbers in [((4, '<i4'), seconds), ((8, '<u4'), nanoseconds), *columns]:
         block = np.ascontiguousarray(numbers, dtype=dtype)[:, None].view(np.uint8)
         table[:, offset : offset + block.shape[1]] = block
     return [row.tobytes() for row in table]

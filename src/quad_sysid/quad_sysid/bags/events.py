@@ -101,7 +101,7 @@ def segments_from(events: Sequence[Event], seconds: Callable[[int], float],
             axis = axis if axis in EVERY else AXES[0]
             axes = [a for a in str(values.pop('axes', axis)).split(',') if a in EVERY] or [axis]
             segments += [
-                Segment(role, signal, one, injection, start, stop, values) for one in axes
+                Segment(role, signal, axis, injection, start, stop, values) for axis in axes
             ]
     return tuple(segments), warnings
 

@@ -76,8 +76,8 @@ def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
         attitude = euler_from_quaternion(quaternion / norm[:, None])
         leans = grid.place(stamps, lean(attitude))
     elif angles is not None:  # positions only: the attitude is that of /imu/data
-        known = np.flatnonzero(np.isfinite(angles).all(axis=1))
-        attitude = np.column_stack([np.interp(grid.position(stamps), known, a[known])
+        finite = np.flatnonzero(np.isfinite(angles).all(axis=1))
+        attitude = np.column_stack([np.interp(grid.position(stamps), finite, a[finite])
                                     for a in angles.T])
     else:
         warnings.append(f'{ODOM} and /imu/data hold no attitude; not used')
@@ -109,10 +109,10 @@ def _over_heading(position: FloatArray, twist: FloatArray, attitude: FloatArray,
         return derived
     wide = max(1, round(SMOOTH_S / float(np.median(np.diff(time)))))
 
-    def difference(one: FloatArray) -> float:
+    def difference(quaternions: FloatArray) -> float:
         kernel = np.full(wide, 1.0 / wide)
         return float(sum(np.mean(np.convolve(column, kernel, 'valid')**2)
-                         for column in (one - derived).T))
+                         for column in (quaternions - derived).T))
 
     if difference(world) < CLOSER * difference(body):
         warnings.append(f'{ODOM}: its twist is in the frame of the world, by its positions')
@@ -127,20 +127,20 @@ def _vertical(stream: Stamped | None, grid: Grid, angles: FloatArray,
         return Moving()
     stamps, rows = np.unique(stream.stamps, return_index=True)
     pressure = stream.values[rows, 0]
-    good = np.isfinite(pressure) & (pressure > AIR_PA[0]) & (pressure < AIR_PA[1])
-    stamps, pressure = stamps[good], pressure[good]
+    plausible = np.isfinite(pressure) & (pressure > AIR_PA[0]) & (pressure < AIR_PA[1])
+    stamps, pressure = stamps[plausible], pressure[plausible]
     if pressure.size < LEAST or not np.ptp(pressure) > 0.0 \
             or np.median(np.diff(stamps)) > 1e9 * SLOWEST_BARO_S:
         return Moving()
     places = grid.position(stamps)
     force = over_level(acceleration, angles)[:, 2]
-    known = np.flatnonzero(np.isfinite(force))
+    finite = np.flatnonzero(np.isfinite(force))
     first, last = (int(np.clip(k, 0, grid.n - 1)) for k in (np.ceil(places[0]), places[-1]))
     cells = np.arange(first, last + 1)
-    if known.size < LEAST or cells.size < LEAST:
+    if finite.size < LEAST or cells.size < LEAST:
         return Moving()
     speed, altitude = vertical_motion(
-        np.interp(cells, places, altitude_of(pressure)), np.interp(cells, known, force[known]),
+        np.interp(cells, places, altitude_of(pressure)), np.interp(cells, finite, force[finite]),
         grid.dt)
     velocity, height = np.full((grid.n, 3), np.nan), np.full(grid.n, np.nan)
     velocity[cells, 2], height[cells] = speed, altitude

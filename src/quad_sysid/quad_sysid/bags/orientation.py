@@ -30,10 +30,10 @@ def euler_angles(orientation: FloatArray) -> FloatArray:
     """
     quaternion, covariance = orientation[:, :4], orientation[:, 4]
     norm = np.linalg.norm(quaternion, axis=1)
-    known = np.isfinite(norm) & (norm > MIN_NORM) & (covariance != UNMEASURED)
+    is_measured = np.isfinite(norm) & (norm > MIN_NORM) & (covariance != UNMEASURED)
     angles = np.full((len(orientation), 3), np.nan)
-    angles[known] = euler_from_quaternion(quaternion[known] / norm[known, None])
-    angles[known, 2] = np.unwrap(angles[known, 2])
+    angles[is_measured] = euler_from_quaternion(quaternion[is_measured] / norm[is_measured, None])
+    angles[is_measured, 2] = np.unwrap(angles[is_measured, 2])
     return angles
 
 

@@ -121,7 +121,7 @@ def read_bag(path: str | Path) -> Record:
     angles = _angles(placed[:, :5])
     acceleration = placed[:, 8:11] if np.isfinite(placed[:, 8:11]).any() else None
     gains = gains_from(gain_events, seconds)
-    moved = moving(content.streams, grid, angles, acceleration, warnings)
+    motion = moving(content.streams, grid, angles, acceleration, warnings)
     accel_hz = next((change.values.get(ACCEL_HZ) for change in gains), None)
     return Record(source=source, dt=grid.dt, rates=_frozen(rates), control=_frozen(control),
                   angles=_optional(angles), acceleration=_optional(acceleration),
@@ -131,9 +131,9 @@ def read_bag(path: str | Path) -> Record:
                   attitude_setpoint=_optional(arrays['attitude_setpoint']),
                   rate_setpoint=_optional(arrays['rate_setpoint']),
                   excitation=_optional(arrays['excitation']), battery_v=_optional(battery),
-                  velocity=_optional(moved.velocity), altitude=_optional(moved.altitude),
-                  lean=_optional(moved.lean),
-                  speed_filter_hz=accel_hz if moved.by_force else None,
+                  velocity=_optional(motion.velocity), altitude=_optional(motion.altitude),
+                  lean=_optional(motion.lean),
+                  speed_filter_hz=accel_hz if motion.by_force else None,
                   segments=segments, gains=gains,
                   missing=_missing(content, arrays, battery), warnings=(*warnings, *notes),
                   t0_ns=grid.t0_ns)
@@ -147,13 +147,13 @@ def _read(path: Path) -> _Content:
     joints: dict[str, Joints] = {}
     for batch in storage.batches():
         for topic, raws in batch.items():
-            wanted = TOPIC_TYPES[topic]
-            if wanted == EVENT or topic == DESCRIPTION:
+            expected = TOPIC_TYPES[topic]
+            if expected == EVENT or topic == DESCRIPTION:
                 events.setdefault(topic, []).extend(raws)
                 continue
-            if wanted == JOINTS and topic not in joints:
+            if expected == JOINTS and topic not in joints:
                 joints[topic] = joints_of(raws, 'velocity' if topic == SPEEDS else 'effort')
-            parts.setdefault(topic, []).append(decode(wanted, raws, joints.get(topic, Joints())))
+            parts.setdefault(topic, []).append(decode(expected, raws, joints.get(topic, Joints())))
     warnings = list(storage.warnings)
     warnings += [f'{key}: {text}' for key, text in storage.notes.items()]
     streams = {}
@@ -209,19 +209,19 @@ def _speeds(content: _Content, grid: Grid, craft: Craft, warnings: list[str]) ->
     return joined(grid.position(stamps), stream.values[rows], np.arange(grid.n, dtype=float))
 
 
-def joined(at: FloatArray, values: FloatArray, grid: FloatArray) -> FloatArray:
+def joined(times: FloatArray, values: FloatArray, grid: FloatArray) -> FloatArray:
     """Samples (m, k) at increasing places, interpolated on a grid (n,); NaN over gaps."""
     out = np.full((grid.size, values.shape[1]), np.nan)
-    for column, own in zip(out.T, values.T, strict=True):
-        known = np.isfinite(own)
-        places = at[known]
+    for column, series in zip(out.T, values.T, strict=True):
+        is_finite = np.isfinite(series)
+        places = times[is_finite]
         if places.size < 2:
             continue
         steps = np.diff(places)
         after = np.clip(np.searchsorted(places, grid), 1, places.size - 1)
         near = steps[after - 1] <= SPEED_GAP * float(np.median(steps))
         inside = (grid >= places[0]) & (grid <= places[-1])
-        column[:] = np.where(near & inside, np.interp(grid, places, own[known]), np.nan)
+        column[:] = np.where(near & inside, np.interp(grid, places, series[is_finite]), np.nan)
     return out
 
 
@@ -238,10 +238,10 @@ def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> Flo
     if not finite.any():
         warnings.append(f'{topic}: no finite value at a stamp of {IMU_TOPIC}; not used')
         return None
-    lost = 1.0 - np.count_nonzero(finite) / len(grid.cells)
-    if name != 'excitation' and lost > LOST_WARNING:
+    missing = 1.0 - np.count_nonzero(finite) / len(grid.cells)
+    if name != 'excitation' and missing > LOST_WARNING:
         warnings.append(
-            f'{topic}: usable in only {100.0 * (1.0 - lost):.0f} % of the cycles of {IMU_TOPIC}'
+            f'{topic}: usable in only {100.0 * (1.0 - missing):.0f} % of the cycles of {IMU_TOPIC}'
         )
     return placed
 
@@ -259,8 +259,8 @@ def _finite(values: FloatArray, topic: str, field: str, grid: Grid,
 def _angles(orientation: FloatArray) -> FloatArray | None:
     """Roll, pitch, yaw (n, 3), rad; None where unknown or constantly the identity."""
     angles = euler_angles(orientation)
-    known = np.isfinite(angles[:, 0])
-    if not known.any() or np.allclose(orientation[known, :3], 0.0, atol=1e-12):
+    is_finite = np.isfinite(angles[:, 0])
+    if not is_finite.any() or np.allclose(orientation[is_finite, :3], 0.0, atol=1e-12):
         return None
     return angles
 
@@ -276,9 +276,9 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
         warnings.append('/battery: voltage is NaN throughout; counted as not measured')
         return None
     low, high = PLAUSIBLE_PACK_V
-    good = finite & (volts >= low) & (volts <= high)
-    strange = volts[finite & ~good]
-    if 2 * np.count_nonzero(good) < np.count_nonzero(finite):
+    plausible = finite & (volts >= low) & (volts <= high)
+    strange = volts[finite & ~plausible]
+    if 2 * np.count_nonzero(plausible) < np.count_nonzero(finite):
         warnings.append(
             f'/battery: voltage around {np.median(strange):.3g} V is no battery ({low:g} to '
             f'{high:g} V); counted as not measured'
@@ -287,7 +287,7 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
     if len(strange):
         warnings.append(f'/battery: {len(strange)} values outside {low:g} to {high:g} V left out, '
                         f'such as {strange[0]:.3g} V')
-    stamps, volts = stream.stamps[good], volts[good]
+    stamps, volts = stream.stamps[plausible], volts[plausible]
     places = grid.position(stamps)
     places, first = np.unique(places, return_index=True)
     cells = np.arange(grid.n, dtype=float)

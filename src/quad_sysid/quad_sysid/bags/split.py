@@ -43,24 +43,24 @@ def split_segments(record: Record, train: Span | None = None, validate: Span | N
     first 60 % train and the rest validates. Raises BadInputError for spans that overlap or lie
     outside the record.
     """
-    known = [s for s in record.segments if s.role in ('train', 'validation')]
+    evaluated = [s for s in record.segments if s.role in ('train', 'validation')]
     if train is None and validate is None:
-        if known:
+        if evaluated:
             return record
         train = (0.0, TRAIN_SHARE * record.n * record.dt)
     if axes is None:
-        axes = tuple(axis for axis in EVERY if axis in {s.axis for s in known}) or AXES
+        axes = tuple(axis for axis in EVERY if axis in {s.axis for s in evaluated}) or AXES
     train, cut = clip_span(train, record, '--train')
     validate, more = clip_span(validate, record, '--validate')
     segments: list[Segment] = []
     for role, span, other in (('train', train, validate), ('validation', validate, train)):
-        if span is None and known:
-            segments += [s for s in known if s.role == role]
+        if span is None and evaluated:
+            segments += [s for s in evaluated if s.role == role]
             continue
         chosen = span or _rest(other, record.n * record.dt, role)
         segments += [_segment(record, role, axis, chosen) for axis in axes]
     _check_overlap(segments, record)
-    segments += [s for s in record.segments if s.role == 'idle' and known]
+    segments += [s for s in record.segments if s.role == 'idle' and evaluated]
     return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)),
                    warnings=(*record.warnings, *cut, *more))
 
@@ -110,7 +110,8 @@ def _rest(other: Span | None, length: float, role: str) -> Span:
 def _segment(record: Record, role: str, axis: str, span: Span) -> Segment:
     """One segment, with signal and injection of the bag's segment in which it lies, if any."""
     middle = 0.5 * (span[0] + span[1])
-    for known in record.segments:
-        if known.start_s <= middle < known.end_s and known.axis == axis and known.role != 'idle':
-            return replace(known, role=role, start_s=span[0], end_s=span[1])
+    for segment in record.segments:
+        if segment.start_s <= middle < segment.end_s and segment.axis == axis \
+                and segment.role != 'idle':
+            return replace(segment, role=role, start_s=span[0], end_s=span[1])
     return Segment(role, 'unknown', axis, 'unknown', *span)

@@ -146,16 +146,16 @@ def _longest_chain(parts: list[IntArray], stamps: IntArray) -> IntArray:
     first = np.array([stamps[part].min() for part in parts])
     last = np.array([stamps[part].max() for part in parts])
     total = np.array([len(part) for part in parts])
-    before = np.full(len(parts), -1)
+    previous = np.full(len(parts), -1)
     for i in range(1, len(parts)):
         behind = np.where(last[:i] < first[i], total[:i], 0)
         if behind.any():
-            before[i] = int(np.argmax(behind))
-            total[i] += behind[before[i]]
-    chain, at = [], int(np.argmax(total))
-    while at >= 0:
-        chain.append(parts[at])
-        at = before[at]
+            previous[i] = int(np.argmax(behind))
+            total[i] += behind[previous[i]]
+    chain, index = [], int(np.argmax(total))
+    while index >= 0:
+        chain.append(parts[index])
+        index = previous[index]
     return np.concatenate(chain[::-1])
 
 
@@ -233,15 +233,15 @@ def _interval(times: IntArray, cells: IntArray) -> float:
 
 def in_whole_us(dt: float) -> float:
     """A mean interval, s, in whole µs where that is what was meant."""
-    whole = round(dt * 1e6) / 1e6
-    return whole if whole and abs(whole / dt - 1.0) < CRYSTAL else dt
+    rounded = round(dt * 1e6) / 1e6
+    return rounded if rounded and abs(rounded / dt - 1.0) < CRYSTAL else dt
 
 
 def _tell_gaps(cells: IntArray, dt: float, topic: str, warnings: list[str]) -> None:
-    lost = np.diff(cells) - 1
-    if lost.any():
-        worst = int(np.argmax(lost))
+    missing = np.diff(cells) - 1
+    if missing.any():
+        worst = int(np.argmax(missing))
         warnings.append(
-            f'{topic}: {int(lost.sum())} of {int(cells[-1]) + 1} cycles lost, the longest gap '
-            f'{lost[worst] * dt:.3f} s at {cells[worst] * dt:.2f} s'
+            f'{topic}: {int(missing.sum())} of {int(cells[-1]) + 1} cycles lost, the longest gap '
+            f'{missing[worst] * dt:.3f} s at {cells[worst] * dt:.2f} s'
         )

@@ -18,13 +18,12 @@ from typing import TYPE_CHECKING
 import yaml
 
 from quad_sysid.bags.stored.files import (
-    RECORDING,
     SQLITE_MAGIC,
     ZSTD_MAGIC,
     address,
-    is_recorded,
     plain_file,
     plain_message,
+    recording_state,
     sqlite_fault,
     sqlite_remedy,
 )
@@ -66,7 +65,7 @@ class Storage:
     others: dict[str, str] = field(default_factory=dict)
     """Topics of the files that are not wanted, with their types."""
     _growing: Path | None = None
-    """The file that a logger still writes."""
+    """The file that a recorder still writes."""
 
     def batches(self) -> Iterator[Batch]:
         """Messages of `topics`, decompressed. BadInputError for a damaged or foreign file."""
@@ -129,9 +128,10 @@ class Storage:
 
     def _unlisted(self, files: list[Path], otherwise: str = '') -> None:
         """Warn of files that are still being recorded, or else say this."""
-        if is_recorded(files[-1]):
+        state = recording_state(files[-1])
+        if state:
             self._growing = files[-1]
-            otherwise = (f'{RECORDING}: read as far as it is on the disk; stop the recording for '
+            otherwise = (f'{state}: read as far as it is on the disk; stop the recording for '
                          'all of it')
         if otherwise:
             self.warnings.append(f'{self.path}: {otherwise}')
@@ -150,61 +150,62 @@ class Storage:
             return None
         return names
 
-    def _read(self, plain: Path, shown: Path,
+    def _read(self, plain: Path, source: Path,
               foreign: Counter[tuple[str, str]]) -> Iterator[Batch]:
         """Batches of one decompressed file; counts messages of other types in `foreign`."""
         with plain.open('rb') as stream:
             head = stream.read(16)
         if not head:
-            raise BadInputError(str(shown), 'is empty',
+            raise BadInputError(str(source), 'is empty',
                                 remedy='the recording never reached the disk; record again')
         if head.startswith(MAGIC):
-            batches = self._read_mcap(plain, shown, foreign)
+            batches = self._read_mcap(plain, source, foreign)
         elif head == SQLITE_MAGIC:
-            batches = self._read_sqlite(plain, shown, foreign)
+            batches = self._read_sqlite(plain, source, foreign)
         else:
-            raise BadInputError(str(shown), 'is neither mcap nor sqlite3',
+            raise BadInputError(str(source), 'is neither mcap nor sqlite3',
                                 f'first bytes {head[:8].hex()}', 'give a rosbag2 directory or an '
                                 '.mcap file; quad-sysid import makes one of a log or a table')
         for batch in batches:
-            yield {topic: self._decompressed(raws, shown) for topic, raws in batch.items()}
+            yield {topic: self._decompressed(raws, source) for topic, raws in batch.items()}
 
     def _wanted(self, topic: str, kind: str) -> bool:
         """Whether the topic is wanted and its type is, or may be, the contract's."""
         if topic not in self.topics:
             self.others[topic] = kind
-        wanted = TOPIC_TYPES.get(topic, '')
-        same = not kind or not wanted or kind.replace('/msg/', '/') == wanted.replace('/msg/', '/')
+        expected = TOPIC_TYPES.get(topic, '')
+        same = not (kind and expected) or \
+            kind.replace('/msg/', '/') == expected.replace('/msg/', '/')
         return topic in self.topics and same
 
-    def _read_mcap(self, plain: Path, shown: Path,
+    def _read_mcap(self, plain: Path, source: Path,
                    foreign: Counter[tuple[str, str]]) -> Iterator[Batch]:
         with (plain.open('rb') as stream,
               mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data):
             scan = McapScan(data)
             yield from scan.batches(lambda topic: self._wanted(topic.name, topic.kind))
         if not (scan.ended or scan.returned or scan.others or scan.unnamed):
-            raise BadInputError(str(shown), 'is cut off before its first whole message',
+            raise BadInputError(str(source), 'is cut off before its first whole message',
                                 remedy='nothing can be recovered: record again')
-        if not scan.ended and shown != self._growing:
-            self.warnings.append(f'{shown}: cut off (no end of data): read the intact part; '
+        if not scan.ended and source != self._growing:
+            self.warnings.append(f'{source}: cut off (no end of data): read the intact part; '
                                  '`ros2 run quad_bridge recover` rebuilds the bag')
         elif scan.bad_chunks:
-            self.warnings.append(f'{shown}: {scan.bad_chunks} damaged chunks: read the rest')
+            self.warnings.append(f'{source}: {scan.bad_chunks} damaged chunks: read the rest')
         if scan.unnamed:
-            self.warnings.append(f'{shown}: {scan.unnamed} messages have lost their topic')
+            self.warnings.append(f'{source}: {scan.unnamed} messages have lost their topic')
         if scan.stated is not None and scan.lost:
             self.warnings.append(
-                f'{shown}: {scan.lost} of {scan.stated} messages are missing; {RECOVER}'
+                f'{source}: {scan.lost} of {scan.stated} messages are missing; {RECOVER}'
             )
         foreign.update({key: n for key, n in scan.others.items() if key[0] in self.topics})
 
-    def _read_sqlite(self, plain: Path, shown: Path,
+    def _read_sqlite(self, plain: Path, source: Path,
                      foreign: Counter[tuple[str, str]]) -> Iterator[Batch]:
         fault = sqlite_fault(plain)
         if fault:
             what = f'is a damaged sqlite3 file ({fault})'
-            raise BadInputError(str(shown), what, remedy=sqlite_remedy(shown))
+            raise BadInputError(str(source), what, remedy=sqlite_remedy(source))
         strange = 0
         try:
             with closing(sqlite3.connect(address(plain), uri=True)) as base:
@@ -231,18 +232,18 @@ class Storage:
                     yield batch
         except (sqlite3.Error, UnicodeDecodeError) as error:
             what = f'cannot be read as a sqlite3 bag ({" ".join(str(error).split())})'
-            raise BadInputError(str(shown), what, remedy='is it a bag of rosbag2?') from error
+            raise BadInputError(str(source), what, remedy='is it a bag of rosbag2?') from error
         if strange:
-            self.warnings.append(f'{shown}: {strange} rows are not messages; left out')
+            self.warnings.append(f'{source}: {strange} rows are not messages; left out')
 
-    def _decompressed(self, raws: list[bytes], shown: Path) -> list[bytes]:
+    def _decompressed(self, raws: list[bytes], source: Path) -> list[bytes]:
         """Messages as CDR; those compressed one by one (known by their magic) are decompressed."""
         if not raws or ZSTD_MAGIC not in (raws[0][:4], raws[-1][:4]):
             return raws
         opened = [plain_message(raw) for raw in raws]
         damaged = opened.count(b'')
         if damaged:
-            self.warnings.append(f'{shown}: {damaged} compressed messages are damaged; left out')
+            self.warnings.append(f'{source}: {damaged} compressed messages are damaged; left out')
         return [raw for raw in opened if raw]
 
 
@@ -254,7 +255,7 @@ def storage_in(folder: Path) -> list[Path]:
 
 def without_storage(path: Path, listed: Collection[str] | None = None) -> BadInputError:
     """The refusal of a folder that is no bag; names one of those in it, if there are such."""
-    inside = sorted(str(one.parent) for one in path.glob('*/*') if one.name.endswith(STORAGE))
+    inside = sorted(str(file.parent) for file in path.glob('*/*') if file.name.endswith(STORAGE))
     remedy = 'give a rosbag2 directory or an .mcap file'
     if inside:
         remedy = f'give one of the bags in it, such as {inside[0]}, or all to quad-sysid fleet'
@@ -266,6 +267,6 @@ def without_storage(path: Path, listed: Collection[str] | None = None) -> BadInp
 def _is_part(name: str, listed: Collection[str]) -> bool:
     """Whether a file is a part of the split bag with the files `listed`, not a copy."""
     stem = name.partition('.')[0]
-    known = {other.partition('.')[0] for other in listed}
-    numbered = {re.sub(r'_\d+$', '', other) for other in known}
-    return stem not in known and re.sub(r'_\d+$', '', stem) in numbered
+    stems = {other.partition('.')[0] for other in listed}
+    numbered = {re.sub(r'_\d+$', '', other) for other in stems}
+    return stem not in stems and re.sub(r'_\d+$', '', stem) in numbered

@@ -164,13 +164,14 @@ def _in_order(
         stamps.append(stream.stamps[order])
     if description:
         text = typestore().serialize_cdr(blank(TEXT, data=description), TEXT)
-        first = min((int(one[0]) for one in stamps if one.size), default=0)
+        first = min((int(times[0]) for times in stamps if times.size), default=0)
         yield first, '/robot_description', bytes(text)
     longest = max(stamps, key=len)
     edges = [int(stamp) for stamp in longest[BLOCK::BLOCK]]
     begins = [0] * len(stamps)
     for edge in (*edges, None):
-        ends = [one.size if edge is None else int(np.searchsorted(one, edge)) for one in stamps]
+        ends = [times.size if edge is None else int(np.searchsorted(times, edge))
+                for times in stamps]
         part: list[tuple[int, str, bytes]] = []
         for k, (topic, kind, joints, pattern, stream, order) in enumerate(sources, 1):
             rows = order[begins[k] : ends[k]]
@@ -210,8 +211,8 @@ def _events(record: Record) -> dict[str, list[Event]]:
 
     segments: list[Event] = []
     together: dict[tuple[float, float, str], list[Segment]] = {}
-    for one in sorted(record.segments, key=lambda s: s.start_s):
-        together.setdefault((one.start_s, one.end_s, one.role), []).append(one)
+    for each in sorted(record.segments, key=lambda s: s.start_s):
+        together.setdefault((each.start_s, each.end_s, each.role), []).append(each)
     ordered = [same[0] for same in together.values()]
     axes = [','.join(s.axis for s in same) for same in together.values()]
     for i, segment in enumerate(ordered):

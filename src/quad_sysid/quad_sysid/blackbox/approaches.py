@@ -113,10 +113,10 @@ def cascade_controller(*, angle_kp: float, rate_kp: float, rate_ki: float, rate_
     else:  # the integrator would cancel and leave a root on the unit circle
         forward, common = np.array([rate_kp]), np.ones(1)
     derivative = rate_kd * d_weight / dt * np.convolve(np.convolve(step, step), common)
-    own = np.convolve(np.convolve(forward, angle + step), slow)
+    characteristic = np.convolve(np.convolve(forward, angle + step), slow)
     return LinearController(P=np.convolve(np.convolve(common, step), slow),
                             R=angle_kp * np.convolve(np.convolve(forward, step), slow),
-                            S=_sum(own, derivative))
+                            S=_sum(characteristic, derivative))
 
 
 def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController, *,
@@ -137,7 +137,7 @@ def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
     ar, iterations = np.ones(1), 0
     for _ in range(WHITENED):
         end = descend(_evaluate(model, z, controller, ar),
-                      lambda one, ar=ar: _evaluate(one, z, controller, ar))  # type: ignore[misc]
+                      lambda model, ar=ar: _evaluate(model, z, controller, ar))  # type: ignore[misc]
         model, iterations = end.model, iterations + end.model.iterations
         raw = _evaluate(model, z, controller, np.ones(1))
         n = sum(e.size for e in raw.errors)
@@ -152,8 +152,8 @@ def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
 
     The first of them that is stable behind the controller.
     """
-    one = np.ones(1)
-    plain = {'C': one, 'D': one, 'structure': 'OE', 'orders': {'nb': nb, 'nf': nf, 'nk': nk},
+    unit = np.ones(1)
+    plain = {'C': unit, 'D': unit, 'structure': 'OE', 'orders': {'nb': nb, 'nf': nf, 'nk': nk},
              'approach': 'indirect', 'warnings': ()}
     for order in (None, *STAGE_ORDERS):
         model = start
@@ -166,7 +166,7 @@ def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
                              model.nk) != (1, nb, nf, nk):
             continue
         model = replace(model, **plain)  # type: ignore[arg-type]
-        if math.isfinite(_evaluate(model, z, controller, one).squares):
+        if math.isfinite(_evaluate(model, z, controller, unit).squares):
             return model
     raise BadInputError('indirect', 'no plant was found that is stable behind this controller',
                         f'nf {nf}', 'check the gains, or use the direct or joint approach')
@@ -180,26 +180,26 @@ def _evaluate(model: Model, z: IOData, controller: LinearController, ar: FloatAr
     loop = _sum(np.convolve(model.F, controller.P), np.convolve(model.B, controller.S))
     if loop[0] != 1.0 or np.max(np.abs(np.roots(loop)), initial=0.0) >= 1.0:
         return point_of(model, [], [])
-    nb, nf, states, one = model.B.size - model.nk, model.F.size - 1, loop.size - 1, np.ones(1)
+    nb, nf, states, unit = model.B.size - model.nk, model.F.size - 1, loop.size - 1, np.ones(1)
     errors, gradients = [], []
     for a, b in z.segments:
         n = b - a
         if n <= 2 * (states + ar.size):
             continue
         raw = np.column_stack((np.asarray(z.r)[a:b], pulses(n, states)))
-        driven = filter_columns(one, loop, raw)
-        y = filter_signal(np.convolve(model.B, controller.R), one, driven[:, 0])
-        again = filter_signal(one, loop, y)
-        u = filter_signal(controller.R, one, driven[:, 0])
-        u -= filter_signal(controller.S, one, again)
-        p = filter_signal(controller.P, one, again)
-        columns = [-filter_lags(one, one, u, range(model.nk, model.nk + nb)),
-                   filter_lags(one, one, p, range(1, nf + 1))]
+        driven = filter_columns(unit, loop, raw)
+        y = filter_signal(np.convolve(model.B, controller.R), unit, driven[:, 0])
+        refiltered = filter_signal(unit, loop, y)
+        u = filter_signal(controller.R, unit, driven[:, 0])
+        u -= filter_signal(controller.S, unit, refiltered)
+        p = filter_signal(controller.P, unit, refiltered)
+        columns = [-filter_lags(unit, unit, u, range(model.nk, model.nk + nb)),
+                   filter_lags(unit, unit, p, range(1, nf + 1))]
         stack = np.column_stack((z.y[a:b] - y, *columns, driven[:, 1:]))
-        stack = filter_columns(ar, one, stack)[ar.size - 1 :]
-        rest = without(stack[:, : 1 + nb + nf], stack[:, 1 + nb + nf :])
-        errors.append(rest[:, 0])
-        gradients.append(rest[:, 1:])
+        stack = filter_columns(ar, unit, stack)[ar.size - 1 :]
+        residual = without(stack[:, : 1 + nb + nf], stack[:, 1 + nb + nf :])
+        errors.append(residual[:, 0])
+        gradients.append(residual[:, 1:])
     return point_of(model, errors, gradients)
 
 

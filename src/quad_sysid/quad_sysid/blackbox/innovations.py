@@ -89,19 +89,19 @@ def errors_and_gradient(model: Polynomials,
     gradient by B and F is exact up to that.
     """
     first, lead = lead_of(model)
-    one = np.ones(1)
+    unit = np.ones(1)
     responses = []
     for start, stop in z.segments:
         if stop - start <= lead + model.F.size - 1:
             continue
         u, y = z.u[start:stop], z.y[start:stop]
         e, w, v, basis = _response(model, u, y)
-        driven, fed = filter_signal(one, model.F, u), filter_signal(one, model.F, w, first)
+        driven, fed = filter_signal(unit, model.F, u), filter_signal(unit, model.F, w, first)
         columns = (  # in the order of `parameters`
             (model.D, model.C, y, range(1, model.A.size)),
             (-model.D, model.C, driven, range(model.nk, model.B.size)),
-            (-one, model.C, e, range(1, model.C.size)),
-            (one, model.C, v, range(1, model.D.size)),
+            (-unit, model.C, e, range(1, model.C.size)),
+            (unit, model.C, v, range(1, model.D.size)),
             (model.D, model.C, fed, range(1, model.F.size)),
         )
         gradient = np.empty((u.size, model.parameters.size), order='F')
@@ -121,17 +121,17 @@ def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     basis, independent = list[FloatArray](), list[int]()
     for j, column in enumerate(columns.T):
-        rest = column.copy()
-        for known in basis * 2:
-            rest -= (known @ rest) * known
-        remaining, size = math.sqrt(rest @ rest), math.sqrt(column @ column)
+        residual = column.copy()
+        for direction in basis * 2:
+            residual -= (direction @ residual) * direction
+        remaining, size = math.sqrt(residual @ residual), math.sqrt(column @ column)
         if math.isfinite(size) and remaining > DEPENDENT * size:
-            basis.append(rest / remaining)
+            basis.append(residual / remaining)
             independent.append(j)
     turn = np.zeros((columns.shape[1], len(independent)))
-    whole = np.array(basis).T if basis else np.zeros((columns.shape[0], 0))
-    turn[independent] = np.linalg.inv(whole.T @ columns[:, independent])
-    return whole, turn
+    orthonormal = np.array(basis).T if basis else np.zeros((columns.shape[0], 0))
+    turn[independent] = np.linalg.inv(orthonormal.T @ columns[:, independent])
+    return orthonormal, turn
 
 
 def without(columns: FloatArray, states: FloatArray) -> FloatArray:

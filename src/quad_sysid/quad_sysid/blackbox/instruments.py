@@ -84,7 +84,7 @@ def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
         was_unstable = inside(f) is not f
         refined = replace(refined, B=delayed(theta[nf:], nk), F=inside(f))
         sigma = np.sqrt(np.maximum(np.diag(spread) * variance, 1e-300))
-        moved = np.concatenate((refined.F[1:] - model.F[1:],
+        change = np.concatenate((refined.F[1:] - model.F[1:],
                                 refined.B[nk:] - model.B[nk:])) / sigma
         if iteration > SWINGING:  # poorly determined parameters oscillate about the solution
             share = 1.0 / (iteration - SWINGING + 1.0)
@@ -95,7 +95,7 @@ def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
         covariance[np.ix_(plant, plant)] = variance * spread
         covariance[nb : nb + nc + nd, nb : nb + nc + nd] = noise_spread
         model = replace(refined, covariance=covariance)
-        if float(np.max(np.abs(moved))) < CONVERGED:
+        if float(np.max(np.abs(change))) < CONVERGED:
             converged = True
             break
     n, sse = squares(model, z)
@@ -129,8 +129,8 @@ def _blocks(z: IOData, source: FloatArray, model: Model, num: FloatArray, den: F
              pulses(n - lead, starts)))
         smooth = filter_columns(num, den, stack)[num.size - 1 :]
         p = len(y_lags) + len(u_lags)
-        rest = without(smooth[:, : 2 * p + 1], smooth[:, 2 * p + 1 :])
-        blocks.append((rest[:, :p], rest[:, p : 2 * p], rest[:, -1]))
+        residual = without(smooth[:, : 2 * p + 1], smooth[:, 2 * p + 1 :])
+        blocks.append((residual[:, :p], residual[:, p : 2 * p], residual[:, -1]))
     return blocks
 
 
@@ -157,10 +157,10 @@ def _noise_step(model: Model, z: IOData) -> tuple[Model, float, FloatArray]:
     """One Gauss-Newton step on C and D, the plant held; variance of e, covariance of the step."""
     point = evaluate(model, z)
     first, count = model.B.size - model.nk, model.C.size + model.D.size - 2
-    held, n = slice(first, first + count), sum(e.size for e in point.errors)
+    rows, n = slice(first, first + count), sum(e.size for e in point.errors)
     variance = point.squares / max(n - model.parameters.size, 1)
-    inverse = np.linalg.pinv(point.hessian[held, held], rcond=1e-12, hermitian=True)
+    inverse = np.linalg.pinv(point.hessian[rows, rows], rcond=1e-12, hermitian=True)
     theta = model.parameters.copy()
-    theta[held] -= inverse @ point.slope[held]
+    theta[rows] -= inverse @ point.slope[rows]
     updated = model.with_parameters(theta)
     return replace(updated, C=inside(updated.C)), variance, np.asarray(variance * inverse)

@@ -164,8 +164,8 @@ def point_of(model: Model, errors: list[FloatArray], gradients: list[FloatArray]
         hessian += gradient.T @ gradient
         slope += gradient.T @ e
     total = float(sum(e @ e for e in errors))
-    known = math.isfinite(total) and np.isfinite(hessian).all() and np.isfinite(slope).all()
-    if not errors or not known:
+    is_finite = math.isfinite(total) and np.isfinite(hessian).all() and np.isfinite(slope).all()
+    if not errors or not is_finite:
         return Point(model, errors, gradients, np.zeros((p, p)), np.zeros(p), math.inf)
     return Point(model, errors, gradients, hessian, slope, total)
 
@@ -187,7 +187,7 @@ def evaluate(model: Model, z: IOData) -> Point:
     edge[len(at_c) :, p - nf :] = at_f
     power = sum(float(z.y[start:stop] @ z.y[start:stop]) for start, stop in z.segments)
     return replace(point, rounding=EXACT * power, edge=edge,
-                   on_edge=tuple(name for name, at in (('C', at_c), ('F', at_f)) if len(at)))
+                   on_edge=tuple(name for name, roots in (('C', at_c), ('F', at_f)) if len(roots)))
 
 
 def _bounded(poly: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -203,11 +203,11 @@ def _bounded(poly: FloatArray) -> tuple[FloatArray, FloatArray]:
     if (radius > EDGE).any():
         roots = roots * np.minimum(1.0, EDGE / np.maximum(radius, EDGE))
         poly = np.real(np.poly(roots))
-    at = roots[(radius > ON_EDGE) & (roots.imag >= 0.0)]
-    if not at.size:
+    edge_roots = roots[(radius > ON_EDGE) & (roots.imag >= 0.0)]
+    if not edge_roots.size:
         return poly, np.zeros((0, n))
-    turn = np.conj(at * np.polyval(np.polyder(poly), at))
-    growth = -np.real(turn[:, None] * at[:, None] ** np.arange(n - 1, -1, -1))
+    turn = np.conj(edge_roots * np.polyval(np.polyder(poly), edge_roots))
+    growth = -np.real(turn[:, None] * edge_roots[:, None] ** np.arange(n - 1, -1, -1))
     size = np.linalg.norm(growth, axis=1, keepdims=True)
     return poly, growth / np.where(size > 0.0, size, 1.0)
 
@@ -231,7 +231,7 @@ def descend(point: Point, at: Callable[[Model], Point], bar: float = math.inf) -
             break
         steps = chain([plain], (_step(point, free, damping) for damping in DAMPINGS))
         searched = (_search(point, step, at) for step in steps)
-        lower = next((one for one in searched if one is not None), None)
+        lower = next((fit for fit in searched if fit is not None), None)
         if lower is None:
             converged = rows * promised <= 100.0 * TOLERANCE * point.squares
             break
@@ -248,10 +248,10 @@ def _free(point: Point) -> FloatArray:
     p = point.slope.size
     if not point.edge.size:
         return np.eye(p)
-    held = point.edge[point.edge @ _step(point) < 0.0]
-    if not held.size:
+    fixed = point.edge[point.edge @ _step(point) < 0.0]
+    if not fixed.size:
         return np.eye(p)
-    _, sizes, turn = np.linalg.svd(held)
+    _, sizes, turn = np.linalg.svd(fixed)
     return np.asarray(turn[int(np.sum(sizes > FLAT * sizes[0])) :].T)
 
 
@@ -310,10 +310,10 @@ def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:
     if doubt and best.model.loss > ho.loss_of(best.slope.size):
         for start in starts:
             best = min(best, descend(at(start), at, best.squares), key=_squares)
-    moved = sorted((at(model) for model in reinserted(best.model)),
-                   key=lambda one: one.squares - one.slope @ _step(one))
-    for one in moved[:REINSERTED]:
-        best = min(best, descend(one, at, best.squares), key=_squares)
+    trials = sorted((at(model) for model in reinserted(best.model)),
+                    key=lambda trial: trial.squares - trial.slope @ _step(trial))
+    for trial in trials[:REINSERTED]:
+        best = min(best, descend(trial, at, best.squares), key=_squares)
     return best
 
 
@@ -337,9 +337,9 @@ def with_covariance(point: Point) -> Model:
     model = replace(point.model, noise_variance=point.squares / (n - p), covariance=None)
     if not math.isfinite(point.squares):
         return model
-    own = [g @ free for g in point.gradients]
+    gradients = [g @ free for g in point.gradients]
     scale = _scale(free.T @ point.hessian @ free)
-    r = upper(np.vstack([upper(g / scale) for g in own]))
+    r = upper(np.vstack([upper(g / scale) for g in gradients]))
     if r.shape[0] != free.shape[1] or np.linalg.cond(r) > SINGULAR:
         return model
     inverse = free @ (np.linalg.solve(r, np.eye(r.shape[0])) / scale[:, None])

@@ -109,8 +109,8 @@ def detrend(z: IOData, about: IOData | None = None) -> IOData:
     """
     about = z if about is None else about
 
-    def centred(x: FloatArray, known: FloatArray) -> FloatArray:
-        mean = np.concatenate([known[start:stop] for start, stop in about.segments]).mean()
+    def centred(x: FloatArray, regressors: FloatArray) -> FloatArray:
+        mean = np.concatenate([regressors[start:stop] for start, stop in about.segments]).mean()
         return np.asarray(x - mean)
 
     return IOData(u=centred(z.u, about.u), y=centred(z.y, about.y), dt=z.dt,

@@ -92,9 +92,10 @@ def innovation_test(innovations: FloatArray, z: IOData, lags: int = 25,
     if innovations.shape != z.y.shape:
         raise BadInputError('innovation_test', 'innovations must have the length of z.y',
                             innovations.shape)
-    known = np.isfinite(innovations)
+    is_finite = np.isfinite(innovations)
     parts = [SegmentErrors(a, innovations[a:b])
-             for segment in z.segments for a, b in finite_runs(known, (segment[0], segment[1]))]
+             for segment in z.segments
+             for a, b in finite_runs(is_finite, (segment[0], segment[1]))]
     return _tested(parts, z, lags, confidence, at_once=False)
 
 
@@ -118,11 +119,11 @@ def _tested(parts: list[SegmentErrors], z: IOData, lags: int, confidence: float,
     ar = whitener(cov[: AR_ORDER_MAX + 1], n)
     p_input = _explained(parts, z.u, ar, range(0 if at_once else 1, lags + 1), range(0))
     signal = z.u if z.r is None else z.r
-    past, future = (
+    earlier, future = (
         (range(1, lags + 1), range(-lags, 0 if at_once else 1)) if z.r is None
         else (range(lags + 1), range(-lags, 0))
     )
-    p_causal = _explained(parts, signal, ar, past, future)
+    p_causal = _explained(parts, signal, ar, earlier, future)
     cross, cross_bound = _cross(parts, errors, z, rho, lags)
     sigma = float(special.ndtri(0.5 + 0.5 * confidence))
     level = 1.0 - confidence

@@ -47,12 +47,12 @@ def initial_state(model: Polynomials, u: FloatArray, y: FloatArray) -> FloatArra
     """State from which the free run on u (n,) comes nearest to y (n,), by least squares."""
     size = max(model.denominator.size, model.B.size) - 1
     rows = min(np.asarray(u).size, max(SETTLE_ROWS, 10 * size))
-    rest = np.asarray(y, dtype=float)[:rows] - simulate(model, u[:rows])
+    residual = np.asarray(y, dtype=float)[:rows] - simulate(model, u[:rows])
     with np.errstate(over='ignore', invalid='ignore'):
         columns = filter_columns(np.ones(1), model.denominator, pulses(rows, size))
-    if not (np.isfinite(columns).all() and np.isfinite(rest).all()):
+    if not (np.isfinite(columns).all() and np.isfinite(residual).all()):
         return np.zeros(size)
-    r = upper(np.column_stack((columns, rest)))
+    r = upper(np.column_stack((columns, residual)))
     return np.asarray(np.linalg.lstsq(r[:size, :size], r[:size, size], rcond=1e-10)[0])
 
 
@@ -103,10 +103,10 @@ def fit_percent(y: FloatArray, yhat: FloatArray) -> float:
     if y.shape != yhat.shape:
         raise BadInputError('fit_percent', 'y and yhat must have one length',
                             f'{y.shape}, {yhat.shape}')
-    known = ~np.isnan(yhat)
-    if not known.any():
+    is_finite = ~np.isnan(yhat)
+    if not is_finite.any():
         raise BadInputError('fit_percent', 'yhat holds no prediction', int(y.size))
-    y, yhat = y[known], yhat[known]
+    y, yhat = y[is_finite], yhat[is_finite]
     spread = float(np.linalg.norm(y - y.mean()))
     with np.errstate(over='ignore', invalid='ignore'):
         missed = float(np.linalg.norm(y - yhat))

@@ -52,11 +52,11 @@ class HighOrder:
     @cached_property
     def innovations(self) -> FloatArray:
         """(n,) zero outside segments and before their first error."""
-        errors, one = np.zeros(self.data.y.size), np.ones(1)
+        errors, unit = np.zeros(self.data.y.size), np.ones(1)
         lead = max(self.model.A.size, self.model.B.size) - 1
         for i, j in self.data.segments:
-            errors[i:j] = (filter_signal(self.model.A, one, self.data.y[i:j], lead)
-                           - filter_signal(self.model.B, one, self.data.u[i:j], lead))
+            errors[i:j] = (filter_signal(self.model.A, unit, self.data.y[i:j], lead)
+                           - filter_signal(self.model.B, unit, self.data.u[i:j], lead))
         return errors
 
     def loss_of(self, parameters: int) -> float:
@@ -233,7 +233,7 @@ def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int,
 
     Each part's unknown start is fitted with it, as pulses behind 1/F. Round one is the ARX model.
     """
-    one = f = np.ones(1)
+    unit = f = np.ones(1)
     b = np.zeros(nb)
     lead = max(nf, nk + nb - 1)
     parts = [part for part in parts if part.shape[0] > lead]  # a shorter one holds no row
@@ -241,7 +241,7 @@ def _steiglitz_mcbride(parts: list[FloatArray], nb: int, nf: int,
         factors = []
         for part in parts:
             n = part.shape[0]
-            y, u, kick = filter_columns(one, f, np.column_stack((part, pulses(n, 1, lead)))).T
+            y, u, kick = filter_columns(unit, f, np.column_stack((part, pulses(n, 1, lead)))).T
             rows = np.hstack((lagged(kick, range(f.size - 1), lead, n),
                               lagged(u, range(nk, nk + nb), lead, n),
                               -lagged(y, range(1, nf + 1), lead, n), y[lead:, None]))

@@ -96,19 +96,19 @@ def step_a(models: Sequence[Model], train: IOData, validations: Mapping[str, IOD
 
 def shared_losses(models: Sequence[Model], z: IOData) -> tuple[list[float], int]:
     """Return V = SSE/N of each model over the N rows of z that all of them predict."""
-    known = np.ones(z.y.size, dtype=bool)
+    is_finite = np.ones(z.y.size, dtype=bool)
     errors = []
     for model in models:
         e = np.full(z.y.size, np.nan)
         for part in one_step_errors(model, z):
             e[part.start : part.start + part.errors.size] = part.errors
         errors.append(e)
-        known &= ~np.isnan(e)
-    n = int(known.sum())
+        is_finite &= ~np.isnan(e)
+    n = int(is_finite.sum())
     if n == 0:
         raise BadInputError('step_a', 'no row of train is predicted by all models', 0,
                             'take lower orders or longer segments')
-    return [float(np.mean(e[known] ** 2)) for e in errors], n
+    return [float(np.mean(e[is_finite] ** 2)) for e in errors], n
 
 
 def _objections(model: Model, test: ResidualTest, fits: Mapping[str, float | None]) -> list[str]:

@@ -18,7 +18,7 @@ from scipy import stats
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without
 from quad_sysid.discover.constants import AGAIN, DIFFERS, FLIPS, LEAST_BLOCKS, LEVEL
-from quad_sysid.discover.search import Found
+from quad_sysid.discover.search import SearchResult
 from quad_sysid.estimate.fit import Fit, Problem, stays_bounded
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.explain.ladder import Ladder
@@ -65,8 +65,8 @@ def p_of_both(long: FloatArray, shorter: FloatArray, ahead: FloatArray) -> float
     long ones may predict the next sample worse. As they depend on each other, their harmonic mean
     is the chance of both (Wilson 2019).
     """
-    both = p_value(long), p_value((long + shorter + ahead) / 3.0)
-    return float(stats.hmean(np.maximum(both, LEAST_P)))
+    p_values = p_value(long), p_value((long + shorter + ahead) / 3.0)
+    return float(stats.hmean(np.maximum(p_values, LEAST_P)))
 
 
 def shares_of(speaks_for: FloatArray, against: FloatArray) -> FloatArray:
@@ -101,7 +101,7 @@ class Claim:
     without: float
     """Error without the effect, the rest projected anew, rad/s."""
     reproducible: float
-    stands: bool
+    accepted: bool
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Verdict:
     chosen: Fit
     """The answer's rung; `base` where no effect is claimed."""
     claims: tuple[Claim, ...]
-    """Of each effect of `chosen`."""
+    """One claim for each effect of `chosen`."""
     before: float
     after: float
     reference: float
@@ -134,7 +134,7 @@ class Verdict:
     probabilities: tuple[float, ...]
     """Posterior of each chosen effect."""
     rivals: tuple[tuple[tuple[str, float], ...], ...]
-    """For each chosen effect its alternatives with their probabilities."""
+    """The alternatives of each chosen effect with their probabilities."""
 
 
 Fitted = Fit | Stored
@@ -149,7 +149,7 @@ class Unseen:
         self.windows = data.windows(spans)
         self.lengths = self.windows, data.windows(spans, SHORT_S)
         self.long = data.windows(spans, HORIZONS_S[-1])
-        self.begun = self.problem.flight.rate
+        self.start_rate = self.problem.flight.rate
         self.known: WeakKeyDictionary[Fitted, Prediction] = WeakKeyDictionary()
         self.ran: dict[tuple[Fitted, int], FloatArray] = {}
 
@@ -161,7 +161,7 @@ class Unseen:
         """
         if fitted not in self.known:
             flight = self.problem.flight
-            flight.rate = self.begun
+            flight.rate = self.start_rate
             self.known[fitted] = flight.predict(fitted.structure, fitted.theta, sweeps=3)
         return self.known[fitted]
 
@@ -178,7 +178,7 @@ class Unseen:
         starts = np.searchsorted(self.problem.rows, self.windows.starts)
         stops = np.searchsorted(self.problem.rows, self.windows.starts + self.windows.length)
         sums = np.array([
-            [np.sum(np.maximum(way * gain[a:b], 0.0)) for way in (1.0, -1.0)]
+            [np.sum(np.maximum(sign * gain[a:b], 0.0)) for sign in (1.0, -1.0)]
             for a, b in zip(starts, stops, strict=True)
         ]).reshape(-1, 2)
         return shares_of(*sums.T)
@@ -205,8 +205,8 @@ class Unseen:
         return self.ran[run]
 
     def squares(self, *models: Fitted) -> list[list[FloatArray]]:
-        """For windows of both lengths (windows,) mean squares of each model's errors."""
-        return [[_squares(self.errors(one, windows)) for one in models]
+        """Mean squares (windows,) of each model's errors, for windows of both lengths."""
+        return [[_squares(self.errors(model, windows)) for model in models]
                 for windows in self.lengths]
 
     def one_step(self, fitted: Fitted) -> float:
@@ -227,12 +227,12 @@ def rms(errors: FloatArray) -> float:
     return value if not math.isnan(value) else math.inf
 
 
-def judge(unseen: Unseen, problem: Problem, found: Found, ladder: Ladder) -> Verdict:
+def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder) -> Verdict:
     """Confirm or withdraw each claimed effect on the validation segments.
 
     What is claimed, and in which order, the training has decided (explain/ladder.py).
     """
-    unseen.predict(found.base)  # which measures the innovations that wandering effects follow
+    unseen.predict(search.base)  # which measures the innovations that wandering effects follow
     models = ladder.models
     rungs = [models.fitted(rung.model) for rung in ladder.rungs]
     base = rungs[0]
@@ -249,7 +249,7 @@ def judge(unseen: Unseen, problem: Problem, found: Found, ladder: Ladder) -> Ver
         without = models.each_left_out(answer)
         claims = [_claim(unseen, chosen, models.comparable(other), part.effect.name, ladder)
                   for part, other in zip(answer.structure.parts, without, strict=True)]
-        weak = [i for i, one in enumerate(claims) if not one.stands]
+        weak = [i for i, claim in enumerate(claims) if not claim.accepted]
         if not weak:
             break
         if len(claims) == 1:
@@ -269,12 +269,12 @@ def judge(unseen: Unseen, problem: Problem, found: Found, ladder: Ladder) -> Ver
     if told:
         verdict, reason = ('effects_added', unexplained(unseen, chosen)) if parts \
             else _empty(ladder, unseen, base)
-    probabilities, rivals = _posterior(found, chosen, ladder)
+    probabilities, rivals = _posterior(search, chosen, ladder)
     return Verdict(
         verdict=verdict, reason=reason, base=base, chosen=chosen, claims=tuple(claims),
         before=rms(unseen.errors(base)), after=rms(unseen.errors(chosen)),
-        reference=rms(unseen.errors(found.best)),
-        rungs=tuple(rms(unseen.errors(one)) for one in rungs), rung_fits=tuple(rungs),
+        reference=rms(unseen.errors(search.best)),
+        rungs=tuple(rms(unseen.errors(rung)) for rung in rungs), rung_fits=tuple(rungs),
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
         hold=rms(unseen.holding(unseen.windows)),
         predicted=noise.gyro_rms * math.sqrt(float(np.mean(spread))),
@@ -285,10 +285,11 @@ def judge(unseen: Unseen, problem: Problem, found: Found, ladder: Ladder) -> Ver
 
 def _claim(unseen: Unseen, chosen: Fit, without: Fitted, name: str, ladder: Ladder) -> Claim:
     p, error, other = unseen.p_value(chosen, without), *(
-        rms(unseen.errors(one)) for one in (chosen, without)
+        rms(unseen.errors(fit)) for fit in (chosen, without)
     )
-    again = ladder.reproducible.get(name, 1.0)
-    return Claim(p, other, again, stands=p <= LEVEL and error < other and again >= AGAIN)
+    reproducible = ladder.reproducible.get(name, 1.0)
+    return Claim(p, other, reproducible,
+                 accepted=p <= LEVEL and error < other and reproducible >= AGAIN)
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:
@@ -317,17 +318,18 @@ def _commands_tell(problem: Problem, unseen: Unseen, fitted: Fit) -> bool:
     by_command = (  # these may move by it without a gain
         i for i, part in enumerate(fitted.structure.parts) if 'command' in part.effect.signals
     )
-    uncommanded = fit_without(problem, fitted, *by_command, still=(0, 1, 2), silent=True)
-    own, held = unseen.errors(fitted), unseen.holding(unseen.windows)
-    without, shares, clearly = held, [], False
+    uncommanded = fit_without(problem, fitted, *by_command, fixed=(0, 1, 2), silent=True)
+    errors, hold_errors = unseen.errors(fitted), unseen.holding(unseen.windows)
+    without, shares, clearly = hold_errors, [], False
     if uncommanded is not None:
         without = unseen.errors(uncommanded)
         shares.append(unseen.balance(fitted, uncommanded))
     for horizon in HORIZONS_S:
         k = at_horizon(horizon, unseen.problem.data.dt)
         if k < unseen.windows.length:
-            shares.append(shares_of(without[:, k] ** 2, own[:, k] ** 2))
-            clearly |= DIFFERS * rms(own[:, k]) < min(rms(without[:, k]), rms(held[:, k]))
+            shares.append(shares_of(without[:, k] ** 2, errors[:, k] ** 2))
+            least = min(rms(without[:, k]), rms(hold_errors[:, k]))
+            clearly |= DIFFERS * rms(errors[:, k]) < least
     return clearly and p_value(np.mean(shares, axis=0)) <= LEVEL
 
 
@@ -355,8 +357,8 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     windows = unseen.windows
     if windows.count < 2:
         return ''
-    at = windows.starts[:, None] + np.arange(windows.length)
-    innovations = np.nan_to_num(unseen.predict(fitted).innovation[at])
+    index = windows.starts[:, None] + np.arange(windows.length)
+    innovations = np.nan_to_num(unseen.predict(fitted).innovation[index])
     rng = np.random.default_rng(0)
     drawn = np.array([
         _size_and_spread(errors) for _ in range(0, FLIPS, AT_ONCE)
@@ -364,10 +366,10 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
             (-1.0, 1.0), (AT_ONCE, *innovations.shape)))
     ])
     derived = unseen.problem.flight.sensor.derived  # innovations are of the angle there
-    own = _size_and_spread(_caused(unseen, fitted, innovations[None])[0] if derived
-                           else unseen.errors(fitted))
-    ratio = own / np.median(drawn, axis=0)
-    size, spread = np.where(own > drawn.max(axis=0), ratio, 1.0)
+    measured = _size_and_spread(_caused(unseen, fitted, innovations[None])[0] if derived
+                                   else unseen.errors(fitted))
+    ratio = measured / np.median(drawn, axis=0)
+    size, spread = np.where(measured > drawn.max(axis=0), ratio, 1.0)
     if size > DIFFERS:
         return f'the held-out error is {size:.2f} times what noise of that size would cause'
     if spread > DIFFERS:
@@ -378,14 +380,14 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
 def _caused(unseen: Unseen, fitted: Fitted, innovations: FloatArray) -> FloatArray:
     """Errors (k, windows, length) that innovations of that shape cause in the free runs."""
     windows, flight, prediction = unseen.windows, unseen.problem.flight, unseen.predict(fitted)
-    known, dt = prediction.filter, unseen.problem.data.dt
+    steady, dt = prediction.filter, unseen.problem.data.dt
     values = fitted.structure.natural(fitted.theta)
     slope = flight.pushed(fitted.structure, values, prediction.rate).slope
-    errors, state = innovations.copy(), np.zeros((*innovations.shape[:2], known.gain.size))
+    errors, state = innovations.copy(), np.zeros((*innovations.shape[:2], steady.gain.size))
     for j in range(windows.length):
-        errors[..., j] += state @ known.output
-        moves = transitions(known, flight.sensor, slope[windows.starts + j], dt)
-        state = np.einsum('wij,kwj->kwi', moves, state + innovations[..., j, None] * known.gain)
+        errors[..., j] += state @ steady.output
+        moves = transitions(steady, flight.sensor, slope[windows.starts + j], dt)
+        state = np.einsum('wij,kwj->kwi', moves, state + innovations[..., j, None] * steady.gain)
     return errors
 
 
@@ -404,35 +406,35 @@ def _size_and_spread(errors: FloatArray) -> FloatArray:
 
 
 def _posterior(
-    found: Found, chosen: Fit, ladder: Ladder
+    search: SearchResult, chosen: Fit, ladder: Ladder
 ) -> tuple[tuple[float, ...], tuple[tuple[tuple[str, float], ...], ...]]:
     """Probability of each chosen effect, and of its alternatives, by the training's evidence.
 
     An effect that the search did not fit in this company stands as often as it comes again.
     """
     probabilities, rivals = [], []
-    own = Counter(part.effect.name for part in chosen.structure.parts)
-    finer = Counter(part.effect.name for part in found.best.structure.parts) - own
+    chosen_names = Counter(part.effect.name for part in chosen.structure.parts)
+    finer = Counter(part.effect.name for part in search.best.structure.parts) - chosen_names
     for part in chosen.structure.parts:
         name = part.effect.name
-        rest = own - Counter([name])
+        other_names = chosen_names - Counter([name])
         share: defaultdict[str, float] = defaultdict(float)
-        for scored, p in zip(found.all, found.probabilities(), strict=True):
+        for scored, p in zip(search.all, search.probabilities(), strict=True):
             left = Counter(scored.names) - finer
-            if left >= rest:
-                others = set(left - rest) or {'nothing'}
-                for one in others:
-                    share[one] += float(p) / len(others)
-        if name not in {one.effect.name for one in found.best.structure.parts}:
-            again = ladder.reproducible.get(name, 1.0)
-            share = defaultdict(float, {name: again, UNLISTED: 1.0 - again})
+            if left >= other_names:
+                alternatives = set(left - other_names) or {'nothing'}
+                for other in alternatives:
+                    share[other] += float(p) / len(alternatives)
+        if name not in {part.effect.name for part in search.best.structure.parts}:
+            reproducible = ladder.reproducible.get(name, 1.0)
+            share = defaultdict(float, {name: reproducible, UNLISTED: 1.0 - reproducible})
         least = LEAST_REPORTED * sum(share.values())
-        kept = {one: v for one, v in share.items() if one == name or v > least}
-        if len(found.prices) == 1:  # a lone candidate has no other rival
+        kept = {other: v for other, v in share.items() if other == name or v > least}
+        if len(search.prices) == 1:  # a lone candidate has no other rival
             kept['nothing'] = share['nothing']
         total = sum(kept.values()) or 1.0
         probabilities.append(kept.pop(name, 0.0) / total)
         rivals.append(tuple(sorted(
-            ((one, v / total) for one, v in kept.items()), key=lambda item: -item[1]
+            ((other, v / total) for other, v in kept.items()), key=lambda item: -item[1]
         )))
     return tuple(probabilities), tuple(rivals)

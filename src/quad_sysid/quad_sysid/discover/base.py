@@ -40,15 +40,15 @@ def best_base(problem: Problem) -> Fit:
     A few steps from each start; then the best are fitted to convergence.
     """
     starts: list[FloatArray] = []
-    for way, lag, delay in STARTS:
+    for sign, lag, delay in STARTS:
         start = start_of(problem)
-        start[0] *= way
+        start[0] *= sign
         start[1], start[2] = math.log(lag), math.log(delay)
-        start[problem.held] = problem.centres(problem.plain)[problem.held]
+        start[problem.held_terms] = problem.centres(problem.plain)[problem.held_terms]
         if not any(np.array_equal(start, other) for other in starts):
             starts.append(start)
-    base = most_probable(contest(problem, [
-        Try(problem.plain, (start,), problem.flight.rate) for start in starts
+    base = most_probable(compared_fits(problem, [
+        Candidate(problem.plain, (start,), problem.flight.rate) for start in starts
     ]))
     if base is None:
         raise FloatingPointError('no start of the base holds')
@@ -92,19 +92,19 @@ def _other_order(problem: Problem, fitted: Fit) -> Fit | None:
     the command alike; only where the disturbance enters and the priors tell them apart.
     """
     gain, lag, _, damping = fitted.values[:4]
-    if not damping > 0.0 or problem.held:
+    if not damping > 0.0 or problem.held_terms:
         return None
     start = fitted.theta.copy()
     start[0], start[1], start[3] = gain / (lag * damping), -math.log(damping), 1.0 / lag
     other = fitted_from(problem, fitted.structure, start, rate=fitted.rate,
-                        most_steps=BEGUN_STEPS)
+                        max_steps=BEGUN_STEPS)
     if other is None or other.log_posterior < fitted.log_posterior - FAR_BEHIND:
         return None
     return fitted_from(problem, fitted.structure, other.theta, rate=fitted.rate)
 
 
 @dataclass(frozen=True, eq=False)
-class Try:
+class Candidate:
     """A structure to be fitted from the best of some starts, along a trajectory of the rate."""
 
     structure: Structure
@@ -112,54 +112,59 @@ class Try:
     rate: FloatArray
 
 
-def contest(problem: Problem, tries: Sequence[Try], least: float = -math.inf) -> list[Fit]:
+def compared_fits(
+    problem: Problem, tries: Sequence[Candidate], least: float = -math.inf
+) -> list[Fit]:
     """Fits of structures; only those that do not fall behind are brought near convergence.
 
     After a few steps of each, what has an evidence FAR_BEHIND the best one, or below `least`, is
     dropped; the BEAM best ones stay. Many are first compared in this way on a short part.
     """
-    if problem.brief is not None and len(tries) > BEAM:
-        tries = _ahead_on(problem.brief, tries)
-    begun = begun_fits(problem, tries)
-    ahead = [one for one in _leading(begun) if one.evidence >= least]
+    if problem.short_problem is not None and len(tries) > BEAM:
+        tries = _leading_on(problem.short_problem, tries)
+    begun = first_fits(problem, tries)
+    ahead = [fit for fit in _leading(begun) if fit.evidence >= least]
     ended = side_by_side([
-        partial(fitted_from, problem, one.structure, one.theta, rate=one.rate, enough=ROUGH_NATS)
-        for one in ahead if not one.converged
+        partial(fitted_from, problem, fit.structure, fit.theta, rate=fit.rate,
+                tolerance_nats=ROUGH_NATS)
+        for fit in ahead if not fit.converged
     ])
-    return [*(one for one in ahead if one.converged), *(one for one in ended if one is not None)]
+    return [*(fit for fit in ahead if fit.converged), *(fit for fit in ended if fit is not None)]
 
 
-def begun_fits(problem: Problem, tries: Sequence[Try]) -> list[Fit]:
+def first_fits(problem: Problem, tries: Sequence[Candidate]) -> list[Fit]:
     """A few steps of each; best first."""
     fits = side_by_side([
-        partial(fitted_from, problem, one.structure, *one.starts, most_steps=BEGUN_STEPS,
-                rate=one.rate) for one in tries
+        partial(fitted_from, problem, candidate.structure, *candidate.starts,
+                max_steps=BEGUN_STEPS, rate=candidate.rate) for candidate in tries
     ])
-    return sorted((one for one in fits if one is not None), key=lambda one: -one.evidence)
+    return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.evidence)
 
 
 def _leading(begun: Sequence[Fit], behind: float = FAR_BEHIND) -> list[Fit]:
-    """Those not so far behind the first, nats, but BEAM at least."""
-    return [one for i, one in enumerate(begun)
-            if i < BEAM or one.evidence >= begun[0].evidence - behind]
+    """The fits that are at most so many nats behind the first, and BEAM at least."""
+    return [fit for i, fit in enumerate(begun)
+            if i < BEAM or fit.evidence >= begun[0].evidence - behind]
 
 
-def _ahead_on(brief: Problem, tries: Sequence[Try]) -> list[Try]:
+def _leading_on(short_problem: Problem, tries: Sequence[Candidate]) -> list[Candidate]:
     """Tries that do not fall behind on a part of the rows, each from where it got to there.
 
     It would miss events, which stay as they are.
     """
-    local = [one for one in tries
-             if any(part.effect.kind == 'event' for part in one.structure.parts)]
-    apart = [one for one in tries if one not in local]
-    given = {one.structure.labels: one for one in apart[::-1]}
+    local = [candidate for candidate in tries
+             if any(part.effect.kind == 'event' for part in candidate.structure.parts)]
+    apart = [candidate for candidate in tries if candidate not in local]
+    given = {candidate.structure.labels: candidate for candidate in apart[::-1]}
     best: dict[frozenset[str], Fit] = {}
-    for one in begun_fits(brief, [replace(one, rate=one.rate[brief.index]) for one in apart]):
-        best.setdefault(frozenset(one.structure.labels), one)
+    shortened = [replace(candidate, rate=candidate.rate[short_problem.index])
+                 for candidate in apart]
+    for begin in first_fits(short_problem, shortened):
+        best.setdefault(frozenset(begin.structure.labels), begin)
     ahead = _leading([*best.values()], FAR_BEHIND / BRIEF)
-    whole = (given[one.structure.labels] for one in ahead)
-    return [*local, *(replace(first, starts=(one.theta, *first.starts))
-                      for one, first in zip(ahead, whole, strict=True))]
+    full_tries = (given[fit.structure.labels] for fit in ahead)
+    return [*local, *(replace(first, starts=(fit.theta, *first.starts))
+                      for fit, first in zip(ahead, full_tries, strict=True))]
 
 
 def _beside(problem: Problem, base: Fit) -> Fit:
@@ -169,7 +174,7 @@ def _beside(problem: Problem, base: Fit) -> Fit:
     """
     fits: list[Fit | None] = [base]
     for delay in (base.value('delay') - problem.data.dt, base.value('delay') + problem.data.dt):
-        if delay > 0.0 and 2 not in problem.held:
+        if delay > 0.0 and 2 not in problem.held_terms:
             start = base.theta.copy()
             start[2] = math.log(delay)
             fits.append(fitted_from(problem, base.structure, start, rate=base.rate))
@@ -198,39 +203,39 @@ def fitted_from(
         return None
 
 
-def fit_without(problem: Problem, fitted: Fit, *which: int, silent: bool = False,
+def fit_without(problem: Problem, fitted: Fit, *indices: int, silent: bool = False,
                 **options: Any) -> Fit | None:
     """A fit without some of its effects, the rest refitted; None where that diverges.
 
     silent: the gain starts at zero, and a law of the user's sees no command.
     """
     slices = fitted.structure.slices()
-    gone = [j for i in which for j in range(slices[i].start, slices[i].stop)]
-    structure, theta = fitted.structure.minus(*which), np.delete(fitted.theta, gone)
+    gone = [j for i in indices for j in range(slices[i].start, slices[i].stop)]
+    structure, theta = fitted.structure.minus(*indices), np.delete(fitted.theta, gone)
     if silent:
         theta[0], law = 0.0, structure.law
         structure = replace(structure, law=law and replace(law, settings={'silent': True}))
     return fitted_from(problem, structure, theta, rate=fitted.rate, **options)
 
 
-def shares(problem: Problem, fitted: Fit, base: Fit, which: int) -> bool:
+def shares(problem: Problem, fitted: Fit, base: Fit, index: int) -> bool:
     """Whether another axis' disturbance acts on this one too, by the evidence beside a fit.
 
     The other axis' disturbance is the acceleration that its own base does not explain. Its fit
     starts from this axis' `base`, since motors and gyro are the same.
     """
-    if not problem.data.measures(which):
+    if not problem.data.measures(index):
         return False
-    data = other_axis(problem.data, which)
-    built_in, theirs = replace(base.structure, law=None), Problem(data, data.train)
+    data = other_axis(problem.data, index)
+    built_in, other_problem = replace(base.structure, law=None), Problem(data, data.train)
     start = base.theta if base.structure.law is None else np.r_[
-        start_of(theirs)[: len(built_in.base)], base.theta[-len(built_in.noise) :]]
-    other = fitted_from(theirs, built_in, start)
+        start_of(other_problem)[: len(built_in.base)], base.theta[-len(built_in.noise) :]]
+    other = fitted_from(other_problem, built_in, start)
     if other is None:
         return False
     flight = problem.flight
-    flight.disturbances[:, which] = Flight(data, data.stretches).unexplained(other.values)
-    structure = replace(fitted.structure, shared=(which,))
+    flight.disturbances[:, index] = Flight(data, data.stretches).unexplained(other.values)
+    structure = replace(fitted.structure, shared=(index,))
     theta = np.insert(fitted.theta, -structure.filtered, 0.0)
     beside = fitted_from(problem, structure, theta, rate=fitted.rate)
     return _likelier(fitted, beside) is beside

@@ -37,7 +37,7 @@ to a parameter that the data know ten times better than its prior; the fit's evi
 # what the validation segments must show
 
 LEVEL = 0.05
-"""Of the contract: an effect is claimed with p at most this."""
+"""The contract's level: an effect is claimed with p at most this."""
 LEAST_BLOCKS = 4
 """Windows below which a test says nothing."""
 DIFFERS = 1.1

@@ -64,8 +64,8 @@ def _spectrum(problem: Problem, signal: FloatArray) -> tuple[FloatArray, FloatAr
 
 def _peaks(power: FloatArray, apart: int) -> NDArray[np.int64]:
     """Where the highest peaks are, at least so far apart."""
-    found = find_peaks(power, distance=apart)[0]
-    return found[np.argsort(-power[found])][:LINES]
+    peaks = find_peaks(power, distance=apart)[0]
+    return peaks[np.argsort(-power[peaks])][:LINES]
 
 
 def vibration_line(problem: Problem, fitted: Fit) -> float | None:
@@ -82,11 +82,11 @@ def vibration_line(problem: Problem, fitted: Fit) -> float | None:
 def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     """The best start and score of each candidate, best first."""
     beside = _Beside(problem, fitted)
-    found = side_by_side([partial(beside.best, part) for part in parts])
-    return sorted((score for score in found if score is not None), key=lambda s: -s.nats)
+    scores = side_by_side([partial(beside.best, part) for part in parts])
+    return sorted((score for score in scores if score is not None), key=lambda s: -s.nats)
 
 
-class Along:
+class Trajectory:
     """What acts along a trajectory `rate` (n,) with a structure's parameters."""
 
     def __init__(self, problem: Problem, structure: Structure, theta: FloatArray,
@@ -108,13 +108,13 @@ class Along:
 
         Without a linear parameter the acceleration at `p`.
         """
-        effect, at = part.effect, natural(part.effect.parameters, p)
+        effect, values = part.effect, natural(part.effect.parameters, p)
         if effect.wanders:
-            return [per_coefficient(part, self.signals, at)]
+            return [per_coefficient(part, self.signals, values)]
         if not effect.moves_command:
-            own = self.problem.flight.hidden(part, self.signals, at)
-            return effect.columns(own, at, linear, part.settings).T if linear else [
-                required(effect.torque(own, at, part.settings))]
+            signals = self.problem.flight.hidden(part, self.signals, values)
+            return effect.columns(signals, values, linear, part.settings).T if linear else [
+                required(effect.torque(signals, values, part.settings))]
         if not linear:
             return [self._added(part, p)]
         return [self._added(part, p + step) / SMALL for step in SMALL * np.eye(p.size)[linear]]
@@ -122,8 +122,8 @@ class Along:
     def _added(self, part: Part, p: FloatArray) -> FloatArray:
         """(n,) what a candidate that acts before the drive changes of its mean in each cycle."""
         structure = self.structure.plus(part)
-        whole = np.insert(self.theta, -len(structure.noise), p)
-        halves, _ = self.problem.flight.driven(structure, structure.natural(whole))
+        theta = np.insert(self.theta, -len(structure.noise), p)
+        halves, _ = self.problem.flight.driven(structure, structure.natural(theta))
         return self.values[0] * np.mean(halves, axis=0) - self.signals.drive
 
 
@@ -133,7 +133,7 @@ def linear_of(part: Part) -> list[int]:
             if not spec.log and not spec.starts and spec.centre == 0.0]
 
 
-class _Beside(Along):
+class _Beside(Trajectory):
     """The fit beside which candidates are scored; its parameters are projected out.
 
     The priors of the fit's parameters are the last rows.
@@ -147,9 +147,9 @@ class _Beside(Along):
         self.weight = np.zeros((e.size, 1))  # of samples that do not count
         counts = fitted.tail.weights(e[problem.rows])
         self.weight[problem.rows, 0] = np.sqrt(counts) / fitted.tail.scale
-        own = required(fitted.prediction.jacobian) * self.weight
+        jacobian = required(fitted.prediction.jacobian) * self.weight
         root = np.linalg.cholesky(fitted.precision).T
-        self.q = np.linalg.qr(np.vstack([own, root]))[0]
+        self.q = np.linalg.qr(np.vstack([jacobian, root]))[0]
         weighted, q = e * self.weight[:, 0], self.q[: e.size]
         self.left = weighted - q @ (q.T @ weighted)
 
@@ -160,8 +160,9 @@ class _Beside(Along):
         events.
         """
         starts = self.starts(part)
-        if self.brief is not None and len(starts) > FEW_STARTS and part.effect.kind != 'event':
-            nats = [-math.inf if s is None else s.nats for s in self.brief.scored(part, starts)]
+        short = self.on_short_problem
+        if short is not None and len(starts) > FEW_STARTS and part.effect.kind != 'event':
+            nats = [-math.inf if s is None else s.nats for s in short.scored(part, starts)]
             starts = [starts[i] for i in np.argsort(nats)[: -FEW_STARTS - 1 : -1]]
         scores = (s for s in self.scored(part, starts) if s is not None)
         return max(scores, key=lambda s: s.nats, default=None)
@@ -169,34 +170,34 @@ class _Beside(Along):
     def scored(self, part: Part, starts: Sequence[FloatArray]) -> list[Score | None]:
         """The score of each start."""
         linear, scores = linear_of(part), []
-        for at in range(0, len(starts), AT_ONCE):
-            some = starts[at : at + AT_ONCE]
-            inputs = np.vstack([self.columns(part, linear, p) for p in some]) + FAINT
-            found = self.problem.flight.responses(
+        for begin in range(0, len(starts), AT_ONCE):
+            batch = starts[begin : begin + AT_ONCE]
+            inputs = np.vstack([self.columns(part, linear, p) for p in batch]) + FAINT
+            responses = self.problem.flight.responses(
                 np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filters
             )
             scores += [
                 self.score(part, linear, p, psi)
-                for p, psi in zip(some, np.split(found, len(some), axis=1), strict=True)
+                for p, psi in zip(batch, np.split(responses, len(batch), axis=1), strict=True)
             ]
         return scores
 
     @cached_property
-    def brief(self) -> _Beside | None:
+    def on_short_problem(self) -> _Beside | None:
         """The same on the short part of the flight."""
-        brief = self.problem.brief
-        if brief is None:
+        short_problem = self.problem.short_problem
+        if short_problem is None:
             return None
-        one, brief.flight.rate = self.fitted, self.fitted.rate[brief.index]
-        prediction = brief.flight.predict(one.structure, one.theta,
-                                          steps=derivative_steps(brief.sizes(one.structure)))
+        fitted, short_problem.flight.rate = self.fitted, self.fitted.rate[short_problem.index]
+        steps = derivative_steps(short_problem.sizes(fitted.structure))
+        prediction = short_problem.flight.predict(fitted.structure, fitted.theta, steps=steps)
         return None if prediction.jacobian is None else \
-            _Beside(brief, replace(one, prediction=prediction))
+            _Beside(short_problem, replace(fitted, prediction=prediction))
 
     def starts(self, part: Part) -> list[FloatArray]:
         """Start values of a candidate, each (q,) coordinates, the linear parameters at zero."""
         effect = part.effect
-        starts = effect.sought(self, part.settings)
+        starts = effect.starts_by_residual(self, part.settings)
         return [coordinates(effect.parameters, start) for start in starts]
 
     @property
@@ -222,15 +223,15 @@ class _Beside(Along):
         late = round(self.values[2] / data.dt)
         bins = np.clip(np.roll(data.motors, late, axis=0), 0.0, 1.0) // BIN
         sums = np.zeros(1 + round(1.0 / BIN))
-        for one, share in zip(bins.T.astype(int), data.share, strict=True):
-            sums += np.bincount(one, share * pushed, sums.size)
+        for step, share in zip(bins.T.astype(int), data.share, strict=True):
+            sums += np.bincount(step, share * pushed, sums.size)
         waves, count = np.fft.rfft(sums, PADDED), np.fft.rfftfreq(PADDED, BIN)
         size = np.where((count > STEPS[0]) & (count < STEPS[1]), np.abs(waves), 0.0)
-        found = []
+        scores = []
         for peak in _peaks(size, 60):
             turn = 0.25 - np.angle(waves[peak]) / (2.0 * math.pi) - count[peak] * (0.5 - 0.5 * BIN)
-            found.append(np.array([1.0 / count[peak], turn - np.round(turn)]))
-        return found
+            scores.append(np.array([1.0 / count[peak], turn - np.round(turn)]))
+        return scores
 
     @cached_property
     def backwards(self) -> FloatArray:
@@ -311,14 +312,15 @@ def candidates(
                 for effect in effects
                 if max(effect.motors, default=0) < count
                 and (not effect.axes or problem.data.axis in effect.axes)]
-    parts = [Part(effect, found) for effect, found in prepared if not isinstance(found, str)]
-    return parts, {effect.label: found for effect, found in prepared if isinstance(found, str)}
+    parts = [Part(effect, settings) for effect, settings in prepared
+             if not isinstance(settings, str)]
+    return parts, {effect.label: why for effect, why in prepared if isinstance(why, str)}
 
 
 def _replaced(problem: Problem, effect: Effect) -> str:
     """Why an effect has no built-in term to change beside a law of the user's; '' where it has."""
     of_drive = not effect.moves_command and {'command', 'history'} <= {*effect.signals}
     term = 'gain' if of_drive else {'response': 'lag'}.get(effect.term, effect.term)
-    gone = [BASE[i].name for i in problem.held]
+    gone = [BASE[i].name for i in problem.held_terms]
     return (f"it acts on the {term}, which the base of one's own replaces; keep=({term!r},) fits "
             'it beside the law') if term in gone and term != 'damping' else ''

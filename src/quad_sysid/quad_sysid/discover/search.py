@@ -15,10 +15,10 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import (
     FAR_BEHIND,
     ROUGH_NATS,
-    Try,
+    Candidate,
     best_base,
     both_orders,
-    contest,
+    compared_fits,
     fit_without,
     fitted_from,
     most_probable,
@@ -64,7 +64,7 @@ class Scored:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of its effects, sorted."""
+        """The names of its effects, sorted."""
         return tuple(sorted(part.effect.name for part in self.fit.structure.parts))
 
 
@@ -80,7 +80,7 @@ def explanation(structure: Structure) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """All structures that were fitted, best first."""
 
     base: Fit
@@ -95,7 +95,7 @@ class Found:
     @property
     def best(self) -> Fit:
         """The most probable variant of the most probable set of names."""
-        return max(self.all, key=lambda one: self.of_names(one.names)).fit
+        return max(self.all, key=lambda entry: self.of_names(entry.names)).fit
 
     def of_names(self, names: tuple[str, ...]) -> float:
         """Log of the posterior of all structures with these names together."""
@@ -106,7 +106,7 @@ class Found:
         scores = np.array([s.score for s in self.all])
         return np.exp(scores - np.logaddexp.reduce(scores))
 
-    def apart(self, fitted: Fit) -> FloatArray:
+    def disagreement(self, fitted: Fit) -> FloatArray:
         """(p, p) mean square by which all structures disagree with a fit's physics.
 
         In the coordinates of the fit, each structure by its probability, as far as it has them:
@@ -114,20 +114,21 @@ class Found:
         or a mode that only one of both has, a parameter of the base is another quantity: a curve
         over the rate holds part of the damping.
         """
-        own = {part.effect.label: where for part, where in fitted.structure.placed()}
+        slices = {part.effect.label: where for part, where in fitted.structure.placed()}
         kinds = {part.effect.label: part.effect.kind for part in fitted.structure.parts}
         out = np.zeros((fitted.theta.size, fitted.theta.size))
         base = slice(len(fitted.structure.base))
-        for one, probability in zip(self.all, self.probabilities(), strict=True):
-            there = {part.effect.label: part.effect.kind for part in one.fit.structure.parts}
-            if any(kind != 'named' for _, kind in kinds.items() ^ there.items()):
+        for entry, probability in zip(self.all, self.probabilities(), strict=True):
+            other_kinds = {part.effect.label: part.effect.kind
+                           for part in entry.fit.structure.parts}
+            if any(kind != 'named' for _, kind in kinds.items() ^ other_kinds.items()):
                 continue
-            away, theta = np.zeros(fitted.theta.size), one.fit.theta
+            away, theta = np.zeros(fitted.theta.size), entry.fit.theta
             away[base] = theta[base] - fitted.theta[base]
-            for part, where in one.fit.structure.placed():
-                if part.effect.label in own:
-                    here = own[part.effect.label]
-                    away[here] = theta[where] - fitted.theta[here]
+            for part, where in entry.fit.structure.placed():
+                if part.effect.label in slices:
+                    slice_here = slices[part.effect.label]
+                    away[slice_here] = theta[where] - fitted.theta[slice_here]
             out += probability * np.outer(away, away)
         return out
 
@@ -138,7 +139,7 @@ def scored(fitted: Fit, prices: Mapping[str, float]) -> Scored:
     return Scored(fitted, fitted.evidence + sum(prices.get(label, 0.0) for label in labels))
 
 
-def extensions(parent: Fit, one: Score) -> list[Try]:
+def extensions(parent: Fit, score: Score) -> list[Candidate]:
     """A structure with one more effect, begun with the parent's noise and with moderate sizes.
 
     What a poor model misses counts as torque noise, beside which the gyro's is nothing. There the
@@ -147,15 +148,16 @@ def extensions(parent: Fit, one: Score) -> list[Try]:
     """
     specs = parent.structure.noise
     most = [s.centre + required(s.spread) if s in SIZES else math.inf for s in specs]
-    own, noise = parent.theta[: -len(specs)], parent.theta[-len(specs) :]
-    moderate, structure = np.minimum(noise, most), parent.structure.plus(one.part)
-    return [Try(structure, [np.r_[own, start, sizes] for start in one.starts], parent.rate)
-            for sizes in ([moderate] if np.array_equal(moderate, noise) else [moderate, noise])]
+    physics, noise = parent.theta[: -len(specs)], parent.theta[-len(specs) :]
+    moderate, structure = np.minimum(noise, most), parent.structure.plus(score.part)
+    return [
+        Candidate(structure, [np.r_[physics, start, sizes] for start in score.starts], parent.rate)
+        for sizes in ([moderate] if np.array_equal(moderate, noise) else [moderate, noise])]
 
 
-def extended(problem: Problem, parent: Fit, one: Score) -> Fit | None:
+def extended(problem: Problem, parent: Fit, score: Score) -> Fit | None:
     """A structure with one more effect; None where its fit diverges."""
-    return most_probable(contest(problem, extensions(parent, one)))
+    return most_probable(compared_fits(problem, extensions(parent, score)))
 
 
 def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
@@ -165,8 +167,8 @@ def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
     negative gain, that no step leads back from there once the response is added.
     """
     begun, count = start_of(problem), len(problem.plain.base)
-    return contest(problem, [
-        Try(problem.plain.plus(part), [
+    return compared_fits(problem, [
+        Candidate(problem.plain.plus(part), [
             np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
             for start in part.effect.starts(problem.data, part.settings)
         ], problem.flight.rate)
@@ -188,8 +190,8 @@ class _Search:
     """The structures fitted so far, by the labels of their effects."""
 
     def __init__(self, problem: Problem, parts: Sequence[Part], base: Fit,
-                 halt: Callable[[], str], listen: Callable[[str], None]) -> None:
-        self.problem, self.parts, self.halt, self.listen = problem, parts, halt, listen
+                 halt: Callable[[], str], progress: Callable[[str], None]) -> None:
+        self.problem, self.parts, self.halt, self.progress = problem, parts, halt, progress
         laws = Counter(law(part.effect) for part in parts)
         self.prices = {
             part.effect.label: math.log(EXPECTED / len(laws) / laws[law(part.effect)])
@@ -197,22 +199,22 @@ class _Search:
         }
         self.base = Scored(base, base.evidence)
         self.known: dict[frozenset[str], Scored] = {frozenset(): self.base}
-        self.hopeful: set[str] = set()
+        self.promising: set[str] = set()
 
     def run(self) -> None:
         """Add one effect at a time, then leave out what was made needless."""
         if not self.halt():
             for fit in anew(self.problem, self.parts, self.base.fit):
-                self.keep(fit)
+                self.store(fit)
         beam = leading(self.known.values())
         for _ in range(MOST_EFFECTS):
             if self.halt():
                 return
-            before, beam = beam[0], leading(self.build_on(beam))
+            best, beam = beam[0], leading(self.build_on(beam))
             if not beam:
                 break
-            beam[0] = self.keep(both_orders(self.problem, beam[0].fit))
-            if beam[0].score <= before.score or self.hardly(before.fit, beam[0].fit):
+            beam[0] = self.store(both_orders(self.problem, beam[0].fit))
+            if beam[0].score <= best.score or self.improves_little(best.fit, beam[0].fit):
                 break
         while not self.halt() and self.spare():
             pass
@@ -226,48 +228,49 @@ class _Search:
         least = parents[0].score + HOPELESS
         ahead: dict[tuple[str, ...], tuple[float, Fit, Score]] = {}
         for parent in parents:
-            for one in self.scores(parent.fit, whole=parent is parents[0]):
-                said = explanation(parent.fit.structure.plus(one.part))
-                score = parent.score + one.nats + self.prices[one.part.effect.label]
-                if score >= ahead.get(said, (least,))[0]:
-                    ahead[said] = score, parent.fit, one
+            for candidate in self.scores(parent.fit, all_candidates=parent is parents[0]):
+                names = explanation(parent.fit.structure.plus(candidate.part))
+                score = parent.score + candidate.nats + self.prices[candidate.part.effect.label]
+                if score >= ahead.get(names, (least,))[0]:
+                    ahead[names] = score, parent.fit, candidate
             if not ahead:
                 break
-        hopeful = sorted(ahead.values(), key=lambda one: -one[0])[:REFITS]
+        promising = sorted(ahead.values(), key=lambda entry: -entry[0])[:REFITS]
         if self.halt():
             return []
-        tries = [each for _, fit, one in hopeful for each in extensions(fit, one)]
-        fits = contest(self.problem, tries, self.best().fit.evidence - FAR_BEHIND)
-        kept = [self.keep(fit) for fit in fits]
+        begun = [each for _, fit, score in promising for each in extensions(fit, score)]
+        fits = compared_fits(self.problem, begun, self.best().fit.evidence - FAR_BEHIND)
+        kept = [self.store(fit) for fit in fits]
         best = ' and '.join(self.best().names) or 'the base'
-        self.listen(f'{len(self.known)} structures, best so far {best}')
+        self.progress(f'{len(self.known)} structures, best so far {best}')
         return kept
 
-    def scores(self, parent: Fit, *, whole: bool) -> list[Score]:
+    def scores(self, parent: Fit, *, all_candidates: bool) -> list[Score]:
         """Linear scores of the candidates beside a structure, best first.
 
-        Not whole: of the named laws, which may mask each other (friction and drag behind the
-        damping), and of the others that have explained something beside another structure.
+        Not all candidates: of the named laws, which may mask each other (friction and drag behind
+        the damping), and of the others that have explained something beside another structure.
         """
-        found = screen(self.problem, parent, [
+        scores = screen(self.problem, parent, [
             part for part in self.parts if part.effect.label not in parent.structure.labels
-            and (whole or part.effect.kind == 'named' or part.effect.label in self.hopeful)
+            and (all_candidates or part.effect.kind == 'named'
+                 or part.effect.label in self.promising)
         ])
-        self.hopeful |= {one.part.effect.label for one in found if one.nats > 0.0}
-        return found
+        self.promising |= {score.part.effect.label for score in scores if score.nats > 0.0}
+        return scores
 
-    def keep(self, fitted: Fit) -> Scored:
+    def store(self, fitted: Fit) -> Scored:
         """Store a fit with its score, where it is the better one of its structure."""
-        labels, one = frozenset(fitted.structure.labels), scored(fitted, self.prices)
-        if labels not in self.known or one.score > self.known[labels].score:
-            self.known[labels] = one
+        labels, entry = frozenset(fitted.structure.labels), scored(fitted, self.prices)
+        if labels not in self.known or entry.score > self.known[labels].score:
+            self.known[labels] = entry
         return self.known[labels]
 
     def best(self) -> Scored:
         """The most probable structure."""
         return max(self.known.values(), key=lambda s: s.score)
 
-    def hardly(self, before: Fit, more: Fit) -> bool:
+    def improves_little(self, simpler: Fit, more: Fit) -> bool:
         """Whether one more effect changes next to nothing, however sure it is.
 
         Free runs of both differ by less than NEGLIGIBLE of what the base misses of the larger one,
@@ -279,13 +282,13 @@ class _Search:
             return False
         with np.errstate(all='ignore'):
             least, less, full = (
-                problem.flight.free_run(one.structure, one.theta, windows,
-                                        prediction=one.prediction)
-                for one in (self.base.fit, before, more)
+                problem.flight.free_run(fit.structure, fit.theta, windows,
+                                        prediction=fit.prediction)
+                for fit in (self.base.fit, simpler, more)
             )
         rate = problem.data.rate[windows.starts[:, None] + np.arange(windows.length)]
         motion = float(np.mean((rate - rate[:, :1]) ** 2))
-        change, missed = (float(np.mean((full - one) ** 2)) for one in (less, least))
+        change, missed = (float(np.mean((full - run) ** 2)) for run in (less, least))
         return change < max(NEGLIGIBLE * missed, little(motion, float(np.mean(full**2))))
 
     def spare(self) -> bool:
@@ -295,22 +298,22 @@ class _Search:
         new = [index for index in range(len(structure.parts))
                if frozenset(structure.minus(index).labels) not in self.known]
         for fit in side_by_side([partial(fit_without, self.problem, best.fit, index,
-                                         enough=ROUGH_NATS) for index in new]):
+                                         tolerance_nats=ROUGH_NATS) for index in new]):
             if fit is not None:
-                self.keep(fit)
+                self.store(fit)
         return self.best() is not best
 
 
 def leading(fits: Iterable[Scored]) -> list[Scored]:
     """The best of each explanation, best first, BEAM at most: its variants lead the same way."""
     unlike: dict[tuple[str, ...], Scored] = {}
-    for one in sorted(fits, key=lambda s: -s.score):
-        unlike.setdefault(explanation(one.fit.structure), one)
+    for entry in sorted(fits, key=lambda s: -s.score):
+        unlike.setdefault(explanation(entry.fit.structure), entry)
     return list(unlike.values())[:BEAM]
 
 
 def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] = lambda: '',
-           listen: Callable[[str], None] = lambda _: None) -> Found:
+           progress: Callable[[str], None] = lambda _: None) -> SearchResult:
     """The structures that the training segments support.
 
     A beam search adds one effect at a time until no score beside the best structure promises more,
@@ -325,51 +328,52 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     exogeneity: Hausman 1978). Once `halt` gives a reason nothing more is fitted, and what was not
     is listed with it; `listen` gets a line of text after each round.
     """
-    whole, problem = problem, problem.shortened(SEARCHED, BLOCKS)
+    full_problem, problem = problem, problem.shortened(SEARCHED, BLOCKS)
     parts, reasons = candidates(problem, effects)
     base = best_base(problem)
     problem.measure(base)
-    problem.brief = _brief(problem, base)
+    problem.short_problem = _brief(problem, base)
     while True:
-        found = _Search(problem, parts, base, halt, listen)
-        found.run()
-        best = found.best().fit
-        used = {which for part in best.structure.parts for which in part.effect.others}
+        search = _Search(problem, parts, base, halt, progress)
+        search.run()
+        best = search.best().fit
+        used = {axis for part in best.structure.parts for axis in part.effect.others}
         shared = {which for which in used if shares(problem, best, base, which)}
         if not shared or halt():
             break
         reasons |= {p.effect.label: SHARED for p in parts if shared & set(p.effect.others)}
         parts = [p for p in parts if p.effect.label not in reasons]
     if why := halt():
-        fitted = {label for labels in found.known for label in labels}
+        fitted = {label for labels in search.known for label in labels}
         reasons |= {p.effect.label: f'{why}: it was not tried'
                     for p in parts if p.effect.label not in fitted}
-    ordered = tuple(sorted(found.known.values(), key=lambda s: -s.score))
-    leading_ones = Found(base, ordered, reasons, found.prices)
-    if problem is not whole:
-        problem, leading_ones = whole, _on_all(whole, leading_ones)
+    ordered = tuple(sorted(search.known.values(), key=lambda s: -s.score))
+    leading_ones = SearchResult(base, ordered, reasons, search.prices)
+    if problem is not full_problem:
+        problem, leading_ones = full_problem, _on_all(full_problem, leading_ones)
     return to_convergence(problem, leading_ones)
 
 
-def to_convergence(problem: Problem, found: Found) -> Found:
+def to_convergence(problem: Problem, search: SearchResult) -> SearchResult:
     """The same with those that may be chosen brought to convergence; what does not get there goes.
 
     It stays where nothing near it converges either. What leads and runs away in a free run goes
     too: it predicts the next sample only.
     """
-    best = found.all[0].score
-    near = [one.fit for one in found.all if one.score > best - NEAR and not one.fit.converged]
-    fits = side_by_side([partial(fitted_from, problem, one.structure, one.theta, rate=one.rate)
-                         for one in near])
-    ended = {one.structure.labels: scored(one, found.prices) for one in fits if one is not None}
-    known = [ended.get(one.fit.structure.labels, one) for one in found.all]
-    kept = [one for one in known if one.fit.converged or one.score <= best - NEAR]
-    able = kept if any(one.score > best - NEAR for one in kept) else known
-    out = replace(found, all=tuple(sorted(able, key=lambda one: -one.score)))
+    best = search.all[0].score
+    near = [entry.fit for entry in search.all
+            if entry.score > best - NEAR and not entry.fit.converged]
+    fits = side_by_side([partial(fitted_from, problem, fit.structure, fit.theta, rate=fit.rate)
+                         for fit in near])
+    ended = {fit.structure.labels: scored(fit, search.prices) for fit in fits if fit is not None}
+    entries = [ended.get(entry.fit.structure.labels, entry) for entry in search.all]
+    kept = [entry for entry in entries if entry.fit.converged or entry.score <= best - NEAR]
+    able = kept if any(entry.score > best - NEAR for entry in kept) else entries
+    out = replace(search, all=tuple(sorted(able, key=lambda entry: -entry.score)))
     while out.best.structure.parts and len(out.all) > 1 and not stays_bounded(
             problem, out.best, out.best.prediction):
         runaway = out.best
-        out = replace(out, all=tuple(one for one in out.all if one.fit is not runaway))
+        out = replace(out, all=tuple(entry for entry in out.all if entry.fit is not runaway))
     return replace(out, other=second_reading(problem, out.best))
 
 
@@ -377,23 +381,25 @@ def _brief(problem: Problem, base: Fit) -> Problem | None:
     """A short part of the rows, with the priors that the base has there; None: there is none."""
     rows = problem.rows.size // BRIEF
     blocks = int(np.clip(rows * problem.data.dt / BRIEF_BLOCK_S, 2, BLOCKS))
-    brief = problem.shortened(rows, blocks)
-    if 2 * brief.data.rate.size > problem.data.rate.size:
+    short_problem = problem.shortened(rows, blocks)
+    if 2 * short_problem.data.rate.size > problem.data.rate.size:
         return None
-    fitted = fitted_from(brief, base.structure, base.theta, rate=base.rate[brief.index])
+    fitted = fitted_from(short_problem, base.structure, base.theta,
+                         rate=base.rate[short_problem.index])
     if fitted is None:
         return None
-    brief.measure(fitted)
-    return brief
+    short_problem.measure(fitted)
+    return short_problem
 
 
-def _on_all(problem: Problem, found: Found) -> Found:
+def _on_all(problem: Problem, search: SearchResult) -> SearchResult:
     """The leading structures of a search on a part of the rows, fitted on all of them."""
-    base = fitted_from(problem, found.base.structure, found.base.theta) or best_base(problem)
+    base = fitted_from(problem, search.base.structure, search.base.theta) or best_base(problem)
     problem.measure(base)
-    fits = contest(problem, [
-        Try(one.fit.structure, (one.fit.theta,), base.rate) for one in found.all[:REFITS]
-        if one.fit.structure.parts and one.score > found.all[0].score - FAR_BEHIND
+    fits = compared_fits(problem, [
+        Candidate(entry.fit.structure, (entry.fit.theta,), base.rate)
+        for entry in search.all[:REFITS]
+        if entry.fit.structure.parts and entry.score > search.all[0].score - FAR_BEHIND
     ])
-    known = (Scored(base, base.evidence), *(scored(one, found.prices) for one in fits))
-    return replace(found, base=base, all=tuple(sorted(known, key=lambda one: -one.score)))
+    entries = (Scored(base, base.evidence), *(scored(fit, search.prices) for fit in fits))
+    return replace(search, base=base, all=tuple(sorted(entries, key=lambda entry: -entry.score)))

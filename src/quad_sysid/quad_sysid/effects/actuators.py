@@ -17,7 +17,7 @@ from quad_sysid.model.effect import (
     UNITS,
     Drive,
     Effect,
-    Left,
+    FitResidual,
     Settings,
     Signals,
     Spec,
@@ -71,7 +71,7 @@ class WithMemory(Map):
         return self.mapped(s, p)
 
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.law(s.but(hidden=x), self.mapped(s, p), p)
+        return self.law(s.replaced(hidden=x), self.mapped(s, p), p)
 
 
 class Steps(WithMemory):
@@ -87,17 +87,17 @@ class Steps(WithMemory):
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.floor(self.mapped(s, p) + 0.5)
 
-    def sought(self, left: Left, settings: Settings) -> Sequence[FloatArray]:
+    def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
         starts = self.starts(left.data, settings)
         return [np.r_[step, start[2:]] for step in left.steps() for start in starts]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        x, held = self.mapped(s, p), required(s.hidden)
-        beyond = x - held
+        x, states = self.mapped(s, p), required(s.hidden)
+        beyond = x - states
         over = np.abs(beyond) - 0.5 - p[2]
         new = np.where(over > 0.0, np.floor(x + 0.5),
-                       held + np.where(over > -0.5 * SLOPING, np.sign(beyond), 0.0))
-        level = new + np.maximum(0.5 - over / SLOPING, 0.0) * (held - new)
+                       states + np.where(over > -0.5 * SLOPING, np.sign(beyond), 0.0))
+        level = new + np.maximum(0.5 - over / SLOPING, 0.0) * (states - new)
         mapped = 0.5 + p[0] * (p[1] + level) - self.commands(s)
         return required(s.sent) + np.tensordot(required(s.share), mapped, 1)
 
@@ -143,12 +143,12 @@ HALF_WIDTH = (
 )
 
 
-def _cross_axis(which: int) -> Effect:
+def _cross_axis(other: int) -> Effect:
     """Motors or gyro out of line: a fraction of another axis' command acts here."""
     return Map(
         'cross_axis_input', ('other command',), (Spec('fraction', '1', spread=0.2),),
-        lambda s, u, p: u + p[0] * s.other_commands[which],
-        others=(which,), variant=f'other axis {which + 1}')
+        lambda s, u, p: u + p[0] * s.other_commands[other],
+        others=(other,), variant=f'other axis {other + 1}')
 
 
 MAPS = (
@@ -244,7 +244,7 @@ class Propellers(Linked):
     states = 1
 
     def system(self, p: FloatArray, s: Signals) -> System:
-        """Of the base's lag."""
+        """The base's lag as a system."""
         return behind_lag(s.lag)
 
     def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
@@ -294,8 +294,8 @@ class ThrustCurve(Propellers):
     def bend(self, m: FloatArray, p: FloatArray,
              settings: Settings) -> tuple[FloatArray, FloatArray]:
         k, beyond = float(p[0]), m - settings['throttle']
-        bent = k / max(1.0 - k + 2.0 * k * settings['throttle'], 1e-3)
-        return bent * beyond**2, 2.0 * bent * beyond
+        curvature = k / max(1.0 - k + 2.0 * k * settings['throttle'], 1e-3)
+        return curvature * beyond**2, 2.0 * curvature * beyond
 
 
 class MotorCurve(Propellers, Smooth):
@@ -377,15 +377,17 @@ def differing(s: Signals, drive: Drive, motors: Sequence[int], slow_s: float | N
     The first channel, which all other effects act on, stays the command of the axis. factors:
     knots and values (k,), as in Drive.factors.
     """
-    which = list(motors)
-    share = drive.row[0] * required(s.share)[which]
-    own = np.stack([required(s.motors)[i] for i in which])
-    lag = np.repeat(drive.lag[:1], len(which) + 1, axis=0)
+    indices = list(motors)
+    share = drive.row[0] * required(s.share)[indices]
+    commands = np.stack([required(s.motors)[i] for i in indices])
+    lag = np.repeat(drive.lag[:1], len(indices) + 1, axis=0)
     if slow_s is not None:
         lag[:-1] = slow_s
-    curves = [] if factors is None else [np.array([factors] * len(which))]
+    curves = [] if factors is None else [np.array([factors] * len(indices))]
     return replace(
-        drive, commands=np.concatenate([drive.commands, own, np.tensordot(share, own, 1)[None]]),
+        drive,
+        commands=np.concatenate(
+            [drive.commands, commands, np.tensordot(share, commands, 1)[None]]),
         row=np.r_[drive.row, share, -1.0], lag=np.concatenate([drive.lag, lag]),
         factors=np.concatenate([drive.factors, *curves]),
     )

@@ -35,7 +35,7 @@ SLOW_MOVES = 0.01
 COUNT, LENGTH = 6, 0.6
 """Number of knots, and correlation length as a share of their range."""
 PLACES = np.linspace(-1.0, 1.0, COUNT)
-"""Of the knots, before they are placed over a signal."""
+"""Where the knots are, before they are placed over a signal."""
 ACTS_ON: dict[str, tuple[str, ...]] = {
     'torque': (), 'gain': ('command',), 'damping': ('rate',), 'friction': ('rate',),
     'lag': ('command',), 'delay': ('command',),
@@ -75,8 +75,8 @@ def _arrays(*columns: tuple[float, ...]) -> list[FloatArray]:
 
 def placed(used: FloatArray, knots: FloatArray) -> dict[str, Any]:
     """Settings of a curve with these knots (k,) over a signal, whose mean over it is zero."""
-    held = np.clip(used[np.isfinite(used)], knots[0], knots[-1])
-    mean = tuple(float(np.mean(np.interp(held, knots, hat))) for hat in np.eye(knots.size))
+    inside = np.clip(used[np.isfinite(used)], knots[0], knots[-1])
+    mean = tuple(float(np.mean(np.interp(inside, knots, hat))) for hat in np.eye(knots.size))
     return {'knots': tuple(knots.tolist()), 'mean': mean}
 
 
@@ -95,11 +95,11 @@ class Shape(Effect):
     def shaped(self, term: str, signal: str, how: str, *more: str) -> None:
         """Take the names that follow from term, signal and how the term follows it."""
         self.term, self.signal, self.name = term, signal, shape_name(term, signal)
-        words = [how]
+        variant = [how]
         if signal.startswith('other'):
-            words.append(signal[-1])
+            variant.append(signal[-1])
             self.others = (int(signal[-1]) - 1,)
-        self.variant = ' '.join([*words, *(['friction'] if term == 'friction' else [])])
+        self.variant = ' '.join([*variant, *(['friction'] if term == 'friction' else [])])
         self.signals = (signal, *ACTS_ON[term], *more)
 
 
@@ -165,7 +165,7 @@ class Curve(Smooth):
     def columns(self, s: Signals, p: FloatArray, linear: Sequence[int],
                 settings: Settings) -> FloatArray:
         factor, out = per_unit(self.term, s, float(p[-1])), np.empty((s.rate.size, COUNT))
-        x, factor = (np.ascontiguousarray(one) for one in (signal_of(s, self.signal), factor))
+        x, factor = (np.ascontiguousarray(y) for y in (signal_of(s, self.signal), factor))
         laws.hats(x, factor, *_arrays(settings['knots'], settings['mean']), out)
         return out[:, linear]
 

@@ -15,7 +15,7 @@ from quad_sysid.model.effect import (
     UNITS,
     Drive,
     Effect,
-    Left,
+    FitResidual,
     Settings,
     Signals,
     Spec,
@@ -29,7 +29,7 @@ GRID_S = 0.5
 LONG_AGO_S = -1e6
 """Time of an event that happened before this flight."""
 HARMONICS = 6
-"""Of a delay that repeats itself: nine tenths of a saw's variance."""
+"""Harmonics of a delay that repeats itself: nine tenths of a saw's variance."""
 FADING = 0.25
 """Share of a cycle over which one held command gives way to the next, for a smooth likelihood."""
 ORDERS = np.arange(1.0, HARMONICS + 1.0)
@@ -50,7 +50,7 @@ def after(s: Signals, time_s: float) -> FloatArray:
 class Repeating(Effect):
     """What repeats itself at a frequency, its first parameter in Hz."""
 
-    def sought(self, left: Left, settings: Settings) -> Sequence[FloatArray]:
+    def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
         starts = self.starts(left.data, settings)
         return [np.r_[line, start[1:]] for line in left.lines(self) for start in starts]
 
@@ -145,8 +145,8 @@ class PeriodicDelay(Clocked):
 
     def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         turn = phase - math.atan2(p[2], p[1])
-        turned = (p[1::2] + 1j * p[2::2]) * np.exp(1j * turn * ORDERS)
-        return np.r_[p[0], turned.view(np.float64)]
+        rotated = (p[1::2] + 1j * p[2::2]) * np.exp(1j * turn * ORDERS)
+        return np.r_[p[0], rotated.view(np.float64)]
 
 
 class Held(Clocked):
@@ -169,14 +169,14 @@ class Held(Clocked):
         return 1.5 / float(p[0])
 
     def actuate(self, drive: Drive, s: Signals, p: FloatArray, settings: Settings) -> Drive:
-        begin, turned = s.time - 0.5 * s.dt - s.delay, p[1] / (2.0 * math.pi)
-        count = np.floor(p[0] * (begin + s.dt) - turned + 0.5)  # of what is held at its end
-        fraction = np.clip(((count + turned - 0.5) / p[0] - begin) / s.dt, 0.0, 1.0)
+        begin, phase = s.time - 0.5 * s.dt - s.delay, p[1] / (2.0 * math.pi)
+        count = np.floor(p[0] * (begin + s.dt) - phase + 0.5)  # of what is held at its end
+        fraction = np.clip(((count + phase - 0.5) / p[0] - begin) / s.dt, 0.0, 1.0)
 
         def age(count: FloatArray) -> FloatArray:
-            at = ((count + turned) / p[0] - begin - s.delay) / s.dt - 0.5
-            here = np.floor(at)
-            return -here - np.clip((at - here - 0.5) / FADING + 0.5, 0.0, 1.0)
+            cycle = ((count + phase) / p[0] - begin - s.delay) / s.dt - 0.5
+            cell = np.floor(cycle)
+            return -cell - np.clip((cycle - cell - 0.5) / FADING + 0.5, 0.0, 1.0)
 
         ages = np.maximum(np.stack([age(count - 1.0), age(count)]), 0.0)
         return replace(drive, ages=ages, fraction=fraction)

@@ -104,18 +104,19 @@ class Linked(Effect):
         return step_of(*self.system(p, s), s.dt)
 
     def trace(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-              begun: FloatArray | None = None) -> FloatArray:
-        out, (a, b) = self.begin(s, p, settings) if begun is None else begun, self._step(s, p)
-        for one, own in zip(self.inputs(s, settings), out.reshape(-1, b.size, out.shape[1]),
-                            strict=True):
-            followed(stretches, one, a, b, own)
+              start_states: FloatArray | None = None) -> FloatArray:
+        out = self.begin(s, p, settings) if start_states is None else start_states
+        a, b = self._step(s, p)
+        for signal, states in zip(self.inputs(s, settings), out.reshape(-1, b.size, out.shape[1]),
+                                  strict=True):
+            followed(stretches, signal, a, b, states)
         return out
 
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         a, b = self._step(s, p)
         return np.concatenate([
-            np.tensordot(a, x[i * b.size : (i + 1) * b.size], 1) + np.multiply.outer(b, one)
-            for i, one in enumerate(self.inputs(s, settings))
+            np.tensordot(a, x[i * b.size : (i + 1) * b.size], 1) + np.multiply.outer(b, signal)
+            for i, signal in enumerate(self.inputs(s, settings))
         ])
 
 
@@ -155,8 +156,8 @@ class Hysteresis(Effect):
     )
 
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        way = np.where(s.rate > 0.0, 1.0, -1.0)
-        return way + (x - way) * np.exp(-np.abs(s.rate) * s.dt / max(float(p[0]), 1e-4))
+        sign = np.where(s.rate > 0.0, 1.0, -1.0)
+        return sign + (x - sign) * np.exp(-np.abs(s.rate) * s.dt / max(float(p[0]), 1e-4))
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return -p[1] * required(s.hidden)[0]
@@ -216,10 +217,10 @@ class Load(Effect):
 
     def _inputs(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What pulls the mass and how its mount moves, per unit of z."""
-        nothing, reach = np.zeros_like(s.rate), max(float(p[2]), 1e-4)
+        zero, reach = np.zeros_like(s.rate), max(float(p[2]), 1e-4)
         if self.moved == 'leaning':
-            return -p[2] * np.sin(required(s.angle)), nothing
-        return (nothing, s.rate / reach) if self.moved == 'turning' else (s.drive / reach, nothing)
+            return -p[2] * np.sin(required(s.angle)), zero
+        return (zero, s.rate / reach) if self.moved == 'turning' else (s.drive / reach, zero)
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         moved = self._inputs(s, p)[1]
@@ -237,9 +238,9 @@ class Load(Effect):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         hidden = required(s.hidden)
         z, pushed = hidden[0], self._ahead(hidden, s, p)[2]
-        turned = float(p[2]) if self.moved != 'leaning' else 1.0 / float(p[2])
+        ratio = float(p[2]) if self.moved != 'leaning' else 1.0 / float(p[2])
         directly = s.drive if self.moved == 'driven' else 0.0
-        return p[3] * z - p[4] * (directly + turned * pushed)  # turned: rad or s² per unit of z
+        return p[3] * z - p[4] * (directly + ratio * pushed)  # ratio: rad or s² per unit of z
 
 
 class Yielding(Effect):
@@ -274,8 +275,8 @@ class Yielding(Effect):
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         reach, time_constant, *shape = (spec.starts for spec in self.parameters[:4])
         return [
-            np.array([*begun, *pair, 0.0])
-            for begun in itertools.product(reach, time_constant)
+            np.array([*values, *pair, 0.0])
+            for values in itertools.product(reach, time_constant)
             for pair in zip(*shape, strict=True)
         ]
 
@@ -322,8 +323,8 @@ class Memory(Shape, Linear):
         used = data.training(signal)
         if not np.nanstd(used) > SLOW_MOVES * abs(np.nanmean(used)):
             return f'{self.signal} hardly moves during training'
-        rest = float(np.nanmean(used)) if self.leans else 0.0
-        return {'unit': float(np.nanmean((used - rest) ** 2)), 'rest': rest}
+        usual = float(np.nanmean(used)) if self.leans else 0.0
+        return {'unit': float(np.nanmean((used - usual) ** 2)), 'rest': usual}
 
     def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
         return (self._push(signal_of(s, self.signal), settings),)
@@ -341,10 +342,10 @@ class Memory(Shape, Linear):
         unit, deviation = settings['unit'], signal - settings['rest']
         return deviation / math.sqrt(unit) if self.leans else deviation**2 / unit
 
-    def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray:
+    def states_at_start(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray:
         # from the start of the flight on, of which a fit sees segments and a gap ends a stretch
-        whole, here = data.source or (data, np.arange(data.rate.size))
-        signal = whole.signal(self.signal)
+        flight, rows = data.source or (data, np.arange(data.rate.size))
+        signal = flight.signal(self.signal)
         if isinstance(signal, str):
             raise ValueError(signal)  # noqa: TRY004 - why this flight cannot be used
         if self.signal == 'command':  # the lag matters little here, and is not known
@@ -353,8 +354,8 @@ class Memory(Shape, Linear):
         push = self._push(np.nan_to_num(signal), settings)
         out = np.zeros((1, push.size))
         step = step_of(*behind_lag(float(p[0])), data.dt)
-        followed(whole.flights or ((0, push.size),), push, *step, out)
-        return np.ascontiguousarray(out[:, here])
+        followed(flight.flights or ((0, push.size),), push, *step, out)
+        return np.ascontiguousarray(out[:, rows])
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         x = required(s.hidden)[0] - (not self.leans)
@@ -362,7 +363,7 @@ class Memory(Shape, Linear):
 
 
 class MemoryCurve(Smooth, Memory):
-    """As a smooth curve of what a signal has lately been (Wiener 1958)."""
+    """A smooth curve over what a signal has lately been (Wiener 1958)."""
 
     first = 1
 
@@ -376,12 +377,12 @@ class MemoryCurve(Smooth, Memory):
         if isinstance(settings, str):
             return settings
         quick = np.array(self.parameters[0].starts[:1])
-        seen = data.training(self.begun(data, quick, settings)[0])
-        low, high = np.nanpercentile(seen, [0.5, 99.5])
-        rest, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, COUNT)
+        training = data.training(self.states_at_start(data, quick, settings)[0])
+        low, high = np.nanpercentile(training, [0.5, 99.5])
+        usual, knots = 0.0 if self.leans else 1.0, np.linspace(low, high, COUNT)
         return {
             **settings, 'knots': tuple(knots.tolist()),
-            'mean': tuple(float(np.interp(rest, knots, hat)) for hat in np.eye(COUNT)),
+            'mean': tuple(float(np.interp(usual, knots, hat)) for hat in np.eye(COUNT)),
         }
 
     def factors(self, p: FloatArray, settings: Settings) -> FloatArray:
@@ -420,7 +421,7 @@ class Shown(Linked, Shape):
         return {'middle': middle, 'half': half}
 
     def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
-        return [(own - settings['middle']) / settings['half'] for own in required(s.motors)]
+        return [(motor - settings['middle']) / settings['half'] for motor in required(s.motors)]
 
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.stack(self.inputs(s, settings))

@@ -88,10 +88,10 @@ class GroundEffect(Effect):
         altitude = data.signal('angle')
         if isinstance(altitude, str):
             return 'the bag holds no altitude'
-        flown = data.training(altitude)
-        if np.ptp(flown) < LEAST_CLIMB_M:
-            return f'the altitude changes by {np.ptp(flown):.2g} m only during training'
-        return {'lowest': float(np.min(flown))}
+        altitudes = data.training(altitude)
+        if np.ptp(altitudes) < LEAST_CLIMB_M:
+            return f'the altitude changes by {np.ptp(altitudes):.2g} m only during training'
+        return {'lowest': float(np.min(altitudes))}
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         height = required(s.angle) - settings['lowest'] + p[1]
@@ -143,11 +143,11 @@ TORQUES: tuple[Effect, ...] = (
 )
 
 
-def _gyroscopic(which: int) -> Effect:
+def _gyroscopic(other: int) -> Effect:
     return Torque(
         'gyroscopic_coupling', ('other rate',), (Spec('coefficient', '1/s'),),
-        lambda s, p: p[0] * required(s.other_rates)[which],
-        others=(which,), variant=f'other axis {which + 1}', axes=AXES)
+        lambda s, p: p[0] * required(s.other_rates)[other],
+        others=(other,), variant=f'other axis {other + 1}', axes=AXES)
 
 
 COUPLINGS: tuple[Effect, ...] = (  # paper, eqs. 4 to 6

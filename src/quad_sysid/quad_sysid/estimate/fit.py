@@ -20,8 +20,8 @@ from quad_sysid.model.data import (
     AxisData,
     Span,
     high,
-    moved,
-    part_of,
+    shifted_spans,
+    slice_of,
     typical_acceleration,
 )
 from quad_sysid.model.effect import Part, required
@@ -38,18 +38,18 @@ BLOCK_S = 1.0
 """Standard errors take innovations that are further apart for independent."""
 DAMPING = 5.0
 """Prior of the base's damping, 1/s."""
-QUICKER, QUICKER_SPREAD = 0.035, 0.9
+LAG_DAMPING, LAG_DAMPING_SPREAD = 0.035, 0.9
 """Prior of lag times damping, the motors' time constant over the body's: its logarithm is normal
 about this. Lags of 15 to 80 ms and bodies that lose their rate in 0.2 to 5 s are four spreads."""
-WIDE = 30.0
+BASE_STD = 30.0
 """Prior of the base's gain and bias, relative to the typical acceleration. It is so wide
 that it does not draw an estimate; as all structures have it, comparisons hardly depend on it."""
-NOTHING, HARDLY = (0.0, math.log(1e-5), math.log(1e-6), 0.0, 0.0), 1e-6
+NULL_BASE, FIXED_STD = (0.0, math.log(1e-5), math.log(1e-6), 0.0, 0.0), 1e-6
 """Coordinates of a base whose terms are nothing, and how far one that is held may be off."""
 SMALL_NATS = 0.02
 LONGEST_STEP = 1.5
-"""Of a logarithm: of a delay of minutes a derivative says nothing, and no step leads back."""
-AT_MOST = 10.0
+"""The longest step of a logarithm: no step leads back from a delay of minutes."""
+LARGEST_GROWTH = 10.0
 """Largest rate of a free run over the largest measured one."""
 BOUNDED_S = 1.0
 """Length of the runs that have to stay within it."""
@@ -94,8 +94,8 @@ def tail_of(e: FloatArray) -> Tail:
         for _ in range(60):
             weights = 1.0 / (v * scale**2 + square)  # parameter-expanded EM (Liu et al. 1998)
             new = math.sqrt(float(weights @ square) / float(np.sum(weights)))
-            before, scale = scale, max(new, 1e-12)
-            if abs(new - before) < 1e-7 * before:
+            previous, scale = scale, max(new, 1e-12)
+            if abs(new - previous) < 1e-7 * previous:
                 break
         tail = Tail(scale, v)
         total = float(np.sum(tail.log_density(e)))
@@ -118,19 +118,19 @@ class Problem:
     """(rows,) samples whose innovations count."""
     index: NDArray[np.int64]
     """(n,) where the samples that were kept stood before."""
-    brief: Problem | None = None
+    short_problem: Problem | None = None
     """A short part of it, on which a search tries first what it has many of."""
 
     def __init__(self, data: AxisData, spans: Sequence[Span], *, whole: bool = False,
                  law: Part | None = None, held: Sequence[int] = ()) -> None:
         """law: of the user's, in the base; held: terms of BASE that are nothing beside it."""
-        self.plain, self.held = Structure(law=law), list(held)
+        self.plain, self.held_terms = Structure(law=law), list(held)
         self.data, self.spans = data, tuple(spans)
         self.index = np.arange(data.rate.size)
         if not whole:
             passes = passes_of(data, spans)
             self.index = np.concatenate([np.arange(a, b) for a, b in passes])
-            self.data, self.spans = part_of(data, passes), moved(sorted(spans), passes)
+            self.data, self.spans = slice_of(data, passes), shifted_spans(sorted(spans), passes)
         self.flight = Flight(self.data, self.spans)
         self._sizes: dict[str, FloatArray] = {}
         counts, settle = np.zeros(self.data.rate.size, bool), round(SETTLE_S / self.data.dt)
@@ -152,7 +152,8 @@ class Problem:
         for first in firsts:
             used[index[first : first + length]] = True
         spans = tuple(run for span in self.spans for run in finite_runs(used, span))
-        return Problem(replace(self.data, train=spans), spans, law=self.plain.law, held=self.held)
+        return Problem(replace(self.data, train=spans), spans, law=self.plain.law,
+                       held=self.held_terms)
 
     def blocks(self, length_s: float) -> NDArray[np.int64]:
         """(rows,) number of the block of each row: unbroken, of this length at most."""
@@ -181,15 +182,15 @@ class Problem:
 
     def sizes(self, structure: Structure) -> FloatArray:
         """(p,) prior standard deviation of each parameter, in the coordinates of the fit."""
-        rows, wide = self.rows, WIDE * self.acceleration
+        rows, wide = self.rows, BASE_STD * self.acceleration
         base = [
             wide / high(self.data.command[rows]),
             BASE[1].spread if self.data.rotor_lag is None else self.data.rotor_lag.spread,
             BASE[2].spread, DAMPING, wide,
         ]
-        own = [size for part, _ in structure.placed() for size in self.sizes_of(part)]
-        out = np.array([*base, *own, *(s.spread for s in structure.noise)], dtype=float)
-        out[self.held] = HARDLY
+        effect_sizes = [size for part, _ in structure.placed() for size in self.sizes_of(part)]
+        out = np.array([*base, *effect_sizes, *(s.spread for s in structure.noise)], dtype=float)
+        out[self.held_terms] = FIXED_STD
         return out
 
     def centres(self, structure: Structure) -> FloatArray:
@@ -197,7 +198,7 @@ class Problem:
         out = np.array([s.centre for s in structure.specs])
         if self.data.rotor_lag is not None:
             out[1] = math.log(self.data.rotor_lag.seconds)
-        out[self.held] = np.array(NOTHING)[self.held]
+        out[self.held_terms] = np.array(NULL_BASE)[self.held_terms]
         return out
 
     def precision(self, structure: Structure, sizes: FloatArray) -> FloatArray:
@@ -248,14 +249,15 @@ def start_of(problem: Problem) -> FloatArray:
     """(p,) start values of the base from the priors alone."""
     theta = problem.centres(problem.plain)
     command = problem.data.command[problem.rows]
-    if 0 not in problem.held:
+    if 0 not in problem.held_terms:
         theta[0] = problem.acceleration / max(float(np.std(command)), 1e-9)
     return theta
 
 
 def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
-    problem: Problem, structure: Structure, *starts: FloatArray, most_steps: int = MOST_STEPS,
-    rate: FloatArray | None = None, still: tuple[int, ...] = (), enough: float = SMALL_NATS,
+    problem: Problem, structure: Structure, *starts: FloatArray, max_steps: int = MOST_STEPS,
+    rate: FloatArray | None = None, fixed: tuple[int, ...] = (),
+    tolerance_nats: float = SMALL_NATS,
 ) -> Fit:
     """The most probable parameters from the best of `starts` (coordinates of the fit).
 
@@ -274,18 +276,18 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     steps = derivative_steps(sizes)
 
     def evaluated(
-        at: FloatArray, initial: FloatArray, sweeps: int, *, by: FloatArray | None = None
+        point: FloatArray, initial: FloatArray, sweeps: int, *, by: FloatArray | None = None
     ) -> tuple[Prediction | None, float, Tail]:
         """Prediction, log posterior and tail; minus infinity where the noise has no filter."""
-        flight.rate, nothing = initial, Tail(1.0, 1e4)
+        flight.rate, normal = initial, Tail(1.0, 1e4)
         try:
-            predicted = flight.predict(structure, at, sweeps=sweeps, steps=by)
+            predicted = flight.predict(structure, point, sweeps=sweeps, steps=by)
         except np.linalg.LinAlgError:
-            return None, -math.inf, nothing
+            return None, -math.inf, normal
         e = predicted.innovation[problem.rows]
         if not np.isfinite(e).all():
-            return predicted, -math.inf, nothing
-        tail, from_prior = tail_of(e), root @ (at - centres)
+            return predicted, -math.inf, normal
+        tail, from_prior = tail_of(e), root @ (point - centres)
         likelihood = float(np.sum(tail.log_density(e)))
         return predicted, likelihood - 0.5 * float(from_prior @ from_prior), tail
 
@@ -296,31 +298,31 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     if predicted is None or not math.isfinite(value):
         raise FloatingPointError('the start runs away')
     damping, converged = 1e-3, False
-    for _ in range(most_steps):
+    for _ in range(max_steps):
         e = predicted.innovation[problem.rows]
         j = required(predicted.jacobian)[problem.rows]
-        j[:, list(still)] = 0.0
+        j[:, list(fixed)] = 0.0
         w = np.sqrt(tail.weights(e)) / tail.scale
         from_prior = root @ (theta - centres)
         rows, column = j * w[:, None], e * w
         # a part that vanishes acts by its square: over its logarithm that curves by twice the
         # slope, of which the rows may see little
         curves = 2.0 * (column @ rows) - np.sum(rows**2, axis=0)
-        bent = np.where(logs, np.sqrt(np.maximum(curves, 0.0)), 0.0)
-        blocks = (rows, column), (root, from_prior), (np.diag(bent), np.zeros(bent.size))
+        curvature = np.where(logs, np.sqrt(np.maximum(curves, 0.0)), 0.0)
+        blocks = (rows, column), (root, from_prior), (np.diag(curvature), np.zeros(curvature.size))
         factor = upper(np.vstack([np.column_stack(pair) for pair in blocks]))[: theta.size]
         if not np.isfinite(factor).all():
             raise FloatingPointError('its derivatives run away')
         a, b = factor[:, :-1], factor[:, -1]
-        moving = np.delete(b, list(still)) if still else b
+        moving = np.delete(b, list(fixed)) if fixed else b
         converged = 0.5 * float(moving @ moving) < SMALL_NATS
-        if 0.5 * float(moving @ moving) < enough:
+        if 0.5 * float(moving @ moving) < tolerance_nats:
             break
         scale = np.sqrt(np.sum(a**2, axis=0))
         for _ in range(12):
             damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
             step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(theta.size)], rcond=None)[0]
-            step[list(still)] = 0.0
+            step[list(fixed)] = 0.0
             trial = theta + limited(step, logs)
             trial = np.where(positive, np.maximum(trial, 0.0), trial)
             improved, new, improved_tail = evaluated(trial, predicted.rate, 2, by=steps)
@@ -332,7 +334,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         gained = new - value
         converged = gained < SMALL_NATS
         predicted, theta, value, tail = required(improved), trial, new, improved_tail
-        if gained < enough:
+        if gained < tolerance_nats:
             break
         damping *= 0.15
     flight.rate = predicted.rate
@@ -352,8 +354,8 @@ def slowness(lag: float, damping: float) -> float:
     Lag and damping are two poles that could change places. Near one maximum the prior is flat
     beside the likelihood; between both it decides.
     """
-    slow = max(lag * damping / QUICKER, 1.0)
-    return -0.5 * (math.log(slow) / QUICKER_SPREAD) ** 2
+    slow = max(lag * damping / LAG_DAMPING, 1.0)
+    return -0.5 * (math.log(slow) / LAG_DAMPING_SPREAD) ** 2
 
 
 def limited(step: NDArray[np.floating[Any]], logs: NDArray[np.bool_]) -> FloatArray:
@@ -382,7 +384,7 @@ def stays_bounded(problem: Problem, fitted: Fit, prediction: Prediction) -> bool
             errors = flight.free_run(fitted.structure, fitted.theta, windows,
                                      prediction=replace(prediction, states=states))
             if not np.nanmax(np.nan_to_num(np.abs(errors + measured), nan=np.inf)
-                             [np.isfinite(measured)], initial=0.0) <= AT_MOST * largest:
+                             [np.isfinite(measured)], initial=0.0) <= LARGEST_GROWTH * largest:
                 return False
     return True
 

@@ -39,13 +39,13 @@ UNKNOWN = NoiseEstimate({}, scale=1.0, degrees=1.0, gyro_rms=0.0, measured_rms=0
 """What stands for the noise of a model that has none."""
 
 
-def library(own: Sequence[Effect] = ()) -> tuple[Effect, ...]:
+def library(own_effects: Sequence[Effect] = ()) -> tuple[Effect, ...]:
     """All effects that a model may name: the caller's own, then the package's."""
-    return (*(effect for effect in own if effect not in EFFECTS), *EFFECTS)
+    return (*(effect for effect in own_effects if effect not in EFFECTS), *EFFECTS)
 
 
-def _named(name: str, variant: str, own: Sequence[Effect]) -> Effect | None:
-    return next((e for e in library(own) if (e.name, e.variant) == (name, variant)), None)
+def _named(name: str, variant: str, own_effects: Sequence[Effect]) -> Effect | None:
+    return next((e for e in library(own_effects) if (e.name, e.variant) == (name, variant)), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,16 +88,16 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
     joint = jacobian @ raw @ jacobian.T
     form = jacobian @ shift_by_form(problem, fitted)
     vague: dict[str, tuple[float, float] | None] = {}
-    for name, spec, at, value, deviation in zip(
+    for name, spec, coordinate, value, deviation in zip(
         structure.names, structure.specs, theta, fitted.values, deviations, strict=True
     ):  # what is at its bound or not determined: from nothing to where it may reach, 95 %
         if spec.log and (deviation > VAGUE or (spec.unit == 's' and value < SHORTEST * dt)):
-            most = float(np.exp(min(at + 1.645 * deviation, 40.0)))
+            most = float(np.exp(min(coordinate + 1.645 * deviation, 40.0)))
             vague[name] = (0.0, most) if most < NO_BOUND else None
         elif spec.positive and value <= 0.0:
             vague[name] = None
     for i, name in enumerate(names):
-        if name in vague or i in problem.held or not joint[i, i] > 0.0:
+        if name in vague or i in problem.held_terms or not joint[i, i] > 0.0:
             joint[i, :] = joint[:, i] = np.nan
     errors = iter(np.sqrt(np.diag(joint) + form**2))  # from one group on to the next
     base, *effects = (
@@ -107,7 +107,7 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
             for (name, value, unit), std in zip(group, errors, strict=False)
         ) for i, group in enumerate(groups)
     )
-    base = tuple(Parameter(p.name, 0.0, None, p.unit) if i in problem.held else p
+    base = tuple(Parameter(p.name, 0.0, None, p.unit) if i in problem.held_terms else p
                  for i, p in enumerate(base))
     return Readings(base, tuple(effects), names, joint)
 
@@ -181,7 +181,7 @@ def estimate_of(
 def completed(model: AxisModel) -> Stored:
     """The model with its effects, ready to run. Raises BadInputError for an unknown effect."""
     parts = [part_of(model, effect) for effect in model.effects]
-    fitted = [fitted_of(part, one) for part, one in zip(parts, model.effects, strict=True)]
+    fitted = [fitted_of(part, effect) for part, effect in zip(parts, model.effects, strict=True)]
     return _stored(model, model.base, parts, fitted, model.noise)
 
 

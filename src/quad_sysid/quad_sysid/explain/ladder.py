@@ -33,8 +33,8 @@ from quad_sysid.discover.constants import (
     PROJECTED,
     RESAMPLES,
 )
-from quad_sysid.discover.screen import Along, linear_of
-from quad_sysid.discover.search import Found, little
+from quad_sysid.discover.screen import Trajectory, linear_of
+from quad_sysid.discover.search import SearchResult, little
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.explain.models import Models
 from quad_sysid.explain.projection import Projected, Projection
@@ -106,50 +106,50 @@ class Ladder:
         """The lowest rung that explains EXPLAINS, or that misses next to nothing."""
         if len(self.rungs) == 1:
             return 0
-        enough = (i for i, rung in enumerate(self.rungs)
-                  if rung.explains_pct >= EXPLAINS or rung.total < self.small)
-        return next(enough, len(self.rungs) - 1)
+        sufficient = (i for i, rung in enumerate(self.rungs)
+                          if rung.explains_pct >= EXPLAINS or rung.total < self.small)
+        return next(sufficient, len(self.rungs) - 1)
 
 
-def explain(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
+def explain(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> Ladder:
     """The ladder to the search's most probable structure, and how often its answer comes again.
 
     parts: the candidates of the search.
     """
-    ladder = _ladder(problem, found, parts)
+    ladder = _ladder(problem, search, parts)
     if not ladder.answer:
         return ladder
-    blocks, reproducible = resampled(problem, found, ladder)
+    blocks, reproducible = resampled(problem, search, ladder)
     return replace(ladder, blocks=blocks, reproducible=reproducible)
 
 
-def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
-    reference, base = found.best, found.base
+def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> Ladder:
+    reference, base = search.best, search.base
     projection = Projection(problem, reference)
-    models = Models(found, projection)
+    models = Models(search, projection)
     if not reference.structure.parts:  # nothing to explain
-        alone = projection.ordered(reference.structure)
-        return Ladder(models, (Rung(alone, alone.missed, 0.0),))
+        single = projection.ordered(reference.structure)
+        return Ladder(models, (Rung(single, single.missed, 0.0),))
     plain = projection.structure(())
     if not projection.windows.count:  # too short for a free run
-        alone = Projected(plain, projection.alone(base.theta), np.zeros(0))
-        return Ladder(models, (Rung(alone, alone.missed, 0.0),))
-    starts = [projection.alone(own) for own in (reference.theta, base.theta)]
+        single = Projected(plain, projection.alone(base.theta), np.zeros(0))
+        return Ladder(models, (Rung(single, single.missed, 0.0),))
+    starts = [projection.alone(start) for start in (reference.theta, base.theta)]
     begun = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, begun.theta)
-    rungs = [Rung(lowest, projection.apart(lowest), 0.0)]
+    rungs = [Rung(lowest, projection.disagreement(lowest), 0.0)]
     ladder = Ladder(models, tuple(rungs))
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
-    climb = _Climb(projection, found, parts, lowest.total)
+    climb = _Climb(projection, search, parts, lowest.total)
     while (rungs[-1].explains_pct < ENOUGH and rungs[-1].total >= ladder.small
            and len(rungs) <= MOST_RUNGS):
         last = rungs[-1]
         step = climb.next(last.model, finer=last.explains_pct >= EXPLAINS)
         if step is None or last.model.total - step.total < NEGLIGIBLE * lowest.total:
             break
-        missed = projection.apart(step)
+        missed = projection.disagreement(step)
         share = 1.0 - float(np.sum(missed)) / rungs[0].total
         if 100.0 * share - last.explains_pct >= 100.0 * NEGLIGIBLE and models.follows(step):
             climb.left_out.clear()
@@ -157,8 +157,8 @@ def _ladder(problem: Problem, found: Found, parts: Sequence[Part]) -> Ladder:
         else:
             climb.left_out.add(_added(step).label)
     if rungs[-1].explains_pct < ENOUGH:
-        whole = projection.ordered(reference.structure)
-        rungs.append(Rung(whole, whole.missed, 100.0))
+        complete = projection.ordered(reference.structure)
+        rungs.append(Rung(complete, complete.missed, 100.0))
     return replace(ladder, rungs=tuple(rungs))
 
 
@@ -171,17 +171,18 @@ def _believed(model: Projected) -> bool:
     """Whether the last rung's effect, if it is a law, has parameters that its prior allows."""
     effect, values = _added(model), model.theta[model.structure.slices()[-1]]
     return effect.kind != 'named' or all(
-        one.spread is None or abs(value - one.centre) <= BELIEVED * one.spread
-        for one, value in zip(effect.parameters, values, strict=True))
+        parameter.spread is None or abs(value - parameter.centre) <= BELIEVED * parameter.spread
+        for parameter, value in zip(effect.parameters, values, strict=True))
 
 
 class _Climb:
-    """From a rung to the next one."""
+    """The step from a rung to the next one."""
 
-    def __init__(self, projection: Projection, found: Found, parts: Sequence[Part],
+    def __init__(self, projection: Projection, search: SearchResult, parts: Sequence[Part],
                  whole: float) -> None:
         self.projection, self.parts, self.whole = projection, parts, whole
-        self.likely = {frozenset(one.fit.structure.labels): one.score for one in found.all}
+        self.scores = {frozenset(scored.fit.structure.labels): scored.score
+                       for scored in search.all}
         self.left_out: set[str] = set()
         """Labels of what runs away beside the rung, or explains too little of the rest."""
 
@@ -192,25 +193,25 @@ class _Climb:
         nearly as much the search's most probable one is taken, and of its variants the plainest.
         finer: what the reference has, no more causes.
         """
-        hopeful = self.hopeful(model, () if finer else self.parts)
+        promising = self.promising(model, () if finer else self.parts)
         tried: list[Projected] = []
         for kinds in (('named',), ('shape', 'mode', 'event')):
             tried += filter(_believed, side_by_side([
                 partial(self.extended, model, part, values)
-                for part, values in hopeful if part.effect.kind in kinds]))
-            best = min(tried, key=lambda one: one.total, default=None)
+                for part, values in promising if part.effect.kind in kinds]))
+            best = min(tried, key=lambda trial: trial.total, default=None)
             if best is not None and \
                     best.total <= (1.0 - 0.01 * EXPLAINS) * self.whole < model.total:
                 break
         if best is None:
             return None
         needed = NAMED_FIRST * (model.total - best.total)
-        named = [one for one in tried if _added(one).kind == 'named'
-                 and model.total - one.total >= needed > 0.0]
-        first = max(named, default=best, key=lambda one: (
-            self.likely.get(frozenset(one.structure.labels), -np.inf), -one.total))
-        alike = [one for one in (named or [best]) if _added(one).name == _added(first).name]
-        plainest = min(alike, key=lambda one: (len(_added(one).parameters), one.total))
+        named = [trial for trial in tried if _added(trial).kind == 'named'
+                 and model.total - trial.total >= needed > 0.0]
+        first = max(named, default=best, key=lambda trial: (
+            self.scores.get(frozenset(trial.structure.labels), -np.inf), -trial.total))
+        alike = [trial for trial in (named or [best]) if _added(trial).name == _added(first).name]
+        plainest = min(alike, key=lambda trial: (len(_added(trial).parameters), trial.total))
         if plainest.total <= 0.0:  # the reference itself
             return plainest
         return self.projection.project(plainest.structure, plainest.theta)
@@ -223,7 +224,7 @@ class _Climb:
         start = np.insert(model.theta, -projection.noise.size, values)
         return projection.project(structure, start, coarse=True)
 
-    def hopeful(self, model: Projected, parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
+    def promising(self, model: Projected, parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
         """The named laws and the effects of the reference that explain most of the missing torque.
 
         Of the reference's effects also the plainer variants, which say the same with less.
@@ -234,46 +235,47 @@ class _Climb:
         reference, problem, flight = projection.reference, projection.problem, projection.flight
         structure, theta, rate = model.structure, model.theta, reference.rate
         have = {*structure.labels, *self.left_out}
-        here = Along(problem, structure, theta, rate)
-        wanted = Along(problem, reference.structure, reference.theta, rate).acceleration
-        missing = (wanted - here.acceleration)[problem.rows]
+        trajectory = Trajectory(problem, structure, theta, rate)
+        target = Trajectory(problem, reference.structure, reference.theta, rate).acceleration
+        missing = (target - trajectory.acceleration)[problem.rows]
         steps = np.r_[projection.steps(structure, theta), np.full(projection.noise.size, 1e-4)]
         columns, _, _ = flight.columns(structure, theta, rate, steps)
         q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
         left = missing - q @ (q.T @ missing)
-        theirs = [(_explained(here, part, [], reference.theta[where], q, left)[0], part,
-                   reference.theta[where]) for part, where in reference.structure.effects()
-                  if part.effect.label not in have]
-        theirs = sorted(theirs, key=lambda one: -one[0])[:PROJECTED]
-        have |= {part.effect.label for _, part, _ in theirs}
+        of_reference = [
+            (_explained(trajectory, part, [], reference.theta[where], q, left)[0], part,
+             reference.theta[where])
+            for part, where in reference.structure.effects() if part.effect.label not in have]
+        of_reference = sorted(of_reference, key=lambda law: -law[0])[:PROJECTED]
+        have |= {part.effect.label for _, part, _ in of_reference}
         shares: list[tuple[float, Part, FloatArray]] = []
         for part in parts:
             effect = part.effect
             if effect.kind == 'named' and effect.label not in have and not effect.wanders \
-                    and type(effect).sought is Effect.sought:
-                shares += _share(here, part, q, left)
+                    and type(effect).starts_by_residual is Effect.starts_by_residual:
+                shares += _share(trajectory, part, q, left)
         best: dict[str, tuple[float, Part, FloatArray]] = {}
-        for one in sorted(shares, key=lambda one: -one[0]):
-            best.setdefault(one[1].effect.label, one)
-        most = max((one[0] for one in (*theirs, *best.values())), default=0.0)
-        size = {part.effect.name: len(part.effect.parameters) for _, part, _ in theirs}
+        for law in sorted(shares, key=lambda law: -law[0]):
+            best.setdefault(law[1].effect.label, law)
+        most = max((law[0] for law in (*of_reference, *best.values())), default=0.0)
+        size = {part.effect.name: len(part.effect.parameters) for _, part, _ in of_reference}
         plainer, rivals = [], []
         for share, part, p in best.values():
             if len(part.effect.parameters) < size.get(part.effect.name, 0):
                 plainer.append((share, part, p))
             elif share >= LEAST_OF_BEST * most:
                 rivals.append((share, part, p))
-        return [(part, p) for _, part, p in (*theirs, *plainer, *rivals[:PROJECTED])]
+        return [(part, p) for _, part, p in (*of_reference, *plainer, *rivals[:PROJECTED])]
 
 
-def _share(here: Along, part: Part, q: FloatArray,
+def _share(trajectory: Trajectory, part: Part, q: FloatArray,
            left: FloatArray) -> list[tuple[float, Part, FloatArray]]:
     """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
     effect, linear, out = part.effect, linear_of(part), []
-    for start in effect.starts(here.problem.data, part.settings):
+    for start in effect.starts(trajectory.problem.data, part.settings):
         p = coordinates(effect.parameters, start)
         p[linear] = 0.0
-        share, sizes = _explained(here, part, linear, p, q, left)
+        share, sizes = _explained(trajectory, part, linear, p, q, left)
         if linear:
             p[linear] = sizes
         if not any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
@@ -281,15 +283,15 @@ def _share(here: Along, part: Part, q: FloatArray,
     return out
 
 
-def _explained(here: Along, part: Part, linear: list[int], p: FloatArray, q: FloatArray,
+def _explained(trajectory: Trajectory, part: Part, linear: list[int], p: FloatArray, q: FloatArray,
                left: FloatArray) -> tuple[float, FloatArray]:
     """The share of `left` (rows,) that an effect explains at p, and its linear parameters.
 
     Without any its acceleration counts in any size. q (rows, m): an orthonormal basis of what
     others explain as well.
     """
-    rows = here.problem.rows
-    c = np.stack([column[rows] for column in here.columns(part, linear, p)], axis=1)
+    rows = trajectory.problem.rows
+    c = np.stack([column[rows] for column in trajectory.columns(part, linear, p)], axis=1)
     c = c - q @ (q.T @ c)
     sizes = np.linalg.lstsq(c, left, rcond=1e-8)[0]
     after = left - c @ sizes
@@ -299,7 +301,9 @@ def _explained(here: Along, part: Part, linear: list[int], p: FloatArray, q: Flo
 # ------------------------------------------------------------------ what comes again
 
 
-def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict[str, float]]:
+def resampled(
+    problem: Problem, search: SearchResult, ladder: Ladder
+) -> tuple[int, dict[str, float]]:
     """Number of blocks; name of each effect of the answer → how often it is in it again.
 
     Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
@@ -308,35 +312,35 @@ def resampled(problem: Problem, found: Found, ladder: Ladder) -> tuple[int, dict
     effect comes again where the answer explains enough and it is no negligible part of that.
     """
     block = problem.blocks(BLOCK_S)
-    kept = found.all[:MOST_STRUCTURES]
+    kept = search.all[:MOST_STRUCTURES]
     logs = np.array([
-        np.bincount(block, one.fit.tail.log_density(one.fit.prediction.innovation[problem.rows]))
-        for one in kept
+        np.bincount(block, fit.tail.log_density(fit.prediction.innovation[problem.rows]))
+        for fit in (scored.fit for scored in kept)
     ])
-    prior = np.array([one.score for one in kept]) - logs.sum(axis=1)
+    prior = np.array([scored.score for scored in kept]) - logs.sum(axis=1)
     blocks = int(block.max()) + 1
     weights = np.random.default_rng(0).exponential(size=(RESAMPLES, blocks))
     weights *= blocks / weights.sum(axis=1, keepdims=True)
     leading = np.argmax(prior + weights @ logs.T, axis=1)
-    at = np.searchsorted(problem.rows, ladder.projection.windows.starts)
-    of_window = block[np.clip(at, 0, block.size - 1)]
+    rows = np.searchsorted(problem.rows, ladder.projection.windows.starts)
+    of_window = block[np.clip(rows, 0, block.size - 1)]
     rungs = ladder.rungs[: ladder.answer + 1]
     added = [{part.effect.name for part in rung.model.structure.parts
               if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
-    seen: Counter[str] = Counter()
-    for which, count in Counter(leading.tolist()).most_common():
-        reference = kept[which].fit
+    counts: Counter[str] = Counter()
+    for index, count in Counter(leading.tolist()).most_common():
+        reference = kept[index].fit
         if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
             continue
-        missed = np.array([rung.missed for rung in rungs] if reference is found.best
+        missed = np.array([rung.missed for rung in rungs] if reference is search.best
                           else _missed(problem, reference, rungs))
-        for draw in np.flatnonzero(leading == which):
-            again = missed @ weights[draw, of_window]
-            if again[-1] <= max((1.0 - 0.01 * EXPLAINS) * again[0], ladder.small):
-                causes = -np.diff(again) >= NEGLIGIBLE * again[0]
-                seen.update(set().union(*compress(added, causes)))
+        for draw in np.flatnonzero(leading == index):
+            total = missed @ weights[draw, of_window]
+            if total[-1] <= max((1.0 - 0.01 * EXPLAINS) * total[0], ladder.small):
+                causes = -np.diff(total) >= NEGLIGIBLE * total[0]
+                counts.update(set().union(*compress(added, causes)))
     answer = rungs[-1].model.structure.parts
-    return blocks, {part.effect.name: seen[part.effect.name] / RESAMPLES for part in answer}
+    return blocks, {part.effect.name: counts[part.effect.name] / RESAMPLES for part in answer}
 
 
 def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[FloatArray]:
@@ -345,7 +349,7 @@ def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[Flo
     for rung in rungs:
         model = rung.model
         structure = projection.structure(model.structure.parts)
-        own = model.theta[: len(structure.specs) - projection.noise.size]
-        again = projection.project(structure, np.r_[own, projection.noise], coarse=True)
-        out.append(projection.apart(again))
+        physics = model.theta[: len(structure.specs) - projection.noise.size]
+        projected = projection.project(structure, np.r_[physics, projection.noise], coarse=True)
+        out.append(projection.disagreement(projected))
     return out

@@ -12,7 +12,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fitted_from
-from quad_sysid.discover.search import Found
+from quad_sysid.discover.search import SearchResult
 from quad_sysid.estimate.fit import Fit, stays_bounded
 from quad_sysid.estimate.stored import Stored
 from quad_sysid.explain.projection import Projected, Projection
@@ -24,10 +24,11 @@ DISTURBANCE = 1
 class Models:
     """Projected models with the noise that the training gives them, each fitted once."""
 
-    def __init__(self, searched: Found, projection: Projection) -> None:
+    def __init__(self, searched: SearchResult, projection: Projection) -> None:
         self.problem, self.projection = projection.problem, projection
-        self.likeliest = {(): searched.base} | {
-            tuple(sorted(one.fit.structure.labels)): one.fit for one in reversed(searched.all)}
+        self.best_fits = {(): searched.base} | {
+            tuple(sorted(scored.fit.structure.labels)): scored.fit
+            for scored in reversed(searched.all)}
         self.known: dict[tuple[str, ...], Fit] = {}
 
     def follows(self, model: Projected) -> bool:
@@ -47,15 +48,15 @@ class Models:
             physics = range(model.theta.size - self.projection.noise.size)
             fits = (fitted_from(self.problem, model.structure, model.theta,
                                 self._loud(model.theta), rate=reference.rate,
-                                still=tuple(physics)), self.likeliest.get(labels))
-            able = [one for one in fits if one is not None]
+                                fixed=tuple(physics)), self.best_fits.get(labels))
+            able = [fit for fit in fits if fit is not None]
             if not able:  # then with the noise as it is
                 as_it_is = fitted_from(self.problem, model.structure, self._loud(model.theta),
-                                       rate=reference.rate, most_steps=0)
+                                       rate=reference.rate, max_steps=0)
                 able = [] if as_it_is is None else [as_it_is]
             if not able:
                 raise FloatingPointError(f'{" and ".join(labels) or "the base"} diverges')
-            self.known[labels] = min([one for one in able if one.converged] or able,
+            self.known[labels] = min([fit for fit in able if fit.converged] or able,
                                      key=self._trained)
         return self.known[labels]
 

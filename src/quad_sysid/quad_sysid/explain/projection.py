@@ -35,7 +35,7 @@ ROUGHLY = 2e-2
 STRETCHES = 3
 """Parts of the training, each of which is judged with parameters of the others."""
 RANGE = (-14.0, 8.0)
-"""Of a logarithm: what is smaller than e^-14 of its unit acts as nothing."""
+"""The least logarithm: what is smaller than e^-14 of its unit acts as nothing."""
 HUGE = 1e6
 """rad/s that stand for a run that diverges."""
 
@@ -111,51 +111,51 @@ class Projection:
         that curves stay smooth. coarse: near enough to choose among candidates. most: steps.
         """
         theta = start.astype(float)
-        own = theta.size - self.noise.size
-        specs = structure.specs[:own]
+        count = theta.size - self.noise.size
+        specs = structure.specs[:count]
         logs = np.array([spec.log for spec in specs])
         positive = np.array([spec.positive and not spec.log for spec in specs])
         sizes = self.problem.sizes(structure)
-        precision = self.problem.precision(structure, sizes)[:own, :own]
+        precision = self.problem.precision(structure, sizes)[:count, :count]
         root = self.reference.tail.scale * np.linalg.cholesky(precision).T
-        centres = self.problem.centres(structure)[:own]
+        centres = self.problem.centres(structure)[:count]
         steps = self.steps(structure, theta)
-        enough = ROUGHLY if coarse else ENOUGH
+        tolerance = ROUGHLY if coarse else ENOUGH
 
-        def residuals(at: FloatArray) -> tuple[Run, FloatArray]:
+        def residuals(point: FloatArray) -> tuple[Run, FloatArray]:
             """The run; (rows,) difference to the reference, and the prior's rows."""
-            run = self._run(structure, at)
-            return run, np.r_[(run.errors - self.goal).ravel(), root @ (at[:own] - centres)]
+            run = self._run(structure, point)
+            return run, np.r_[(run.errors - self.goal).ravel(), root @ (point[:count] - centres)]
 
         run, rows = residuals(theta)
         value, damping = float(rows @ rows), 1e-3
         for _ in range(min(most, MOST_STEPS // 2) if coarse else most):
             columns = np.vstack([self._differences(structure, theta, run, steps), root])
-            factor = upper(np.column_stack([columns, rows]))[:own]
+            factor = upper(np.column_stack([columns, rows]))[:count]
             a, b = factor[:, :-1], factor[:, -1]
             scale = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-9)
             while damping < MOST_DAMPED:
                 damped = np.vstack([a, math.sqrt(damping) * np.diag(scale)])
-                step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(own)], rcond=None)[0]
+                step = -np.linalg.lstsq(damped, np.r_[b, np.zeros(count)], rcond=None)[0]
                 trial = theta.copy()
-                trial[:own] += limited(step, logs)
-                trial[:own] = np.where(positive, np.maximum(trial[:own], 0.0), trial[:own])
-                trial[:own] = np.where(logs, np.clip(trial[:own], *RANGE), trial[:own])
-                there, trial_rows = residuals(trial)
+                trial[:count] += limited(step, logs)
+                trial[:count] = np.where(positive, np.maximum(trial[:count], 0.0), trial[:count])
+                trial[:count] = np.where(logs, np.clip(trial[:count], *RANGE), trial[:count])
+                trial_run, trial_rows = residuals(trial)
                 new = float(trial_rows @ trial_rows)
                 if new < value:
                     break
                 damping = 8.0 * max(damping, 1e-4)
             else:  # no step leads further
                 break
-            last = value - new < enough * value or new <= 0.0
-            theta, run, rows, value, damping = trial, there, trial_rows, new, 0.2 * damping
+            last = value - new < tolerance * value or new <= 0.0
+            theta, run, rows, value, damping = trial, trial_run, trial_rows, new, 0.2 * damping
             if last:
                 break
         difference = run.errors - self.goal
         return Projected(structure, theta, np.sum(difference**2, axis=1))
 
-    def apart(self, model: Projected) -> FloatArray:
+    def disagreement(self, model: Projected) -> FloatArray:
         """(windows,) what a model misses of stretches that its parameters have not seen.
 
         Each of STRETCHES of the training is run with what the others give, one step from the
@@ -165,10 +165,10 @@ class Projection:
         if count < STRETCHES or not model.total:  # too short to be cut, or the reference itself
             return model.missed
         stretch, missed = np.arange(count) * STRETCHES // count, np.empty(count)
-        for one in range(STRETCHES):
-            inside = stretch == one
-            others = self._on(~inside).project(model.structure, model.theta, most=1)
-            as_they_are = self._on(inside).project(model.structure, others.theta, most=0)
+        for k in range(STRETCHES):
+            inside = stretch == k
+            trained = self._on(~inside).project(model.structure, model.theta, most=1)
+            as_they_are = self._on(inside).project(model.structure, trained.theta, most=0)
             missed[inside] = as_they_are.missed
         return missed
 
@@ -186,18 +186,18 @@ class Projection:
         windows scatter where the model cannot follow the reference (the sandwich of White 1982).
         """
         reference = self.reference
-        jacobian, other = (self._derivatives(one.structure, one.theta)
-                           for one in (model, reference))
-        own, theirs = jacobian.shape[1], other.shape[1]
+        jacobian, other = (self._derivatives(candidate.structure, candidate.theta)
+                           for candidate in (model, reference))
+        count, other_count = jacobian.shape[1], other.shape[1]
         scale = np.maximum(np.sqrt(np.sum(jacobian**2, axis=0)), 1e-12)
         inverse = np.linalg.pinv(jacobian / scale, rcond=1e-8) / scale[:, None]
         through = inverse @ other
-        out = through @ of_reference[:theirs, :theirs] @ through.T
+        out = through @ of_reference[:other_count, :other_count] @ through.T
         residual = (self.run(model.structure, model.theta) - self.goal).ravel()
-        scores = (inverse * residual).reshape(own, self.windows.count, -1).sum(axis=2)
-        whole = np.zeros((model.theta.size, model.theta.size))
-        whole[:own, :own] = out + scores @ scores.T
-        return whole
+        scores = (inverse * residual).reshape(count, self.windows.count, -1).sum(axis=2)
+        covariance = np.zeros((model.theta.size, model.theta.size))
+        covariance[:count, :count] = out + scores @ scores.T
+        return covariance
 
     def _derivatives(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """(rows, own) derivatives of the runs by the coordinates of base and effects.
@@ -206,15 +206,15 @@ class Projection:
         """
         out = self._differences(structure, theta, self._run(structure, theta),
                                 self.steps(structure, theta))
-        out[:, self.problem.held] = 0.0
+        out[:, self.problem.held_terms] = 0.0
         return out
 
     def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """(own,) steps of numerical derivatives."""
-        sizes, own = self.problem.sizes(structure), theta.size - self.noise.size
-        logs = np.array([spec.log for spec in structure.specs])[:own]
+        sizes, count = self.problem.sizes(structure), theta.size - self.noise.size
+        logs = np.array([spec.log for spec in structure.specs])[:count]
         steps = derivative_steps(sizes)
-        return np.maximum(steps[:own], 1e-3 * np.abs(np.where(logs, 0.0, theta[:own])))
+        return np.maximum(steps[:count], 1e-3 * np.abs(np.where(logs, 0.0, theta[:count])))
 
     @cached_property
     def motion(self) -> float:
@@ -225,10 +225,10 @@ class Projection:
 
     def ordered(self, structure: Structure) -> Projected:
         """The reference itself, which its own projection is, with its effects in another order."""
-        own = {part.effect.label: self.reference.theta[where]
-               for part, where in self.reference.structure.effects()}
+        values = {part.effect.label: self.reference.theta[where]
+                  for part, where in self.reference.structure.effects()}
         theta = np.concatenate([
-            self.reference.theta[: self.base], *(own[label] for label in structure.labels),
+            self.reference.theta[: self.base], *(values[label] for label in structure.labels),
             self.noise,
         ])
         return Projected(structure, theta, np.zeros(self.windows.count))

@@ -220,8 +220,8 @@ def _identified(job: Job) -> Row:
     from quad_sysid.effects import EFFECTS
     from quad_sysid.result import identify
 
-    own = _own_effects(job.effects) if job.effects else ()
-    candidates = None if job.search_effects and not own else (*EFFECTS, *own)
+    effects = _own_effects(job.effects) if job.effects else ()
+    candidates = None if job.search_effects and not effects else (*EFFECTS, *effects)
     record, row = _read(job)
     result = identify(record, job.axes, effects=candidates if job.search_effects else ())
     row |= {'status': ANSWERED if result.answered else CANNOT_TELL,
@@ -232,8 +232,8 @@ def _identified(job: Job) -> Row:
         with Place(job.out).filled(f'bags/{job.name}') as folder:
             result.save(folder, html=False, pictures=False)
             row['kept_bytes'] = sum(p.stat().st_size for p in folder.iterdir() if p.is_file())
-    specs = {(effect.name, effect.variant, one.name): one.centre == 0.0 and not one.log
-             for effect in (*EFFECTS, *own) for one in effect.parameters}
+    specs = {(effect.name, effect.variant, spec.name): spec.centre == 0.0 and not spec.log
+             for effect in (*EFFECTS, *effects) for spec in effect.parameters}
     for axis, tree in result.report['axes'].items():
         row |= {f'{axis}_{name}': value for name, value in _of_axis(tree, specs).items()}
     return row
@@ -250,8 +250,8 @@ def _read(job: Job) -> tuple[Record, Row]:
     with Place(job.folder).fetched(job.place, [name for name, _ in job.files]) as path:
         if not _is_log(job.name):
             record = read_bag(path)
-        elif known := format_of(path):
-            record = record_of(read_log(path, known))[0]
+        elif log_format := format_of(path):
+            record = record_of(read_log(path, log_format))[0]
         else:
             raise BadInputError(job.name, 'is of no known format of logs',
                                 remedy='turn it into a bag by quad-sysid import')
@@ -279,12 +279,12 @@ def _of_axis(tree: Mapping[str, Any], specs: Mapping[tuple[str, str, str], bool]
             'value': p['value'], 'std': p['std'], 'unit': p['unit'],
             'vanishes': specs.get((e['name'], e.get('variant', ''), p['name']), False)}
         for e in tree['effects'] if e['kind'] == 'named' for p in e['parameters']}
-    known = {p['name']: p for p in tree['completed']['parameters']}
+    parameters = {p['name']: p for p in tree['completed']['parameters']}
     return {'verdict': tree['verdict'], 'effects': ','.join(e['name'] for e in tree['effects']),
             'error_before': tree['error']['before'], 'error_after': tree['error']['after'],
             'effect_parameters': json.dumps(effects), 'gains': json.dumps(tree.get('gains')),
-            'base_units': {name: one['unit'] for name, one in known.items()},
-            **{f'{name}{end}': known.get(name, {}).get(field)
+            'base_units': {name: entry['unit'] for name, entry in parameters.items()},
+            **{f'{name}{end}': parameters.get(name, {}).get(field)
                for name in BASE for end, field in (('', 'value'), ('_std', 'std'))}}
 
 

@@ -137,18 +137,18 @@ def holm(p_values: Sequence[float], level: float) -> list[bool]:
 
 def over_fleet(every: Sequence[Sequence[Series]]) -> list[OverFleet]:
     """What the series of each parameter show, at LEVEL over all parameters, aircraft, flights."""
-    shared = [_scale([one for one in series if not one.comes_and_goes]) for series in every]
-    scales = [[_scale([one]) if one.comes_and_goes else scale for one in series]
+    shared = [_scale([row for row in series if not row.comes_and_goes]) for series in every]
+    scales = [[_scale([row]) if row.comes_and_goes else scale for row in series]
               for series, scale in zip(every, shared, strict=True)]
     drifts = [[_drift(*pair) for pair in zip(series, own, strict=True) if _enough(pair[0])]
               for series, own in zip(every, scales, strict=True)]
     marks = iter(holm([d.p_value for some in drifts for d in some], LEVEL))
     drifts = [[replace(d, claimed=next(marks)) for d in some] for some in drifts]
     odd = []
-    for series, own, some in zip(every, scales, drifts, strict=True):
+    for series, scales_here, some in zip(every, scales, drifts, strict=True):
         claimed = {d.aircraft: d for d in some if d.claimed}
-        odd.append([one for s, scale in zip(series, own, strict=True) if _enough(s)
-                    for one in _odd(s, scale, claimed.get(s.aircraft))])
+        odd.append([odd for s, scale in zip(series, scales_here, strict=True) if _enough(s)
+                    for odd in _odd(s, scale, claimed.get(s.aircraft))])
     marks = iter(holm([o.p_value for some in odd for o in some], LEVEL))
     odd = [[replace(o, claimed=next(marks)) for o in some] for some in odd]
     return [OverFleet(_mean(series, [scale.tau for scale in own],
@@ -166,17 +166,17 @@ class _Scale:
     degrees: float
     """Degrees of freedom that the other aircraft are good for."""
 
-    def variance(self, one: Series, scatter: FloatArray, degrees: float) -> FloatArray:
+    def variance(self, row: Series, scatter: FloatArray, degrees: float) -> FloatArray:
         """The ratio of an aircraft whose sum of squares is known with so many degrees.
 
         It is at least that of the estimates' own errors.
         """
-        least = float(np.mean(one.stds**2 * _weights(one, self.tau)))
+        least = float(np.mean(row.stds**2 * _weights(row, self.tau)))
         return np.maximum(least, (self.degrees * self.usual + scatter) / (self.degrees + degrees))
 
 
-def _enough(one: Series) -> bool:
-    return len(one.values) >= LEAST_FLIGHTS and float(np.ptp(one.days)) > 0.0
+def _enough(row: Series) -> bool:
+    return len(row.values) >= LEAST_FLIGHTS and float(np.ptp(row.days)) > 0.0
 
 
 def _least(values: FloatArray) -> float:
@@ -184,8 +184,8 @@ def _least(values: FloatArray) -> float:
     return 1e-9 * float(np.max(np.abs(values))) + 1e-300
 
 
-def _weights(one: Series, tau: float) -> FloatArray:
-    return np.asarray(1.0 / (one.stds**2 + tau**2 + _least(one.values)**2))
+def _weights(row: Series, tau: float) -> FloatArray:
+    return np.asarray(1.0 / (row.stds**2 + tau**2 + _least(row.values)**2))
 
 
 def _lines(x: FloatArray, y: FloatArray, w: FloatArray) -> tuple[FloatArray, ...]:
@@ -203,15 +203,15 @@ def _lines(x: FloatArray, y: FloatArray, w: FloatArray) -> tuple[FloatArray, ...
 
 
 def _scale(series: Sequence[Series]) -> _Scale:
-    able = [one for one in series if _enough(one) and float(np.ptp(one.values)) > 0.0]
+    able = [row for row in series if _enough(row) and float(np.ptp(row.values)) > 0.0]
     if not able:
         return _Scale(0.0, 1.0, 0.0)
-    longest = max(len(one.values) for one in able)
+    longest = max(len(row.values) for row in able)
     x, y, stds, there = (np.zeros((len(able), longest)) for _ in range(4))
-    for row, one in enumerate(able):
-        n = len(one.values)
+    for row, each in enumerate(able):
+        n = len(each.values)
         x[row, :n], y[row, :n], stds[row, :n], there[row, :n] = (
-            one.days - one.days.mean(), one.values, one.stds, 1.0)
+            each.days - each.days.mean(), each.values, each.stds, 1.0)
     free = there.sum(axis=1) - 2.0
     least = _least(y)
 
@@ -259,28 +259,28 @@ def _shapes(days: FloatArray) -> tuple[FloatArray, list[tuple[str, int]]]:
     return np.array(rows), kept
 
 
-def _drift(one: Series, scale: _Scale) -> Drift:
-    y, w, n = one.values, _weights(one, scale.tau), len(one.values)
-    x, shapes = _shapes(one.days)
+def _drift(row: Series, scale: _Scale) -> Drift:
+    y, w, n = row.values, _weights(row, scale.tau), len(row.values)
+    x, shapes = _shapes(row.days)
     slope, information, residuals, leverage, about = _lines(x, y, w)
     # each flight left out in turn: (k, n)
     free = np.maximum(1.0 - leverage, 1e-9)
     less = np.maximum(information[:, None] - w * about**2 * w.sum() / (w.sum() - w), 0.0)
     without = slope[:, None] - w * about * residuals / (information[:, None] * free)
-    whole = (residuals**2 * w).sum(axis=1)
-    scatter = np.maximum(whole[:, None] - w * residuals**2 / free, 0.0)
-    left = np.abs(without) * np.sqrt(less / scale.variance(one, scatter, n - 3.0))
-    t = np.abs(slope) * np.sqrt(information / scale.variance(one, whole, n - 2.0))
+    squares = (residuals**2 * w).sum(axis=1)
+    scatter = np.maximum(squares[:, None] - w * residuals**2 / free, 0.0)
+    left = np.abs(without) * np.sqrt(less / scale.variance(row, scatter, n - 3.0))
+    t = np.abs(slope) * np.sqrt(information / scale.variance(row, squares, n - 2.0))
     best = int(np.argmax(t))
     p = min(1.0, len(shapes) * _chance(t[best], scale, n - 2.0))
     alone = min(1.0, len(shapes) * _chance(left[best].min(), scale, n - 3.0))
-    variance = float(scale.variance(one, whole[best], n - 2.0))
-    limit = whole[best] + NEAR * variance
-    near = [one.days[i] for k, (_, i) in enumerate(shapes) if whole[k] <= limit]
+    variance = float(scale.variance(row, squares[best], n - 2.0))
+    limit = squares[best] + NEAR * variance
+    near = [row.days[i] for k, (_, i) in enumerate(shapes) if squares[k] <= limit]
     kind, begun = shapes[best]
     change = float(slope[best] * np.ptp(x[best]))
     level = float((y * w).sum() / w.sum() - slope[best] * (x[best] * w).sum() / w.sum())
-    return Drift(one.aircraft, kind, float(one.days[begun]), (float(min(near)), float(max(near))),
+    return Drift(row.aircraft, kind, float(row.days[begun]), (float(min(near)), float(max(near))),
                  level, level + change,
                  float(np.ptp(x[best]) * np.sqrt(variance / information[best])),
                  p if alone <= LEVEL else max(p, alone), n)
@@ -291,35 +291,35 @@ def _chance(t: float, scale: _Scale, degrees: float) -> float:
     return 2.0 * float(special.stdtr(min(scale.degrees + degrees, MANY), -t))
 
 
-def _odd(one: Series, scale: _Scale, drift: Drift | None) -> list[Odd]:
+def _odd(row: Series, scale: _Scale, drift: Drift | None) -> list[Odd]:
     """Each flight against what the others of its aircraft say, along a drift that is claimed."""
-    y, w, n = one.values, _weights(one, scale.tau), len(one.values)
+    y, w, n = row.values, _weights(row, scale.tau), len(row.values)
     if drift is None:
         residuals, leverage, fitted = y - (y * w).sum() / w.sum(), w / w.sum(), 1
     else:
-        x, shapes = _shapes(one.days)
+        x, shapes = _shapes(row.days)
         this = next(k for k, (kind, i) in enumerate(shapes)
-                    if kind == drift.kind and one.days[i] == drift.since)
+                    if kind == drift.kind and row.days[i] == drift.since)
         _, _, all_residuals, all_leverage, _ = _lines(x, y, w)
         residuals, leverage, fitted = all_residuals[this], all_leverage[this], 2
     free = np.maximum(1.0 - leverage, 1e-9)
     degrees = n - fitted - 1.0
     scatter = np.maximum((residuals**2 * w).sum() - w * residuals**2 / free, 0.0)
     deleted = residuals / free  # from what is expected without this flight
-    std = np.sqrt(scale.variance(one, scatter, degrees) / (w * free))
+    std = np.sqrt(scale.variance(row, scatter, degrees) / (w * free))
     p = 2.0 * special.stdtr(min(scale.degrees + degrees, TRUSTED), -np.abs(deleted) / std)
     expected = y - deleted
-    return [Odd(one.aircraft, bag, float(y[k]), float(expected[k]), float(std[k]), float(p[k]))
-            for k, bag in enumerate(one.bags)]
+    return [Odd(row.aircraft, bag, float(y[k]), float(expected[k]), float(std[k]), float(p[k]))
+            for k, bag in enumerate(row.bags)]
 
 
 def _mean(series: Sequence[Series], taus: Sequence[float], odd: set[str]) -> Mean:
     levels = []
-    for one, tau in zip(series, taus, strict=True):
-        regular = np.array([bag not in odd for bag in one.bags])
-        w = _weights(one, tau)[regular]
+    for row, tau in zip(series, taus, strict=True):
+        regular = np.array([bag not in odd for bag in row.bags])
+        w = _weights(row, tau)[regular]
         if w.size:
-            levels.append(Level(one.aircraft, int(w.size), float((one.values[regular] * w).sum()
+            levels.append(Level(row.aircraft, int(w.size), float((row.values[regular] * w).sum()
                                                                  / w.sum()),
                                 float(np.sqrt(1.0 / w.sum()))))
     y = np.array([level.mean for level in levels])

@@ -80,7 +80,8 @@ def lines(fleet: Summary) -> list[str]:
     out = _wrapped(_counts(fleet))
     for title, sentences in (('what drifts', drifts), ('odd flights', odd)):
         if sentences:
-            out += ['', title, *(part for one in sentences for part in wrapped(one, '    ', '  '))]
+            out += ['', title, *(line for sentence in sentences
+                                 for line in wrapped(sentence, '    ', '  '))]
     if not drifts and not odd:
         out += ['', *_wrapped(_nothing(fleet))]
     for table in (lacks, means):

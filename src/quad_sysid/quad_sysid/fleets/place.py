@@ -27,12 +27,12 @@ class Place:
 
     def __init__(self, address: str | os.PathLike[str]) -> None:
         self.address = str(address)
-        scheme, there, rest = self.address.partition('://')
-        self.path = Path(rest if scheme == 'file' and there else self.address)
+        scheme, separator, path = self.address.partition('://')
+        self.path = Path(path if scheme == 'file' and separator else self.address)
         """Where it is, of this machine."""
         self.store: Any = None
         """fsspec's file system, elsewhere."""
-        if there and scheme != 'file':
+        if separator and scheme != 'file':
             self.store, self._root = _opened(self.address)
         else:
             self.address = str(self.path.resolve())

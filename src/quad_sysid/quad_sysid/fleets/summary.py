@@ -116,10 +116,10 @@ class Summary:
         """Every parameter of base and named effects: means, drifts, odd flights."""
         from quad_sysid.fleets.drift import over_fleet
 
-        known = [*self._series()]
-        statistics = over_fleet([series for *_, series in known])
-        return [Quantity(axis, name, unit, series, one)
-                for (axis, name, unit, series), one in zip(known, statistics, strict=True)]
+        rows = [*self._series()]
+        statistics = over_fleet([series for *_, series in rows])
+        return [Quantity(axis, name, unit, series, statistic)
+                for (axis, name, unit, series), statistic in zip(rows, statistics, strict=True)]
 
     @property
     def drifts(self) -> list[tuple[Quantity, Drift]]:
@@ -172,8 +172,8 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
     An effect that a flight does not show is no gap where its parameter vanishes without it: it is
     0 there, give or take half of the least that was found anywhere.
     """
-    own = units_of(axis)
-    units = {name: shown_in(own, unit)[0] for name, unit in UNITS.items()}
+    axis_units = units_of(axis)
+    units = {name: shown_in(axis_units, unit)[0] for name, unit in UNITS.items()}
     values = dict[str, Values]()
     for row in flights:
         units |= row.get(f'{axis}_base_units', {})
@@ -182,12 +182,12 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
                 values.setdefault(name, {})[row['bag']] = float(row[f'{axis}_{name}']), float(std)
     vanishing = set()
     for row in flights:
-        for name, one in json.loads(row.get(f'{axis}_effect_parameters') or '{}').items():
-            if not one['std']:
+        for name, entry in json.loads(row.get(f'{axis}_effect_parameters') or '{}').items():
+            if not entry['std']:
                 continue
-            units[name] = one['unit']
-            values.setdefault(name, {})[row['bag']] = float(one['value']), float(one['std'])
-            if one.get('vanishes'):
+            units[name] = entry['unit']
+            values.setdefault(name, {})[row['bag']] = float(entry['value']), float(entry['std'])
+            if entry.get('vanishes'):
                 vanishing.add(name)
     searched = [row['bag'] for row in flights if row[f'{axis}_verdict'] != 'not_searched']
     for name in vanishing:

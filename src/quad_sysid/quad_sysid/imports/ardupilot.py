@@ -78,7 +78,7 @@ SIGNALS = (
            'to rad/s, pitch and yaw turned', _mirrored_degrees),
     Signal('acceleration', within('IMU', 'AccX', 'AccY', 'AccZ'), 'm/s²', 'y and z turned',
            mirrored),
-    *(one for name in ('XKF1', 'NKF1') for one in (
+    *(signal for name in ('XKF1', 'NKF1') for signal in (
         Signal('velocity', within(name, 'VN', 'VE', 'VD'), 'm/s', 'NED to ENU', enu),
         Signal('position', within(name, 'PN', 'PE', 'PD'), 'm', 'NED to ENU', enu))),
     Signal('battery', within('BAT', 'Volt'), 'V', 'as it is'),
@@ -106,7 +106,7 @@ OF_CHIRP = {'Mag': 'magnitude', 'FSt': 'start_hz', 'FSp': 'stop_hz', 'TR': 'leng
 def read(path: Path) -> ForeignLog:
     """Read a dataflash log; raises BadInputError where it is none or lacks rates or commands."""
     table = _load(path)
-    seen, gyro = (table.stream(*one.columns) for one in (CONTROL_RATES, GYRO))
+    seen, gyro = (table.stream(*signal.columns) for signal in (CONTROL_RATES, GYRO))
     first = seen is not None and (gyro is None or seen.rate_hz >= AS_FAST * gyro.rate_hz)
     reading = Reading(table)
     reading.take(CONTROL_RATES if first else GYRO, *SIGNALS)
@@ -160,12 +160,12 @@ def _experiments(table: Table) -> Iterator[Experiment]:
         if on.size < 2:
             continue
         rows = np.arange(on[0], on[-1] + 1)
-        at = max(int(np.searchsorted(settings, added.time_s[rows[0]], side='right')) - 1, 0)
-        if int(axes[at]) not in INJECTED:
+        index = max(int(np.searchsorted(settings, added.time_s[rows[0]], side='right')) - 1, 0)
+        if int(axes[index]) not in INJECTED:
             continue
-        axis, injection, factor = INJECTED[int(axes[at])]
+        axis, injection, factor = INJECTED[int(axes[index])]
         values = factor * MIRROR[AXES.index(axis)] * added.values[rows]
-        chirp = {name: float(table.columns[f'SIDS.{own}'][at]) for own, name in OF_CHIRP.items()
+        chirp = {name: float(table.columns[f'SIDS.{own}'][index]) for own, name in OF_CHIRP.items()
                  if f'SIDS.{own}' in table.columns}
         yield Experiment(axis, 'chirp', injection, Stream(added.time_s[rows], values), chirp)
 
@@ -212,12 +212,12 @@ def _damage(log: Log, *, binary: bool) -> Iterator[str]:
 
 def _possible(table: Table) -> Iterator[str]:
     """Leave out, in place, rates that no gyro can measure; say how many."""
-    for one, largest in ((CONTROL_RATES, FASTEST_RAD_S / DEGREE), (GYRO, FASTEST_RAD_S)):
-        if one.columns[0] not in table.columns:
+    for signal, largest in ((CONTROL_RATES, FASTEST_RAD_S / DEGREE), (GYRO, FASTEST_RAD_S)):
+        if signal.columns[0] not in table.columns:
             continue
-        wrong = np.any([~(np.abs(table.columns[c]) <= largest) for c in one.columns], axis=0)
+        wrong = np.any([~(np.abs(table.columns[c]) <= largest) for c in signal.columns], axis=0)
         if wrong.any():
-            kind = one.columns[0].partition('.')[0]
+            kind = signal.columns[0].partition('.')[0]
             for name in table.columns:
                 if name.startswith(f'{kind}.'):
                     table.columns[name][wrong] = np.nan
@@ -262,8 +262,8 @@ def _speeds(reading: Reading, channels: tuple[int, ...]) -> None:
     which, rpm = table.columns.get('ESC.Instance'), table.columns.get('ESC.RPM')
     if which is None or rpm is None or not np.nanmax(rpm) > 0.0:
         return
-    known = set(np.unique(which).astype(int).tolist())
-    own = [n - 1 for n in channels] if known <= {n - 1 for n in channels} else \
+    numbers = set(np.unique(which).astype(int).tolist())
+    own = [n - 1 for n in channels] if numbers <= {n - 1 for n in channels} else \
         [*range(len(channels))]
     values = np.full((len(rpm), len(channels)), np.nan)
     for motor, instance in enumerate(own):

@@ -40,7 +40,8 @@ from quad_sysid.imports.log import (
 from quad_sysid.imports.mixers import MIRROR, ned_angles
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
-from quad_sysid.imports.units import ONE_G, header_unit, unit_of
+from quad_sysid.imports.units import header_unit, unit_of
+from quad_sysid.motion import GRAVITY
 
 POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
@@ -108,10 +109,10 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     reading.mapped += [Mapped('header', '-', 'note', filters)] if filters else []
     header = {str(name): str(value) for name, value in table.header.items()}
     throttle, span = _usual_throttle(table), _span_us(table)
-    known = tuning(header, throttle, span)
-    reading.mapped += [Mapped('header.rollPID, …', '-', '/gains/active', known.how)] * bool(
-        known.gains)
-    return reading.log('a blackbox log', signals, crafts=crafts, faster=FASTER, gains=known.gains,
+    gains = tuning(header, throttle, span)
+    reading.mapped += [Mapped('header.rollPID, …', '-', '/gains/active', gains.how)] * bool(
+        gains.gains)
+    return reading.log('a blackbox log', signals, crafts=crafts, faster=FASTER, gains=gains.gains,
                        gain_changes=changes(header, adjusted, throttle, span),
                        no_gains=NO_GAINS, experiments=tuple(_chirps(reading)))
 
@@ -122,8 +123,8 @@ def _usual_throttle(table: Table) -> float | None:
     if stick is None:
         return None
     share = (stick - PULSE_US[0]) / (PULSE_US[1] - PULSE_US[0])
-    flown = share[(share > IN_THE_AIR) & (share <= 1.0)]
-    return float(np.median(flown)) if flown.size else None
+    in_flight = share[(share > IN_THE_AIR) & (share <= 1.0)]
+    return float(np.median(in_flight)) if in_flight.size else None
 
 
 def _span_us(table: Table) -> float:
@@ -219,11 +220,12 @@ def _signals(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Signal
           for name in ('vbatLatest', 'vbat')),
     ]
     unit = units.get('accSmooth[0]', '')
-    counts = {'m/s2': ONE_G, 'm/s/s': ONE_G, 'g': 1.0}.get(unit) or float(
+    counts = {'m/s2': GRAVITY, 'm/s/s': GRAVITY, 'g': 1.0}.get(unit) or float(
         table.header.get('acc_1G') or 2048)
     if counts > 0.0:  # else a board without an accelerometer
         out.append(Signal('acceleration', _several('accSmooth', 3), unit or 'raw',
-                          f'{counts:g} are {ONE_G} m/s²', lambda v: v * (ONE_G / counts) * frame))
+                          f'{counts:g} are {GRAVITY} m/s²',
+                          lambda v: v * (GRAVITY / counts) * frame))
     return tuple(out)
 
 
@@ -241,7 +243,8 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str], list[Adjustme
     with read_by_library(path, 'cannot be decoded', remedy):
         count = int(Parser.load(str(path), 1, allow_invalid_header=True).reader.log_count)
     if not 1 <= log <= count:
-        raise BadInputError(f'{path}: --log', f'must be 1 to {count}', log)
+        what = f'must be 1 to {count}' if count > 1 else 'the file holds one log'
+        raise BadInputError(f'{path}: --log', what, log, '' if count > 1 else 'leave it out')
     with read_by_library(path, f'log {log} of {count} cannot be decoded', remedy):
         parser: Any = Parser.load(str(path), log, allow_invalid_header=True)
         names = list(parser.field_names)
@@ -296,12 +299,12 @@ def _events() -> Iterator[_Events]:
     from orangebox.types import EventType
 
     events, kind = _Events(), EventType.INFLIGHT_ADJUSTMENT
-    before = event_map[kind]
+    previous = event_map[kind]
     event_map[kind] = events
     try:
         yield events
     finally:
-        event_map[kind] = before
+        event_map[kind] = previous
 
 
 def _frames(parser: Any, places: Sequence[int], width: int,
@@ -397,7 +400,7 @@ def _motors(table: Table, *, indi: bool) -> tuple[Signal, tuple[Craft, ...]]:
     if name == 'u':
         low, high, why = 0.0, UNIT_AS_INTEGER, 'the largest number'
     else:
-        low, high, why = _motor_range(table, np.array([table.columns[one] for one in columns]))
+        low, high, why = _motor_range(table, np.array([table.columns[name] for name in columns]))
     crafts = () if indi else _crafts(table, count)
     how = f'({name} - {low:g}) / {high - low:g} ({why}); in the places of ' + (
         crafts[0].name if len(crafts) == 1 else 'what the motion shows' if not crafts else
@@ -417,7 +420,7 @@ def _crafts(table: Table, count: int) -> tuple[Craft, ...]:
     mixers = ['QUADX'] if count == 4 else mixers
     crafts = (of_betaflight({'mixer': mixer, 'yaw_motors_reversed': out})
               for mixer in mixers for out in ((reversed_yaw,) if reversed_yaw else ('0', '1')))
-    return tuple(one for one in crafts if isinstance(one, Craft))
+    return tuple(craft for craft in crafts if isinstance(craft, Craft))
 
 
 def _motor_range(table: Table, raw: FloatArray) -> tuple[float, float, str]:

@@ -81,12 +81,12 @@ def tuning(header: Mapping[str, str], throttle: float | None, motor_us: float = 
                      ('dterm_lpf2', 'dterm_lowpass2'), throttle)
     gains: dict[str, float] = {}
     for axis in AXES:
-        own = _of_axis(header, axis, scale, inav=inav)
+        row = _of_axis(header, axis, scale, inav=inav)
         tpa = 1.0 if inav and axis == 'yaw' else on_p
-        own |= {'kp': own['kp'] * tpa, 'kd': own['kd'] * on_d, 'tpa_kp': tpa, 'tpa_kd': on_d}
+        row |= {'kp': row['kp'] * tpa, 'kd': row['kd'] * on_d, 'tpa_kp': tpa, 'tpa_kd': on_d}
         if cutoff:
-            own['d_filter_hz'] = cutoff
-        gains |= {f'{axis}.rate.{name}': value for name, value in own.items()}
+            row['d_filter_hz'] = cutoff
+        gains |= {f'{axis}.rate.{name}': value for name, value in row.items()}
     if _number(header, 'yaw_lowpass_hz') > 0.0:
         gains['yaw.rate.error_filter_hz'] = _number(header, 'yaw_lowpass_hz')
     level = _numbers(header, 'levelPID')
@@ -97,8 +97,8 @@ def tuning(header: Mapping[str, str], throttle: float | None, motor_us: float = 
                    ('gyro_lpf2', 'gyro_lowpass2'), throttle)
     if delay > 0.0:
         gains['sensor.gyro_lowpass_delay_s'] = delay
-    at = '' if throttle is None else f' at the usual throttle of {throttle:.2f}'
-    how = f"{firmware}'s scales; TPA{at}: P x {on_p:.3g}, D x {on_d:.3g}"
+    condition = '' if throttle is None else f' at the usual throttle of {throttle:.2f}'
+    how = f"{firmware}'s scales; TPA{condition}: P x {on_p:.3g}, D x {on_d:.3g}"
     how += f'; D filters as one of first order with their delay, {cutoff:.3g} Hz' if cutoff else ''
     return Tuning(gains, how)
 
@@ -126,20 +126,20 @@ def _of_axis(header: Mapping[str, str], axis: str, scale: float, *,
 def changes(header: Mapping[str, str], adjustments: Iterable[Adjustment],
             throttle: float | None, motor_us: float = PIDSUM) -> tuple[GainChange, ...]:
     """The gains after each adjustment in flight; times as given."""
-    known = {name: str(value) for name, value in header.items()}
+    texts = {name: str(value) for name, value in header.items()}
     out = []
     table = ADJUSTED.get(firmware_of(header), {})
-    for one in adjustments:
-        *axes, place = table.get(one.function, '').split() or ['']
+    for change in adjustments:
+        *axes, place = table.get(change.function, '').split() or ['']
         for axis in axes:
-            values = _numbers(known, f'{axis}PID')
+            values = _numbers(texts, f'{axis}PID')
             if len(values) > int(place):
-                values[int(place)] = one.value
-                known[f'{axis}PID'] = ','.join(map(str, values))
+                values[int(place)] = change.value
+                texts[f'{axis}PID'] = ','.join(map(str, values))
         if axes:
-            gains = tuning(known, throttle, motor_us).gains
+            gains = tuning(texts, throttle, motor_us).gains
             if gains:
-                out.append(GainChange(one.time_s, gains))
+                out.append(GainChange(change.time_s, gains))
     return tuple(out)
 
 

@@ -72,27 +72,27 @@ def _run(options: argparse.Namespace) -> int:
     columns = [flag(name) for name in ('axis', *OPTIONS, 'unit', 'sample_rate')
                if getattr(options, name)]
     columns += ['--frame'] if options.frame != 'auto' else []
-    known = format_of(options.file)
+    log_format = format_of(options.file)
     if options.grid is not None:
         positive('--grid', options.grid)
     if options.sample_rate is not None:
         positive('--sample-rate', options.sample_rate)
-    if known is None or (known.also_table and columns):
+    if log_format is None or (log_format.also_table and columns):
         return _table(options, columns)
     if columns:
         raise BadInputError(
-            f'{options.file}', f'is {known.name}, which needs no column names',
+            f'{options.file}', f'is {log_format.name}, which needs no column names',
             ', '.join(columns), 'leave them out',
         )
-    return _log(options, known)
+    return _log(options, log_format)
 
 
-def _log(options: argparse.Namespace, known: Format) -> int:
+def _log(options: argparse.Namespace, log_format: Format) -> int:
     from quad_sysid.imports.formats import read_log
     from quad_sysid.imports.guess import quicker
     from quad_sysid.imports.mixers import mixer_of
 
-    log = read_log(options.file, known, options.log, options.messages)
+    log = read_log(options.file, log_format, options.log, options.messages)
     if options.out is None:
         print('\n'.join([f'{options.file}: {log.kind}', '', *mapped(log), '', 'to import it:',
                          shlex.join(['quad-sysid', 'import', str(options.file), '--out',

@@ -104,9 +104,9 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     notes = _omitted(len(time_s) - len(rows), 'rows without a time')
     if len(rows) < 2:
         raise BadInputError(where, 'holds no times', remedy='name another column as the time')
-    again = np.concatenate(([False], _repeated(time_s, values, rows)))
-    notes += _omitted(int(again.sum()), 'rows written twice')
-    rows = rows[~again]
+    repeated = np.concatenate(([False], _repeated(time_s, values, rows)))
+    notes += _omitted(int(repeated.sum()), 'rows written twice')
+    rows = rows[~repeated]
     steps = np.diff(time_s[rows])
     if not (steps > 0.0).any():
         raise BadInputError(where, 'does not increase', remedy='name another column as the time')
@@ -155,10 +155,10 @@ def _omitted(count: int, what: str) -> list[str]:
 def _repeated(time_s: FloatArray, values: Sequence[FloatArray], rows: np.ndarray) -> np.ndarray:
     """(m - 1,) whether one of m rows repeats the time and values of the one before."""
     out = np.asarray(np.diff(time_s[rows]) == 0.0)
-    at = np.flatnonzero(out)
+    index = np.flatnonzero(out)
     for column in values:
-        a, b = column[rows[at + 1]], column[rows[at]]
-        out[at] &= (a == b) | (np.isnan(a) & np.isnan(b))
+        a, b = column[rows[index + 1]], column[rows[index]]
+        out[index] &= (a == b) | (np.isnan(a) & np.isnan(b))
     return out
 
 
@@ -239,13 +239,13 @@ def _own(
 
 
 def _gaps(values: FloatArray, dt: float) -> str:
-    lost = np.asarray(np.isnan(values).all(axis=1))
-    gaps = finite_runs(lost, (0, len(lost)))
+    is_lost = np.asarray(np.isnan(values).all(axis=1))
+    gaps = finite_runs(is_lost, (0, len(is_lost)))
     if not gaps:
         return ''
     if len(gaps) == 1:
-        return f'; a gap of {lost.sum() * dt:.3g} s stays'
-    return (f'; {len(gaps)} gaps of {lost.sum() * dt:.3g} s in all stay, the longest '
+        return f'; a gap of {is_lost.sum() * dt:.3g} s stays'
+    return (f'; {len(gaps)} gaps of {is_lost.sum() * dt:.3g} s in all stay, the longest '
             f'{max(b - a for a, b in gaps) * dt:.3g} s')
 
 
@@ -287,12 +287,12 @@ def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:
 def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
     """The active value at each time: the last one, at most half a cycle later."""
     interval = 1.0 / stream.rate_hz if stream.rate_hz else np.inf
-    at = np.searchsorted(stream.time_s, times + 0.5 * dt, side='right') - 1
-    known = at >= 0
-    at = np.maximum(at, 0)
-    known &= times - stream.time_s[at] <= MAX_PAUSE * max(interval, dt)
-    out = stream.values[at].copy()
-    out[~known] = np.nan
+    index = np.searchsorted(stream.time_s, times + 0.5 * dt, side='right') - 1
+    is_recent = index >= 0
+    index = np.maximum(index, 0)
+    is_recent &= times - stream.time_s[index] <= MAX_PAUSE * max(interval, dt)
+    out = stream.values[index].copy()
+    out[~is_recent] = np.nan
     return np.asarray(out, dtype=np.float64)
 
 
@@ -312,5 +312,5 @@ def mean_of_next_cycle(stream: Stream, times: FloatArray, dt: float) -> FloatArr
     """Mean of the active value from each time to the next."""
     parts = dt / PARTS
     fine = (times[:, None] + parts * np.arange(PARTS)).ravel()
-    held = hold(stream, fine, parts)
-    return np.asarray(held.reshape(len(times), PARTS, -1).mean(axis=1), dtype=np.float64)
+    resampled = hold(stream, fine, parts)
+    return np.asarray(resampled.reshape(len(times), PARTS, -1).mean(axis=1), dtype=np.float64)

@@ -167,8 +167,8 @@ def _unsigned(options: ColumnOptions, table: Table) -> Table:
     moving = all(np.nanstd(columns[name]) > 0.0 for name in turned)
     if not turned or not moving or not all(map(one_sided, columns.values())):
         return table
-    others = [name for name in columns if name not in turned]
-    sense = f', against {", ".join(others)}' if others else ''
+    unsigned = [name for name in columns if name not in turned]
+    sense = f', against {", ".join(unsigned)}' if unsigned else ''
     line = (f'{", ".join(turned)} are negative, as motors that turn the other way{sense}: their '
             'magnitude is taken')
     return replace(table, notes=(*table.notes, line), columns={
@@ -253,10 +253,10 @@ def _units(options: ColumnOptions, table: Table) -> dict[str, Unit]:
     units = {}
     for option, what in OPTIONS.items():
         names = options.names(option)
-        for at, name in enumerate(names):
+        for k, name in enumerate(names):
             text = options.units.get(name)
-            known = text or header_unit(name, what.role) in {None, *UNITS[what.role]}
-            likely = '' if known else likely_units(table, option, names)[at]
+            has_unit = text or header_unit(name, what.role) in {None, *UNITS[what.role]}
+            likely = '' if has_unit else likely_units(table, option, names)[k]
             units[name] = unit_of(what.role, text, name, likely)
     return units
 
@@ -321,9 +321,9 @@ def _wrench(
         return None
     out = np.zeros((len(control.values), 4))
     out[:, 0] = control.values[:, -1] if options.thrust else MIDDLE_COMMAND
-    at = np.searchsorted(turned.time_s, control.time_s)
+    index = np.searchsorted(turned.time_s, control.time_s)
     for i, axis in enumerate(options.axes):
-        out[:, 1 + AXES.index(axis)] = turned.values[at, i]
+        out[:, 1 + AXES.index(axis)] = turned.values[index, i]
     return Stream(control.time_s, out)
 
 
@@ -332,21 +332,21 @@ def _mapped(
 ) -> tuple[Mapped, ...]:
     """The use of each column."""
     out = []
-    placed = [(option, at, name) for option in OPTIONS
-              for at, name in enumerate(options.names(option))]
-    for option, at, name in placed:
+    placed = [(option, k, name) for option in OPTIONS
+              for k, name in enumerate(options.names(option))]
+    for option, k, name in placed:
         unit, stream = units[name], streams.get(option)
         place = 'motor' if option == 'motors' else option.replace('_', ' ')
-        place += f' {at + 1}' if option == 'motors' else \
-            f', {options.axes[at]}' if OPTIONS[option].per_axis else ''
+        place += f' {k + 1}' if option == 'motors' else \
+            f', {options.axes[k]}' if OPTIONS[option].per_axis else ''
         how = '' if unit.factor == 1.0 and not unit.offset else f'{unit.factor:.6g} * column'
         how += f' + {unit.offset:g}' if unit.offset else ''
         out.append(Mapped(name, unit.name, place, how, stream.rate_hz if stream else 0.0))
     if options.control and not options.thrust:
         out.append(Mapped('no thrust', '1', f'U1 = {MIDDLE_COMMAND:g}', ''))
-    rest = [axis for axis in AXES if axis not in options.axes]
-    if rest:
-        out.append(Mapped(', '.join(rest), '-', '0', 'not measured'))
+    other_axes = [axis for axis in AXES if axis not in options.axes]
+    if other_axes:
+        out.append(Mapped(', '.join(other_axes), '-', '0', 'not measured'))
     return tuple(out)
 
 

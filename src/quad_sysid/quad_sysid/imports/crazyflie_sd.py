@@ -32,20 +32,20 @@ def sd_card(data: bytes, source: str) -> tuple[Columns, Columns]:
         raise BadInputError(source, 'is an SD-card log of an unknown version', version,
                             "convert it to CSV with the Crazyflie's own tool and import that")
     try:
-        events, at = _sd_events(data, source)
+        events, position = _sd_events(data, source)
     except (struct.error, IndexError, ValueError, UnicodeDecodeError) as error:
         raise BadInputError(source, 'is not a whole log of a Crazyflie SD card',
                             remedy='copy it again from the card') from error
     stamp = struct.Struct('<HI' if version == 1 else '<HQ')
     tick = 1e-3 if version == 1 else 1e-6
     rows: dict[int, list[tuple[Any, ...]]] = {number: [] for number in events}
-    while at + stamp.size <= len(data) - 4:
-        number, ticks = stamp.unpack_from(data, at)
-        at += stamp.size
-        if number not in events or at + events[number][1].size > len(data):
+    while position + stamp.size <= len(data) - 4:
+        number, ticks = stamp.unpack_from(data, position)
+        position += stamp.size
+        if number not in events or position + events[number][1].size > len(data):
             break
-        rows[number].append((ticks * tick, *events[number][1].unpack_from(data, at)))
-        at += events[number][1].size
+        rows[number].append((ticks * tick, *events[number][1].unpack_from(data, position)))
+        position += events[number][1].size
     columns: Columns = {}
     times: Columns = {}
     for number, (names, _) in events.items():
@@ -64,24 +64,24 @@ def _sd_events(
 ) -> tuple[dict[int, tuple[list[str], struct.Struct]], int]:
     """Names and binary layout of each event by its number, and the offset of the samples."""
     (kinds,) = struct.unpack_from('<H', data, 3)
-    at = 5
+    position = 5
     events: dict[int, tuple[list[str], struct.Struct]] = {}
     for _ in range(kinds):
-        (number,) = struct.unpack_from('<H', data, at)
-        event, at = _text(data, at + 2)
-        (count,) = struct.unpack_from('<H', data, at)
-        at += 2
+        (number,) = struct.unpack_from('<H', data, position)
+        event, position = _text(data, position + 2)
+        (count,) = struct.unpack_from('<H', data, position)
+        position += 2
         names, form = [], '<'
         for _ in range(count):
-            name, at = _text(data, at)
+            name, position = _text(data, position)
             names.append(name[:-3] if event == SD_REGULAR else f'{event}.{name[:-3]}')
             form += name[-2]
         if not set(form[1:]) <= SD_TYPES:
             raise BadInputError(source, 'contains an unknown data type', form)
         events[number] = (names, struct.Struct(form))
-    return events, at
+    return events, position
 
 
-def _text(data: bytes, at: int) -> tuple[str, int]:
-    end = data.index(b'\0', at)
-    return data[at:end].decode(), end + 1
+def _text(data: bytes, position: int) -> tuple[str, int]:
+    end = data.index(b'\0', position)
+    return data[position:end].decode(), end + 1

@@ -75,26 +75,26 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
     messages = {}
     for number, kind in kinds.items():
         if kind.name in names or kind.name == 'PARM':
-            at = starts[numbers == number]
-            if len(at):
-                messages[kind.name] = at, _unpacked(data, at, kind)
+            offsets = starts[numbers == number]
+            if len(offsets):
+                messages[kind.name] = offsets, _unpacked(data, offsets, kind)
     clock = _clock({name: rows for name, (_, rows) in messages.items()})
     log.in_ms = clock == 'TimeMS'
     stamps = {name: TIMES[clock] * rows[clock].astype(float)
               for name, (_, rows) in messages.items() if clock in (rows.dtype.names or ())}
     timed = [(messages[name][0], times) for name, times in stamps.items()]
-    places = np.concatenate([at for at, _ in timed]) if timed else np.zeros(0)
+    places = np.concatenate([offsets for offsets, _ in timed]) if timed else np.zeros(0)
     order = np.argsort(places, kind='stable')
-    known = np.concatenate([times for _, times in timed])[order] if timed else np.zeros(0)
-    for name, (at, rows) in messages.items():
+    timed_s = np.concatenate([times for _, times in timed])[order] if timed else np.zeros(0)
+    for name, (offsets, rows) in messages.items():
         if name == 'PARM':
             log.parameters |= {_text(n): float(v) for n, v in zip(rows['Name'], rows['Value'],
                                                                   strict=True)}
             continue
         times = stamps.get(name)
         if times is None:  # before 2015 events had none: that of the message before
-            before = np.searchsorted(places[order], at) - 1
-            times = known[np.maximum(before, 0)] if known.size else np.zeros(len(at))
+            index = np.searchsorted(places[order], offsets) - 1
+            times = timed_s[np.maximum(index, 0)] if timed_s.size else np.zeros(len(offsets))
         kind = next(k for k in kinds.values() if k.name == name)
         for label, factor in zip(rows.dtype.names or (), kind.factors, strict=True):
             if factor:
@@ -111,10 +111,10 @@ def _clock(messages: Mapping[str, NDArray[np.void]]) -> str:
 def _kinds(data: NDArray[np.uint8]) -> dict[int, Kind]:
     """Every message that a whole FMT describes, by its number."""
     out = {}
-    for at in _headers(data, {FMT}):
-        if at + FMT_LENGTH > len(data):
+    for offset in _headers(data, {FMT}):
+        if offset + FMT_LENGTH > len(data):
             continue
-        raw = data[at : at + FMT_LENGTH].tobytes()
+        raw = data[offset : offset + FMT_LENGTH].tobytes()
         number, length = raw[3], raw[4]
         name, form, labels = (raw[a:b].rstrip(b'\0') for a, b in ((5, 9), (9, 25), (25, 89)))
         try:
@@ -137,14 +137,14 @@ def _kind(number: int, length: int, name: str, form: str, labels: Sequence[str])
 
 def _headers(data: NDArray[np.uint8], numbers: Collection[int]) -> NDArray[np.int64]:
     """Offsets at which a message of these numbers may begin."""
-    known = np.zeros(256, dtype=bool)
-    known[list(numbers)] = True
+    is_kind = np.zeros(256, dtype=bool)
+    is_kind[list(numbers)] = True
     out = []
     for low in range(0, len(data), BLOCK):
         part = data[low : low + BLOCK + 2]
         if part.size < 3:
             continue
-        hit = (part[:-2] == MAGIC[0]) & (part[1:-1] == MAGIC[1]) & known[part[2:]]
+        hit = (part[:-2] == MAGIC[0]) & (part[1:-1] == MAGIC[1]) & is_kind[part[2:]]
         out.append(np.flatnonzero(hit) + low)
     return np.concatenate(out) if out else np.zeros(0, dtype=np.int64)
 
@@ -160,28 +160,29 @@ def _whole(
     lengths = np.zeros(256, dtype=np.int64)
     for number, kind in kinds.items():
         lengths[number] = kind.length
-    at = _headers(data, kinds)
-    end = at + lengths[data[at + 2]]
+    offsets = _headers(data, kinds)
+    end = offsets + lengths[data[offsets + 2]]
     inside = end <= len(data)
-    at, end = at[inside], end[inside]
-    followed = np.isin(end, at, assume_unique=False) | (end == len(data))
+    offsets, end = offsets[inside], end[inside]
+    followed = np.isin(end, offsets, assume_unique=False) | (end == len(data))
     accepted: list[NDArray[np.int64]] = []
     runs = np.flatnonzero(np.diff(followed.astype(np.int8), prepend=0, append=0))
     behind = 0
     for a, b in runs.reshape(-1, 2):  # all of these are followed by a message
-        starts = at[a:b]
+        starts = offsets[a:b]
         if (starts[1:] < end[a : b - 1]).any() or starts[0] < behind:
             starts = _not_nested(starts, end[a:b], behind)
         if len(starts):
             accepted.append(starts)
             behind = int(starts[-1] + lengths[data[starts[-1] + 2]])
-    good = np.concatenate(accepted) if accepted else np.zeros(0, dtype=np.int64)
-    more = [i for i in np.flatnonzero(~followed) if _plausible(data, int(at[i]), at, good, kinds)]
-    good = np.sort(np.concatenate([good, at[more]]).astype(np.int64))
-    numbers = data[good + 2]
-    ends = good + lengths[numbers]
-    gaps = np.diff(np.r_[0, np.column_stack([good, ends]).ravel(), len(data)])[::2]
-    return good, numbers, int(gaps.sum()), int(np.count_nonzero(gaps))
+    accepted_starts = np.concatenate(accepted) if accepted else np.zeros(0, dtype=np.int64)
+    more = [i for i in np.flatnonzero(~followed)
+            if _plausible(data, int(offsets[i]), offsets, accepted_starts, kinds)]
+    accepted_starts = np.sort(np.concatenate([accepted_starts, offsets[more]]).astype(np.int64))
+    numbers = data[accepted_starts + 2]
+    ends = accepted_starts + lengths[numbers]
+    gaps = np.diff(np.r_[0, np.column_stack([accepted_starts, ends]).ravel(), len(data)])[::2]
+    return accepted_starts, numbers, int(gaps.sum()), int(np.count_nonzero(gaps))
 
 
 def _not_nested(
@@ -197,23 +198,23 @@ def _not_nested(
 
 
 def _plausible(
-    data: NDArray[np.uint8], start: int, at: NDArray[np.int64], good: NDArray[np.int64],
+    data: NDArray[np.uint8], start: int, offsets: NDArray[np.int64], accepted: NDArray[np.int64],
     kinds: Mapping[int, Kind],
 ) -> bool:
     """Whether a message that no other follows can be believed."""
     kind = kinds[int(data[start + 2])]
     stop = start + kind.length
-    if np.searchsorted(at, stop) - np.searchsorted(at, start) > 1:
+    if np.searchsorted(offsets, stop) - np.searchsorted(offsets, start) > 1:
         return False
-    place = int(np.searchsorted(good, start))
-    if place and good[place - 1] + kinds[int(data[good[place - 1] + 2])].length > start:
+    place = int(np.searchsorted(accepted, start))
+    if place and accepted[place - 1] + kinds[int(data[accepted[place - 1] + 2])].length > start:
         return False
     row = _unpacked(data, np.array([start]), kind)[0]
     numbers = [float(row[name]) for name, factor in
                zip(kind.dtype.names or (), kind.factors, strict=True)
                if factor and kind.dtype[name].kind == 'f']
     clock = next((name for name in TIMES if name in (kind.dtype.names or ())), None)
-    same = good[max(0, place - 50) : place + 50]
+    same = accepted[max(0, place - 50) : place + 50]
     same = same[data[same + 2] == kind.number]
     if clock is None or not len(same) or not all(abs(x) < LARGEST for x in numbers):
         return False
@@ -248,24 +249,24 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
         if described:
             labels[described[3]] = [label.strip() for label in described[5].split(',')]
             continue
-        name, _, rest = line.partition(',')
+        name, _, values = line.partition(',')
         name = name.strip()
         if name not in labels or (name not in kinds and name != 'PARM'):
             continue
-        cells = [cell.strip() for cell in rest.split(',')]
-        known = labels[name]
-        if len(cells) < len(known):
+        cells = [cell.strip() for cell in values.split(',')]
+        names = labels[name]
+        if len(cells) < len(names):
             log.skipped += len(line)
             log.bursts += 1
             continue
         if name == 'PARM':
-            row = dict(zip(known, cells, strict=False))
+            row = dict(zip(names, cells, strict=False))
             log.parameters[row.get('Name', '')] = _number(row.get('Value', ''))
             continue
-        clock = next((c for c in TIMES if c in known), None)
-        numbers = [_number(cell) for cell in cells[: len(known)]]
+        clock = next((c for c in TIMES if c in names), None)
+        numbers = [_number(cell) for cell in cells[: len(names)]]
         if clock is not None:
-            now = TIMES[clock] * numbers[known.index(clock)]
+            now = TIMES[clock] * numbers[names.index(clock)]
             log.in_ms |= clock == 'TimeMS'
         rows.setdefault(name, []).append(numbers)
         clocks.setdefault(name, []).append(now)

@@ -96,23 +96,23 @@ def read_text_table(
     places = [layout.names.index(name) for name in names]
     blocks: list[FloatArray] = []
     row_numbers: list[NDArray[np.int64]] = []
-    whole = 0
+    complete = 0
     for numbers, rows in _rows(chain(looked[layout.begin :], numbered), layout.split):
-        whole += sum(_as_wide(cells, len(layout.names)) for cells in rows)
+        complete += sum(_as_wide(cells, len(layout.names)) for cells in rows)
         blocks.append(_block(rows, numbers, places, None if wanted is None else names, source))
         row_numbers.append(numbers)
     if not blocks:
         raise BadInputError(source, 'has a header but no rows', remedy='give recorded data')
-    at = np.concatenate(row_numbers)
+    row_index = np.concatenate(row_numbers)
     columns = {}
     for i, name in enumerate(names):  # column by column, each freed in its block
         columns[name] = np.concatenate([block[i] for block in blocks])
     if wanted is None:
-        _check_table(columns, whole, at.size, source)
+        _check_table(columns, complete, row_index.size, source)
     for name in wanted or ():
         if not np.isfinite(columns[layout.aliases.get(name, name)]).any():
-            raise BadInputError(f'{source}, line {at[0]}, column {name}', 'holds no number')
-    return Text({n: c for n, c in columns.items() if np.isfinite(c).any()}, at,
+            raise BadInputError(f'{source}, line {row_index[0]}, column {name}', 'holds no number')
+    return Text({n: c for n, c in columns.items() if np.isfinite(c).any()}, row_index,
                 (*layout.notes, *text.notes), layout.aliases)
 
 
@@ -245,9 +245,9 @@ def _is_number(cell: str) -> bool:
 
 def _is_row(cells: Sequence[str]) -> bool:
     """Whether at least half of the cells that hold something hold a number."""
-    held = [cell.strip() for cell in cells if cell.strip().lower() not in WORDS]
-    numbers = sum(map(_is_number, held))
-    return numbers > 0 and 2 * numbers >= len(held)
+    values = [cell.strip() for cell in cells if cell.strip().lower() not in WORDS]
+    numbers = sum(map(_is_number, values))
+    return numbers > 0 and 2 * numbers >= len(values)
 
 
 def _as_wide(cells: Sequence[str], width: int) -> bool:
@@ -292,9 +292,9 @@ def _number(cell: str) -> float:
         return float(text)
     except ValueError:
         pass
-    known = WORDS.get(text.lower())
-    if known is not None:
-        return known
+    number = WORDS.get(text.lower())
+    if number is not None:
+        return number
     moment = MOMENT.match(text)
     if moment is None or not (moment['date'] or moment['hour']):
         return math.nan

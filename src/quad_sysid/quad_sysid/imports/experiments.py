@@ -35,7 +35,7 @@ def runs_of(signal: str, injection: str, added: Stream) -> tuple[Experiment, ...
             rows = slice(part[0], part[-1] + 1)
             out.append(Experiment(axis, signal, injection, Stream(
                 added.time_s[rows], added.values[rows, i : i + 1])))
-    return tuple(sorted(out, key=lambda one: one.added.time_s[0]))
+    return tuple(sorted(out, key=lambda experiment: experiment.added.time_s[0]))
 
 
 def with_experiments(
@@ -49,20 +49,20 @@ def with_experiments(
     excitation = np.full((record.n, len(AXES)), np.nan)
     segments: list[Segment] = []
     text = []
-    for one in experiments:
-        begin, end = (float(t) - start_s for t in one.added.time_s[[0, -1]])
+    for experiment in experiments:
+        begin, end = (float(t) - start_s for t in experiment.added.time_s[[0, -1]])
         begin, end = max(begin, 0.0), min(end, record.n * record.dt)
         if end - begin < MIN_DURATION_S:
             continue
         rows = slice(int(np.ceil(begin / record.dt)), int(end / record.dt))
         times = start_s + record.dt * np.arange(rows.start, rows.stop)
         excitation[rows] = 0.0
-        excitation[rows, AXES.index(one.axis)] = np.interp(
-            times, one.added.time_s, one.added.values[:, 0])
+        excitation[rows, AXES.index(experiment.axis)] = np.interp(
+            times, experiment.added.time_s, experiment.added.values[:, 0])
         segments += [
-            Segment(role, one.signal, one.axis, one.injection, begin + a, begin + b,
-                    dict(one.parameters)) for role, a, b in blocks(end - begin)]
-        text.append(f'{one.axis} {end - begin:.0f} s')
+            Segment(role, experiment.signal, experiment.axis, experiment.injection, begin + a,
+                    begin + b, dict(experiment.parameters)) for role, a, b in blocks(end - begin)]
+        text.append(f'{experiment.axis} {end - begin:.0f} s')
     if not segments:
         return record, ''
     segments.sort(key=lambda s: s.start_s)

@@ -61,7 +61,7 @@ def format_of(path: Path) -> Format | None:
     """The format of a file, None for a table. Raises BadInputError where it cannot be read."""
     head = head_of(path)
     of = Source(head, topics_of(path) if is_bag(path, head) else {})
-    return next((one for one in FORMATS if one.recognises(of)), None)
+    return next((log_format for log_format in FORMATS if log_format.recognises(of)), None)
 
 
 def check_single(path: Path, kind: str, log: int) -> None:
@@ -70,14 +70,16 @@ def check_single(path: Path, kind: str, log: int) -> None:
         raise BadInputError(f'{path}: --log', f'{kind} holds one log', log, 'leave it out')
 
 
-def read_log(path: Path, known: Format, log: int = 1, messages: Path | None = None) -> ForeignLog:
+def read_log(
+    path: Path, log_format: Format, log: int = 1, messages: Path | None = None
+) -> ForeignLog:
     """Read a log; `log` counts those of a file that holds several. Raises BadInputError."""
     values: dict[str, Any] = {'log': log, 'messages': messages}
-    if 'log' not in known.options:
-        check_single(path, known.name, log)
-    if messages is not None and 'messages' not in known.options:
-        raise BadInputError(f'{path}: --messages', f'{known.name} needs no definitions', messages,
-                            'leave it out')
+    if 'log' not in log_format.options:
+        check_single(path, log_format.name, log)
+    if messages is not None and 'messages' not in log_format.options:
+        raise BadInputError(f'{path}: --messages', f'{log_format.name} needs no definitions',
+                            messages, 'leave it out')
     with plain(path) as unpacked:
-        read = known.read(unpacked, **{name: values[name] for name in known.options})
+        read = log_format.read(unpacked, **{name: values[name] for name in log_format.options})
     return replace(read, source=str(path)) if unpacked != path else read

@@ -123,12 +123,12 @@ class Guess:
         option = next((o for o, names in self.columns.items() if column in names), None)
         if option is None:
             return '-'
-        at, word = self.columns[option].index(column), option.replace('_', ' ')
+        index, word = self.columns[option].index(column), option.replace('_', ' ')
         unit = self.units.get(column) or header_unit(column, OPTIONS[option].role)
         if option == 'motors':
-            word = f'motor {at + 1}'
+            word = f'motor {index + 1}'
         elif OPTIONS[option].per_axis:
-            word += f', {AXES[at]}'
+            word += f', {AXES[index]}'
         word += f' [{unit}]' if unit else ''
         return word if column in self._used(self.axes).get(option, ()) else f'{word}, not used'
 
@@ -175,8 +175,8 @@ class Guess:
         options: dict[tuple[str, ...], list[str]] = {}
         for option, names in self.columns.items():
             if OPTIONS[option].per_axis and option not in self._used(self.axes):
-                own = tuple(axis for axis in _axes(names) if axis in self.axes)
-                options.setdefault(own, []).append(option)
+                axes = tuple(axis for axis in _axes(names) if axis in self.axes)
+                options.setdefault(axes, []).append(option)
         options.pop((), None)
         return options
 
@@ -262,7 +262,7 @@ def _axes(triple: Sequence[str]) -> tuple[str, ...]:
 
 def lines(table: Table, file: Path) -> Iterator[str]:
     """The table of columns, and what to type: a command that was tried before it is printed."""
-    guessed, refused = _tried(table, file)
+    guessed, reason = _tried(table, file)
     (time,) = guessed.columns.get('time', (None,))
     factor = unit_of('time', guessed.units.get(str(time)), str(time)).factor
     rows, rates = [], []
@@ -290,8 +290,8 @@ def lines(table: Table, file: Path) -> Iterator[str]:
     else:
         yield 'check the guesses, then:'
         yield command
-        if refused:
-            yield from wrapped(f'as it stands the import refuses it: {refused}', '')
+        if reason:
+            yield from wrapped(f'as it stands the import refuses it: {reason}', '')
         yield from quicker(max((rate for rate in rates if rate), default=0.0))
         for axes, options in guessed.partial().items():
             named = ', '.join(map(flag, options))
@@ -305,18 +305,18 @@ def lines(table: Table, file: Path) -> Iterator[str]:
 
 def described(table: Table, file: Path) -> dict[str, Any]:
     """The columns with their guesses, and what may be chosen instead, for a page's menus."""
-    guessed, refused = _tried(table, file)
-    roles = {name: f'{option}, {AXES[at]}' if OPTIONS[option].per_axis else
-             f'motor {at + 1}' if option == 'motors' else option
+    guessed, reason = _tried(table, file)
+    roles = {name: f'{option}, {AXES[k]}' if OPTIONS[option].per_axis else
+             f'motor {k + 1}' if option == 'motors' else option
              for option, names in guessed.columns.items() if option != 'acceleration'
-             for at, name in enumerate(names) if name}
+             for k, name in enumerate(names) if name}
     return {
         'columns': [{'name': name, 'lowest': number(np.nanmin(values), 4),
                      'highest': number(np.nanmax(values), 4), 'role': roles.get(name, ''),
                      'unit': guessed.units.get(name, '')}
                     for name, values in table.columns.items()],
-        'units': {option: list(UNITS[one.role]) for option, one in OPTIONS.items()},
-        'refused': refused,
+        'units': {option: list(UNITS[entry.role]) for option, entry in OPTIONS.items()},
+        'refused': reason,
     }
 
 
@@ -325,15 +325,15 @@ def _tried(table: Table, file: Path) -> tuple[Guess, str]:
     first: tuple[Guess, str] | None = None
     for guessed in guesses(table):
         options = guessed.options(file)
-        refused = ''
+        reason = ''
         if options is not None:
             try:
                 record_of(read_columns(options, table))
             except BadInputError as error:
-                refused = str(error)
-        if options is not None and not refused:
+                reason = str(error)
+        if options is not None and not reason:
             return guessed, ''
-        first = first or (guessed, refused)
+        first = first or (guessed, reason)
     return first or (guess(table), '')
 
 
@@ -354,13 +354,13 @@ def _times(table: Table) -> list[str]:
         return []
     ranks = {}
     for name, values in table.columns.items():
-        known = values[np.isfinite(values)]
-        steps = np.diff(known)
+        finite = values[np.isfinite(values)]
+        steps = np.diff(finite)
         named = bool(TIME.search(spaced(name)))  # a slow clock repeats its ticks
         rising = float(np.mean(steps >= 0.0 if named else steps > 0.0)) if steps.any() else 0.0
         if rising >= RISING:
             ticks = float(np.mean(steps > 0.0))
-            ranks[name] = (named, ticks >= TICKING and known.size >= TICKING * values.size,
+            ranks[name] = (named, ticks >= TICKING and finite.size >= TICKING * values.size,
                            time_unit(values) is not None, rising)
     return sorted(ranks, key=ranks.__getitem__, reverse=True)
 
@@ -373,8 +373,8 @@ def _motors(table: Table, names: Sequence[str]) -> tuple[str, ...]:
         if match and one_sided(table.columns[name]):
             families.setdefault((match['stem'], match['rest']), []).append(
                 (int(match['number']), name))
-    whole = [sorted(f) for f in families.values() if len(f) in (4, 6, 8)]
-    return tuple(name for _, name in max(whole, key=len)) if whole else ()
+    complete = [sorted(f) for f in families.values() if len(f) in (4, 6, 8)]
+    return tuple(name for _, name in max(complete, key=len)) if complete else ()
 
 
 def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[Triple]:
@@ -386,14 +386,14 @@ def _triples(names: Sequence[str], pattern: re.Pattern[str]) -> list[Triple]:
     for name in names:
         if not pattern.search(spaced(name)):
             continue
-        whole = spaced(bare(name))
-        last = whole.rpartition('. ')[2]
-        part = last if any(p.search(last) for p in (pattern, *AXIS_NAMES)) else whole
+        text = spaced(bare(name))
+        last = text.rpartition('. ')[2]
+        part = last if any(p.search(last) for p in (pattern, *AXIS_NAMES)) else text
         for i, axis in enumerate(AXIS_NAMES):
             match = list(axis.finditer(part))
             if match:
-                start, stop = (len(whole) - len(part) + at for at in match[-1].span())
-                stem = f'{whole[:start]}*{whole[stop:]}'
+                start, stop = (len(text) - len(part) + edge for edge in match[-1].span())
+                stem = f'{text[:start]}*{text[stop:]}'
                 if groups.get(stem, ['', '', ''])[i]:  # the same once more in another unit
                     stem += name[len(bare(name)):]
                 groups.setdefault(stem, ['', '', ''])[i] = name
@@ -406,11 +406,11 @@ def read_any(path: Path, log: int = 1, messages: Path | None = None) -> ForeignL
 
     Raises BadInputError where it is neither.
     """
-    known = format_of(path)
-    if known is not None:
-        return read_log(path, known, log, messages)
+    log_format = format_of(path)
+    if log_format is not None:
+        return read_log(path, log_format, log, messages)
     check_single(path, 'a table', log)
-    content, refused = open_table(path, messages=messages), ''
+    content, reason = open_table(path, messages=messages), ''
     for guessed in guesses(content):
         options = guessed.options(path)
         if options is None:
@@ -419,10 +419,10 @@ def read_any(path: Path, log: int = 1, messages: Path | None = None) -> ForeignL
             read = read_columns(options, content)
             record_of(read)
         except BadInputError as error:
-            refused = refused or str(error)
+            reason = reason or str(error)
         else:
             doubt = f'the columns were guessed: check them with quad-sysid import {path}'
             return replace(read, checks=(*read.checks, doubt))
     raise BadInputError(
-        str(path), 'is a table whose columns cannot be guessed', refused or None,
+        str(path), 'is a table whose columns cannot be guessed', reason or None,
         'quad-sysid import FILE lists them; import it with the right ones, then give the bag')

@@ -10,7 +10,8 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.imports.plausible import MIN_RATE_HZ, time_unit
 from quad_sysid.imports.table import Table
-from quad_sysid.imports.units import ONE_G, OPTIONS, UNITS, Role, header_unit, unit_in_name
+from quad_sysid.imports.units import OPTIONS, UNITS, Role, header_unit, unit_in_name
+from quad_sysid.motion import GRAVITY
 
 SMOOTH_TURN = 20.0
 """99 % quantile of a rate, rad/s, above which it is read as deg/s."""
@@ -25,8 +26,8 @@ def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
     is unknown. An empty name is no column.
     """
     role, names = OPTIONS[option].role, [name for name in names if name]
-    known = {None, *UNITS[role]}
-    return [unit or ('' if header_unit(name, role) in known else next(iter(UNITS[role])))
+    units = {None, *UNITS[role]}
+    return [unit or ('' if header_unit(name, role) in units else next(iter(UNITS[role])))
             for name, unit in zip(names, _by_size(table, option, names), strict=True)]
 
 
@@ -46,8 +47,8 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
 ) -> list[str]:
     columns = [table.columns[name] for name in names]
     if option == 'time':
-        known = header_unit(names[0])
-        unit = known if known in UNITS['time'] else time_unit(columns[0])
+        header = header_unit(names[0])
+        unit = header if header in UNITS['time'] else time_unit(columns[0])
         steps = np.diff(columns[0][np.isfinite(columns[0])])
         usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
         if unit == 's' and usual * MIN_RATE_HZ > 1.0:
@@ -57,13 +58,13 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
         return _turn_units(names, columns, OPTIONS[option].role)
     high = max(float(np.nanmax(np.abs(values))) for values in columns)
     if option == 'motors' and min(map(np.nanmin, columns)) < 0.0:
-        whole = f'{rounded_down(1.0 / high):g}' if high > 1.0 else ''
-        return [whole] * len(names)  # signed by their spin
+        upper = f'{rounded_down(1.0 / high):g}' if high > 1.0 else ''
+        return [upper] * len(names)  # signed by their spin
     if option == 'acceleration':
         size = max(float(np.nanmedian(np.abs(values))) for values in columns)
         named = header_unit(names[0], 'acceleration') in UNITS['acceleration']
         near = next((unit for unit, (factor, _) in UNITS['acceleration'].items()
-                     if 0.5 < size * factor / ONE_G < 2.0), f'{ONE_G / size:.4g}')
+                     if 0.5 < size * factor / GRAVITY < 2.0), f'{GRAVITY / size:.4g}')
         return ['' if named or near == 'm/s2' else near] * len(names)
     if option == 'battery':
         return ['mV' if float(np.nanmedian(columns[0])) > MAX_V else '']

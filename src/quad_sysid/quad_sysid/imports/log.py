@@ -165,24 +165,25 @@ class Reading:
 
     def take(self, *signals: Signal) -> None:
         """Take the first of each role whose columns were logged."""
-        for one in signals:
-            stream = None if one.role in self.streams else self.table.stream(*one.columns)
+        for signal in signals:
+            stream = None if signal.role in self.streams else self.table.stream(*signal.columns)
             if stream is not None:
-                self.put(one, Stream(stream.time_s, one.convert(stream.values)))
+                self.put(signal, Stream(stream.time_s, signal.convert(stream.values)))
 
-    def put(self, one: Signal, stream: Stream) -> None:
+    def put(self, signal: Signal, stream: Stream) -> None:
         """Take a stream that was made of the columns of `one`."""
-        message = one.columns[0].rpartition('.')[0]
+        message = signal.columns[0].rpartition('.')[0]
         fields = dict.fromkeys(name.removeprefix(f'{message}.').partition('[')[0]
-                               for name in one.columns)
+                               for name in signal.columns)
         source = '.'.join(filter(None, (message, ', '.join(fields))))
-        self.streams[one.role] = stream
-        self.mapped.append(Mapped(source, one.unit, TOPICS[one.role], one.how, stream.rate_hz))
+        self.streams[signal.role] = stream
+        self.mapped.append(
+            Mapped(source, signal.unit, TOPICS[signal.role], signal.how, stream.rate_hz))
 
     def log(self, kind: str, signals: Sequence[Signal], **more: Any) -> ForeignLog:
         """The log, with what it lacks of these channels; `more` are its other fields."""
-        first = {one.role: one.columns[0].rpartition('.')[0] or one.columns[0]
-                 for one in reversed(signals)}
+        first = {signal.role: signal.columns[0].rpartition('.')[0] or signal.columns[0]
+                 for signal in reversed(signals)}
         lacking = [f'{first[role]}: {text}' for role, text in LACKING.items()
                    if role in first and role not in self.streams]
         no_gains = more.pop('no_gains', NO_GAINS)

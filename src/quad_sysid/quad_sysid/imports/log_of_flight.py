@@ -101,12 +101,12 @@ def _in_our_unit(
     gains = tuple(GainChange(max(g.time_s - after_s, 0.0), g.values) for g in live)
     if record.motors is not None or record.desaturation != 'none':
         return replace(record, gains=gains)
-    known = live[-1].values
+    last = live[-1].values
     scale: FloatArray = np.ones(4)
     for i, axis in enumerate(AXES, 1):
         name = f'{axis}.rate.kp'
-        if known.get(name, 0.0) > 0.0 and own.get(name, 0.0) > 0.0:
-            scale[i] = known[name] / own[name]
+        if last.get(name, 0.0) > 0.0 and own.get(name, 0.0) > 0.0:
+            scale[i] = last[name] / own[name]
     wrench = None if record.wrench is None else record.wrench * scale
     excitation = record.excitation
     if excitation is not None and any(s.injection == 'control' for s in record.segments):

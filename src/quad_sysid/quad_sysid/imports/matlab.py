@@ -39,10 +39,10 @@ def read_mat(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
             'save the columns as vectors of one length')
     length, _ = max(sizes.items(), key=lambda item: (item[1], item[0]))
     columns = {name: values for name, values in vectors.items() if len(values) == length}
-    others = [name for name, values in vectors.items()
-              if LEAST <= len(values) != length]
-    notes = (f'{len(others)} vectors of another length than {length} left out: '
-             + ', '.join(others[:5]),) if others else ()
+    shorter = [name for name, values in vectors.items()
+               if LEAST <= len(values) != length]
+    notes = (f'{len(shorter)} vectors of another length than {length} left out: '
+             + ', '.join(shorter[:5]),) if shorter else ()
     return columns, notes
 
 
@@ -54,8 +54,8 @@ def _vectors(name: str, value: Any) -> Iterator[tuple[str, FloatArray]]:
     if not isinstance(value, np.ndarray):
         return
     if value.dtype == object:
-        for i, one in enumerate(value.ravel()[:MAX_WIDE]):
-            yield from _vectors(f'{name}[{i}]', one)
+        for i, cell in enumerate(value.ravel()[:MAX_WIDE]):
+            yield from _vectors(f'{name}[{i}]', cell)
         return
     if value.dtype.kind not in 'biuf':
         return

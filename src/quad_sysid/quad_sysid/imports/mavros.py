@@ -54,7 +54,7 @@ SIGNALS = (
                            ('setpoint_raw/attitude', 'body_rate'))),
     Signal('battery', within('battery', 'voltage'), 'V', 'as it is'),
 )
-TOPICS = {*(one.columns[0].partition('.')[0] for one in SIGNALS), 'rc/out',
+TOPICS = {*(signal.columns[0].partition('.')[0] for signal in SIGNALS), 'rc/out',
           'target_actuator_control'}
 CONTROLS = within('target_actuator_control', *(f'controls[{i}]' for i in (3, 0, 1, 2)))
 

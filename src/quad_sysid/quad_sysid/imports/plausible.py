@@ -192,8 +192,8 @@ def z_points_down(force: FloatArray) -> bool | None:
 
     None where it shows no weight: in free fall, of another unit, or without gravity.
     """
-    known = force[np.isfinite(force)]
-    usual = float(np.median(known)) if known.size else 0.0
+    finite = force[np.isfinite(force)]
+    usual = float(np.median(finite)) if finite.size else 0.0
     return usual < 0.0 if WEIGHT[0] <= abs(usual) <= WEIGHT[1] else None
 
 
@@ -209,8 +209,8 @@ def contradicted(rates: FloatArray, angles: FloatArray, dt: float) -> list[str]:
 
 def check_reference(reference: Column, angle: Column) -> None:
     """Refuse a reference (n,) whose size is that of the angle (n,) times 180/pi or its inverse."""
-    known = np.isfinite(reference.values) & np.isfinite(angle.values)
-    a, b = reference.values[known], angle.values[known]
+    is_finite = np.isfinite(reference.values) & np.isfinite(angle.values)
+    a, b = reference.values[is_finite], angle.values[is_finite]
     if len(a) < MIN_WINDOWS or not (np.ptp(a) and np.ptp(b)):
         return
     factor = float(np.std(b) / np.std(a))
@@ -237,8 +237,8 @@ def _over_windows(
     ])
     changed = angle[starts + width] - angle[starts]
     jumps = np.array([np.max(steps[i : i + width], initial=0.0) for i in starts])
-    whole = np.isfinite(turned) & np.isfinite(changed) & (jumps < 3.0)
-    return turned[whole], changed[whole]
+    is_finite = np.isfinite(turned) & np.isfinite(changed) & (jumps < 3.0)
+    return turned[is_finite], changed[is_finite]
 
 
 def _refuse(first: Column, angle: Column, factor: float) -> None:

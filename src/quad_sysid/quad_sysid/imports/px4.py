@@ -78,7 +78,7 @@ SIGNALS = (
     Signal('battery', within('battery_status', 'voltage_v'), 'V', 'as it is'),
 )
 TOPICS = (
-    *dict.fromkeys(one.columns[0].partition('.')[0] for one in SIGNALS), 'actuator_motors',
+    *dict.fromkeys(signal.columns[0].partition('.')[0] for signal in SIGNALS), 'actuator_motors',
     'vehicle_torque_setpoint', 'vehicle_thrust_setpoint', 'actuator_controls_0', 'actuator_armed',
     'vehicle_status', 'esc_status', AUTOTUNE,
 )
@@ -134,11 +134,11 @@ def _load(path: Path) -> Table:
                             f'{path.stat().st_size} bytes', 'copy it again from the aircraft')
     columns: dict[str, FloatArray] = {}
     times: dict[str, FloatArray] = {}
-    for data in {one.name: one for one in reversed(log.data_list)}.values():
+    for data in {data.name: data for data in reversed(log.data_list)}.values():
         fields = data.data
         if 'q_d[0]' in fields:  # all zeros where the controller runs without a set-point
-            known = np.abs(fields['q_d[0]']) + np.abs(fields['q_d[3]']) > 0.0
-            fields = {name: values[known] for name, values in fields.items()}
+            is_set = np.abs(fields['q_d[0]']) + np.abs(fields['q_d[3]']) > 0.0
+            fields = {name: values[is_set] for name, values in fields.items()}
         stamps = np.asarray(fields.get('timestamp_sample', fields['timestamp']), dtype=float)
         if not (stamps > 0).all():
             stamps = np.asarray(fields['timestamp'], dtype=float)
@@ -199,9 +199,9 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
 
 def _torque(table: Table, old: tuple[str, ...], new: tuple[str, ...]) -> Stream | None:
     """U1..U4 in PX4's own normalised unit, FLU, from the columns before 1.13 or since then."""
-    one = table.stream(*old)
-    if one is not None:
-        return Stream(one.time_s, one.values * [1.0, *MIRROR])
+    stream = table.stream(*old)
+    if stream is not None:
+        return Stream(stream.time_s, stream.values * [1.0, *MIRROR])
     torque, thrust = table.stream(*new[:3]), table.stream(new[3])
     if torque is None or thrust is None:
         return None
@@ -239,10 +239,10 @@ def _speeds(reading: Reading, count: int) -> None:
 
 def _scale(control: Stream, torque: Stream) -> Units | None:
     """U2..U4 per PX4's torque, from the log itself; None where they are not proportional."""
-    at = np.clip(np.searchsorted(torque.time_s, control.time_s), 0, len(torque.time_s) - 1)
-    x, y = torque.values[at, 1:], control.values[:, 1:]
-    good = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
-    x, y = x[good], y[good]
+    index = np.clip(np.searchsorted(torque.time_s, control.time_s), 0, len(torque.time_s) - 1)
+    x, y = torque.values[index, 1:], control.values[:, 1:]
+    is_finite = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
+    x, y = x[is_finite], y[is_finite]
     power, total = (x**2).sum(axis=0), (y**2).sum(axis=0)
     if not (power * total > 0.0).all():
         return None

@@ -39,7 +39,7 @@ def topics_of(path: Path) -> dict[str, str]:
 
     try:
         with (Reader1 if path.suffix == '.bag' else Reader2)(path) as reader:
-            return {one.topic: one.msgtype for one in reader.connections}
+            return {connection.topic: connection.msgtype for connection in reader.connections}
     except Exception:  # noqa: BLE001 - a library raises whatever a damaged bag makes it meet
         return {}
 
@@ -61,7 +61,7 @@ def _opened(path: Path, messages: Path | None) -> Iterator[Any]:
         reader.open()
     try:
         if messages is not None:
-            more = {name: known for name, known in store.fielddefs.items()
+            more = {name: fields for name, fields in store.fielddefs.items()
                     if name not in reader.typestore.fielddefs}
             reader.typestore.register(more)
         yield reader
@@ -148,16 +148,16 @@ def read_messages(
             c for c in reader.connections
             if names is None or any(name.startswith(f'{c.topic}.') for name in names)
         ]
-        known = []
-        for one in connections:
-            if one.msgtype in reader.typestore.fielddefs:
-                known.append(one)
+        decoded = []
+        for found in connections:
+            if found.msgtype in reader.typestore.fielddefs:
+                decoded.append(found)
             else:
-                unknown[one.topic] = one.msgtype
-        if unknown and (names is not None or not known):
+                unknown[found.topic] = found.msgtype
+        if unknown and (names is not None or not decoded):
             raise _undefined(path, unknown, messages)
         with read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'):
-            for connection, received, raw in reader.messages(connections=known):
+            for connection, received, raw in reader.messages(connections=decoded):
                 message = reader.deserialize(raw, connection.msgtype)
                 topic = topics.get(connection.topic)
                 if topic is None:
@@ -166,9 +166,9 @@ def read_messages(
     columns: Columns = {}
     times: Columns = {}
     for topic in topics.values():
-        own = topic.columns()
-        columns |= own
-        times |= dict.fromkeys(own, np.array(topic.stamps))
+        of_topic = topic.columns()
+        columns |= of_topic
+        times |= dict.fromkeys(of_topic, np.array(topic.stamps))
     return columns, times
 
 
@@ -191,9 +191,9 @@ def of_one_aircraft(path: Path, pattern: re.Pattern[str], wanted: Collection[str
         if match['place'] == chosen:
             own = f'{match["topic"]}.{match.string[match.end():]}'
             ours[own], clock[own] = columns[match.string], times[match.string]
-    others = ', '.join(sorted(set(places) - {chosen}))
-    note = f'of several aircraft {chosen or "/"} is read; left out: {others}'
-    return ours, clock, (note,) * bool(others)
+    alternatives = ', '.join(sorted(set(places) - {chosen}))
+    note = f'of several aircraft {chosen or "/"} is read; left out: {alternatives}'
+    return ours, clock, (note,) * bool(alternatives)
 
 
 def _undefined(path: Path, unknown: dict[str, str], messages: Path | None) -> BadInputError:

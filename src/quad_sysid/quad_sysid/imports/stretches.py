@@ -113,14 +113,14 @@ def airborne(throttle: FloatArray, dt: float) -> np.ndarray:
 def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
     """Why each piece is left out; an empty text where it is used."""
     pieces = [slice(a, a + size) for a in edges[:-1]] + [slice(edges[-1], record.n)]
-    known = np.asarray(np.isfinite(record.rates + record.control[:, :1]).all(axis=1))
+    is_finite = np.asarray(np.isfinite(record.rates + record.control[:, :1]).all(axis=1))
 
     def spread(values: np.ndarray) -> np.ndarray:
         out = np.zeros((len(pieces), values.shape[1]))
         for i, piece in enumerate(pieces):
-            good = values[piece][known[piece]]
-            if len(good) > 1:
-                out[i] = good.std(axis=0)
+            finite = values[piece][is_finite[piece]]
+            if len(finite) > 1:
+                out[i] = finite.std(axis=0)
         return out
 
     moved, driven = spread(record.rates), spread(record.control[:, 1:])
@@ -132,10 +132,10 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
     motors = record.motors
     out = []
     for i, piece in enumerate(pieces):
-        lost = 1.0 - float(known[piece].mean())
+        lost_share = 1.0 - float(is_finite[piece].mean())
         stuck = 0.0 if motors is None else float(motors_at_limit(motors[piece]).any(axis=1).mean())
         out.append(
-            'gap' if lost > MAX_LOST else
+            'gap' if lost_share > MAX_LOST else
             'ground' if not flying[piece].mean() >= 1.0 - MAX_LOST else
             'saturated' if stuck > MAX_AT_LIMIT else
             'still' if still[0][i] or still[1][i] else ''
@@ -158,12 +158,12 @@ def _blocks(
     """Blocks of one stretch; neighbours of one role are one segment."""
     before = int(used[:start].sum())
     block = max(1, round(BLOCK_S / (size * dt)))
-    whole = seconds >= len(ROLES) * BLOCK_S
+    is_long = seconds >= len(ROLES) * BLOCK_S
     border = 0.6 * float(used.sum())
     out: list[tuple[str, int, int, str]] = []
     for k in range(start, stop):
         place = before + k - start
-        role = ROLES[place // block % len(ROLES)] if whole else \
+        role = ROLES[place // block % len(ROLES)] if is_long else \
             'train' if place < border else 'validation'
         if out and out[-1][0] == role:
             out[-1] = (role, out[-1][1], k + 1, '')

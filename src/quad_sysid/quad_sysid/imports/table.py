@@ -97,12 +97,12 @@ class Table:
 
         Raises BadInputError where the time does not advance.
         """
-        others = {n: values for n, values in self.columns.items() if n != name}
-        unrolled = unroll(unit(self.columns[name]), list(others.values()),
+        remaining = {n: values for n, values in self.columns.items() if n != name}
+        unrolled = unroll(unit(self.columns[name]), list(remaining.values()),
                           f'{self.source}, column {name}')
-        whole = len(unrolled.rows) == len(self.columns[name])
-        columns = others if whole and (np.diff(unrolled.rows) > 0).all() else {
-            n: values[unrolled.rows] for n, values in others.items()}
+        is_complete = len(unrolled.rows) == len(self.columns[name])
+        columns = remaining if is_complete and (np.diff(unrolled.rows) > 0).all() else {
+            n: values[unrolled.rows] for n, values in remaining.items()}
         return replace(self, columns=columns, times=dict.fromkeys(columns, unrolled.time_s),
                        notes=(*self.notes, *unrolled.notes))
 
@@ -122,11 +122,11 @@ class Table:
             return None
         alone = [self._in_order(name) for name in names]
         times = alone[0].time_s
-        values = np.column_stack([_at(one, times) for one in alone])
-        known = np.isfinite(values).all(axis=1)
-        if known.all():
+        values = np.column_stack([_at(stream, times) for stream in alone])
+        is_finite = np.isfinite(values).all(axis=1)
+        if is_finite.all():
             return Stream(times, values) if len(times) > 1 else None
-        return Stream(times[known], values[known]) if known.sum() > 1 else None
+        return Stream(times[is_finite], values[is_finite]) if is_finite.sum() > 1 else None
 
     def _in_order(self, name: str) -> Stream:
         times = self.times[name]
@@ -145,13 +145,13 @@ class Table:
         )
 
 
-def _at(one: Stream, times: FloatArray) -> FloatArray:
+def _at(stream: Stream, times: FloatArray) -> FloatArray:
     """(n, 1) at these times, interpolated where they are not its own; NaN in gaps."""
-    if np.array_equal(one.time_s, times):
-        return one.values
-    known = np.isfinite(one.values[:, 0])
-    one = Stream(one.time_s[known], one.values[known])
-    return draw(one, times, 3.0 / (one.rate_hz or np.inf))
+    if np.array_equal(stream.time_s, times):
+        return stream.values
+    is_finite = np.isfinite(stream.values[:, 0])
+    stream = Stream(stream.time_s[is_finite], stream.values[is_finite])
+    return draw(stream, times, 3.0 / (stream.rate_hz or np.inf))
 
 
 def open_table(
@@ -227,18 +227,18 @@ def with_angles(table: Table) -> Table:
         if not order or (numbered and not NAMED_QUATERNION.search(stem)):
             continue
         values = np.column_stack([table.columns[parts[p]] for p in order])
-        known = np.isfinite(values).all(axis=1)
-        norm = np.linalg.norm(values[known], axis=1)
-        if not known.any() or np.mean(np.abs(norm - 1.0) < NORM) < 0.9:
+        is_finite = np.isfinite(values).all(axis=1)
+        norm = np.linalg.norm(values[is_finite], axis=1)
+        if not is_finite.any() or np.mean(np.abs(norm - 1.0) < NORM) < 0.9:
             continue
         euler = np.full((len(values), 3), np.nan)
-        euler[known] = euler_from_quaternion(values[known])
-        whole = stem.rstrip('._ ')
-        whole = whole if whole.lower() not in ('', 'q', 'quat') else 'attitude'
+        euler[is_finite] = euler_from_quaternion(values[is_finite])
+        prefix = stem.rstrip('._ ')
+        prefix = prefix if prefix.lower() not in ('', 'q', 'quat') else 'attitude'
         for i, axis in enumerate(EULER):
-            columns.setdefault(f'{whole}.{axis}', euler[:, i])
+            columns.setdefault(f'{prefix}.{axis}', euler[:, i])
             if parts[order[0]] in times:
-                times.setdefault(f'{whole}.{axis}', times[parts[order[0]]])
+                times.setdefault(f'{prefix}.{axis}', times[parts[order[0]]])
     return replace(table, columns=columns, times=times)
 
 
@@ -251,8 +251,8 @@ def is_ours(path: Path) -> bool:
     return True
 
 
-def _absent(source: str, absent: Sequence[str], known: Sequence[str]) -> BadInputError:
-    return BadInputError(source, f'no column {", ".join(absent)}', ', '.join(known),
+def _absent(source: str, absent: Sequence[str], names: Sequence[str]) -> BadInputError:
+    return BadInputError(source, f'no column {", ".join(absent)}', ', '.join(names),
                          'name a column of the file')
 
 

@@ -94,7 +94,7 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
 
 def uneven(notes: Sequence[str]) -> list[str]:
     """The first of the notes, about the clock, unless all samples came in time."""
-    return [one for one in notes[:1] if ', 0 odd intervals; each kept' not in one]
+    return [note for note in notes[:1] if ', 0 odd intervals; each kept' not in note]
 
 
 def record_of(
@@ -135,8 +135,8 @@ def record_of(
             f'{1.0 / grid.dt:.4g} Hz; between them the last one is held, so fast motion has the '
             f'wrong input: log the commands at the full rate{faster}')
     if log.kind == 'a table':  # a row is whole or a gap
-        lost = np.asarray(np.isnan(control).any(axis=1))
-        rates = np.where(lost[:, None], np.nan, rates)
+        is_lost = np.asarray(np.isnan(control).any(axis=1))
+        rates = np.where(is_lost[:, None], np.nan, rates)
     start = grid.times[0] if grid.times[0] > EPOCH_S else 1.0
     record = Record(
         source=log.source, dt=grid.dt, t0_ns=round(start * 1e9),
@@ -162,8 +162,8 @@ def record_of(
 
 def _gaps(record: Record, log: ForeignLog) -> list[str]:
     """A warning on a log that loses many samples, which is the logger's fault."""
-    lost = np.asarray(np.isnan(record.rates).all(axis=1))
-    gaps = [b - a for a, b in finite_runs(lost, (0, record.n))]
+    is_lost = np.asarray(np.isnan(record.rates).all(axis=1))
+    gaps = [b - a for a, b in finite_runs(is_lost, (0, record.n))]
     short = [n for n in gaps if n * record.dt <= SHORT_GAP_S]
     if not short or sum(short) < LOST * record.n:
         return []
@@ -230,8 +230,8 @@ def _armed(
     """Commands as they reach the motors: none while disarmed, whatever was demanded."""
     if log.armed is None:
         return control, motors
-    at = np.searchsorted(log.armed.time_s, grid.times, side='right') - 1
-    off = log.armed.values[np.maximum(at, 0), 0] == 0.0
+    index = np.searchsorted(log.armed.time_s, grid.times, side='right') - 1
+    off = log.armed.values[np.maximum(index, 0), 0] == 0.0
     if off.any():
         warnings.append(f'disarmed for {off.sum() * grid.dt:.3g} s of {off.size * grid.dt:.3g} s: '
                         'the motors stood still then, and the commands count as 0')
@@ -248,10 +248,11 @@ def _by_motion(
         best = '; '.join(pattern.sentence for pattern in patterns) or 'nothing moves'
         raise BadInputError(log.source, 'does not show what the motors do', best,
                             'name the mixer, or fly an excitation')
-    lost = [axis for axis in log.axes if axis not in {p.axis for p in certain}]
-    if lost:
-        warnings.append(f'what the motors do to {", ".join(lost)} is not certain: its command is '
-                        'set to 0')
+    lost_axes = [axis for axis in log.axes if axis not in {p.axis for p in certain}]
+    if lost_axes:
+        names = ', '.join(lost_axes)
+        warnings.append(f'what the motors do to {names} is not certain: its command '
+                        'is set to 0')
     return mixer_of_patterns(certain, motors)
 
 
@@ -314,8 +315,8 @@ def _derivative(angles: FloatArray, dt: float) -> tuple[FloatArray, str]:
     half = max(2, round(DERIVATIVE_HALF_WIDTH_S / dt))
     width = 2 * half + 1
     out = np.full(angles.shape, np.nan)
-    whole = np.asarray(np.isfinite(angles).all(axis=1))
-    for start, stop in finite_runs(whole, (0, len(angles))):
+    is_finite = np.asarray(np.isfinite(angles).all(axis=1))
+    for start, stop in finite_runs(is_finite, (0, len(angles))):
         if stop - start >= width:
             out[start:stop] = savgol_filter(
                 angles[start:stop], width, DERIVATIVE_ORDER, deriv=1, delta=dt, mode='interp',

@@ -16,6 +16,7 @@ from typing import Literal
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.motion import GRAVITY
 
 Role = Literal['time', 'control', 'motor', 'thrust', 'rate', 'angle', 'battery', 'acceleration',
                'speed', 'place']
@@ -81,7 +82,6 @@ def flag(option: str) -> str:
 
 
 DEGREE = math.pi / 180.0
-ONE_G = 9.80665
 VOLTS_OF_FULL_COMMAND = 20.0
 """An analogue command of -10 V..10 V spans the whole range of 1 of a motor command."""
 
@@ -103,7 +103,7 @@ UNITS: dict[Role, dict[str, tuple[float, float]]] = {
     'battery': {'V': (1.0, 0.0), 'mV': (1e-3, 0.0)},
     'speed': {'m/s': (1.0, 0.0), 'mm/s': (1e-3, 0.0)},
     'place': {'m': (1.0, 0.0), 'mm': (1e-3, 0.0)},
-    'acceleration': {'m/s2': (1.0, 0.0), 'g': (ONE_G, 0.0), 'mg': (1e-3 * ONE_G, 0.0)},
+    'acceleration': {'m/s2': (1.0, 0.0), 'g': (GRAVITY, 0.0), 'mg': (1e-3 * GRAVITY, 0.0)},
 }
 """(factor, offset). The first unit of each role holds where none is named. `pulse_us` is a servo
 pulse of 1000..2000 µs (a control column is centred at 1500), `pwm16` a duty of 0..65535."""
@@ -179,14 +179,14 @@ def unit_of(role: Role, text: str | None, column: str, likely: str = '') -> Unit
 
     Raises BadInputError naming what the role allows, and `likely` as an example.
     """
-    known = UNITS[role]
+    units = UNITS[role]
     name = written(text, role) if text else (
-        header_unit(column, role) or unit_in_name(column, role) or next(iter(known)))
-    if name in known:
-        return Unit(name, *known[name])
-    allowed = f'use {", ".join(known)}, a factor or FACTOR:OFFSET'
+        header_unit(column, role) or unit_in_name(column, role) or next(iter(units)))
+    if name in units:
+        return Unit(name, *units[name])
+    allowed = f'use {", ".join(units)}, a factor or FACTOR:OFFSET'
     if not text:
-        example = shlex.quote(f'{column}={likely or next(iter(known))}')
+        example = shlex.quote(f'{column}={likely or next(iter(units))}')
         raise BadInputError(f'column {column}', 'has no known unit in its brackets', repr(name),
                             f'{allowed}, such as --unit {example}')
     factor, colon, offset = name.partition(':')

@@ -60,9 +60,10 @@ def _run(options: argparse.Namespace) -> int:
     if report.unusable:
         print(f'quad-sysid: {report.unusable}', file=sys.stderr)
         return BAD_ARGUMENTS
-    answers = [use.possible for one in report.axes for use in one.uses]
+    answers = [use.possible for axis in report.axes for use in axis.uses]
     if not any(answers):
-        why = by_reason({one.axis: '; '.join(u.because for u in one.uses) for one in report.axes})
+        why = by_reason({axis.axis: '; '.join(use.because for use in axis.uses)
+                         for axis in report.axes})
         print(f'quad-sysid: {options.bag}: {why}', file=sys.stderr)
         return NOT_ANSWERED
     return 0

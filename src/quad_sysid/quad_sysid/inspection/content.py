@@ -101,9 +101,9 @@ def topics(path: Path) -> Topics:
 
 def _stamps(raws: Iterable[bytes]) -> npt.NDArray[np.int64]:
     """(n,) ns, from the first two words behind each message's 4 bytes of encapsulation."""
-    whole = [raw for raw in raws if len(raw) >= STAMP_END]
-    words = b''.join(bytes(raw[4:STAMP_END]) for raw in whole)
-    little = np.array([raw[1] & 1 for raw in whole], dtype=bool)
+    complete = [raw for raw in raws if len(raw) >= STAMP_END]
+    words = b''.join(bytes(raw[4:STAMP_END]) for raw in complete)
+    little = np.array([raw[1] & 1 for raw in complete], dtype=bool)
     as_little = np.frombuffer(words, '<u4').reshape(-1, 2).astype(np.int64)
     as_big = np.frombuffer(words, '>u4').reshape(-1, 2).astype(np.int64)
     parts = np.where(little[:, None], as_little, as_big)
@@ -175,7 +175,7 @@ def _unpredictive(data: AxisData) -> str:
 
 def _uses_of_flight(axes: Sequence[AxisContent], rate_hz: float) -> tuple[Use, ...]:
     """What the flight as a whole allows."""
-    moving = any(one.evaluable for one in axes)
+    moving = any(axis.evaluable for axis in axes)
     return (Use('evaluate a stored model', moving,
                 f"one of this bag's rate, {rate_hz:.4g} Hz" if moving else
                 'no axis holds rate and command that move for half a second'),)
@@ -191,7 +191,7 @@ def _moves(data: AxisData, signal: np.ndarray | None) -> bool:
 def _effect(words: str, name: str, data: AxisData) -> Use:
     """Whether any effect of this name can be tested on the data."""
     answers = [effect.prepare(data) for effect in EFFECTS if effect.name == name]
-    refused = [one for one in answers if isinstance(one, str)]
+    refused = [answer for answer in answers if isinstance(answer, str)]
     because = refused[0] if len(refused) == len(answers) else ''
     return Use(f'find {words}', possible=not because,
                because=because or (_weak_sag(data) if name == 'battery_sag' else ''))
@@ -200,9 +200,9 @@ def _effect(words: str, name: str, data: AxisData) -> Use:
 def _weak_sag(data: AxisData) -> str:
     """A condition where the voltage moves less than shows how the thrust follows it."""
     volts = data.training(required(data.battery_v))
-    moved = float(np.ptp(volts) / np.mean(volts))
-    return '' if moved >= SAG_SHOWS else (
-        f'a strong one only: the voltage moves by {moved:.1%}, {SAG_SHOWS:.0%} shows it surely')
+    sag = float(np.ptp(volts) / np.mean(volts))
+    return '' if sag >= SAG_SHOWS else (
+        f'a strong one only: the voltage moves by {sag:.1%}, {SAG_SHOWS:.0%} shows it surely')
 
 
 _EFFECTS = (
@@ -365,9 +365,9 @@ def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
                        record.rates, record.motors, record.dt)
     craft, turned = record.craft, ' turns the wrong way'
     faults = places(layout, craft)[1]
-    reversed_ = [one.removesuffix(turned) for one in faults if one.endswith(turned)]
+    reversed_ = [fault.removesuffix(turned) for fault in faults if fault.endswith(turned)]
     if len(reversed_) > 1:
-        faults = [one for one in faults if not one.endswith(turned)]
+        faults = [fault for fault in faults if not fault.endswith(turned)]
         faults.append(f'{", ".join(reversed_)} turn the wrong way')
     return layout, doubts(craft.name, craft.inverse, layout, record.rates, record.motors,
                           record.dt, record.angles) + faults
@@ -439,8 +439,8 @@ def _rms(signal: np.ndarray, spans: Sequence[Span]) -> float | None:
 def _at_limit(record: Record) -> tuple[float, ...]:
     if record.motors is None:
         return ()
-    known = record.motors[np.isfinite(record.motors).all(axis=1)]
-    return tuple(float(100.0 * share) for share in motors_at_limit(known).mean(axis=0))
+    finite = record.motors[np.isfinite(record.motors).all(axis=1)]
+    return tuple(float(100.0 * share) for share in motors_at_limit(finite).mean(axis=0))
 
 
 def _battery(record: Record) -> Battery | None:

@@ -30,8 +30,8 @@ def page(held: Content) -> str:
 def _motors(motors: tuple[MotorPlace, ...]) -> str:
     if not motors:
         return '<p>The motors are not recorded, so they are not drawn.</p>'
-    rows = [[one.name, one.place, 'counter-clockwise' if one.spin > 0 else 'clockwise',
-             *(_shown(one, i) for i in range(len(AXES)))] for one in motors]
+    rows = [[motor.name, motor.place, 'counter-clockwise' if motor.spin > 0 else 'clockwise',
+             *(_shown(motor, i) for i in range(len(AXES)))] for motor in motors]
     table = Table(['motor', 'is drawn at the', 'turns', *AXES], rows).html()
     return ('<h2>Motors</h2><div class="figures"><figure>' + _drawing(motors) + '<figcaption>Seen '
             'from above, the nose up; the arrow is the sense of the propeller. Below the number: '
@@ -40,44 +40,45 @@ def _motors(motors: tuple[MotorPlace, ...]) -> str:
             f'the order or the direction is wrong.</figcaption></figure></div>{table}')
 
 
-def _shown(one: MotorPlace, axis: int) -> str:
+def _shown(place: MotorPlace, axis: int) -> str:
     """The sign that the motion shows, and the one that the place asks for where that differs."""
-    sign = SIGNS[one.shown[axis]]
-    return f'{sign}, should be {SIGNS[one.expected[axis]]}' if _wrong(one, axis) else sign
+    sign = SIGNS[place.shown[axis]]
+    return f'{sign}, should be {SIGNS[place.expected[axis]]}' if _wrong(place, axis) else sign
 
 
-def _wrong(one: MotorPlace, axis: int) -> bool:
-    return one.shown[axis] not in (None, one.expected[axis])
+def _wrong(place: MotorPlace, axis: int) -> bool:
+    return place.shown[axis] not in (None, place.expected[axis])
 
 
 def _drawing(motors: tuple[MotorPlace, ...]) -> str:
     unit = REACH / max(1e-9, *(math.hypot(m.x, m.y) for m in motors))
-    at = [(MIDDLE - unit * m.y, MIDDLE - unit * m.x) for m in motors]
-    spacing = min((math.dist(a, b) for i, a in enumerate(at) for b in at[:i]), default=2 * DISC)
+    centres = [(MIDDLE - unit * m.y, MIDDLE - unit * m.x) for m in motors]
+    spacing = min((math.dist(a, b) for i, a in enumerate(centres) for b in centres[:i]),
+                  default=2 * DISC)
     disc = min(DISC, max(0.46 * spacing, 0.4 * DISC))
     arms = ''.join(f'<path d="M{MIDDLE} {MIDDLE}L{x:.1f} {y:.1f}" stroke="var(--grid)" '
-                   'stroke-width="6"/>' for x, y in at)
+                   'stroke-width="6"/>' for x, y in centres)
     nose = (f'<path d="M{MIDDLE - 9} {MIDDLE + 8}L{MIDDLE} {MIDDLE - 16}L{MIDDLE + 9} '
             f'{MIDDLE + 8}Z" fill="var(--muted)"/>')
     places = '; '.join(f'{m.name} {m.place}' for m in motors)
     return (f'<svg viewBox="0 0 {2 * MIDDLE:g} {2 * MIDDLE:g}" role="img" '
             f'style="max-width:420px" aria-label="{escape(places)}">{arms}{nose}'
-            + ''.join(_motor(m, x, y, disc) for m, (x, y) in zip(motors, at, strict=True))
+            + ''.join(_motor(m, x, y, disc) for m, (x, y) in zip(motors, centres, strict=True))
             + '</svg>')
 
 
-def _motor(one: MotorPlace, x: float, y: float, disc: float) -> str:
-    wrong = any(_wrong(one, i) for i in range(len(AXES)))
-    colour = 'orange' if wrong else 'muted' if None in one.shown else 'green'
+def _motor(place: MotorPlace, x: float, y: float, disc: float) -> str:
+    wrong = any(_wrong(place, i) for i in range(len(AXES)))
+    colour = 'orange' if wrong else 'muted' if None in place.shown else 'green'
     # the arrow's end lies a little before the disc's top, on the side that it comes from
-    tip, back = (x - one.spin * 0.5 * disc, y - 0.866 * disc), one.spin * 7.0
+    tip, back = (x - place.spin * 0.5 * disc, y - 0.866 * disc), place.spin * 7.0
     head = (f'M{tip[0] + back:.1f} {tip[1] - 9:.1f}L{tip[0]:.1f} {tip[1]:.1f}'
             f'L{tip[0] + back:.1f} {tip[1] + 5:.1f}')
-    signs = ' '.join(SIGNS[sign] for sign in one.shown)
+    signs = ' '.join(SIGNS[sign] for sign in place.shown)
     return (f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{disc:.1f}" fill="var(--card)" '
             f'stroke="var(--{colour})" stroke-width="2.5"/>'
             f'<path d="{head}" fill="none" stroke="var(--{colour})" stroke-width="2.5"/>'
             f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="17" '
-            f'font-weight="600">{escape(one.name.rpartition("_")[2])}</text>'
+            f'font-weight="600">{escape(place.name.rpartition("_")[2])}</text>'
             f'<text x="{x:.1f}" y="{y + 17:.1f}" text-anchor="middle" font-size="13">{signs}'
             '</text>')

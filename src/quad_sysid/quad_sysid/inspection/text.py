@@ -32,9 +32,10 @@ def lines(content: Content) -> list[str]:
 
 def _topics(content: Content) -> Iterator[str]:
     rows = [
-        [one.name, str(one.messages), '-' if one.rate_hz is None else f'{one.rate_hz:.4g}',
-         f'{one.span_s:.1f}', str(one.gaps), f'{one.longest_lost_s:.3f}' if one.gaps else '-']
-        for one in content.topics.present
+        [topic.name, str(topic.messages), '-' if topic.rate_hz is None else f'{topic.rate_hz:.4g}',
+         f'{topic.span_s:.1f}', str(topic.gaps),
+         f'{topic.longest_lost_s:.3f}' if topic.gaps else '-']
+        for topic in content.topics.present
     ]
     if not rows:  # a log, not a bag
         return
@@ -54,8 +55,8 @@ def _flight(content: Content) -> Iterator[str]:
         shares = ', '.join(f'{share:.2g}' for share in content.motors_at_limit_pct)
         yield f'motors    at 0 or 1 for {shares} % of the time'
     else:
-        known = 'known from the wrench only' if content.craft else 'not known, nor is the mixer'
-        yield f'motors    not recorded: limits are {known}'
+        axes = 'known from the wrench only' if content.craft else 'not known, nor is the mixer'
+        yield f'motors    not recorded: limits are {axes}'
     if content.craft:
         yield from wrapped(content.craft, '          ', first='craft     ')
     for line in content.rotors:
@@ -67,11 +68,11 @@ def _flight(content: Content) -> Iterator[str]:
         yield f'battery   {b.first:.2f} V to {b.last:.2f} V, lowest {b.lowest:.2f} V'
     else:
         yield 'battery   not measured'
-    known = ', '.join(axis for axis in EVERY if any(
+    axes = ', '.join(axis for axis in EVERY if any(
         name.startswith(f'{axis}.') for name in content.gains))
     if 'sensor.gyro_filter_hz' in content.gains:
-        known += ' and the gyro filter'
-    yield f'gains     {"of " + known if known else "unknown (/gains/active is missing)"}'
+        axes += ' and the gyro filter'
+    yield f'gains     {"of " + axes if axes else "unknown (/gains/active is missing)"}'
 
 
 def _segments(content: Content) -> Iterator[str]:
@@ -88,20 +89,20 @@ def _segments(content: Content) -> Iterator[str]:
         yield f'  and {len(axes) - MAX_SEGMENTS} more (--json)'
 
 
-def _axis(one: AxisContent) -> Iterator[str]:
-    yield (f'{one.axis}: {one.train_s:.1f} s to train, {one.validation_s:.1f} s to validate, '
-           f'{one.windows} windows of 0.5 s')
-    if one.rate_rms is not None and one.command_rms is not None:
-        reference = '' if one.reference_rms is None else f', reference {one.reference_rms:.3g}'
-        yield f'  RMS: rate {one.rate_rms:.3g} rad/s, command {one.command_rms:.3g}{reference}'
-    if one.excitation_order == 0:
+def _axis(axis: AxisContent) -> Iterator[str]:
+    yield (f'{axis.axis}: {axis.train_s:.1f} s to train, {axis.validation_s:.1f} s to validate, '
+           f'{axis.windows} windows of 0.5 s')
+    if axis.rate_rms is not None and axis.command_rms is not None:
+        reference = '' if axis.reference_rms is None else f', reference {axis.reference_rms:.3g}'
+        yield f'  RMS: rate {axis.rate_rms:.3g} rad/s, command {axis.command_rms:.3g}{reference}'
+    if axis.excitation_order == 0:
         yield '  not excited: the command stands still'
-    elif one.excitation_order is not None:
-        band = one.coherent_band_rad_s
+    elif axis.excitation_order is not None:
+        band = axis.coherent_band_rad_s
         span = f'{band[0]:.2g} to {band[1]:.3g} rad/s' if band else 'in no band'
-        yield (f'  persistently exciting of order {one.excitation_order}; '
+        yield (f'  persistently exciting of order {axis.excitation_order}; '
                f'coherent {span}')
-    for use in one.uses:
+    for use in axis.uses:
         yield from _use(use)
 
 

@@ -52,7 +52,7 @@ def _run(options: argparse.Namespace) -> int:
         write_whole(out, page(only) if only else several.page(looks))
     show('')
     if options.json:
-        trees = [one.tree() for one in looks]
+        trees = [look.tree() for look in looks]
         print(json.dumps(trees[0] if only else trees, indent=1))
     elif not options.quiet:
         print(only or '\n'.join(several.figures(looks).text()))

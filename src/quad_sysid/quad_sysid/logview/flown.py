@@ -67,9 +67,9 @@ class Flown:
     """(start, end) of the stretches without rates, s from the first sample."""
 
     def __post_init__(self) -> None:
-        lost = np.asarray(np.isnan(self.rates).all(axis=1))
+        is_lost = np.asarray(np.isnan(self.rates).all(axis=1))
         object.__setattr__(self, 'gaps', tuple(
-            (a * self.dt, b * self.dt) for a, b in finite_runs(lost, (0, self.n))))
+            (a * self.dt, b * self.dt) for a, b in finite_runs(is_lost, (0, self.n))))
 
     @property
     def n(self) -> int:
@@ -103,23 +103,23 @@ class Stretch:
 def stretches(flown: Flown) -> tuple[Stretch, ...]:
     """The stretches of a flight by its sets of gains; one where they never change."""
     out: list[Stretch] = []
-    known: dict[str, float] = {}
+    latest: dict[str, float] = {}
     for change in sorted(flown.gains, key=lambda c: c.time_s):
-        values = {**known, **change.values}
+        values = {**latest, **change.values}
         changed = tuple(name for name, value in values.items()
-                        if not np.isclose(value, known.get(name, np.nan), rtol=SAME, atol=0.0))
+                        if not np.isclose(value, latest.get(name, np.nan), rtol=SAME, atol=0.0))
         if out and changed:
             start = max(0.0, change.time_s)
             if start - out[-1].start_s < SHORTEST_STRETCH_S:
-                before = out.pop()
-                changed = tuple(dict.fromkeys((*before.changed, *changed))) if out else ()
-                start = before.start_s
+                previous = out.pop()
+                changed = tuple(dict.fromkeys((*previous.changed, *changed))) if out else ()
+                start = previous.start_s
             elif out:
                 out[-1] = Stretch(out[-1].start_s, start, out[-1].gains, out[-1].changed)
             out.append(Stretch(start, flown.length_s, values, changed))
         elif not out:
             out.append(Stretch(0.0, flown.length_s, values))
-        known = values
+        latest = values
     if len(out) > 1 and flown.length_s - out[-1].start_s < SHORTEST_STRETCH_S:
         out.pop()
         out[-1] = Stretch(out[-1].start_s, flown.length_s, out[-1].gains, out[-1].changed)

@@ -124,49 +124,50 @@ def look_at(flown: Flown) -> Measured:
     """Measure everything."""
     pieces = stretches(flown)
     everything = Stretch(0.0, flown.length_s, pieces[-1].gains)
-    whole = _part(flown, everything if len(pieces) == 1 else Stretch(
+    whole_part = _part(flown, everything if len(pieces) == 1 else Stretch(
         0.0, flown.length_s, {}))
-    parts = tuple(_part(flown, one) for one in pieces) if len(pieces) > 1 else ()
-    return Measured(flown, whole, parts, _motors(flown), _motor_frames(flown), _rotor_hz(flown))
+    parts = tuple(_part(flown, piece) for piece in pieces) if len(pieces) > 1 else ()
+    return Measured(
+        flown, whole_part, parts, _motors(flown), _motor_frames(flown), _rotor_hz(flown))
 
 
 def _part(flown: Flown, stretch: Stretch) -> Part:
     time = np.arange(flown.n) * flown.dt
-    good = flown.flying & (time >= stretch.start_s) & (time < stretch.end_s)
-    good &= np.isfinite(flown.rates).all(axis=1)
-    return Part(stretch, float(good.sum()) * flown.dt,
-                {axis: _axis(flown, axis, good, stretch.gains) for axis in flown.axes})
+    usable = flown.flying & (time >= stretch.start_s) & (time < stretch.end_s)
+    usable &= np.isfinite(flown.rates).all(axis=1)
+    return Part(stretch, float(usable.sum()) * flown.dt,
+                {axis: _axis(flown, axis, usable, stretch.gains) for axis in flown.axes})
 
 
-def _axis(flown: Flown, axis: str, good: npt.NDArray[np.bool_],
+def _axis(flown: Flown, axis: str, usable: npt.NDArray[np.bool_],
           gains: Mapping[str, float]) -> AxisLook:
     i, dt = AXES.index(axis), flown.dt
     rate, rate_setpoint = flown.rates[:, i], _column(flown.rate_setpoint, i)
     angle, angle_setpoint = _column(flown.angles, i), _column(flown.attitude_setpoint, i)
     steps: tuple[step.Response, ...] = ()
     tracking: tuple[Tracking, ...] = ()
-    flying, injected = good, _column(flown.injected, i)
+    flying, injected = usable, _column(flown.injected, i)
     if injected is not None:  # there it is not the set-point that moves the axis
-        good = good & ~np.isfinite(injected)
+        usable = usable & ~np.isfinite(injected)
     if rate_setpoint is not None:
-        steps += step.responses(rate_setpoint, rate, good, dt, step.RATE)
-        tracking += _tracking('rate', rate_setpoint, rate, good, dt)
+        steps += step.responses(rate_setpoint, rate, usable, dt, step.RATE)
+        tracking += _tracking('rate', rate_setpoint, rate, usable, dt)
     if angle_setpoint is not None and angle is not None:
-        steps += step.responses(angle_setpoint, angle, good, dt, step.ANGLE)
-        tracking += _tracking('angle', angle_setpoint, angle, good, dt)
+        steps += step.responses(angle_setpoint, angle, usable, dt, step.ANGLE)
+        tracking += _tracking('angle', angle_setpoint, angle, usable, dt)
     before = _column(flown.rates_before, i)
     same = before is not None and len(before) == flown.n and flown.before_dt == dt
     if before is not None:
-        gyro_before = frames(before, good if same else np.isfinite(before),
+        gyro_before = frames(before, usable if same else np.isfinite(before),
                              flown.before_dt or dt)
     else:
         gyro_before = None
-    d_term, gyro = _column(flown.d_term, i), frames(rate, good, dt)
+    d_term, gyro = _column(flown.d_term, i), frames(rate, usable, dt)
     return AxisLook(
         axis, steps, _loop(flown, i, flying, gains, before if same else None,
-                           follows=_follows(tracking, rate, good)), tracking,
+                           follows=_follows(tracking, rate, usable)), tracking,
         gyro, gyro_before,
-        _d_frames(gyro, gains, axis, dt) if d_term is None else frames(d_term, good, dt))
+        _d_frames(gyro, gains, axis, dt) if d_term is None else frames(d_term, usable, dt))
 
 
 def _d_frames(gyro: Frames | None, gains: Mapping[str, float], axis: str,
@@ -179,101 +180,106 @@ def _d_frames(gyro: Frames | None, gains: Mapping[str, float], axis: str,
     return replace(gyro, density=gyro.density * np.abs(part) ** 2)
 
 
-def _loop(flown: Flown, i: int, good: npt.NDArray[np.bool_], gains: Mapping[str, float],
+def _loop(flown: Flown, i: int, usable: npt.NDArray[np.bool_], gains: Mapping[str, float],
           before: FloatArray | None, *, follows: bool) -> response.LoopResponse | None:
     """The loop, by what was injected into its command, or else by the set-point it follows."""
     axis, dt, rate = AXES[i], flown.dt, flown.rates[:, i]
     setpoint, command = _column(flown.rate_setpoint, i), _column(flown.control, i + 1)
     injected = _column(flown.injected, i)
     if injected is not None and command is not None:
-        spectra = response.spectra(injected, command, rate, good, dt)
+        spectra = response.spectra(injected, command, rate, usable, dt)
         loop = None if spectra is None else response.loop_response(spectra, dt, gains, axis)
         if loop is not None:
-            return _delayed(flown, i, good, gains, before, replace(
+            return _delayed(flown, i, usable, gains, before, replace(
                 loop, tracking=np.full_like(loop.tracking, np.nan),  # it is no set-point's
                 bandwidth_hz=np.nan, peak=np.nan, peak_hz=np.nan))
     if setpoint is None or not follows:
         return None
-    spectra = response.spectra(setpoint, setpoint if command is None else command, rate, good, dt)
+    spectra = response.spectra(
+        setpoint, setpoint if command is None else command, rate, usable, dt)
     loop = None if spectra is None else response.loop_response(
         spectra, dt, gains if command is not None else {}, axis)
     if loop is None:
         return None
     if command is None:
         loop = replace(loop, plant=None, loop=None)
-    return _delayed(flown, i, good, gains, before, loop)
+    return _delayed(flown, i, usable, gains, before, loop)
 
 
-def _delayed(flown: Flown, i: int, good: npt.NDArray[np.bool_], gains: Mapping[str, float],
+def _delayed(flown: Flown, i: int, usable: npt.NDArray[np.bool_], gains: Mapping[str, float],
              before: FloatArray | None, loop: response.LoopResponse) -> response.LoopResponse:
     """The loop with its delays: each that can be measured, the rest of the whole."""
     axis, dt, rate = AXES[i], flown.dt, flown.rates[:, i]
-    at = response.at_crossover(loop)
-    delays = [_gyro_delay(rate, before, good, dt, gains, at), _motor_delay(flown, good, at)]
-    parts = [one for one in delays if one is not None]
-    total = response.plant_delay(loop, at)
+    crossover = response.at_crossover(loop)
+    delays = [_gyro_delay(rate, before, usable, dt, gains, crossover),
+              _motor_delay(flown, usable, crossover)]
+    parts = [delay for delay in delays if delay is not None]
+    total = response.plant_delay(loop, crossover)
     if total is not None:
-        known = sum(one.milliseconds for one in parts) * 1e-3
+        sum_s = sum(part.milliseconds for part in parts) * 1e-3
         parts.append(response.of_seconds(
             'rest: output, airframe' + ('' if delays[1] else ', motors')
-            + ('' if delays[0] else ', filters'), total - known, at, 'measurement'))
-        parts.append(response.of_seconds('command to acceleration', total, at, 'measurement'))
-    parts += _d_delay(gains, axis, dt, at)
-    return replace(loop, delays=tuple(parts), delay_hz=at)
+            + ('' if delays[0] else ', filters'), total - sum_s, crossover, 'measurement'))
+        parts.append(
+            response.of_seconds('command to acceleration', total, crossover, 'measurement'))
+    parts += _d_delay(gains, axis, dt, crossover)
+    return replace(loop, delays=tuple(parts), delay_hz=crossover)
 
 
-def _gyro_delay(rate: FloatArray, before: FloatArray | None, good: npt.NDArray[np.bool_],
-                dt: float, gains: Mapping[str, float], at: float) -> response.Delay | None:
+def _gyro_delay(rate: FloatArray, before: FloatArray | None, usable: npt.NDArray[np.bool_],
+                dt: float, gains: Mapping[str, float], at_hz: float) -> response.Delay | None:
     if before is not None:
-        return response.measured_delay('gyro filters', before, rate, good, dt, at)
+        return response.measured_delay('gyro filters', before, rate, usable, dt, at_hz)
     cutoff = gains.get('sensor.gyro_filter_hz', 0.0)
     centre = gains.get('sensor.notch_1_hz', 0.0)
     lowpass = gains.get('sensor.gyro_lowpass_delay_s', 0.0)
     if not max(cutoff, centre, lowpass) > 0.0:
         return None
-    f = np.array([at])
+    f = np.array([at_hz])
     total = response.butterworth(cutoff, f) * response.notch(
         centre, gains.get('sensor.notch_1_bandwidth_hz', 0.0), f)
     total = total * np.exp(-2j * np.pi * f * lowpass)
-    return response.of_filter('gyro filters', total, at, 'settings')
+    return response.of_filter('gyro filters', total, at_hz, 'settings')
 
 
-def _motor_delay(flown: Flown, good: npt.NDArray[np.bool_], at: float) -> response.Delay | None:
+def _motor_delay(
+    flown: Flown, usable: npt.NDArray[np.bool_], at_hz: float
+) -> response.Delay | None:
     """From the motors' commands to the rotors' speeds, which telemetry may delay further."""
     if flown.motors is None or flown.speeds is None:
         return None
-    delays = [response.measured_delay('motors', flown.motors[:, k], flown.speeds[:, k], good,
-                                     flown.dt, at)
+    delays = [response.measured_delay('motors', flown.motors[:, k], flown.speeds[:, k], usable,
+                                      flown.dt, at_hz)
              for k in range(flown.speeds.shape[1])]
-    known = [one.milliseconds for one in delays if one is not None]
-    return response.of_seconds('motors', 1e-3 * float(np.median(known)), at,
-                               'measurement') if known else None
+    delays_ms = [delay.milliseconds for delay in delays if delay is not None]
+    return response.of_seconds('motors', 1e-3 * float(np.median(delays_ms)), at_hz,
+                               'measurement') if delays_ms else None
 
 
 def _d_delay(gains: Mapping[str, float], axis: str, dt: float,
-             at: float) -> list[response.Delay]:
+             at_hz: float) -> list[response.Delay]:
     """The D part's own filters, which delay D alone."""
-    f, out = np.array([at]), []
+    f, out = np.array([at_hz]), []
     total = response.first_order(gains.get(f'{axis}.rate.d_filter_hz', 0.0), f, dt)
     if gains.get(f'{axis}.rate.kd', 0.0) > 0.0 and abs(float(np.angle(total[0]))) > 0.0:
-        out.append(response.of_filter('D filters (of D alone)', total, at, 'settings'))
+        out.append(response.of_filter('D filters (of D alone)', total, at_hz, 'settings'))
     return out
 
 
 def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
-              good: npt.NDArray[np.bool_], dt: float) -> tuple[Tracking, ...]:
+              usable: npt.NDArray[np.bool_], dt: float) -> tuple[Tracking, ...]:
     """The error as it is, and beside the set-point delayed so that it is least."""
-    known = good & np.isfinite(setpoint) & np.isfinite(measured)
-    if known.sum() < LEAST_TRACKED_S / dt or not float(np.ptp(setpoint[known])) > 0.0:
+    is_finite = usable & np.isfinite(setpoint) & np.isfinite(measured)
+    if is_finite.sum() < LEAST_TRACKED_S / dt or not float(np.ptp(setpoint[is_finite])) > 0.0:
         return ()
-    power = float(np.mean(setpoint[known] ** 2))
-    error = float(np.sqrt(np.mean((setpoint - measured)[known] ** 2)))
+    power = float(np.mean(setpoint[is_finite] ** 2))
+    error = float(np.sqrt(np.mean((setpoint - measured)[is_finite] ** 2)))
     best, latency = error, 0.0
     most = LONGEST_LATENCY_S if quantity == 'rate' else LONGEST_ANGLE_LATENCY_S
     longest = max(round(most / dt), 2)
     # all short delays, then in steps of some per cent
     for k in sorted({round(k) for k in np.geomspace(1, longest, DELAYS)}):
-        both = known[k:] & known[:len(known) - k]
+        both = is_finite[k:] & is_finite[:len(is_finite) - k]
         behind = (setpoint[:len(setpoint) - k] - measured[k:])[both]
         residual = float(np.sqrt(np.mean(behind**2)))
         if residual < best:
@@ -281,27 +287,29 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
     return (Tracking(quantity, float(np.sqrt(power)), error, best, latency),)
 
 
-def _follows(tracking: Sequence[Tracking], rate: FloatArray, good: npt.NDArray[np.bool_]) -> bool:
+def _follows(
+    tracking: Sequence[Tracking], rate: FloatArray, usable: npt.NDArray[np.bool_]
+) -> bool:
     """Whether the rate has to do with its set-point; True where that was not measured."""
-    power = float(np.mean(rate[good] ** 2)) if good.any() else 0.0
-    return all(one.error_rms_delayed**2 < UNRELATED * (one.setpoint_rms**2 + power)
-               for one in tracking if one.quantity == 'rate')
+    power = float(np.mean(rate[usable] ** 2)) if usable.any() else 0.0
+    return all(track.error_rms_delayed**2 < UNRELATED * (track.setpoint_rms**2 + power)
+               for track in tracking if track.quantity == 'rate')
 
 
 def _motors(flown: Flown) -> tuple[MotorLook, ...]:
     if flown.motors is None:
         return ()
-    known = flown.flying & np.isfinite(flown.motors).all(axis=1)
-    if not known.any():
+    in_flight = flown.flying & np.isfinite(flown.motors).all(axis=1)
+    if not in_flight.any():
         return ()
-    used = flown.motors[known]
+    used = flown.motors[in_flight]
     mean = used.mean(axis=0)
     out = []
     for k, value in enumerate(mean):
         speed = None
         if flown.speeds is not None:
-            one = flown.speeds[flown.flying, k]
-            speed = float(np.nanmean(one)) if np.isfinite(one).any() else None
+            turned = flown.speeds[flown.flying, k]
+            speed = float(np.nanmean(turned)) if np.isfinite(turned).any() else None
         out.append(MotorLook(
             f'motor_{k + 1}', float(value),
             100.0 * float(value / mean.mean() - 1.0) if mean.mean() > 0.0 else 0.0,
@@ -315,11 +323,11 @@ def _motor_frames(flown: Flown) -> Frames | None:
         return None
     every = [frames(flown.motors[:, k], flown.flying, flown.dt)
              for k in range(flown.motors.shape[1])]
-    known = [one for one in every if one is not None]
-    if not known or any(len(one.at) != len(known[0].at) for one in known):
+    maps = [frames for frames in every if frames is not None]
+    if not maps or any(len(frames.at) != len(maps[0].at) for frames in maps):
         return None
-    first = known[0]
-    return Frames(first.frequency_hz, np.mean([one.density for one in known], axis=0),
+    first = maps[0]
+    return Frames(first.frequency_hz, np.mean([frames.density for frames in maps], axis=0),
                   first.time_s, first.at, first.size)
 
 

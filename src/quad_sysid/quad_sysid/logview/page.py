@@ -52,39 +52,39 @@ def page(look: Measured) -> str:
 
 
 def _figure(make: Callable[[Measured], Picture | None], look: Measured) -> str:
-    one = make(look)
-    return '' if one is None else framed(one, one.name)
+    figure = make(look)
+    return '' if figure is None else framed(figure, figure.name)
 
 
 def traces(look: Measured) -> str:
     """The time series: each axis with its set-point, motors, rotor speeds, battery."""
-    flown = look.flown
+    flight = look.flown
     rows = []
-    for axis in flown.axes:
+    for axis in flight.axes:
         i = AXES.index(axis)
-        lines = [zoom.Line('rate', DEG * flown.rates[:, i], '--blue')]
-        if flown.rate_setpoint is not None:
-            lines.append(zoom.Line('set-point', DEG * flown.rate_setpoint[:, i], '--orange'))
+        lines = [zoom.Line('rate', DEG * flight.rates[:, i], '--blue')]
+        if flight.rate_setpoint is not None:
+            lines.append(zoom.Line('set-point', DEG * flight.rate_setpoint[:, i], '--orange'))
         rows.append(zoom.Row(f'{axis}, deg/s', lines))
-    if flown.angles is not None:
+    if flight.angles is not None:
         rows.append(zoom.Row('attitude, deg', [
-            zoom.Line(axis, DEG * flown.angles[:, AXES.index(axis)], colour)
+            zoom.Line(axis, DEG * flight.angles[:, AXES.index(axis)], colour)
             for axis, colour in zip(('roll', 'pitch'), ('--blue', '--orange'), strict=True)]))
-    for label, values, scale in (('motor commands', flown.motors, 1.0),
-                                 ('rotor speeds, 1000 rpm', flown.speeds,
+    for label, values, scale in (('motor commands', flight.motors, 1.0),
+                                 ('rotor speeds, 1000 rpm', flight.speeds,
                                   30.0 / math.pi / 1000.0)):
         if values is not None:
             rows.append(zoom.Row(label, [
                 zoom.Line(f'{k + 1}', scale * values[:, k], MOTORS[k % len(MOTORS)])
                 for k in range(values.shape[1])]))
-    if flown.motors is None and flown.control is not None:
+    if flight.motors is None and flight.control is not None:
         rows.append(zoom.Row('command', [
-            zoom.Line(axis, flown.control[:, AXES.index(axis) + 1], colour)
+            zoom.Line(axis, flight.control[:, AXES.index(axis) + 1], colour)
             for axis, colour in zip(AXES, MOTORS, strict=False)]))
-    if flown.battery_v is not None:
-        rows.append(zoom.Row('battery, V', [zoom.Line('V', flown.battery_v, '--green')]))
-    marks = [zoom.Mark(a, b, '--muted') for a, b in flown.gaps]
+    if flight.battery_v is not None:
+        rows.append(zoom.Row('battery, V', [zoom.Line('V', flight.battery_v, '--green')]))
+    marks = [zoom.Mark(a, b, '--muted') for a, b in flight.gaps]
     marks += [zoom.Mark(p.stretch.start_s, p.stretch.end_s, '--pink') for p in look.parts[1::2]]
-    marks += [zoom.Mark(a, b, ROLES[role]) for role, a, b in flown.proposed]
-    note = PROPOSED if flown.proposed else ''
-    return zoom.group(rows, flown.dt, marks) + note
+    marks += [zoom.Mark(a, b, ROLES[role]) for role, a, b in flight.proposed]
+    note = PROPOSED if flight.proposed else ''
+    return zoom.group(rows, flight.dt, marks) + note

@@ -53,7 +53,7 @@ def makers() -> tuple[Callable[[Measured], Picture | None], ...]:
 
 def draw(look: Measured, name: str) -> Picture:
     """One picture by its name; raises BadInputError where the log does not allow it."""
-    by_name = {one.name: one for one in pictures(look)}
+    by_name = {seen.name: seen for seen in pictures(look)}
     if name not in by_name:
         raise BadInputError('look', 'has no such picture', name, f'it has {", ".join(by_name)}')
     return by_name[name]
@@ -61,22 +61,22 @@ def draw(look: Measured, name: str) -> Picture:
 
 def steps(look: Measured, quantity: str) -> Picture | None:
     """The step response of each axis, by amplitude."""
-    axes = {axis: [s for s in one.steps if s.quantity == quantity]
-            for axis, one in look.whole.axes.items()}
+    axes = {axis: [s for s in seen.steps if s.quantity == quantity]
+            for axis, seen in look.whole.axes.items()}
     axes = {axis: responses for axis, responses in axes.items() if responses}
     if not axes:
         return None
     figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
-    for one, responses in zip(drawn, axes.values(), strict=True):
-        one.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
+    for panel, responses in zip(drawn, axes.values(), strict=True):
+        panel.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
         for s in responses:
             colour = COLOURS[s.amplitude]
             if s.amplitude == 'all':
-                one.fill_between(s.time_s, s.low, s.high, color=MUTED, alpha=0.25, linewidth=0)
-            one.plot(s.time_s, s.mean, color=colour, label=s.amplitude,
-                     linewidth=1.6 if s.amplitude == 'all' else 1.0)
-        one.set_ylim(min(-0.1, *(float(s.mean.min()) for s in responses)),
-                     max(1.5, *(1.05 * float(s.mean.max()) for s in responses)))
+                panel.fill_between(s.time_s, s.low, s.high, color=MUTED, alpha=0.25, linewidth=0)
+            panel.plot(s.time_s, s.mean, color=colour, label=s.amplitude,
+                       linewidth=1.6 if s.amplitude == 'all' else 1.0)
+        panel.set_ylim(min(-0.1, *(float(s.mean.min()) for s in responses)),
+                       max(1.5, *(1.05 * float(s.mean.max()) for s in responses)))
     finish(drawn, 'time after the step, s', *(f'{axis}, 1' for axis in axes))
     return Picture(
         f'step_{quantity}', f'Step response of the {quantity}',
@@ -92,13 +92,13 @@ def by_gains(look: Measured) -> Picture | None:
     if not axes:
         return None
     figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
-    for one, axis in zip(drawn, axes, strict=True):
-        one.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
+    for panel, axis in zip(drawn, axes, strict=True):
+        panel.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
         for k, part in enumerate(look.parts):
             step = part.axes[axis].rate_step
             if step is not None:
-                one.plot(step.time_s, step.mean, color=STRETCHES[k % len(STRETCHES)],
-                         label=f'{part.stretch.start_s:.0f} to {part.stretch.end_s:.0f} s')
+                panel.plot(step.time_s, step.mean, color=STRETCHES[k % len(STRETCHES)],
+                           label=f'{part.stretch.start_s:.0f} to {part.stretch.end_s:.0f} s')
     finish(drawn, 'time after the step, s', *(f'{axis}, 1' for axis in axes))
     return Picture('step_by_gains', 'Step response by set of gains',
                    'One line for each stretch of the flight with its own gains.', figure)
@@ -106,19 +106,19 @@ def by_gains(look: Measured) -> Picture | None:
 
 def spectra(look: Measured) -> Picture | None:
     """Amplitude spectra of gyro, before and after, D part and motors."""
-    axes = {axis: one for axis, one in look.whole.axes.items() if one.gyro is not None}
+    axes = {axis: seen for axis, seen in look.whole.axes.items() if seen.gyro is not None}
     if not axes:
         return None
     motors = look.motor_frames
     figure, drawn = panels(len(axes) + (motors is not None),
                            height_in=0.7 + 1.5 * (len(axes) + (motors is not None)))
-    for one, signals in zip(drawn, axes.values(), strict=False):
+    for panel, signals in zip(drawn, axes.values(), strict=False):
         for name, frames, colour in (('gyro before filters', signals.gyro_before, SKY),
                                      ('gyro', signals.gyro, INK)):
             if frames is not None:
-                _line(one, frames, DEG, colour, name)
+                _line(panel, frames, DEG, colour, name)
         if signals.d_term is not None:
-            _line(one, signals.d_term, 1e3, ORANGE, 'D part, ‰ of command')
+            _line(panel, signals.d_term, 1e3, ORANGE, 'D part, ‰ of command')
     if motors is not None:
         _line(drawn[-1], motors, 1e3, GREEN, 'motor commands, ‰')
         legend(drawn[-1])
@@ -145,10 +145,10 @@ def throttle_map(look: Measured) -> Picture | None:
     if not maps:
         return None
     figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
-    for one, (frames, values) in zip(drawn, maps.values(), strict=True):
+    for panel, (frames, values) in zip(drawn, maps.values(), strict=True):
         finite = np.flatnonzero(np.isfinite(values).any(axis=1))
         used = values[finite[0]:finite[-1] + 1]
-        _map(one, used.T, (float(THROTTLE[finite[0]]), float(THROTTLE[finite[-1] + 1])), frames)
+        _map(panel, used.T, (float(THROTTLE[finite[0]]), float(THROTTLE[finite[-1] + 1])), frames)
     finish(drawn, 'throttle (mean motor command)', *(f'{axis}, Hz' for axis in maps))
     return Picture('throttle', 'Gyro spectrum over throttle', _map_words(look), figure)
 
@@ -159,20 +159,20 @@ def time_map(look: Measured) -> Picture | None:
     if not maps:
         return None
     figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
-    for one, frames in zip(drawn, maps.values(), strict=True):
+    for panel, frames in zip(drawn, maps.values(), strict=True):
         edges = np.linspace(0.0, look.flown.length_s, min(
             MOST_PIXELS, max(2, math.ceil(look.flown.length_s / COLUMN_S))) + 1)
         group = np.digitize(frames.time_s, edges) - 1
         values = np.full((len(edges) - 1, len(frames.frequency_hz)), np.nan)
         for c in np.unique(group[group < len(values)]):
             values[c] = frames.density[group == c].mean(axis=0)
-        _map(one, values.T, (0.0, look.flown.length_s), frames)
+        _map(panel, values.T, (0.0, look.flown.length_s), frames)
     finish(drawn, 'time, s', *(f'{axis}, Hz' for axis in maps))
     return Picture('spectrogram', 'Spectrogram of the gyro', _map_words(look), figure)
 
 
 def _map_words(look: Measured) -> str:
-    raw = any(one.gyro_before is not None for one in look.whole.axes.values())
+    raw = any(seen.gyro_before is not None for seen in look.whole.axes.values())
     whose = 'before its filters' if raw else 'as the controller sees it'
     return (f'Bright is loud, {RANGE_DB:.0f} dB from the loudest above {LOWEST_PEAK_HZ:g} Hz to '
             f'black; the gyro {whose}. White: not flown there.')
@@ -180,9 +180,9 @@ def _map_words(look: Measured) -> str:
 
 def _noisiest(look: Measured) -> Iterator[tuple[str, Frames]]:
     """Of each axis the gyro before its filters on the log's grid, or else behind them."""
-    for axis, one in look.whole.axes.items():
-        raw = one.gyro_before if look.flown.before_dt == look.flown.dt else None
-        gyro = raw if raw is not None else one.gyro
+    for axis, seen in look.whole.axes.items():
+        raw = seen.gyro_before if look.flown.before_dt == look.flown.dt else None
+        gyro = raw if raw is not None else seen.gyro
         if gyro is not None:
             yield axis, gyro
 
@@ -190,14 +190,14 @@ def _noisiest(look: Measured) -> Iterator[tuple[str, Frames]]:
 def _map(axes: Axes, density: FloatArray, span: tuple[float, float], frames: Frames) -> None:
     """A map of decibels, the rows thinned to what can be seen."""
     every = max(1, math.ceil(len(density) / MOST_PIXELS))
-    whole = len(density) // every * every
-    thin = density[:whole].reshape(-1, every, density.shape[1]).mean(axis=1)
+    length = len(density) // every * every
+    thin = density[:length].reshape(-1, every, density.shape[1]).mean(axis=1)
     level = 10.0 * np.log10(np.maximum(thin, 1e-30))
-    shaking = frames.frequency_hz[:whole:every] >= LOWEST_PEAK_HZ
+    shaking = frames.frequency_hz[:length:every] >= LOWEST_PEAK_HZ
     top = float(np.nanpercentile(level[shaking[:len(level)]], 99.8))
     axes.imshow(level, origin='lower', aspect='auto', interpolation='nearest', cmap='magma',
                 vmin=top - RANGE_DB, vmax=top,
-                extent=(*span, 0.0, float(frames.frequency_hz[whole - 1])))
+                extent=(*span, 0.0, float(frames.frequency_hz[length - 1])))
     axes.grid(visible=False)
 
 
@@ -209,13 +209,13 @@ def orders(look: Measured) -> Picture | None:
     maps = {axis: m for axis, m in maps.items() if m is not None}
     if not maps:
         return None
-    figure, (one,) = panels(height_in=2.6)
+    figure, (panel,) = panels(height_in=2.6)
     centres = 0.5 * (ORDERS[1:] + ORDERS[:-1])
     for (axis, m), colour in zip(maps.items(), (BLUE, ORANGE, GREEN), strict=False):
         if m is not None:
-            one.semilogy(centres, DEG * np.sqrt(m), color=colour, label=axis)
-    plain_logarithms([one])
-    finish([one], "frequency over the rotors' mean frequency", 'deg/s/√Hz')
+            panel.semilogy(centres, DEG * np.sqrt(m), color=colour, label=axis)
+    plain_logarithms([panel])
+    finish([panel], "frequency over the rotors' mean frequency", 'deg/s/√Hz')
     return Picture('orders', 'Gyro spectrum in orders of the rotors',
                    'Whole orders are imbalance and blades; what stands between them is not driven '
                    'by the rotors.', figure)
@@ -224,24 +224,24 @@ def orders(look: Measured) -> Picture | None:
 def loop(look: Measured) -> Picture | None:
     """Tracking over frequency, coherence, and loop gain where the gains are known."""
     part: Part = look.parts[-1] if look.parts else look.whole
-    loops = {axis: one.loop for axis, one in part.axes.items() if one.loop is not None}
+    loops = {axis: seen.loop for axis, seen in part.axes.items() if seen.loop is not None}
     if not loops:
         return None
-    known = any(one.loop is not None for one in loops.values())
-    figure, drawn = panels(4 if known else 3, height_in=5.6 if known else 4.4)
-    for (axis, one), colour in zip(loops.items(), (BLUE, ORANGE, GREEN), strict=False):
-        f = one.frequency_hz
-        drawn[0].loglog(f, np.abs(one.tracking), color=colour, label=axis)
-        drawn[1].semilogx(f, np.degrees(np.unwrap(np.angle(one.tracking))), color=colour)
-        drawn[2].semilogx(f, one.coherence, color=colour)
-        if known and one.loop is not None:
-            finite = np.isfinite(one.loop)
-            drawn[3].loglog(f[finite], np.abs(1.0 / (1.0 + one.loop[finite])), color=colour)
+    has_loop = any(seen.loop is not None for seen in loops.values())
+    figure, drawn = panels(4 if has_loop else 3, height_in=5.6 if has_loop else 4.4)
+    for (axis, seen), colour in zip(loops.items(), (BLUE, ORANGE, GREEN), strict=False):
+        f = seen.frequency_hz
+        drawn[0].loglog(f, np.abs(seen.tracking), color=colour, label=axis)
+        drawn[1].semilogx(f, np.degrees(np.unwrap(np.angle(seen.tracking))), color=colour)
+        drawn[2].semilogx(f, seen.coherence, color=colour)
+        if has_loop and seen.loop is not None:
+            finite = np.isfinite(seen.loop)
+            drawn[3].loglog(f[finite], np.abs(1.0 / (1.0 + seen.loop[finite])), color=colour)
     drawn[2].set_ylim(0.0, 1.05)
     plain_logarithms(drawn)
     finish(drawn, 'frequency, Hz', 'tracking, 1', 'phase, °', 'coherence²',
-           *['sensitivity, 1'] * known)
+           *['sensitivity, 1'] * has_loop)
     return Picture('loop', 'Rate loop over frequency',
                    'Rate over set-point where both are coherent' + (
                        '; the sensitivity 1 / (1 + L) by the measured plant and the known gains.'
-                       if known else '.'), figure)
+                       if has_loop else '.'), figure)

@@ -124,9 +124,9 @@ def _injected(record: Record) -> FloatArray | None:
     if record.excitation is None:
         return None
     out = np.full_like(record.rates, np.nan)
-    for one in record.segments:
-        if one.injection == 'control' and one.axis in AXES and one.signal != 'none':
-            rows, i = slice(*record.span(one)), AXES.index(one.axis)
+    for segment in record.segments:
+        if segment.injection == 'control' and segment.axis in AXES and segment.signal != 'none':
+            rows, i = slice(*record.span(segment)), AXES.index(segment.axis)
             out[rows, i] = np.nan_to_num(record.excitation[rows, i])
     return out if np.isfinite(out).any() else None
 
@@ -158,8 +158,8 @@ def of_log(log: ForeignLog) -> Flown:
     if before is not None and before.rate_hz >= SAME_GRID / flown.dt and len(times) == flown.n:
         flown = replace(flown, rates_before=drawn_on(before, times), before_dt=flown.dt)
     elif before is not None and len(before.time_s) > 2:
-        own = cycles(before, log.source)
-        flown = replace(flown, rates_before=own.values, before_dt=own.dt)
+        before_cycles = cycles(before, log.source)
+        flown = replace(flown, rates_before=before_cycles.values, before_dt=before_cycles.dt)
     return _complete(flown)
 
 
@@ -185,16 +185,16 @@ def _without_commands(log: ForeignLog, why: str) -> Flown:
 
 def _possible(flown: Flown) -> Flown:
     """Without set-points that no aircraft can follow, as damaged logs hold."""
-    lost = 0
+    removed = 0
     clean: dict[str, Any] = {}
     for name, largest in (('rate_setpoint', FASTEST_RAD_S), ('attitude_setpoint', MOST_TURNS)):
         values = getattr(flown, name)
         if values is not None and (wrong := np.abs(values) > largest).any():
-            lost += int(wrong.any(axis=1).sum())
+            removed += int(wrong.any(axis=1).sum())
             clean[name] = np.where(wrong, np.nan, values)
     if not clean:
         return flown
-    note = f'set-points beyond what an aircraft can follow were dropped from {lost} samples'
+    note = f'set-points beyond what an aircraft can follow were dropped from {removed} samples'
     return replace(flown, warnings=(*flown.warnings, note), **clean)
 
 
@@ -212,4 +212,4 @@ def _complete(flown: Flown) -> Flown:
 def _moving(rates: FloatArray) -> tuple[str, ...]:
     spread = [float(np.nanstd(rates[:, i])) if np.isfinite(rates[:, i]).any() else 0.0
               for i in range(len(AXES))]
-    return tuple(axis for axis, one in zip(AXES, spread, strict=True) if one > STILL)
+    return tuple(axis for axis, size in zip(AXES, spread, strict=True) if size > STILL)

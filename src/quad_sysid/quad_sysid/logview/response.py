@@ -93,22 +93,22 @@ class LoopResponse:
     """The frequency at which they are stated."""
 
 
-def spectra(r: FloatArray, u: FloatArray, y: FloatArray, good: npt.NDArray[np.bool_],
+def spectra(r: FloatArray, u: FloatArray, y: FloatArray, usable: npt.NDArray[np.bool_],
             dt: float) -> Spectra | None:
     """Spectra over Hann windows, half overlapping, where all is good; None with too few."""
     size = round(FRAME_S / dt)
     if len(r) < size:
         return None
-    known = good & np.isfinite(r) & np.isfinite(y) & np.isfinite(u)
-    lost = np.concatenate(([0], np.cumsum(~known)))
-    at = np.arange(0, len(r) - size + 1, max(1, size // 2))
-    at = at[lost[at + size] == lost[at]]
-    if len(at) < FEWEST:
+    is_finite = usable & np.isfinite(r) & np.isfinite(y) & np.isfinite(u)
+    lost_before = np.concatenate(([0], np.cumsum(~is_finite)))
+    starts = np.arange(0, len(r) - size + 1, max(1, size // 2))
+    starts = starts[lost_before[starts + size] == lost_before[starts]]
+    if len(starts) < FEWEST:
         return None
-    window, cut = np.hanning(size + 1)[:size], at[:, None] + np.arange(size)
+    window, cut = np.hanning(size + 1)[:size], starts[:, None] + np.arange(size)
     fr, fu, fy = (np.fft.rfft((x[cut] - x[cut].mean(axis=1, keepdims=True)) * window, axis=1)
                   for x in (r, u, y))
-    scale = 2.0 * dt / (window @ window) / len(at)
+    scale = 2.0 * dt / (window @ window) / len(starts)
 
     def power(x: ComplexArray) -> FloatArray:
         return np.asarray(scale * np.sum(np.abs(x) ** 2, axis=0))
@@ -118,7 +118,7 @@ def spectra(r: FloatArray, u: FloatArray, y: FloatArray, good: npt.NDArray[np.bo
 
     lines = np.asarray(np.fft.rfftfreq(size, dt), float)
     return Spectra(lines, power(fr), power(fy), power(fu), cross(fy),
-                   cross(fu), len(at))
+                   cross(fu), len(starts))
 
 
 def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
@@ -136,11 +136,11 @@ def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
     level = np.abs(tracking)
     low = float(np.median(level[:FEWEST_LINES]))
     below = level < np.sqrt(0.5) * low
-    at = int(np.argmax(below)) if below[-1] else -1
+    index = int(np.argmax(below)) if below[-1] else -1
     peak = int(np.argmax(level))
     common = {'frequency_hz': f, 'tracking': tracking, 'coherence': coherence[used],
-              'bandwidth_hz': float(f[at]) if at >= 0 else np.nan, 'peak': float(level[peak]),
-              'peak_hz': float(f[peak])}
+              'bandwidth_hz': float(f[index]) if index >= 0 else np.nan,
+              'peak': float(level[peak]), 'peak_hz': float(f[peak])}
     driven = measured.coherence(measured.ur, measured.uu)[used] >= COHERENT
     if driven.sum() < FEWEST_LINES:
         return LoopResponse(**common)
@@ -216,9 +216,9 @@ def notch(centre_hz: float, width_hz: float, frequency_hz: FloatArray) -> Comple
 
 
 def measured_delay(part: str, before: FloatArray, after: FloatArray,
-                   good: npt.NDArray[np.bool_], dt: float, at_hz: float) -> Delay | None:
+                   usable: npt.NDArray[np.bool_], dt: float, at_hz: float) -> Delay | None:
     """The delay of a part whose input and output were logged, from the phase around `at_hz`."""
-    between = spectra(before, before, after, good, dt)
+    between = spectra(before, before, after, usable, dt)
     if between is None:
         return None
     f = between.frequency_hz
@@ -253,11 +253,11 @@ def plant_delay(loop: LoopResponse, at_hz: float) -> float | None:
     """Seconds from the command to the angular acceleration at a frequency; None if not known."""
     if loop.plant is None:
         return None
-    known = np.isfinite(loop.plant)
-    f = loop.frequency_hz[known]
+    is_finite = np.isfinite(loop.plant)
+    f = loop.frequency_hz[is_finite]
     if len(f) < FEWEST_LINES or not f[0] <= at_hz <= f[-1]:
         return None
-    phase = np.unwrap(np.angle(loop.plant[known] * 1j * f))
+    phase = np.unwrap(np.angle(loop.plant[is_finite] * 1j * f))
     near = np.abs(np.log(f / at_hz)) < NEAR
     return _delay_at(f[near], phase[near], at_hz) if near.sum() >= FEWEST_LINES else None
 

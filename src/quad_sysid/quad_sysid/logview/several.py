@@ -42,7 +42,7 @@ MOST = len(COLOURS)
 
 def names(looks: Sequence[Measured]) -> list[str]:
     """A short name for each log, with a number where two have the same."""
-    short = [PurePath(one.flown.source).name for one in looks]
+    short = [PurePath(look.flown.source).name for look in looks]
     return [f'{name} ({k + 1})' if short.count(name) > 1 else name for k, name in enumerate(short)]
 
 
@@ -51,22 +51,22 @@ def figures(looks: Sequence[Measured]) -> Table:
     rows = []
     for axis in _axes(looks):
         for name, look in zip(names(looks), looks, strict=True):
-            one = look.whole.axes.get(axis)
-            if one is not None:
-                rows.append([axis, name, *_row(one)])
+            seen = look.whole.axes.get(axis)
+            if seen is not None:
+                rows.append([axis, name, *_row(seen)])
     return Table(['axis', 'flight', 'rise, ms', 'overshoot, %', 'settling, ms', 'crossover, Hz',
                   'phase margin, °', 'noise, deg/s'], rows, range(2, 8))
 
 
-def _row(one: AxisLook) -> list[str]:
-    step, loop = one.rate_step, one.loop
+def _row(seen: AxisLook) -> list[str]:
+    step, loop = seen.rate_step, seen.loop
     values = [math.nan] * 5
     if step is not None:
         f = step.figures
         values[:3] = [1e3 * f.rise_time_s, f.overshoot_pct, 1e3 * f.settling_time_s]
     if loop is not None:
         values[3:] = [loop.crossover_hz, loop.phase_margin_deg]
-    noise = one.noise_rms
+    noise = seen.noise_rms
     values.append(math.nan if noise is None else DEG * noise)
     return [number(value if math.isfinite(value) else None) for value in values]
 
@@ -74,7 +74,7 @@ def _row(one: AxisLook) -> list[str]:
 def page(looks: Sequence[Measured]) -> str:
     """The page as text: the table, traces from the take-off on, pictures."""
     title = ', '.join(names(looks))
-    drawn = ''.join(framed(one, one.name) for one in pictures(looks))
+    drawn = ''.join(framed(look, look.name) for look in pictures(looks))
     return document(
         f'Look at {title}',
         f'<h1>Look at {len(looks)} flights</h1><p class="small">{escape(title)}</p>',
@@ -85,18 +85,19 @@ def page(looks: Sequence[Measured]) -> str:
 
 def pictures(looks: Sequence[Measured]) -> list[Picture]:
     """Step responses, gyro spectra and tracking, a line for each log."""
-    def step(axes: Axes, one: AxisLook, colour: str, name: str) -> None:
-        if one.rate_step is not None:
-            axes.plot(one.rate_step.time_s, one.rate_step.mean, color=colour, label=name)
+    def step(axes: Axes, seen: AxisLook, colour: str, name: str) -> None:
+        if seen.rate_step is not None:
+            axes.plot(seen.rate_step.time_s, seen.rate_step.mean, color=colour, label=name)
 
-    def spectrum(axes: Axes, one: AxisLook, colour: str, name: str) -> None:
-        if one.gyro is not None:
-            axes.loglog(one.gyro.frequency_hz[1:], DEG * np.sqrt(np.maximum(
-                one.gyro.mean[1:], 1e-30)), color=colour, label=name)
+    def spectrum(axes: Axes, seen: AxisLook, colour: str, name: str) -> None:
+        if seen.gyro is not None:
+            axes.loglog(seen.gyro.frequency_hz[1:], DEG * np.sqrt(np.maximum(
+                seen.gyro.mean[1:], 1e-30)), color=colour, label=name)
 
-    def tracking(axes: Axes, one: AxisLook, colour: str, name: str) -> None:
-        if one.loop is not None and np.isfinite(one.loop.tracking).any():
-            axes.loglog(one.loop.frequency_hz, np.abs(one.loop.tracking), color=colour, label=name)
+    def tracking(axes: Axes, seen: AxisLook, colour: str, name: str) -> None:
+        if seen.loop is not None and np.isfinite(seen.loop.tracking).any():
+            axes.loglog(seen.loop.frequency_hz, np.abs(seen.loop.tracking), color=colour,
+                        label=name)
 
     return [
         _picture(looks, 'step_rate', 'Step response of the rate', 'time after the step, s', '1',
@@ -110,31 +111,32 @@ def _picture(looks: Sequence[Measured], name: str, title: str, x: str, unit: str
              draw: Callable[[Axes, AxisLook, str, str], None]) -> Picture:
     axes = _axes(looks)
     figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
-    for one, axis in zip(drawn, axes, strict=True):
+    for panel, axis in zip(drawn, axes, strict=True):
         for look, colour, label in zip(looks, COLOURS, names(looks), strict=False):
             if axis in look.whole.axes:
-                draw(one, look.whole.axes[axis], colour, label)
+                draw(panel, look.whole.axes[axis], colour, label)
     finish(drawn, x, *(f'{axis}, {unit}' for axis in axes))
     plain_logarithms(drawn)
     return Picture(name, title, 'One line for each flight.', figure)
 
 
 def _axes(looks: Sequence[Measured]) -> list[str]:
-    return [axis for axis in AXES if any(axis in one.whole.axes for one in looks)]
+    return [axis for axis in AXES if any(axis in look.whole.axes for look in looks)]
 
 
 def _traces(looks: Sequence[Measured]) -> str:
     """The rates of each axis from the take-off on, on the slowest grid."""
-    dt = max(one.flown.dt for one in looks)
-    takeoffs = [int(np.argmax(one.flown.flying)) for one in looks]
-    length = max((one.flown.n - a) * one.flown.dt for one, a in zip(looks, takeoffs, strict=True))
+    dt = max(look.flown.dt for look in looks)
+    takeoffs = [int(np.argmax(look.flown.flying)) for look in looks]
+    length = max((look.flown.n - a) * look.flown.dt
+                 for look, a in zip(looks, takeoffs, strict=True))
     times = np.arange(math.ceil(length / dt)) * dt
 
     def drawn(look: Measured, first: int, i: int) -> FloatArray:
         rates = look.flown.rates[first:, i]
-        at = np.rint(times / look.flown.dt).astype(np.int64)
-        inside = at < len(rates)
-        return np.where(inside, DEG * rates[np.where(inside, at, 0)], np.nan)
+        index = np.rint(times / look.flown.dt).astype(np.int64)
+        inside = index < len(rates)
+        return np.where(inside, DEG * rates[np.where(inside, index, 0)], np.nan)
 
     rows = [zoom.Row(f'{axis}, deg/s', [
         zoom.Line(name, drawn(look, first, AXES.index(axis)), f'--{THEMED[colour]}')

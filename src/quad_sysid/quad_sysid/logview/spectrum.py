@@ -75,12 +75,13 @@ class Frames:
     def orders(self, rotor_hz: FloatArray) -> FloatArray | None:
         """(ORDERS - 1,) mean density over f / rotor_hz (n,); None where that is unknown."""
         mean = np.array([float(np.mean(rotor_hz[a:a + self.size])) for a in self.at])
-        known = np.isfinite(mean) & (mean > 2.0 * self.frequency_hz[1] / np.diff(ORDERS)[0] / 8.0)
-        if not known.any():
+        least = 2.0 * self.frequency_hz[1] / np.diff(ORDERS)[0] / 8.0
+        is_finite = np.isfinite(mean) & (mean > least)
+        if not is_finite.any():
             return None
         centres = 0.5 * (ORDERS[1:] + ORDERS[:-1])
         rows = [np.interp(centres * hz, self.frequency_hz, row, right=np.nan)
-                for hz, row in zip(mean[known], self.density[known], strict=True)]
+                for hz, row in zip(mean[is_finite], self.density[is_finite], strict=True)]
         finite = np.isfinite(rows)
         total = np.where(finite, rows, 0.0).sum(axis=0)
         return np.where(finite.any(axis=0), total / np.maximum(finite.sum(axis=0), 1), np.nan)
@@ -98,27 +99,27 @@ class Frames:
         out = []
         for a, b in edges.reshape(-1, 2):
             power = float((self.mean[a:b] - floor[a:b]).sum() * line)
-            at = float(self.frequency_hz[a:b] @ self.mean[a:b] / self.mean[a:b].sum())
-            out.append(Peak(at, float(np.sqrt(power))))
+            centre = float(self.frequency_hz[a:b] @ self.mean[a:b] / self.mean[a:b].sum())
+            out.append(Peak(centre, float(np.sqrt(power))))
         return tuple(sorted(out, key=lambda p: -p.rms)[:PEAKS])
 
 
-def frames(signal: FloatArray, good: npt.NDArray[np.bool_], dt: float) -> Frames | None:
+def frames(signal: FloatArray, usable: npt.NDArray[np.bool_], dt: float) -> Frames | None:
     """The frames of a signal (n,) within `good` (n,); None without any."""
     size = round(FRAME_S / dt)
     if size < FEWEST_SAMPLES or len(signal) < size:
         return None
-    lost = np.concatenate(([0], np.cumsum(~(good & np.isfinite(signal)))))
-    at = np.arange(0, len(signal) - size + 1, max(1, size // 2))
-    at = at[lost[at + size] == lost[at]]
-    if not len(at):
+    lost_before = np.concatenate(([0], np.cumsum(~(usable & np.isfinite(signal)))))
+    starts = np.arange(0, len(signal) - size + 1, max(1, size // 2))
+    starts = starts[lost_before[starts + size] == lost_before[starts]]
+    if not len(starts):
         return None
     window = np.hanning(size + 1)[:size]
-    cut = signal[at[:, None] + np.arange(size)]
+    cut = signal[starts[:, None] + np.arange(size)]
     spectra = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)
     density = np.abs(spectra) ** 2 * (2.0 * dt / (window @ window))
     density[:, 0] *= 0.5
     if size % 2 == 0:
         density[:, -1] *= 0.5
     lines = np.asarray(np.fft.rfftfreq(size, dt), float)
-    return Frames(lines, density, (at + 0.5 * size) * dt, at, size)
+    return Frames(lines, density, (starts + 0.5 * size) * dt, starts, size)

@@ -136,60 +136,61 @@ class _Windows:
         return np.asarray(out - sums.T @ sums / self.rows)
 
 
-def responses(setpoint: FloatArray, output: FloatArray, good: npt.NDArray[np.bool_], dt: float,
+def responses(setpoint: FloatArray, output: FloatArray, usable: npt.NDArray[np.bool_], dt: float,
               loop: Loop = RATE) -> tuple[Response, ...]:
     """The responses of all windows and of each class that has enough of them.
 
     `setpoint`, `output`, `good` (n,): windows lie where all is good. Empty where nothing moves.
     """
     every = max(1, round(loop.seconds / LAGS / dt))
-    known = good & np.isfinite(setpoint) & np.isfinite(output)
+    is_finite = usable & np.isfinite(setpoint) & np.isfinite(output)
     step, m = every * dt, round(loop.seconds / (every * dt))
     if m < 10:
         return ()
     runs = [(_thinned(setpoint[a:b], every), _thinned(output[a:b], every))
-            for a, b in finite_runs(known, (0, len(known))) if (b - a) * dt > 3.0 * loop.seconds]
-    held = _windows(runs, m, round(2.0 * loop.seconds / step))
+            for a, b in finite_runs(is_finite, (0, len(is_finite)))
+            if (b - a) * dt > 3.0 * loop.seconds]
+    windows = _windows(runs, m, round(2.0 * loop.seconds / step))
     least = loop.classes[0][1]
-    used = held.largest >= least if held is not None else np.zeros(0, bool)
-    if held is None or used.sum() < FEWEST:
+    used = windows.largest >= least if windows is not None else np.zeros(0, bool)
+    if windows is None or used.sum() < FEWEST:
         return ()
     out = []
     for name, low, high in (('all', least, np.inf), *loop.classes):
-        inside = (held.largest >= low) & (held.largest < high)
+        inside = (windows.largest >= low) & (windows.largest < high)
         if inside.sum() < FEWEST or (name != 'all' and inside.sum() == used.sum()):
             continue
-        one = _response(held, inside, step, loop.quantity, name)
-        out += [one] if one is not None else []
+        response = _response(windows, inside, step, loop.quantity, name)
+        out += [response] if response is not None else []
     return tuple(out)
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:
     """Means over `every` samples: the same average of input and output leaves the response."""
-    whole = len(x) // every * every
-    return np.asarray(x[:whole].reshape(-1, every).mean(axis=1))
+    length = len(x) // every * every
+    return np.asarray(x[:length].reshape(-1, every).mean(axis=1))
 
 
 def _windows(runs: Sequence[tuple[FloatArray, FloatArray]], m: int, rows: int) -> _Windows | None:
     """Cut the runs of set-point and output into windows that overlap."""
     hop = max(1, round(HOP * rows), sum(len(r) for r, _ in runs) // MOST_WINDOWS)
     cuts = [(r, y, np.arange(m, len(r) - rows + 1, hop)[:, None]) for r, y in runs]
-    cuts = [one for one in cuts if len(one[2])]
+    cuts = [cut for cut in cuts if len(cut[2])]
     if not cuts:
         return None
-    past = np.concatenate([r[at + np.arange(1 - m, rows)] for r, _, at in cuts])
-    output = np.concatenate([y[at + np.arange(rows)] for _, y, at in cuts])
+    earlier = np.concatenate([r[index + np.arange(1 - m, rows)] for r, _, index in cuts])
+    output = np.concatenate([y[index + np.arange(rows)] for _, y, index in cuts])
     output -= output.mean(axis=1, keepdims=True)
-    here = past[:, m - 1:]
-    total = np.cumsum(np.pad(past, ((0, 0), (1, 0))), axis=1)
+    here = earlier[:, m - 1:]
+    total = np.cumsum(np.pad(earlier, ((0, 0), (1, 0))), axis=1)
     width = max(1, m // COARSE)
     edges = np.minimum(np.arange(0, m + width, width), m)
     edges = edges[:np.searchsorted(edges, m) + 1]
-    at = m + np.arange(rows)[:, None]
-    coarse = total[:, at - edges[:-1]] - total[:, at - edges[1:]]
+    index = m + np.arange(rows)[:, None]
+    coarse = total[:, index - edges[:-1]] - total[:, index - edges[1:]]
     coarse -= coarse.mean(axis=1, keepdims=True)
     return _Windows(
-        past, output, _correlation(here, past, m), _correlation(output, past, m),
+        earlier, output, _correlation(here, earlier, m), _correlation(output, earlier, m),
         total[:, m - 1 + rows - np.arange(m)] - total[:, m - 1 - np.arange(m)],
         coarse, coarse.transpose(0, 2, 1) @ coarse, np.abs(here).max(axis=1))
 
@@ -201,40 +202,42 @@ def _correlation(signal: FloatArray, past: FloatArray, m: int) -> FloatArray:
     return np.asarray(np.fft.irfft(product, size)[:, m - 1::-1])
 
 
-def _response(held: _Windows, inside: npt.NDArray[np.bool_], step: float, quantity: str,
+def _response(windows: _Windows, inside: npt.NDArray[np.bool_], step: float, quantity: str,
               name: str) -> Response | None:
-    gram, cross, output = held.full(inside), held.cross[inside].sum(axis=0), held.output[inside]
+    gram, cross = windows.full(inside), windows.cross[inside].sum(axis=0)
+    output = windows.output[inside]
     power, rows = float(np.sum(output**2)), output.size
     if power <= 0.0:
         return None
     m = len(cross)
     group = np.eye(-(-m // max(1, m // COARSE))).repeat(max(1, m // COARSE), axis=0)[:m]
     share, size, noise = _prior(group.T @ gram @ group, group.T @ cross, power, rows, m)
-    whole = gram / noise + _precision(m, m, share, size)[0]
-    impulse = np.linalg.solve(whole, cross / noise)
+    precision = gram / noise + _precision(m, m, share, size)[0]
+    impulse = np.linalg.solve(precision, cross / noise)
     fit = 1.0 - (power - 2.0 * impulse @ cross + impulse @ gram @ impulse) / power
     mean = np.cumsum(impulse)
     figures = step_figures(mean, step)
     if not (fit >= LEAST_FIT and figures.final_error_pct <= 100.0 * (1.0 - LEAST_END)):
         return None
     sums = np.tri(m)
-    if name != 'all' and np.sum(sums * np.linalg.solve(whole, sums.T).T, axis=1).max() > (
+    if name != 'all' and np.sum(sums * np.linalg.solve(precision, sums.T).T, axis=1).max() > (
             LEAST_SURE**2):
         return None
-    residual = output - fftconvolve(held.past[inside], impulse[None], mode='valid', axes=1)
-    residual = (residual[:, None, :] @ held.coarse[inside])[:, 0]
+    residual = output - fftconvolve(windows.past[inside], impulse[None], mode='valid', axes=1)
+    residual = (residual[:, None, :] @ windows.coarse[inside])[:, 0]
     prior = noise * _precision(group.shape[1], m, share, size)[0]
-    by_window = np.linalg.solve(held.gram[inside] + prior, residual[:, :, None])[:, :, 0] @ group.T
+    solved = np.linalg.solve(windows.gram[inside] + prior, residual[:, :, None])
+    by_window = solved[:, :, 0] @ group.T
     low, high = np.percentile(mean + np.cumsum(by_window, axis=1), SPREAD, axis=0)
     half = int(np.argmax(mean >= 0.5))
     reached = bool(mean[half] >= 0.5)
-    before = mean[half - 1] if half else 0.0
-    latency = step * (half - 1 + (0.5 - before) / (mean[half] - before)) if reached else np.nan
+    offset = mean[half - 1] if half else 0.0
+    latency = step * (half - 1 + (0.5 - offset) / (mean[half] - offset)) if reached else np.nan
     times = np.asarray(step * np.arange(len(mean)), float)
     return Response(quantity, name, times, mean, low, high,
                     int(inside.sum()), float(fit), figures,
                     float(max(latency, 0.0) if reached else np.nan),
-                    float(held.largest[inside].max()))
+                    float(windows.largest[inside].max()))
 
 
 def _prior(gram: FloatArray, cross: FloatArray, power: float, rows: int,

@@ -63,29 +63,29 @@ def sentences(look: Measured) -> list[str]:
 
 def header(look: Measured) -> str:
     """What was looked at."""
-    flown = look.flown
-    count = len(flown.gaps)
+    flight = look.flown
+    count = len(flight.gaps)
     gaps = f', {count} gap{"s" * (count > 1)}' if count else ''
-    name, rate = PurePath(flown.source).name, 1.0 / flown.dt
-    return (f'{name}: {flown.kind}, {flown.length_s:.1f} s at {rate:.5g} Hz{gaps}, '
+    name, rate = PurePath(flight.source).name, 1.0 / flight.dt
+    return (f'{name}: {flight.kind}, {flight.length_s:.1f} s at {rate:.5g} Hz{gaps}, '
             f'{look.whole.flown_s:.1f} s of it in the air')
 
 
-def _axis_sentence(look: Measured, one: AxisLook) -> str:
-    step, loop = one.rate_step, one.loop
-    name = one.axis.capitalize()
+def _axis_sentence(look: Measured, seen: AxisLook) -> str:
+    step, loop = seen.rate_step, seen.loop
+    name = seen.axis.capitalize()
     if step is not None:
         text = f'{name} follows a step of its rate set-point {_figures(step)}'
-    elif one.tracking:
-        error = one.tracking[0]
+    elif seen.tracking:
+        error = seen.tracking[0]
         text = (f'{name} is off its rate set-point by {DEG * error.error_rms:.3g} deg/s RMS of '
                 f'{DEG * error.setpoint_rms:.3g}; the set-point moves too little, or the rate '
                 'follows it too loosely, for a step response')
     elif look.flown.rate_setpoint is None:
         text = f'{name} has no rate set-point in the log, hence no step response'
     else:
-        text = f'The rate set-point of {one.axis} does not move, hence no step response'
-    angle = next((s for s in one.steps if s.quantity == 'angle'), None)
+        text = f'The rate set-point of {seen.axis} does not move, hence no step response'
+    angle = next((s for s in seen.steps if s.quantity == 'angle'), None)
     if angle is not None:
         text += f'; the angle {_figures(angle)}'
     if loop is not None and np.isfinite(loop.phase_margin_deg):
@@ -93,10 +93,10 @@ def _axis_sentence(look: Measured, one: AxisLook) -> str:
                  f'{loop.phase_margin_deg:.0f}° of phase margin')
         if np.isfinite(loop.gain_margin_db):
             text += f' and {loop.gain_margin_db:.1f} dB of gain margin'
-    noise = one.noise_rms
-    if noise is not None and one.gyro is not None:
+    noise = seen.noise_rms
+    if noise is not None and seen.gyro is not None:
         text += f'. Gyro noise above {NOISE_HZ:g} Hz: {DEG * noise:.2g} deg/s RMS'
-        peaks = [p for p in one.gyro.peaks() if p.frequency_hz >= NOISE_HZ]
+        peaks = [p for p in seen.gyro.peaks() if p.frequency_hz >= NOISE_HZ]
         if peaks:
             text += f', of which {DEG * peaks[0].rms:.2g} at {peaks[0].frequency_hz:.0f} Hz'
     return f'{text}.'
@@ -151,8 +151,8 @@ def _title(part: Part) -> str:
 def steps(part: Part) -> Table:
     """Step responses by class."""
     rows = []
-    for axis, one in part.axes.items():
-        for s in one.steps:
+    for axis, seen in part.axes.items():
+        for s in seen.steps:
             f = s.figures
             largest = f'{DEG * s.largest:.0f}' + (' deg/s' if s.quantity == 'rate' else ' deg')
             rows.append([axis, s.quantity, s.amplitude, largest, _or(1e3 * f.rise_time_s, '.3g'),
@@ -171,8 +171,8 @@ def steps(part: Part) -> Table:
 def loops(part: Part) -> Table:
     """Closed loop and margins."""
     rows = []
-    for axis, one in part.axes.items():
-        loop = one.loop
+    for axis, seen in part.axes.items():
+        loop = seen.loop
         if loop is not None:
             rows.append([
                 axis, f'{loop.frequency_hz[0]:.2g} to {loop.frequency_hz[-1]:.3g}',
@@ -194,8 +194,8 @@ def loops(part: Part) -> Table:
 def delays(part: Part) -> Table:
     """What delays the loop."""
     rows = [[axis, d.part, f'{d.milliseconds:.2f}', f'{d.degrees:.1f}',
-             f'{one.loop.delay_hz:.3g}', d.how]
-            for axis, one in part.axes.items() if one.loop is not None for d in one.loop.delays]
+             f'{seen.loop.delay_hz:.3g}', d.how]
+            for axis, seen in part.axes.items() if seen.loop is not None for d in seen.loop.delays]
     return Table(['axis', 'part', 'ms', 'phase, °', 'at, Hz', 'by'], rows, (2, 3, 4), caption=(
         f'{_title(part)}What delays the loop, at its crossover where that is known. The rest is '
         'the delay from command to angular acceleration less the parts above it.'))
@@ -204,10 +204,10 @@ def delays(part: Part) -> Table:
 def noise(part: Part) -> Table:
     """RMS of gyro and D part, and their largest peaks."""
     rows = []
-    for axis, one in part.axes.items():
+    for axis, seen in part.axes.items():
         for name, frames, scale, unit in (
-                ('gyro before filters', one.gyro_before, DEG, 'deg/s'),
-                ('gyro', one.gyro, DEG, 'deg/s'), ('D part', one.d_term, 100.0, '% command')):
+                ('gyro before filters', seen.gyro_before, DEG, 'deg/s'),
+                ('gyro', seen.gyro, DEG, 'deg/s'), ('D part', seen.d_term, 100.0, '% command')):
             if frames is None:
                 continue
             high = noise_rms(frames)
@@ -226,7 +226,7 @@ def tracking(part: Part) -> Table:
     """Tracking error by axis."""
     rows = [[axis, t.quantity, f'{DEG * t.setpoint_rms:.3g}', f'{DEG * t.error_rms:.3g}',
              f'{DEG * t.error_rms_delayed:.3g}', _ms(t.latency_s)]
-            for axis, one in part.axes.items() for t in one.tracking]
+            for axis, seen in part.axes.items() for t in seen.tracking]
     return Table(['axis', 'of', 'set-point RMS', 'error RMS', 'left if delayed', 'by'], rows,
                  range(2, 6), caption=f'{_title(part)}deg/s and deg; the set-point delayed by as '
                  'much as leaves the least error.')
@@ -251,28 +251,28 @@ def _or(value: float, form: str) -> str:
 
 def tree(look: Measured) -> dict[str, Any]:
     """What `--json` prints: SI units, null where something was not measured."""
-    flown = look.flown
+    flight = look.flown
     return {
-        'schema': SCHEMA, 'source': flown.source, 'kind': flown.kind,
-        'sample_rate_hz': 1.0 / flown.dt, 'length_s': flown.length_s,
-        'flown_s': look.whole.flown_s, 'gaps': [list(g) for g in flown.gaps],
+        'schema': SCHEMA, 'source': flight.source, 'kind': flight.kind,
+        'sample_rate_hz': 1.0 / flight.dt, 'length_s': flight.length_s,
+        'flown_s': look.whole.flown_s, 'gaps': [list(g) for g in flight.gaps],
         'answer': sentences(look), 'axes': _axes(look.whole),
         'stretches': [{'start_s': p.stretch.start_s, 'end_s': p.stretch.end_s,
                        'gains': dict(p.stretch.gains), 'changed': list(p.stretch.changed),
                        'axes': _axes(p)} for p in look.parts],
-        'motors': [vars(m) for m in look.motors], 'lacks': list(flown.lacks),
-        'warnings': list(flown.warnings), 'gains': dict(look.whole.stretch.gains),
+        'motors': [vars(m) for m in look.motors], 'lacks': list(flight.lacks),
+        'warnings': list(flight.warnings), 'gains': dict(look.whole.stretch.gains),
     }
 
 
 def _axes(part: Part) -> dict[str, Any]:
     return {axis: {
-        'steps': [_step(s) for s in one.steps], 'loop': _loop(one.loop),
-        'tracking': [vars(t) for t in one.tracking],
+        'steps': [_step(s) for s in seen.steps], 'loop': _loop(seen.loop),
+        'tracking': [vars(t) for t in seen.tracking],
         'noise': {name: _noise(frames) for name, frames in (
-            ('gyro_before', one.gyro_before), ('gyro', one.gyro), ('d_term', one.d_term))
+            ('gyro_before', seen.gyro_before), ('gyro', seen.gyro), ('d_term', seen.d_term))
             if frames is not None},
-    } for axis, one in part.axes.items()}
+    } for axis, seen in part.axes.items()}
 
 
 def _step(s: Response) -> dict[str, Any]:

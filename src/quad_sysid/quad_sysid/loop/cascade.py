@@ -184,13 +184,13 @@ class CascadeGains:
         hz, width, notch = self.d_notch_hz, self.d_notch_bandwidth_hz, 1.0
         if hz > 0.0 and width > 0.0 and (hz + 0.5 * width) * dt < HIGHEST:
             notch = 1.0 / (1.0 + np.tan(np.pi * width * dt))
-        known = vars(self) | {
+        values = vars(self) | {
             'dt': dt, 'notch': notch, 'notch_turn': -2.0 * notch * np.cos(2.0 * np.pi * hz * dt),
             'notch_keep': 2.0 * notch - 1.0,
             **{f'{name}_weight': weight_of(getattr(self, f'{name}_filter_hz'), dt)
                for name in ('d', 'target', 'error', 'output')},
         }
-        return kernels.Constants(*(float(known[name]) for name in kernels.Constants._fields))
+        return kernels.Constants(*(float(values[name]) for name in kernels.Constants._fields))
 
 
 STARTS = dict.fromkeys(('roll', 'pitch'), CascadeGains(
@@ -289,8 +289,8 @@ def margins(loop: ComplexArray, omega: FloatArray) -> Margins:
     low, high = log_gain[:, :-1], log_gain[:, 1:]
     crossed = (low > 0) != (high > 0)
     share = np.where(crossed, low / np.where(crossed, low - high, 1.0), 0.0)
-    at = phase[:, :-1] + share * (phase[:, 1:] - phase[:, :-1])
-    distance = np.abs((at % (2.0 * np.pi)) - np.pi)
+    crossing = phase[:, :-1] + share * (phase[:, 1:] - phase[:, :-1])
+    distance = np.abs((crossing % (2.0 * np.pi)) - np.pi)
     phase_margin = np.degrees(np.min(np.where(crossed, distance, np.inf), axis=1))
     log_omega = np.log(omega)
     where = np.exp(log_omega[:-1] + share * np.diff(log_omega))

@@ -19,9 +19,9 @@ SETTLED_BAND = 0.05
 FEWEST = 10
 """Samples of a response."""
 MIN_REACHED = 0.1
-"""Of the step: what settles lower has no rise time, and its overshoot would be of noise."""
+"""Share of the step: what settles lower has no rise time, and its overshoot is noise."""
 MAX_STANDING = 0.5
-"""Of the step: a response that stood further off before it is not scaled by where it stood."""
+"""Share of the step: a response that was further off before it is not scaled by that."""
 EDGE_SHARE = 0.25
 """Share of its range by which the reference changes within one sample at an edge."""
 
@@ -31,7 +31,7 @@ class StepFigures:
     """Figures of a step response; NaN where a level is never reached."""
 
     rise_time_s: float
-    """From 10 to 90 % of the settled value."""
+    """Time from 10 to 90 % of the settled value."""
     overshoot_pct: float
     """Overshoot beyond the settled value, % of it; 0 without any."""
     settling_time_s: float
@@ -66,12 +66,12 @@ def step_figures(response: npt.ArrayLike, dt: float) -> StepFigures:
     nan = float('nan')
     if settled < MIN_REACHED:
         return StepFigures(nan, nan, nan, 100.0 * (1.0 - settled))
-    way = y / settled
-    low, high = _first_crossing(way, 0.1), _first_crossing(way, 0.9)
+    normalised = y / settled
+    low, high = _first_crossing(normalised, 0.1), _first_crossing(normalised, 0.9)
     outside = np.flatnonzero(np.abs(y - settled) > SETTLED_BAND)
     last = int(outside[-1]) + 1 if outside.size else 0
     return StepFigures(rise_time_s=(high - low) * dt,
-                       overshoot_pct=100.0 * max(0.0, float(np.max(way)) - 1.0),
+                       overshoot_pct=100.0 * max(0.0, float(np.max(normalised)) - 1.0),
                        settling_time_s=last * dt if last < y.size else nan,
                        final_error_pct=100.0 * (1.0 - settled))
 
@@ -87,16 +87,16 @@ def square_figures(reference: npt.ArrayLike, angle: npt.ArrayLike, dt: float) ->
     if r.ndim != 1 or r.shape != y.shape:
         raise BadInputError('square_figures', 'reference and angle must be (n,) of one length',
                             f'{r.shape} and {y.shape}')
-    good = np.isfinite(r) & np.isfinite(y)
-    if not good.any():
+    is_finite = np.isfinite(r) & np.isfinite(y)
+    if not is_finite.any():
         raise NotInformativeError('square wave: no finite samples of reference and angle')
-    responses, steps = _edge_responses(r, y, good)
+    responses, steps = _edge_responses(r, y, is_finite)
     if not responses:
         raise NotInformativeError('square wave: no edge of the reference is followed by a whole '
                                   'stretch; record at least two edges')
     figures = step_figures(np.mean(responses, axis=0), dt)
     return SquareFigures(**vars(figures),
-                         rms_error_rad=float(np.sqrt(np.mean((r - y)[good] ** 2))),
+                         rms_error_rad=float(np.sqrt(np.mean((r - y)[is_finite] ** 2))),
                          edges=len(responses), step_rad=float(np.mean(np.abs(steps))))
 
 
@@ -108,11 +108,11 @@ def square_wave(amplitude: float, half_period_s: float, periods: int, dt: float)
 
 
 def _edge_responses(r: FloatArray, y: FloatArray,
-                    good: npt.NDArray[np.bool_]) -> tuple[list[FloatArray], list[float]]:
+                    is_finite: npt.NDArray[np.bool_]) -> tuple[list[FloatArray], list[float]]:
     """Responses after each edge, divided by its step and cut to a common length."""
     jump = np.abs(np.diff(r, prepend=r[0]))
     jump[~np.isfinite(jump)] = 0.0
-    spread = float(np.ptp(r[good]))
+    spread = float(np.ptp(r[is_finite]))
     edges = np.flatnonzero(jump > EDGE_SHARE * spread) if spread > 0 else np.zeros(0, dtype=int)
     if edges.size == 0:
         return [], []
@@ -122,14 +122,14 @@ def _edge_responses(r: FloatArray, y: FloatArray,
     responses, steps = [], []
     for start in edges:
         stop = start + usual
-        if start == 0 or stop > r.size or not good[start - 1 : stop].all() or usual < 10:
+        if start == 0 or stop > r.size or not is_finite[start - 1 : stop].all() or usual < 10:
             continue
         quiet = r[start:stop] - r[start]
         if np.max(np.abs(quiet)) > EDGE_SHARE * spread:
             continue
         step = float(r[start] - r[start - 1])
         lead = max(1, min(usual // 10, start))
-        if not good[start - lead : start].all():
+        if not is_finite[start - lead : start].all():
             continue
         begin = float(np.mean(y[start - lead : start]))
         offset = (begin - float(r[start - 1])) / step
@@ -140,12 +140,12 @@ def _edge_responses(r: FloatArray, y: FloatArray,
     return responses, steps
 
 
-def _first_crossing(way: FloatArray, level: float) -> float:
+def _first_crossing(response: FloatArray, level: float) -> float:
     """Sample (interpolated) at which `way` first reaches `level`."""
-    index = int(np.argmax(way >= level))
-    if way[index] < level:
+    index = int(np.argmax(response >= level))
+    if response[index] < level:
         return float('nan')
     if index == 0:
         return 0.0
-    low, high = float(way[index - 1]), float(way[index])
+    low, high = float(response[index - 1]), float(response[index])
     return index - 1 + (level - low) / (high - low)

@@ -8,7 +8,7 @@ swings whatever the loop does, is a range of the gain or a longer delay.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,14 +24,14 @@ from quad_sysid.loop.likeness import Trim
 from quad_sysid.loop.linear import loops_of
 from quad_sysid.loop.plant import LATE_S, Flying, around, plant_like
 from quad_sysid.model import AxisModel, EffectEstimate
-from quad_sysid.model.effect import Effect, Part, Signals
+from quad_sysid.model.effect import ActingEffect, Part, Signals
 from quad_sysid.model.structure import Structure
 
-HERE = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
-        'direction'}
+LOOP_SIGNALS = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
+                'direction'}
 """Signals that one axis' loop contains or holds constant."""
 OTHER_AXES = 'it depends on the other axes'
-PLACE = 'it depends on the height, and gains must hold at any height'
+NEEDS_HEIGHT = 'it depends on the height, and gains must hold at any height'
 LEANING_RAD_S = (0.1, 4.0)
 """Where a loop around the lean works."""
 ROUNDS = 4
@@ -40,64 +40,61 @@ SLOW_HZ = 10.0
 """What repeats itself slower than this is no vibration to a loop: its worst case counts."""
 
 
-@dataclass(frozen=True)
-class Placed:
-    """An effect of a model with its parameters (p,), as on the next flight."""
-
-    part: Part
-    p: FloatArray
-
-    @property
-    def effect(self) -> Effect:
-        """Its physics."""
-        return self.part.effect
-
-    @property
-    def why_outside(self) -> str:
-        """Why one axis' loop cannot hold it; '' where it does."""
-        effect = self.effect
-        if not set(effect.signals) <= HERE:
-            return OTHER_AXES
-        if effect.repeats_hz(self.p) and effect.term == 'torque':
-            return 'it is a disturbance, whatever the loop does'
-        return ''
-
-    def signals(self, at: Mapping[str, float], n: int = 1, **moved: Any) -> Signals:
-        """Signals (n,) at the usual values `at`, all but `moved` at rest, its memory steady."""
-        usual = {'time': np.full(n, LATE_S), 'throttle': np.full(n, at['throttle']),
-                 'battery_v': np.full(n, at['battery']), 'sent': np.zeros(n)}
-        s = Signals.at_rest(**(usual | moved))
-        return s if not self.effect.states else s.but(
-            hidden=self.effect.steady(s, self.p, self.part.settings))
-
-    def torque(self, at: Mapping[str, float], n: int = 1, **moved: FloatArray) -> FloatArray:
-        """(n,) acceleration, rad/s², there."""
-        own = self.effect.torque(self.signals(at, n, **moved), self.p, self.part.settings)
-        return np.zeros(n) if own is None else np.broadcast_to(own, (n,))
-
-    def factor(self, at: Mapping[str, float], **moved: FloatArray) -> FloatArray:
-        """Factor on the drive in small motion."""
-        n = max((x.size for x in moved.values()), default=1)
-        with_drive = self.torque(at, n, drive=np.ones(n), **moved)
-        out: FloatArray = 1.0 + with_drive - self.torque(at, n, **moved)
-        return out
+def why_outside(acting: ActingEffect) -> str:
+    """Why one axis' loop cannot hold an effect; '' where it does."""
+    effect = acting.effect
+    if not set(effect.signals) <= LOOP_SIGNALS:
+        return OTHER_AXES
+    if effect.repeats_hz(acting.p) and effect.term == 'torque':
+        return 'it is a disturbance, whatever the loop does'
+    return ''
 
 
-def placed(model: AxisModel, effect: EffectEstimate) -> Placed:
+def signals_at(
+    acting: ActingEffect, usual: Mapping[str, float], n: int = 1, **moved: Any
+) -> Signals:
+    """Signals (n,) at these usual values, all but `moved` at rest, the effect's memory steady."""
+    values = {'time': np.full(n, LATE_S), 'throttle': np.full(n, usual['throttle']),
+              'battery_v': np.full(n, usual['battery']), 'sent': np.zeros(n)}
+    s = Signals.at_rest(**(values | moved))
+    return s if not acting.effect.states else s.replaced(
+        hidden=acting.effect.steady(s, acting.p, acting.part.settings))
+
+
+def torque_at(
+    acting: ActingEffect, usual: Mapping[str, float], n: int = 1, **moved: FloatArray
+) -> FloatArray:
+    """(n,) acceleration by an effect, rad/s², there."""
+    s = signals_at(acting, usual, n, **moved)
+    torque = acting.effect.torque(s, acting.p, acting.part.settings)
+    return np.zeros(n) if torque is None else np.broadcast_to(torque, (n,))
+
+
+def _factor(
+    acting: ActingEffect, usual: Mapping[str, float], **moved: FloatArray
+) -> FloatArray:
+    """Factor on the drive in small motion."""
+    n = max((x.size for x in moved.values()), default=1)
+    with_drive = torque_at(acting, usual, n, drive=np.ones(n), **moved)
+    out: FloatArray = 1.0 + with_drive - torque_at(acting, usual, n, **moved)
+    return out
+
+
+def acting_effect(model: AxisModel, effect: EffectEstimate) -> ActingEffect:
     """An effect of a model. Raises BadInputError for one that this version does not know."""
     part = part_of(model, effect)
-    return Placed(part, fitted_of(part, effect))
+    return ActingEffect(part, fitted_of(part, effect))
 
 
-def _outside(model: AxisModel, effect: EffectEstimate) -> tuple[Placed, str]:
+def _outside(model: AxisModel, effect: EffectEstimate) -> tuple[ActingEffect, str]:
     """An effect, and why the loop of its axis leaves it out; '' where it does not."""
-    one = placed(model, effect)
-    anywhere = 'angle' in one.effect.signals and not EVERY[model.axis].turns
-    return one, one.why_outside or (PLACE if anywhere else '')
+    acting = acting_effect(model, effect)
+    anywhere = 'angle' in acting.effect.signals and not EVERY[model.axis].turns
+    return acting, why_outside(acting) or (NEEDS_HEIGHT if anywhere else '')
 
 
-def _inside(model: AxisModel) -> list[Placed]:
-    return [one for one, why in (_outside(model, e) for e in model.effects) if not why]
+def _inside(model: AxisModel) -> list[ActingEffect]:
+    return [acting for acting, why in (_outside(model, e) for e in model.effects) if not why]
 
 
 def in_flight(model: AxisModel) -> AxisModel:
@@ -106,34 +103,34 @@ def in_flight(model: AxisModel) -> AxisModel:
     A rotation was measured by that. A speed comes more rarely and from elsewhere, while the
     firmware integrates its accelerometer, and the noise of that is not in the model.
     """
-    gains, own = model.active_gains, EVERY[model.axis]
-    if own.turns or own.outer or 'loop.rate_hz' not in gains:
+    gains, axis = model.active_gains, EVERY[model.axis]
+    if axis.turns or axis.outer or 'loop.rate_hz' not in gains:
         return model
     return replace(model, dt=1.0 / gains['loop.rate_hz'], noise=None,
                    gyro_filter_hz=gains.get('sensor.accel_filter_hz') or None)
 
 
-def _usual(model: AxisModel, effects: list[Placed]) -> dict[str, float]:
+def _usual(model: AxisModel, effects: list[ActingEffect]) -> dict[str, float]:
     """Throttle and battery voltage (V) at which the loop is judged: the flight's means.
 
     Where the model does not know them, those at which its effects count as usual.
     """
-    at = {'throttle': 0.5, 'battery': 1.0}
-    for one in reversed(effects):
-        at |= one.effect.usual(one.p, one.part.settings)
-    known = {'throttle': model.mean_throttle, 'battery': model.mean_battery_v}
-    return at | {name: value for name, value in known.items() if value is not None}
+    usual = {'throttle': 0.5, 'battery': 1.0}
+    for acting in reversed(effects):
+        usual |= acting.effect.usual(acting.p, acting.part.settings)
+    means = {'throttle': model.mean_throttle, 'battery': model.mean_battery_v}
+    return usual | {name: value for name, value in means.items() if value is not None}
 
 
 def usual_signals(model: AxisModel) -> dict[str, float]:
     """Throttle (`throttle`) and voltage (`battery`, V) at which a model counts as flown."""
-    return _usual(model, [placed(model, effect) for effect in model.effects])
+    return _usual(model, [acting_effect(model, effect) for effect in model.effects])
 
 
 def whole_plant(model: AxisModel) -> Flying:
     """The plant with all its effects, at the flight's mean throttle and voltage."""
-    plant, at = plant_of(model), usual_signals(model)
-    return Flying(plant, around(at['throttle'], at['battery']))
+    plant, usual = plant_of(model), usual_signals(model)
+    return Flying(plant, around(usual['throttle'], usual['battery']))
 
 
 def behind_lean(model: AxisModel, inner: AxisModel) -> AxisModel:
@@ -151,13 +148,14 @@ def behind_lean(model: AxisModel, inner: AxisModel) -> AxisModel:
     answer = reference_response(gains, response, omega, inner.dt)[0]
 
     def missed(p: FloatArray) -> FloatArray:
-        like = np.exp(-1j * omega * p[1]) / (1.0 + 1j * omega * p[0])
-        return np.concatenate([(like - answer).real, (like - answer).imag])
+        approximation = np.exp(-1j * omega * p[1]) / (1.0 + 1j * omega * p[0])
+        return np.concatenate([(approximation - answer).real, (approximation - answer).imag])
 
     lag, delay = least_squares(missed, [0.2, 0.05], bounds=(0.0, 2.0)).x
     added = {'lag': lag - model.value('lag'), 'delay': delay + model.value('lag')}
     return replace(model, base=tuple(
-        replace(one, value=one.value + added.get(one.name, 0.0)) for one in model.base))
+        replace(parameter, value=parameter.value + added.get(parameter.name, 0.0))
+        for parameter in model.base))
 
 
 def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Flying:
@@ -166,32 +164,32 @@ def loop_plant(model: AxisModel, moved: Mapping[str, float] | None = None) -> Fl
     Raises BadInputError for effects that are not known and parameters that are not finite.
     """
     inside = _inside(model)
-    flying = [one for one in inside
-              if not one.effect.repeats_hz(one.p) and not one.effect.wanders]
+    flying = [acting for acting in inside
+              if not acting.effect.repeats_hz(acting.p) and not acting.effect.wanders]
     law = Part(model.law) if model.law else None
     p = np.array([model.value(name) for name in Structure(law=law).base_names])
-    at = {**_usual(model, inside), **(moved or {})}
+    usual = {**_usual(model, inside), **(moved or {})}
     p[0] *= schedule_factor(model, (moved or {}).get('battery'))
     p[2] = max(0.0, p[2]) + sum(
-        one.effect.longest_s(one.p) for one in inside
-        if 0.0 < one.effect.repeats_hz(one.p) < SLOW_HZ
+        acting.effect.longest_s(acting.p) for acting in inside
+        if 0.0 < acting.effect.repeats_hz(acting.p) < SLOW_HZ
     )
-    parts = tuple(one.part for one in flying)
+    parts = tuple(acting.part for acting in flying)
     plant = plant_like(
-        model.axis, np.concatenate([p, *(one.p for one in flying)]), model.dt,
+        model.axis, np.concatenate([p, *(acting.p for acting in flying)]), model.dt,
         model.gyro_filter_hz, structure=Structure(parts, law=law),
-        craft=model.craft, at=(at['throttle'], at['battery']),
+        craft=model.craft, conditions=(usual['throttle'], usual['battery']),
     )
     return plant if EVERY[model.axis].turns else _about_trim(plant)
 
 
 def _about_trim(flying: Flying) -> Flying:
     """The same about the command that holds it: a climb flies beside the throttle of the hover."""
-    plant, at = flying.plant, 0.0
+    plant, trim = flying.plant, 0.0
     gain, out = float(plant.p[0]), flying
     for _ in range(ROUNDS if plant.structure.parts else 1):
-        at -= out.held / gain if gain else 0.0
-        structure = replace(plant.structure, parts=(Part(Trim(at)), *plant.structure.parts))
+        trim -= out.held / gain if gain else 0.0
+        structure = replace(plant.structure, parts=(Part(Trim(trim)), *plant.structure.parts))
         out = replace(flying, plant=replace(plant, structure=structure))
     return out
 
@@ -214,22 +212,23 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
     """
     low = usual = high = 1.0
     effects = _inside(model)
-    at = _usual(model, effects)
-    for one in effects:
-        effect = one.effect
+    conditions = _usual(model, effects)
+    for acting in effects:
+        effect = acting.effect
         if effect.term != 'gain' or effect.moves_command:
             continue
-        if effect.repeats_hz(one.p):
-            size = float(np.hypot(*one.p[1:3]))
+        if effect.repeats_hz(acting.p):
+            size = float(np.hypot(*acting.p[1:3]))
             factors = np.array([1.0 - size, 1.0 + size])
         elif effect.wanders:
-            size = 2.0 * float(one.p[0])
+            size = 2.0 * float(acting.p[0])
             factors = np.array([1.0 - size, 1.0 + size])
         elif isinstance(effect, Warming):
-            factors = effect.factors(one.p, one.part.settings)
-        elif 'knots' in one.part.settings and effect.signals[0] == 'time':
-            usual *= float(one.factor(at)[0])
-            factors = one.factor(at, time=np.array(one.part.settings['knots'], dtype=float))
+            factors = effect.factors(acting.p, acting.part.settings)
+        elif 'knots' in acting.part.settings and effect.signals[0] == 'time':
+            usual *= float(_factor(acting, conditions)[0])
+            knots = np.array(acting.part.settings['knots'], dtype=float)
+            factors = _factor(acting, conditions, time=knots)
         else:
             continue
         factors = np.maximum(factors, 0.1)
@@ -243,16 +242,16 @@ def not_in_the_loop(model: AxisModel) -> dict[str, str]:
 
 
 def share_outside(model: AxisModel) -> dict[str, float]:
-    """Of those that depend on other axes, by name, the largest acceleration over the drive's.
+    """The largest acceleration over the drive's, by name, of effects that depend on other axes.
 
     Both over the signals' ranges in the training; none where the model does not know these.
     """
     out: dict[str, float] = {}
     gain, command = model.value('gain'), np.abs(model.ranges.get('command', (0.0, 0.0))).max()
-    at = usual_signals(model)
+    usual = usual_signals(model)
     for effect in model.effects:
-        one = placed(model, effect)
-        if one.why_outside != OTHER_AXES or not gain * command > 0.0:
+        acting = acting_effect(model, effect)
+        if why_outside(acting) != OTHER_AXES or not gain * command > 0.0:
             continue
         moved: dict[str, Any] = {}
         for name, field in (('other rate', 'other_rates'), ('other angle', 'other_angles'),
@@ -260,10 +259,10 @@ def share_outside(model: AxisModel) -> dict[str, float]:
             ends = [np.array(model.ranges.get(f'{name} {i}', (0.0, 0.0))) for i in (1, 2)]
             moved[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
         rate = np.repeat(np.abs(model.ranges.get('rate', (0.0, 0.0))).max(), 4)
-        s = one.signals(at, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
-        pushed = one.effect.torque(s, one.p, one.part.settings)
+        s = signals_at(acting, usual, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
+        pushed = acting.effect.torque(s, acting.p, acting.part.settings)
         if pushed is None:
-            pushed = gain * one.effect.command(s, one.p, one.part.settings)
+            pushed = gain * acting.effect.command(s, acting.p, acting.part.settings)
         share = float(np.abs(pushed).max() / (gain * command))
         out[effect.name] = max(share, out.get(effect.name, 0.0))
     return out

@@ -18,9 +18,9 @@ class Linearised(Effect):
 
     name = 'linear'
 
-    def __init__(self, states: int, rows: FloatArray, rest: FloatArray) -> None:
+    def __init__(self, states: int, rows: FloatArray, steady: FloatArray) -> None:
         """`rows` (states + outputs, states + inputs); rest (states,)."""
-        self.states, self.rows, self.rest = states, rows, rest
+        self.states, self.rows, self.rest = states, rows, steady
 
     def inputs(self, s: Signals) -> FloatArray:
         """(inputs, …) what moves it."""

@@ -60,34 +60,34 @@ class Loops:
         return np.asarray(np.einsum('pon,pfn->opf', self.c, states))
 
     def subset(self, index: npt.NDArray[np.int64]) -> Loops:
-        """Those of `index` alone."""
+        """The loops of `index` alone."""
         return Loops(self.a[index], self.b[index], self.c[index], self.dt)
 
 
 def loops_of(every: Sequence[tuple[Flying, Level]]) -> Loops:
     """Plants of one control cycle, each linear at its amplitudes."""
-    cycles = [_cycle(linear(one, level)) for one, level in every]
+    cycles = [_cycle(linear(flying, level)) for flying, level in every]
     n = max(len(b) for _, b, _ in cycles)
     a, b, c = (np.zeros((len(cycles), *shape)) for shape in ((n, n), (n,), (2, n)))
-    for i, (own, into, shown) in enumerate(cycles):
-        m = len(into)
-        a[i, :m, :m], b[i, :m], c[i, :, :m] = own, into, shown
+    for i, (matrix, inputs, output) in enumerate(cycles):
+        m = len(inputs)
+        a[i, :m, :m], b[i, :m], c[i, :, :m] = matrix, inputs, output
     return Loops(a, b, c, every[0][0].dt)
 
 
 def _cycle(flying: Flying) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A cycle of a plant that is linear, without the states that nothing asks for."""
-    plant, rest = flying.plant, flying.begin()
-    still = flat(rest)[:, 0]
+    plant, start = flying.plant, flying.begin()
+    still = flat(start)[:, 0]
     n = still.size
-    moved = np.column_stack([still[:, None] + np.eye(n), still, still])
+    start_states = np.column_stack([still[:, None] + np.eye(n), still, still])
     sent = np.r_[np.zeros(n), 1.0, 0.0]
-    x = unflat(moved, rest)
+    x = unflat(start_states, start)
     after = flat(plant.step(x, _many(flying.around, n + 2, sent)))
     after = after - after[:, -1:]
-    shown = np.stack([required(one) for one in plant.measured(x)])
-    shown = shown - shown[:, -1:]
-    a, b, c = after[:, :n], after[:, n], shown[:, :n]
+    outputs = np.stack([required(signal) for signal in plant.measured(x)])
+    outputs = outputs - outputs[:, -1:]
+    a, b, c = after[:, :n], after[:, n], outputs[:, :n]
     kept = np.arange(n)
     while True:
         inner = a - np.diag(np.diag(a))
@@ -110,13 +110,13 @@ def linear(flying: Flying, level: Level) -> Flying:
     if by_law:  # which alone takes the command: at unit gain, less what that gain drives
         plant = replace(plant, p=np.r_[1.0, plant.p[1:]])
         flying = replace(flying, plant=plant)
-    torques = [_torque(flying, part, p, level) for part, p in plant.pushing]
+    torques = [_torque(flying, part, p, level) for part, p in plant.torque_effects]
     if by_law:
         torques[0].rows[-1, torques[0].states + 2] -= 1.0
     parts = [*_commands(flying, level[2]), *map(Part, torques)]
     p = np.r_[plant.p[:4], 0.0]
-    one = replace(plant, structure=Structure(tuple(parts)), p=p, rounds=1)
-    return replace(flying, plant=one)
+    linearised = replace(plant, structure=Structure(tuple(parts)), p=p, rounds=1)
+    return replace(flying, plant=linearised)
 
 
 def linear_part(flying: Flying) -> Flying:
@@ -124,14 +124,14 @@ def linear_part(flying: Flying) -> Flying:
     plant, kept = flying.plant, []
     bare = replace(plant.structure, parts=())
     p = [plant.p[: len(bare.base)]]
-    for part, at in plant.structure.effects():
-        alone = replace(flying, plant=replace(
-            plant, structure=bare.plus(part), p=np.r_[p[0], plant.p[at]]))
-        still, wide = (loops_of([(alone, level)]) for level in (STILL, WIDE))
+    for part, where in plant.structure.effects():
+        single = replace(flying, plant=replace(
+            plant, structure=bare.plus(part), p=np.r_[p[0], plant.p[where]]))
+        still, wide = (loops_of([(single, level)]) for level in (STILL, WIDE))
         if np.allclose(still.a, wide.a, rtol=1e-3, atol=1e-6) and np.allclose(
                 still.b, wide.b, rtol=1e-3, atol=1e-6):
             kept.append(part)
-            p.append(plant.p[at])
+            p.append(plant.p[where])
     return replace(flying, plant=replace(plant, structure=replace(bare, parts=tuple(kept)),
                                          p=np.concatenate(p)))
 
@@ -150,12 +150,12 @@ def _length(dt: float, frequency: float, several: bool) -> int:
 
 
 def _fitted(
-    x: FloatArray, rest: FloatArray, inputs: FloatArray, outputs: FloatArray
+    x: FloatArray, steady: FloatArray, inputs: FloatArray, outputs: FloatArray
 ) -> FloatArray:
     """(states + outputs, states + inputs) by least squares on a motion: the columns' rows."""
-    known = np.column_stack([(x - rest[:, None]).T, inputs.T, np.ones(inputs.shape[1])])
-    sizes = np.maximum(np.linalg.norm(known, axis=0), 1e-300)
-    slopes = np.linalg.lstsq(known / sizes, outputs.T, rcond=1e-9)[0] / sizes[:, None]
+    regressors = np.column_stack([(x - steady[:, None]).T, inputs.T, np.ones(inputs.shape[1])])
+    sizes = np.maximum(np.linalg.norm(regressors, axis=0), 1e-300)
+    slopes = np.linalg.lstsq(regressors / sizes, outputs.T, rcond=1e-9)[0] / sizes[:, None]
     return np.asarray(slopes[:-1].T)
 
 
@@ -176,19 +176,19 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
 
     def after(x: FloatArray, s: Signals) -> FloatArray:
         """(m + 1, n) the states a cycle later, and the torque meanwhile."""
-        held = replace(s, hidden=x) if m else s
-        torque = np.broadcast_to(required(effect.torque(held, p, settings)), s.rate.shape)
+        signals = replace(s, hidden=x) if m else s
+        torque = np.broadcast_to(required(effect.torque(signals, p, settings)), s.rate.shape)
         return np.vstack([effect.advance(x, s, p, settings), torque]) if m else torque[None]
 
-    nothing = np.zeros(1)
-    still = seen(nothing, nothing, nothing, nothing)
-    rest = effect.steady(still, p, settings)[:, 0] if m else np.zeros(0)
+    zero = np.zeros(1)
+    still = seen(zero, zero, zero, zero)
+    steady = effect.steady(still, p, settings)[:, 0] if m else np.zeros(0)
     small = min(SMALL, level[2])
     rows = np.zeros((m + 1, m + 4))
     if m > FEW_STATES or isinstance(effect, Linear):
         steps = small * np.eye(m + 4)
-        begin = after(rest[:, None], still)
-        rows = (after(rest[:, None] + steps[:m], seen(*steps[m:])) - begin) / small
+        begin = after(steady[:, None], still)
+        rows = (after(steady[:, None] + steps[:m], seen(*steps[m:])) - begin) / small
     if m <= FEW_STATES:
         w, several = level[0] / level[1], bool(m)
         n = _length(dt, w, several)
@@ -203,20 +203,20 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         s = seen(rate, angle, drive, change)
         x = np.zeros((0, n))
         if m:
-            initial = np.repeat(rest[:, None], n, axis=1)
+            initial = np.repeat(steady[:, None], n, axis=1)
             x = effect.trace(s, p, settings, ((0, n),), initial)
-        moved = _fitted(x, rest, np.stack([rate, angle, drive, change]), after(x, s))
+        coefficients = _fitted(x, steady, np.stack([rate, angle, drive, change]), after(x, s))
         first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
-        rows[first:] = moved[first:]
-    return LinearTorque(m, rows, rest)
+        rows[first:] = coefficients[first:]
+    return LinearTorque(m, rows, steady)
 
 
 def _commands(flying: Flying, size: float) -> list[Part]:
     """The likeness of all that acts before the torque."""
     plant, dt = flying.plant, flying.dt
-    if not plant.sending:
+    if not plant.command_effects:
         return []
-    several = any(part.effect.states for part, _ in plant.sending)
+    several = any(part.effect.states for part, _ in plant.command_effects)
     w = 2.0 * np.pi
     n = _length(dt, w, several)
     phases, tones = _tones(n, dt, w, several)
@@ -226,7 +226,7 @@ def _commands(flying: Flying, size: float) -> list[Part]:
     drive = Drive(sideways[None], np.ones(1), np.full((1, n), s.lag))
     drive = drive.behind(np.full(n, s.delay / dt))
     parts: list[Part] = []
-    for part, p in plant.sending:
+    for part, p in plant.command_effects:
         effect, settings = part.effect, part.settings
         if effect.states:
             x = effect.begin(s, p, settings)  # in steady state
@@ -238,8 +238,8 @@ def _commands(flying: Flying, size: float) -> list[Part]:
             likeness = _map(part, p, s)
             parts.append(Part(likeness))
             s = replace(s, sent=effect.command(s, p, settings), hidden=None)
-    known = np.column_stack([sideways, u, np.ones(n)])
-    slopes = np.linalg.lstsq(known / size, drive.commands.T, rcond=None)[0][:2].T / size
+    regressors = np.column_stack([sideways, u, np.ones(n)])
+    slopes = np.linalg.lstsq(regressors / size, drive.commands.T, rcond=None)[0][:2].T / size
     ends = np.linspace(-size, size, 41)
     longer = [float(np.max(np.interp(ends, *curve))) for curve in drive.factors]
     lag = drive.lag.mean(axis=1, keepdims=True) * np.exp(longer)[:, None]
@@ -250,19 +250,19 @@ def _map(part: Part, p: FloatArray, s: Signals) -> LinearMap:
     """A map's likeness on a motion: as it is where it is linear, else of one state or none."""
     effect, settings, m = part.effect, part.settings, part.effect.states
     if isinstance(effect, Following):
-        one, nothing = np.eye(m, m + 1), np.eye(1, m + 1, m)[0]
-        unit = replace(s.at(np.zeros(m + 1, dtype=np.int64)), sent=nothing, hidden=one)
-        rows = np.vstack([effect.advance(one, unit, p, settings),
+        eye, zero = np.eye(m, m + 1), np.eye(1, m + 1, m)[0]
+        unit = replace(s.at(np.zeros(m + 1, dtype=np.int64)), sent=zero, hidden=eye)
+        rows = np.vstack([effect.advance(eye, unit, p, settings),
                           effect.command(unit, p, settings)])
         return LinearMap(m, rows, np.zeros(m))
     u, out = required(s.sent), effect.command(s, p, settings)
     sizes = max(float(np.abs(u).max()), 1e-300)
     if m and 'history' in effect.signals:
-        known = np.column_stack([out[:-1], u[1:]]) / sizes
-        keep, into = np.linalg.lstsq(known, out[1:] / sizes, rcond=None)[0]
+        regressors = np.column_stack([out[:-1], u[1:]]) / sizes
+        keep, into = np.linalg.lstsq(regressors, out[1:] / sizes, rcond=None)[0]
         keep = float(np.clip(keep, 0.0, 1.0 - 1e-6))
         row = np.array([keep, into])
         return LinearMap(1, np.stack([row, row]), np.zeros(1))
-    known = np.column_stack([u / sizes, np.ones(u.size)])
-    slope = np.linalg.lstsq(known, out / sizes, rcond=None)[0][0]
+    regressors = np.column_stack([u / sizes, np.ones(u.size)])
+    slope = np.linalg.lstsq(regressors, out / sizes, rcond=None)[0][0]
     return LinearMap(0, np.array([[slope]]), np.zeros(0))

@@ -44,7 +44,7 @@ class Flying:
     @cached_property
     def first(self) -> Signals:
         """What is around in the first cycle, without a command."""
-        return self.plant.with_motors(self.around.at(np.arange(1)).but(sent=np.zeros(1)))
+        return self.plant.with_motors(self.around.at(np.arange(1)).replaced(sent=np.zeros(1)))
 
     def begin(self, rate: float = 0.0, angle: float = 0.0) -> State:
         """The state with motors at rest, at a rate and an angle, rad/s and rad."""
@@ -63,7 +63,7 @@ class Flying:
 def plant_like(
     axis: str, p: FloatArray, dt: float, gyro_filter_hz: float | None, *,
     structure: Structure | None = None, craft: Craft = X,
-    at: tuple[float, float | None] = (0.5, None),
+    conditions: tuple[float, float | None] = (0.5, None),
 ) -> Flying:
     """An axis by its numbers: p as in Structure, at a throttle and a voltage (V).
 
@@ -78,7 +78,7 @@ def plant_like(
         raise BadInputError('plant', 'gyro_filter_hz must be positive or None', gyro_filter_hz)
     plant = Plant(structure or Structure(), p, dt, sensor_of(gyro_filter_hz, None, dt), craft,
                   EVERY[axis].index)
-    return Flying(plant, around(*at), trial=EVERY[axis].trial)
+    return Flying(plant, around(*conditions), trial=EVERY[axis].trial)
 
 
 def around(throttle: float, battery_v: float | None = None) -> Signals:

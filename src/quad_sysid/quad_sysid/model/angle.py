@@ -24,8 +24,8 @@ def led_by_gyro(data: AxisData, rate: FloatArray) -> FloatArray:
     such as a flight controller's estimate or one that was delayed, is taken as it is.
     """
     measured = required(data.angle)
-    turned = np.append(0.5 * data.dt * (rate[1:] + rate[:-1]), 0.0)
-    difference = measured - np.append(0.0, np.cumsum(turned[:-1]))
+    increments = np.append(0.5 * data.dt * (rate[1:] + rate[:-1]), 0.0)
+    difference = measured - np.append(0.0, np.cumsum(increments[:-1]))
 
     def variance(cycles: int) -> float:
         steps = [difference[a + cycles : b] - difference[a : b - cycles]
@@ -33,14 +33,14 @@ def led_by_gyro(data: AxisData, rate: FloatArray) -> FloatArray:
         return float(np.nanmean(np.concatenate([np.zeros(1), *steps]) ** 2))
 
     long = max(3, round(LONG_S / data.dt))
-    one = variance(1)
-    white = one - 0.5 * variance(2)
+    of_one_cycle = variance(1)
+    white = of_one_cycle - 0.5 * variance(2)
     gain = 1.0
     if white > 0.0:
-        drift = max((variance(long) - one) / (long - 1), white / long**2)
+        drift = max((variance(long) - of_one_cycle) / (long - 1), white / long**2)
         predicted = 0.5 * (drift + math.sqrt(drift**2 + 4.0 * drift * white))
         gain = predicted / (predicted + white)
     out = np.zeros(rate.size)
     for start, stop in data.stretches:
-        recursion.led(measured, turned, gain, start, stop, out)
+        recursion.led(measured, increments, gain, start, stop, out)
     return out

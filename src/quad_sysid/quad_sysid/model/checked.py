@@ -16,14 +16,14 @@ from quad_sysid.model.structure import Structure
 
 SIGNALS = (
     'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'direction', 'history',
-    *(f'other {signal}{which}' for signal in ('rate', 'angle', 'command')
-      for which in ('', ' 1', ' 2')),
+    *(f'other {signal}{suffix}' for signal in ('rate', 'angle', 'command')
+      for suffix in ('', ' 1', ' 2')),
     'product of other rates',
 )
 """The words by which an effect says what it depends on (Effect.signals)."""
 
 
-def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[Effect, ...]:
+def checked(effects: object, where: str, library: Sequence[Effect] = ()) -> tuple[Effect, ...]:
     """`effects` as a tuple; those that are not among the `known` are tried.
 
     Raises BadInputError, which names `where` they were listed, for what is no effect, has no name
@@ -34,7 +34,7 @@ def checked(effects: object, where: str, known: Sequence[Effect] = ()) -> tuple[
     except TypeError as error:
         raise BadInputError(where, 'must be a sequence of effects', type(effects).__name__,
                             'put it in brackets: (Mine(),)') from error
-    known_as = {effect.label: effect for effect in known}
+    known_as = {effect.label: effect for effect in library}
     accepted: dict[str, Effect] = {}
     for effect in listed:
         if not isinstance(effect, Effect):
@@ -81,24 +81,24 @@ def _try(effect: Effect, where: str) -> None:
         if isinstance(settings, str) or effect.states:
             return
         with np.errstate(all='ignore'):
-            one, other, both = (
+            first, other, joint = (
                 effect.torque(s, start + step, settings) for step in (*steps, steps.sum(axis=0))
             )
     except Exception as error:
         raise BadInputError(where, 'cannot be evaluated', f'{type(error).__name__}: {error}',
                             'see docs/extend.md') from error
-    if one is None or other is None or both is None:
+    if first is None or other is None or joint is None:
         if not effect.moves_command or linear.any():
             raise BadInputError(where, 'adds no torque to which its parameters belong',
                                 remedy='write `torque`, or `command` with a `spread` for each')
         return
-    if np.shape(one) != s.rate.shape:
+    if np.shape(first) != s.rate.shape:
         raise BadInputError(where, '`torque` must give an array like s.rate',
-                            f'{np.shape(one)} for {s.rate.shape}')
-    if not np.isfinite([one, both]).all():
+                            f'{np.shape(first)} for {s.rate.shape}')
+    if not np.isfinite([first, joint]).all():
         raise BadInputError(where, '`torque` must be finite', 'NaN or infinity',
                             'mind rates of 0 and below')
-    if linear.any() and not np.allclose(both, one + other, rtol=1e-6, atol=1e-9):
+    if linear.any() and not np.allclose(joint, first + other, rtol=1e-6, atol=1e-9):
         names = ', '.join(spec.name for spec in effect.parameters if spec.spread is None)
         raise BadInputError(where, '`torque` is not linear in its parameters', names,
                             'give a `spread` to each that is an exponent, a limit or a frequency')
@@ -108,11 +108,11 @@ def _made_up() -> tuple[AxisData, Signals]:
     n, dt = 500, 0.004
     time = dt * np.arange(n, dtype=np.float64)
     wave, other = np.sin(9.0 * time), np.cos(5.0 * time)
-    others = np.stack([other, wave], axis=1)
+    signals = np.stack([other, wave], axis=1)
     control = np.stack([0.5 + 0.1 * other, 0.1 * wave, 0.1 * other, 0.01 * wave], axis=1)
     data = replace(
         axis_alone(0.1 * wave, wave, dt, ((0, n),)), angle=0.1 * other, control=control,
-        motors=motors_from_wrench(control), other_rates=others, other_angles=0.1 * others,
+        motors=motors_from_wrench(control), other_rates=signals, other_angles=0.1 * signals,
         battery_v=12.0 - 0.5 * time, validation=((0, n),),
     )
     flight, p = Flight(data, ((0, n),)), np.array([100.0, 0.04, 0.01, 0.0, 0.0])

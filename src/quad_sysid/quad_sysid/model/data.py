@@ -165,9 +165,9 @@ class AxisData:
         spans = self.train or self.validation or self.stretches
         return np.concatenate([signal[a:b] for a, b in spans])
 
-    def measures(self, which: int) -> bool:
+    def measures(self, index: int) -> bool:
         """Whether another axis' rate (0 or 1) is known throughout training."""
-        return bool(np.isfinite(self.training(self.other_rates[:, which])).mean() >= MEASURED)
+        return bool(np.isfinite(self.training(self.other_rates[:, index])).mean() >= MEASURED)
 
     def signal(self, name: str) -> FloatArray | str:
         """(n,) a signal by its word, as it was measured; or a text: why it cannot be used.
@@ -177,11 +177,11 @@ class AxisData:
         """
         if name.startswith('other'):
             return self._of_another(name[:-2], int(name[-1]) - 1)
-        known: dict[str, FloatArray | None] = {
+        signals: dict[str, FloatArray | None] = {
             'time': self.clock, 'angle': self.angle, 'battery': self.battery_v, 'rate': self.rate,
             'command': self.command, 'throttle': self.control[:, 0],
         }
-        values = known[name]
+        values = signals[name]
         return f'the bag holds no {MISSING[name]}' if values is None else values
 
     def lacking_motors(self, *, single: bool = False) -> str:
@@ -193,22 +193,22 @@ class AxisData:
             return 'the other axes hardly move, so no single motor can be distinguished'
         return ''
 
-    def _of_another(self, name: str, which: int) -> FloatArray | str:
-        axis = self.other_axes[which]
+    def _of_another(self, name: str, index: int) -> FloatArray | str:
+        axis = self.other_axes[index]
         if name == 'other angle':
             lean = self.other_angles
-            return f'the bag holds no {MISSING["angle"]}' if lean is None else lean[:, which]
+            return f'the bag holds no {MISSING["angle"]}' if lean is None else lean[:, index]
         if name == 'other command':
             signal = self.control[:, EVERY[axis].index + 1]
             least = LEAST_SHARE * np.std(self.training(self.command))
             if not np.std(self.training(signal)) >= least:
                 return f'the command of {axis} hardly moves during training; excite it as well'
             return signal
-        if not self.measures(which):
+        if not self.measures(index):
             return f'the rate of {axis} was not measured throughout'
-        rate = self.other_rates[:, which]
-        moved = np.nanstd(self.training(rate)) >= LEAST_RATE
-        return np.nan_to_num(rate) if moved else f'{axis} hardly turns during training'
+        rate = self.other_rates[:, index]
+        has_moved = np.nanstd(self.training(rate)) >= LEAST_RATE
+        return np.nan_to_num(rate) if has_moved else f'{axis} hardly turns during training'
 
 
 def at_limit(rate: FloatArray) -> NDArray[np.bool_]:
@@ -238,16 +238,16 @@ def axis_alone(
     )
 
 
-def other_axis(data: AxisData, which: int) -> AxisData:
+def other_axis(data: AxisData, index: int) -> AxisData:
     """AxisData of the first (0) or second (1) of the other two axes: command and rate."""
     return replace(
-        data, axis=data.other_axes[which], rate=np.ascontiguousarray(data.other_rates[:, which]),
+        data, axis=data.other_axes[index], rate=np.ascontiguousarray(data.other_rates[:, index]),
         angle=None, other_rates=np.full_like(data.other_rates, np.nan), other_angles=None,
         derived_s=None, reference=None, source=None, lost=None,
     )
 
 
-def moved(spans: Sequence[Span], passes: Sequence[Span]) -> tuple[Span, ...]:
+def shifted_spans(spans: Sequence[Span], passes: Sequence[Span]) -> tuple[Span, ...]:
     """Where spans are among the samples of these stretches, joined; those in none are left out."""
     begins = np.cumsum([0] + [b - a for a, b in passes])
     return tuple(
@@ -258,23 +258,24 @@ def moved(spans: Sequence[Span], passes: Sequence[Span]) -> tuple[Span, ...]:
     )
 
 
-def part_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
+def slice_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
     """The samples of these unbroken stretches only, joined."""
     index = np.concatenate([np.arange(a, b) for a, b in passes])
     arrays = {
         name: np.ascontiguousarray(value[index]) for name, value in vars(data).items()
         if isinstance(value, np.ndarray)
     }
-    whole, at = (data, index) if data.source is None else (data.source[0], data.source[1][index])
+    flight, rows = data.source or (data, np.arange(data.rate.size))
+    rows = rows[index]
     return replace(
         data, **(arrays | {'time_s': data.clock[index]}),
-        stretches=moved(passes, passes), train=moved(data.train, passes),
-        validation=moved(data.validation, passes), idle=moved(data.idle, passes),
+        stretches=shifted_spans(passes, passes), train=shifted_spans(data.train, passes),
+        validation=shifted_spans(data.validation, passes), idle=shifted_spans(data.idle, passes),
         validation_names=tuple(
             name for name, span in zip(data.validation_names, data.validation, strict=False)
-            if moved([span], passes)
+            if shifted_spans([span], passes)
         ),
-        flights=(), source=(whole, at),
+        flights=(), source=(flight, rows),
     )
 
 
@@ -290,8 +291,9 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     joined: dict[str, Any] = {
         key: np.concatenate([values[key] for values in parts]) for key in parts[0]
     }
-    good, ends = np.isfinite(joined['rate']), itertools.accumulate(record.n for record in records)
-    flights = tuple(itertools.pairwise([0, *ends]))
+    is_finite = np.isfinite(joined['rate'])
+    stops = itertools.accumulate(record.n for record in records)
+    flights = tuple(itertools.pairwise([0, *stops]))
 
     def pieces(role: str) -> list[tuple[Span, str]]:
         """Unbroken spans of a role, with the names of their signals."""
@@ -300,14 +302,14 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
             for record, (begin, _) in zip(records, flights, strict=True)
             for segment in record.segments
             if segment.role == role and (segment.excites(axis) or role == 'idle')
-            for a, b in finite_runs(good[begin:], record.span(segment))
+            for a, b in finite_runs(is_finite[begin:], record.span(segment))
         ]
 
     for name, least in (('angle', 0.0), ('other_angles', 0.0), ('battery_v', 0.5)):
-        values = joined[name].reshape(good.size, -1)
-        known = np.isfinite(values).all(axis=1).mean() > least
-        joined[name] = filled(joined[name]) if known else None
-    units = {at for record in records for at in record.injected_at(axis)}
+        values = joined[name].reshape(is_finite.size, -1)
+        covered = np.isfinite(values).all(axis=1).mean() > least
+        joined[name] = filled(joined[name]) if covered else None
+    units = {place for record in records for place in record.injected_at(axis)}
     if len(units) > 1 or not np.isfinite(joined['reference']).any():
         joined['reference'] = None
     for role in ('train', 'validation', 'idle'):
@@ -316,13 +318,14 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     filters = [(record.gains_at(np.inf).get('sensor.gyro_filter_hz') if EVERY[axis].turns
                 else record.speed_filter_hz) or None for record in records]
     usual = next((hz for hz in filters if hz is not None), None)
-    own = [(hz or usual, b - a) for hz, (a, b) in zip(filters, flights, strict=True)]
+    cut_offs = [(hz or usual, b - a) for hz, (a, b) in zip(filters, flights, strict=True)]
     return AxisData(
         axis=axis, dt=dt, **joined,
-        stretches=tuple(run for one in flights for run in bridged(finite_runs(good, one), dt)),
+        stretches=tuple(run for flight in flights
+                        for run in bridged(finite_runs(is_finite, flight), dt)),
         gyro_filter_hz=usual,
-        gyro_filters_hz=None if len({hz for hz, _ in own}) < 2
-        else np.concatenate([np.full(count, hz) for hz, count in own]),
+        gyro_filters_hz=None if len({hz for hz, _ in cut_offs}) < 2
+        else np.concatenate([np.full(count, hz) for hz, count in cut_offs]),
         derived_s=known_gains.get('sensor.rate_from_angle_s') or None,
         validation_names=tuple(name for _, name in pieces('validation')),
         flights=flights, craft=records[0].craft,
@@ -332,43 +335,43 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
 
 def _prepare(record: Record, axis: str) -> dict[str, Any]:
     """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
-    n, own, motion = record.n, EVERY[axis], record.motion(axis)
+    n, axis_row, motion = record.n, EVERY[axis], record.motion(axis)
     rate, control, motors = motion.rate, motion.control, motion.motors
     if motors is None:
         motors = np.zeros((n, 0)) if record.desaturation == 'none' else \
             motion.share[:, None] * record.craft.commands(record.control)
-    good = np.isfinite(rate) & np.isfinite(control[:, own.index + 1])
-    if not good.any():
+    is_finite = np.isfinite(rate) & np.isfinite(control[:, axis_row.index + 1])
+    if not is_finite.any():
         raise NotInformativeError(
             f'{record.source}: {axis} has no sample with both rate and command; '
             'record /imu/data with /motors/command or /control/wrench'
         )
-    nothing, external = np.full(n, np.nan), record.external(axis)
-    gap = SHORT_GAP_S if own.turns else SPEED_GAP_S
-    beside = [_seen(record, name) for name in own.others]
+    missing, external = np.full(n, np.nan), record.external(axis)
+    gap = SHORT_GAP_S if axis_row.turns else SPEED_GAP_S
+    beside = [_seen(record, name) for name in axis_row.others]
     out: dict[str, Any] = {
-        'rate': across_short_gaps(np.where(good, rate, np.nan), record.dt, gap),
-        'lost': ~good,
-        'angle': nothing if motion.position is None else motion.position,
+        'rate': across_short_gaps(np.where(is_finite, rate, np.nan), record.dt, gap),
+        'lost': ~is_finite,
+        'angle': missing if motion.position is None else motion.position,
         'other_angles': np.column_stack([position for _, position in beside]),
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
         'other_rates': across_short_gaps(np.column_stack([rate for rate, _ in beside]),
                                          record.dt, gap),
-        'battery_v': nothing if record.battery_v is None else record.battery_v,
-        'reference': nothing if external is None else external,
+        'battery_v': missing if record.battery_v is None else record.battery_v,
+        'reference': missing if external is None else external,
     }
     return out
 
 
 def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
     """(n,) rate and position of another axis; NaN where the record does not hold them."""
-    nothing = np.full(record.n, np.nan)
+    missing = np.full(record.n, np.nan)
     try:
         motion = record.motion(axis)
     except NotInformativeError:
-        return nothing, nothing
-    return motion.rate, nothing if motion.position is None else motion.position
+        return missing, missing
+    return motion.rate, missing if motion.position is None else motion.position
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
@@ -380,12 +383,12 @@ def across_short_gaps(values: FloatArray, dt: float, gap_s: float = SHORT_GAP_S)
     """(n,) or (n, k) with unknown samples interpolated in gaps of at most gap_s."""
     if values.ndim > 1:
         return np.column_stack([across_short_gaps(column, dt, gap_s) for column in values.T])
-    known = np.asarray(np.isfinite(values))
-    if known.all() or not known.any():
+    is_finite = np.asarray(np.isfinite(values))
+    if is_finite.all() or not is_finite.any():
         return values
     out = np.full_like(values, np.nan)
     line = filled(values)
-    for start, stop in joined_runs(finite_runs(known, (0, known.size)), dt, gap_s):
+    for start, stop in joined_runs(finite_runs(is_finite, (0, is_finite.size)), dt, gap_s):
         out[start:stop] = line[start:stop]
     return out
 
@@ -393,8 +396,9 @@ def across_short_gaps(values: FloatArray, dt: float, gap_s: float = SHORT_GAP_S)
 def filled(values: FloatArray) -> FloatArray:
     """(n,) or (n, k) with unknown rows interpolated linearly."""
     rows = values.reshape(values.shape[0], -1)
-    at, grid = np.flatnonzero(np.isfinite(rows).all(axis=1)), np.arange(rows.shape[0])
-    return np.column_stack([np.interp(grid, at, v[at]) for v in rows.T]).reshape(values.shape)
+    finite_rows, grid = np.flatnonzero(np.isfinite(rows).all(axis=1)), np.arange(rows.shape[0])
+    columns = [np.interp(grid, finite_rows, v[finite_rows]) for v in rows.T]
+    return np.column_stack(columns).reshape(values.shape)
 
 
 def high(x: FloatArray) -> float:

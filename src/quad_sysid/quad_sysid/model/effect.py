@@ -13,7 +13,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,39 +96,39 @@ class Signals:
     share: FloatArray | None = None
     """(motors,) what a unit of each motor's command adds to that of the axis."""
     lag: float = 0.0
-    """Of the base's motors, s."""
+    """Lag of the base's motors, s."""
     delay: float = 0.0
-    """Of the base, s."""
+    """Delay of the base, s."""
     dt: float = 0.0
     """Length of a cycle, s."""
 
     @classmethod
-    def at_rest(cls, time: FloatArray, throttle: FloatArray, **known: Any) -> Signals:
+    def at_rest(cls, time: FloatArray, throttle: FloatArray, **signals: Any) -> Signals:
         """The axis at rest, and the other two, but for what is `known`."""
-        rest = np.zeros_like(time)
-        still = dict.fromkeys(('rate', 'angle', 'drive', 'command', 'change', 'lagged'), rest)
-        others = dict.fromkeys(('other_rates', 'other_commands', 'other_angles'), (rest, rest))
-        own: dict[str, Any] = {**still, **others, 'battery_v': None, **known}
-        return cls(time=time, throttle=throttle, **own)
+        zero = np.zeros_like(time)
+        still = dict.fromkeys(('rate', 'angle', 'drive', 'command', 'change', 'lagged'), zero)
+        others = dict.fromkeys(('other_rates', 'other_commands', 'other_angles'), (zero, zero))
+        fields: dict[str, Any] = {**still, **others, 'battery_v': None, **signals}
+        return cls(time=time, throttle=throttle, **fields)
 
-    def but(self, **changes: Any) -> Signals:
+    def replaced(self, **changes: Any) -> Signals:
         """The same but for these, as dataclasses.replace, which takes ten times as long."""
         other = object.__new__(Signals)
         vars(other).update(vars(self) | changes)
         return other
 
     def at(self, k: int | NDArray[np.int64]) -> Signals:
-        """Those of one cycle, or of several."""
+        """The signals of one cycle, or of several."""
         fields: dict[str, Any] = {}
-        known: dict[int, FloatArray] = {}  # many are one array, of what is at rest
+        cached: dict[int, FloatArray] = {}  # many are one array, of what is at rest
         for name, value in vars(self).items():
             if isinstance(value, tuple):
-                fields[name] = tuple(one[..., k] for one in value)
+                fields[name] = tuple(array[..., k] for array in value)
             elif isinstance(value, np.ndarray) and name != 'share':
-                if id(value) not in known:
-                    known[id(value)] = value[..., k]
-                fields[name] = known[id(value)]
-        return self.but(**fields)
+                if id(value) not in cached:
+                    cached[id(value)] = value[..., k]
+                fields[name] = cached[id(value)]
+        return self.replaced(**fields)
 
 
 UNITS = {'torque': 'rad/s²', 'gain': '1', 'damping': '1/s', 'lag': '1', 'delay': 's',
@@ -179,9 +179,9 @@ class Drive:
     def behind(self, delay: FloatArray) -> Drive:
         """The same behind a delay (n,) in cycles."""
         delay = np.maximum(delay, 0.0)
-        whole = np.floor(delay + 1e-9)
-        return replace(self, ages=np.stack([whole + 1.0, whole]),
-                       fraction=np.maximum(delay - whole, 0.0))
+        cycles = np.floor(delay + 1e-9)
+        return replace(self, ages=np.stack([cycles + 1.0, cycles]),
+                       fraction=np.maximum(delay - cycles, 0.0))
 
     def __post_init__(self) -> None:
         lacking = self.row.size - len(self.factors)
@@ -190,7 +190,7 @@ class Drive:
             object.__setattr__(self, 'factors', np.concatenate([self.factors, more]))
 
 
-class Left(Protocol):
+class FitResidual(Protocol):
     """What a fit leaves."""
 
     @property
@@ -243,21 +243,21 @@ class Effect:
 
     def lacking(self, data: AxisData) -> str:
         """Why the data lack what it depends on; empty where they do not."""
-        signals = (data.signal(word) for word in self.words
+        signals = (data.signal(word) for word in self.signal_names
                  if word in MISSING or word.startswith('other'))
-        why = next((one for one in signals if isinstance(one, str)), '')
+        why = next((signal for signal in signals if isinstance(signal, str)), '')
         if not why and 'motors' in self.signals:
             why = data.lacking_motors(single=len(self.motors) == 1)
         return why
 
     @property
-    def words(self) -> list[str]:
-        """Its signals in the words of AxisData.signal; what goes one way is left out."""
+    def signal_names(self) -> list[str]:
+        """The names of its signals for AxisData.signal; what goes one way is left out."""
         names = [s for s in self.signals
                  if s in ('angle', 'throttle', 'battery', 'rate', 'command')]
         kinds = [s.rstrip(' 12') for s in self.signals if s.startswith('other')]
         kinds += ['other rate'] * ('product of other rates' in self.signals)
-        return names + [f'{kind} {which + 1}' for kind in kinds for which in self.others]
+        return names + [f'{kind} {index + 1}' for kind in kinds for index in self.others]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         """Command of the axis after the effect; s.sent is that before it."""
@@ -286,18 +286,19 @@ class Effect:
         self, s: Signals, p: FloatArray, linear: Sequence[int], settings: Settings
     ) -> FloatArray:
         """(n, len(linear)) acceleration per unit of parameters in which it is linear, at p."""
-        steps, here = SMALL * np.eye(p.size)[linear], required(self.torque(s, p, settings))
-        torques = [required(self.torque(s, p + step, settings)) - here for step in steps]
+        steps, torque = SMALL * np.eye(p.size)[linear], required(self.torque(s, p, settings))
+        torques = [required(self.torque(s, p + step, settings)) - torque for step in steps]
         return np.stack(torques, axis=1) / SMALL
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         """Start values in their units; those of parameters taken for linear are ignored."""
         grid = [
-            spec.starts or (at,) for spec, at in zip(self.parameters, self.centre(), strict=True)
+            spec.starts or (centre,)
+            for spec, centre in zip(self.parameters, self.centre(), strict=True)
         ]
         return [np.array(values) for values in itertools.product(*grid)]
 
-    def sought(self, left: Left, settings: Settings) -> Sequence[FloatArray]:
+    def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
         """Start values where a fit leaves something, by default `starts`."""
         return self.starts(left.data, settings)
 
@@ -346,13 +347,15 @@ class Effect:
         """
         return s
 
-    def begun(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray | None:
+    def states_at_start(
+        self, data: AxisData, p: FloatArray, settings: Settings
+    ) -> FloatArray | None:
         """(states, n) where each stretch begins, by its first sample; None: as `begin` says."""
         return None
 
     def trace(
         self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
-        begun: FloatArray | None = None,
+        start_states: FloatArray | None = None,
     ) -> FloatArray:
         """(states, n) hidden states at the start of each cycle, in each stretch from its start.
 
@@ -362,20 +365,20 @@ class Effect:
         from quad_sysid.model import laws  # numba is slow to import
         from quad_sysid.model.traced import Listing, Untraceable
 
-        first = [self.begin(s.at(start), p, settings) if begun is None else begun[:, start]
-                 for start, _ in stretches]
+        first = [start_states[:, start] if start_states is not None else
+                 self.begin(s.at(start), p, settings) for start, _ in stretches]
         listing, out = Listing(s.time.size), np.zeros((len(first[0]), s.time.size))
         x: Any = listing.inputs(len(out), 1)
         try:
             following = listing.places(self.advance(x, s, p, settings)).ravel()
         except (Untraceable, TypeError, IndexError, ValueError):
             return self.cycles(s, p, settings, stretches, first)
-        code, known, at = listing.repeated(following)
+        code, constants, indices = listing.repeated(following)
         for (start, stop), begin in zip(stretches, first, strict=True):
             registers = np.array(listing.start)
             registers[: len(out)] = begin
             laws.carried(code, np.array([*listing.more, 0]), np.array([*listing.tables, 0.0]),
-                         registers, known, at, following, start, stop, out)
+                         registers, constants, indices, following, start, stop, out)
         return out
 
     def cycles(
@@ -392,7 +395,7 @@ class Effect:
         return out
 
     def longest_s(self, p: FloatArray) -> float:
-        """By how much at most it makes the delay longer, s."""
+        """The most by which it makes the delay longer, s."""
         return 0.0
 
     def usual(self, p: FloatArray, settings: Settings) -> Mapping[str, float]:
@@ -407,8 +410,8 @@ class Effect:
         return np.diag(sizes**-2.0)
 
     def __repr__(self) -> str:
-        own = type(self).__name__
-        return f'{own}()' if 'name' in vars(type(self)) else f'{own}({self.label!r})'
+        kind = type(self).__name__
+        return f'{kind}()' if 'name' in vars(type(self)) else f'{kind}({self.label!r})'
 
     @property
     def linear(self) -> list[int]:
@@ -439,3 +442,15 @@ class Part:
 
     effect: Effect
     settings: Settings = field(default_factory=dict)
+
+
+class ActingEffect(NamedTuple):
+    """An effect with its parameters (p,) in their units, as it acts in one flight."""
+
+    part: Part
+    p: FloatArray
+
+    @property
+    def effect(self) -> Effect:
+        """The physics of the effect."""
+        return self.part.effect

@@ -22,14 +22,14 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
-from quad_sysid.model.effect import Part, Signals, required
+from quad_sysid.model.effect import ActingEffect, Part, Signals, required
 from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
 from quad_sysid.model.plant import (
-    Acting,
+    EffectOnSignals,
     Plant,
     Turning,
+    drive_of,
     lag_and_delay,
-    sent_on,
     with_drive,
     with_slopes,
     with_torques,
@@ -72,25 +72,25 @@ def central(
 
 def per_coefficient(part: Part, s: Signals, p: FloatArray) -> FloatArray:
     """(n,) acceleration per unit of a wandering effect's coefficient, rad/s²."""
-    one = s.but(hidden=np.ones((1, s.rate.size)))
-    return required(part.effect.torque(one, p, part.settings))
+    unit = s.replaced(hidden=np.ones((1, s.rate.size)))
+    return required(part.effect.torque(unit, p, part.settings))
 
 
 def unmeasured(data: AxisData) -> NDArray[np.bool_]:
     """(n,) whether the rate was lost, or stood at the gyro's limit."""
-    lost = ~np.isfinite(data.rate) | at_limit(data.rate)
-    return lost if data.lost is None else lost | data.lost
+    is_lost = ~np.isfinite(data.rate) | at_limit(data.rate)
+    return is_lost if data.lost is None else is_lost | data.lost
 
 
 def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
     """What the filter runs over: each span with LEAD_S before it, where that is unbroken."""
     lead = round(LEAD_S / data.dt)
-    seen = ~unmeasured(data)
+    is_measured = ~unmeasured(data)
     merged: list[list[int]] = []
     for start, stop in sorted(spans):
         home = next(s for s in data.stretches if s[0] <= start < s[1])
         begin = max(home[0], start - lead)
-        begin += int(np.argmax(seen[begin : home[1]]))
+        begin += int(np.argmax(is_measured[begin : home[1]]))
         if merged and begin <= merged[-1][1] and merged[-1][0] >= home[0]:
             merged[-1][1] = max(merged[-1][1], stop)
         else:
@@ -121,10 +121,10 @@ class Flight:
     def __init__(self, data: AxisData, spans: Sequence[Span]) -> None:
         self.data, self.passes = data, passes_of(data, spans)
         self.sensors = self.seen_through()
-        late, own = np.array([one.late_s for one in self.sensors]), data.gyro_filters_hz
+        late, cut_offs = np.array([sensor.late_s for sensor in self.sensors]), data.gyro_filters_hz
         self.late = np.full(data.rate.size, late[0] if late.size else 0.0)
-        for one in () if own is None else np.unique(own):
-            self.late[own == one] = sensor_of(float(one), data.derived_s, data.dt).late_s
+        for hz in () if cut_offs is None else np.unique(cut_offs):
+            self.late[cut_offs == hz] = sensor_of(float(hz), data.derived_s, data.dt).late_s
         output = required(data.angle) / data.dt if self.sensor.derived else data.rate
         self.measured = np.where(unmeasured(data), np.nan, output)
         self.gyro = filled(data.rate)
@@ -154,10 +154,10 @@ class Flight:
 
     def seen_through(self, *, stepped: bool = False) -> tuple[Sensor, ...]:
         """The sensor of each pass, as its flight was flown."""
-        data, own = self.data, self.data.gyro_filters_hz
+        data, cut_offs = self.data, self.data.gyro_filters_hz
         return tuple(
-            sensor_of(data.gyro_filter_hz if own is None else float(own[start]), data.derived_s,
-                      data.dt, stepped=stepped) for start, _ in self.passes
+            sensor_of(data.gyro_filter_hz if cut_offs is None else float(cut_offs[start]),
+                      data.derived_s, data.dt, stepped=stepped) for start, _ in self.passes
         )
 
     @property
@@ -167,9 +167,9 @@ class Flight:
 
     def _advanced(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
         """(n,) a measured rate at mid-cycle, or some cycles later, without the filter's delay."""
-        known, grid = np.isfinite(measured), np.arange(measured.size, dtype=np.float64)
+        is_measured, grid = np.isfinite(measured), np.arange(measured.size, dtype=np.float64)
         later = grid + (0.5 + self.late / self.data.dt) + cycles
-        return np.interp(later, grid[known], measured[known])
+        return np.interp(later, grid[is_measured], measured[is_measured])
 
     # -------------------------------------------------------------------------- physics
 
@@ -178,7 +178,7 @@ class Flight:
 
         p: parameters in their units.
         """
-        acting = structure.sending()
+        acting = structure.command_effects()
         # what remembers the drive needs it from the start, all others from a pass to its end
         remembered = any({'command', 'history'} <= {*part.effect.signals}
                          for part, _ in structure.placed())
@@ -190,13 +190,13 @@ class Flight:
         if stored is not None:
             return stored
         data = self.data
-        sending = [(part, p[where]) for part, where in acting]
+        command_effects = [ActingEffect(part, p[where]) for part, where in acting]
 
         def hidden(i: int, s: Signals) -> FloatArray | None:
-            part, own = sending[i]
-            return self.hidden(part, s, own).hidden if part.effect.states else None
+            part, p = command_effects[i]
+            return self.hidden(part, s, p).hidden if part.effect.states else None
 
-        drive = sent_on(sending, self.commanded(p), hidden)
+        drive = drive_of(command_effects, self.commanded(p), hidden)
         halves, states = np.zeros((2, 2, data.rate.size))
         channels = [np.ascontiguousarray(x) for x in (drive.commands, drive.row, drive.lag)]
         when = [np.ascontiguousarray(required(x)) for x in (drive.ages, drive.fraction)]
@@ -216,7 +216,7 @@ class Flight:
     def signals(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Signals:
         """Signals for a rate (n,) at mid-cycle, all along the flight."""
         ahead = 0.5 * self.data.dt + self.late
-        return with_drive(self.commanded(p), p, *self.driven(structure, p)).but(
+        return with_drive(self.commanded(p), p, *self.driven(structure, p)).replaced(
             rate=rate, angle=None if self.angle is None else self.angle + ahead * rate)
 
     def hidden(self, part: Part, s: Signals, p: FloatArray) -> Signals:
@@ -224,9 +224,10 @@ class Flight:
         effect, data = part.effect, self.data
         if not effect.states:
             return s
-        seen = effect.inputs_in_flight(s, self.followed)
-        begun = effect.begun(data, p, part.settings)
-        return s.but(hidden=effect.trace(seen, p, part.settings, data.stretches, begun))
+        inputs = effect.inputs_in_flight(s, self.followed)
+        start_states = effect.states_at_start(data, p, part.settings)
+        return s.replaced(
+            hidden=effect.trace(inputs, p, part.settings, data.stretches, start_states))
 
     def followed(self, rate: FloatArray) -> FloatArray:
         """A rate (n,) that is the measured one in all that is slower than FOLLOWED_S.
@@ -243,23 +244,24 @@ class Flight:
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
-        drive, acting = self._acting(structure, p, rate, structure.pushing())
+        drive, acting = self._acting(structure, p, rate, structure.torque_effects())
         torque = with_torques(p[4] - p[3] * rate, acting)
-        for which, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
-            torque = torque + share * self.disturbances[:, which]
+        for axis, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
+            torque = torque + share * self.disturbances[:, axis]
         slope = with_slopes(np.full(rate.size, -p[3]), acting)
         return Pushed(drive + (torque - slope * rate), slope)
 
     def _acting(
         self, structure: Structure, p: FloatArray, rate: FloatArray,
-        pushing: Sequence[tuple[Part, slice]],
-    ) -> tuple[FloatArray, list[Acting]]:
+        torque_effects: Sequence[tuple[Part, slice]],
+    ) -> tuple[FloatArray, list[EffectOnSignals]]:
         """Acceleration by the drive (2, n), and those effects with what they see."""
         drive = p[0] * self.driven(structure, p)[0]
-        if not pushing:
+        if not torque_effects:
             return drive, []
         s = self.signals(structure, p, rate)
-        return drive, [(part, p[where], self.hidden(part, s, p[where])) for part, where in pushing]
+        return drive, [(part, p[where], self.hidden(part, s, p[where]))
+                       for part, where in torque_effects]
 
     def columns(
         self, structure: Structure, theta: FloatArray, rate: FloatArray, steps: FloatArray
@@ -269,18 +271,19 @@ class Flight:
         In the coordinates of the fit along a fixed trajectory, by differences of `steps` (p,)
         where a torque is not linear. The third, (b,), says for which of the p the second is.
         """
-        pushing, p = structure.pushing(), structure.natural(theta)
-        moving = slice(3), *(where for _, where in structure.sending())
-        bent = np.r_[moving]
-        out, bends = np.zeros((rate.size, theta.size)), np.empty((rate.size, bent.size))
+        torque_effects, p = structure.torque_effects(), structure.natural(theta)
+        moving = slice(3), *(where for _, where in structure.command_effects())
+        derived = np.r_[moving]
+        out, bends = np.zeros((rate.size, theta.size)), np.empty((rate.size, derived.size))
         out[:, 3], out[:, 4] = -rate, 1.0
-        for place, which in enumerate(structure.shared, theta.size - len(structure.noise)):
-            out[:, place] = self.disturbances[:, which]
-        if pushing:
+        for place, axis in enumerate(structure.shared, theta.size - len(structure.noise)):
+            out[:, place] = self.disturbances[:, axis]
+        if torque_effects:
             s = self.signals(structure, p, rate)
-        for part, where in pushing:
+        for part, where in torque_effects:
             out[:, where] = self._by_parameters(part, s, theta[where], steps[where])
-        follow_drive = [one for one in pushing if 'command' in one[0].effect.signals]
+        follow_drive = [(part, where) for part, where in torque_effects
+                        if 'command' in part.effect.signals]
 
         def driven(theta: FloatArray) -> FloatArray:
             """(2, n) acceleration of all that follows the command."""
@@ -288,10 +291,10 @@ class Flight:
             return with_torques(*self._acting(structure, p, rate, follow_drive))
 
         here = driven(theta)
-        for i, j in enumerate(bent):
+        for i, j in enumerate(derived):
             begin, end = (driven(theta + np.diag(steps)[j]) - here) / steps[j]
             out[:, j], bends[:, i] = 0.5 * (begin + end), 0.5 * (begin - end)
-        return out, bends, bent
+        return out, bends, derived
 
     def _by_parameters(
         self, part: Part, s: Signals, theta: FloatArray, steps: FloatArray
@@ -299,16 +302,17 @@ class Flight:
         """(n, q) derivatives of an effect's torque by its coordinates of the fit."""
         effect, settings, linear = part.effect, part.settings, part.effect.linear
         p = natural(effect.parameters, theta)
-        own = self.hidden(part, s, p)  # which those in which the torque is linear do not move
-        out, here = np.empty((s.rate.size, theta.size)), required(effect.torque(own, p, settings))
+        signals = self.hidden(part, s, p)  # which those in which the torque is linear do not move
+        torque = required(effect.torque(signals, p, settings))
+        out = np.empty((s.rate.size, theta.size))
         for j in set(range(theta.size)) - set(linear):
             shift = FINER * np.diag(steps)[j]
-            moved = natural(effect.parameters, theta + shift)
-            there = required(effect.torque(self.hidden(part, s, moved), moved, settings))
-            out[:, j] = (there - here) / shift[j]
+            shifted = natural(effect.parameters, theta + shift)
+            after = effect.torque(self.hidden(part, s, shifted), shifted, settings)
+            out[:, j] = (required(after) - torque) / shift[j]
         if linear:
             p[linear] = 0.0
-            out[:, linear] = effect.columns(own, p, linear, settings)
+            out[:, linear] = effect.columns(signals, p, linear, settings)
         return out
 
     def unexplained(self, p: FloatArray) -> FloatArray:
@@ -318,8 +322,8 @@ class Flight:
         """
         dt = self.data.dt
         reach = max(1.0, SLOPE_S / dt)
-        earlier, here, later = (self._advanced(self.data.rate, way * reach)
-                                for way in (-1.0, 0.0, 1.0))
+        earlier, here, later = (self._advanced(self.data.rate, sign * reach)
+                                for sign in (-1.0, 0.0, 1.0))
         halves = self.driven(Structure(), p)[0]
         explained = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
         return (later - earlier) / (2.0 * reach * dt) - explained
@@ -331,11 +335,11 @@ class Flight:
     ) -> tuple[Filter, ...]:
         """The steady Kalman filter of each pass at these parameters."""
         noise = structure.natural(theta)[-structure.filtered :]
-        known = {
+        arrays = {
             sensor: kalman(noise, damping, sensor, self.data.dt, averaged=structure.averaged)
             for sensor in dict.fromkeys(self.sensors)
         }
-        return tuple(known[sensor] for sensor in self.sensors)
+        return tuple(arrays[sensor] for sensor in self.sensors)
 
     def predict(
         self, structure: Structure, theta: FloatArray, *, sweeps: int = 2,
@@ -343,7 +347,7 @@ class Flight:
     ) -> Prediction:
         """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
         n, p, rate = self.data.rate.size, structure.natural(theta), self.rate
-        if not structure.pushing():
+        if not structure.torque_effects():
             sweeps = 1  # the physics is linear in the rate
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
@@ -373,11 +377,11 @@ class Flight:
         n, rate = self.data.rate.size, self.rate.copy()
         states = np.zeros((n, steady[0].gain.size + by.place.size))
         innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
-        for (start, stop), sensor, own, more in zip(
+        for (start, stop), sensor, filtered, more in zip(
             self.passes, self.sensors, steady, filters, strict=True
         ):
             recursion.predict(
-                self.measured, float(self.data.rate[start]), *push, own.gain, own.move,
+                self.measured, float(self.data.rate[start]), *push, filtered.gain, filtered.move,
                 sensor.step, sensor.behind, self.data.dt, start, stop,
                 *by._replace(filters=more), rate, states, innovation, jacobian,
             )
@@ -391,11 +395,11 @@ class Flight:
             return np.stack([np.concatenate([one.gain, one.move]) for one in filters])
 
         out = np.zeros((len(self.passes), theta.size, 6 + 4 * structure.lines))
-        here, at = flat(steady), np.r_[theta, damping]
-        for j in range(theta.size - structure.filtered, at.size):
-            shifted = at + FILTER_STEP * (np.arange(at.size) == j)
-            there = flat(self.filters_of(structure, shifted[:-1], shifted[-1]))
-            out[:, j if j < theta.size else 3] = (there - here) / FILTER_STEP
+        filters_here, point = flat(steady), np.r_[theta, damping]
+        for j in range(theta.size - structure.filtered, point.size):
+            shifted = point + FILTER_STEP * (np.arange(point.size) == j)
+            shifted_filters = flat(self.filters_of(structure, shifted[:-1], shifted[-1]))
+            out[:, j if j < theta.size else 3] = (shifted_filters - filters_here) / FILTER_STEP
         return [*out]
 
     def _follow(
@@ -428,11 +432,11 @@ class Flight:
 
     def wander(self, structure: Structure, p: FloatArray, rate: FloatArray) -> FloatArray:
         """(n, w) acceleration per unit of each wandering coefficient, rad/s²."""
-        acting = [(part, p[at]) for part, at in structure.placed() if part.effect.wanders]
+        acting = [(part, p[where]) for part, where in structure.placed() if part.effect.wanders]
         if not acting:
             return np.zeros((rate.size, 0))
         s = self.signals(structure, p, rate)
-        return np.stack([per_coefficient(part, s, own) for part, own in acting], axis=1)
+        return np.stack([per_coefficient(part, s, values) for part, values in acting], axis=1)
 
     def responses(
         self, columns: FloatArray, slope: FloatArray, steady: tuple[Filter, ...]
@@ -472,15 +476,16 @@ class Flight:
         turn = steady.move[2::2] + 1j * steady.move[3::2]
         fade, hold = steady.move[:2]
         late = self.late[windows.starts]
-        own = np.searchsorted([a for a, _ in self.passes], windows.starts, side='right') - 1
-        step = np.stack([one.step for one in self.sensors], axis=2)[:, :, np.maximum(own, 0)]
+        number = np.searchsorted([a for a, _ in self.passes], windows.starts, side='right') - 1
+        steps = np.stack([sensor.step for sensor in self.sensors], axis=2)
+        step = steps[:, :, np.maximum(number, 0)]
         out = np.full((windows.count, windows.length), np.nan)
-        seen = self.signals(structure, p, prediction.rate)
+        signals = self.signals(structure, p, prediction.rate)
         angle = None if self.angle is None else self.angle[windows.starts] + late * r
         turning = Turning(r, angle, np.stack([g, q]), tuple(
             next(followed)[None, :] if part.effect.wanders else
-            required(self.hidden(part, seen, values).hidden)[:, windows.starts]
-            if part.effect.states else None for part, values in plant.pushing
+            required(self.hidden(part, signals, values).hidden)[:, windows.starts]
+            if part.effect.states else None for part, values in plant.torque_effects
         ))
         lag, delay = lag_and_delay(p)
         rates = np.empty_like(out)
@@ -491,25 +496,26 @@ class Flight:
             k = windows.starts + i
             if angles is not None:
                 angles[:, i] = required(turning.angle)
-            for whole, state in zip(hidden, turning.hidden, strict=True):
-                if whole is not None:
-                    whole[:, :, i] = state
+            for trace, state in zip(hidden, turning.hidden, strict=True):
+                if trace is not None:
+                    trace[:, :, i] = state
             out[:, i] = (turning.seen[0] if self.sensor.noisy else turning.rate) \
                 - self.data.rate[k]
             if not self.sensor.derived:
                 out[:, i] += v.real.sum(axis=1)
-            around = measured.but(lag=lag, delay=delay)
-            begun = turning.rate
+            around = measured.replaced(lag=lag, delay=delay)
+            start_rate = turning.rate
             turning = plant.turn(turning, around, halves[:, k], states[:, k], hold * d, step)
-            rates[:, i] = 0.5 * (begun + turning.rate)
+            rates[:, i] = 0.5 * (start_rate + turning.rate)
             d, v = d * fade, v * turn
         return Run(out, rates, angles, hidden)
 
     def _around(self, windows: Windows) -> list[Signals]:
         """What was measured in each cycle of the windows, all but the axis' own motion."""
         if self._windows[0] is not windows:
-            whole = self.commanded(np.zeros(3))
-            self._windows = windows, [whole.at(windows.starts + i) for i in range(windows.length)]
+            signals = self.commanded(np.zeros(3))
+            self._windows = windows, [
+                signals.at(windows.starts + i) for i in range(windows.length)]
         return self._windows[1]
 
 
@@ -527,7 +533,7 @@ class _Inputs(NamedTuple):
 
     @staticmethod
     def none(steady: Filter, wander: FloatArray, columns: FloatArray | None = None) -> _Inputs:
-        """Of (n, m) columns the physics alone, and no pursuit of what wanders, (n, w)."""
+        """The columns (n, m) of the physics alone, and no pursuit of what wanders, (n, w)."""
         n, w = wander.shape
         columns = np.zeros((n, 0)) if columns is None else columns
         return _Inputs(
@@ -561,7 +567,7 @@ class Prediction:
     states: FloatArray
     """(n, Structure.states) predicted states of the filter, before each measurement."""
     filters: tuple[Filter, ...]
-    """Of each pass."""
+    """The filter of each pass."""
     rate: FloatArray
 
     @property

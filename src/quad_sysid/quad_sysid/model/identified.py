@@ -70,7 +70,7 @@ class NoiseEstimate:
     scale: float
     """Scale of the innovations' Student's t distribution, rad/s."""
     degrees: float
-    """Its degrees of freedom."""
+    """Degrees of freedom."""
     gyro_rms: float
     """RMS of the gyro's noise before its filter, rad/s."""
     measured_rms: float
@@ -78,7 +78,7 @@ class NoiseEstimate:
     lines: tuple[tuple[float, float, float], ...] = ()
     """Lines of vibration in the recorded rate: RMS over the gyro's noise, frequency, width, Hz."""
     averaged: bool = False
-    """As in structure.Structure."""
+    """The same as in structure.Structure."""
 
     @property
     def disturbance_rms(self) -> float:
@@ -112,10 +112,10 @@ class Outside:
     """How long."""
     least: float
     most: float
-    """In this flight."""
+    """Its range in this flight."""
     low: float
     high: float
-    """In the training."""
+    """Its range in the training."""
 
     def __str__(self) -> str:
         return (f'{self.signal} is outside the range of the training for {self.seconds:.2g} s: '
@@ -165,7 +165,7 @@ class AxisModel:
     craft: Craft = X
     """Where the motors are and how they turn."""
     units: Units | None = None
-    """Of the arrays that it was identified from; None: of a bag, in the contract's."""
+    """Units of the arrays that it was identified from; None: of a bag, the contract's."""
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
     """Effects from outside quad_sysid.effects that `effects` and rivals may name; the first may be
     the law of a base of one's own, whose parameters are in `base`."""
@@ -182,7 +182,7 @@ class AxisModel:
     @property
     def law(self) -> Effect | None:
         """The law of a base of one's own; None of the built-in base."""
-        return next((one for one in self.own_effects if one.kind == LAW), None)
+        return next((effect for effect in self.own_effects if effect.kind == LAW), None)
 
     @property
     def predicting(self) -> AxisModel:
@@ -215,11 +215,11 @@ class AxisModel:
 
     def value(self, name: str) -> float:
         """Value of a base parameter, or of `<effect>.<parameter>`."""
-        for known, parameter in self._named:
-            if known == name:
+        for label, parameter in self._named:
+            if label == name:
                 return parameter.value
         raise BadInputError('model', 'has no such parameter', repr(name),
-                            f'it has {", ".join(known for known, _ in self._named)}')
+                            f'it has {", ".join(label for label, _ in self._named)}')
 
 
 BEFORE = '_before'

@@ -67,7 +67,7 @@ def loose_ahead(pull, moved, spring, damping, dt, z, q):
     dead. By the trapezoidal rule in steps of about 1 ms.
     """
     parts = max(1, round(dt / 0.001))
-    h, before = dt / parts, q
+    h, previous = dt / parts, q
     for _ in range(parts):
         stiff = spring**2 / max(1.0 - z * z, 0.02)
         v, back = q - moved, 0.5 * h * damping + 0.25 * h * h * stiff
@@ -76,7 +76,7 @@ def loose_ahead(pull, moved, spring, damping, dt, z, q):
         if abs(z) > 1.0:
             z, new = math.copysign(1.0, z), 0.0
         q = new + moved
-    return z, q, (q - before) / dt - pull
+    return z, q, (q - previous) / dt - pull
 
 
 @kernel(LINE, LINE, LINE, LINE, NUMBER, NUMBER, NUMBER, TABLE)

@@ -19,7 +19,7 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.model import recursion
-from quad_sysid.model.effect import Drive, Part, Signals, required
+from quad_sysid.model.effect import ActingEffect, Drive, Part, Signals, required
 from quad_sysid.model.noise import Sensor
 from quad_sysid.model.structure import Structure
 
@@ -31,65 +31,62 @@ SHORTEST_S = 1e-5
 """A lag or delay below this counts as none."""
 
 
-Acting = tuple[Part, FloatArray, Signals]
+EffectOnSignals = tuple[Part, FloatArray, Signals]
 """An effect with its own parameters and the signals that it sees."""
 
 
-def with_torques(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
+def with_torques(start: FloatArray, acting: Sequence[EffectOnSignals]) -> FloatArray:
     """An acceleration and those of the effects, rad/s²."""
     for part, p, s in acting:
-        own = part.effect.torque(s, p, part.settings)
-        if own is not None:
-            start = start + own
+        torque = part.effect.torque(s, p, part.settings)
+        if torque is not None:
+            start = start + torque
     return start
 
 
-def with_slopes(start: FloatArray, acting: Sequence[Acting]) -> FloatArray:
+def with_slopes(start: FloatArray, acting: Sequence[EffectOnSignals]) -> FloatArray:
     """The slope of an acceleration over the rate and those of the effects' torques, 1/s."""
     for part, p, s in acting:
         if 'rate' in part.effect.signals:
             above, below = (
-                with_torques(np.zeros(1), [(part, p, s.but(rate=s.rate + step))])
+                with_torques(np.zeros(1), [(part, p, s.replaced(rate=s.rate + step))])
                 for step in (SLOPE_STEP, -SLOPE_STEP)
             )
             start = start + (above - below) / (2.0 * SLOPE_STEP)
     return start
 
 
-Sending = Sequence[tuple[Part, FloatArray]]
-"""Effects that act before the torque, each with its own parameters."""
-
-
-def sent_on(
-    sending: Sending, s: Signals, remembered: Callable[[int, Signals], FloatArray | None]
+def drive_of(
+    command_effects: Sequence[ActingEffect], s: Signals,
+    remembered: Callable[[int, Signals], FloatArray | None],
 ) -> Drive:
     """What becomes of a command s.sent before the motors; along a flight or in one cycle.
 
     remembered: the hidden states of the effect of this number, which sees these signals.
     """
-    seen = []
-    for i, (part, p) in enumerate(sending):
-        s = s.but(hidden=remembered(i, s))
-        seen.append(s)
-        s = s.but(sent=part.effect.command(s, p, part.settings))
+    signals_seen = []
+    for i, (part, p) in enumerate(command_effects):
+        s = s.replaced(hidden=remembered(i, s))
+        signals_seen.append(s)
+        s = s.replaced(sent=part.effect.command(s, p, part.settings))
     sent = required(s.sent)
     drive = Drive(sent[None], np.ones(1), np.full((1, *sent.shape), s.lag))
     drive = drive.behind(np.full(sent.shape, s.delay / s.dt))
-    for (part, p), own in zip(sending, seen, strict=True):
-        drive = part.effect.actuate(drive, own, p, part.settings)
+    for (part, p), signals in zip(command_effects, signals_seen, strict=True):
+        drive = part.effect.actuate(drive, signals, p, part.settings)
     return drive
 
 
 def lag_and_delay(p: FloatArray) -> tuple[float, float]:
-    """Of a base, s, as they are flown."""
+    """Lag and delay of a base, s, as they are simulated."""
     return max(float(p[1]), SHORTEST_S), min(max(float(p[2]), 0.0), 0.5)
 
 
 def with_drive(s: Signals, p: FloatArray, halves: FloatArray, states: FloatArray) -> Signals:
     """The signals with the drive, which Flight.driven gives at unit gain."""
     gain, lagged, command = p[0], 0.5 * (halves[0] + halves[1]), p[0] * states[1]
-    return s.but(drive=gain * lagged, lagged=lagged, command=command,
-                 change=(command - gain * states[0]) / max(float(p[1]), LEAST_LAG * s.dt))
+    return s.replaced(drive=gain * lagged, lagged=lagged, command=command,
+                      change=(command - gain * states[0]) / max(float(p[1]), LEAST_LAG * s.dt))
 
 
 class Turning(NamedTuple):
@@ -102,7 +99,7 @@ class Turning(NamedTuple):
     seen: FloatArray
     """(2, w) the states of the gyro's filter."""
     hidden: tuple[FloatArray | None, ...]
-    """Those of each effect that adds a torque."""
+    """Hidden states of each effect that adds a torque."""
 
 
 class State(NamedTuple):
@@ -114,7 +111,7 @@ class State(NamedTuple):
     line: FloatArray
     """(d, c, w) commands that are under way, the newest first."""
     hidden: tuple[FloatArray | None, ...]
-    """Those of each effect that acts before the torque."""
+    """Hidden states of each effect that acts before the torque."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,36 +134,38 @@ class Plant:
     """Rounds of Newton's method in a cycle; one is enough where torques hardly bend in it."""
 
     @cached_property
-    def sending(self) -> Sending:
+    def command_effects(self) -> list[ActingEffect]:
         """The effects that act before the torque."""
-        return [(part, self.p[at]) for part, at in self.structure.sending()]
+        return [ActingEffect(part, self.p[where])
+                for part, where in self.structure.command_effects()]
 
     @cached_property
-    def pushing(self) -> Sending:
+    def torque_effects(self) -> list[ActingEffect]:
         """The effects that add a torque."""
-        return [(part, self.p[at]) for part, at in self.structure.pushing()]
+        return [ActingEffect(part, self.p[where])
+                for part, where in self.structure.torque_effects()]
 
     @cached_property
     def bends(self) -> bool:
         """Whether a torque follows the motion within a cycle, so that one round may not do."""
-        return any({'rate', 'angle'} & {*part.effect.signals} for part, _ in self.pushing)
+        return any({'rate', 'angle'} & {*part.effect.signals} for part, _ in self.torque_effects)
 
     def with_own(self, s: Signals) -> Signals:
         """The same with what the plant knows itself."""
         lag, delay = lag_and_delay(self.p)
         share = self.craft.inverse[self.index + 1]
-        return s.but(lag=lag, delay=delay, dt=self.dt, share=share)
+        return s.replaced(lag=lag, delay=delay, dt=self.dt, share=share)
 
     def with_motors(self, s: Signals) -> Signals:
         """The signals (w,) with what s.sent and the other axes' commands are to each motor."""
-        own = required(s.sent)
+        command = required(s.sent)
         commands = [s.throttle, *s.other_commands]
         if self.index < 0:  # of the climb the throttle is its own command
-            commands = [own, *s.other_commands, np.zeros_like(own)]
+            commands = [command, *s.other_commands, np.zeros_like(command)]
         else:
-            commands.insert(self.index + 1, own)
+            commands.insert(self.index + 1, command)
         motors = self.craft.commands(np.stack(commands, axis=-1))
-        return s.but(motors=tuple(motors[..., i] for i in range(motors.shape[-1])))
+        return s.replaced(motors=tuple(motors[..., i] for i in range(motors.shape[-1])))
 
     def begin(
         self, s: Signals, rate: FloatArray, angle: FloatArray | None, *, steady: bool = False
@@ -176,26 +175,27 @@ class Plant:
         steady: in the middle of a flight, not at its start.
         """
         s = self.with_own(s)
-        own: list[FloatArray | None] = []
+        states: list[FloatArray | None] = []
 
-        def remembered(i: int, seen: Signals) -> FloatArray | None:
-            part, p = self.sending[i]
-            own.append(part.effect.begin(seen, p, part.settings) if part.effect.states else None)
-            return own[-1]
+        def remembered(i: int, signals: Signals) -> FloatArray | None:
+            part, p = self.command_effects[i]
+            effect = part.effect
+            states.append(effect.begin(signals, p, part.settings) if effect.states else None)
+            return states[-1]
 
-        drive = sent_on(self.sending, s, remembered)
-        longest = s.delay + sum(part.effect.longest_s(p) for part, p in self.sending)
+        drive = drive_of(self.command_effects, s, remembered)
+        longest = s.delay + sum(part.effect.longest_s(p) for part, p in self.command_effects)
         line = np.repeat(drive.commands[None], 3 + math.ceil(longest / self.dt), axis=0)
         lagged = np.tensordot(drive.row, drive.commands, 1)
-        moved = s.but(rate=rate, angle=angle, drive=self.p[0] * lagged, lagged=lagged,
+        signals = s.replaced(rate=rate, angle=angle, drive=self.p[0] * lagged, lagged=lagged,
                         command=self.p[0] * lagged, change=np.zeros_like(lagged))
         hidden = tuple(
             None if not part.effect.states else
-            (part.effect.steady if steady else part.effect.begin)(moved, p, part.settings)
-            for part, p in self.pushing
+            (part.effect.steady if steady else part.effect.begin)(signals, p, part.settings)
+            for part, p in self.torque_effects
         )
         turning = Turning(rate, angle, np.stack([rate, np.zeros_like(rate)]), hidden)
-        return State(turning, drive.commands.copy(), line, tuple(own))
+        return State(turning, drive.commands.copy(), line, tuple(states))
 
     def step(self, x: State, s: Signals, push: FloatArray | float = 0.0) -> State:
         """The state a cycle later; push (w,): more acceleration over the cycle, rad/s²."""
@@ -216,16 +216,17 @@ class Plant:
 
         s: as of `with_own`.
         """
-        seen: list[Signals] = []
+        signals_seen: list[Signals] = []
 
-        def remembered(i: int, own: Signals) -> FloatArray | None:
-            seen.append(own)
+        def remembered(i: int, signals: Signals) -> FloatArray | None:
+            signals_seen.append(signals)
             return hidden[i]
 
-        drive = sent_on(self.sending, s, remembered)
+        drive = drive_of(self.command_effects, s, remembered)
         return drive, tuple(
-            None if known is None else part.effect.advance(known, own, p, part.settings)
-            for known, own, (part, p) in zip(hidden, seen, self.sending, strict=True)
+            None if states is None else part.effect.advance(states, signals, p, part.settings)
+            for states, signals, (part, p)
+            in zip(hidden, signals_seen, self.command_effects, strict=True)
         )
 
     def turn(
@@ -241,24 +242,24 @@ class Plant:
         mean = s.drive
         middle = r + h * mean  # where physics is evaluated, then corrected by its slope
         for _ in range(self.rounds if self.bends else 1):
-            s = s.but(rate=middle, angle=None if x.angle is None else x.angle + h * middle)
-            now = [(part, own, s if known is None else s.but(hidden=known))
-                   for (part, own), known in zip(self.pushing, x.hidden, strict=True)]
+            s = s.replaced(rate=middle, angle=None if x.angle is None else x.angle + h * middle)
+            now = [(part, p, s if states is None else s.replaced(hidden=states))
+                   for (part, p), states in zip(self.torque_effects, x.hidden, strict=True)]
             force = with_torques(p[4] - p[3] * middle, now)
             slope = with_slopes(np.full(middle.size, -p[3]), now)
             a = h * slope
             new = ((1.0 + a) * r + dt * (mean + force - slope * middle + push)) / (1.0 - a)
             middle = 0.5 * (r + new)
-        s = s.but(rate=middle, angle=None if x.angle is None else x.angle + h * middle)
+        s = s.replaced(rate=middle, angle=None if x.angle is None else x.angle + h * middle)
         hidden = tuple(
-            None if known is None else part.effect.advance(known, s, own, part.settings)
-            for known, (part, own) in zip(x.hidden, self.pushing, strict=True)
+            None if states is None else part.effect.advance(states, s, p, part.settings)
+            for states, (part, p) in zip(x.hidden, self.torque_effects, strict=True)
         )
-        bent = middle + 0.25 * dt * (drive[0] - drive[1])
-        inside = np.stack([*x.seen, r, bent, new])
-        seen = step @ inside if step.ndim == 2 else np.sum(step * inside, axis=1)
-        angle = None if x.angle is None else x.angle + dt / 6.0 * (r + 4.0 * bent + new)
-        return Turning(new, angle, seen, hidden)
+        middle_rate = middle + 0.25 * dt * (drive[0] - drive[1])
+        inside = np.stack([*x.seen, r, middle_rate, new])
+        gyro_states = step @ inside if step.ndim == 2 else np.sum(step * inside, axis=1)
+        angle = None if x.angle is None else x.angle + dt / 6.0 * (r + 4.0 * middle_rate + new)
+        return Turning(new, angle, gyro_states, hidden)
 
     def measured(self, x: State | Turning) -> tuple[FloatArray, FloatArray | None]:
         """Rate and angle as the gyro and what integrates it show them, without noise."""
@@ -272,30 +273,30 @@ class Plant:
 def leaves(x: Any) -> list[Any]:
     """The arrays of a state, or of a part of it, in order."""
     if isinstance(x, tuple):
-        return [leaf for one in x for leaf in leaves(one)]
+        return [leaf for item in x for leaf in leaves(item)]
     return [] if x is None else [x]
 
 
 def alike(x: Any, by: Callable[[Any], Any]) -> Any:
     """A state, or a part of it, with what `by` makes of each of its arrays."""
     if isinstance(x, tuple):
-        own = [alike(one, by) for one in x]
-        return type(x)(*own) if isinstance(x, State | Turning) else tuple(own)
+        items = [alike(item, by) for item in x]
+        return type(x)(*items) if isinstance(x, State | Turning) else tuple(items)
     return None if x is None else by(x)
 
 
 def flat(x: State) -> FloatArray:
     """(states, w) all numbers of a state, one below the other."""
-    return np.concatenate([one.reshape(-1, one.shape[-1]) for one in leaves(x)])
+    return np.concatenate([array.reshape(-1, array.shape[-1]) for array in leaves(x)])
 
 
 def unflat(numbers: FloatArray, like: State) -> State:
     """The inverse, for states of the shapes of another but for w."""
     rows = iter(numbers)
 
-    def filled(one: FloatArray) -> FloatArray:
-        own = np.stack([next(rows) for _ in range(math.prod(one.shape[:-1]))])
-        return own.reshape(*one.shape[:-1], -1)
+    def filled(array: FloatArray) -> FloatArray:
+        filled_rows = np.stack([next(rows) for _ in range(math.prod(array.shape[:-1]))])
+        return filled_rows.reshape(*array.shape[:-1], -1)
 
     state: State = alike(like, filled)
     return state
@@ -303,10 +304,10 @@ def unflat(numbers: FloatArray, like: State) -> State:
 
 def _sent_before(line: FloatArray, age: FloatArray) -> FloatArray:
     """(c, w) commands of a line (d, c, w) that were sent so many cycles ago (w,)."""
-    whole = np.floor(age).astype(np.int64)
+    cycles = np.floor(age).astype(np.int64)
     each = np.arange(age.size)
-    new = line[whole, :, each].T
-    share = age - whole
+    new = line[cycles, :, each].T
+    share = age - cycles
     if share.any():
-        new = new + share * (line[whole + 1, :, each].T - new)
+        new = new + share * (line[cycles + 1, :, each].T - new)
     return np.ascontiguousarray(new)

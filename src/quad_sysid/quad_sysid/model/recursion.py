@@ -81,11 +81,11 @@ def motor_step(w, new, before, tau, bent, factors, fraction, dt, solved, out):
 @inner
 def sent(commands, k, age, start):
     """The command (n,) that was sent `age` cycles before the k-th, linear between two."""
-    whole = math.floor(age)
-    new = commands[max(k - int(whole), start)]
-    if age == whole:
+    cycles = math.floor(age)
+    new = commands[max(k - int(cycles), start)]
+    if age == cycles:
         return new
-    return new + (age - whole) * (commands[max(k - int(whole) - 1, start)] - new)
+    return new + (age - cycles) * (commands[max(k - int(cycles) - 1, start)] - new)
 
 
 @inner
@@ -155,18 +155,18 @@ def motors_step(w, new, before, row, lag, factors, fraction, dt, out):
 
     out (4, m) receives the mean drive over both halves, the drive and the command at mid-cycle.
     """
-    own, solved = np.zeros(4), np.zeros((3, 3))
+    sums, solved = np.zeros(4), np.zeros((3, 3))
     for i in range(w.shape[1]):
         out[0, i] = out[1, i] = out[2, i] = out[3, i] = 0.0
     for c in range(w.shape[0]):
         bent = uneven(factors[c])
         for i in range(w.shape[1]):
             w[c, i] = motor_step(w[c, i], new[c, i], before[c, i], lag[c, i], bent, factors[c],
-                                 fraction[i], dt, solved, own)
-            out[0, i] += row[c] * own[0] * 2.0 / dt
-            out[1, i] += row[c] * own[1] * 2.0 / dt
-            out[2, i] += row[c] * own[2]
-            out[3, i] += row[c] * own[3]
+                                 fraction[i], dt, solved, sums)
+            out[0, i] += row[c] * sums[0] * 2.0 / dt
+            out[1, i] += row[c] * sums[1] * 2.0 / dt
+            out[2, i] += row[c] * sums[2]
+            out[3, i] += row[c] * sums[3]
 
 
 @kernel(LINE, NUMBER, TABLE, LINE, LINE, LINE, TABLE, FLAG, NUMBER, WHOLE, WHOLE, TABLE, TABLE,
@@ -325,12 +325,12 @@ def freely(slope, by_state, by_rate, onward, columns, bends, forward, initial, g
             for j in range(p):
                 end = factor * r[j] + input_gain * mid[j]
                 mid[j] = 0.5 * (r[j] + end)
-                bent = mid[j] + 0.5 * dt * bends[k, j]
+                middle_rate = mid[j] + 0.5 * dt * bends[k, j]
                 g0, q0 = g[j], q[j]
                 g[j] = gyro[i, 0, 0] * g0 + gyro[i, 0, 1] * q0 + gyro[i, 0, 2] * r[j] \
-                    + gyro[i, 0, 3] * bent + gyro[i, 0, 4] * end
+                    + gyro[i, 0, 3] * middle_rate + gyro[i, 0, 4] * end
                 q[j] = gyro[i, 1, 0] * g0 + gyro[i, 1, 1] * q0 + gyro[i, 1, 2] * r[j] \
-                    + gyro[i, 1, 3] * bent + gyro[i, 1, 4] * end
+                    + gyro[i, 1, 3] * middle_rate + gyro[i, 1, 4] * end
                 r[j] = end
             for s in range(m):
                 for j in range(p):
@@ -475,10 +475,10 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
     factor, input_gain = (1.0 + a) / (1.0 - a), dt / (1.0 - a)
     size = 4 + 2 * lines
     # last, beside the states: the gyro's noise of the cycle before, where it is averaged
-    whole = size + 1 if noisy and averaged else size
-    rows = np.zeros((whole, whole))
+    padded = size + 1 if noisy and averaged else size
+    rows = np.zeros((padded, padded))
     rows[0, 0], rows[0, 1], rows[1, 1] = factor, input_gain * hold, fade
-    by_halves = np.zeros((whole, 2))  # of accelerations over the two halves
+    by_halves = np.zeros((padded, 2))  # of accelerations over the two halves
     by_halves[0, 0] = by_halves[0, 1] = 0.5 * input_gain
     move, inside = np.empty(2 + 2 * lines), np.empty(2)
     move[0], move[1] = fade, hold
@@ -491,12 +491,12 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
         rows[2 + i, 2], rows[2 + i, 3] = step[i, 0], step[i, 1]
         by_halves[2 + i, 0] = by_mean * 0.5 * input_gain + 0.25 * dt * half
         by_halves[2 + i, 1] = by_mean * 0.5 * input_gain - 0.25 * dt * half
-    process = product(by_halves, transposed(by_halves, whole))
-    for i in range(whole):
-        for j in range(whole):
+    process = product(by_halves, transposed(by_halves, padded))
+    for i in range(padded):
+        for j in range(padded):
             process[i, j] *= white * white * 2.0 / dt
     process[1, 1] += disturbance * disturbance * (1.0 - fade * fade)
-    c = np.zeros(whole)
+    c = np.zeros(padded)
     c[2 if behind else 0] = 1.0
     for i in range(lines):
         rms, frequency, width = noise[4 + 3 * i], noise[5 + 3 * i], noise[6 + 3 * i]
@@ -531,12 +531,12 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
                 process[2 + i, 2 + j] += inside[i] * inside[j]
     covariance = riccati(rows, process, c, r)
     gain, output, s = np.zeros(size), np.empty(size), r
-    for i in range(whole):
-        for j in range(whole):
+    for i in range(padded):
+        for j in range(padded):
             s += c[i] * covariance[i, j] * c[j]
     for i in range(size):
         output[i] = c[i]
-        for j in range(whole):
+        for j in range(padded):
             gain[i] += covariance[i, j] * c[j] / s
     return (gain, move, s, corner(rows, size), corner(process, size), corner(covariance, size),
             output, adds)
@@ -548,10 +548,10 @@ def led(measured, turned, gain, start, stop, out):
 
     It begins as the mean of what was measured so far; lost samples are NaN.
     """
-    x, known = 0.0, 0
+    x, count = 0.0, 0
     for k in range(start, stop):
         if np.isfinite(measured[k]):
-            known += 1
-            x += max(gain, 1.0 / known) * (measured[k] - x)
+            count += 1
+            x += max(gain, 1.0 / count) * (measured[k] - x)
         out[k] = x
         x += turned[k]

@@ -36,7 +36,7 @@ class Sensitivity:
         self.middle = run.rate.ravel()
         self.angle = None if run.angle is None else \
             run.angle.ravel() + 0.5 * self.dt * self.middle
-        self.pushing = structure.pushing()
+        self.torque_effects = structure.torque_effects()
         self.hidden = [x.reshape(x.shape[0], -1) for x in run.hidden if x is not None]
         self.around = flight.commanded(np.zeros(3)).at(self.cells)
 
@@ -44,7 +44,7 @@ class Sensitivity:
         """(windows * length, len(steps)) by the first coordinates of the fit."""
         dt, structure, turns = self.dt, self.structure, self.angle is not None
         p = structure.natural(self.theta)
-        own, first, n = steps.size, int(turns), self.middle.size
+        count, first, n = steps.size, int(turns), self.middle.size
         size = first + sum(x.shape[0] for x in self.hidden)
         halves, s = here = self._passed(p)
         force, following = self._forces(here, p)
@@ -52,17 +52,17 @@ class Sensitivity:
         onward = np.zeros((n, size, size))
 
         def slopes(signals: Signals, step: float) -> tuple[FloatArray, FloatArray]:
-            there, moved = self._forces((halves, signals), p)
-            return (there - force) / step, (moved - following).T / step
+            torque, moved = self._forces((halves, signals), p)
+            return (torque - force) / step, (moved - following).T / step
 
-        (slope, moves), (back, moved) = (
-            slopes(s.but(rate=self.middle + step), step)
+        (slope, moves), (slope_back, moves_back) = (
+            slopes(s.replaced(rate=self.middle + step), step)
             for step in (SLOPE_STEP, -SLOPE_STEP)
         )
-        slope, by_rate[:, first:] = 0.5 * (slope + back), 0.5 * (moves + moved)
+        slope, by_rate[:, first:] = 0.5 * (slope + slope_back), 0.5 * (moves + moves_back)
         if turns:
             by_state[:, 0], onward[:, first:, 0] = slopes(
-                s.but(angle=required(self.angle) + SLOPE_STEP), SLOPE_STEP)
+                s.replaced(angle=required(self.angle) + SLOPE_STEP), SLOPE_STEP)
             slope = slope + 0.5 * dt * by_state[:, 0]
             by_rate[:, first:] += 0.5 * dt * onward[:, first:, 0]
             by_rate[:, 0], onward[:, 0, 0] = dt, 1.0
@@ -74,28 +74,29 @@ class Sensitivity:
                 by_state[:, k], onward[:, first:, k] = slopes(s, step)
                 x[i] = kept
                 k += 1
-        columns, bends = np.empty((n, own)), np.zeros((n, own))
-        forward, initial = np.zeros((n, size, own)), np.zeros((self.windows.count, size, own))
-        bent = [*range(3), *(j for _, at in structure.sending() for j in range(at.start, at.stop))]
-        started = self._initial(p, range(own), bent)
+        columns, bends = np.empty((n, count)), np.zeros((n, count))
+        forward, initial = np.zeros((n, size, count)), np.zeros((self.windows.count, size, count))
+        bent = [*range(3), *(j for _, where in structure.command_effects()
+                             for j in range(where.start, where.stop))]
+        started = self._initial(p, range(count), bent)
         for j, step in enumerate(steps):
-            moved = self.theta.copy()
-            moved[j] += step
-            q = structure.natural(moved)
-            there = self._passed(q) if j in bent else here
-            more, later = self._forces(there, q)
+            moved_theta = self.theta.copy()
+            moved_theta[j] += step
+            q = structure.natural(moved_theta)
+            shifted = self._passed(q) if j in bent else here
+            more, later = self._forces(shifted, q)
             columns[:, j] = (more - force) / step
             forward[:, first:, j] = (later - following).T / step
             initial[:, first:, j] = ((self._initial(q, [j], bent) - started) / step).T
             if j in bent:
-                difference = (there[0] - halves) / step
+                difference = (shifted[0] - halves) / step
                 bends[:, j] = 0.5 * (difference[0] - difference[1])
         if turns:
             forward[:, 0] = dt * dt / 3.0 * bends
-        out = np.empty((n, own))
+        out = np.empty((n, count))
         passes = [start for start, _ in self.flight.passes]
-        which = np.searchsorted(passes, self.windows.starts, side='right') - 1
-        gyro = np.stack([self.flight.sensors[max(i, 0)].step for i in which])
+        passes_of_windows = np.searchsorted(passes, self.windows.starts, side='right') - 1
+        gyro = np.stack([self.flight.sensors[max(i, 0)].step for i in passes_of_windows])
         recursion.freely(
             slope, by_state, by_rate, onward, columns, bends, forward, initial, gyro,
             self.flight.sensor.noisy, dt, self.windows.length, out,
@@ -107,33 +108,33 @@ class Sensitivity:
         flight = self.flight
         halves, states = (x[:, self.cells] for x in flight.driven(self.structure, p))
         lag, delay = lag_and_delay(p)
-        s = with_drive(self.around.but(lag=lag, delay=delay), p, halves, states)
-        return p[0] * halves, s.but(rate=self.middle, angle=self.angle)
+        s = with_drive(self.around.replaced(lag=lag, delay=delay), p, halves, states)
+        return p[0] * halves, s.replaced(rate=self.middle, angle=self.angle)
 
     def _forces(self, passed: Passed, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) acceleration; (states, n) all hidden states a cycle later."""
-        (halves, s), hidden, own, following = passed, iter(self.hidden), [], []
-        for (part, at), kept in zip(self.pushing, self.run.hidden, strict=True):
-            known = None if kept is None else next(hidden)
-            own.append((part, p[at], s if known is None else s.but(hidden=known)))
-            if known is not None:
-                following.append(part.effect.advance(known, s, p[at], part.settings))
-        force = with_torques(np.mean(halves, axis=0) + p[4] - p[3] * s.rate, own)
+        (halves, s), hidden, acting, following = passed, iter(self.hidden), [], []
+        for (part, where), kept in zip(self.torque_effects, self.run.hidden, strict=True):
+            states = None if kept is None else next(hidden)
+            acting.append((part, p[where], s if states is None else s.replaced(hidden=states)))
+            if states is not None:
+                following.append(part.effect.advance(states, s, p[where], part.settings))
+        force = with_torques(np.mean(halves, axis=0) + p[4] - p[3] * s.rate, acting)
         return force, np.concatenate(following) if following else np.zeros((0, s.rate.size))
 
     def _initial(self, p: FloatArray, which: range | list[int], bent: list[int]) -> FloatArray:
         """(states, windows) hidden states at the starts, as far as these parameters move them."""
-        flight, out, seen = self.flight, [], None
-        for (part, at), x in zip(self.pushing, self.run.hidden, strict=True):
+        flight, out, signals = self.flight, [], None
+        for (part, where), x in zip(self.torque_effects, self.run.hidden, strict=True):
             if x is None:
                 continue
-            moves = any(at.start <= j < at.stop or (j in bent and 'command' in part.effect.signals)
-                        for j in which)
+            commanded = 'command' in part.effect.signals
+            moves = any(where.start <= j < where.stop or (j in bent and commanded) for j in which)
             if part.effect.wanders or not moves:
                 out.append(x[:, :, 0])
                 continue
-            if seen is None:
-                seen = flight.signals(self.structure, p, self.prediction.rate)
-            known = required(flight.hidden(part, seen, p[at]).hidden)
-            out.append(known[:, self.windows.starts])
+            if signals is None:
+                signals = flight.signals(self.structure, p, self.prediction.rate)
+            states = required(flight.hidden(part, signals, p[where]).hidden)
+            out.append(states[:, self.windows.starts])
         return np.concatenate(out) if out else np.zeros((0, self.windows.count))

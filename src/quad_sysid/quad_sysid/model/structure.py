@@ -72,8 +72,8 @@ class Structure:
     @cached_property
     def specs(self) -> tuple[Spec, ...]:
         """Specs in the order of the vector: base, effect by effect, noise."""
-        own = tuple(s for part in self.parts for s in part.effect.parameters)
-        return self.base + own + self.noise
+        of_effects = tuple(s for part in self.parts for s in part.effect.parameters)
+        return self.base + of_effects + self.noise
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ class Structure:
 
     @cached_property
     def base_names(self) -> tuple[str, ...]:
-        """Those of the base; a law's begin with its own, as an effect's do."""
+        """Names of the base's parameters; a law's begin with its own, as an effect's do."""
         built_in = tuple(s.name for s in BASE)
         law = None if self.law is None else self.law.effect
         return built_in + (tuple(f'{law.name}.{s.name}' for s in law.parameters) if law else ())
@@ -108,8 +108,8 @@ class Structure:
     def slices(self) -> list[slice]:
         """Each effect's slice of the vector."""
         counts = (len(part.effect.parameters) for part in self.parts)
-        ends = itertools.accumulate(counts, initial=len(self.base))
-        return [slice(begin, end) for begin, end in itertools.pairwise(ends)]
+        stops = itertools.accumulate(counts, initial=len(self.base))
+        return [slice(begin, end) for begin, end in itertools.pairwise(stops)]
 
     def effects(self) -> list[tuple[Part, slice]]:
         """Each effect with its slice of the vector."""
@@ -120,21 +120,21 @@ class Structure:
         law = [] if self.law is None else [(self.law, slice(len(BASE), len(self.base)))]
         return [*law, *self.effects()]
 
-    def sending(self) -> list[tuple[Part, slice]]:
-        """Those of them that act before the torque."""
-        return [one for one in self.placed() if one[0].effect.moves_command]
+    def command_effects(self) -> list[tuple[Part, slice]]:
+        """The effects that act before the torque."""
+        return [acting for acting in self.placed() if acting[0].effect.moves_command]
 
-    def pushing(self) -> list[tuple[Part, slice]]:
-        """Those of them that add a torque."""
-        return [one for one in self.placed() if not one[0].effect.moves_command]
+    def torque_effects(self) -> list[tuple[Part, slice]]:
+        """The effects that add a torque."""
+        return [acting for acting in self.placed() if not acting[0].effect.moves_command]
 
     def plus(self, part: Part) -> Structure:
         """The structure with one more effect."""
         return replace(self, parts=(*self.parts, part))
 
-    def minus(self, *which: int) -> Structure:
+    def minus(self, *indices: int) -> Structure:
         """The structure without the effects with these indices."""
-        kept = (part for i, part in enumerate(self.parts) if i not in which)
+        kept = (part for i, part in enumerate(self.parts) if i not in indices)
         return replace(self, parts=tuple(kept))
 
     def natural(self, theta: FloatArray) -> FloatArray:

@@ -49,7 +49,7 @@ class Listing:
         """Number of results of each."""
         self.more: list[int] = []
         self.start: list[float] = []
-        """Of every register: constants as they are, 0 where an input or a result goes."""
+        """The start of every register: constants, and 0 where an input or a result goes."""
         self.tables: list[float] = []
         self.calls: list[Call] = []
         """The laws of the operation `called`, whose last operand is a place here."""
@@ -106,13 +106,13 @@ class Listing:
         given: what it takes, a tree of tuples and mappings with Traced at its ends.
         """
         operands: list[int] = []
-        with_ends(given, lambda one: operands.extend(one.at.ravel().tolist()))
-        ends = np.cumsum([one.size for one in like])
-        first = self.note('called', operands, (len(self.calls),), int(ends[-1]))
-        places = np.split(np.arange(first, first + ends[-1]), ends[:-1])
+        with_ends(given, lambda leaf: operands.extend(leaf.at.ravel().tolist()))
+        stops = np.cumsum([array.size for array in like])
+        first = self.note('called', operands, (len(self.calls),), int(stops[-1]))
+        places = np.split(np.arange(first, first + stops[-1]), stops[:-1])
         self.calls.append(Call(made, given, places))
-        return [Traced(self, own.reshape(one.shape))
-                for own, one in zip(places, like, strict=True)]
+        return [Traced(self, indices.reshape(array.shape))
+                for indices, array in zip(places, like, strict=True)]
 
     def called(self, code: Indices) -> list[tuple[int, Call]]:
         """Which of the operations (m, 4) are laws in Python."""
@@ -151,8 +151,8 @@ class Listing:
         used = [(row, place) for value, places in self._along.values()
                 for row, place in zip(value.reshape(-1, self.cycles), places.ravel(), strict=True)
                 if place in read]
-        known = np.array([row for row, _ in used]).reshape(len(used), self.cycles)
-        return code, known, np.array([place for _, place in used], dtype=np.int64)
+        inputs = np.array([row for row, _ in used]).reshape(len(used), self.cycles)
+        return code, inputs, np.array([place for _, place in used], dtype=np.int64)
 
     def places(self, value: Any) -> Indices:
         """The registers of an array, a number or what is Traced."""
@@ -183,14 +183,14 @@ class Listing:
     def each(self, name: str, *values: Any, numbers: Sequence[float] = ()) -> Traced:
         """An operation on every element."""
         places = [self.places(value) for value in values]
-        if all(one.size == 1 for one in places):  # most often, and much quicker
-            at = np.array(self.note(name, [one.item() for one in places], numbers))
-            return Traced(self, at.reshape(max((one.shape for one in places), key=len)))
-        together = np.broadcast_arrays(*places)
+        if all(place.size == 1 for place in places):  # most often, and much quicker
+            indices = np.array(self.note(name, [place.item() for place in places], numbers))
+            return Traced(self, indices.reshape(max((place.shape for place in places), key=len)))
+        arrays = np.broadcast_arrays(*places)
         out = np.array([self.note(name, operands, numbers) for operands
-                        in zip(*(one.ravel().tolist() for one in together), strict=True)],
+                        in zip(*(array.ravel().tolist() for array in arrays), strict=True)],
                        dtype=np.int64)
-        return Traced(self, out.reshape(together[0].shape))
+        return Traced(self, out.reshape(arrays[0].shape))
 
 
 class Traced(np.lib.mixins.NDArrayOperatorsMixin):
@@ -203,7 +203,7 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """As of an array."""
+        """The same as an array's."""
         return self.at.shape
 
     @property
@@ -235,19 +235,19 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         self.at[index] = self.listing.places(value)
 
     def reshape(self, *shape: int) -> Traced:
-        """As of an array."""
+        """The same as an array's."""
         return Traced(self.listing, self.at.reshape(*shape))
 
     def ravel(self) -> Traced:
-        """As of an array."""
+        """The same as an array's."""
         return Traced(self.listing, self.at.ravel())
 
     def copy(self) -> Traced:
-        """As of an array."""
+        """The same as an array's."""
         return Traced(self.listing, self.at.copy())
 
     def sum(self, axis: int | None = None) -> Traced:
-        """As of an array."""
+        """The same as an array's."""
         return _sum(self, axis)
 
     def __bool__(self) -> bool:
@@ -264,8 +264,8 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         if more:
             raise Untraceable(f'{ufunc.__name__} with {", ".join(more)}')
         if method == 'outer':
-            one, other = (self.listing.places(x) for x in inputs)
-            inputs = (Traced(self.listing, one.reshape(one.shape + (1,) * other.ndim)),
+            left, other = (self.listing.places(x) for x in inputs)
+            inputs = (Traced(self.listing, left.reshape(left.shape + (1,) * other.ndim)),
                       Traced(self.listing, other))
         elif method != '__call__':
             raise Untraceable(f'{ufunc.__name__}.{method}')
@@ -301,19 +301,19 @@ class Call(NamedTuple):
         """The call on these registers, which the law sees as arrays that are not copied."""
         gathered: list[tuple[FloatArray, Indices]] = []
 
-        def seen(one: Traced) -> FloatArray:
-            at = one.at.ravel()
-            if (np.diff(at) == 1).all():
-                return r[at[0] : at[-1] + 1].reshape(one.shape)
-            gathered.append((np.empty(at.size), at))
-            return gathered[-1][0].reshape(one.shape)
+        def seen(number: Traced) -> FloatArray:
+            places = number.at.ravel()
+            if (np.diff(places) == 1).all():
+                return r[places[0] : places[-1] + 1].reshape(number.shape)
+            gathered.append((np.empty(places.size), places))
+            return gathered[-1][0].reshape(number.shape)
 
         law = self.made(with_ends(self.given, seen))
-        places = [r[own[0] : own[-1] + 1] for own in self.results]
+        places = [r[result[0] : result[-1] + 1] for result in self.results]
 
         def call() -> None:
-            for values, at in gathered:
-                values[:] = r[at]
+            for values, indices in gathered:
+                values[:] = r[indices]
             for place, result in zip(places, law(), strict=True):
                 place[:] = result.ravel()
 
@@ -323,9 +323,9 @@ class Call(NamedTuple):
 def with_ends(tree: Any, by: Callable[[Traced], Any]) -> Any:
     """A tree of tuples and mappings with something else where it ends in what is Traced."""
     if isinstance(tree, Mapping):
-        return {name: with_ends(one, by) for name, one in tree.items()}
+        return {name: with_ends(item, by) for name, item in tree.items()}
     if isinstance(tree, tuple):
-        return tuple(with_ends(one, by) for one in tree)
+        return tuple(with_ends(item, by) for item in tree)
     return by(tree) if isinstance(tree, Traced) else tree
 
 
@@ -360,12 +360,12 @@ def _sum(x: Traced, axis: int | None = None) -> Traced:
 def _contracted(a: Any, x: Any, axes: int = 1) -> Traced:
     """The sum over the last axis of one and the first of the other."""
     listing = _listing(a, x)
-    one, other = listing.places(a), listing.places(x)
-    if axes != 1 or one.shape[-1] != other.shape[0]:
+    left, other = listing.places(a), listing.places(x)
+    if axes != 1 or left.shape[-1] != other.shape[0]:
         raise Untraceable('tensordot')
-    return _sum(Traced(listing, np.moveaxis(one, -1, 0).reshape(
-        (one.shape[-1], *one.shape[:-1], *[1] * (other.ndim - 1)))) * Traced(
-            listing, other.reshape((len(other), *[1] * (one.ndim - 1), *other.shape[1:]))), 0)
+    return _sum(Traced(listing, np.moveaxis(left, -1, 0).reshape(
+        (left.shape[-1], *left.shape[:-1], *[1] * (other.ndim - 1)))) * Traced(
+            listing, other.reshape((len(other), *[1] * (left.ndim - 1), *other.shape[1:]))), 0)
 
 
 def _interp(x: Traced, knots: Any, values: Any) -> Traced:
@@ -390,8 +390,8 @@ FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
 def noted(name: str, operands: Sequence[Any], numbers: Sequence[float], results: int) -> Any:
     """An operation that compiled code has and numpy lacks: `results` arrays like the operands."""
     listing = _listing(*operands)
-    together = np.broadcast_arrays(*(listing.places(value) for value in operands))
+    arrays = np.broadcast_arrays(*(listing.places(value) for value in operands))
     first = np.array([listing.note(name, places, numbers, results) for places
-                      in zip(*(one.ravel().tolist() for one in together), strict=True)],
-                     dtype=np.int64).reshape(together[0].shape)
+                      in zip(*(array.ravel().tolist() for array in arrays), strict=True)],
+                     dtype=np.int64).reshape(arrays[0].shape)
     return [Traced(listing, first + i) for i in range(results)]

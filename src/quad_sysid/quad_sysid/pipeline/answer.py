@@ -11,7 +11,7 @@ from quad_sysid.axes import units_of
 from quad_sysid.blackbox import ResidualTest, StepARow
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Verdict
-from quad_sysid.discover.search import Found
+from quad_sysid.discover.search import SearchResult
 from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.explain import Ladder
 from quad_sysid.model import AxisModel, GainProposal, Outside
@@ -95,7 +95,7 @@ class Findings:
     """The whole flight."""
     problem: Problem
     """Its training segments, cut out, on which `search` was fitted."""
-    search: Found
+    search: SearchResult
     ladder: Ladder
     verdict: Verdict
     before: HeldOut
@@ -195,7 +195,7 @@ class AxisAnswer:
 
     @property
     def units(self) -> Units | None:
-        """Of an axis that moves, or of the arrays that it came from; None: of a rotation."""
+        """Units of an axis that moves, or of the arrays that it came from; None: of a rotation."""
         return units_of(self.axis) if self.model is None else self.model.units
 
     @property

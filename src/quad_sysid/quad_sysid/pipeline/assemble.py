@@ -36,17 +36,17 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, problem = findings.data, findings.verdict, findings.problem
     ladder, reference, law = findings.ladder, findings.search.best, problem.plain.law
-    searched, whole = findings.search, covariance(problem, reference)
+    searched, reference_covariance = findings.search, covariance(problem, reference)
 
     def read(fitted: Fit) -> stored.Readings:
         if fitted is reference:
-            own = whole
-        elif any(fitted is one.fit for one in searched.all):
-            own = covariance(problem, fitted)
+            cov = reference_covariance
+        elif any(fitted is scored.fit for scored in searched.all):
+            cov = covariance(problem, fitted)
         else:
             projected = Projected(fitted.structure, fitted.theta, np.zeros(0))
-            own = ladder.projection.covariance(projected, whole)
-        return stored.readings(problem, fitted, own + searched.apart(fitted))
+            cov = ladder.projection.covariance(projected, reference_covariance)
+        return stored.readings(problem, fitted, cov + searched.disagreement(fitted))
 
     best = read(reference)
     chosen = verdict.chosen
@@ -85,9 +85,9 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         noise=stored.noise_of(chosen),
         plain=plain.base, plain_noise=stored.noise_of(verdict.base),
         rungs=tuple(
-            RungModel(one.base, stored.effects_of(fit, one), stored.noise_of(fit),
+            RungModel(answer.base, stored.effects_of(fit, answer), stored.noise_of(fit),
                       rung.explains_pct, error)
-            for rung, fit, error in explained for one in (read(fit),)
+            for rung, fit, error in explained for answer in (read(fit),)
         ) if verdict.claims else (),
         reference=shared if distinct else None,
     )
@@ -96,7 +96,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
 def ranges_of(data: AxisData, parts: Sequence[Part]) -> dict[str, tuple[float, float]]:
     """Least and largest value in the training of rate, command and what the effects depend on."""
     out = {}
-    for name in ('rate', 'command', *(word for part in parts for word in part.effect.words)):
+    for name in ('rate', 'command', *(n for part in parts for n in part.effect.signal_names)):
         signal = data.signal(name)
         if not isinstance(signal, str):
             used = data.training(signal)
@@ -111,16 +111,16 @@ def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple
         signal = data.signal(name)
         if isinstance(signal, str):
             continue
-        flown = np.concatenate([signal[a:b] for a, b in spans])
-        beyond = np.maximum(low - flown, flown - high)
+        in_training = np.concatenate([signal[a:b] for a, b in spans])
+        beyond = np.maximum(low - in_training, in_training - high)
         out = int(np.count_nonzero(beyond > BEYOND * (high - low)))
         if out:
-            least, most = float(np.nanmin(flown)), float(np.nanmax(flown))
-            ends = (least, most, low, high)
-            shown = ends if model.units is None else (
-                model.units.signal_in(name, end) for end in ends)
+            least, most = float(np.nanmin(in_training)), float(np.nanmax(in_training))
+            bounds = (least, most, low, high)
+            shown = bounds if model.units is None else (
+                model.units.signal_in(name, end) for end in bounds)
             signals.append(Outside(name, out * data.dt, *shown))
-    return tuple(sorted(signals, key=lambda one: -one.seconds))
+    return tuple(sorted(signals, key=lambda signal: -signal.seconds))
 
 
 @dataclass(frozen=True)
@@ -151,11 +151,12 @@ class Support:
             w, values = coherence(z, window=window, joint=z.r is not None)
         except QuadSysidError:  # the segments are too short
             return cls(None, lowest)
-        good = values > COHERENT
+        trusted = values > COHERENT
         if model is not None and model.covariance is not None and w.size:
             response = frequency_response(model, w)
-            good = good & (CONFIDENT * response.magnitude_std < HALF_POWER * response.magnitude)
-        bands = finite_runs(good, (0, good.size))
+            trusted = trusted & (
+                CONFIDENT * response.magnitude_std < HALF_POWER * response.magnitude)
+        bands = finite_runs(trusted, (0, trusted.size))
         if not bands:
             return cls(None, lowest)
         a, b = max(bands, key=lambda e: np.log(w[e[1] - 1] / w[e[0]]))

@@ -57,20 +57,20 @@ def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -
 
     def mean(x: FloatArray) -> float:
         parts = np.concatenate([x[a:b] for a, b in data.train])
-        known = parts[np.isfinite(parts)]
-        return float(known.mean()) if known.size else 0.0
+        finite = parts[np.isfinite(parts)]
+        return float(finite.mean()) if finite.size else 0.0
 
     command, rate = data.trim or (mean(data.command), mean(data.rate))
-    known = np.isfinite(data.rate)
+    is_finite = np.isfinite(data.rate)
     r = data.reference if external else None
     if r is not None:
-        both = known & np.isfinite(r)
-        inside = np.concatenate([both[a:b] for a, b in spans])
-        moves = any(np.ptp(r[a:b][both[a:b]]) > 0.0 for a, b in spans if both[a:b].any())
-        known, r = (both, r) if inside.mean() > 0.9 and moves else (known, None)
+        in_both = is_finite & np.isfinite(r)
+        inside = np.concatenate([in_both[a:b] for a, b in spans])
+        moves = any(np.ptp(r[a:b][in_both[a:b]]) > 0.0 for a, b in spans if in_both[a:b].any())
+        is_finite, r = (in_both, r) if inside.mean() > 0.9 and moves else (is_finite, None)
     return IOData(u=data.command - command, y=data.rate - rate, dt=data.dt,
                   r=None if r is None else r - mean(r),
-                  segments=tuple(run for span in spans for run in finite_runs(known, span)))
+                  segments=tuple(run for span in spans for run in finite_runs(is_finite, span)))
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def tried(refused: list[str], *fits: Callable[[], Model]) -> tuple[Model, ...]:
 
 
 def validations(data: AxisData) -> dict[str, IOData]:
-    """By signal, what the models are validated on."""
+    """What the models are validated on, by signal."""
     signals: dict[str, IOData] = {}
     for name in dict.fromkeys(data.validation_names):
         spans = tuple(

@@ -56,7 +56,7 @@ class Evaluation:
     hold: float
     windows: int
     reference: float | None = None
-    """Of the model that predicts best, where that is another one than the answer."""
+    """The error of the model that predicts best, where that is not the answer."""
     rungs: tuple[tuple[tuple[str, ...], float, float], ...] = ()
     """The explanation: names of the effects, percent explained, error on this flight."""
     blackbox: float | None = None
@@ -74,7 +74,7 @@ class Evaluation:
         lines = [f'  {name} {value:.4g}' for name, value in errors.items() if value is not None]
         head = (f'{self.axis}: RMS error of the rate, {self.unit}, over {self.windows} free runs '
                 'of 0.5 s')
-        return '\n'.join([head, *lines, *(f'  {one}' for one in self.outside)])
+        return '\n'.join([head, *lines, *(f'  {excess}' for excess in self.outside)])
 
 
 def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float], ...] = (),
@@ -107,15 +107,16 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     _check_signals(record, unseen, after, model.craft)
     after = of_this_flight(unseen, after)
     base = {p.name: p.value for p in model.plain or model.base}
-    about = blackbox_part.about_base(replace(data, reference=None), base['gain'], base['bias'])
+    blackbox_data = blackbox_part.about_base(
+        replace(data, reference=None), base['gain'], base['bias'])
     unit, factor = shown_in(model.units, 'rad/s')
 
-    def error(one: AxisModel) -> float:
-        return factor * rms(unseen.errors(of_this_flight(unseen, stored.completed(one))))
+    def error(model: AxisModel) -> float:
+        return factor * rms(unseen.errors(of_this_flight(unseen, stored.completed(model))))
 
     blackbox_error = (None if blackbox is None
-                      else blackbox_part.window_error(about, blackbox, spans))
-    grown = {} if blackbox is None else blackbox_part.horizons(about, blackbox, spans)
+                      else blackbox_part.window_error(blackbox_data, blackbox, spans))
+    grown = {} if blackbox is None else blackbox_part.horizons(blackbox_data, blackbox, spans)
     return Evaluation(
         axis=model.axis, unit=unit,
         before=factor * rms(unseen.errors(before)), after=factor * rms(unseen.errors(after)),
@@ -131,9 +132,9 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         ),
         blackbox=None if blackbox_error is None else factor * blackbox_error,
         horizons=tuple(
-            Horizon(one.horizon_s, factor * one.hold, factor * one.before, factor * one.after)
-            for one in horizons(unseen, before, after)),
-        blackbox_horizons={at: factor * one for at, one in grown.items()},
+            Horizon(h.horizon_s, factor * h.hold, factor * h.before, factor * h.after)
+            for h in horizons(unseen, before, after)),
+        blackbox_horizons={horizon_s: factor * error for horizon_s, error in grown.items()},
         outside=outside_of(model, data, spans),
     )
 
@@ -150,22 +151,22 @@ def flight_of(model: AxisModel, record: Record) -> tuple[Record, AxisData]:
                             f'import its log with --grid {1 / model.dt:.6g}, or identify anew')
     data = axis_data([record], model.axis)
     # a model without a filter holds it in its lag and delay; else the bag knows its own best
-    own = data.gyro_filter_hz if model.gyro_filter_hz else None
-    return record, replace(data, gyro_filter_hz=own or model.gyro_filter_hz,
+    cut_off = data.gyro_filter_hz if model.gyro_filter_hz else None
+    return record, replace(data, gyro_filter_hz=cut_off or model.gyro_filter_hz,
                            derived_s=None if data.angle is None else data.derived_s)
 
 
 def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) -> None:
     """Raise BadInputError where an effect needs a signal that the bag lacks."""
     data = unseen.problem.data
-    known = {'other angle': data.other_angles is not None, 'angle': data.angle is not None,
-             'battery': data.battery_v is not None,
-             'other rate': unseen.problem.flight.others is not None,
-             'motors': bool(data.motors.shape[1]) and same_craft(record.craft, craft)}
+    has_signal = {'other angle': data.other_angles is not None, 'angle': data.angle is not None,
+                  'battery': data.battery_v is not None,
+                  'other rate': unseen.problem.flight.others is not None,
+                  'motors': bool(data.motors.shape[1]) and same_craft(record.craft, craft)}
     for part, _ in model.structure.placed():
         for signal in part.effect.signals:
             need = next((n for n in NEEDS if n in signal), '')
-            if need and not known[need]:
+            if need and not has_signal[need]:
                 raise BadInputError(record.source,
                                     f'{part.effect.name} of the model needs {NEEDS[need]}', None,
                                     'evaluate on a bag that holds it')
@@ -203,14 +204,14 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
 def flown_spans(record: Record, data: AxisData,
                 spans_s: tuple[tuple[float, float], ...] = ()) -> tuple[Span, ...]:
     """Samples (from, to) without gaps of `spans_s`, s; default: all but idle segments."""
-    good = np.isfinite(data.rate)
+    is_finite = np.isfinite(data.rate)
     if spans_s:
-        wanted = [(round(a / data.dt), min(data.rate.size, round(min(b, 1e9) / data.dt)))
-                  for a, b in spans_s]
+        spans_wanted = [(round(a / data.dt), min(data.rate.size, round(min(b, 1e9) / data.dt)))
+                        for a, b in spans_s]
     else:
         busy = [s for s in record.segments if s.role != 'idle']
-        wanted = [record.span(s) for s in busy] if record.segments else [(0, record.n)]
-    return tuple(run for span in wanted for run in finite_runs(good, span))
+        spans_wanted = [record.span(s) for s in busy] if record.segments else [(0, record.n)]
+    return tuple(run for span in spans_wanted for run in finite_runs(is_finite, span))
 
 
 def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0, 0.0), *,
@@ -244,8 +245,8 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
 
 def _like(value: npt.ArrayLike | None, n: int, name: str, usual: float) -> FloatArray:
     """One value, or (n,), as (n,)."""
-    wanted = np.asarray(usual if value is None else value, dtype=np.float64)
-    if wanted.shape not in ((), (n,)) or not np.isfinite(wanted).all():
+    gains = np.asarray(usual if value is None else value, dtype=np.float64)
+    if gains.shape not in ((), (n,)) or not np.isfinite(gains).all():
         raise BadInputError('simulate', f'{name} must be one finite value or as long as u',
-                            wanted.shape)
-    return np.full(n, wanted)
+                            gains.shape)
+    return np.full(n, gains)

@@ -26,7 +26,7 @@ class AxisFlight:
     gains: Mapping[str, float]
     """Gains and loop constants in force during the first record's training."""
     units: Units | None
-    """Of the arrays that it came from; None: of its axis."""
+    """Units of the arrays that it came from; None: of its axis."""
     drawn_hz: float
     """Rate at which the commands are known where they were interpolated between; else 0."""
     attitude_reference: FloatArray | None
@@ -37,16 +37,18 @@ class AxisFlight:
     @classmethod
     def of(cls, records: Sequence[Record], axis: str) -> AxisFlight:
         """Raises NotInformativeError where the records cannot answer for the axis."""
-        data, own, first = axis_data(records, axis), EVERY[axis], records[0]
+        data, axis_row, first = axis_data(records, axis), EVERY[axis], records[0]
         check_usable(data, records)
         # of surge and sway the command is the lean, which nobody interpolates
-        drawn = [drawn_hz(record.control[:, 1:] if own.turns else record.control[:, :1], record.dt)
-                 for record in records if own.turns or own.index < 0]
+        commands = slice(1, None) if axis_row.turns else slice(1)
+        drawn = [drawn_hz(record.control[:, commands], record.dt)
+                 for record in records if axis_row.turns or axis_row.index < 0]
         trained = [s.start_s for s in first.segments if s.role == 'train']
 
         def joined(setpoints: Sequence[FloatArray | None]) -> FloatArray | None:
-            known = [one[:, own.index] for one in setpoints if one is not None and own.turns]
-            return np.concatenate(known) if len(known) == len(setpoints) else None
+            columns = [setpoint[:, axis_row.index] for setpoint in setpoints
+                       if setpoint is not None and axis_row.turns]
+            return np.concatenate(columns) if len(columns) == len(setpoints) else None
 
         return cls(
             data, loop_of(records, axis), dict(first.gains_at(min(trained, default=0.0))),

@@ -81,17 +81,17 @@ def residual(errors: FloatArray, z: IOData, model: Model | None = None) -> Resid
         return None
     spectrum = _spectrum(errors, z.dt)
     f, density, _ = spectrum or (np.zeros(0), np.zeros(0), 0)
-    known = errors[np.isfinite(errors)]
-    return Residual(test=test, rms=float(np.sqrt(np.mean(known**2))), frequency_hz=f,
+    finite = errors[np.isfinite(errors)]
+    return Residual(test=test, rms=float(np.sqrt(np.mean(finite**2))), frequency_hz=f,
                     density=density, peaks=_peaks(*spectrum) if spectrum else ())
 
 
-def missing_torque(held: HeldOut, dt: float) -> MissingTorque:
+def missing_torque(held_out_result: HeldOut, dt: float) -> MissingTorque:
     """The torque disturbance that the filter sees, beside what its own noise lets one expect."""
-    known = np.flatnonzero(np.isfinite(held.disturbance))
-    noise, steady = stored.noise_of(held.fit), held.fit.prediction.filter
+    samples = np.flatnonzero(np.isfinite(held_out_result.disturbance))
+    noise, steady = stored.noise_of(held_out_result.fit), held_out_result.fit.prediction.filter
     variance = max(noise.ratios['disturbance'] ** 2 - float(steady.covariance[1, 1]), 0.0)
-    return MissingTorque(known.astype(np.float64) * dt, held.disturbance[known],
+    return MissingTorque(samples.astype(np.float64) * dt, held_out_result.disturbance[samples],
                          noise.gyro_rms * float(np.sqrt(variance)))
 
 
@@ -104,8 +104,8 @@ def _peaks(f: FloatArray, density: FloatArray, count: int) -> tuple[tuple[float,
     if not density.max() > 0.0:
         return ()
     width = max(9, round(10.0 * WINDOW_S) | 1)
-    around = ndimage.median_filter(density, size=width, mode='nearest')
-    ratio = density / np.maximum(around, 1e-12 * density.max())
+    median = ndimage.median_filter(density, size=width, mode='nearest')
+    ratio = density / np.maximum(median, 1e-12 * density.max())
     looked = (f >= LOWEST_PEAK_HZ) & (f < 0.95 * f[-1])
     freedom = 1.2 * count  # halves overlap, so neighbours in time are not independent
     level = float(special.chdtri(freedom, 1e-3 / max(int(looked.sum()), 1))) / freedom

@@ -17,7 +17,7 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES
 from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
-from quad_sysid.discover.search import Found, extended, scored, search, to_convergence
+from quad_sysid.discover.search import SearchResult, extended, scored, search, to_convergence
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError, p_in_words
 from quad_sysid.estimate.fit import Problem
@@ -87,10 +87,10 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         if s.excites(axis) or (s.role == 'idle' and 'because' not in s.parameters)
     )
     records = [record.for_axis(axis) for record in records]
-    refused = tuple(filter(None, map(refusal, records)))
+    refusals = tuple(filter(None, map(refusal, records)))
     answer = AxisAnswer(
         axis, 1.0 / records[0].dt, segments, 'cannot_tell', '',
-        warnings=(*(line for record in records for line in record.warnings), *refused))
+        warnings=(*(line for record in records for line in record.warnings), *refusals))
     try:
         flight = AxisFlight.of(records, axis)
         if flight.drawn_hz:
@@ -103,8 +103,9 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         return replace(answer, reason=reason, proposal=GainProposal(None, reason))
     data, search_result = findings.data, findings.search
     count = max(findings.problem.data.motors.shape[1], FEWEST_MOTORS)
-    searched = any(one.label not in search_result.reasons and max(one.motors, default=0) < count
-                   and (not one.axes or axis in one.axes) for one in options.effects)
+    searched = any(effect.label not in search_result.reasons
+                   and max(effect.motors, default=0) < count
+                   and (not effect.axes or axis in effect.axes) for effect in options.effects)
     verdict, why_not = findings.verdict.verdict, ''
     if not searched:
         verdict = verdict if verdict == 'cannot_tell' else 'not_searched'
@@ -126,7 +127,7 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     known: AxisAnswer
     known, proposal = side_by_side([
         partial(_compared, answer, findings, flight.loop, fits, support),
-        partial(_proposal, answer, options, (*refused, '')[0], progress),
+        partial(_proposal, answer, options, (*refusals, '')[0], progress),
     ])
     return replace(known, proposal=proposal)
 
@@ -171,35 +172,35 @@ def findings_of(data: AxisData, options: Options, progress: Progress = lambda _:
             data = about_base(data, searched.base.value('gain'), searched.base.value('bias'))
         unseen = Unseen(data, data.validation)
         verdict = judge(unseen, problem, searched, ladder)
-        before = held_out(unseen, verdict.base)
-        after = before if verdict.chosen is verdict.base else held_out(unseen, verdict.chosen)
-        return Findings(data, problem, searched, ladder, verdict, before, after)
+        base_error = held_out(unseen, verdict.base)
+        after = base_error if verdict.chosen is verdict.base else held_out(unseen, verdict.chosen)
+        return Findings(data, problem, searched, ladder, verdict, base_error, after)
     except (FloatingPointError, np.linalg.LinAlgError) as error:
-        moved = [float(np.nanstd(data.training(x))) for x in (data.command, data.rate)]
+        spreads = [float(np.nanstd(data.training(x))) for x in (data.command, data.rate)]
         raise NotInformativeError(
             f'{data.axis}: no model of this axis can be fitted to the training, in which its '
-            f'command moves by {moved[0]:.2g} and its rate by {moved[1]:.2g} rad/s (RMS); excite '
-            'it, and look at its command and rate'
+            f'command moves by {spreads[0]:.2g} and its rate by {spreads[1]:.2g} rad/s (RMS); '
+            'excite it, and look at its command and rate'
         ) from error
 
 
-def with_own(problem: Problem, searched: Found, effects: Sequence[Effect]) -> Found:
+def with_own(problem: Problem, searched: SearchResult, effects: Sequence[Effect]) -> SearchResult:
     """What a search found, and the fits beside the base of a user's effects that it passed over.
 
     It fits only what promises something; who wrote an effect is told what it explains anyway.
     """
-    fitted = {label for one in searched.all for label in one.fit.structure.labels}
+    fitted = {label for scored in searched.all for label in scored.fit.structure.labels}
     passed_over = [effect for effect in effects if effect not in EFFECTS
                    and effect.label not in fitted | searched.reasons.keys()]
     if not passed_over:
         return searched
-    fits = {one.part.effect.label: extended(problem, searched.base, one)
-            for one in screen(problem, searched.base, candidates(problem, passed_over)[0])}
+    fits = {score.part.effect.label: extended(problem, searched.base, score)
+            for score in screen(problem, searched.base, candidates(problem, passed_over)[0])}
     more = [scored(fit, searched.prices) for fit in fits.values() if fit is not None]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
     return to_convergence(problem, replace(
-        searched, all=tuple(sorted((*searched.all, *more), key=lambda one: -one.score)),
+        searched, all=tuple(sorted((*searched.all, *more), key=lambda scored: -scored.score)),
         reasons=searched.reasons | failed))
 
 
@@ -234,13 +235,13 @@ def _reason(findings: Findings, not_searched: str) -> str:
         reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'
     other = findings.search.other
     if other is not None and verdict.verdict != 'cannot_tell':
-        first, second = (', '.join(f'{name} {one.value(name):.3g}{unit}' for name, unit in (
+        first, second = (', '.join(f'{name} {scored.value(name):.3g}{unit}' for name, unit in (
             ('gain', ''), ('lag', ' s'), ('damping', ' 1/s')))
-            for one in (findings.search.best, other))
+            for scored in (findings.search.best, other))
         reason += (f'{"; " if reason else ""}the data do not tell lag and damping apart: {first}, '
                    f'or about as well {second}; measured rotor speeds would decide')
     gain = verdict.chosen.value('gain')
-    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not findings.problem.held:
+    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not findings.problem.held_terms:
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
             'the sign of the gyro before anything else'

@@ -54,32 +54,32 @@ def approaches(z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, 
         no = 'no external reference that moves: record /setpoint/attitude or /excitation/applied'
     elif not one_loop:
         no = 'the training was flown with several sets of gains, which are several loops'
-    known, reason = None, no
+    controller, reason = None, no
     if not no and gains is None:
         reason = '/gains/active does not say the controller'
     elif not no and not behind_attitude:
         reason = 'the excitation acts behind C1 or C2, not on the attitude reference'
     elif not no and gains is not None:
-        known, reason = _known(z, gains)
+        controller, reason = _known(z, gains)
     return (
         Approach('direct', possible=True, because='command and rate are recorded'),
-        Approach('indirect', possible=known is not None, because=reason),
+        Approach('indirect', possible=controller is not None, because=reason),
         Approach('joint', possible=not no,
                  because=no or 'command, rate and reference are recorded'),
-    ), known
+    ), controller
 
 
 def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str]:
     """The controller, if it reproduces the recorded command, and the finding in words."""
     ways = [controller(gains, z.dt, trapezoid=trapezoid) for trapezoid in (True, False)]
-    known = max(ways, key=lambda way: reproduced(z, way))
-    fit = reproduced(z, known)
+    best = max(ways, key=lambda way: reproduced(z, way))
+    fit = reproduced(z, best)
     if fit < KNOWN_CONTROLLER_PCT:
         return None, (
             f'the controller of /gains/active gives only {max(fit, 0.0):.0f} % of the recorded '
             'command; limits or another loop act as well'
         )
-    return known, f'reference and rate are recorded, {fit:.0f} % of the command is the controller'
+    return best, f'reference and rate are recorded, {fit:.0f} % of the command is the controller'
 
 
 def controller(gains: CascadeGains, dt: float, *, trapezoid: bool = True) -> LinearController:
@@ -90,7 +90,7 @@ def controller(gains: CascadeGains, dt: float, *, trapezoid: bool = True) -> Lin
                               trapezoid=trapezoid)
 
 
-def reproduced(z: IOData, known: LinearController) -> float:
+def reproduced(z: IOData, controller: LinearController) -> float:
     """Fit of the controller's computed command to the recorded one, %, without drift.
 
     The angle's start and the gyro's bias are not known to the running sum, so the recorded and
@@ -103,7 +103,7 @@ def reproduced(z: IOData, known: LinearController) -> float:
     computed: list[FloatArray] = []
     for a, b in z.segments:
         if b - a > 2 * lag:
-            u = known.command(z.r[a:b], z.y[a:b])
+            u = controller.command(z.r[a:b], z.y[a:b])
             recorded.append(z.u[a + lag : b] - z.u[a : b - lag])
             computed.append(u[lag:] - u[:-lag])
     if not recorded or not np.ptp(np.concatenate(recorded)):
@@ -112,23 +112,24 @@ def reproduced(z: IOData, known: LinearController) -> float:
 
 
 def fit_others(z: IOData, fits: Fits, possible: tuple[Approach, ...],
-               known: LinearController | None) -> tuple[tuple[Model, ...], tuple[str, ...]]:
+               controller: LinearController | None) -> tuple[tuple[Model, ...], tuple[str, ...]]:
     """Fit the plant by every approach but the direct one that is possible; models and refusals."""
-    refused: list[str] = []
+    reasons: list[str] = []
     nk, n = fits.nk, fits.order
     models: tuple[Model, ...] = ()
     start = next((m for m in fits.models if m.structure == 'BJ'), None)
-    names = {one.name for one in possible if one.possible}
+    names = {effect.name for effect in possible if effect.possible}
     if 'joint' in names:
         models += tried(
-            refused, lambda: joint(z, lambda data: bj(data, n, NOISE_ORDER, NOISE_ORDER, n, nk))
+            reasons, lambda: joint(z, lambda data: bj(data, n, NOISE_ORDER, NOISE_ORDER, n, nk))
         )
-    if known is not None and 'indirect' in names:
-        fitted = tried(refused, lambda: indirect(z, n, n, nk, known, start=start))
+    if controller is not None and 'indirect' in names:
+        fitted = tried(reasons, lambda: indirect(z, n, n, nk, controller, start=start))
         if n > ORDERS[0] and not any(model.converged for model in fitted):
-            fitted = tried(refused, lambda: indirect(z, ORDERS[0], ORDERS[0], nk, known)) or fitted
+            fitted = tried(
+                reasons, lambda: indirect(z, ORDERS[0], ORDERS[0], nk, controller)) or fitted
         models += fitted
-    return models, tuple(refused)
+    return models, tuple(reasons)
 
 
 FEEDBACK_LEVEL = 0.01
@@ -210,11 +211,11 @@ def with_blackbox(answer: AxisAnswer, fits: Fits | str, data: AxisData, loop: st
 
     fits: the models, or why there are none.
     """
-    known, z = required(answer.model), required(answer.train)
+    answered, z = required(answer.model), required(answer.train)
     if isinstance(fits, str):
         return replace(answer, warnings=(*answer.warnings, f'no black-box model: {fits}'),
-                       selection=Selection(advice=tuple(rivalry(known))))
-    gains = known.active_gains
+                       selection=Selection(advice=tuple(rivalry(answered))))
+    gains = answered.active_gains
     cascade = CascadeGains.from_mapping(gains, data.axis) \
         if f'{data.axis}.rate.kp' in gains else None
     try:
@@ -222,8 +223,8 @@ def with_blackbox(answer: AxisAnswer, fits: Fits | str, data: AxisData, loop: st
                           through=loop.through)
         possible, controlled_by = approaches(z, cascade, behind_attitude=loop.behind_attitude,
                                              one_loop=loop.of_one_set, closed=closed)
-        others, refused = fit_others(z, fits, possible, controlled_by)
-        rows = blackbox_part.rows_of(z, data, fits.models + others)
+        further, reasons = fit_others(z, fits, possible, controlled_by)
+        rows = blackbox_part.rows_of(z, data, fits.models + further)
     except QuadSysidError as error:
         return with_blackbox(answer, str(error), data, loop, support)
     rows, why_not = _second_steps(rows, loop, closed=closed)
@@ -234,7 +235,7 @@ def with_blackbox(answer: AxisAnswer, fits: Fits | str, data: AxisData, loop: st
         answer = replace(
             answer, blackbox_error=blackbox_part.window_error(data, model, data.validation),
             blackbox_horizons=blackbox_part.horizons(data, model, data.validation))
-    lines = *advice(answer, fits, support, why_not), *fits.refused, *refused
+    lines = *advice(answer, fits, support, why_not), *fits.refused, *reasons
     return replace(answer, selection=replace(answer.selection, advice=lines))
 
 

@@ -81,13 +81,13 @@ def loop_of(records: Sequence[Record], axis: str) -> Loop:
 
     Compared are the validation segments; of a flight without any, all but its idle ones.
     """
-    own = [(r, s) for r in records for s in r.segments if s.excites(axis)]
-    trained = [(r, s) for r, s in own if s.role == 'train']
+    excited = [(r, s) for r in records for s in r.segments if s.excites(axis)]
+    trained = [(r, s) for r, s in excited if s.role == 'train']
     flights, because = _flown(records, axis) if EVERY[axis].turns else (
         (), 'the loop around a speed is not in the bag')
     return Loop(
         flights, because,
-        behind_attitude=not any(s.injection in ('rate', 'control') for _, s in own),
+        behind_attitude=not any(s.injection in ('rate', 'control') for _, s in excited),
         through=any(s.injection in ('attitude', 'rate') and s.signal not in ('none', 'unknown')
                     for _, s in trained),
         of_one_set=len({tuple(sorted(gains_of_axis(r, axis, s.start_s).items()))
@@ -102,30 +102,30 @@ def _flown(records: Sequence[Record], axis: str) -> tuple[tuple[Flown, ...], str
     trained: Mapping[str, float] | None = None
     offset = 0
     for record in records:
-        own = [s for s in record.segments if s.axis == axis and s.role != 'idle']
-        for segment in own:
+        segments_of_axis = [s for s in record.segments if s.axis == axis and s.role != 'idle']
+        for segment in segments_of_axis:
             if segment.role == 'train' and trained is None:
                 trained = gains_of_axis(record, axis, segment.start_s)
-        chosen = [s for s in own if s.role == 'validation'] or own
+        chosen = [s for s in segments_of_axis if s.role == 'validation'] or segments_of_axis
         groups: dict[tuple[tuple[str, float], ...], list[Segment]] = {}
         for segment in chosen:
-            known = gains_of_axis(record, axis, segment.start_s)
-            groups.setdefault(tuple(sorted(known.items())), []).append(segment)
+            gains = gains_of_axis(record, axis, segment.start_s)
+            groups.setdefault(tuple(sorted(gains.items())), []).append(segment)
         for key, segments in groups.items():
             changed = dict(key) != (trained or dict(key))
-            one = _under_gains(record, axis, dict(key), segments, changed, offset)
-            if isinstance(one, str):
-                reasons.append(one)
+            flight = _under_gains(record, axis, dict(key), segments, changed, offset)
+            if isinstance(flight, str):
+                reasons.append(flight)
             else:
-                flights.append(one)
+                flights.append(flight)
         offset += record.n
     return tuple(flights), '; '.join(dict.fromkeys(reasons)) or 'no segment to compare'
 
 
 def gains_of_axis(record: Record, axis: str, time_s: float) -> dict[str, float]:
     """The known gains and constants of one axis at a time."""
-    known = record.gains_at(time_s)
-    return {name: value for name, value in known.items()
+    gains = record.gains_at(time_s)
+    return {name: value for name, value in gains.items()
             if name.startswith(f'{axis}.') or name in NOTCH.values()}
 
 
@@ -141,8 +141,8 @@ def _under_gains(record: Record, axis: str, values: Mapping[str, float],
     if reference is None:
         return f'{record.source}: /setpoint/attitude is not finite'
     angle = None if record.angles is None else record.angles[:, index]
-    good = np.isfinite(record.rates[:, index])
-    runs = [run for s in segments for run in finite_runs(good, record.span(s))]
+    is_finite = np.isfinite(record.rates[:, index])
+    runs = [run for s in segments for run in finite_runs(is_finite, record.span(s))]
     if not runs:
         return f'{record.source}: no rate in the segments to compare'
     return Flown(bag=record.source, gains=CascadeGains.from_mapping(values, axis),
@@ -159,11 +159,11 @@ def _under_gains(record: Record, axis: str, values: Mapping[str, float],
 
 def _held(reference: FloatArray) -> FloatArray | None:
     """The set-point with lost cycles held, as the firmware holds it; None where all are lost."""
-    good = np.isfinite(reference)
-    if not good.any():
+    is_finite = np.isfinite(reference)
+    if not is_finite.any():
         return None
-    last = np.maximum.accumulate(np.where(good, np.arange(reference.size), 0))
-    last[: int(np.argmax(good))] = int(np.argmax(good))
+    last = np.maximum.accumulate(np.where(is_finite, np.arange(reference.size), 0))
+    last[: int(np.argmax(is_finite))] = int(np.argmax(is_finite))
     return np.asarray(reference[last])
 
 
@@ -193,12 +193,12 @@ def second_step(row: ModelRow, flights: Sequence[Flown]) -> ModelRow:
     """The row with its runs, and whether it passed: none of them may fail."""
     runs = tuple(run(row.step_a.model, flight) for flight in flights)
     objections = []
-    for one in runs:
-        if one.diverged:
-            objections.append(f'in the simulated loop of {one.bag} it diverges')
-        elif one.fit_pct is not None and one.fit_pct <= LEAST_FIT_PCT:
-            objections.append(f'its simulated loop fits {one.bag} no better than the mean')
-    fits = [one.fit_pct for one in runs if one.fit_pct is not None]
+    for simulated in runs:
+        if simulated.diverged:
+            objections.append(f'in the simulated loop of {simulated.bag} it diverges')
+        elif simulated.fit_pct is not None and simulated.fit_pct <= LEAST_FIT_PCT:
+            objections.append(f'its simulated loop fits {simulated.bag} no better than the mean')
+    fits = [run.fit_pct for run in runs if run.fit_pct is not None]
     return replace(
         row, loop_runs=runs, closed_loop_fit_pct=fits[0] if fits else None,
         second_step_because='; '.join(objections),
@@ -213,14 +213,14 @@ def closed_loop(model: AxisModel | None, loop: Loop, data: AxisData) -> ClosedLo
     behind C1 or C2, from the start of each record, with throttle, battery and the other axes as
     they were; a flight without them, or without gains, is left out.
     """
-    runs = [one for one in loop.flights if one.held_out and one.added is not None]
+    runs = [flight for flight in loop.flights if flight.held_out and flight.added is not None]
     if model is None or not runs:
         return None
     plain = replace(model, base=model.plain or model.base, effects=(), noise=model.plain_noise)
-    around = Flight(data, data.stretches).commanded(np.array([p.value for p in model.base]))
+    signals = Flight(data, data.stretches).commanded(np.array([p.value for p in model.base]))
     try:
-        before, after = (np.concatenate([_simulated(one, run, around) for run in runs])
-                         for one in (plain, model))
+        before, after = (np.concatenate([_simulated(candidate, run, signals) for run in runs])
+                         for candidate in (plain, model))
     except QuadSysidError:
         return None
     if not (np.isfinite(before).all() and np.isfinite(after).all()):
@@ -250,14 +250,14 @@ def excitations(record: Record, axis: str) -> tuple[FloatArray, FloatArray] | No
     return added['rate'], added['control']
 
 
-def _simulated(model: AxisModel, flight: Flown, around: Signals) -> FloatArray:
+def _simulated(model: AxisModel, flight: Flown, flight_signals: Signals) -> FloatArray:
     """(m,) the rate on the compared rows, rad/s."""
     at_rate, at_control = flight.added or (None, None)
     plant = plant_of(model)
     p = plant.p.copy()
     p[0] *= schedule_factor(model)
-    own = around.at(flight.offset + np.arange(flight.reference.size))
-    flying = Flying(replace(plant, p=p), own, steady=False)
+    signals = flight_signals.at(flight.offset + np.arange(flight.reference.size))
+    flying = Flying(replace(plant, p=p), signals, steady=False)
     return np.asarray(simulate_cascade(flying, flight.gains, flight.reference, plant.dt,
                                        rate_excitation=at_rate, control_excitation=at_control,
                                        initial_angle=flight.start,

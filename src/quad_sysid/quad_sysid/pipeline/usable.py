@@ -48,26 +48,26 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
             raise BadInputError(record.source, 'all bags must be of one craft',
                                 f'motors {", ".join(record.craft.places)}; the first '
                                 f'{", ".join(first.craft.places)}', 'identify them one by one')
-    for one, other in combinations(records, 2):
-        _check_distinct(one, other)
+    for earlier, other in combinations(records, 2):
+        _check_distinct(earlier, other)
     usable = []
     for record in records:
-        own, dt = record.at_interval(first.dt), first.dt
+        adapted, dt = record.at_interval(first.dt), first.dt
         if abs(record.dt - dt) > NOTABLE_RATE_ERROR * dt:
             warning = (f'{record.source}: its {1.0 / record.dt:.6g} Hz are taken as the '
                        f"first bag's {1.0 / dt:.6g} Hz")
-            own = replace(own, warnings=(*own.warnings, warning))
-        rotors = rotors_of(own, training=True)
+            adapted = replace(adapted, warnings=(*adapted.warnings, warning))
+        rotors = rotors_of(adapted, training=True)
         if rotors.lag_s is not None:
-            own = replace(own, rotor_lag=RotorLag(rotors.lag_s, rotors.spread))
-        usable.append(replace(own, warnings=(*own.warnings, *rotors.lines)))
+            adapted = replace(adapted, rotor_lag=RotorLag(rotors.lag_s, rotors.spread))
+        usable.append(replace(adapted, warnings=(*adapted.warnings, *rotors.lines)))
     return tuple(usable)
 
 
-def same_craft(one: Craft, other: Craft) -> bool:
+def same_craft(craft: Craft, other: Craft) -> bool:
     """Whether two descriptions give one mixer."""
-    return one.count == other.count and bool(
-        np.allclose(one.inverse, other.inverse, atol=SAME_PLACES))
+    return craft.count == other.count and bool(
+        np.allclose(craft.inverse, other.inverse, atol=SAME_PLACES))
 
 
 def same_rate(dt: float, other: float) -> bool:
@@ -75,23 +75,23 @@ def same_rate(dt: float, other: float) -> bool:
     return abs(dt - other) <= SAME_RATE * other
 
 
-def _check_distinct(one: Record, other: Record) -> None:
+def _check_distinct(record: Record, other: Record) -> None:
     """Refuse a flight that is given twice, whole or in part, by stamps or from its start."""
-    for shift in {round((other.t0_ns - one.t0_ns) * 1e-9 / one.dt), 0}:
-        a = one.rates[max(shift, 0) :][: max(other.n + min(shift, 0), 0)]
+    for shift in {round((other.t0_ns - record.t0_ns) * 1e-9 / record.dt), 0}:
+        a = record.rates[max(shift, 0) :][: max(other.n + min(shift, 0), 0)]
         b = other.rates[max(-shift, 0) :][: a.shape[0]]
-        known = np.isfinite(a[: b.shape[0]]).all(axis=1) & np.isfinite(b).all(axis=1)
-        a, b = a[: b.shape[0]][known], b[known]
+        is_finite = np.isfinite(a[: b.shape[0]]).all(axis=1) & np.isfinite(b).all(axis=1)
+        a, b = a[: b.shape[0]][is_finite], b[is_finite]
         if a.shape[0] < LEAST_OVERLAP or not np.ptp(a, axis=0).any():
             continue
         same = (a == b).all(axis=1)
         if same.mean() > 0.5:
-            raise BadInputError(other.source, f'holds the same measurement as {one.source}',
+            raise BadInputError(other.source, f'holds the same measurement as {record.source}',
                                 f'{np.count_nonzero(same)} samples', 'give each flight once')
 
 
 ROWS = 20_000
-"""At most so many samples are compared, spread over the record."""
+"""The most samples that are compared, spread over the record."""
 BETTER = 0.5
 """Another order counts where it leaves less than this share of what the contract's leaves."""
 FLOOR = 2e-4
@@ -108,9 +108,9 @@ def swapped_motors(record: Record) -> tuple[int, ...] | None:
         return None
     idle = record.gains_at(np.inf).get(IDLE, 0.0)
     expected = record.craft.commands(record.wrench, record.desaturation, idle)
-    both = np.isfinite(record.motors).all(axis=1) & np.isfinite(expected).all(axis=1)
-    good = np.flatnonzero(both)
-    rows = good[:: max(1, good.size // ROWS)]
+    is_finite = np.isfinite(record.motors).all(axis=1) & np.isfinite(expected).all(axis=1)
+    samples = np.flatnonzero(is_finite)
+    rows = samples[:: max(1, samples.size // ROWS)]
     if rows.size == 0:
         return None
     motors, expected = record.motors[rows], expected[rows]
@@ -157,8 +157,8 @@ def check_usable(data: AxisData, records: Sequence[Record]) -> None:
 def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:
     """What the axis lacks of a role: the segments, or their length."""
     name = 'training' if role == 'train' else role
-    flown = {s.axis for record in records for s in record.segments if s.role == role}
-    if flown & {data.axis, EVERY[data.axis].excited_as}:
+    recorded_axes = {s.axis for record in records for s in record.segments if s.role == role}
+    if recorded_axes & {data.axis, EVERY[data.axis].excited_as}:
         longest = max((b - a for a, b in vars(data)[role]), default=0) * data.dt
         flown_s = max((s.end_s - s.start_s for record in records for s in record.segments
                        if s.role == role and s.excites(data.axis)), default=0.0)
@@ -168,9 +168,9 @@ def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:
                       'values, or to a faster medium')
         return (f'the longest unbroken {name} segment lasts {longest:.2g} s, '
                 f'{SETTLE_S + WINDOW_S:g} s are needed; {remedy}')
-    if flown:
-        others = ', '.join(axis for axis in EVERY if axis in flown)
-        return f'no {name} segment is on this axis (on {others} only); excite it'
+    if recorded_axes:
+        recorded = ', '.join(axis for axis in EVERY if axis in recorded_axes)
+        return f'no {name} segment is on this axis (on {recorded} only); excite it'
     option = '--train' if role == 'train' else '--validate'
     return f'the bag holds no {name} segment; name one with {option}'
 

@@ -92,11 +92,11 @@ def panels(rows: int = 1, height_in: float = 3.0, *, share_x: bool = True,
                          'hspace': spacing,
                          **({'height_ratios': list(ratios)} if ratios else {})},
         )
-        axes = [one for one, in grid]
-        for one in axes:
-            one.patch.set_alpha(0.0)
-            width_in = one.get_position().width * WIDTH_IN
-            one.yaxis.set_label_coords(-(left_in - 0.14) / width_in, 0.5)
+        axes = [panel for panel, in grid]
+        for panel in axes:
+            panel.patch.set_alpha(0.0)
+            width_in = panel.get_position().width * WIDTH_IN
+            panel.yaxis.set_label_coords(-(left_in - 0.14) / width_in, 0.5)
     return figure, axes
 
 
@@ -113,11 +113,11 @@ def plain_logarithms(axes: Sequence[Axes]) -> None:
     """Logarithmic scales with plain numbers, 1, 2, 5 where these fit."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    for one in axes:
-        for scale in (one.xaxis, one.yaxis):
+    for panel in axes:
+        for scale in (panel.xaxis, panel.yaxis):
             if scale.get_scale() == 'log':
                 low, high = sorted(scale.get_view_interval())
-                few = high / max(low, 1e-300) < (1e4 if scale is one.xaxis else 50.0)
+                few = high / max(low, 1e-300) < (1e4 if scale is panel.xaxis else 50.0)
                 scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,),
                                                    numticks=12))
                 scale.set_major_formatter(FuncFormatter(lambda value, _: f'{value:g}'))
@@ -126,8 +126,8 @@ def plain_logarithms(axes: Sequence[Axes]) -> None:
 
 def finish(axes: Sequence[Axes], x: str, *ys: str) -> None:
     """Label the panels, whose x is one, and put a legend over the first."""
-    for one, label in zip(axes, ys, strict=True):
-        one.set_ylabel(label)
+    for panel, label in zip(axes, ys, strict=True):
+        panel.set_ylabel(label)
     axes[-1].set_xlabel(x)
     legend(axes[0])
 

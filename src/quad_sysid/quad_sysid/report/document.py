@@ -11,7 +11,7 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import Horizon
-from quad_sysid.discover.search import Found, Scored
+from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.errors import BadInputError
 from quad_sysid.model import AxisModel, EffectEstimate, GainProposal, NoiseEstimate, Parameter
 from quad_sysid.pipeline.answer import (
@@ -22,7 +22,7 @@ from quad_sysid.pipeline.answer import (
     Selection,
 )
 from quad_sysid.record import Segment
-from quad_sysid.units import Units, shown_in, spoken
+from quad_sysid.units import Units, in_units_of, shown_in
 from quad_sysid.whole import Whole
 
 SCHEMA = 'quad_sysid/report/1'
@@ -75,18 +75,18 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
     model, findings = answer.model, answer.findings
-    own = [one.label for one in model.own_effects if one is not model.law] if model else []
+    labels = [e.label for e in model.own_effects if e is not model.law] if model else []
 
-    def parameters(some: Sequence[Parameter]) -> list[dict[str, Any]]:
-        return [_parameter(p, model, inertia) for p in some if model and model.shows(p)]
+    def parameters(group: Sequence[Parameter]) -> list[dict[str, Any]]:
+        return [_parameter(p, model, inertia) for p in group if model and model.shows(p)]
 
     units = answer.units
     per_rate = shown_in(units, 'rad/s')[1]
@@ -106,14 +106,14 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'reproducible': _reproducible(findings),
         'not_tested': [{'name': name, 'because': because}
                        for name, because in (findings.search.reasons.items() if findings else ())],
-        'tried': _tried(findings, own) if findings else [],
-        'own_effects': _own(findings, own) if findings else [],
+        'tried': _tried(findings, labels) if findings else [],
+        'own_effects': _own(findings, labels) if findings else [],
         'base': {'parameters': parameters(model.plain if model else ()),
                  'noise': _noise(model.plain_noise if model else None, units)},
         'completed': {'parameters': parameters(model.base if model else ()),
                       'noise': _noise(model.noise if model else None, units)},
         'error': _error(answer),
-        'outside': [vars(one) for one in answer.outside],
+        'outside': [vars(excess) for excess in answer.outside],
         'trusted_band_rad_s': (model and model.trusted_band_rad_s) or None,
         'residual': {name: _residual(answer.residuals[name], units)
                      if name in answer.residuals else None for name in RESIDUALS},
@@ -127,10 +127,10 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
 def _worded(units: Units | None, tree: Any, key: str = '') -> Any:
     """The tree with the words of an axis that moves."""
     if isinstance(tree, Mapping):
-        return {name: _worded(units, one, name) for name, one in tree.items()}
+        return {name: _worded(units, item, name) for name, item in tree.items()}
     if isinstance(tree, list | tuple):
-        return [_worded(units, one, key) for one in tree]
-    return spoken(units, tree) if isinstance(tree, str) and key in SENTENCES else tree
+        return [_worded(units, item, key) for item in tree]
+    return in_units_of(units, tree) if isinstance(tree, str) and key in SENTENCES else tree
 
 
 def _effect(effect: EffectEstimate, model: AxisModel, inertia: float | None) -> dict[str, Any]:
@@ -191,29 +191,29 @@ def _noise(noise: NoiseEstimate | None, units: Units | None) -> list[dict[str, A
     ]
 
 
-def _tried(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
+def _tried(findings: Findings, own_labels: Sequence[str]) -> list[dict[str, Any]]:
     """Structures that were fitted, the most probable first; not all without effects of one's own.
 
     The best of each of these is listed.
     """
     search = findings.search
-    base = next(one.score for one in search.all if not one.fit.structure.parts)
-    best = {_best_with(search, label) for label in own}
+    base = next(scored.score for scored in search.all if not scored.fit.structure.parts)
+    best = {_best_with(search, label) for label in own_labels}
     return [
-        {'effects': one.fit.structure.labels, 'log_evidence_over_base': one.score - base,
-         'probability': float(p), 'converged': one.fit.converged}
-        for place, (one, p) in enumerate(zip(search.all, search.probabilities(), strict=True))
-        if place < MAX_TRIED or one in best
+        {'effects': scored.fit.structure.labels, 'log_evidence_over_base': scored.score - base,
+         'probability': float(p), 'converged': scored.fit.converged}
+        for place, (scored, p) in enumerate(zip(search.all, search.probabilities(), strict=True))
+        if place < MAX_TRIED or scored in best
     ]
 
 
-def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
+def _own(findings: Findings, own_labels: Sequence[str]) -> list[dict[str, Any]]:
     """What became of the user's effects, by their labels."""
     search = findings.search
     out: list[dict[str, Any]] = []
     base, leading = search.of_names(()), search.all[0]
     added = findings.verdict.chosen.structure.labels
-    for label in own:
+    for label in own_labels:
         best = _best_with(search, label)
         if label in search.reasons or best is None:
             out.append({'name': label, 'outcome': 'not_tested',
@@ -229,9 +229,9 @@ def _own(findings: Findings, own: Sequence[str]) -> list[dict[str, Any]]:
     return out
 
 
-def _best_with(search: Found, label: str) -> Scored | None:
+def _best_with(search: SearchResult, label: str) -> Scored | None:
     """The most probable structure with an effect."""
-    return next((one for one in search.all if label in one.fit.structure.labels), None)
+    return next((scored for scored in search.all if label in scored.fit.structure.labels), None)
 
 
 def _parameter(inside: Parameter, model: AxisModel, inertia: float | None) -> dict[str, Any]:
@@ -273,10 +273,10 @@ def _error(answer: AxisAnswer) -> dict[str, Any]:
 def _times(factor: float, tree: Any) -> Any:
     """A tree with its numbers but for horizons in another unit."""
     if isinstance(tree, Mapping):
-        return {name: one if name == 'horizon_s' else _times(factor, one)
-                for name, one in tree.items()}
+        return {name: item if name == 'horizon_s' else _times(factor, item)
+                for name, item in tree.items()}
     if isinstance(tree, list | tuple):
-        return [_times(factor, one) for one in tree]
+        return [_times(factor, item) for item in tree]
     return None if tree is None else factor * tree
 
 
@@ -284,9 +284,9 @@ def horizons_tree(horizons: Sequence[Horizon],
                   blackbox: Mapping[float, float]) -> list[dict[str, Any]]:
     """How the error grows, as the contract's `error.horizons`."""
     tree: list[dict[str, Any]] = plain([
-        {'horizon_s': one.horizon_s, 'hold': one.hold, 'before': one.before, 'after': one.after,
-         'blackbox': blackbox.get(one.horizon_s)}
-        for one in horizons
+        {'horizon_s': h.horizon_s, 'hold': h.hold, 'before': h.before, 'after': h.after,
+         'blackbox': blackbox.get(h.horizon_s)}
+        for h in horizons
     ])
     return tree
 

@@ -36,7 +36,8 @@ CELL = """.quad .tiles{display:flex;flex-wrap:wrap;gap:8px}
 def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
          galleries: Mapping[str, Gallery] | None = None) -> str:
     """The page as text; `galleries` by axis where they are drawn already."""
-    drawn = galleries if galleries is not None else {a: gallery(one) for a, one in answers.items()}
+    drawn = galleries if galleries is not None else {
+        axis: gallery(answer) for axis, answer in answers.items()}
     axes = report['axes']
     bags = ', '.join(PurePath(bag).name for bag in report['bags'])
     parts = [f'<h1>Identification of {escape(bags)}</h1>']
@@ -67,7 +68,7 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
     parts = [f'<style>{CELL}</style><div class="quad">']
     for axis, tree in report['axes'].items():
         drawn = (draw(answers[axis], name) for name in SHOWN)
-        picture = next((one for one in drawn if one is not None), None)
+        picture = next((picture for picture in drawn if picture is not None), None)
         parts += [_answer(axis, tree), tables.explanation(tree).html(),
                   tables.effects(tree).html(), tables.parameters(tree).html(),
                   tables.errors(tree).html(), '' if picture is None else embedded(picture, axis)]
@@ -151,7 +152,8 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
     shown = drawn.pictures
 
     def figures(section: str, *but: str) -> str:
-        names = [one.name for one in PICTURES if one.section == section and one.name not in but]
+        names = [picture.name for picture in PICTURES
+                 if picture.section == section and picture.name not in but]
         parts = ''.join(framed(shown[name], f'{axis}-{name}') for name in names if name in shown)
         return f'<div class="figures">{parts}</div>' if parts else ''
 
@@ -203,7 +205,7 @@ def copied(text: str) -> str:
 def _next(axis: str, tree: Mapping[str, Any]) -> str:
     """What to fly next, and why."""
     rows = next_flight(axis, tree)
-    items = ''.join(f'<li>{escape(one.why)}' + copied(one.command) + '</li>' for one in rows)
+    items = ''.join(f'<li>{escape(row.why)}' + copied(row.command) + '</li>' for row in rows)
     return f'<ul>{items}</ul>' if items else ''
 
 

@@ -18,9 +18,9 @@ import numpy.typing as npt
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.events import Clocked
 from quad_sysid.estimate.fit import Fit, Problem, covariance
-from quad_sysid.loop.from_model import Placed
+from quad_sysid.loop.from_model import signals_at, torque_at
 from quad_sysid.model.data import AxisData, Span
-from quad_sysid.model.effect import Drive, Effect, Part, Signals, per_unit
+from quad_sysid.model.effect import ActingEffect, Drive, Effect, Part, Signals, per_unit
 from quad_sysid.units import COMMAND
 
 HALF_SPAN_S = 0.025
@@ -56,9 +56,9 @@ class Drawn:
     """An effect over its variable: its physics with a band of 95 %."""
 
     over: Label
-    """Of x."""
+    """Label of x."""
     label: Label
-    """Of y."""
+    """Label of y."""
     x: FloatArray
     y: FloatArray
     band: FloatArray
@@ -173,7 +173,7 @@ def _which(part: Part) -> int:
 
 
 def _frequency(replay: Replay, part: Part) -> float:
-    """At which an effect repeats itself, Hz; 0: it does not."""
+    """Frequency at which an effect repeats itself, Hz; 0: it does not."""
     if type(part.effect).repeats_hz is Effect.repeats_hz:
         return 0.0
     index = replay.fit.structure.parts.index(part)
@@ -242,8 +242,8 @@ def _picture(replay: Replay, part: Part) -> tuple[Evaluate, FloatArray, Label]:
     moved = unit | _moved(replay, part, name, x)
 
     def evaluate(p: FloatArray) -> FloatArray:
-        at = REST | dict(part.effect.usual(p, part.settings))
-        return np.asarray(Placed(part, p).torque(at, GRID, **moved))
+        usual = REST | dict(part.effect.usual(p, part.settings))
+        return np.asarray(torque_at(ActingEffect(part, p), usual, GRID, **moved))
 
     return evaluate, x, over
 
@@ -258,8 +258,8 @@ def _axis(replay: Replay, part: Part) -> str:
     name, data = _name(part), replay.problem.data
     if name.startswith(('other', 'product')):
         return data.other_axes[_which(part)]
-    own = name in ('rate', 'angle', 'command') and not _frequency(replay, part)
-    return data.axis if own else ''
+    of_this_axis = name in ('rate', 'angle', 'command') and not _frequency(replay, part)
+    return data.axis if of_this_axis else ''
 
 
 def _moved(replay: Replay, part: Part, name: str, x: FloatArray) -> dict[str, Any]:
@@ -282,7 +282,7 @@ def _lag(part: Part, x: FloatArray) -> Evaluate:
     drive = Drive(np.zeros((1, n)), np.ones(1), np.ones((1, n)))
 
     def evaluate(p: FloatArray) -> FloatArray:
-        s = Placed(part, p).signals(REST, n, sent=x, throttle=x, battery_v=x, time=x)
+        s = signals_at(ActingEffect(part, p), REST, n, sent=x, throttle=x, battery_v=x, time=x)
         return np.asarray(part.effect.actuate(drive, s, p, part.settings).lag[0])
 
     return evaluate
@@ -317,10 +317,10 @@ def binned(x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins:
     """
     f = np.ones_like(x) if weights is None else weights
     inside = past_start(spans, dt)
-    good = inside[np.isfinite(x[inside]) & np.isfinite(y[inside]) & np.isfinite(f[inside])]
-    if good.size < 4 * MIN_IN_A_BIN or np.ptp(x[good]) <= 0.0:
+    samples = inside[np.isfinite(x[inside]) & np.isfinite(y[inside]) & np.isfinite(f[inside])]
+    if samples.size < 4 * MIN_IN_A_BIN or np.ptp(x[samples]) <= 0.0:
         return None
-    x, y, f = x[good], y[good], f[good]
+    x, y, f = x[samples], y[samples], f[samples]
     edges = _edges(x, bins)
     number = np.clip(np.searchsorted(edges, x, side='right') - 1, 0, edges.size - 2)
     count = np.bincount(number, minlength=edges.size - 1).astype(float)
@@ -330,7 +330,7 @@ def binned(x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins:
         return None
     middle = np.bincount(number, x, minlength=count.size) / np.maximum(count, 1.0)
     mean = np.bincount(number, f * y, minlength=count.size) / power
-    block = np.unique(good // max(1, round(BLOCK_S / dt)), return_inverse=True)[1].reshape(-1)
+    block = np.unique(samples // max(1, round(BLOCK_S / dt)), return_inverse=True)[1].reshape(-1)
     sums = np.bincount(number * (int(block.max()) + 1) + block, f * (y - mean[number] * f),
                        minlength=count.size * (int(block.max()) + 1))
     spread = np.sqrt(np.sum(sums.reshape(count.size, -1) ** 2, axis=1)) / power

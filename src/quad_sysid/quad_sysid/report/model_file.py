@@ -113,12 +113,12 @@ def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> di
                             REMEDY)
     for axis in axes:
         axis_of(f'{path}: axes', axis)
-    own = tuple(own_effects)
-    models = {axis: _renamed(_model(axis, tree, f'{path}: axes.{axis}', own))
+    effects = tuple(own_effects)
+    models = {axis: _renamed(_model(axis, tree, f'{path}: axes.{axis}', effects))
               for axis, tree in axes.items()}
     return {
-        axis: replace(model, own_effects=own, reference=None if model.reference is None
-                      else replace(model.reference, own_effects=own))
+        axis: replace(model, own_effects=effects, reference=None if model.reference is None
+                      else replace(model.reference, own_effects=effects))
         for axis, model in models.items()
     }
 
@@ -159,19 +159,19 @@ def load_blackbox(path: str | os.PathLike[str]) -> dict[str, Model]:
     axes = tree.get('blackbox', {}) if isinstance(tree, dict) else {}
     if not isinstance(axes, dict):
         raise BadInputError(f'{path}: blackbox', 'must be an object', type(axes).__name__)
-    return {axis: _polynomial(one, f'{path}: blackbox.{axis}') for axis, one in axes.items()}
+    return {axis: _polynomial(tree, f'{path}: blackbox.{axis}') for axis, tree in axes.items()}
 
 
-def _model(axis: str, tree: object, where: str, own: Sequence[Effect]) -> AxisModel:
-    known = {f.name for f in fields(AxisModel)} - NOT_STORED
-    content = dict(_keys(tree, where, known))
+def _model(axis: str, tree: object, where: str, own_effects: Sequence[Effect]) -> AxisModel:
+    field_names = {f.name for f in fields(AxisModel)} - NOT_STORED
+    content = dict(_keys(tree, where, field_names))
     reference = content.pop('reference', None)
     model = AxisModel(axis=axis, **_read_fields(AxisModel, content, where), reference=None
                       if reference is None else
-                      _model(axis, reference, f'{where}.reference', own))
+                      _model(axis, reference, f'{where}.reference', own_effects))
     named = [p.name for p in model.base]
     law = {name.rpartition('.')[0] for name in named} - {''}
-    if not law <= {one.name for one in own if one.kind == LAW}:
+    if not law <= {effect.name for effect in own_effects if effect.kind == LAW}:
         raise BadInputError(f'{where}.base', "is a base of one's own, whose law is not here",
                             ', '.join(law), 'hand it in: effects=(base.law(),)')
     if sorted(name for name in named if '.' not in name) != sorted(BASE_NAMES):
@@ -200,8 +200,8 @@ def _renamed(model: AxisModel) -> AxisModel:
         name, variant = RENAMED.get(effect.variant, ('mode', effect.variant)) \
             if effect.name == 'mode' else (effect.name, effect.variant)
         effects.append(replace(effect, name=name, variant=variant))
-    names = (*(one.name for one in model.base),
-             *(f'{effect.name}.{one.name}' for effect in effects for one in effect.parameters))
+    names = (*(parameter.name for parameter in model.base),
+             *(f'{effect.name}.{item.name}' for effect in effects for item in effect.parameters))
     return replace(model, effects=tuple(effects), parameter_names=names
                    if len(names) == len(model.parameter_names) else model.parameter_names)
 
@@ -243,9 +243,10 @@ def _stored(kind: Any, value: Any, where: str) -> Any:
                 for f in fields(value) if f.name not in NOT_STORED}
     kinds = [k for k in get_args(kind) if k is not Ellipsis] or [object]
     if isinstance(value, Mapping):
-        return {str(key): _stored(kinds[-1], one, f'{where}.{key}') for key, one in value.items()}
+        return {str(key): _stored(kinds[-1], item, f'{where}.{key}')
+                for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_stored(kinds[i % len(kinds)], one, where) for i, one in enumerate(value)]
+        return [_stored(kinds[i % len(kinds)], item, where) for i, item in enumerate(value)]
     if not isinstance(value, float):
         if value is None or isinstance(value, bool | int | str):
             return value
@@ -261,8 +262,8 @@ def _read(kind: Any, tree: Any, where: str) -> Any:
     if type(None) in inner:
         return None if tree is None else _read(inner[0], tree, where)
     if is_dataclass(kind):
-        known = {f.name for f in fields(kind)} - NOT_STORED
-        return build(**_read_fields(kind, _keys(tree, where, known), where))
+        field_names = {f.name for f in fields(kind)} - NOT_STORED
+        return build(**_read_fields(kind, _keys(tree, where, field_names), where))
     reader = READERS.get(get_origin(kind) or kind)
     return tree if reader is None else reader(inner, tree, where)
 
@@ -292,7 +293,7 @@ def _array(_: Any, tree: Any, where: str) -> FloatArray:
 def _mapping(kinds: Any, tree: Any, where: str) -> dict[str, Any]:
     if not isinstance(tree, dict):
         raise BadInputError(where, 'must be an object', type(tree).__name__)
-    return {str(key): _read(kinds[1], one, f'{where}.{key}') for key, one in tree.items()}
+    return {str(key): _read(kinds[1], item, f'{where}.{key}') for key, item in tree.items()}
 
 
 def _tuple(kinds: Any, tree: Any, where: str) -> tuple[Any, ...]:
@@ -302,10 +303,10 @@ def _tuple(kinds: Any, tree: Any, where: str) -> tuple[Any, ...]:
         kinds = (kinds[0],) * len(tree)
     if len(tree) != len(kinds):
         raise BadInputError(where, f'must be a list of {len(kinds)}', tree)
-    names = [f'.{one["name"]}' if isinstance(one, dict) and 'name' in one else f'[{i}]'
-             for i, one in enumerate(tree)]
-    return tuple(_read(kind, one, where + name)
-                 for kind, one, name in zip(kinds, tree, names, strict=True))
+    names = [f'.{item["name"]}' if isinstance(item, dict) and 'name' in item else f'[{i}]'
+             for i, item in enumerate(tree)]
+    return tuple(_read(kind, item, where + name)
+                 for kind, item, name in zip(kinds, tree, names, strict=True))
 
 
 READERS: dict[Any, Callable[[Any, Any, str], Any]] = {
@@ -317,17 +318,17 @@ READERS: dict[Any, Callable[[Any, Any, str], Any]] = {
 
 def _read_fields(kind: Any, tree: Mapping[str, Any], where: str) -> dict[str, Any]:
     hints = get_type_hints(kind)
-    return {name: _read(hints[name], one, f'{where}.{name}') for name, one in tree.items()}
+    return {name: _read(hints[name], item, f'{where}.{name}') for name, item in tree.items()}
 
 
-def _keys(tree: object, where: str, known: set[str], *, more: bool = False) -> dict[str, Any]:
+def _keys(tree: object, where: str, names: set[str], *, more: bool = False) -> dict[str, Any]:
     """An object with all of these fields, and no others but where there may be `more`."""
     if not isinstance(tree, dict):
         raise BadInputError(where, 'must be an object', type(tree).__name__)
-    missing = sorted(known - tree.keys() - OPTIONAL)
+    missing = sorted(names - tree.keys() - OPTIONAL)
     if missing:
         raise BadInputError(where, f'lacks {", ".join(missing)}', remedy=AGAIN)
-    unknown = sorted(tree.keys() - known)
+    unknown = sorted(tree.keys() - names)
     if unknown and not more:
         raise BadInputError(where, 'holds an unknown field', unknown[0], AGAIN)
     return tree

@@ -17,7 +17,7 @@ from quad_sysid.files import make_folder, write_whole
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import plots_data, plots_effects, plots_loop, plots_models
 from quad_sysid.report.canvas import Drawing, Picture, png
-from quad_sysid.units import spoken
+from quad_sysid.units import in_units_of
 
 PICTURES: tuple[Drawing, ...] = (
     *plots_data.DRAWINGS, *plots_models.DRAWINGS, *plots_effects.DRAWINGS, *plots_loop.DRAWINGS,
@@ -34,38 +34,38 @@ class Gallery:
 
 def draw(answer: AxisAnswer, name: str) -> Picture | None:
     """One picture; None where the answer lacks the data. BadInputError for an unknown name."""
-    one = next((one for one in PICTURES if one.name == name), None)
-    if one is None:
-        names = ', '.join(one.name for one in PICTURES)
+    entry = next((picture for picture in PICTURES if picture.name == name), None)
+    if entry is None:
+        names = ', '.join(picture.name for picture in PICTURES)
         raise BadInputError('plot', 'no such picture', name, f'there are {names}')
     with np.errstate(all='ignore'):
-        picture = one.draw(answer)
+        picture = entry.draw(answer)
     if picture is None or answer.units is None:
         return picture
     for text in picture.figure.findobj(Text):
-        text.set_text(spoken(answer.units, text.get_text()))
-    return replace(picture, title=spoken(answer.units, picture.title),
-                   caption=spoken(answer.units, picture.caption))
+        text.set_text(in_units_of(answer.units, text.get_text()))
+    return replace(picture, title=in_units_of(answer.units, picture.title),
+                   caption=in_units_of(answer.units, picture.caption))
 
 
 def gallery(answer: AxisAnswer) -> Gallery:
     """Draw all pictures of one axis; those that fail are listed in `failed`."""
     drawn: dict[str, Picture] = {}
     failed: list[tuple[str, str]] = []
-    for one in PICTURES:
+    for entry in PICTURES:
         try:
-            picture = draw(answer, one.name)
+            picture = draw(answer, entry.name)
         except (QuadSysidError, ValueError, ArithmeticError, LookupError) as error:
-            failed.append((one.name, str(error) or type(error).__name__))
+            failed.append((entry.name, str(error) or type(error).__name__))
             continue
         if picture is not None:
-            drawn[one.name] = picture
+            drawn[entry.name] = picture
     return Gallery(drawn, tuple(failed))
 
 
 def save(galleries: Mapping[str, Gallery], folder: Path) -> None:
     """Write every picture as `<axis>_<name>.png` into `folder`, which is created if missing."""
     make_folder(folder, 'pictures')
-    for axis, one in galleries.items():
-        for name, picture in one.pictures.items():
+    for axis, gallery in galleries.items():
+        for name, picture in gallery.pictures.items():
             write_whole(folder / f'{axis}_{name}.png', png(picture))

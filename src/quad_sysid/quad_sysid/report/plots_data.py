@@ -81,7 +81,7 @@ def _rows(answer: AxisAnswer, data: AxisData,
                                  ('angle', 'rad', data.angle, answer.attitude_reference),
                                  ('command', COMMAND, data.command, None)):
         of = scale(answer.units, name, unit)
-        measured, reference = (None if one is None else of(one) for one in signals)
+        measured, reference = (None if signal is None else of(signal) for signal in signals)
         if measured is not None or reference is not None:
             rows.append((of.label, measured, reference))
     return rows
@@ -92,25 +92,25 @@ def _traces(answer: AxisAnswer, data: AxisData) -> Figure:
     time_s = np.asarray(np.arange(data.rate.size) * data.dt, dtype=np.float64)
     rows = _rows(answer, data)
     figure, axes = panels(len(rows), height_in=1.2 + 1.15 * len(rows))
-    for number, (one, (label, measured, reference)) in enumerate(zip(axes, rows, strict=True)):
+    for number, (panel, (label, measured, reference)) in enumerate(zip(axes, rows, strict=True)):
         for spans, colour, name in ((data.train, BLUE, 'training'),
                                     (data.validation, ORANGE, 'held out')):
-            for at, (a, b) in enumerate(bridged(sorted(spans), data.dt)):
-                shade(one, a * data.dt, b * data.dt, colour, name if at == 0 else '')
-        seen: set[str] = set()
+            for k, (a, b) in enumerate(bridged(sorted(spans), data.dt)):
+                shade(panel, a * data.dt, b * data.dt, colour, name if k == 0 else '')
+        labelled: set[str] = set()
         for omitted in answer.segments:
             because = str(omitted.parameters.get('because', ''))
             if because and omitted.axis == answer.axis:
-                shade(one, omitted.start_s, omitted.end_s, MUTED,
-                      '' if because in seen else f'left out: {because}')
-                seen.add(because)
+                shade(panel, omitted.start_s, omitted.end_s, MUTED,
+                      '' if because in labelled else f'left out: {because}')
+                labelled.add(because)
         if reference is not None:
-            one.plot(time_s, reference, color=GREEN, lw=0.9, label='reference')
+            panel.plot(time_s, reference, color=GREEN, lw=0.9, label='reference')
         if measured is not None:
             name = 'measured' if number < len(rows) - 1 else 'command'
-            one.plot(time_s, measured, color=INK, lw=0.7, label=name)
-        one.set_ylabel(label)
-        one.margins(x=0.0)
+            panel.plot(time_s, measured, color=INK, lw=0.7, label=name)
+        panel.set_ylabel(label)
+        panel.margins(x=0.0)
     legend(axes[0])
     axes[-1].set_xlabel('time, s')
     return figure
@@ -121,18 +121,18 @@ def coherences(answer: AxisAnswer) -> Picture | None:
     train = answer.train
     if train is None:
         return None
-    figure, (one,) = panels(height_in=2.6)
+    figure, (panel,) = panels(height_in=2.6)
     w, values = coherence(train)
-    one.semilogx(w, values, color=AFTER, label='command to rate')
+    panel.semilogx(w, values, color=AFTER, label='command to rate')
     reference = answer.rate_reference
     if reference is not None and _finite(reference, train):
         with_reference = replace(train, r=reference)
         w, values = coherence(with_reference, joint=True)
-        one.semilogx(w, values, color=PINK, ls='--', label='reference to rate')
-    one.axhline(COHERENT, color=MUTED, lw=0.8, ls=':')
-    trusted(one, answer)
-    one.set_ylim(0.0, 1.02)
-    finish([one], 'frequency, rad/s', 'squared coherence, 1')
+        panel.semilogx(w, values, color=PINK, ls='--', label='reference to rate')
+    panel.axhline(COHERENT, color=MUTED, lw=0.8, ls=':')
+    trusted(panel, answer)
+    panel.set_ylim(0.0, 1.02)
+    finish([panel], 'frequency, rad/s', 'squared coherence, 1')
     return Picture(
         'coherence', 'Coherence',
         f'1 means that the rate follows the command and nothing else. Above {COHERENT:g} the '

@@ -29,27 +29,27 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     if findings is None:
         return None
     problem = findings.problem
-    at = missing_torque.variables(missing_torque.Replay(problem, findings.after.fit))
-    names = [name for name in SHOWN if name in at]
+    variables = missing_torque.variables(missing_torque.Replay(problem, findings.after.fit))
+    names = [name for name in SHOWN if name in variables]
     figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False,
                           spacing=0.72)
     drawn, shown = False, scale(answer.units, 'left out', 'rad/s²')
     over = {name: scale(answer.units, 'acting command' if name == 'command' else name,
                         missing_torque.OVER[name][1]) for name in names}
-    for held, colour, _, label in runs(findings):
-        values = missing_torque.Replay(problem, held.fit).left_out()
-        for one, name in zip(axes, names, strict=True):
-            points = missing_torque.binned(at[name], values, problem.spans, problem.data.dt)
+    for held_out, colour, _, label in runs(findings):
+        values = missing_torque.Replay(problem, held_out.fit).left_out()
+        for panel, name in zip(axes, names, strict=True):
+            points = missing_torque.binned(variables[name], values, problem.spans, problem.data.dt)
             if points is None:
                 continue
             drawn = True
-            one.errorbar(over[name](points.x), shown(points.mean), Z99 * shown(points.spread),
-                         color=colour, label=label, marker='o', ms=3, capsize=1.5, lw=1.0,
-                         elinewidth=0.8)
-    for one, name in zip(axes, names, strict=True):
-        one.axhline(0.0, color=MUTED, lw=0.8)
-        one.set_xlabel(over[name].label)
-        one.set_ylabel(shown.label)
+            panel.errorbar(over[name](points.x), shown(points.mean), Z99 * shown(points.spread),
+                           color=colour, label=label, marker='o', ms=3, capsize=1.5, lw=1.0,
+                           elinewidth=0.8)
+    for panel, name in zip(axes, names, strict=True):
+        panel.axhline(0.0, color=MUTED, lw=0.8)
+        panel.set_xlabel(over[name].label)
+        panel.set_ylabel(shown.label)
     legend(axes[0])
     if not drawn:
         return None
@@ -74,29 +74,29 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
     rest = replay.left_out()
     figure, axes = panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False,
                           spacing=0.75)
-    for one, (index, part) in zip(axes, parts, strict=True):
+    for panel, (index, part) in zip(axes, parts, strict=True):
         shape = missing_torque.drawn(replay, index)
-        own = answer.units if shape.axis == answer.axis else units_of(shape.axis)
-        x, y = scale(own, *shape.over), scale(answer.units, *shape.label)
+        units = answer.units if shape.axis == answer.axis else units_of(shape.axis)
+        x, y = scale(units, *shape.over), scale(answer.units, *shape.label)
         weights = missing_torque.weight(replay, part)
         if weights is not None:
             points = missing_torque.binned(missing_torque.variable(replay, part),
                                            replay.added(index) + rest, findings.problem.spans,
                                            findings.data.dt, 25, weights)
             if points is not None:
-                one.errorbar(x(points.x), y(points.mean), Z99 * y(points.spread), color=INK,
-                             marker='o', ms=3, lw=0, elinewidth=0.8, capsize=1.5,
-                             label='data')
+                panel.errorbar(x(points.x), y(points.mean), Z99 * y(points.spread), color=INK,
+                               marker='o', ms=3, lw=0, elinewidth=0.8, capsize=1.5,
+                               label='data')
         if shape.plain is not None:
-            one.plot(x(shape.x), y(shape.plain), color=BEFORE, ls='--', lw=1.0, label='base')
-        one.fill_between(x(shape.x), y(shape.y - shape.band), y(shape.y + shape.band),
-                         color=AFTER, alpha=0.25, lw=0)
-        one.plot(x(shape.x), y(shape.y), color=AFTER, lw=1.6, label=part.effect.name)
+            panel.plot(x(shape.x), y(shape.plain), color=BEFORE, ls='--', lw=1.0, label='base')
+        panel.fill_between(x(shape.x), y(shape.y - shape.band), y(shape.y + shape.band),
+                           color=AFTER, alpha=0.25, lw=0)
+        panel.plot(x(shape.x), y(shape.y), color=AFTER, lw=1.6, label=part.effect.name)
         if shape.plain is None:
-            one.axhline(0.0, color=MUTED, lw=0.8)
-        one.set_xlabel(x.label)
-        one.set_ylabel(y.label)
-        legend(one)
+            panel.axhline(0.0, color=MUTED, lw=0.8)
+        panel.set_xlabel(x.label)
+        panel.set_ylabel(y.label)
+        legend(panel)
     return Picture(
         'effect_shape', 'The effect against the data',
         'Line: the fitted effect, its band 95 %. Points, where a single number can be read off '
@@ -115,19 +115,19 @@ def rivals(answer: AxisAnswer) -> Picture | None:
             lists.append([(effect.name, effect.probability), *others[:MAX_RIVALS]])
     if not lists:
         return None
-    rows = sum(len(one) for one in lists)
+    rows = sum(len(entries) for entries in lists)
     figure, axes = panels(len(lists), height_in=0.8 + 0.24 * rows + 0.35 * (len(lists) - 1),
-                          left_in=1.6, ratios=[len(one) for one in lists])
-    for one, entries in zip(axes, lists, strict=True):
+                          left_in=1.6, ratios=[len(entries) for entries in lists])
+    for panel, entries in zip(axes, lists, strict=True):
         names = [name for name, _ in entries][::-1]
         values = [p for _, p in entries][::-1]
         colours = [OTHER] * (len(entries) - 1) + [AFTER]
-        one.barh(names, values, color=colours, height=0.62)
-        for at, value in enumerate(values):
-            one.text(value + 0.012, at, f'{value:.2f}', va='center', fontsize=8)
-        one.set_xlim(0.0, 1.1)
-        one.grid(visible=False, axis='y')
-        one.set_ylabel('explanation')
+        panel.barh(names, values, color=colours, height=0.62)
+        for row, value in enumerate(values):
+            panel.text(value + 0.012, row, f'{value:.2f}', va='center', fontsize=8)
+        panel.set_xlim(0.0, 1.1)
+        panel.grid(visible=False, axis='y')
+        panel.set_ylabel('explanation')
     axes[-1].set_xlabel('probability, 1')
     return Picture(
         'rivals', 'Rival explanations',

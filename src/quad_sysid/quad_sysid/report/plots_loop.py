@@ -51,9 +51,9 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     if added:
         runs.insert(0, (loop.before, BEFORE, '--', 'base'))
     for simulated, colour, style, name in runs:
-        flown = of(simulated[shown])
-        axes[0].plot(time_s[shown], flown, color=colour, ls=style, label=name)
-        axes[1].plot(time_s[shown], flown - measured, color=colour, lw=0.8)
+        simulated_run = of(simulated[shown])
+        axes[0].plot(time_s[shown], simulated_run, color=colour, ls=style, label=name)
+        axes[1].plot(time_s[shown], simulated_run - measured, color=colour, lw=0.8)
     axes[1].margins(x=0.01)
     error = scale(answer.units, 'error', 'rad/s')
     unit = error.label.removeprefix('error, ')
@@ -101,14 +101,14 @@ def step_response(answer: AxisAnswer) -> Picture | None:
     axes[0].plot(time_s, factor * reference, color=GREEN, lw=1.0, label='reference')
     for name, gains, colour, style in sets:
         try:
-            flown = simulate_cascade(plant, gains, reference, model.dt)
+            response = simulate_cascade(plant, gains, reference, model.dt)
         except QuadSysidError:
             return None
-        if not np.isfinite(flown.angle).all():
+        if not np.isfinite(response.angle).all():
             return None
-        axes[0].plot(time_s, factor * flown.angle, color=colour, ls=style, lw=1.6,
+        axes[0].plot(time_s, factor * response.angle, color=colour, ls=style, lw=1.6,
                      label=name)
-        axes[1].plot(time_s, command(flown.control), color=colour, ls=style, lw=1.2)
+        axes[1].plot(time_s, command(response.control), color=colour, ls=style, lw=1.2)
     measured = _measured(answer)
     if measured is not None:
         axes[0].plot(measured.time_s, factor * size * measured.mean, color=MEASURED,
@@ -134,8 +134,8 @@ def _measured(answer: AxisAnswer) -> Response | None:
     findings, reference = answer.findings, answer.attitude_reference
     if findings is None or reference is None or (angle := findings.data.angle) is None:
         return None
-    good = np.isfinite(findings.data.rate)
-    return next(iter(responses(reference, angle, good, findings.data.dt, ANGLE)), None)
+    is_finite = np.isfinite(findings.data.rate)
+    return next(iter(responses(reference, angle, is_finite, findings.data.dt, ANGLE)), None)
 
 
 def open_loop_margins(answer: AxisAnswer) -> Picture | None:
@@ -157,9 +157,9 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
         axes[1].semilogx(omega, phase, color=colour, ls=style, lw=1.4)
         crossover = float(values.crossover_rad_s[0])
         if np.isfinite(crossover):
-            at = float(np.interp(np.log(crossover), np.log(omega), phase))
+            crossover_phase = float(np.interp(np.log(crossover), np.log(omega), phase))
             axes[0].plot([crossover], [1.0], 'o', ms=4, color=colour)
-            axes[1].plot([crossover], [at], 'o', ms=4, color=colour)
+            axes[1].plot([crossover], [crossover_phase], 'o', ms=4, color=colour)
         lines.append(f'{name}: phase margin {values.phase_margin_deg[0]:.0f} deg, gain margin '
                      f'{values.gain_margin_db[0]:.1f} dB, crossover {crossover:.3g} rad/s, peak '
                      f'sensitivity {values.peak_sensitivity[0]:.2f}')
@@ -168,11 +168,11 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
     axes[1].set_ylim(-540.0, 0.0)
     axes[1].set_yticks(range(-540, 1, 180))
     finish(axes, 'frequency, rad/s', 'loop gain, 1', 'phase, deg')
-    words = '; '.join(lines)
+    caption = '; '.join(lines)
     return Picture(
         'margins', 'The open loop and its margins',
-        f'Broken at the command; dots mark the crossover. {words[:1].upper()}{words[1:]}. For the '
-        'model itself, in wide motion; the table has the worst of all draws too.', figure,
+        f'Broken at the command; dots mark the crossover. {caption[:1].upper()}{caption[1:]}. '
+        'For the model itself, in wide motion; the table has the worst of all draws too.', figure,
     )
 
 

@@ -45,8 +45,8 @@ SHOWN_COHERENCE = 0.2
 
 def runs(findings: Findings) -> list[tuple[HeldOut, str, str, str]]:
     """The base and, where effects were added, the completed model."""
-    both = [(findings.before, BEFORE, '--', 'base'), (findings.after, AFTER, '-', 'completed')]
-    return both if findings.added else both[:1]
+    models = [(findings.before, BEFORE, '--', 'base'), (findings.after, AFTER, '-', 'completed')]
+    return models if findings.added else models[:1]
 
 
 def free_run(answer: AxisAnswer) -> Picture | None:
@@ -64,14 +64,14 @@ def free_run(answer: AxisAnswer) -> Picture | None:
     time_s, of = np.arange(a, b) * data.dt, scale(answer.units, 'rate', 'rad/s')
     figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
     axes[0].plot(time_s, of(data.rate[a:b]), color=INK, lw=1.0, label='measured')
-    for one, colour, style, name in runs(findings):
+    for held_out, colour, style, name in runs(findings):
         for w in range(first, last + 1):
-            at = np.arange(windows.starts[w], windows.starts[w] + windows.length)
-            wrong = one.errors[w]
+            index = np.arange(windows.starts[w], windows.starts[w] + windows.length)
+            wrong = held_out.errors[w]
             label = name if w == first else None
-            axes[0].plot(at * data.dt, of(data.rate[at] + wrong), color=colour, label=label,
+            axes[0].plot(index * data.dt, of(data.rate[index] + wrong), color=colour, label=label,
                          lw=1.3, ls=style)
-            axes[1].plot(at * data.dt, of(wrong), color=colour, lw=1.0)
+            axes[1].plot(index * data.dt, of(wrong), color=colour, lw=1.0)
     for w in range(first, last + 1):
         for panel in axes:
             panel.axvline(windows.starts[w] * data.dt, color=MUTED, lw=0.5, ls=':')
@@ -98,16 +98,16 @@ def horizon(answer: AxisAnswer) -> Picture | None:
     findings = answer.findings
     if findings is None or not findings.before.errors.size:
         return None
-    figure, (one,) = panels(height_in=2.6)
+    figure, (panel,) = panels(height_in=2.6)
     of = scale(answer.units, 'RMS error', 'rad/s')
     horizon_s = np.arange(findings.before.errors.shape[1]) * findings.data.dt
-    for held, colour, style, name in runs(findings):
-        growth = of(np.sqrt(np.mean(held.errors**2, axis=0)))
-        one.plot(horizon_s, growth, color=colour, ls=style, lw=1.6, label=name)
-    one.axhline(of.factor * findings.verdict.noise_floor, color=GREEN, lw=1, ls=':',
-                label='measurement noise')
-    one.set_ylim(bottom=0.0)
-    finish([one], 'time since the start of the window, s', of.label)
+    for held_out, colour, style, name in runs(findings):
+        growth = of(np.sqrt(np.mean(held_out.errors**2, axis=0)))
+        panel.plot(horizon_s, growth, color=colour, ls=style, lw=1.6, label=name)
+    panel.axhline(of.factor * findings.verdict.noise_floor, color=GREEN, lw=1, ls=':',
+                  label='measurement noise')
+    panel.set_ylim(bottom=0.0)
+    finish([panel], 'time since the start of the window, s', of.label)
     return Picture(
         'horizon', 'Error over the horizon',
         'How the prediction becomes worse: RMS over all held-out windows. Its mean square '
@@ -125,10 +125,11 @@ def bode(answer: AxisAnswer) -> Picture | None:
     figure, axes = panels(2, height_in=4.3, ratios=(1.25, 1.0))
     try:
         data = spa(train)
-        good = data.coherence > SHOWN_COHERENCE
-        axes[0].loglog(data.w[good], of(np.abs(data.response[good])), '.', ms=3.5, color=INK,
-                       label='data')
-        axes[1].semilogx(data.w[good], degrees(data.response[good]), '.', ms=3.5, color=INK)
+        coherent = data.coherence > SHOWN_COHERENCE
+        axes[0].loglog(data.w[coherent], of(np.abs(data.response[coherent])), '.', ms=3.5,
+                       color=INK, label='data')
+        axes[1].semilogx(data.w[coherent], degrees(data.response[coherent]), '.', ms=3.5,
+                         color=INK)
         w = w[w > 0.7 * data.w[0]]
     except QuadSysidError:
         axes[0].set_yscale('log')
@@ -141,12 +142,12 @@ def bode(answer: AxisAnswer) -> Picture | None:
     response = of.factor * base.response
     _curve(axes, w, response, Z99 * of(base.magnitude_std), Z99 * base.phase_std, AFTER, '-',
            'grey box')
-    for one in axes:
-        trusted(one, answer)
-        one.set_xscale('log')
-    seen = np.abs(response)
-    axes[0].set_ylim(max(float(seen.min()), 1e-4 * float(seen.max())) * 0.3,
-                     float(seen.max()) * 4.0)
+    for panel in axes:
+        trusted(panel, answer)
+        panel.set_xscale('log')
+    magnitude = np.abs(response)
+    axes[0].set_ylim(max(float(magnitude.min()), 1e-4 * float(magnitude.max())) * 0.3,
+                     float(magnitude.max()) * 4.0)
     axes[1].set_ylim(-720.0, 60.0)
     axes[1].set_yticks(range(-720, 61, 180))
     finish(axes, 'frequency, rad/s', of.label, 'phase, deg')
@@ -207,19 +208,19 @@ def correlations(answer: AxisAnswer) -> Picture | None:
             (0, test.lags[1:], test.autocorrelation[1:], test.autocorrelation_bound),
             (1, test.cross_lags, test.cross_correlation, test.cross_bound),
         ):
-            at = (lags + OFFSET * number) * findings.data.dt
-            axes[panel].vlines(at, 0.0, values, color=colour, lw=1.1)
-            axes[panel].plot(at, values, 's' if number == 0 else 'o', ms=2.4, color=colour,
+            lag_s = (lags + OFFSET * number) * findings.data.dt
+            axes[panel].vlines(lag_s, 0.0, values, color=colour, lw=1.1)
+            axes[panel].plot(lag_s, values, 's' if number == 0 else 'o', ms=2.4, color=colour,
                              label=name)
             for sign in (-1.0, 1.0):
                 axes[panel].axhline(sign * bound, color=colour, ls=style, lw=0.8)
             reach[panel] = max(reach[panel], 1.2 * float(np.max(np.abs(values))), 1.8 * bound)
-    for one, limit, label in zip(axes, reach, ('autocorrelation, 1', 'with command, 1'),
+    for row, limit, label in zip(axes, reach, ('autocorrelation, 1', 'with command, 1'),
                                  strict=True):
-        one.axhline(0.0, color=MUTED, lw=0.7)
-        one.set_ylim(-limit, limit)
-        one.set_ylabel(label)
-        one.set_xlabel('lag, s')
+        row.axhline(0.0, color=MUTED, lw=0.7)
+        row.set_ylim(-limit, limit)
+        row.set_ylabel(label)
+        row.set_xlabel('lag, s')
     legend(axes[0])
     texts = '; '.join(f'{name}: {_words(r.test)}' for r, name, _, _ in shown)
     return Picture(
@@ -243,15 +244,15 @@ def spectrum(answer: AxisAnswer) -> Picture | None:
     if not shown:
         return None
     of = scale(answer.units, 'error', '(rad/s)²/Hz')
-    figure, (one,) = panels(height_in=2.7)
+    figure, (panel,) = panels(height_in=2.7)
     for residual, name, colour, style in shown:
-        one.loglog(residual.frequency_hz[1:], of(residual.density[1:]), color=colour, ls=style,
-                   lw=1.2, label=name)
+        panel.loglog(residual.frequency_hz[1:], of(residual.density[1:]), color=colour, ls=style,
+                     lw=1.2, label=name)
     last = next((r for r, name, _, _ in shown if name == 'completed'), shown[0][0])
     for frequency, _ in last.peaks[:3]:
-        one.axvline(frequency, color=MUTED, lw=0.7, ls=':')
-        one.text(frequency, one.get_ylim()[0], f' {frequency:.1f} Hz', fontsize=8, va='bottom')
-    finish([one], 'frequency, Hz', of.label)
+        panel.axvline(frequency, color=MUTED, lw=0.7, ls=':')
+        panel.text(frequency, panel.get_ylim()[0], f' {frequency:.1f} Hz', fontsize=8, va='bottom')
+    finish([panel], 'frequency, Hz', of.label)
     peaks = ' Dotted: peaks over their surroundings.' if last.peaks else ''
     return Picture(
         'residual_spectrum', 'Spectrum of what is left',
@@ -266,17 +267,17 @@ def torque(answer: AxisAnswer) -> Picture | None:
     if not shown:
         return None
     of = scale(answer.units, 'torque / inertia', 'rad/s²')
-    figure, (one,) = panels(height_in=2.7)
+    figure, (panel,) = panels(height_in=2.7)
     for missing, name, colour in shown:
         time_s, values = np.asarray(missing.time_s), of(np.asarray(missing.acceleration))
         pieces = np.split(np.arange(time_s.size), np.flatnonzero(np.diff(time_s) > 1.0) + 1)
-        for number, at in enumerate(pieces):
-            one.plot(time_s[at], values[at], color=colour, lw=0.8,
-                     label='' if number else name)
+        for number, index in enumerate(pieces):
+            panel.plot(time_s[index], values[index], color=colour, lw=0.8,
+                       label='' if number else name)
     last = shown[-1][0]
     bound = Z99 * of.factor * last.expected_rms
-    one.axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of its noise')
-    finish([one], 'time, s', of.label)
+    panel.axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of its noise')
+    finish([panel], 'time, s', of.label)
     return Picture(
         'missing_torque', 'The torque that seems to be missing, over time',
         "The torque disturbance that the model's Kalman filter sees on held-out data. The green "

@@ -21,12 +21,12 @@ from quad_sysid.loop.cascade import TUNED, CascadeGains, contract_names, frequen
 from quad_sysid.loop.from_model import in_flight, loop_plant
 from quad_sysid.loop.linear import ComplexArray, loops_of
 from quad_sysid.model import AxisModel
-from quad_sysid.units import spoken
+from quad_sysid.units import in_units_of
 
 SCRIPT = Path(__file__).with_name('sliders.js')
 POINTS = 200
 SECONDS = 0.6
-"""Of the step, over half a period of the axis' trial."""
+"""Length of the step over half a period of the axis' trial."""
 STEP_RAD_S = 1.0
 """The step of the rate's reference, where the flight held no angle."""
 STICK_S = 0.02
@@ -49,7 +49,7 @@ def sliders(model: AxisModel, designed: Mapping[str, float]) -> str:
             f'<script type="application/json">{text}</script></div>'
             '<p class="small">The identified model, linear at wide motion, with the limits of the '
             'flight; margins are the smaller ones of wide motion and near rest. Noise: what of '
-            + spoken(model.units, 'the gyro') + ' reaches the command, beside the gains that '
+            + in_units_of(model.units, 'the gyro') + ' reaches the command, beside the gains that '
             'flew.</p>')
 
 
@@ -65,12 +65,12 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
         return None
     model, names = in_flight(model), [contract_names(axis)[field] for field in TUNED]
     stick = f'{axis}.rate.tpa_kp' in active  # a blackbox log holds the stick's rate, no angle's
-    flown = CascadeGains.from_mapping(
+    flown_gains = CascadeGains.from_mapping(
         {names[0]: 0.0, **active} | ({names[0]: 0.0} if stick else {}), axis)
     plant, omega = loop_plant(model), frequency_grid(model.dt, POINTS, 0.5)
     loops = loops_of([(plant, plant.trial.wide), (plant, plant.trial.near_rest)])
     rate, angle = loops.response(omega)
-    none = replace(flown, angle_kp=0.0, rate_kp=0.0, rate_ki=0.0, rate_kd=0.0, kff=0.0)
+    none = replace(flown_gains, angle_kp=0.0, rate_kp=0.0, rate_ki=0.0, rate_kd=0.0, kff=0.0)
 
     def part(**gains: Any) -> ComplexArray:
         return replace(none, **gains).response(omega, model.dt)
@@ -79,12 +79,12 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
     return {
         'axis': axis, 'dt': model.dt,
         'steps': round(SECONDS * plant.trial.half_period_s / model.dt),
-        'size': plant.trial.step if flown.angle_kp else STEP_RAD_S,
+        'size': plant.trial.step if flown_gains.angle_kp else STEP_RAD_S,
         'names': names,
-        'flown': [float(getattr(flown, field)) for field in TUNED],
-        'designed': [float(designed.get(name, getattr(flown, field)))
+        'flown': [float(getattr(flown_gains, field)) for field in TUNED],
+        'designed': [float(designed.get(name, getattr(flown_gains, field)))
                      for name, field in zip(names, TUNED, strict=True)] if designed else None,
-        'constants': {**_finite(flown.constants(model.dt)._asdict()),
+        'constants': {**_finite(flown_gains.constants(model.dt)._asdict()),
                       'kff_slope': active.get(f'{axis}.rate.kff_slope', 0.0)},
         'rise_s': STICK_S if f'{axis}.rate.kff_slope' in active else 1e-9,
         'a': _numbers(loops.a[0], 10), 'b': _numbers(loops.b[0], 10),
@@ -103,7 +103,7 @@ def _finite(constants: Mapping[str, float]) -> dict[str, float]:
 def _numbers(values: Any, digits: int = 6) -> Any:
     """Nested lists of so many significant digits."""
     if np.ndim(values):
-        return [_numbers(one, digits) for one in values]
+        return [_numbers(value, digits) for value in values]
     return float(f'{values:.{digits}g}')
 
 

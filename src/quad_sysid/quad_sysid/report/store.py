@@ -21,13 +21,13 @@ from quad_sysid.report.model_file import save_models, tree_of
 from quad_sysid.whole import URDF
 
 
-def free_folder(wanted: Path) -> Path:
+def free_folder(path: Path) -> Path:
     """`wanted`, or with .1, .2, … where that exists, so that nothing is overwritten."""
-    folder = wanted
+    folder = path
     number = 0
     while folder.exists():
         number += 1
-        folder = wanted.with_name(f'{wanted.name}.{number}')
+        folder = path.with_name(f'{path.name}.{number}')
     return folder
 
 
@@ -38,7 +38,7 @@ def clear(folder: Path) -> None:
     """
     drawn = folder / 'pictures'
     files = [folder / name for name in ('report.json', 'model.json', 'report.html', URDF)]
-    files += [drawn / f'{axis}_{one.name}.png' for axis in EVERY for one in plots.PICTURES]
+    files += [drawn / f'{axis}_{picture.name}.png' for axis in EVERY for picture in plots.PICTURES]
     try:
         for file in files:
             file.unlink(missing_ok=True)

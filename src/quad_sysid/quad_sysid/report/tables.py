@@ -51,9 +51,9 @@ class Table:
             + ''.join(_cell('td', c, v) for c, v in zip(classes, row, strict=True)) + '</tr>'
             for i, row in enumerate(self.rows)
         )
-        words = f'<p class="small">{escape(self.caption)}</p>' if self.caption else ''
+        caption = f'<p class="small">{escape(self.caption)}</p>' if self.caption else ''
         return (f'<div class="scroll"><table><thead><tr>{top}</tr></thead>'
-                f'<tbody>{body}</tbody></table></div>{words}')
+                f'<tbody>{body}</tbody></table></div>{caption}')
 
     def text(self, columns: Sequence[int] | None = None, below: int | None = None, *,
              caption: bool = True) -> list[str]:
@@ -64,21 +64,21 @@ class Table:
         cells = [[line[c] for c in shown] for line in (self.head, *self.rows)]
         widths = _widths(cells, [i for i, c in enumerate(shown) if c not in self.numeric])
         out = []
-        for at, line in enumerate(cells, -1):
+        for row, line in enumerate(cells, -1):
             broken = (textwrap.wrap(cell, width) if len(cell) > width else [cell]
                       for cell, width in zip(line, widths, strict=True))
             for k, parts in enumerate(zip_longest(*broken, fillvalue='')):
                 padded = (part.rjust(width) if c in self.numeric else part.ljust(width)
                           for part, width, c in zip(parts, widths, shown, strict=True))
-                mark = '*' if at == self.marked and not k else ' '
+                mark = '*' if row == self.marked and not k else ' '
                 out.append(mark + '  '.join(padded).rstrip())
-            if at >= 0 and below is not None:
-                out += wrapped(self.rows[at][below], '    ')
+            if row >= 0 and below is not None:
+                out += wrapped(self.rows[row][below], '    ')
         return out + wrapped(self.caption if caption else '', ' ')
 
 
 def _widths(cells: Sequence[Sequence[str]], words: Collection[int]) -> list[int]:
-    """Of the columns: where a line is too long the heads are broken, then one column of `words`.
+    """Widths of the columns: where a line is long heads are broken, then one column of `words`.
 
     That is the widest of those that can be broken between words.
     """
@@ -92,8 +92,8 @@ def _widths(cells: Sequence[Sequence[str]], words: Collection[int]) -> list[int]
     if over > 0 and words:
         longest = [max((len(word) for cell in column for word in cell.split()), default=0)
                    for column in columns]
-        at = max(words, key=lambda i: (longest[i] <= widths[i] - over, widths[i]))
-        widths[at] = max(NARROWEST, widths[at] - over)
+        widest = max(words, key=lambda i: (longest[i] <= widths[i] - over, widths[i]))
+        widths[widest] = max(NARROWEST, widths[widest] - over)
     return widths
 
 
@@ -134,7 +134,7 @@ def errors(tree: Tree) -> Table:
     """The held-out error of everything that predicts."""
     error = tree['error']
     same = error.get('reference') == error.get('after')
-    known = {**error, 'reference': None} if same else error
+    shown = {**error, 'reference': None} if same else error
     rows = [
         [name, number(error.get(key), 4), _span(error.get(f'{key}_interval_95')),
          number(error.get(f'one_step_{key}'), 4) if f'one_step_{key}' in error else '']
@@ -144,7 +144,7 @@ def errors(tree: Tree) -> Table:
                           ('measurement noise', 'noise_floor'),
                           ('in the loop, base', 'closed_loop_before'),
                           ('in the loop, completed', 'closed_loop_after'))
-        if known.get(key) is not None and (tree['effects'] or 'completed' not in name)
+        if shown.get(key) is not None and (tree['effects'] or 'completed' not in name)
     ]
     windows = f', {error["windows"]} windows' if error.get('windows') else ''
     return Table(['model', 'free run', '95 % interval', 'one step'],
@@ -198,13 +198,13 @@ def _outcome(model: Tree) -> str:
 
 def parameters(tree: Tree) -> Table:
     """Base alone and, where effects were added, completed, side by side."""
-    alone = tree['base']['parameters']
+    base = tree['base']['parameters']
     if not tree['effects']:
         return Table(['parameter', 'base', 'unit'],
-                     [[p['name'], _value(p), p['unit']] for p in alone], (1,),
+                     [[p['name'], _value(p), p['unit']] for p in base], (1,),
                      caption='± one standard error')
     after = {p['name']: p for p in tree.get('completed', {}).get('parameters', [])}
-    rows = [[p['name'], _value(p), _value(after.get(p['name'])), p['unit']] for p in alone]
+    rows = [[p['name'], _value(p), _value(after.get(p['name'])), p['unit']] for p in base]
     rows += [[f'{e["name"]}: {p["name"]}', '', _value(p), p['unit']]
              for e in tree['effects'] for p in e['parameters']]
     return Table(['parameter', 'base alone', 'completed', 'unit'], rows, (1, 2),

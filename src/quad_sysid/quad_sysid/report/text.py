@@ -32,8 +32,8 @@ def lines(report: Mapping[str, Any]) -> list[str]:
         parts.append(models.text(shown, outcome, caption=False))
         out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz']
         out += [line for part in parts if part for line in ('', *part)]
-    whole = tables.aircraft(report).text((0, 1, 2))
-    return [*out, '', *whole] if whole else out
+    lines = tables.aircraft(report).text((0, 1, 2))
+    return [*out, '', *lines] if lines else out
 
 
 def _verdict(tree: Mapping[str, Any]) -> list[str]:
@@ -57,8 +57,8 @@ def _details(tree: Mapping[str, Any]) -> list[str]:
         out += wrapped(f'your effect {name}: {outcome}')
     for names, because in tables.untested(tree).rows:
         out += wrapped(f'not tested: {names}: {because}')
-    for one in tree.get('outside', ()):
-        out += wrapped(f'held out: {Outside(**one)}')
+    for excess in tree.get('outside', ()):
+        out += wrapped(f'held out: {Outside(**excess)}')
     band = tree.get('trusted_band_rad_s')
     return [*out, f'  trusted from {band[0]:.2g} to {band[1]:.3g} rad/s'] if band else out
 

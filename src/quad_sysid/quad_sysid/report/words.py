@@ -8,7 +8,7 @@ from typing import Any
 from quad_sysid.axes import units_of
 from quad_sysid.errors import p_in_words
 from quad_sysid.model.identified import UNLISTED
-from quad_sysid.units import spoken, with_error
+from quad_sysid.units import in_units_of, with_error
 
 Tree = Mapping[str, Any]
 
@@ -79,8 +79,8 @@ def figure(key: str, axis: str) -> tuple[str, str, float]:
     units = units_of(axis)
     if units is None:
         return label, unit, factor
-    return spoken(units, label), *((units.motion, 1.0) if '_rad' in key and unit == 'deg'
-                                   else (unit, factor))
+    return in_units_of(units, label), *((units.motion, 1.0) if '_rad' in key and unit == 'deg'
+                                        else (unit, factor))
 
 
 FORMS = {'steps': 'motors that take their command in whole steps',
@@ -230,11 +230,12 @@ def horizon_words(error: Tree) -> str:
             f'{best["horizon_s"]:g} s ahead, off by {number(best["after"])} where holding is off '
             f'by {number(best["hold"])} {error["unit"]}.'
         )
-    at = next(h for h in listed if h['horizon_s'] == reach_s)
+    horizon = next(h for h in listed if h['horizon_s'] == reach_s)
     last = listed[-1]['horizon_s']
     beyond = '' if reach_s == last else f'; further ahead, up to {last:g} s, it predicts less well'
     return (f' It at least halves the error of holding the last value up to {reach_s:g} s ahead '
-            f'(off by {number(at["after"])} instead of {number(at["hold"])} {error["unit"]})'
+            f'(off by {number(horizon["after"])} instead of {number(horizon["hold"])} '
+            f'{error["unit"]})'
             f'{beyond}.')
 
 
@@ -248,8 +249,8 @@ def causes(tree: Tree) -> str:
         parts.append(f'{named(effect)}{of} explains {effect["explains_pct"]:.0f} %')
     if not parts:
         return ''
-    again = tree.get('reproducible', {})
-    least = min((again.get(effect['name'], 1.0) for effect in tree['effects']), default=1.0)
+    reproducible = tree.get('reproducible', {})
+    least = min((reproducible.get(effect['name'], 1.0) for effect in tree['effects']), default=1.0)
     finer = any(rung['effects'] != [e['name'] for e in tree['effects']]
                 for rung in tree.get('explanation', ())[-1:])
     text = (f'{joined(parts)} of what the base misses; found again in {100.0 * least:.0f} % of '

@@ -89,12 +89,12 @@ def _line(line: Line, every: int) -> dict[str, object]:
         padded = np.full(-(-len(values) // every) * every, np.nan)
         padded[:len(values)] = values
         bins = padded.reshape(-1, every)
-        some = np.isfinite(bins).any(axis=1)
-        least, most = (np.where(some, f(np.where(np.isfinite(bins), bins, fill), axis=1), np.nan)
+        drawn = np.isfinite(bins).any(axis=1)
+        least, most = (np.where(drawn, f(np.where(np.isfinite(bins), bins, fill), axis=1), np.nan)
                      for f, fill in ((np.min, np.inf), (np.max, -np.inf)))
         values = np.column_stack([least, most]).ravel()
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     offset, scale = 0.5 * (low + high), max((high - low) / (2.0 * MOST), 1e-12)
     coded = np.where(np.isfinite(values), np.round((np.nan_to_num(values) - offset) / scale), LOST)
     return {'name': line.name, 'colour': line.colour, 'every': every,

@@ -16,12 +16,11 @@ from quad_sysid.axes import EVERY
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import library
-from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Effect, Part
+from quad_sysid.model.effect import ActingEffect, Effect, Part
 from quad_sysid.separation.flight import Aircraft, Excitation, Flown, effect_of, fly
-from quad_sysid.separation.measure import Apart, Judged, judged
+from quad_sysid.separation.measure import Apart, JudgedFlight, judged
 from quad_sysid.signals import schedule
 from quad_sysid.signals.guard import Limits
 from quad_sysid.signals.waveforms import waveform
@@ -128,7 +127,7 @@ class Rival:
     """An effect of a given strength, or nothing."""
 
     name: str
-    acting: Placed | None = None
+    acting: ActingEffect | None = None
     variants: tuple[Effect, ...] = ()
     """Every effect of this name."""
 
@@ -162,8 +161,8 @@ class Row:
     @property
     def worst(self) -> Apart:
         """The harder of the two cases."""
-        known = [one for one in (self.first, self.second) if one is not None]
-        return min(known, key=lambda one: one.nats)
+        powers = [power for power in (self.first, self.second) if power is not None]
+        return min(powers, key=lambda power: power.nats)
 
 
 @dataclass(frozen=True)
@@ -225,14 +224,14 @@ def variants(name: str, effects: Sequence[Effect] = EFFECTS) -> tuple[Effect, ..
 
 def separate(aircraft: Aircraft, names: Names, seconds: float = 60.0,
              model: AxisModel | None = None, progress: Progress = lambda _: None,
-             own: Sequence[Effect] = ()) -> Separation:
+             own_effects: Sequence[Effect] = ()) -> Separation:
     """Rank flights of `seconds` by how well they separate two effects (one may be `nothing`).
 
     Strengths come from `model` where it has the effect; another effect is made just strong enough
     to be detected. `own` are effects of the caller that may be named too. Raises BadInputError for
     unknown names or a length out of range, NotInformativeError where no safe flight shows either.
     """
-    effects = library((*own, *(model.own_effects if model else ())))
+    effects = library((*own_effects, *(model.own_effects if model else ())))
     _check(names, seconds, effects)
     with threadpool_limits(limits=1):
         return _separate(aircraft, names, seconds, model, progress, effects)
@@ -258,7 +257,7 @@ def _separate(aircraft: Aircraft, names: Names, seconds: float, model: AxisModel
     progress(f'{aircraft.axis}: the candidate flights')
     candidates = list(family(aircraft.axis, length, pilot.excitation))
     linear = [row for row in flights.rows(candidates, progress) if row is not None]
-    refused = len(candidates) - len(linear)
+    rejected = len(candidates) - len(linear)
     linear += [pilot] * (pilot is not plain)
     linear.sort(key=lambda row: -row.worst.nats)
     progress(f'{aircraft.axis}: the best of them')
@@ -272,15 +271,15 @@ def _separate(aircraft: Aircraft, names: Names, seconds: float, model: AxisModel
     if plain.worst.score > NEARLY_BEST * rows[0].worst.score:
         rows.sort(key=lambda row: row is not plain)
     return Separation(aircraft, first, second, seconds, tuple(rows), plain, len(candidates),
-                      refused)
+                      rejected)
 
 
 def _pilot(plain: Row, helped: Sequence[Row | None]) -> Row:
     """The plain PRBS, with the pilot's additions where they help."""
-    known = [row for row in helped if row is not None]
-    best = max([plain, *known], key=lambda row: row.worst.nats)
+    rated = [row for row in helped if row is not None]
+    best = max([plain, *rated], key=lambda row: row.worst.nats)
     return next(
-        row for row in (plain, *known, best)
+        row for row in (plain, *rated, best)
         if row is best or row.worst.score > NEARLY_BEST * best.worst.score
     )
 
@@ -289,8 +288,8 @@ def _check(names: Names, seconds: float, effects: Sequence[Effect]) -> None:
     all_names = [NOTHING, *dict.fromkeys(e.name for e in effects)]
     for name in names:
         if name not in all_names:
-            near = [one for one in all_names if name in one][:3] or get_close_matches(
-                name, all_names)
+            near = [candidate for candidate in all_names if name in candidate][:3]
+            near = near or get_close_matches(name, all_names)
             raise BadInputError('--separate', 'unknown effect', repr(name), (
                 f'do you mean {" or ".join(near)}? ' if near else '')
                 + 'docs/what_is_missing.md lists the effects')
@@ -302,18 +301,19 @@ def _check(names: Names, seconds: float, effects: Sequence[Effect]) -> None:
 
 
 def _sized(aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation,
-           wanted: float, effects: Sequence[Effect]) -> tuple[Rival, Rival]:
+           target_nats: float, effects: Sequence[Effect]) -> tuple[Rival, Rival]:
     """Both rivals with their strengths; an unknown one gets as much evidence as the known."""
-    seen = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
+    judged_flight = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
     placed = [None if model is None else effect_of(model, name) for name in names]
-    evidence = max((seen.trace(one) for one in placed if one is not None), default=wanted)
+    evidence = max((judged_flight.trace(acting) for acting in placed if acting is not None),
+                   default=target_nats)
     out = []
-    for name, known in zip(names, placed, strict=True):
-        acting = known
+    for name, known_effect in zip(names, placed, strict=True):
+        acting = known_effect
         if acting is None and name != NOTHING:
-            part = _prepared(name, seen.problem.data, effects)
+            part = _prepared(name, judged_flight.problem.data, effects)
             price = PER_PARAMETER * min(len(part.effect.parameters), 4)
-            acting = seen.sized(part, max(evidence, wanted + price))
+            acting = judged_flight.sized(part, max(evidence, target_nats + price))
         out.append(Rival(name, acting, variants(name, effects)))
     return out[0], out[1]
 
@@ -334,40 +334,40 @@ class _Flights:
 
     def __init__(self, aircraft: Aircraft, first: Rival, second: Rival) -> None:
         self.aircraft, self.rivals = aircraft, (first, second)
-        self.seen: dict[int, tuple[Judged, Judged]] = {}
+        self.seen: dict[int, tuple[JudgedFlight, JudgedFlight]] = {}
 
     def rows(self, excitations: Sequence[Excitation],
              progress: Progress = lambda _: None) -> list[Row | None]:
         """Each excitation by linear scores; None where it is unsafe or moves too little."""
         if not excitations:
             return []
-        flown = [
+        flights = [
             fly(self.aircraft, (*self.aircraft.acting, *([r.acting] if r.acting else [])),
                 excitations)
             for r in self.rivals
         ]
         out: list[Row | None] = []
-        for number, (excitation, *pair) in enumerate(zip(excitations, *flown, strict=True), 1):
+        for number, (excitation, *pair) in enumerate(zip(excitations, *flights, strict=True), 1):
             progress(f'{self.aircraft.axis}: flight {number} of {len(excitations)}')
             out.append(self._row(excitation, pair))
         return out
 
     def _row(self, excitation: Excitation, pair: Sequence[Flown]) -> Row | None:
-        peak = max(one.peak_angle for one in pair)
+        peak = max(flight.peak_angle for flight in pair)
         if not peak <= ANGLE_SHARE * Limits().angle_rad:
             return None
         seen = judged(self.aircraft, pair[0].data), judged(self.aircraft, pair[1].data)
         if not (seen[0].identified and seen[1].identified):
             return None
         self.seen[id(excitation)] = seen
-        row = Row(excitation, None, None, peak, max(one.rate_rms for one in pair))
-        return self._weighed(row, Judged.linear)
+        row = Row(excitation, None, None, peak, max(flight.rate_rms for flight in pair))
+        return self._weighed(row, JudgedFlight.linear)
 
     def fitted(self, row: Row) -> Row:
         """The same row, judged by fits."""
-        return self._weighed(row, Judged.fitted)
+        return self._weighed(row, JudgedFlight.fitted)
 
-    def _weighed(self, row: Row, evidence: Callable[[Judged, Sequence[Part]], float]) -> Row:
+    def _weighed(self, row: Row, evidence: Callable[[JudgedFlight, Sequence[Part]], float]) -> Row:
         ways: list[Apart | None] = []
         for seen, true, other in zip(self.seen[id(row.excitation)], self.rivals, self.rivals[::-1],
                                      strict=True):
@@ -375,9 +375,9 @@ class _Flights:
             if true.acting is None:
                 ways.append(None)
                 continue
-            own = evidence(seen, [true.acting.part])
-            others = evidence(seen, other.parts(data))
+            nats = evidence(seen, [true.acting.part])
+            other_nats = evidence(seen, other.parts(data))
             seconds = sum(b - a for a, b in seen.problem.spans) * data.dt
-            share = 1.0 if own <= 0.0 else min(max(others / own, 0.0), 1.0)
-            ways.append(Apart(own - others, share, seconds))
+            share = 1.0 if nats <= 0.0 else min(max(other_nats / nats, 0.0), 1.0)
+            ways.append(Apart(nats - other_nats, share, seconds))
         return replace(row, first=ways[0], second=ways[1])

@@ -15,12 +15,12 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.from_model import Placed, placed
+from quad_sysid.loop.from_model import acting_effect
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, NoiseEstimate
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Signals, required
+from quad_sysid.model.effect import ActingEffect, Signals, required
 from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.signals import schedule
@@ -47,7 +47,7 @@ class Aircraft:
     theta: FloatArray
     """(5,) gain, lag, delay, damping, bias."""
     gains: CascadeGains
-    acting: tuple[Placed, ...] = ()
+    acting: tuple[ActingEffect, ...] = ()
     """The effects that are no rivals."""
     dt: float = PAPER_DT
     """Control cycle, s."""
@@ -73,7 +73,7 @@ def aircraft_of(model: AxisModel, less: str, source: str) -> Aircraft:
     if model.law is not None:
         raise BadInputError('separate', 'flies the built-in base only', model.law.name,
                             'design_experiment takes a base of your own')
-    known = f'{model.axis}.rate.kp' in model.active_gains
+    has_gains = f'{model.axis}.rate.kp' in model.active_gains
     theta = np.array([model.value(spec.name) for spec in BASE])
     if not theta[0] > 0.0:
         raise BadInputError(source,
@@ -81,17 +81,17 @@ def aircraft_of(model: AxisModel, less: str, source: str) -> Aircraft:
                             f'{theta[0]:.4g}', 'check mixer and gyro, identify again')
     return Aircraft(
         axis=model.axis, theta=theta,
-        acting=tuple(placed(model, effect) for effect in model.effects if effect.name != less),
-        gains=CascadeGains.from_mapping(model.active_gains, model.axis) if known
+        acting=tuple(acting_effect(model, e) for e in model.effects if e.name != less),
+        gains=CascadeGains.from_mapping(model.active_gains, model.axis) if has_gains
         else CascadeGains.default(model.axis),
         dt=model.dt, gyro_filter_hz=model.gyro_filter_hz, noise=model.noise or PAPER_NOISE,
         battery_v=model.mean_battery_v or VOLTS, craft=model.craft, source=source,
     )
 
 
-def effect_of(model: AxisModel, name: str) -> Placed | None:
+def effect_of(model: AxisModel, name: str) -> ActingEffect | None:
     """One effect of a model; None without it."""
-    return next((placed(model, effect) for effect in model.effects if effect.name == name), None)
+    return next((acting_effect(model, e) for e in model.effects if e.name == name), None)
 
 
 LEAD_S = 1.0
@@ -149,7 +149,7 @@ class Flown:
         return float(np.sqrt(np.mean(self.data.rate**2)))
 
 
-def fly(aircraft: Aircraft, acting: Sequence[Placed],
+def fly(aircraft: Aircraft, acting: Sequence[ActingEffect],
         excitations: Sequence[Excitation]) -> list[Flown]:
     """Each excitation simulated from rest with the effects `acting` and the aircraft's noise."""
     added = [e.added(aircraft.dt) for e in excitations]
@@ -158,36 +158,36 @@ def fly(aircraft: Aircraft, acting: Sequence[Placed],
     return _flown(aircraft, acting, around, [a[:, :n] for a in added])
 
 
-def _flown(aircraft: Aircraft, acting: Sequence[Placed], around: Sequence[AxisData],
+def _flown(aircraft: Aircraft, acting: Sequence[ActingEffect], around: Sequence[AxisData],
            added: Sequence[FloatArray]) -> list[Flown]:
     """Flights with what goes on around them, and the excitation (3, n) of each."""
     plant = plant_like(
-        aircraft.axis, np.concatenate([aircraft.theta, *(one.p for one in acting)]), aircraft.dt,
+        aircraft.axis, np.concatenate([aircraft.theta, *(e.p for e in acting)]), aircraft.dt,
         aircraft.gyro_filter_hz, craft=aircraft.craft,
-        structure=Structure(tuple(one.part for one in acting)),
+        structure=Structure(tuple(effect.part for effect in acting)),
     )
     torque, gyro = _noise(aircraft, added[0].shape[1])
     wanted, at_rate, at_control = np.stack(added, axis=1)
     run = simulate_cascade(
         [replace(plant, around=_known(data), steady=False) for data in around], aircraft.gains,
         wanted, aircraft.dt, gyro, torque, rate_excitation=at_rate, control_excitation=at_control)
-    flown = []
+    flights = []
     for i, data in enumerate(around):
         control = data.control.copy()
         control[:, data.index + 1] = run.control[i]
-        flown.append(Flown(
+        flights.append(Flown(
             replace(data, rate=run.rate[i], angle=run.angle[i], control=control,
                     motors=data.craft.commands(control)),
             float(np.nan_to_num(np.max(np.abs(run.angle[i])), nan=np.inf))))
-    return flown
+    return flights
 
 
 def _known(data: AxisData) -> Signals:
     """What is known of a flight before it is flown."""
-    others = [i + 1 for i in range(3) if i != data.index]
+    other_axes = [i + 1 for i in range(3) if i != data.index]
     return Signals.at_rest(
         data.clock + 0.5 * data.dt, data.control[:, 0], battery_v=data.battery_v,
-        other_commands=tuple(data.control[:, others].T), other_rates=tuple(data.other_rates.T),
+        other_commands=tuple(data.control[:, other_axes].T), other_rates=tuple(data.other_rates.T),
         other_angles=tuple(required(data.other_angles).T),
     )
 
@@ -202,10 +202,10 @@ def _noise(aircraft: Aircraft, n: int) -> tuple[FloatArray, FloatArray]:
     after = noise.ratios['after'] * noise.gyro_rms * rng.standard_normal(n)
     step = sensor_of(aircraft.gyro_filter_hz, None, dt).step
     move, take = step[:, :2], step[:, 2:].sum(axis=1)
-    state, held = np.zeros(2), 0.0
+    state, gust_state = np.zeros(2), 0.0
     for k in range(n):
-        held = fade * held + gust[k]
-        torque[k] += held
+        gust_state = fade * gust_state + gust[k]
+        torque[k] += gust_state
         if aircraft.gyro_filter_hz is not None:
             state = move @ state + take * gyro[k]
             gyro[k] = state[0] + after[k]
@@ -244,7 +244,7 @@ def _stirred(axis: str, dt: float, n: int) -> tuple[FloatArray, FloatArray]:
         added[0] += 0.5 * np.deg2rad(PILOT_DEG) * np.sin(
             2.0 * np.pi * (1.0 + 0.17 * phase) * f * t + i + phase
         )
-    own = Aircraft(axis, np.array(PAPER[axis]), CascadeGains.default(axis), dt=dt)
-    still = _surroundings(own, Excitation(schedule.Part('train', n * dt)), n)
-    (flown,) = _flown(own, (), [still], [added])
-    return flown.data.rate, flown.data.command
+    aircraft = Aircraft(axis, np.array(PAPER[axis]), CascadeGains.default(axis), dt=dt)
+    still = _surroundings(aircraft, Excitation(schedule.Part('train', n * dt)), n)
+    (flight,) = _flown(aircraft, (), [still], [added])
+    return flight.data.rate, flight.data.command

@@ -17,9 +17,8 @@ from scipy import special
 
 from quad_sysid.discover.screen import Score, screen
 from quad_sysid.estimate.fit import Fit, Problem, fit
-from quad_sysid.loop.from_model import Placed
 from quad_sysid.model.data import AxisData
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import ActingEffect, Part
 from quad_sysid.model.structure import BASE, NOISE, Structure, coordinates
 from quad_sysid.separation.flight import Aircraft
 
@@ -61,12 +60,12 @@ class Apart:
 
     def seconds_for(self, probability: float) -> float:
         """Length of flight, s, for this probability."""
-        wanted = 2.0 * float(special.ndtri(probability)) ** 2
-        return math.inf if self.nats <= 0.0 else self.seconds * wanted / self.nats
+        nats = 2.0 * float(special.ndtri(probability)) ** 2
+        return math.inf if self.nats <= 0.0 else self.seconds * nats / self.nats
 
 
 @dataclass
-class Judged:
+class JudgedFlight:
     """A flight with its model fitted without the rivals, for their comparison."""
 
     problem: Problem
@@ -85,16 +84,16 @@ class Judged:
         fresh = [part for part in parts if part.effect.label not in self.scores]
         for score in screen(self.problem, self.base, fresh) if fresh else []:
             self.scores[score.part.effect.label] = score
-        known = [self.scores.get(part.effect.label) for part in parts]
-        return max((s.nats for s in known if s is not None), default=0.0)
+        scores = [self.scores.get(part.effect.label) for part in parts]
+        return max((s.nats for s in scores if s is not None), default=0.0)
 
     def fitted(self, parts: Sequence[Part]) -> float:
         """The same by fits of the two that the linear step ranks first."""
         self.linear(parts)
-        known = [s for s in (self.scores.get(p.effect.label) for p in parts) if s is not None]
+        scores = [s for s in (self.scores.get(p.effect.label) for p in parts) if s is not None]
         best = 0.0
         count = self.base.theta.size - len(NOISE)
-        for score in sorted(known, key=lambda s: -s.nats)[:2]:
+        for score in sorted(scores, key=lambda s: -s.nats)[:2]:
             for start in score.starts:
                 theta = np.r_[self.base.theta[:count], start, self.base.theta[count:]]
                 structure = self.base.structure.plus(score.part)
@@ -105,26 +104,26 @@ class Judged:
                 best = max(best, fitted.evidence - self.base.evidence)
         return best
 
-    def trace(self, one: Placed) -> float:
+    def trace(self, acting: ActingEffect) -> float:
         """Evidence for an effect on this flight, nats, beyond what the base can explain."""
         flight, base = self.problem.flight, self.base
         count = base.theta.size - len(NOISE)
         values = base.values
         plain = flight.pushed(base.structure, values, base.rate)
-        more = np.r_[values[:count], one.p, values[count:]]
-        added = flight.pushed(base.structure.plus(one.part), more, base.rate)
+        more = np.r_[values[:count], acting.p, values[count:]]
+        added = flight.pushed(base.structure.plus(acting.part), more, base.rate)
         rows = self.problem.rows
         difference = np.mean(added.known - plain.known, axis=0)
         difference = difference + (added.slope - plain.slope) * base.rate
         columns = np.ascontiguousarray(difference[:, None])
         out = flight.responses(columns, plain.slope, base.prediction.filters)
-        own = np.vstack([np.asarray(base.prediction.jacobian)[rows] / base.tail.scale,
-                         np.linalg.cholesky(base.precision).T])
-        q = np.linalg.qr(own)[0][: rows.size]
+        jacobian = np.vstack([np.asarray(base.prediction.jacobian)[rows] / base.tail.scale,
+                              np.linalg.cholesky(base.precision).T])
+        q = np.linalg.qr(jacobian)[0][: rows.size]
         c = out[rows, 0] / base.tail.scale
         return 0.5 * float(c @ c - np.sum((q.T @ c) ** 2))
 
-    def sized(self, part: Part, wanted: float) -> Placed:
+    def sized(self, part: Part, target_nats: float) -> ActingEffect:
         """The effect at about the strength that gives `wanted` nats on this flight.
 
         Parameters that are zero without the effect are scaled (several in a direction drawn from
@@ -145,28 +144,28 @@ class Judged:
             scale = 0.1
             for _ in range(8):
                 p[free] = scale * direction
-                nats = self.trace(Placed(part, p))
-                scale *= float(np.clip(math.sqrt(wanted / max(nats, 1e-12)), 0.05, 20.0))
+                nats = self.trace(ActingEffect(part, p))
+                scale *= float(np.clip(math.sqrt(target_nats / max(nats, 1e-12)), 0.05, 20.0))
             p[free] = scale * direction
-            return Placed(part, p)
+            return ActingEffect(part, p)
         spread = specs[0].spread or 1.0
         reach = np.linspace(-REACH, REACH, GRID)
         grid = p[0] * np.exp(reach) if specs[0].log else p[0] + 0.5 * spread * reach
-        levels = [self.trace(Placed(part, np.r_[value, p[1:]])) for value in grid]
-        misses = np.abs(np.log(np.maximum(levels, 1e-12) / wanted))
-        return Placed(part, np.r_[grid[int(np.argmin(misses))], p[1:]])
+        levels = [self.trace(ActingEffect(part, np.r_[value, p[1:]])) for value in grid]
+        misses = np.abs(np.log(np.maximum(levels, 1e-12) / target_nats))
+        return ActingEffect(part, np.r_[grid[int(np.argmin(misses))], p[1:]])
 
 
-def judged(aircraft: Aircraft, data: AxisData) -> Judged:
+def judged(aircraft: Aircraft, data: AxisData) -> JudgedFlight:
     """Fit the model without the rivals to a flight, from the aircraft's own values."""
     problem = Problem(data, data.train)
     noise = aircraft.noise
     base = coordinates(BASE, aircraft.theta, 1e-4)
-    known = np.log([max(noise.ratios.get(s.name, math.exp(s.centre)), 1e-3) for s in NOISE])
-    fitted = fit(problem, Structure(), np.r_[base, known])
+    noise_theta = np.log([max(noise.ratios.get(s.name, math.exp(s.centre)), 1e-3) for s in NOISE])
+    fitted = fit(problem, Structure(), np.r_[base, noise_theta])
     problem.measure(fitted)
     if aircraft.acting:
-        structure = Structure(tuple(one.part for one in aircraft.acting))
-        own = [coordinates(one.effect.parameters, one.p) for one in aircraft.acting]
-        fitted = fit(problem, structure, np.concatenate([base, *own, known]))
-    return Judged(problem, fitted)
+        structure = Structure(tuple(acting.part for acting in aircraft.acting))
+        values = [coordinates(acting.effect.parameters, acting.p) for acting in aircraft.acting]
+        fitted = fit(problem, structure, np.concatenate([base, *values, noise_theta]))
+    return JudgedFlight(problem, fitted)

@@ -72,41 +72,42 @@ def why(result: Separation) -> str:
     harder = result.first if best.worst is best.first else result.second
     other = result.second if best.worst is best.first else result.first
     matched = plain.first if best.worst is best.first else plain.second
-    words = f'Fly {name_of(best.excitation)}: '
+    sentence = f'Fly {name_of(best.excitation)}: '
     if best is plain:
-        return words + 'no candidate separates them better than the plain PRBS.'
+        return sentence + 'no candidate separates them better than the plain PRBS.'
     if other.acting is None:
-        words += f'the evidence for {harder.name} is '
+        sentence += f'the evidence for {harder.name} is '
     else:
         share = best.worst.mimicked
-        words += (f'in this flight {other.name} cannot imitate {harder.name}' if share < NONE else
-                  f'{other.name} explains {share:.0%} of the evidence for {harder.name}')
+        sentence += (f'in this flight {other.name} cannot imitate {harder.name}'
+                     if share < NONE else
+                     f'{other.name} explains {share:.0%} of the evidence for {harder.name}')
         if matched is not None and matched.mimicked > share + NOTICED:
-            words += f', with the plain PRBS it explains {matched.mimicked:.0%}'
-        words += '; the evidence between them is '
+            sentence += f', with the plain PRBS it explains {matched.mimicked:.0%}'
+        sentence += '; the evidence between them is '
     more = f'{gain:.1f} times that' if gain < 1e3 else 'far more than that'
-    words += (f'{more} of the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '
-              f'{math.degrees(best.peak_angle):.0f}°; PRBS {plain.rate_rms:.2f} rad/s and '
-              f'{math.degrees(plain.peak_angle):.0f}°).')
+    sentence += (f'{more} of the plain PRBS (rate {best.rate_rms:.2f} rad/s RMS, angle up to '
+                 f'{math.degrees(best.peak_angle):.0f}°; PRBS {plain.rate_rms:.2f} rad/s and '
+                 f'{math.degrees(plain.peak_angle):.0f}°).')
     if best.worst.over(result.seconds).probability < CERTAIN:
-        words += (
+        sentence += (
             f' {result.seconds:g} s are not enough for {100 * CERTAIN:.0f} %: '
             f'fly {_seconds(best.worst.seconds_for(CERTAIN))}, in several flights if need be.'
         )
-    return words + pilot_of(best.excitation)
+    return sentence + pilot_of(best.excitation)
 
 
 def pilot_of(excitation: Excitation) -> str:
     """What the pilot does during training, which no schedule contains."""
-    words = ''
+    sentence = ''
     if excitation.throttle_steps:
-        words += (
+        sentence += (
             f' Meanwhile the pilot steps the throttle by {2 * THROTTLE_STEP:g} up and down every '
             f'{THROTTLE_STEP_S:g} s.'
         )
     if excitation.others_move:
-        words += ' Meanwhile the pilot moves the other two axes, by some 8° each.'
-    return words
+        sentence += ' Meanwhile the pilot moves the other two axes, by some 8° each.'
+    return sentence
 
 
 def name_of(excitation: Excitation) -> str:
@@ -135,8 +136,8 @@ def name_of(excitation: Excitation) -> str:
 
 def _row(number: str, row: Row, seconds: float) -> str:
     worst = row.worst.over(seconds)
-    nats = ('-' if one is None else f'{one.over(seconds).nats:.1f}'
-            for one in (row.first, row.second))
+    nats = ('-' if power is None else f'{power.over(seconds).nats:.1f}'
+            for power in (row.first, row.second))
     return ROW.format(number, name_of(row.excitation), f'{math.degrees(row.peak_angle):.0f}',
                       *nats, f'{worst.probability:.2f}', _seconds(worst.seconds_for(CERTAIN)))
 

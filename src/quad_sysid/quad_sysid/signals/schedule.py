@@ -13,7 +13,8 @@ from itertools import accumulate, pairwise
 
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
-from quad_sysid.errors import BadInputError, shortened
+from quad_sysid.errors import BadInputError
+from quad_sysid.one_line import shortened
 from quad_sysid.record import ROLES
 from quad_sysid.signals.waveforms import Silence, Waveform, parameter_names, waveform
 
@@ -167,13 +168,13 @@ def _part(entry: object, where: str, ramp_s: float) -> Part:
         _mapping(entry, where, PART_KEYS, 'an idle segment')
         return Part(role, duration, axis=axis, injection=injection)
     key, unit, default, limit = AMPLITUDES[injection]
-    own = {k: v for k, v in entry.items() if k not in PART_KEYS and k != key}
-    if any(str(k).startswith('amplitude') for k in own):
+    values = {k: v for k, v in entry.items() if k not in PART_KEYS and k != key}
+    if any(str(k).startswith('amplitude') for k in values):
         raise BadInputError(where, f'the amplitude of injection {injection} is {key}',
-                            ', '.join(map(str, own)))
+                            ', '.join(map(str, values)))
     if signal == 'chirp':
-        own.setdefault('sweep_s', duration)
-    shape = waveform(signal, own, where)
+        values.setdefault('sweep_s', duration)
+    shape = waveform(signal, values, where)
     return Part(role, duration, signal, axis, injection,
                 amplitude=unit * _number(entry, key, default, where, 0.0, limit),
                 ramp_s=_number(entry, 'ramp_s', ramp_s, where, 0.0, duration / 2.0),

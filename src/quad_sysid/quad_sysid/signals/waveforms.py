@@ -15,7 +15,8 @@ from typing import Protocol
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.errors import BadInputError, shortened
+from quad_sysid.errors import BadInputError
+from quad_sysid.one_line import shortened
 
 TAPS: dict[int, tuple[int, ...]] = {2: (2, 1), 3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5),
                                     7: (7, 6), 8: (8, 6, 5, 4), 9: (9, 5), 10: (10, 7),
@@ -186,16 +187,16 @@ def waveform(name: str, parameters: Mapping[str, object], where: str) -> Wavefor
     if name not in SIGNALS:
         raise BadInputError(where, 'signal is unknown', repr(name), f'use {", ".join(SIGNALS)}')
     kind = SIGNALS[name]
-    known = parameter_names(name)
-    strange = [key for key in parameters if key not in known]
+    names = parameter_names(name)
+    strange = [key for key in parameters if key not in names]
     if strange:
         raise BadInputError(where, f'unknown key {shortened(", ".join(strange))} for {name}',
-                            remedy=f'it takes {", ".join(known) or "none"}')
+                            remedy=f'it takes {", ".join(names) or "none"}')
     numbers = {key: _number(value, key, where) for key, value in parameters.items()}
     try:
         built: Waveform = kind(**numbers)
     except TypeError as error:
-        absent = [f for f in known if f not in numbers and f != 'seed']
+        absent = [f for f in names if f not in numbers and f != 'seed']
         raise BadInputError(where, f'signal {name} needs {", ".join(absent)}',
                             remedy='add it') from error
     try:

@@ -6,14 +6,17 @@ rosbags reads sqlite3 files; here is only the check whether SQLite can still rea
 from __future__ import annotations
 
 import fcntl
+import os
 import shutil
 import sqlite3
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
+from .records import MAGIC
 from .scan import UNPACK_ERRORS
 
 if sys.version_info >= (3, 14):
@@ -28,16 +31,27 @@ SQLITE_MAGIC = b'SQLite format 3\x00'
 
 
 RECORDING = 'is still being recorded'
+RECENT_S = 5.0
+"""A file without its end that has changed since may be in the hands of another recorder."""
 
 
-def is_recorded(file: Path) -> bool:
-    """Whether a logger of ours still writes this file: it keeps it locked."""
+def recording_state(file: Path) -> str:
+    """Whether a recorder still writes this file, in words; empty where none does.
+
+    Our logger keeps its file locked. Others do not: theirs is an mcap file without its end that
+    changed a moment ago.
+    """
     try:
         with file.open('rb') as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            if stream.read(len(MAGIC)) != MAGIC:
+                return ''
+            stream.seek(-len(MAGIC), os.SEEK_END)
+            ended = stream.read() == MAGIC and stream.tell() > len(MAGIC)
     except OSError as error:
-        return isinstance(error, BlockingIOError)
-    return False
+        return RECORDING if isinstance(error, BlockingIOError) else ''
+    recent = abs(time.time() - file.stat().st_mtime) < RECENT_S
+    return f'{RECORDING}, or its recorder was killed' if recent and not ended else ''
 
 
 def plain_message(data: bytes) -> bytes:

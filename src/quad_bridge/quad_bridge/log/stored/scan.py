@@ -138,12 +138,12 @@ class McapScan:
         batch: dict[str, list[bytes]] = {}
         sinks: dict[int, list[bytes]] = {}
         for content in self.contents():
-            position, whole = 0, len(content)
-            end = whole - RECORD.size - 2
+            position, size = 0, len(content)
+            end = size - RECORD.size - 2
             while position < end:
                 opcode, length, channel = unpack(content, position)
                 begin, position = position, position + RECORD.size + length
-                if position > whole:  # of a chunk without a checksum
+                if position > size:  # of a chunk without a checksum
                     break
                 if opcode == MESSAGE:
                     if channel in sinks:
@@ -197,8 +197,8 @@ class McapScan:
         """Whether the messages of the file are in chunks."""
         header = end_of(self.data, len(MAGIC), stop)
         second = next_record(self.data, len(MAGIC), stop, plain=False)
-        starts = [at for at in (header, second) if at is not None and at < stop]
-        return any(self.data[at] in {CHUNK, MESSAGE_INDEX} for at in starts)
+        starts = [offset for offset in (header, second) if offset is not None and offset < stop]
+        return any(self.data[offset] in {CHUNK, MESSAGE_INDEX} for offset in starts)
 
     def _next(self, before: int, position: int, stop: int) -> int:
         """Start of the record that follows the one before, but not at `position`; or `stop`."""
@@ -230,8 +230,8 @@ class McapScan:
         """Whole messages of the last chunk, if its end is missing or was never written."""
         name, packed = _packed(self.data, position, len(self.data))
         written, content = packed.rstrip(b'\0'), b''
-        there = len(self.data) - position - RECORD.size - (len(packed) - len(written))
-        if not written or RECORD.unpack_from(self.data, position)[1] <= there:
+        missing = len(self.data) - position - RECORD.size - (len(packed) - len(written))
+        if not written or RECORD.unpack_from(self.data, position)[1] <= missing:
             return b''  # it is all there, and damaged
         with suppress(*UNPACK_ERRORS, KeyError):
             content = bytes(_UNPACK_PART[name](written))

@@ -1,0 +1,1 @@
+../../quad_bridge/quad_bridge/one_line.py
