@@ -155,7 +155,7 @@ def test_a_search_that_stands_before_a_kink_ends_there():
         x, y = some.T
         return np.stack([(x - 0.8)**2 + 0.3 * (y - 0.5)**2, 0.4 - x - np.abs(y - x - 0.05)], 1)
 
-    end = pid._slsqp(judged, np.array([0.5, 0.5]))
+    end = pid._slsqp(judged, np.array([0.5, 0.5]), np.zeros(2))
     np.testing.assert_allclose(end, [0.4, 0.45], atol=1e-3)
     assert len(points) < 110
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -59,8 +59,8 @@ MIN_DISTANCE = 0.11
 SHAPE = [0, 1, 3]
 DIFFERENCE = 5e-4
 STALLED = 2e-5
-"""Way in the cube, over two iterations, of a search that stands before a kink and would do so until
-its iterations are used up; after a single step of this kind it may start afresh."""
+"""Way in the cube over two iterations of a search that stands before a kink, as it would until its
+iterations are used up; a single step as short may be followed by longer ones."""
 WORST = 6
 """Loops added per requirement and round."""
 ROUNDS = 6
@@ -283,14 +283,15 @@ def _polish(problem: Problem, start: FloatArray) -> tuple[float, FloatArray] | N
     chosen = np.zeros(0, dtype=np.int64)
     x = start
     for _ in range(ROUNDS):
-        wider = np.union1d(chosen, _worst(problem, *problem.gains(x[None]), WORST))
+        (gains,) = problem.gains(x[None])
+        wider = np.union1d(chosen, _worst(problem, gains, WORST))
         if wider.size == chosen.size:
             return None  # the loops that fall short were all taken up already
         chosen = wider
         loops = problem.ensemble.subset(chosen)
         # a little is kept back, so that the optimiser's tolerance does not break a margin
         kept = np.repeat([0.0, 1e-3, 2e-3], [1, NOMINAL, 3 * chosen.size])
-        x = _slsqp(lambda points, loops=loops, kept=kept: problem.judged(loops, points) - kept, x)
+        x = _slsqp(partial(problem.judged, loops), x, kept)
         value, *reserves = problem.judged(loops, x[None])[0]
         if min(reserves) < -INFEASIBLE:
             return None  # what a part of the loops forbids, all of them forbid
@@ -305,16 +306,17 @@ class _StalledError(Exception):
     """A search stands still."""
 
 
-def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
-    """Minimise judged[:, 0] subject to judged[:, 1:] >= 0; judged: of points (g, 5) of the cube."""
+def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray,
+           kept: FloatArray) -> FloatArray:
+    """Minimise judged[:, 0] subject to judged >= kept, of points (g, 5) of the unit cube."""
     path: list[FloatArray] = []
 
     def within(x: FloatArray) -> bytes:
-        return np.clip(x, 0.0, 1.0).tobytes()
+        return bytes(np.clip(x, 0.0, 1.0))
 
     @cache
     def at(key: bytes) -> FloatArray:
-        return judged(np.frombuffer(key)[None])[0]
+        return np.asarray(judged(np.frombuffer(key)[None])[0] - kept)
 
     @cache
     def slopes(key: bytes) -> FloatArray:
@@ -323,7 +325,8 @@ def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray) -> Flo
             raise _StalledError
         path.append(x)
         steps = np.where(x < 0.5, DIFFERENCE, -DIFFERENCE)
-        return np.stack((judged(x + np.diag(steps)) - at(key)) / steps[:, None], axis=1)
+        # in one piece, since the compiled search reads a row as it lies
+        return np.ascontiguousarray((judged(x + np.diag(steps)) - kept - at(key)).T / steps)
 
     try:
         x = minimize(

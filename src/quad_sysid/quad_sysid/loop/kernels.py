@@ -174,11 +174,11 @@ def fly(gains: npt.NDArray[np.void], at: Places, code: IntArray, more: IntArray,
         tables: FloatArray, row: FloatArray, factors: FloatArray, r: FloatArray,
         first: FloatArray, line: FloatArray, w: FloatArray, moving: IntArray, known: FloatArray,
         signals: FloatArray, out: FloatArray, lead: float) -> None:
-    """f cascades around plants by their operations; `lead`: of the angle over the sum, s.
+    """The cascades around f plants by their operations; `lead`: of the angle over the sum, s.
 
-    gains (f,); r (registers, f), with the state and what stays at the start; first (f, 2) rate and angle as
-    they are measured there; line and w as in `driven`; known (f, s, n) of each cycle, for the
-    registers `moving`; signals (f, 5, n): angle reference, noise of the rate, acceleration,
+    gains (f,); r (registers, f), with the state and what stays at the start; first (f, 2) rate and
+    angle as they are measured there; line and w as in `driven`; known (f, s, n) of each cycle, for
+    the registers `moving`; signals (f, 5, n): angle reference, noise of the rate, acceleration,
     excitation of rate and control; out (f, 4, n): angle, rate, control, rate reference.
     """
     f, states, newest, own = r.shape[1], at.following.size, 0, np.zeros(4)
