@@ -11,6 +11,7 @@ with its limits, simulation.py time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Protocol
@@ -112,7 +113,7 @@ class CascadeGains:
         """Check that all are finite and the constants positive; raises BadInputError."""
         for item in fields(self):
             value, name = getattr(self, item.name), f'gains: {WORDS.get(item.name, item.name)}'
-            if not np.isfinite(value):
+            if not math.isfinite(value):
                 raise BadInputError(name, 'must be finite', value)
             if item.name in CONTRACT_NAMES and item.name not in TUNED and value <= 0:
                 raise BadInputError(name, 'must be positive', value)
