@@ -216,7 +216,7 @@ def test_a_law_that_cannot_be_compiled_is_called_in_its_place(effect, p):
 
 
 def test_flights_at_once_are_each_as_alone():
-    """To 1e-12: two draws of each effect, with delays and curves of their own, in other winds."""
+    """To 1e-12: two draws of each effect, with delays, curves, winds and gains of their own."""
     data, rng = flight_of_commands(), np.random.default_rng(2)
     sensor = Flight(data, data.stretches).sensor
     around = Flight(data, data.stretches).commanded(BASE)
@@ -232,12 +232,19 @@ def test_flights_at_once_are_each_as_alone():
         *((e, parameters(e)) for e in effects), (Bends(), np.array([0.04])))]
     assert len({running(one).kind for one in some}) == len(effects) + 1 == 4
     wanted, gusts = np.repeat([0.2, -0.1], N // 2), rng.standard_normal((len(some), N))
-    together = simulate_cascade(some, GAINS, wanted, DT, 0.01 * gusts)
-    alone = [simulate_cascade(one, GAINS, wanted, DT, 0.01 * gust)
-             for one, gust in zip(some, gusts, strict=True)]
-    np.testing.assert_allclose(together, np.stack(alone, axis=1), atol=1e-12)
-    of_one = simulate_cascade(some[0], GAINS, wanted, DT, 0.01 * gusts[[3, 0]])
-    np.testing.assert_allclose([x[1] for x in of_one], alone[0], atol=1e-12)
+    sets = [replace(GAINS, angle_kp=3.0 + i, rate_kd=1e-3 * i, d_on_error=i % 3 == 0,
+                    d_notch_hz=30.0, d_notch_bandwidth_hz=5.0 * (i % 2)) for i in range(8)]
+
+    def flown(plants, gains, noise):
+        return np.array(simulate_cascade(plants, gains, wanted, DT, noise, initial_rate=0.1))
+
+    alone = np.stack([flown(*one) for one in zip(some, sets, 0.01 * gusts, strict=True)], axis=1)
+    np.testing.assert_allclose(flown(some, sets, 0.01 * gusts), alone, atol=1e-12)
+    for i in (0, 3):  # one plant in several winds, or with several gains; the last is in Python
+        of_one = flown(some[i], sets[i], 0.01 * gusts[[5, i]])
+        np.testing.assert_allclose(of_one[:, 1], alone[:, i], atol=1e-12)
+        of_one = flown(some[i], [sets[5], sets[i]], 0.01 * gusts[i])
+        np.testing.assert_allclose(of_one[:, 1], alone[:, i], atol=1e-12)
 
 
 # ---- the loop that margins are judged of

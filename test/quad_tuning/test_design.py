@@ -146,6 +146,20 @@ def test_where_nothing_keeps_the_margins_no_search_finds_any(model):
     assert pid.search(problem) == []
 
 
+def test_a_search_that_stands_before_a_kink_ends_there():
+    """Within 1e-3 of the corner (0.4, 0.45), after less than a quarter of 40 line searches."""
+    points = []
+
+    def judged(some):
+        points.extend(some)
+        x, y = some.T
+        return np.stack([(x - 0.8)**2 + 0.3 * (y - 0.5)**2, 0.4 - x - np.abs(y - x - 0.05)], 1)
+
+    end = pid._slsqp(judged, np.array([0.5, 0.5]), np.zeros(2))
+    np.testing.assert_allclose(end, [0.4, 0.45], atol=1e-3)
+    assert len(points) < 110
+
+
 # ---- the way there, and what is promised to the watch
 
 

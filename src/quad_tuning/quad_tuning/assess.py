@@ -6,6 +6,7 @@ feedback share margins, noise and prediction. Nothing is optimised here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -29,6 +30,8 @@ from quad_sysid.loop.simulation import LoopResponse, simulate_cascade
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.state_feedback import StateFeedback, simulate
+
+Flown = CascadeGains | Sequence[CascadeGains] | StateFeedback
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ def assess(plant: Flying, controller: CascadeGains | StateFeedback,
                        settling_time_s=square.settling_time_s,
                        rms_tracking_rad=square.rms_error_rad,
                        rate_rms_rad_s=float(np.sqrt(np.mean(run.rate**2))),
-                       disturbance_rms_rad=disturbance(plant, controller),
+                       disturbance_rms_rad=float(disturbance(plant, controller)),
                        bandwidth_rad_s=float(bandwidth(response, nominal.omega)[0]),
                        noise_gain=noise_gain(controller, nominal),
                        unstable_draws=int(np.sum(ensemble.unstable(controller))),
@@ -121,13 +124,13 @@ def meets(margins: Margins, needs: Requirements) -> npt.NDArray[np.bool_]:
     )
 
 
-def flown(plant: Flying, controller: CascadeGains | StateFeedback, reference: FloatArray,
-          start: float = 0.0, torque: float = 0.0) -> LoopResponse:
+def flown(plant: Flying, controller: Flown, reference: FloatArray, start: float = 0.0,
+          torque: float = 0.0) -> LoopResponse:
     """The loop over time from the angle `start`, rad, under a constant torque, rad/s²."""
-    if isinstance(controller, CascadeGains):
-        return simulate_cascade(plant, controller, reference, plant.dt, disturbance=torque,
-                                initial_angle=start)
-    return simulate(plant, controller, reference, start, torque)
+    if isinstance(controller, StateFeedback):
+        return simulate(plant, controller, reference, start, torque)
+    return simulate_cascade(plant, controller, reference, plant.dt, disturbance=torque,
+                            initial_angle=start)
 
 
 def reference_square(plant: Flying) -> FloatArray:
@@ -135,18 +138,19 @@ def reference_square(plant: Flying) -> FloatArray:
     return square_wave(plant.trial.step, plant.trial.half_period_s, 1, plant.dt)
 
 
-def tracking(plant: Flying, gains: CascadeGains, reference: FloatArray) -> tuple[float, float]:
-    """RMS error, rad, and overshoot beyond the reference, %, of the square wave."""
-    run = flown(plant, gains, reference, float(reference[0]))
-    beyond = (np.max(np.abs(run.angle)) / plant.trial.step - 1.0) / 2.0
-    return float(np.sqrt(np.mean((reference - run.angle) ** 2))), 100.0 * float(beyond)
+def tracking(plant: Flying, sets: Sequence[CascadeGains],
+             reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """RMS error, rad, and overshoot beyond the reference, %, of the square wave, (g,) each."""
+    angle = flown(plant, sets, reference, float(reference[0])).angle
+    beyond = (np.max(np.abs(angle), axis=1) / plant.trial.step - 1.0) / 2.0
+    return np.sqrt(np.mean((reference - angle) ** 2, axis=1)), 100.0 * beyond
 
 
-def disturbance(plant: Flying, controller: CascadeGains | StateFeedback) -> float:
-    """RMS angle under a torque step, rad."""
+def disturbance(plant: Flying, controller: Flown) -> FloatArray:
+    """RMS angle under a torque step, rad; (g,) for several sets of gains."""
     still = np.zeros(round(plant.trial.push_s / plant.dt))
     run = flown(plant, controller, still, torque=plant.trial.push - plant.held)
-    return float(np.sqrt(np.mean(run.angle**2)))
+    return np.asarray(np.sqrt(np.mean(run.angle**2, axis=-1)))
 
 
 def noise_gain(controller: Controller, nominal: Ensemble) -> float:

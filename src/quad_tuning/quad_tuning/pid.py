@@ -12,15 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import WORDS, CascadeGains, contract_names, margins
+from quad_sysid.loop.cascade import WORDS, CascadeGains, contract_names, margins, responses
 from quad_sysid.loop.linear import ComplexArray
 from quad_sysid.loop.plant import Flying
 from quad_tuning.assess import (
@@ -59,6 +58,9 @@ kp, kd): a resonance can cause local optima."""
 MIN_DISTANCE = 0.11
 SHAPE = [0, 1, 3]
 DIFFERENCE = 5e-4
+STALLED = 2e-5
+"""Way in the cube over two iterations of a search that stands before a kink, as it would until its
+iterations are used up; a single step as short may be followed by longer ones."""
 WORST = 6
 """Loops added per requirement and round."""
 ROUNDS = 6
@@ -81,46 +83,37 @@ class Problem:
     low: FloatArray
     high: FloatArray
 
-    def gains(self, x: FloatArray) -> CascadeGains:
-        """Gains at a point (5,) of the unit cube."""
-        values: dict[str, Any] = {}
-        for field, share, low, high in zip(DESIGNED, np.clip(x, 0.0, 1.0), self.low, self.high,
-                                           strict=True):
+    def gains(self, points: FloatArray) -> list[CascadeGains]:
+        """Gains at points (g, 5) of the unit cube."""
+        values = []
+        for field, share, low, high in zip(DESIGNED, np.clip(points, 0.0, 1.0).T, self.low,
+                                           self.high, strict=True):
             power = POWERS.get(field)
-            values[field] = float(low * (high / low) ** share if power is None
-                                  else low + share**power * (high - low))
-        return replace(self.active, **values)
+            values.append(low * (high / low) ** share if power is None
+                          else low + share**power * (high - low))
+        return [replace(self.active, **dict(zip(DESIGNED, row, strict=True)))
+                for row in np.stack(values, axis=1).tolist()]
 
-    def point(self, gains: CascadeGains) -> FloatArray:
-        """The point (5,) of the unit cube for `gains`, clipped to it."""
-        values = np.array([getattr(gains, field) for field in DESIGNED])
-        shares = []
-        for field, value, low, high in zip(DESIGNED, values, self.low, self.high, strict=True):
-            power = POWERS.get(field)
-            if power is None:
-                width = np.log(high / low)
-                shares.append(np.log(max(value, 1e-12) / low) / width if width > 0.0 else 0.0)
-            else:
-                shares.append(max((value - low) / (high - low), 0.0) ** (1.0 / power))
-        return np.asarray(np.clip(np.array(shares), 0.0, 1.0))
+    def judged(self, loops: Ensemble, points: FloatArray) -> FloatArray:
+        """(g, 1 + 4 + 3 p) at points (g, 5): objective, nominal constraints, the loops' reserve.
 
-    def value(self, gains: CascadeGains) -> tuple[float, FloatArray]:
-        """The objective, and the nominal constraints (4,), satisfied where >= 0."""
-        rms, beyond = tracking(self.plant, gains, self.reference)
-        push = disturbance(self.plant, gains) / self.scale[1]
-        noise = noise_gain(gains, self.nominal) / self.scale[2]
+        Constraints are satisfied where >= 0.
+        """
+        sets, needs = self.gains(points), self.needs
+        rms, beyond = tracking(self.plant, sets, self.reference)
+        push = disturbance(self.plant, sets) / self.scale[1]
+        noise = np.array([noise_gain(one, self.nominal) for one in sets]) / self.scale[2]
         value = rms / self.scale[0] + DISTURBANCE_SHARE * push + NOISE_SHARE * noise
-        if not np.isfinite(value):
-            return 1e3, np.full(NOMINAL, -1.0)
-        highest = self.needs.highest_crossover_rad_s
-        crossover = float('nan')
-        if np.isfinite(highest):
-            crossover = float(self.nominal.margins(gains).crossover_rad_s[0])
-        slack = [(self.needs.overshoot_pct - beyond) / 100.0,
-                 1.0 - noise / self.needs.noise_factor,
-                 1.0 if np.isnan(crossover) else 1.0 - crossover / highest,
-                 1.0 - push / self.needs.disturbance_factor]
-        return float(value), np.clip(slack, -1.0, 1.0)
+        slower = np.ones(len(sets))
+        if np.isfinite(needs.highest_crossover_rad_s):
+            crossover = np.array([self.nominal.margins(one).crossover_rad_s[0] for one in sets])
+            slower = np.nan_to_num(1.0 - crossover / needs.highest_crossover_rad_s, nan=1.0)
+        slack = [(needs.overshoot_pct - beyond) / 100.0, 1.0 - noise / needs.noise_factor, slower,
+                 1.0 - push / needs.disturbance_factor]
+        out = np.column_stack([value, *np.clip(slack, -1.0, 1.0),
+                               [self.reserve(loops, one) for one in sets]])
+        out[~np.isfinite(value), : 1 + NOMINAL] = 1e3, *NOMINAL * [-1.0]
+        return out
 
     def reserve(self, loops: Ensemble, gains: CascadeGains) -> FloatArray:
         """(3 p,) relative margin of every loop to each requirement, satisfied where >= 0.
@@ -160,8 +153,8 @@ def pose(plant: Flying, active: CascadeGains, ensemble: Ensemble, needs: Require
         high.append(max(value, bound.upper if free else min(bound.upper, value * REACH)))
     reference = reference_square(plant)
     nominal = ensemble.subset(np.flatnonzero(ensemble.nominal)[:1])
-    scale = (tracking(plant, active, reference)[0], disturbance(plant, active),
-             noise_gain(active, nominal))
+    scale = (float(tracking(plant, [active], reference)[0][0]),
+             float(disturbance(plant, active)), noise_gain(active, nominal))
     if not np.isfinite(scale).all():
         raise DesignRefusedError('the simulated loop diverges with these gains; identify again')
     return Problem(plant, active, ensemble, nominal, needs, reference, scale,
@@ -175,11 +168,10 @@ def search(problem: Problem) -> list[tuple[float, FloatArray]]:
     """
     grid = _grid(problem)
     loops = problem.ensemble.subset(_binding(problem))
-    order = _ranked(problem, loops, grid)
-    judged = [(_merit(problem, loops, grid[i]), grid[i]) for i in order[:JUDGED]]
-    judged.sort(key=lambda item: item[0])
+    best = grid[_ranked(problem, loops, grid)[:JUDGED]]
+    best = best[np.argsort(_merits(problem, loops, best), kind='stable')]
     ends: list[tuple[float, FloatArray]] = []
-    for attempt, start in enumerate(_distinct([x for _, x in judged])):
+    for attempt, start in enumerate(_distinct(best)):
         end = _polish(problem, start)
         if end is not None:
             ends.append(end)
@@ -193,8 +185,9 @@ def _grid(problem: Problem) -> FloatArray:
     axes = [(np.arange(n) + 0.5) / n for n in GRID]
     axes[2] = np.linspace(*KI_SHARES, GRID[2])
     axes[3] = np.linspace(*KD_SHARES, GRID[3])
-    cutoffs = [problem.point(replace(problem.active, d_filter_hz=hz))[-1] for hz in FILTER_HZ]
-    axes[4] = np.unique(cutoffs)
+    low, high = problem.low[-1], problem.high[-1]
+    axes[4] = np.zeros(1) if low == high else np.unique(
+        np.clip(np.log(np.array(FILTER_HZ) / low) / np.log(high / low), 0.0, 1.0))
     return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, len(DESIGNED))
 
 
@@ -216,7 +209,7 @@ def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[
     harmonics: FloatArray = np.pi / half * np.arange(1.0, 240.0, 2.0)
     harmonics = harmonics[harmonics < 0.9 * np.pi / dt]
     nominal = problem.nominal.cycle.response(harmonics)
-    rows = [problem.gains(x) for x in grid]
+    rows = problem.gains(grid)
     merits = []
     for start in range(0, len(rows), CHUNK):
         part = rows[start : start + CHUNK]
@@ -228,7 +221,7 @@ def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[
 def _loops_of(rows: list[CascadeGains], response: ComplexArray, omega: FloatArray,
               dt: float) -> tuple[ComplexArray, ComplexArray]:
     """Loop gain (g, p, f) and forward path of the angle reference (g, p, f)."""
-    rate, angle = np.stack([gains.response(omega, dt) for gains in rows], axis=1)
+    rate, angle = responses(rows, omega, dt)
     forward = -angle[:, None] * response[1]
     return np.asarray(forward - rate[:, None] * response[0]), forward
 
@@ -268,16 +261,14 @@ def _linear_tracking(rows: list[CascadeGains], nominal: ComplexArray, harmonics:
     return np.asarray(np.sqrt(total))
 
 
-def _merit(problem: Problem, loops: Ensemble, point: FloatArray) -> float:
-    gains = problem.gains(point)
-    value, slack = problem.value(gains)
-    short = min(float(np.min(slack)), float(np.min(problem.reserve(loops, gains))))
-    if loops.unstable(gains).any():
-        short = min(short, -1.0)
-    return value - 20.0 * min(0.0, short)
+def _merits(problem: Problem, loops: Ensemble, points: FloatArray) -> FloatArray:
+    figures = problem.judged(loops, points)
+    unstable = [loops.unstable(one).any() for one in problem.gains(points)]
+    short = np.minimum(np.min(figures[:, 1:], axis=1), np.where(unstable, -1.0, 0.0))
+    return np.asarray(figures[:, 0] - 20.0 * short)
 
 
-def _distinct(points: list[FloatArray]) -> list[FloatArray]:
+def _distinct(points: FloatArray) -> list[FloatArray]:
     chosen: list[FloatArray] = []
     for point in points:
         if all(np.linalg.norm((point - other)[SHAPE]) >= MIN_DISTANCE for other in chosen):
@@ -292,54 +283,62 @@ def _polish(problem: Problem, start: FloatArray) -> tuple[float, FloatArray] | N
     chosen = np.zeros(0, dtype=np.int64)
     x = start
     for _ in range(ROUNDS):
-        wider = np.union1d(chosen, _worst(problem, problem.gains(x), WORST))
+        (gains,) = problem.gains(x[None])
+        wider = np.union1d(chosen, _worst(problem, gains, WORST))
         if wider.size == chosen.size:
             return None  # the loops that fall short were all taken up already
         chosen = wider
         loops = problem.ensemble.subset(chosen)
-
-        def judged(point: FloatArray, loops: Ensemble = loops) -> FloatArray:
-            gains = problem.gains(point)
-            value, slack = problem.value(gains)
-            # a little is kept back, so that the optimiser's tolerance does not break a margin
-            return np.concatenate(([value], slack - 1e-3, problem.reserve(loops, gains) - 2e-3))
-
-        x = _slsqp(judged, x)
-        gains = problem.gains(x)
-        value, slack = problem.value(gains)
-        short = min(np.min(slack), np.min(problem.reserve(loops, gains)))
-        if short < -INFEASIBLE:
+        # a little is kept back, so that the optimiser's tolerance does not break a margin
+        kept = np.repeat([0.0, 1e-3, 2e-3], [1, NOMINAL, 3 * chosen.size])
+        x = _slsqp(partial(problem.judged, loops), x, kept)
+        value, *reserves = problem.judged(loops, x[None])[0]
+        if min(reserves) < -INFEASIBLE:
             return None  # what a part of the loops forbids, all of them forbid
-        if np.min(slack) < -1e-3:
+        if min(reserves[:NOMINAL]) < -1e-3:
             continue
-        if problem.holds(gains):
+        if problem.holds(*problem.gains(x[None])):
             return value, x
     return None
 
 
-def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
-    """Minimise judged(x)[0] subject to judged(x)[1:] >= 0 in the unit cube."""
+class _StalledError(Exception):
+    """A search stands still."""
+
+
+def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray,
+           kept: FloatArray) -> FloatArray:
+    """Minimise judged[:, 0] subject to judged >= kept, of points (g, 5) of the unit cube."""
+    path: list[FloatArray] = []
+
+    def within(x: FloatArray) -> bytes:
+        return bytes(np.clip(x, 0.0, 1.0))
 
     @cache
-    def known(key: bytes) -> FloatArray:
-        return judged(np.frombuffer(key))
-
-    def at(x: FloatArray) -> FloatArray:
-        return known(x.tobytes())
+    def at(key: bytes) -> FloatArray:
+        return np.asarray(judged(np.frombuffer(key)[None])[0] - kept)
 
     @cache
     def slopes(key: bytes) -> FloatArray:
         x = np.frombuffer(key)
-        steps = np.diag(np.where(x < 0.5, DIFFERENCE, -DIFFERENCE))
-        return np.stack([(at(x + h) - at(x)) / h.sum() for h in steps], axis=1)
+        if len(path) > 1 and np.max(np.abs(x - path[-2])) < STALLED:
+            raise _StalledError
+        path.append(x)
+        steps = np.where(x < 0.5, DIFFERENCE, -DIFFERENCE)
+        # in one piece, since the compiled search reads a row as it lies
+        return np.ascontiguousarray((judged(x + np.diag(steps)) - kept - at(key)).T / steps)
 
-    result = minimize(
-        lambda x: at(x)[0], start, jac=lambda x: slopes(x.tobytes())[0],
-        bounds=[(0.0, 1.0)] * start.size, method='SLSQP', options={'maxiter': 40, 'ftol': 1e-4},
-        constraints={'type': 'ineq', 'fun': lambda x: at(x)[1:],
-                     'jac': lambda x: slopes(x.tobytes())[1:]},
-    )
-    return np.asarray(np.clip(result.x, 0.0, 1.0))
+    try:
+        x = minimize(
+            lambda x: at(within(x))[0], start, jac=lambda x: slopes(within(x))[0],
+            bounds=[(0.0, 1.0)] * start.size, method='SLSQP',
+            options={'maxiter': 40, 'ftol': 1e-4},
+            constraints={'type': 'ineq', 'fun': lambda x: at(within(x))[1:],
+                         'jac': lambda x: slopes(within(x))[1:]},
+        ).x
+    except _StalledError:
+        x = path[-1]
+    return np.asarray(np.clip(x, 0.0, 1.0))
 
 
 def _worst(problem: Problem, gains: CascadeGains, count: int) -> npt.NDArray[np.int64]:
@@ -394,7 +393,7 @@ def retune(plant: Flying, active: CascadeGains, ensemble: Ensemble,
             'lower the gains by hand first'
         )
     objective, best = points[0]
-    chosen = problem.gains(best)
+    (chosen,) = problem.gains(best[None])
     return PidDesign(gains=chosen, figures=assess(plant, chosen, ensemble), before=before,
                      agreeing=sum(value <= (1.0 + AGREED) * objective for value, _ in points),
                      searches=len(points), disturbance_kept=disturbance_held)

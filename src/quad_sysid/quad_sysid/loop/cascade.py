@@ -11,7 +11,8 @@ with its limits, simulation.py time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Protocol
 
@@ -112,7 +113,7 @@ class CascadeGains:
         """Check that all are finite and the constants positive; raises BadInputError."""
         for item in fields(self):
             value, name = getattr(self, item.name), f'gains: {WORDS.get(item.name, item.name)}'
-            if not np.isfinite(value):
+            if not math.isfinite(value):
                 raise BadInputError(name, 'must be finite', value)
             if item.name in CONTRACT_NAMES and item.name not in TUNED and value <= 0:
                 raise BadInputError(name, 'must be positive', value)
@@ -161,23 +162,7 @@ class CascadeGains:
 
     def response(self, omega: FloatArray, dt: float) -> ComplexArray:
         """(2, f) from the measured rate and angle to u at omega, rad/s, at reference 0."""
-        back, numbers = np.exp(-1j * omega * dt), self.constants(dt)
-
-        def behind(weight: float) -> ComplexArray | float:
-            return weight / (1.0 - (1.0 - weight) * back) if weight < 1.0 else 1.0
-
-        late, turns = behind(numbers.error_weight), (1.0 - back) / dt
-        error = (self.rate_kp + self.rate_ki / turns) * late
-        derivative = self.rate_kd * turns * behind(numbers.d_weight)
-        if numbers.notch < 1.0:
-            turn = numbers.notch_turn * back
-            derivative = derivative * (numbers.notch * (1.0 + back**2) + turn) / (
-                1.0 + turn + numbers.notch_keep * back**2)
-        if self.d_on_error:
-            error = error + derivative * late
-        rate = error if self.d_on_error else error + derivative
-        angle = self.angle_kp * behind(numbers.target_weight) * (error + self.kff)
-        return np.stack([-rate, -angle]) * behind(numbers.output_weight)
+        return responses([self], omega, dt)[:, 0]
 
     def constants(self, dt: float) -> kernels.Constants:
         """The numbers of the compiled controller, with a control cycle of dt s."""
@@ -208,6 +193,30 @@ def weight_of(cutoff_hz: float, dt: float) -> float:
     1 without a filter.
     """
     return dt / (dt + 1.0 / (2.0 * np.pi * cutoff_hz)) if cutoff_hz > 0.0 else 1.0
+
+
+def responses(sets: Sequence[CascadeGains], omega: FloatArray, dt: float) -> ComplexArray:
+    """(2, g, f) from the measured rate and angle to u at omega, rad/s, at reference 0."""
+    back = np.exp(-1j * omega * dt)
+    each = np.array([one.constants(dt) for one in sets], kernels.EACH)[:, None]
+
+    def behind(which: str) -> ComplexArray:
+        weight = each[f'{which}_weight']
+        return np.asarray(weight / (1.0 - (1.0 - weight) * back))
+
+    late, turns = behind('error'), (1.0 - back) / dt
+    error = (each['rate_kp'] + each['rate_ki'] / turns) * late
+    derivative = each['rate_kd'] * turns * behind('d')
+    if np.any(each['notch'] < 1.0):
+        turn = each['notch_turn'] * back
+        notched = (each['notch'] * (1.0 + back**2) + turn) / (
+            1.0 + turn + each['notch_keep'] * back**2)
+        derivative = derivative * np.where(each['notch'] < 1.0, notched, 1.0)
+    on_error = each['d_on_error'] > 0.0
+    derivative = derivative * np.where(on_error, late, 1.0)
+    forward = error + np.where(on_error, derivative, 0.0) + each['kff']
+    angle = each['angle_kp'] * behind('target') * forward
+    return np.stack([-error - derivative, -angle]) * behind('output')
 
 
 class Controller(Protocol):

@@ -9,7 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
+import numpy.typing as npt
+from numba import from_dtype, types
 
 from quad_sysid.compiled import BLOCK, BLOCKS, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.contract import FloatArray
@@ -69,6 +70,8 @@ class Places(NamedTuple):
     """(3,) the two ages and the fraction, as in Drive."""
 
 
+EACH = np.dtype([(name, float) for name in Constants._fields])
+"""Constants in an array, those of a flight each."""
 GAINS = types.NamedUniTuple(NUMBER, len(Constants._fields), Constants)
 PLACES = types.NamedTuple((*[WHOLE] * 5, *[WHOLES] * 5), Places)
 
@@ -165,17 +168,17 @@ def motors(at: Places, row: FloatArray, factors: FloatArray, r: FloatArray, line
     return int(driven(at, row, factors, r, line, w, newest, dt, lags, np.zeros(4)))
 
 
-@kernel(GAINS, PLACES, WHOLE[:, ::1], WHOLES, TABLE, TABLE, BLOCKS, TABLE, TABLE, BLOCK, TABLE,
-        WHOLES, BLOCK, BLOCK, BLOCK, NUMBER)
-def fly(gains: Constants, at: Places, code: IntArray, more: IntArray, tables: FloatArray,
-        row: FloatArray, factors: FloatArray, r: FloatArray, first: FloatArray, line: FloatArray,
-        w: FloatArray, moving: IntArray, known: FloatArray, signals: FloatArray, out: FloatArray,
-        lead: float) -> None:
-    """The cascade around f plants by their operations; `lead`: of the angle over the sum, s.
+@kernel(from_dtype(EACH)[::1], PLACES, WHOLE[:, ::1], WHOLES, TABLE, TABLE, BLOCKS, TABLE, TABLE,
+        BLOCK, TABLE, WHOLES, BLOCK, BLOCK, BLOCK, NUMBER)
+def fly(gains: npt.NDArray[np.void], at: Places, code: IntArray, more: IntArray,
+        tables: FloatArray, row: FloatArray, factors: FloatArray, r: FloatArray,
+        first: FloatArray, line: FloatArray, w: FloatArray, moving: IntArray, known: FloatArray,
+        signals: FloatArray, out: FloatArray, lead: float) -> None:
+    """The cascades around f plants by their operations; `lead`: of the angle over the sum, s.
 
-    r (registers, f), with the state and what stays at the start; first (f, 2) rate and angle as
-    they are measured there; line and w as in `driven`; known (f, s, n) of each cycle, for the
-    registers `moving`; signals (f, 5, n): angle reference, noise of the rate, acceleration,
+    gains (f,); r (registers, f), with the state and what stays at the start; first (f, 2) rate and
+    angle as they are measured there; line and w as in `driven`; known (f, s, n) of each cycle, for
+    the registers `moving`; signals (f, 5, n): angle reference, noise of the rate, acceleration,
     excitation of rate and control; out (f, 4, n): angle, rate, control, rate reference.
     """
     f, states, newest, own = r.shape[1], at.following.size, 0, np.zeros(4)
@@ -183,21 +186,22 @@ def fly(gains: Constants, at: Places, code: IntArray, more: IntArray, tables: Fl
     following, shown = np.empty((states, f)), np.empty((f, 2))
     for i in range(f):
         shown[i, 0], shown[i, 1] = first[i, 0], first[i, 1]
-        if gains.d_on_error == 0.0:
+        if gains[i].d_on_error == 0.0:
             memory[i, LAST] = first[i, 0]
-            memory[i, NOTCH] = memory[i, NOTCH + 1] = (1.0 - gains.notch) * first[i, 0]
+            memory[i, NOTCH] = memory[i, NOTCH + 1] = (1.0 - gains[i].notch) * first[i, 0]
     for k in range(signals.shape[2]):
         for i in range(f):
             rate = shown[i, 0] + signals[i, 1, k]
             angle = shown[i, 1] + lead * rate
-            wanted, u = control(gains, memory[i], signals[i, 0, k], angle, rate, signals[i, 3, k])
+            wanted, u = control(gains[i], memory[i], signals[i, 0, k], angle, rate,
+                                signals[i, 3, k])
             u += signals[i, 4, k]
             out[i, 0, k], out[i, 1, k], out[i, 2, k], out[i, 3, k] = angle, rate, u, wanted
             for j in range(moving.size):
                 r[moving[j], i] = known[i, j, k]
             r[at.sent, i], r[at.push, i] = u, signals[i, 2, k]
         operate(code, more, tables, r, 0, at.split)
-        newest = driven(at, row, factors, r, line, w, newest, gains.dt, lags, own)
+        newest = driven(at, row, factors, r, line, w, newest, gains[0].dt, lags, own)
         operate(code, more, tables, r, at.split, code.shape[0])
         for j in range(states):  # a state may become another one
             for i in range(f):

@@ -260,7 +260,7 @@ TOGETHER = 32
 
 
 def simulate_cascade(
-    flying: Flying | AxisModel | Sequence[Flying], gains: CascadeGains,
+    flying: Flying | AxisModel | Sequence[Flying], gains: CascadeGains | Sequence[CascadeGains],
     reference_angle: npt.ArrayLike, dt: float,
     noise: npt.ArrayLike | None = None, disturbance: npt.ArrayLike | None = None, *,
     rate_excitation: npt.ArrayLike | None = None, control_excitation: npt.ArrayLike | None = None,
@@ -272,26 +272,28 @@ def simulate_cascade(
     axis and is held over the cycle. rate_excitation and control_excitation (n,) are added after
     the limits of C1 and C2, as in the firmware; the reference contains an excitation of the
     attitude. The drive starts at zero. angle_lead_s is the lead of the measured angle over the
-    rate's integral (`angle_lead_s`). f flights at once, which is quicker: f plants, signals
-    (f, n), or both. Raises BadInputError for wrong shapes, values that are not finite, and a dt
-    that is not the plant's.
+    rate's integral (`angle_lead_s`). f flights at once, which is quicker: f plants, f sets of
+    gains, signals (f, n), or several of these. Raises BadInputError for wrong shapes, values that
+    are not finite, and a dt that is not the plant's.
     """
     if isinstance(flying, AxisModel):
         from quad_sysid.loop.from_model import loop_plant
 
         flying = loop_plant(flying)
     plants = list(flying) if isinstance(flying, Sequence) else [flying]
+    sets = [gains] if isinstance(gains, CascadeGains) else list(gains)
     reference = _checked_reference(reference_angle, dt, [one.dt for one in plants], 2)
     n = reference.shape[-1]
     signals = (reference, _signal(noise, n, 'noise'), _signal(disturbance, n, 'disturbance'),
                _signal(rate_excitation, n, 'rate_excitation'),
                _signal(control_excitation, n, 'control_excitation'))
-    rows = np.broadcast_arrays(np.zeros((len(plants), 1)), *signals)[1:]
-    flights = len(rows[0])
-    begin, lead = partial(running, rate=initial_rate, angle=initial_angle), float(angle_lead_s)
-    plants *= flights // len(plants)
-    starts = [begin(one) for one in plants] if isinstance(flying, Sequence) else \
-        [begin(flying)] * flights
+    rows = np.broadcast_arrays(*(np.zeros((len(x), 1)) for x in (plants, sets)), *signals)[2:]
+    flights, lead = len(rows[0]), float(angle_lead_s)
+    sets *= flights // len(sets)
+    starts = [running(one, initial_rate, initial_angle) for one in plants]
+    while len(starts) < flights:  # laws in Python fly the start itself
+        starts.append(running(plants[0], initial_rate, initial_angle) if starts[0].calls
+                      else starts[0])
     alike: dict[Any, list[int]] = {}
     for i, now in enumerate(starts):
         alike.setdefault(now.kind, []).append(i)
@@ -302,22 +304,24 @@ def simulate_cascade(
             moved = np.stack([row[some] for row in rows], axis=1)
             if starts[some[0]].calls:
                 for i, own in zip(some, moved, strict=True):
-                    out[i] = _in_python(begin(plants[i]), gains, own, lead)
+                    out[i] = _in_python(starts[i], sets[i], own, lead)
             else:
-                out[some] = _side_by_side([starts[i] for i in some], gains, moved, lead)
-    alone = not isinstance(flying, Sequence) and all(signal.ndim == 1 for signal in signals)
+                out[some] = _side_by_side([starts[i] for i in some], [sets[i] for i in some],
+                                          moved, lead)
+    alone = all(signal.ndim == 1 for signal in signals) \
+        and not any(isinstance(x, Sequence) for x in (flying, gains))
     return LoopResponse(*(out[0] if alone else out.transpose(1, 0, 2)))
 
 
-def _side_by_side(starts: Sequence[Running], gains: CascadeGains, signals: FloatArray,
+def _side_by_side(starts: Sequence[Running], sets: Sequence[CascadeGains], signals: FloatArray,
                   lead: float) -> FloatArray:
     """(f, 4, n) flights of one kind, as kernels.fly says."""
     made, n = starts[0].made, signals.shape[2]
     longest = max(len(now.line) for now in starts)  # each holds the first command all over
     out = np.empty((len(starts), 4, n))
     kernels.fly(
-        gains.constants(starts[0].dt), made.places, made.code, made.more,
-        np.stack([now.made.tables for now in starts], axis=1),
+        np.array([gains.constants(starts[0].dt) for gains in sets], kernels.EACH),
+        made.places, made.code, made.more, np.stack([now.made.tables for now in starts], axis=1),
         np.stack([now.made.row for now in starts]), np.stack([now.made.factors for now in starts]),
         np.stack([now.registers for now in starts], axis=1),
         np.array([(now.rate, now.angle) for now in starts]),
