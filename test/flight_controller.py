@@ -7,8 +7,8 @@ the firmware's own code (`Store`). Whatever has `cycle() -> bytes` and
 autopilot.
 
 `Line` joins it to a Link in memory, with a clock of its own; `Port` has it behind a
-pseudo-terminal or a socket, in a thread, for a bridge in a process of its own; `Relay` is a line
-with faults between two real ends.
+pseudo-terminal or a socket, in a thread, for a bridge in a process of its own; `Relay` joins
+two real ends.
 
 A `Port` says nothing before it has heard the bridge, and afterwards waits for a bridge without
 CPU instead of losing cycles: every number from the first to the last arrives, or the bridge has
@@ -281,28 +281,6 @@ def explore(begin, most, rest_every):
     return met, len(seen), len(left)
 
 
-# What a line does to frames.
-
-
-def DROPPED(_frame):  # noqa: N802
-    return []
-
-
-def changed(**fields):
-    """Every field replaced by a function of the frame: `changed(value=lambda x: -x.value)`."""
-    return lambda frame: [replace(frame, **{k: new(frame) for k, new in fields.items()})]
-
-
-class Fault:
-    """Does `what` to every frame of a kind; frame → frames."""
-
-    def __init__(self, kind, what):
-        self.kind, self.what = kind, what
-
-    def __call__(self, frame):
-        return self.what(frame) if isinstance(frame, self.kind) else [frame]
-
-
 class Direction:
     """One way of a line: `fault` acts on frames, `noise` flips a share of the bytes."""
 
@@ -535,33 +513,6 @@ class Socket:
                 part.close()
 
 
-class Datagrams:
-    """A UDP socket that waits for a bridge and answers it; `url` is the bridge's `port`."""
-
-    def __init__(self):
-        self.socket, self.peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), None
-        self.socket.bind(('127.0.0.1', 0))
-        self.socket.setblocking(False)
-        self.url = f'udp://127.0.0.1:{self.socket.getsockname()[1]}'
-
-    def fileno(self):
-        return self.socket.fileno()
-
-    def read(self):
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            data, self.peer = self.socket.recvfrom(65536)
-            return data
-        return b''
-
-    def write(self, data):
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            return self.socket.sendto(data[:1400], self.peer) if self.peer else len(data)
-        return 0
-
-    def close(self):
-        self.socket.close()
-
-
 class _Runner(threading.Thread):
     """A thread that ends with its `with` block."""
 
@@ -623,11 +574,10 @@ class Port(_Runner):
 
 
 class Relay(_Runner):
-    """Joins two ends; `up` is what goes from the second, the bridge's, to the first."""
+    """Joins two ends; the second is the bridge's."""
 
     def __init__(self, far, near):
         super().__init__(far, near)
-        self.up, self.down = Direction((1, 191)), Direction((1, 1))
         self.heard = bytearray()
         """All bytes of the bridge."""
 
@@ -639,6 +589,4 @@ class Relay(_Runner):
                     data = end.read()
                     if end is near:
                         self.heard += data
-                        far.write(self.up.carry(data))
-                    else:
-                        near.write(self.down.carry(data))
+                    (far if end is near else near).write(data)

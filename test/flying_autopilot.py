@@ -13,7 +13,6 @@ import math
 import signal
 import sys
 import tempfile
-import time
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
@@ -460,11 +459,11 @@ class Told(Line):
 
 
 def main(argv=None):
-    """Fly behind a pseudo-terminal, in lockstep where that is asked for, until a signal."""
+    """Fly behind a pseudo-terminal, in lockstep, until a signal."""
     parser = argparse.ArgumentParser()
     parser.add_argument('kind', choices=('px4', 'ardupilot'))
     parser.add_argument('--link', type=Path, required=True)
-    parser.add_argument('--lockstep', type=Path)
+    parser.add_argument('--lockstep', type=Path, required=True)
     parser.add_argument('--hz', type=float, default=250.0)
     given = parser.parse_args(argv)
     kind = FLYING_PX4 if given.kind == 'px4' else FLYING_ARDUPILOT
@@ -474,29 +473,21 @@ def main(argv=None):
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stopped.append(1))
     end = Pty(given.link)
-    line = Told(given.lockstep) if given.lockstep else None
-    unsent, begun_s = bytearray(), time.monotonic()
+    line, unsent = Told(given.lockstep), bytearray()
     try:
         while not stopped:
-            if line is not None:
-                line.attend(0.0 if line.ready else 0.2)
-                due = line.ready
-            else:
-                due = time.monotonic() - begun_s > aircraft.now_s
-                time.sleep(0.0 if due else 0.002)
-            if due and len(unsent) < 8000:
+            line.attend(0.0 if line.ready else 0.2)
+            if line.ready and len(unsent) < 8000:
                 unsent += aircraft.cycle()
-                if line is not None:
-                    line.sent_ns = START_NS + 1000 * aircraft.timed_us
-                    line.tell(START_NS + 1000 * aircraft.now_us)
+                line.sent_ns = START_NS + 1000 * aircraft.timed_us
+                line.tell(START_NS + 1000 * aircraft.now_us)
             if unsent:
                 del unsent[: end.write(unsent)]
             with contextlib.suppress(OSError):
                 unsent += aircraft.receive(end.read(), 1000 * aircraft.now_us)
     finally:
         end.close()
-        if line is not None:
-            line.close()
+        line.close()
 
 
 if __name__ == '__main__':

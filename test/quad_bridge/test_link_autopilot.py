@@ -14,7 +14,7 @@ from autopilots import (
     Party,
     mav,
 )
-from flight_controller import Datagrams, Line, Port
+from flight_controller import Line, Port, Pty
 
 from quad_bridge.craft import LAYOUTS, from_urdf
 from quad_bridge.link.autopilot import Inertial
@@ -304,8 +304,8 @@ MISSING = 'ArduPilot sends standard MAVLink messages only: without QUAD_CYCLE th
 
 def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, probe, start):
     heard = {topic: probe.listen(topic) for topic in (*PUBLISHED, '/control/wrench')}
-    with Port(Autopilot(ARDUPILOT), Datagrams()) as port:  # loopback needs no key
-        bridge = start('serial_bridge', port=port.end.url, state_folder=tmp_path)
+    with Port(Autopilot(ARDUPILOT), Pty(tmp_path / 'tty')):
+        bridge = start('serial_bridge', port=tmp_path / 'tty', state_folder=tmp_path)
         probe.until(lambda: min(len(heard[topic]) for topic in PUBLISHED) > 0)
         probe.until(lambda: MISSING in probe.diagnostics('serial_bridge: link'))
         probe.until(lambda: probe.diagnostics('serial_bridge: gains') == REFUSED)
