@@ -249,15 +249,9 @@ def test_who_does_not_tell_is_taken_for_an_x_frame_and_that_is_said():
 class Shared(Line):
     """A router joins all: what the autopilot sends all hear, what a party says all others hear."""
 
-    def __init__(self, peer, party, heartbeat=True):
-        self.party, self.beats, self.said, self.party_heard = party, heartbeat, b'', []
+    def __init__(self, peer, party):
+        self.party, self.party_heard = party, []
         super().__init__(peer, host0_ns=HOST0_NS)
-
-    def say_party(self, *messages):
-        data = self.party.say(*messages)
-        self.hear(data)
-        answers = self.controller.receive(data, self.since_ns)
-        self.hear(answers)
 
     def hear(self, data, late_ns=0):
         self.party_heard += self.party.hear(data)
@@ -265,7 +259,9 @@ class Shared(Line):
 
     def fly_beside(self, seconds, every_s, *messages):
         for _ in range(round(seconds / every_s)):
-            self.say_party(*messages)
+            data = self.party.say(*messages)
+            self.hear(data)
+            self.hear(self.controller.receive(data, self.since_ns))
             self.fly(every_s)
 
 

@@ -152,17 +152,15 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         assert gains[name] == pytest.approx(value, rel=1e-4)
 
 
-def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, tmp_path):
-    pytest.importorskip('pyulog')
-    topics, control = px4_topics(flight), flight.control
-    stamps = topics.pop('actuator_motors')['timestamp']
-    path = ulog(tmp_path / 'log.ulg', topics | {
-        'vehicle_torque_setpoint': {'timestamp': stamps, 'xyz': FRD * control[:, 1:]},
-        'vehicle_thrust_setpoint': {
-            'timestamp': stamps, 'xyz': control[:, :1] * [0.0, 0.0, -1.0]},
-    }, {})
-    log = read_log(path, format_of(path))
-    np.testing.assert_allclose(log.control.values, control, atol=1e-6)
+def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, px4):
+    def instead(topics):
+        stamps, down = topics.pop('actuator_motors')['timestamp'], [0.0, 0.0, -1.0]
+        for name, xyz in (('torque', FRD * flight.control[:, 1:]),
+                          ('thrust', flight.control[:, :1] * down)):
+            topics[f'vehicle_{name}_setpoint'] = {'timestamp': stamps, 'xyz': xyz}
+
+    record, _ = px4({}, instead)
+    check_motion(record, flight)
 
 
 def ardupilot_messages(flight: Flight) -> dict:

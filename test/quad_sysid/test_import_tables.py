@@ -53,8 +53,8 @@ def write(path: Path, table: Mapping[str, np.ndarray], delimiter: str = ',') -> 
     return path
 
 
-def imported(options: ColumnOptions, out: Path, grid_hz: float | None = None):
-    return import_log(read_columns(options), out, grid_hz)
+def imported(options: ColumnOptions, out: Path):
+    return import_log(read_columns(options), out)
 
 
 @pytest.fixture

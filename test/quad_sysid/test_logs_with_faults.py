@@ -145,12 +145,12 @@ def listed(file: Path, capsys: pytest.CaptureFixture[str]) -> tuple[str, list[st
     return out, shlex.split(lines[0])[1:] if lines else ['import', str(file)]
 
 
-def check(record, rates: np.ndarray, control: np.ndarray, lost=(), control_tol=1e-4) -> None:
+def check(record, rates: np.ndarray, control: np.ndarray, lost=()) -> None:
     """Rates (n, 3) rad/s and U2..U4 (n, 3) as they were flown."""
     n = len(rates)
     known = np.setdiff1d(np.arange(n), lost)
     np.testing.assert_allclose(record.rates[known], rates[known], atol=2e-4)
-    np.testing.assert_allclose(record.control[known, 1:], control[known], atol=control_tol)
+    np.testing.assert_allclose(record.control[known, 1:], control[known], atol=1e-4)
     assert np.isnan(record.rates[list(lost)]).all()
 
 

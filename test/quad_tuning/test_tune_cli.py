@@ -27,10 +27,8 @@ def shaken(tmp_path):
     rates[:, 0] += 0.8 * np.sin(2.0 * np.pi * 70.0 * t)
     still, hover = np.zeros_like(rates), np.full((t.size, 4), 0.4)
     return str(write_bag(Record(
-        source='shaken', dt=0.004, t0_ns=1_750_000_000_000_000_000, rates=rates,
-        control=hover * (1.0, 0.0, 0.0, 0.0), angles=still, motors=hover, wrench=None,
-        attitude_setpoint=still, rate_setpoint=still, acceleration=None, excitation=None,
-        battery_v=None, segments=(), gains=(),
+        source='shaken', dt=0.004, rates=rates, control=hover * (1.0, 0.0, 0.0, 0.0),
+        angles=still, motors=hover, attitude_setpoint=still, rate_setpoint=still,
     ), tmp_path / 'shaken'))  # fmt: skip
 
 
