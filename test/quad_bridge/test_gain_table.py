@@ -35,10 +35,3 @@ def test_a_bound_lies_inside_what_the_firmware_takes_and_a_start_inside_both():
             starts = table.ROWS[name].start
             start = starts[table.AXES.index(axis) % len(starts) if axis else 0]
             assert bound.lower <= start <= bound.upper, name
-
-
-def test_what_is_off_without_its_switch_names_one_of_its_axis():
-    assert table.switch_of('roll.lqr.k_angle') == 'roll.lqr.share'
-    assert table.switch_of('yaw.sag.reference_v') == 'yaw.sag.exponent'
-    assert table.switch_of('roll.lqr.share') == table.switch_of('loop.rate_hz') == ''
-    assert all(table.switch_of(name) in {'', *table.ROWS} for name in table.ROWS)
