@@ -201,7 +201,7 @@ class Flying(Autopilot):
         state, angles = self.craft.machine.state, self.angles
         self.heading = angles[2] if self.heading is None else self.heading
         held = self.craft.hover_throttle - 0.05 * state[POSITION + 2] - 0.06 * state[VELOCITY + 2]
-        self.thrust, self.rate_ff, self.rate_only = min(max(held, 0.1), 0.9), np.zeros(3), None
+        self.thrust, self.rate_only = min(max(held, 0.1), 0.9), None
         lean = np.radians(30.0) * np.array(self.sticks[:2])
         if self.mode in {POSITION_MODE, LOITER}:
             x, y = state[POSITION : POSITION + 2]
@@ -238,11 +238,6 @@ class Flying(Autopilot):
             b = math.log(last / first)
             phase = math.tau * first * record / b * (math.exp(b * (t - steady) / record) - 1.0)
         self.injected = p['SID_MAGNITUDE'] * window * math.sin(phase)
-        axis = int(p['SID_AXIS'])
-        if 1 <= axis <= 3:
-            self.att_sp[axis - 1] += math.radians(self.injected)
-        elif 7 <= axis <= 9:
-            self.rate_ff[axis - 7] = math.radians(self.injected)
 
     def control(self):
         wrap = [math.remainder(v, math.tau) for v in self.att_sp - self.angles]
@@ -252,7 +247,7 @@ class Flying(Autopilot):
             k = (lambda n, a=a: p[f'MC_{a}RATE_{n}']) if self.px4 else (
                 lambda n, b=b: p[f'ATC_RAT_{b}_{n}'])
             angle = p[f'MC_{a}_P'] if self.px4 else p[f'ATC_ANG_{b}_P']
-            wanted = angle * wrap[i] + self.rate_ff[i]
+            wanted = angle * wrap[i]
             most = math.radians(p[f'MC_{a}RATE_MAX']) if self.px4 else 12.0
             wanted = min(max(wanted, -most), most)
             if self.rate_only is not None:
@@ -276,7 +271,7 @@ class Flying(Autopilot):
                 self.before[i] = error
             self.integral[i] = min(max(self.integral[i], -most), most)
             extra[i] = out
-        if self.mode == SYSTEM_ID and 10 <= int(p['SID_AXIS']) <= 12:
+        if self.mode == SYSTEM_ID:  # at the mixer's input
             extra[int(p['SID_AXIS']) - 10] += self.injected
         self.torque = np.where(np.isfinite(extra), np.clip(extra, -1.0, 1.0), 0.0)
 

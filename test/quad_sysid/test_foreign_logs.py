@@ -387,8 +387,8 @@ def test_indiflight_says_its_frame_by_gravity_and_names_no_layout(flight, tmp_pa
     }
     rows = np.column_stack([np.arange(N), DT_US * np.arange(N), *columns.values()])
     path = tmp_path / 'LOG.csv'
-    path.write_text('\n'.join([','.join(['loopIteration', 'time', *columns]), *(
-        ','.join(f'{v:.9g}' for v in row) for row in rows)]) + '\n')
+    header = ','.join(['loopIteration', 'time', *columns])
+    np.savetxt(path, rows, '%.9g', ',', header=header, comments='')
     log = read_log(path, format_of(path))
     np.testing.assert_allclose(log.rates.values, flight.rates, atol=1e-6)
     np.testing.assert_allclose(log.acceleration.values, [[0.0, 0.0, 9.80665]] * N, atol=1e-4)

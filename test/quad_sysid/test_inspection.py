@@ -137,10 +137,8 @@ def test_a_log_is_drawn_with_the_motor_that_the_motion_contradicts(tmp_path, cap
     flight = flown(Airframe(X), 1, 24.0)
     rates, motors = flight['rates'], flight['motors'][:, [1, 0, 2, 3]]
     table = np.column_stack([STEP_S * np.arange(len(rates)), rates, motors])
-    log = tmp_path / 'flight.csv'
-    log.write_text('t,gyro_x,gyro_y,gyro_z,m1,m2,m3,m4\n' + '\n'.join(
-        ','.join(f'{v:.6g}' for v in row) for row in table))
-    out = tmp_path / 'flight.html'
+    log, out = tmp_path / 'flight.csv', tmp_path / 'flight.html'
+    np.savetxt(log, table, '%.6g', ',', header='t,gyro_x,gyro_y,gyro_z,m1,m2,m3,m4', comments='')
     assert main(['import', str(log), '--axis', 'roll,pitch,yaw', '--time', 't', '--rate',
                  'gyro_x,gyro_y,gyro_z', '--motors', 'm1,m2,m3,m4', '--mixer', 'X', '--out',
                  str(tmp_path / 'bag')]) == 0
