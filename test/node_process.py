@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,20 @@ def until(
         assert time.monotonic() < end_s, f'never: {what}'
         meanwhile()
         time.sleep(0.002)
+
+
+def ended(
+    *words: object, env: Mapping[str, str] | None = None, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """A program that has run to its end: its status and words. `env`: beside the environment."""
+    options = {'capture_output': True, 'text': True, 'timeout': PATIENCE_S, **options}
+    return subprocess.run([*map(str, words)], check=False, env={**os.environ, **(env or {})},
+                          **options)
+
+
+def python(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """The same of a Python with these words."""
+    return ended(sys.executable, *words, **options)
 
 
 class Started:

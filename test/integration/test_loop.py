@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from node_process import QUICKLY
+from node_process import QUICKLY, python
 
 from quad_sysid.bags import read_bag
 from quad_tuning.demo.summary import flown_square
@@ -102,9 +102,8 @@ def test_an_effect_is_flown_found_and_flown_against(tmp_path: Path, emulated: bo
                        'second_flight.yaml': AGAIN, 'identification': NODE}.items():
         (here / name).write_text(text)
     (here / 'identification').chmod(0o755)
-    demo = subprocess.run(
-        [sys.executable, '-c', DEMO, here, '--out', out, '--seed', '11', '--lockstep',
-         *['--qemu'] * emulated], capture_output=True, text=True, check=False)
+    demo = python('-c', DEMO, here, '--out', out, '--seed', '11', '--lockstep',
+                  *['--qemu'] * emulated, timeout=None)
     assert demo.returncode == 0, demo.stderr + demo.stdout
     bags = sorted(out.glob('flight_*/'))
     # the bag holds every topic and every cycle

@@ -2,7 +2,6 @@
 
 import fcntl
 import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 from flight_controller import Line
 from hypothesis import settings
+from node_process import ended
 from virtual_aircraft import Endpoint
 
 from quad_bridge.aircraft import Quad
@@ -155,13 +155,9 @@ def firmware():
     def build(target):
         with (folder / 'lock').open('w') as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)  # one of pytest's workers builds for all
-            made = subprocess.run(
-                ['make', '-s', '-C', ROOT / 'firmware', f'BUILD={folder}',
-                 f'PYTHON={sys.executable}', str(folder / target)],
-                capture_output=True, text=True, timeout=600, check=False,
-            )  # fmt: skip
-        assert made.returncode == 0, made.stdout + made.stderr
-        assert made.stderr == ''
+            made = ended('make', '-s', '-C', ROOT / 'firmware', f'BUILD={folder}',
+                         f'PYTHON={sys.executable}', folder / target)
+        assert (made.returncode, made.stderr) == (0, ''), made.stdout + made.stderr
         return folder / target
 
     return build

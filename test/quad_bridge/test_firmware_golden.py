@@ -5,12 +5,11 @@ Characters stand in hexadecimal.
 """
 
 import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from probe import PATIENCE_S
+from node_process import ended
 
 from quad_bridge.wire import dialect
 from quad_bridge.wire.codec import Decoder, Encoder
@@ -48,15 +47,6 @@ def test_our_codec_reads_it_and_writes_it_again(golden):
     assert encoder.encode(frame).hex() == golden['hex']
 
 
-def in_c(firmware, lines):
-    text = ''.join(f'{line}\n' for line in lines)
-    run = subprocess.run(
-        [firmware('golden')], input=text, capture_output=True, text=True, timeout=PATIENCE_S,
-        check=True,
-    )  # fmt: skip
-    return run.stdout.splitlines()
-
-
 def signature(golden, *names):
     return ''.join(f' @{name}={golden[name]}' for name in names if 'key' in golden)
 
@@ -69,7 +59,8 @@ def test_c_reads_and_writes_them(firmware):
         + signature(g, 'key', 'link', 'time')
         for g in FRAMES
     ]
-    lines = in_c(firmware, read + write)
+    run = ended(firmware('golden'), input=''.join(f'{line}\n' for line in read + write))
+    lines = run.stdout.splitlines()
     for golden, line in zip(FRAMES, lines[: len(FRAMES)], strict=True):
         name, system, component, sequence, *fields = line.split(' ')
         assert name == golden['message']

@@ -5,14 +5,13 @@ The firmware is built with the sanitizers; a fault of theirs ends it.
 
 import os
 import signal
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
 from flight_controller import Device, Relay, Socket
-from node_process import program
-from probe import PATIENCE_S, event, stamp_ns
+from node_process import ended, program
+from probe import event, stamp_ns
 
 from quad_bridge.key_file import write_key
 from quad_bridge.virtual.native import VARIABLE
@@ -153,17 +152,11 @@ def test_it_takes_the_place_of_a_killed_ones_link_and_of_nothing_else(rig):
     assert rig.port.is_symlink()
     rig.port.unlink()
     rig.port.write_text('mine')
-    told = refused(*program('virtual_stm32'), '--link', rig.port)
-    assert told == f'virtual_stm32: {rig.port}: exists and is not a symbolic link\n'
+    told = ended(*program('virtual_stm32'), '--link', rig.port)
+    assert (told.returncode, told.stderr) == (
+        2, f'virtual_stm32: {rig.port}: exists and is not a symbolic link\n')
     assert rig.port.read_text() == 'mine'
     assert list(rig.folder.iterdir()) == [rig.port]
-
-
-def refused(*command):
-    """What a command with wrong arguments says."""
-    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
-    assert run.returncode == 2
-    return run.stderr
 
 
 def test_the_firmware_ends_with_its_simulation_and_the_simulation_with_it(rig):

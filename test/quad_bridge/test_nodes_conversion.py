@@ -2,13 +2,12 @@
 
 import json
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from flight_controller import STILL
+from node_process import python
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
@@ -81,9 +80,8 @@ def test_rclpy_and_rosbags_read_the_same_to_the_last_bit():
     cycle = filled(gyro=(0.1, -0.2, 0.3), motors=(0.1, 0.2, 0.3, 0.4), accel=(1e-9, 0.0, -0.0))
     pairs = [*zip(KINDS, cycle.raws, strict=True), *of_others()]
     asked = json.dumps([(kind, bytes(raw).hex()) for kind, raw in pairs])
-    done = subprocess.run([sys.executable, '-c', DIFFERENT], input=asked, text=True,
-                          capture_output=True, check=True)
-    assert done.stdout == ''
+    done = python('-c', DIFFERENT, input=asked)
+    assert (done.returncode, done.stdout) == (0, ''), done.stderr
     for kind, raw in pairs:  # and not a byte more or less
         assert STORE.serialize_cdr(STORE.deserialize_cdr(raw, kind), kind) == raw, kind
 

@@ -4,8 +4,6 @@ import inspect
 import json
 import math
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +11,7 @@ import jsonschema
 import numpy as np
 import pytest
 from flown_axis import SHORT, UNSEEN, Axis, fly
+from node_process import python
 
 import quad_sysid as qs
 from quad_sysid.cli import main
@@ -94,11 +93,8 @@ def test_one_of_an_installed_package_is_among_ours(tmp_path):
     info.mkdir()
     (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: mine\nVersion: 1\n')
     (info / 'entry_points.txt').write_text('[quad_sysid.effects]\nmine = mine:EFFECTS\n')
-    done = subprocess.run(
-        [sys.executable, '-c', 'import quad_sysid as qs; print(*(e.name for e in qs.EFFECTS))'],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-        env={**os.environ, 'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'},
-    )
+    done = python('-c', 'import quad_sysid as qs; print(*(e.name for e in qs.EFFECTS))',
+                  env={'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'})
     assert 'cogging' in done.stdout.split(), done.stderr
 
 

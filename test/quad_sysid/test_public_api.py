@@ -1,10 +1,8 @@
 """What `import quad_sysid` offers: the names that the field expects, loaded when used."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+from node_process import python
 
 import quad_sysid
 
@@ -28,7 +26,8 @@ def test_every_promised_name_is_there():
 
 
 def printed_by(code: str) -> str:
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    done = python('-c', code)
+    assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
 
