@@ -34,8 +34,10 @@ from pathlib import Path
 
 import numpy as np
 
+from quad_bridge.gains.history import History
 from quad_bridge.gains.protocol import GainProtocol
 from quad_bridge.gains.table import WIRE_NAMES
+from quad_bridge.gains.update import GainSettings, GainUpdates
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Described, Restarted, Stamped
 from quad_bridge.virtual.native import library
@@ -429,6 +431,31 @@ class Line:
         ]
         turn_ms = 4.0 * NUMBERS
         return [(one + turn_ms / 2) % turn_ms - turn_ms / 2 for one in off_ms]
+
+
+class Updated(Line):
+    """The same with the machine of the gains' updates, as the node joins them, and a history."""
+
+    settings = GainSettings()
+
+    def connect(self, link):
+        self.link, self.notes = link, []
+        self.history = History(self.settings.folder, lambda job: job())
+        self.gains = self.updates = GainUpdates(self.settings, self.history)
+        self.opened()
+
+    def opened(self):
+        self.link.opened()
+        self.updates.restarted()
+
+    def tick(self):
+        record = self.history.open(self.updates.aircraft)
+        if record is not None:
+            self.updates.know(record)
+        self.updates.tick(1e-9 * self.now_ns)
+        super().tick()
+        self.notes += [item.text for item in self.updates.notes]
+        self.updates.notes.clear()
 
 
 # Real ends: each has fileno(), read() and write(data), which says how many bytes it took.

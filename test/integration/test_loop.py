@@ -45,16 +45,9 @@ schedule:
        duration_s: 4.8, period_s: 2.4}
     - {segment: idle, duration_s: 0.5}
 """
-AGAIN = """
-schedule:
-  mount: rig
-  ramp_s: 0.25
-  segments:
-    - {segment: idle, duration_s: 1.0}
-    - {segment: validation, signal: square, axis: roll, injection: attitude, amplitude_deg: 12.0,
-       duration_s: 4.8, period_s: 2.4}
-    - {segment: idle, duration_s: 0.5}
-"""
+LINES = SCHEDULE.splitlines()
+AGAIN = '\n'.join([*LINES[:6], *LINES[-3:]])
+"""Its square alone."""
 
 
 NODE = f"""#!{sys.executable}

@@ -45,6 +45,7 @@ def test_our_codec_reads_it_and_writes_it_again(golden):
             found = getattr(frame, {'time_usec': 'time_us'}.get(name, name))
             assert np.array_equal(np.float32(found), np.float32(value)), name
     assert encoder.encode(frame).hex() == golden['hex']
+    assert encoder.encode(frame)[4] == (golden['sequence'] + 1) % 256
 
 
 def signature(golden, *names):

@@ -142,12 +142,11 @@ def test_a_free_path_is_numbered_where_the_second_is_taken(tmp_path, monkeypatch
     assert list((tmp_path / 'a').iterdir()) == []
 
 
-def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(tmp_path, capsys):
+def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(tmp_path, printed):
     killed, n = tmp_path / 'killed', 8 * EVERY
     ledger = made(killed, n + EVERY // 2, closed=False)
     before = {p.name: p.read_bytes() for p in killed.iterdir()}
-    main([str(killed)])
-    said = capsys.readouterr().out
+    said = printed(main, killed)
     assert f'killed_recovered: {n} messages recovered; lost: ' in said
     assert 'ends without its index' in said
     count = sum(topic == TOPICS[0] for topic, *_ in ledger[:n])

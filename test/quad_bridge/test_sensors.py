@@ -74,10 +74,9 @@ def standing(tmp_path_factory):
     return imu_bag(tmp_path_factory.mktemp('standing') / 'bag', *resting(8.0))
 
 
-def test_the_command_writes_what_it_finds(tmp_path, standing, capsys):
+def test_the_command_writes_what_it_finds(tmp_path, standing, printed):
     file = tmp_path / 'aircraft' / 'one.yaml'
-    main(['rest', str(standing), '--out', str(file)])
-    assert 'gyro bias +0.01197, -0.02005' in capsys.readouterr().out
+    assert 'gyro bias +0.01197, -0.02005' in printed(main, 'rest', standing, '--out', file)
     kept = yaml.safe_load(file.read_text())['sensors']['rest']
     assert kept['gyro_bias'] == pytest.approx(list(BIAS), abs=1e-3)
     assert kept['source'] == str(standing)

@@ -108,7 +108,7 @@ def test_units_are_what_they_are_called(role, unit, values, si):
     assert unit_of(role, unit, 'column')(np.array(values)) == pytest.approx(si)
 
 
-def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsys):
+def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, printed, capsys):
     fast = columns()['rate'] * 30.0 / np.pi
     file = write(tmp_path / 'a.csv', columns() | {
         'gx [rpm]': 0.5 * fast, 'rate [rpm]': fast, 'gy [rpm]': fast, 'gz [rpm]': 0.3 * fast})
@@ -116,8 +116,7 @@ def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsy
     assert "'rpm'; use rad/s, deg/s, m/s, mm/s, a factor" in refused(unknown)
     found = read_columns(replace(unknown, units={'rate [rpm]': str(np.pi / 30.0)}))
     np.testing.assert_allclose(found.rates.values[:, 1], columns()['rate'], atol=1e-9)
-    assert main(['import', str(file)]) == 0
-    assert "--unit 'gy [rpm]=rad/s'" in capsys.readouterr().out
+    assert "--unit 'gy [rpm]=rad/s'" in printed(main, 'import', file)
     assert main(['import', str(file), '--out', str(tmp_path / 'other')]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
@@ -126,7 +125,7 @@ def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsy
     ('Gyro X (deg/s)', 'Gyro Y', 'Gyro Z'), ('gyro_x_dps', 'gyro_y_dps', 'gyro_z_dps'),
 ])
 def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
-    tmp_path, capsys, monkeypatch, heads
+    tmp_path, monkeypatch, heads, printed
 ):
     """As on a rig where roll alone is free; a typed command needs no --unit for such names."""
     assert unit_of('rate', None, heads[0]).name == 'deg/s'
@@ -137,8 +136,7 @@ def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
     write(tmp_path / 'own.csv', {
         't': table['t'], **{name: table[name] for name in MOTORS},
         **dict(zip((*heads, 'roll', 'pitch', 'yaw'), [*rates / DEG, *angles / DEG], strict=True))})
-    assert main(['import', 'own.csv']) == 0
-    (line,) = [x for x in capsys.readouterr().out.splitlines() if x.startswith('quad-sysid')]
+    (line,) = [x for x in printed(main, 'import', 'own.csv').splitlines() if x.startswith('quad')]
     words = shlex.split(line)[1:]
     words[words.index('--mixer') + 1] = 'x'  # no motor turned anything
     assert main(words) == 0

@@ -115,7 +115,7 @@ def test_a_bag_without_commands_tells_its_topics(record, tmp_path, capsys):
     assert '/control/wrench are both missing' in err
 
 
-def test_the_page_fits_a_terminal_and_json_is_whole(bag, capsys):
+def test_the_page_fits_a_terminal_and_json_is_whole(bag, printed):
     held = content(bag)
     page = lines(held)
     assert max(map(len, page)) <= 80
@@ -124,15 +124,13 @@ def test_the_page_fits_a_terminal_and_json_is_whole(bag, capsys):
     assert sum('0.204' in line for line in page) == 3  # with the line on the flight, and a warning
     assert [(use.possible, use.because) for use in held.uses] == [
         (True, "one of this bag's rate, 250 Hz")]  # a stored model must have it
-    assert main(['inspect', str(bag), '--json']) == 0
-    tree = json.loads(capsys.readouterr().out)
+    tree = json.loads(printed(main, 'inspect', bag, '--json'))
     assert tree['schema'] == 'quad_sysid/inspection/1'
     assert tree['axes'][0]['axis'] == 'roll'
-    assert main(['inspect', str(bag), '--quiet']) == 0
-    assert capsys.readouterr().out == ''
+    assert printed(main, 'inspect', bag, '--quiet') == ''
 
 
-def test_a_log_is_drawn_with_the_motor_that_the_motion_contradicts(tmp_path, capsys):
+def test_a_log_is_drawn_with_the_motor_that_the_motion_contradicts(tmp_path, refused):
     """In a table: motors 1 and 2 of the X frame exchanged, which roll and pitch tell apart."""
     flight = flown(Airframe(X), 1, 24.0)
     rates, motors = flight['rates'], flight['motors'][:, [1, 0, 2, 3]]
@@ -150,6 +148,5 @@ def test_a_log_is_drawn_with_the_motor_that_the_motion_contradicts(tmp_path, cap
     assert 'should be' in text
     assert content(log).axes  # what its columns are is guessed, and no bag is needed
     out.write_text('mine')
-    assert main(['inspect', str(log), '--out', str(out)]) == 2
-    assert 'no page of quad-sysid inspect' in capsys.readouterr().err
+    assert 'no page of quad-sysid inspect' in refused(main, 'inspect', log, '--out', out)
     assert out.read_text() == 'mine'

@@ -120,15 +120,13 @@ def model_with_rival(probability: float) -> AxisModel:
     )
 
 
-def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, capsys):
+def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, printed):
     model, out = tmp_path / 'model.json', tmp_path / 'schedule.yaml'
     save_models({'roll': model_with_rival(0.3)}, model)
-    told = main(['design-excitation', '--separate', '--model', str(model), '--seconds', '10',
-                 '--out', str(out)])
-    printed = capsys.readouterr().out
-    assert told == 0
-    assert 'coulomb_friction (torque 0.12 rad/s²' in printed
-    assert 'quadratic_drag (coefficient' in printed
+    said = printed(main, 'design-excitation', '--separate', '--model', model, '--seconds', 10,
+                   '--out', out)
+    assert 'coulomb_friction (torque 0.12 rad/s²' in said
+    assert 'quadratic_drag (coefficient' in said
     assert parse_schedule(yaml.safe_load(out.read_text()), 'x').parts
 
 

@@ -72,13 +72,12 @@ def test_table_and_file_tell_the_same(stored, shaken, tmp_path, capsys):
 
 @pytest.mark.usefixtures('quick')
 def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(
-    stored, answer, tmp_path, capsys
+    stored, answer, tmp_path, printed
 ):
     plain, file = answer('--method', 'lqr', command=ros2), tmp_path / 'slow.json'
     assert (plain['gains']['roll.lqr.share'], len(plain['gains'])) == (1.0, 10)
-    assert main(['design', stored, '--method', 'lqr', '--axis', 'roll', '--max-rate', '0.3',
-                 '--out', str(file)]) == 0
-    assert 'roll.lqr.k_angle' in capsys.readouterr().out
+    words = ('design', stored, '--method', 'lqr', '--axis', 'roll', '--max-rate', 0.3)
+    assert 'roll.lqr.k_angle' in printed(main, *words, '--out', file)
     slow = json.loads(file.read_text())['axes']['roll']
     assert slow['figures']['rise_time_s'] > 1.2 * plain['figures']['rise_time_s']
 
