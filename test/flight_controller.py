@@ -7,8 +7,7 @@ the firmware's own code (`Store`). Whatever has `cycle() -> bytes` and
 autopilot.
 
 `Line` joins it to a Link in memory, with a clock of its own; `Port` has it behind a
-pseudo-terminal or a socket, in a thread, for a bridge in a process of its own; `Relay` joins
-two real ends.
+pseudo-terminal, in a thread, for a bridge in a process of its own; `Relay` joins two of them.
 
 A `Port` says nothing before it has heard the bridge, and afterwards waits for a bridge without
 CPU instead of losing cycles: every number from the first to the last arrives, or the bridge has
@@ -22,7 +21,6 @@ import ctypes
 import functools
 import os
 import select
-import socket
 import threading
 import time
 import tty
@@ -506,40 +504,6 @@ class Device(Pty):
         os.close(self.master)
 
 
-class Socket:
-    """A TCP server for one peer after the other; `url` is the bridge's `port`."""
-
-    def __init__(self):
-        self.server, self.peer = socket.create_server(('127.0.0.1', 0)), None
-        self.url = f'socket://127.0.0.1:{self.server.getsockname()[1]}'
-
-    def fileno(self):
-        return (self.peer or self.server).fileno()
-
-    def read(self):
-        if self.peer is None:
-            self.peer, _ = self.server.accept()
-            self.peer.setblocking(False)
-            self.peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            return b''
-        with contextlib.suppress(ConnectionError):
-            if data := self.peer.recv(65536):
-                return data
-        self.peer.close()
-        self.peer = None
-        return b''
-
-    def write(self, data):
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            return len(data) if self.peer is None else self.peer.send(data)
-        return 0
-
-    def close(self):
-        for part in (self.peer, self.server):
-            if part is not None:
-                part.close()
-
-
 class _Runner(threading.Thread):
     """A thread that ends with its `with` block."""
 
@@ -567,7 +531,7 @@ class _Runner(threading.Thread):
 
 
 class Port(_Runner):
-    """A flight controller behind a pseudo-terminal or socket, in a thread, 250 cycles a second."""
+    """A flight controller behind a pseudo-terminal, in a thread, 250 cycles a second."""
 
     def __init__(self, controller, end, *, start_s=None):
         super().__init__(end)

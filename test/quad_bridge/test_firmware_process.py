@@ -1,4 +1,4 @@
-"""The bridge's process and the firmware's, on a pty and over a signed network link.
+"""The bridge's process and the firmware's, on a pty and over a signed link.
 
 The firmware is built with the sanitizers; a fault of theirs ends it.
 """
@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from flight_controller import Device, Relay, Socket
+from flight_controller import Device, Pty, Relay
 from node_process import ended, program
 from probe import event, stamp_ns
 
@@ -70,14 +70,14 @@ def ended_and_stays_so(rig):
     assert stamp_ns(rig.applied[-1]) < now_ns
 
 
-def test_over_a_network_only_the_key_commands_and_only_while_the_operator_holds(rig, probe):
+def test_of_a_signed_link_only_the_key_commands_and_only_while_the_operator_holds(rig, probe):
     key = rig.folder / 'key'
     write_key(key)
     profile = rig.folder / 'disarmed.yaml'
     profile.write_text('extends: plain\nfirmware: {auto_arm: false}\n')
     rig.start_host('--key', key, '--profile', profile)
-    with Relay(Device(rig.port), Socket()) as network:
-        fly_and_intrude(rig, probe, network, key)
+    with Relay(Device(rig.port), Pty(rig.folder / 'line')) as line:
+        fly_and_intrude(rig, probe, line, key)
     counts = rig.end_host()
     assert counts['unsigned'] == 1
     assert counts['replayed'] > 5
@@ -91,9 +91,9 @@ def lets_go(rig):
     rig.says(EXCITATION, 'silent', since_ns=now_ns)
 
 
-def fly_and_intrude(rig, probe, network, key):
-    device, end = network.ends
-    rig.start('serial_bridge', port=end.url, key_file=key, state_folder=rig.folder / 'state',
+def fly_and_intrude(rig, probe, line, key):
+    device, end = line.ends
+    rig.start('serial_bridge', port=end.link, key_file=key, state_folder=rig.folder / 'state',
               require_enable='true')
     probe.meet('/gains/update', '/excitation/segment', '/excitation/setpoint', '/operator/enable')
     probe.until(lambda: len(rig.imu) > 100, 'cycles')
@@ -130,7 +130,7 @@ def fly_and_intrude(rig, probe, network, key):
     ended_and_stays_so(rig)
 
     # intruders: what was said before, and what bears no signature
-    recorded = bytes(network.heard[-2000:])
+    recorded = bytes(line.heard[-2000:])
     recorded = recorded[recorded.index(b'\xfd') :]
     for data in (Encoder(1, 191).encode(f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1)), recorded):
         while data := data[device.write(data) :]:  # as fast as the firmware reads
