@@ -244,29 +244,22 @@ def test_a_bag_of_ros_1(tmp_path):
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS1_NOETIC)
-    kinds = store.types
-    table = columns()
+    store, table = get_typestore(Stores.ROS1_NOETIC), columns()
+    of = {name.rpartition('/')[2]: made for name, made in store.types.items()}
+    time = store.types['builtin_interfaces/msg/Time']
+    nine, upright = np.zeros(9), of['Quaternion'](0.0, 0.0, 0.0, 1.0)
     with Writer(tmp_path / 'flight.bag') as writer:
         imu = writer.add_connection('/imu', 'sensor_msgs/msg/Imu', typestore=store)
         command = writer.add_connection('/cmd', 'geometry_msgs/msg/Vector3', typestore=store)
-        vector = kinds['geometry_msgs/msg/Vector3']
         for k, t in enumerate(table['t']):
             ns = 10**18 + round(1e9 * t)
-            message = kinds['sensor_msgs/msg/Imu'](
-                header=kinds['std_msgs/msg/Header'](
-                    seq=k, frame_id='', stamp=kinds['builtin_interfaces/msg/Time'](
-                        ns // 10**9, ns % 10**9)),
-                orientation=kinds['geometry_msgs/msg/Quaternion'](0.0, 0.0, 0.0, 1.0),
-                angular_velocity=vector(table['rate'][k], 0.0, 0.0),
-                linear_acceleration=vector(0.0, 0.0, 9.81), orientation_covariance=np.zeros(9),
-                angular_velocity_covariance=np.zeros(9),
-                linear_acceleration_covariance=np.zeros(9),
-            )
-            writer.write(imu, ns + 3_000_000,
-                         store.serialize_ros1(message, 'sensor_msgs/msg/Imu'))
-            writer.write(command, ns, store.serialize_ros1(
-                vector(table['u'][k], 0.0, 0.0), 'geometry_msgs/msg/Vector3'))
+            rate, u, felt = (of['Vector3'](*v) for v in (
+                (table['rate'][k], 0.0, 0.0), (table['u'][k], 0.0, 0.0), (0.0, 0.0, 9.81)))
+            head = of['Header'](k, time(*divmod(ns, 10**9)), '')
+            message = of['Imu'](head, upright, nine, rate, nine, felt, nine)
+            for topic, late_ns, one in ((imu, 3_000_000, message), (command, 0, u)):
+                raw = store.serialize_ros1(one, topic.msgtype)
+                writer.write(topic, ns + late_ns, raw)
     assert '/imu.orientation.pitch' in open_table(tmp_path / 'flight.bag').columns
     imported(ColumnOptions(
         file=tmp_path / 'flight.bag', axes=('roll',), control=('/cmd.x',),
