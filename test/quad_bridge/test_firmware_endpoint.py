@@ -15,10 +15,9 @@ from quad_bridge.virtual.native import NativeFirmware
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.codec import Decoder, Encoder
-from quad_bridge.wire.signing import Signing
 
 CYCLE_US = 4000
-KEY, DIVIDER = bytes(range(32)), 11.0
+DIVIDER = 11.0
 NAMES = tuple(WIRE_NAMES.values())
 COUNTS = ('frames', 'bad', 'unsigned', 'forged', 'replayed', 'dropped')
 LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, 9.81)
@@ -28,10 +27,9 @@ LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, 9.81)
 class Board:
     """The firmware at rest on a table, with Python's codec at its other end."""
 
-    def __init__(self, *, armed=True, may_arm=True, key=None, time=0):
-        signing = None if key is None else Signing(key, lambda: time)
-        self.decoder, self.encoder = Decoder(signing), Encoder(1, 191, signing)
-        self.firmware = NativeFirmware(boot(Profile()).frame(), key, time)
+    def __init__(self, *, armed=True, may_arm=True):
+        self.decoder, self.encoder = Decoder(), Encoder(1, 191)
+        self.firmware = NativeFirmware(boot(Profile()).frame())
         self.firmware.arm(armed, may_arm=may_arm)
         self.cycle = 0
         self.motors = ()

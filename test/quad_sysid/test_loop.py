@@ -215,10 +215,10 @@ def test_simulation_equals_an_independent_one_with_limits_reached(delay_s):
     np.testing.assert_allclose(ours.control, u, atol=4e-6)
 
 
-def model_of(*effects: EffectEstimate, volts: float = 11.0) -> AxisModel:
+def model_of(*effects: EffectEstimate) -> AxisModel:
     values = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}
     base = tuple(Parameter(n, v, 0.01, '') for n, v in values.items())
-    return AxisModel('roll', DT, 42.0, base, effects, mean_battery_v=volts)
+    return AxisModel('roll', DT, 42.0, base, effects, mean_battery_v=11.0)
 
 
 def effect(
