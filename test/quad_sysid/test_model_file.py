@@ -98,12 +98,8 @@ def test_a_file_of_an_earlier_version_is_read_as_it_was_meant_or_refused(tmp_pat
 # black-box models beside them
 
 
-@pytest.fixture(scope='module')
-def polynomial():
-    return bj(reference_study().record(np.random.default_rng(0)), 2, 2, 2, 2, 3)
-
-
-def test_a_polynomial_model_comes_back_the_same(polynomial, tmp_path):
+def test_a_polynomial_model_comes_back_the_same(tmp_path):
+    polynomial = bj(reference_study().record(np.random.default_rng(0)), 2, 2, 2, 2, 3)
     path = tmp_path / 'model.json'
     path.write_text(json.dumps({'axes': {}, 'blackbox': {'roll': tree_of(polynomial)}}))
     back = load_blackbox(path)['roll']

@@ -18,7 +18,7 @@ from quad_sysid.loop.from_model import Placed
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.model.effect import Part
 from quad_sysid.model.identified import UNLISTED
-from quad_sysid.model.structure import Structure
+from quad_sysid.model.structure import Structure, coordinates
 from quad_sysid.pipeline.advice import rivalry
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report.model_file import save_models
@@ -53,8 +53,7 @@ def test_what_flies_is_what_identification_fits(name):
     found = judged(aircraft, fly(aircraft, [acting], [flight])[0].data)
     assert found.fitted([acting.part]) > 8.0
     problem: Problem = found.problem
-    logs = np.array([spec.log for spec in effect.parameters])
-    own = np.where(logs, np.log(np.where(logs, values, 1.0)), values)
+    own = coordinates(effect.parameters, values)
     count = found.base.theta.size - len(Structure().noise)
     start = np.r_[found.base.theta[:count], own, found.base.theta[count:]]
     fitted = fit(problem, Structure((acting.part,)), start, rate=found.base.rate)
