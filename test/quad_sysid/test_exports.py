@@ -23,6 +23,12 @@ def model():
     )
 
 
+@pytest.fixture
+def stored(model, tmp_path):
+    save_models({'roll': model}, tmp_path / 'model.json')
+    return tmp_path / 'model.json'
+
+
 def expected(omega: np.ndarray) -> np.ndarray:
     """Rate per command by the formula, without the hold."""
     s = 1j * omega
@@ -47,11 +53,10 @@ def test_both_forms_have_the_response_of_the_formula(model):
     np.testing.assert_allclose(discrete, expected(omega) * hold, rtol=2e-3)
 
 
-def test_python_control_has_the_same_system(model, tmp_path):
+def test_python_control_has_the_same_system(model, stored, tmp_path):
     pytest.importorskip('control')
     found = matrices(model)
-    stored, out = tmp_path / 'model.json', tmp_path / 'aircraft.py'
-    save_models({'roll': model}, stored)
+    out = tmp_path / 'aircraft.py'
     assert main(['export', str(stored), '--to', 'control', '--out', str(out), '--quiet']) == 0
     again = runpy.run_path(str(out))['axes']['roll']
     np.testing.assert_allclose(again.A, found['Ad'], rtol=1e-15)
