@@ -9,8 +9,6 @@ behind a `Port`:
     line = Line(Autopilot(PX4), host0_ns=HOST0_NS)
     line.fly(6.0); line.out
     Autopilot(ARDUPILOT, timesync_s=0.04, only=('ATTITUDE',), boot_us=2**32)
-
-`Party` is another program on the same line, made of pymavlink: a ground station, mavros.
 """
 
 import math
@@ -288,22 +286,3 @@ class Autopilot:
 
 
 ID = {message.msgname: number for number, message in mav.mavlink_map.items()} | {'ESC_STATUS': 291}
-
-
-class Party:
-    """Another program on the line; `say` gives the bytes that it sends."""
-
-    def __init__(self, system: int, component: int) -> None:
-        self.mav = mav.MAVLink(None, system, component)
-        self.ears = mav.MAVLink(None)
-        self.ears.robust_parsing = True
-
-    def say(self, *messages) -> bytes:
-        out = b''
-        for message in messages:
-            self.mav.seq = (self.mav.seq + 1) % 256
-            out += bytes(message.pack(self.mav))
-        return out
-
-    def hear(self, data: bytes):
-        return self.ears.parse_buffer(data) or []

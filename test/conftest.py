@@ -85,6 +85,19 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 
 
 @pytest.fixture
+def printed(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """A function: what a command prints that succeeds with these words."""
+
+    def told(main: Callable[[list[str]], object], *words: object) -> str:
+        status = main([str(word) for word in words])
+        said = capsys.readouterr()
+        assert not status, said.err
+        return said.out
+
+    return told
+
+
+@pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
     """A domain that nobody uses, set for this process and those that it starts."""
     with own_domain() as domain:

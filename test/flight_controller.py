@@ -7,8 +7,7 @@ the firmware's own code (`Store`). Whatever has `cycle() -> bytes` and
 autopilot.
 
 `Line` joins it to a Link in memory, with a clock of its own; `Port` has it behind a
-pseudo-terminal or a socket, in a thread, for a bridge in a process of its own; `Relay` is a line
-with faults between two real ends.
+pseudo-terminal, in a thread, for a bridge in a process of its own; `Relay` joins two of them.
 
 A `Port` says nothing before it has heard the bridge, and afterwards waits for a bridge without
 CPU instead of losing cycles: every number from the first to the last arrives, or the bridge has
@@ -22,7 +21,6 @@ import ctypes
 import functools
 import os
 import select
-import socket
 import threading
 import time
 import tty
@@ -34,8 +32,10 @@ from pathlib import Path
 
 import numpy as np
 
+from quad_bridge.gains.history import History
 from quad_bridge.gains.protocol import GainProtocol
 from quad_bridge.gains.table import WIRE_NAMES
+from quad_bridge.gains.update import GainSettings, GainUpdates
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Described, Restarted, Stamped
 from quad_bridge.virtual.native import library
@@ -281,28 +281,6 @@ def explore(begin, most, rest_every):
     return met, len(seen), len(left)
 
 
-# What a line does to frames.
-
-
-def DROPPED(_frame):  # noqa: N802
-    return []
-
-
-def changed(**fields):
-    """Every field replaced by a function of the frame: `changed(value=lambda x: -x.value)`."""
-    return lambda frame: [replace(frame, **{k: new(frame) for k, new in fields.items()})]
-
-
-class Fault:
-    """Does `what` to every frame of a kind; frame → frames."""
-
-    def __init__(self, kind, what):
-        self.kind, self.what = kind, what
-
-    def __call__(self, frame):
-        return self.what(frame) if isinstance(frame, self.kind) else [frame]
-
-
 class Direction:
     """One way of a line: `fault` acts on frames, `noise` flips a share of the bytes."""
 
@@ -453,6 +431,31 @@ class Line:
         return [(one + turn_ms / 2) % turn_ms - turn_ms / 2 for one in off_ms]
 
 
+class Updated(Line):
+    """The same with the machine of the gains' updates, as the node joins them, and a history."""
+
+    settings = GainSettings()
+
+    def connect(self, link):
+        self.link, self.notes = link, []
+        self.history = History(self.settings.folder, lambda job: job())
+        self.gains = self.updates = GainUpdates(self.settings, self.history)
+        self.opened()
+
+    def opened(self):
+        self.link.opened()
+        self.updates.restarted()
+
+    def tick(self):
+        record = self.history.open(self.updates.aircraft)
+        if record is not None:
+            self.updates.know(record)
+        self.updates.tick(1e-9 * self.now_ns)
+        super().tick()
+        self.notes += [item.text for item in self.updates.notes]
+        self.updates.notes.clear()
+
+
 # Real ends: each has fileno(), read() and write(data), which says how many bytes it took.
 
 
@@ -501,67 +504,6 @@ class Device(Pty):
         os.close(self.master)
 
 
-class Socket:
-    """A TCP server for one peer after the other; `url` is the bridge's `port`."""
-
-    def __init__(self):
-        self.server, self.peer = socket.create_server(('127.0.0.1', 0)), None
-        self.url = f'socket://127.0.0.1:{self.server.getsockname()[1]}'
-
-    def fileno(self):
-        return (self.peer or self.server).fileno()
-
-    def read(self):
-        if self.peer is None:
-            self.peer, _ = self.server.accept()
-            self.peer.setblocking(False)
-            self.peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            return b''
-        with contextlib.suppress(ConnectionError):
-            if data := self.peer.recv(65536):
-                return data
-        self.peer.close()
-        self.peer = None
-        return b''
-
-    def write(self, data):
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            return len(data) if self.peer is None else self.peer.send(data)
-        return 0
-
-    def close(self):
-        for part in (self.peer, self.server):
-            if part is not None:
-                part.close()
-
-
-class Datagrams:
-    """A UDP socket that waits for a bridge and answers it; `url` is the bridge's `port`."""
-
-    def __init__(self):
-        self.socket, self.peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), None
-        self.socket.bind(('127.0.0.1', 0))
-        self.socket.setblocking(False)
-        self.url = f'udp://127.0.0.1:{self.socket.getsockname()[1]}'
-
-    def fileno(self):
-        return self.socket.fileno()
-
-    def read(self):
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            data, self.peer = self.socket.recvfrom(65536)
-            return data
-        return b''
-
-    def write(self, data):
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            return self.socket.sendto(data[:1400], self.peer) if self.peer else len(data)
-        return 0
-
-    def close(self):
-        self.socket.close()
-
-
 class _Runner(threading.Thread):
     """A thread that ends with its `with` block."""
 
@@ -589,7 +531,7 @@ class _Runner(threading.Thread):
 
 
 class Port(_Runner):
-    """A flight controller behind a pseudo-terminal or socket, in a thread, 250 cycles a second."""
+    """A flight controller behind a pseudo-terminal, in a thread, 250 cycles a second."""
 
     def __init__(self, controller, end, *, start_s=None):
         super().__init__(end)
@@ -623,11 +565,10 @@ class Port(_Runner):
 
 
 class Relay(_Runner):
-    """Joins two ends; `up` is what goes from the second, the bridge's, to the first."""
+    """Joins two ends; the second is the bridge's."""
 
     def __init__(self, far, near):
         super().__init__(far, near)
-        self.up, self.down = Direction((1, 191)), Direction((1, 1))
         self.heard = bytearray()
         """All bytes of the bridge."""
 
@@ -639,6 +580,4 @@ class Relay(_Runner):
                     data = end.read()
                     if end is near:
                         self.heard += data
-                        far.write(self.up.carry(data))
-                    else:
-                        near.write(self.down.carry(data))
+                    (far if end is near else near).write(data)

@@ -13,7 +13,6 @@ import math
 import signal
 import sys
 import tempfile
-import time
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
@@ -202,7 +201,7 @@ class Flying(Autopilot):
         state, angles = self.craft.machine.state, self.angles
         self.heading = angles[2] if self.heading is None else self.heading
         held = self.craft.hover_throttle - 0.05 * state[POSITION + 2] - 0.06 * state[VELOCITY + 2]
-        self.thrust, self.rate_ff, self.rate_only = min(max(held, 0.1), 0.9), np.zeros(3), None
+        self.thrust, self.rate_only = min(max(held, 0.1), 0.9), None
         lean = np.radians(30.0) * np.array(self.sticks[:2])
         if self.mode in {POSITION_MODE, LOITER}:
             x, y = state[POSITION : POSITION + 2]
@@ -239,11 +238,6 @@ class Flying(Autopilot):
             b = math.log(last / first)
             phase = math.tau * first * record / b * (math.exp(b * (t - steady) / record) - 1.0)
         self.injected = p['SID_MAGNITUDE'] * window * math.sin(phase)
-        axis = int(p['SID_AXIS'])
-        if 1 <= axis <= 3:
-            self.att_sp[axis - 1] += math.radians(self.injected)
-        elif 7 <= axis <= 9:
-            self.rate_ff[axis - 7] = math.radians(self.injected)
 
     def control(self):
         wrap = [math.remainder(v, math.tau) for v in self.att_sp - self.angles]
@@ -253,7 +247,7 @@ class Flying(Autopilot):
             k = (lambda n, a=a: p[f'MC_{a}RATE_{n}']) if self.px4 else (
                 lambda n, b=b: p[f'ATC_RAT_{b}_{n}'])
             angle = p[f'MC_{a}_P'] if self.px4 else p[f'ATC_ANG_{b}_P']
-            wanted = angle * wrap[i] + self.rate_ff[i]
+            wanted = angle * wrap[i]
             most = math.radians(p[f'MC_{a}RATE_MAX']) if self.px4 else 12.0
             wanted = min(max(wanted, -most), most)
             if self.rate_only is not None:
@@ -277,7 +271,7 @@ class Flying(Autopilot):
                 self.before[i] = error
             self.integral[i] = min(max(self.integral[i], -most), most)
             extra[i] = out
-        if self.mode == SYSTEM_ID and 10 <= int(p['SID_AXIS']) <= 12:
+        if self.mode == SYSTEM_ID:  # at the mixer's input
             extra[int(p['SID_AXIS']) - 10] += self.injected
         self.torque = np.where(np.isfinite(extra), np.clip(extra, -1.0, 1.0), 0.0)
 
@@ -460,11 +454,11 @@ class Told(Line):
 
 
 def main(argv=None):
-    """Fly behind a pseudo-terminal, in lockstep where that is asked for, until a signal."""
+    """Fly behind a pseudo-terminal, in lockstep, until a signal."""
     parser = argparse.ArgumentParser()
     parser.add_argument('kind', choices=('px4', 'ardupilot'))
     parser.add_argument('--link', type=Path, required=True)
-    parser.add_argument('--lockstep', type=Path)
+    parser.add_argument('--lockstep', type=Path, required=True)
     parser.add_argument('--hz', type=float, default=250.0)
     given = parser.parse_args(argv)
     kind = FLYING_PX4 if given.kind == 'px4' else FLYING_ARDUPILOT
@@ -474,29 +468,21 @@ def main(argv=None):
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stopped.append(1))
     end = Pty(given.link)
-    line = Told(given.lockstep) if given.lockstep else None
-    unsent, begun_s = bytearray(), time.monotonic()
+    line, unsent = Told(given.lockstep), bytearray()
     try:
         while not stopped:
-            if line is not None:
-                line.attend(0.0 if line.ready else 0.2)
-                due = line.ready
-            else:
-                due = time.monotonic() - begun_s > aircraft.now_s
-                time.sleep(0.0 if due else 0.002)
-            if due and len(unsent) < 8000:
+            line.attend(0.0 if line.ready else 0.2)
+            if line.ready and len(unsent) < 8000:
                 unsent += aircraft.cycle()
-                if line is not None:
-                    line.sent_ns = START_NS + 1000 * aircraft.timed_us
-                    line.tell(START_NS + 1000 * aircraft.now_us)
+                line.sent_ns = START_NS + 1000 * aircraft.timed_us
+                line.tell(START_NS + 1000 * aircraft.now_us)
             if unsent:
                 del unsent[: end.write(unsent)]
             with contextlib.suppress(OSError):
                 unsent += aircraft.receive(end.read(), 1000 * aircraft.now_us)
     finally:
         end.close()
-        if line is not None:
-            line.close()
+        line.close()
 
 
 if __name__ == '__main__':

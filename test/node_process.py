@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +15,16 @@ from nursery import Nursery
 from probe import PATIENCE_S
 from rosbags.highlevel import AnyReader
 
-STARTS = {
-    'serial_bridge': 'quad_bridge.start',
-    'bag_logger': 'quad_bridge.start',
-    'monitor': 'quad_bridge.start',
-    'excitation': 'quad_sysid.start_node',
-    'identification': 'quad_sysid.start_node',
-    'virtual_stm32': 'quad_bridge.start',
+PROGRAMS = {
+    'serial_bridge': ('quad_bridge.start', 'quad_bridge.nodes.serial_bridge'),
+    'bag_logger': ('quad_bridge.start', 'quad_bridge.nodes.bag_logger'),
+    'monitor': ('quad_bridge.start', 'quad_bridge.nodes.monitor'),
+    'excitation': ('quad_sysid.start_node', 'quad_sysid.excitation_node'),
+    'identification': ('quad_sysid.start_node', 'quad_sysid.identification_node'),
+    'virtual_stm32': ('quad_bridge.start', 'quad_bridge.virtual.process'),
+    'main': ('quad_tuning.cli', 'quad_tuning.update_node'),
 }
-"""Programs by name, and where `ros2 run` would begin."""
-MODULES = {
-    'serial_bridge': 'quad_bridge.nodes.serial_bridge',
-    'bag_logger': 'quad_bridge.nodes.bag_logger',
-    'monitor': 'quad_bridge.nodes.monitor',
-    'excitation': 'quad_sysid.excitation_node',
-    'identification': 'quad_sysid.identification_node',
-    'virtual_stm32': 'quad_bridge.virtual.process',
-    'main': 'quad_tuning.update_node',
-}
-"""What they import first; `main` is that of `quad-tune`."""
+"""By name, `main` is `quad-tune`: where `ros2 run` would begin, and what it imports first."""
 QUICKLY = """
 from quad_sysid.pipeline import identify
 from quad_tuning import pid
@@ -63,7 +54,8 @@ def node_command(
 
 def program(name: str, broken: str = '') -> list[str]:
     """The beginning of the command of a program of the suite."""
-    code = f'{broken}\nimport sys; from {STARTS[name]} import {name} as start; sys.exit(start())'
+    begin, _ = PROGRAMS[name]
+    code = f'{broken}\nimport sys; from {begin} import {name} as start; sys.exit(start())'
     return [sys.executable, '-c', code]
 
 
@@ -89,6 +81,20 @@ def until(
         time.sleep(0.002)
 
 
+def ended(
+    *words: object, env: Mapping[str, str] | None = None, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """A program that has run to its end: its status and words. `env`: beside the environment."""
+    options = {'capture_output': True, 'text': True, 'timeout': PATIENCE_S, **options}
+    return subprocess.run([*map(str, words)], check=False, env={**os.environ, **(env or {})},
+                          **options)
+
+
+def python(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """The same of a Python with these words."""
+    return ended(sys.executable, *words, **options)
+
+
 class Started:
     """A running process; what it says goes into files, so that it never waits for who reads."""
 
@@ -100,7 +106,7 @@ class Started:
         self._out, self._err = files.with_suffix('.out'), files.with_suffix('.err')
         words = [str(word) for word in command]
         begun = re.search(r' import (\w+) as start', ' '.join(words[2:3]))
-        module = MODULES.get(begun[1]) if begun else None
+        _, module = PROGRAMS.get(begun[1], (None, None)) if begun else (None, None)
         none = Path(os.devnull)
         with self._out.open('w') as out, self._err.open('w') as err, none.open() as given:
             if nursery is None or module is None or words[:2] != [sys.executable, '-c']:

@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -35,24 +36,6 @@ KINDS = {bool: (1, 'bool_value'), int: (2, 'integer_value'), float: (3, 'double_
 # ---- the client ------------------------------------------------------------------------------
 
 
-class Answer:
-    """What a service will answer; `until(answer.done)`, then `result()`."""
-
-    def __init__(self, words: str) -> None:
-        self.words = words
-        self._reply: Any = None
-
-    def done(self) -> bool:
-        return self._reply is not None
-
-    def take(self, reply: Any) -> None:
-        self._reply = reply
-
-    def result(self) -> Any:
-        assert not hasattr(self._reply, 'error'), f'{self.words}: {self._reply.error}'
-        return self._reply.result
-
-
 class Probe:
     """A participant in the ROS domain of the environment. What it has heard are plain objects with
     the fields of the messages; NaN is NaN, a byte is a number."""
@@ -68,7 +51,7 @@ class Probe:
             os.close(number)
         self.pid = self._process.pid
         self._heard: dict[str, list[Any]] = {}
-        self._answers: dict[int, Answer] = {}
+        self._answers: dict[int, Any] = {}
         self._ended = False
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -142,7 +125,7 @@ class Probe:
             self.advertise(topic)
         self.until(lambda: all(self.listeners(topic) for topic in topics), f'ears for {topics}')
 
-    def ask(self, service: str, kind: str = TRIGGER, **request: Any) -> Answer:
+    def ask(self, service: str, kind: str = TRIGGER, **request: Any) -> Future[Any]:
         """Call a service as soon as it is there; the answer comes when it comes."""
         return self._send('ask', service=service, kind=kind, request=request)
 
@@ -150,7 +133,7 @@ class Probe:
         """Call a service and wait for its answer."""
         return self.answer(self.ask(service, kind, **request))
 
-    def answer(self, answer: Answer) -> Any:
+    def answer(self, answer: Any) -> Any:
         """Wait for what somebody was asked for."""
         self.until(answer.done, answer.words)
         return answer.result()
@@ -161,7 +144,7 @@ class Probe:
         self._do('serve', service=service, kind=kind, response=answer)
         return heard
 
-    def set_gains(self, values: Mapping[str, Any]) -> Answer:
+    def set_gains(self, values: Mapping[str, Any]) -> Future[Any]:
         """Ask the bridge for gains; its answer's `result` has `successful` and `reason`."""
         kind = 'rcl_interfaces/srv/SetParametersAtomically'
         wanted = event(values)['changed_parameters']
@@ -208,9 +191,10 @@ class Probe:
     def _do(self, name: str, **about: Any) -> Any:
         return self.answer(self._send(name, **about))
 
-    def _send(self, name: str, **about: Any) -> Answer:
+    def _send(self, name: str, **about: Any) -> Future[Any]:
         number = len(self._answers)
-        self._answers[number] = answer = Answer(f'{name} {about}')
+        self._answers[number] = answer = Future()
+        answer.words = f'{name} {about}'
         try:
             self._asks.write(json.dumps({'do': name, 'number': number, **about}) + '\n')
             self._asks.flush()
@@ -222,7 +206,11 @@ class Probe:
         for line in self._tells:
             told = json.loads(line, object_hook=lambda pairs: SimpleNamespace(**pairs))
             if hasattr(told, 'number'):
-                self._answers[told.number].take(told)
+                answer = self._answers[told.number]
+                if hasattr(told, 'error'):
+                    answer.set_exception(AssertionError(f'{answer.words}: {told.error}'))
+                else:
+                    answer.set_result(told.result)
             else:
                 self._heard[told.heard].append(told.message)
         self._ended = True

@@ -50,30 +50,14 @@ class Bench(Turns):
 
     def said(self, words):
         """Wait for words about gains in the diagnostics since the last request."""
-
-        def heard():
-            return [s for array in list(self.told) for s in array.status
-                    if s.name == 'serial_bridge: gains']
-
-        def there():
-            return [s.message for s in heard() if words in s.message]
-
-        try:
-            self.until(there, words)
-        except AssertionError as never:
-            told = {s.message for s in heard()}
-            raise AssertionError(f'{never}; heard: {told}; history: {self.history()}') from never
-        return there()[-1]
-
-    @property
-    def active_gains(self):
-        return {k: v for heard in list(self.heard) for k, v in content(heard).items()}
+        self.until(lambda: [s for array in list(self.told) for s in array.status
+                            if s.name == 'serial_bridge: gains' and words in s.message], words)
 
     def active(self, wanted):
         """Wait until /gains/active says these."""
 
         def so():
-            told = self.active_gains
+            told = {k: v for heard in list(self.heard) for k, v in content(heard).items()}
             return all(abs(told.get(n, math.inf) - v) < 1e-5 for n, v in wanted.items())
 
         self.until(so, wanted)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from node_process import QUICKLY
+from node_process import QUICKLY, python
 
 from quad_sysid.bags import read_bag
 from quad_tuning.demo.summary import flown_square
@@ -45,16 +45,9 @@ schedule:
        duration_s: 4.8, period_s: 2.4}
     - {segment: idle, duration_s: 0.5}
 """
-AGAIN = """
-schedule:
-  mount: rig
-  ramp_s: 0.25
-  segments:
-    - {segment: idle, duration_s: 1.0}
-    - {segment: validation, signal: square, axis: roll, injection: attitude, amplitude_deg: 12.0,
-       duration_s: 4.8, period_s: 2.4}
-    - {segment: idle, duration_s: 0.5}
-"""
+LINES = SCHEDULE.splitlines()
+AGAIN = '\n'.join([*LINES[:6], *LINES[-3:]])
+"""Its square alone."""
 
 
 NODE = f"""#!{sys.executable}
@@ -102,9 +95,8 @@ def test_an_effect_is_flown_found_and_flown_against(tmp_path: Path, emulated: bo
                        'second_flight.yaml': AGAIN, 'identification': NODE}.items():
         (here / name).write_text(text)
     (here / 'identification').chmod(0o755)
-    demo = subprocess.run(
-        [sys.executable, '-c', DEMO, here, '--out', out, '--seed', '11', '--lockstep',
-         *['--qemu'] * emulated], capture_output=True, text=True, check=False)
+    demo = python('-c', DEMO, here, '--out', out, '--seed', '11', '--lockstep',
+                  *['--qemu'] * emulated, timeout=None)
     assert demo.returncode == 0, demo.stderr + demo.stdout
     bags = sorted(out.glob('flight_*/'))
     # the bag holds every topic and every cycle

@@ -2,20 +2,19 @@
 
 import fcntl
 import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from flight_controller import Line
+from flight_controller import Updated
 from hypothesis import settings
+from node_process import ended
 from virtual_aircraft import Endpoint
 
 from quad_bridge.aircraft import Quad
-from quad_bridge.gains.history import History
 from quad_bridge.gains.polarity import PULSE_VALID_MS
-from quad_bridge.gains.update import GainSettings, GainUpdates
+from quad_bridge.gains.update import GainSettings
 from quad_bridge.link.stamping import Restarted, Stamped
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.profile import load_profile
@@ -30,7 +29,7 @@ settings.register_profile(
 settings.load_profile('fixed')
 
 
-class Bench(Line):
+class Bench(Updated):
     """`cut` loses what goes either way; `cycle` is the last one that has come.
 
     `endpoint` makes what is flown: the firmware in memory, or one on another board.
@@ -44,19 +43,8 @@ class Bench(Line):
         self.aircraft = Aircraft(profile, seed=1, effect=effect)
         self.endpoint = endpoint(self.aircraft, Receiver(events=tuple(events)))
         self.settings = GainSettings(folder=folder, **settings)
-        self.notes, self.cycle = [], None
-        self.peak_rad = 0.0
+        self.cycle, self.peak_rad = None, 0.0
         super().__init__(self.endpoint, host0_ns=1_000_000_000)
-
-    def connect(self, link):
-        self.history = History(self.settings.folder, lambda job: job())
-        self.updates = GainUpdates(self.settings, self.history)
-        super().connect(link)
-        self.gains = self.updates
-
-    def opened(self):
-        self.link.opened()
-        self.updates.restarted()
 
     @property
     def now_s(self):
@@ -69,15 +57,6 @@ class Bench(Line):
     @cut.setter
     def cut(self, cut):
         self.up.cut = self.down.cut = cut
-
-    def tick(self):
-        record = self.history.open(self.updates.aircraft)
-        if record is not None:
-            self.updates.know(record)
-        self.updates.tick(self.now_s)
-        super().tick()
-        self.notes += [item.text for item in self.updates.notes]
-        self.updates.notes.clear()
 
     def handle(self, event):
         frame = getattr(event, 'frame', None)
@@ -155,13 +134,9 @@ def firmware():
     def build(target):
         with (folder / 'lock').open('w') as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)  # one of pytest's workers builds for all
-            made = subprocess.run(
-                ['make', '-s', '-C', ROOT / 'firmware', f'BUILD={folder}',
-                 f'PYTHON={sys.executable}', str(folder / target)],
-                capture_output=True, text=True, timeout=600, check=False,
-            )  # fmt: skip
-        assert made.returncode == 0, made.stdout + made.stderr
-        assert made.stderr == ''
+            made = ended('make', '-s', '-C', ROOT / 'firmware', f'BUILD={folder}',
+                         f'PYTHON={sys.executable}', folder / target)
+        assert (made.returncode, made.stderr) == (0, ''), made.stdout + made.stderr
         return folder / target
 
     return build

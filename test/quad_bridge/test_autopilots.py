@@ -9,7 +9,7 @@ import re
 from dataclasses import replace
 
 import pytest
-from flight_controller import Line
+from flight_controller import Updated
 from flying_autopilot import (
     FLYING_ARDUPILOT,
     FLYING_PX4,
@@ -33,8 +33,7 @@ from quad_bridge.autopilots.system_id import sid_parameters
 from quad_bridge.autopilots.table import ARDUPILOT, PX4, UnfitError
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
-from quad_bridge.gains.history import History
-from quad_bridge.gains.update import GainSettings, GainUpdates, State
+from quad_bridge.gains.update import GainSettings, State
 from quad_bridge.link.autopilot import Inertial, fitted, load
 from quad_bridge.link.machine import Link
 from quad_bridge.link.stamping import Arrived, Described, Stamped
@@ -52,28 +51,24 @@ P = {'px4': 'MC_ROLLRATE_P', 'ardupilot': 'ATC_RAT_RLL_P'}
 both = pytest.mark.parametrize('name', KINDS)
 
 
-class Cockpit(Line):
+class Cockpit(Updated):
     """The bridge as the node joins it, and one of the flying stand-ins."""
 
     def __init__(self, name, folder, *, gains=True, excitation=True, aircraft=None):
-        self.folder, self.allow = folder, (gains, excitation)
+        self.settings, self.allow = GainSettings(folder=folder), (gains, excitation)
         self.cycles, self.commands = [], []
         super().__init__(aircraft or Flying(KINDS[name]), Link(), host0_ns=HOST0_NS)
 
     def connect(self, link):
         """A bridge begins; one that was there is killed."""
-        self.link = link
         gains, excitation = self.allow
         self.connected = Connected(
             lambda: '', lambda: 1e-9 * self.now_ns, allow_gains=gains,
             allow_excitation=excitation,
         )
-        self.history = History(self.folder, lambda job: job())
-        self.updates = GainUpdates(GainSettings(folder=self.folder), self.history)
         self.relay = ExcitationRelay(100, None, lambda: self.connected.aircraft)
         self.connected.on_change = self.changed
-        self.notes = []
-        self.link.opened()
+        super().connect(link)
 
     def changed(self, aircraft):
         self.updates.use(aircraft.gains)
@@ -96,16 +91,6 @@ class Cockpit(Line):
         elif isinstance(event, Described):
             outputs = motor_outputs(event.peer.autopilot, '', event.parameters)
             self.connected.autopilot.craft = outputs.craft
-
-    def tick(self):
-        record = self.history.open(self.updates.aircraft)
-        if record is not None:
-            self.updates.know(record)
-        self.link.tick(self.now_ns)
-        self.updates.tick(1e-9 * self.now_ns)
-        self.notes += [item.text for item in self.updates.notes]
-        self.updates.notes.clear()
-        self.poll()
 
     def poll(self):
         now_s = 1e-9 * self.now_ns
@@ -140,7 +125,7 @@ class Cockpit(Line):
             self.run()
 
     def kept(self):
-        paths = [*self.folder.glob('*/trial.json')]
+        paths = [*self.settings.folder.glob('*/trial.json')]
         return json.loads(paths[0].read_text()) if paths else {}
 
 
@@ -446,9 +431,9 @@ def test_one_screen_says_whether_it_is_ready_and_what_to_change(flying, name):
     assert screen[-1] == f'{len(bad)} of {len(screen) - 1} lines are not as they should be'
 
 
-def test_nobody_there_is_one_line(capsys, tmp_path):
-    assert check(['--check', '--port', str(tmp_path / 'tty'), '--seconds', '0.1']) == 2
-    assert 'port not there: plug it in' in capsys.readouterr().err
+def test_nobody_there_is_one_line(tmp_path, refused):
+    assert 'port not there: plug it in' in refused(
+        check, '--check', '--port', tmp_path / 'tty', '--seconds', 0.1)
 
 
 def test_a_slow_line_gets_what_it_can_carry():

@@ -25,15 +25,6 @@ def test_every_layout_comes_back_from_its_urdf_and_turns_each_axis(name):
     assert sum(m.spin for m in craft.motors) == 0
 
 
-def test_roll_goes_with_the_left_pitch_with_the_rear_yaw_with_clockwise_propellers():
-    plus = LAYOUTS['plus']  # front clockwise, right, rear clockwise, left
-    np.testing.assert_allclose(plus.inverse, [
-        [0.25, 0.25, 0.25, 0.25], [0, -0.5, 0, 0.5], [-0.5, 0, 0.5, 0], [0.25, -0.25, 0.25, -0.25],
-    ])
-    assert plus.signs == ((0, -1, 1), (-1, 0, -1), (0, 1, 1), (1, 0, -1))
-    assert plus.places == ('front', 'right', 'rear', 'left')
-
-
 def test_autopilots_of_one_frame_describe_the_same_craft():
     px4 = {'CA_ROTOR_COUNT': 4.0}
     for i, (x, right, km) in enumerate(((0.15, 0.25, 0.05), (-0.15, -0.19, 0.05),

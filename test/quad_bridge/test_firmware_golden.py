@@ -5,12 +5,11 @@ Characters stand in hexadecimal.
 """
 
 import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from probe import PATIENCE_S
+from node_process import ended
 
 from quad_bridge.wire import dialect
 from quad_bridge.wire.codec import Decoder, Encoder
@@ -46,15 +45,7 @@ def test_our_codec_reads_it_and_writes_it_again(golden):
             found = getattr(frame, {'time_usec': 'time_us'}.get(name, name))
             assert np.array_equal(np.float32(found), np.float32(value)), name
     assert encoder.encode(frame).hex() == golden['hex']
-
-
-def in_c(firmware, lines):
-    text = ''.join(f'{line}\n' for line in lines)
-    run = subprocess.run(
-        [firmware('golden')], input=text, capture_output=True, text=True, timeout=PATIENCE_S,
-        check=True,
-    )  # fmt: skip
-    return run.stdout.splitlines()
+    assert encoder.encode(frame)[4] == (golden['sequence'] + 1) % 256
 
 
 def signature(golden, *names):
@@ -69,7 +60,8 @@ def test_c_reads_and_writes_them(firmware):
         + signature(g, 'key', 'link', 'time')
         for g in FRAMES
     ]
-    lines = in_c(firmware, read + write)
+    run = ended(firmware('golden'), input=''.join(f'{line}\n' for line in read + write))
+    lines = run.stdout.splitlines()
     for golden, line in zip(FRAMES, lines[: len(FRAMES)], strict=True):
         name, system, component, sequence, *fields = line.split(' ')
         assert name == golden['message']

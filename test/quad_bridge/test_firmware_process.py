@@ -1,18 +1,17 @@
-"""The bridge's process and the firmware's, on a pty and over a signed network link.
+"""The bridge's process and the firmware's, on a pty and over a signed link.
 
 The firmware is built with the sanitizers; a fault of theirs ends it.
 """
 
 import os
 import signal
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
-from flight_controller import Device, Relay, Socket
-from node_process import program
-from probe import PATIENCE_S, event, stamp_ns
+from flight_controller import Device, Pty, Relay
+from node_process import ended, program
+from probe import event, stamp_ns
 
 from quad_bridge.key_file import write_key
 from quad_bridge.virtual.native import VARIABLE
@@ -71,14 +70,14 @@ def ended_and_stays_so(rig):
     assert stamp_ns(rig.applied[-1]) < now_ns
 
 
-def test_over_a_network_only_the_key_commands_and_only_while_the_operator_holds(rig, probe):
+def test_of_a_signed_link_only_the_key_commands_and_only_while_the_operator_holds(rig, probe):
     key = rig.folder / 'key'
     write_key(key)
     profile = rig.folder / 'disarmed.yaml'
     profile.write_text('extends: plain\nfirmware: {auto_arm: false}\n')
     rig.start_host('--key', key, '--profile', profile)
-    with Relay(Device(rig.port), Socket()) as network:
-        fly_and_intrude(rig, probe, network, key)
+    with Relay(Device(rig.port), Pty(rig.folder / 'line')) as line:
+        fly_and_intrude(rig, probe, line, key)
     counts = rig.end_host()
     assert counts['unsigned'] == 1
     assert counts['replayed'] > 5
@@ -92,9 +91,9 @@ def lets_go(rig):
     rig.says(EXCITATION, 'silent', since_ns=now_ns)
 
 
-def fly_and_intrude(rig, probe, network, key):
-    device, end = network.ends
-    rig.start('serial_bridge', port=end.url, key_file=key, state_folder=rig.folder / 'state',
+def fly_and_intrude(rig, probe, line, key):
+    device, end = line.ends
+    rig.start('serial_bridge', port=end.link, key_file=key, state_folder=rig.folder / 'state',
               require_enable='true')
     probe.meet('/gains/update', '/excitation/segment', '/excitation/setpoint', '/operator/enable')
     probe.until(lambda: len(rig.imu) > 100, 'cycles')
@@ -131,7 +130,7 @@ def fly_and_intrude(rig, probe, network, key):
     ended_and_stays_so(rig)
 
     # intruders: what was said before, and what bears no signature
-    recorded = bytes(network.heard[-2000:])
+    recorded = bytes(line.heard[-2000:])
     recorded = recorded[recorded.index(b'\xfd') :]
     for data in (Encoder(1, 191).encode(f.ParamSet('ROLL_RATE_KP', 0.5, 1, 1)), recorded):
         while data := data[device.write(data) :]:  # as fast as the firmware reads
@@ -153,17 +152,11 @@ def test_it_takes_the_place_of_a_killed_ones_link_and_of_nothing_else(rig):
     assert rig.port.is_symlink()
     rig.port.unlink()
     rig.port.write_text('mine')
-    told = refused(*program('virtual_stm32'), '--link', rig.port)
-    assert told == f'virtual_stm32: {rig.port}: exists and is not a symbolic link\n'
+    told = ended(*program('virtual_stm32'), '--link', rig.port)
+    assert (told.returncode, told.stderr) == (
+        2, f'virtual_stm32: {rig.port}: exists and is not a symbolic link\n')
     assert rig.port.read_text() == 'mine'
     assert list(rig.folder.iterdir()) == [rig.port]
-
-
-def refused(*command):
-    """What a command with wrong arguments says."""
-    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
-    assert run.returncode == 2
-    return run.stderr
 
 
 def test_the_firmware_ends_with_its_simulation_and_the_simulation_with_it(rig):

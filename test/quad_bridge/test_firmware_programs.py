@@ -2,10 +2,10 @@
 
 import platform
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
+from node_process import ended
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / 'docs/firmware.md'
@@ -15,7 +15,7 @@ DEPTHS = ('frames used', 'bad', 'cycles excited', 'unsigned', 'forged', 'reverts
 
 
 def said(*command):
-    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=1800)
+    run = ended(*command, timeout=1800)
     assert (run.returncode, run.stderr) == (0, ''), run.stdout
     return run.stdout
 

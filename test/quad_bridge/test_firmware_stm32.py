@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from node_process import ended
 
 from quad_bridge.gains.protocol import checksum
 from quad_bridge.gains.table import ROWS, WIRE_NAMES
@@ -128,9 +129,7 @@ def emulated(firmware, tmp_path):
 
 def test_it_fits(firmware):
     for elf in ('stm32f405.elf', 'flight.elf'):
-        listed = subprocess.run(
-            ['arm-none-eabi-size', firmware(elf)], capture_output=True, text=True, check=True
-        )
+        listed = ended('arm-none-eabi-size', firmware(elf))
         text, data, bss = map(int, listed.stdout.splitlines()[1].split()[:3])
         assert text + data < FLASH_BYTES
         assert data + bss < RAM_BYTES // 4

@@ -1,9 +1,9 @@
 """The key's file: made for its owner alone, refused in any other state, in one line."""
 
-import subprocess
 import sys
 
 import pytest
+from node_process import ended
 
 from quad_bridge.errors import BadInputError
 from quad_bridge.key_file import main, read_key, signing_from, write_key
@@ -66,7 +66,7 @@ def test_the_firmware_takes_the_same_files(tmp_path, firmware):
         (tmp_path / str(number)).mkdir()
         held(tmp_path / str(number), data)
     paths = [tmp_path / str(number) / 'key' for number in range(len(FILES))]
-    run = subprocess.run([firmware('key'), *paths], capture_output=True, text=True, check=True)
+    run = ended(firmware('key'), *paths)
     for path, line, (_, wrong) in zip(paths, run.stdout.splitlines(), FILES.values(), strict=True):
         assert line.startswith(wrong) if wrong else line == read_key(path).hex()
 
@@ -93,5 +93,5 @@ def test_the_command_keeps_what_is_there_and_says_one_line(tmp_path, refused):
 @pytest.mark.parametrize('stdout', ['>/dev/full', '>&-'])
 def test_that_nobody_reads_what_is_said_is_no_fault(tmp_path, stdout):
     line = f'{sys.executable} -m quad_bridge.key_file {tmp_path / "key"} {stdout}'
-    run = subprocess.run(['bash', '-c', line], capture_output=True, text=True, check=False)
+    run = ended('bash', '-c', line)
     assert (run.returncode, run.stderr, (tmp_path / 'key').exists()) == (0, '', True)

@@ -11,10 +11,9 @@ from autopilots import (
     GRAVITY,
     PX4,
     Autopilot,
-    Party,
     mav,
 )
-from flight_controller import Datagrams, Line, Port
+from flight_controller import Line, Port, Pty
 
 from quad_bridge.craft import LAYOUTS, from_urdf
 from quad_bridge.link.autopilot import Inertial
@@ -249,23 +248,20 @@ def test_who_does_not_tell_is_taken_for_an_x_frame_and_that_is_said():
 class Shared(Line):
     """A router joins all: what the autopilot sends all hear, what a party says all others hear."""
 
-    def __init__(self, peer, party, heartbeat=True):
-        self.party, self.beats, self.said, self.party_heard = party, heartbeat, b'', []
+    def __init__(self, peer, *sender):
+        self.party, self.party_heard = mav.MAVLink(None, *sender), []
+        self.party.robust_parsing = True
         super().__init__(peer, host0_ns=HOST0_NS)
 
-    def say_party(self, *messages):
-        data = self.party.say(*messages)
-        self.hear(data)
-        answers = self.controller.receive(data, self.since_ns)
-        self.hear(answers)
-
     def hear(self, data, late_ns=0):
-        self.party_heard += self.party.hear(data)
+        self.party_heard += self.party.parse_buffer(data) or []
         super().hear(data, late_ns)
 
     def fly_beside(self, seconds, every_s, *messages):
         for _ in range(round(seconds / every_s)):
-            self.say_party(*messages)
+            data = b''.join(bytes(message.pack(self.party)) for message in messages)
+            self.hear(data)
+            self.hear(self.controller.receive(data, self.since_ns))
             self.fly(every_s)
 
 
@@ -279,7 +275,7 @@ MAVROS = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
     ids=['ground station', 'mavros', 'a second bridge'],
 )
 def test_a_program_beside_is_not_taken_for_the_aircraft(sender, beat):
-    line = Shared(Autopilot(PX4), Party(*sender))
+    line = Shared(Autopilot(PX4), *sender)
     read = mav.MAVLink_param_request_read_message(1, 1, b'CA_ROTOR_COUNT', -1)
     line.fly_beside(4.0, 0.5, beat, mav.MAVLink_timesync_message(0, 123), read)
     link = line.link
@@ -304,8 +300,8 @@ MISSING = 'ArduPilot sends standard MAVLink messages only: without QUAD_CYCLE th
 
 def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, probe, start):
     heard = {topic: probe.listen(topic) for topic in (*PUBLISHED, '/control/wrench')}
-    with Port(Autopilot(ARDUPILOT), Datagrams()) as port:  # loopback needs no key
-        bridge = start('serial_bridge', port=port.end.url, state_folder=tmp_path)
+    with Port(Autopilot(ARDUPILOT), Pty(tmp_path / 'tty')):
+        bridge = start('serial_bridge', port=tmp_path / 'tty', state_folder=tmp_path)
         probe.until(lambda: min(len(heard[topic]) for topic in PUBLISHED) > 0)
         probe.until(lambda: MISSING in probe.diagnostics('serial_bridge: link'))
         probe.until(lambda: probe.diagnostics('serial_bridge: gains') == REFUSED)

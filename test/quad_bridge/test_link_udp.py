@@ -1,4 +1,4 @@
-"""UDP as a transport: who listens, who is answered, and which ports need a key."""
+"""Networks as a transport: who listens, who is answered, and which ports need a key."""
 
 import socket
 
@@ -67,6 +67,16 @@ def test_who_listens_already_is_spoken_to(scheme, peer, opened):
     assert data == b'hello'
     peer.sendto(b'here', ours)
     until(lambda: heard == b'here')
+
+
+def test_a_server_of_tcp_is_spoken_to(opened):
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        port, heard = opened(f'socket://127.0.0.1:{server.getsockname()[1]}')
+        with server.accept()[0] as theirs:
+            assert port.write(b'hello')
+            assert theirs.recv(100) == b'hello'
+            theirs.sendall(b'here')
+            until(lambda: heard == b'here')
 
 
 def test_a_port_that_another_program_has_bound_is_busy(peer):

@@ -142,12 +142,11 @@ def test_a_free_path_is_numbered_where_the_second_is_taken(tmp_path, monkeypatch
     assert list((tmp_path / 'a').iterdir()) == []
 
 
-def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(tmp_path, capsys):
+def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(tmp_path, printed):
     killed, n = tmp_path / 'killed', 8 * EVERY
     ledger = made(killed, n + EVERY // 2, closed=False)
     before = {p.name: p.read_bytes() for p in killed.iterdir()}
-    main([str(killed)])
-    said = capsys.readouterr().out
+    said = printed(main, killed)
     assert f'killed_recovered: {n} messages recovered; lost: ' in said
     assert 'ends without its index' in said
     count = sum(topic == TOPICS[0] for topic, *_ in ledger[:n])
@@ -320,12 +319,6 @@ def fill(writer):
     return ledger
 
 
-@pytest.fixture
-def database(tmp_path):
-    """The file of a sqlite3 bag, and what is in it."""
-    return tmp_path / 'bag' / 'bag.db3', fill(theirs(tmp_path / 'bag', 'SQLITE3'))
-
-
 def unfinished(file):
     """Leave the file as a recorder does that is killed within a transaction."""
     with contextlib.closing(sqlite3.connect(file, isolation_level=None)) as base:
@@ -356,9 +349,10 @@ def leaf_zeroed(file):
     ],
 )
 def test_a_damaged_sqlite3_file_is_answered_with_the_command_that_recovers_it(
-    tmp_path, database, damage, words
+    tmp_path, damage, words
 ):
-    file, _ = database
+    file = tmp_path / 'bag' / 'bag.db3'
+    fill(theirs(file.parent, 'SQLITE3'))
     damage(file)
     before = {p.name: p.read_bytes() for p in tmp_path.rglob('*') if p.is_file()}
     readers = (lambda: recover(file.parent)), (lambda: list(Storage(file.parent, '/a').batches()))

@@ -37,12 +37,6 @@ def bridge(start, tmp_path):
     return lambda **more: start('serial_bridge', **{**settings, **more})
 
 
-@pytest.fixture
-def logger(start, tmp_path):
-    """A function that starts a logger that records at once."""
-    return lambda **more: start('bag_logger', folder=tmp_path / 'bags', autostart=True, **more)
-
-
 def bag_in(folder):
     (bag,) = (folder / 'bags').glob('flight_*')
     return bag
@@ -71,14 +65,12 @@ def after_two_reports(probe):
     probe.until(lambda: sum(a.status[0].name == RECORDING for a in list(heard)) > 1)
 
 
-def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(
-    tmp_path, probe, start, logger
-):
+def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(tmp_path, probe, start):
     """Between a frame on the wire and the bag no cycle is lost that nobody says was lost.
 
     The logger is without CPU for 375 cycles meanwhile.
     """
-    recorder = logger()
+    recorder = start('bag_logger', folder=tmp_path / 'bags', autostart=True)
     settings = {'port': f'{tmp_path}/ttyACM*', 'state_folder': tmp_path, 'polarity': 'off'}
     node = start('serial_bridge', **{f'serial_bridge:{name}': x for name, x in settings.items()},
                  files=[CONFIG / 'serial_bridge.yaml'])  # fmt: skip

@@ -5,14 +5,13 @@ import math
 import numpy as np
 import pytest
 import yaml
-from rosbags.typesys import Stores, get_typestore
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.log.writer import BagWriter
 from quad_bridge.sensors.command import main
 from quad_bridge.sensors.rest import GRAVITY_M_S2, estimate_at_rest
+from quad_sysid.bags import write_bag
+from quad_sysid.record import Record
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 RATE_HZ = 250.0
 BIAS, DRIFT = np.array([0.012, -0.02, 0.004]), np.array([2e-5, 0.0, -1e-4])
 ROLL, PITCH = 0.03, -0.02
@@ -64,40 +63,20 @@ def test_what_is_not_at_rest_is_refused(what, text):
     assert '\n' not in str(caught.value)
 
 
-def imu_bag(path, t, gyro, felt, logged_s=None):
-    types = STORE.types
-    nine, vector = np.zeros(9), types['geometry_msgs/msg/Vector3']
-    still = types['geometry_msgs/msg/Quaternion'](x=0.0, y=0.0, z=0.0, w=1.0)
-    writer = BagWriter(path)
-    writer.add_topic('/imu/data', 'sensor_msgs/msg/Imu')
-    for k in range(len(t)):
-        ns = 1_700_000_000_000_000_000 + round(t[k] * 1e9)
-        stamp = types['builtin_interfaces/msg/Time'](sec=ns // 10**9, nanosec=ns % 10**9)
-        message = types['sensor_msgs/msg/Imu'](
-            header=types['std_msgs/msg/Header'](stamp=stamp, frame_id='base_link'),
-            orientation=still, orientation_covariance=nine,
-            angular_velocity=vector(*map(float, gyro[k])), angular_velocity_covariance=nine,
-            linear_acceleration=vector(*map(float, felt[k])),
-            linear_acceleration_covariance=nine,
-        )
-        raw = STORE.serialize_cdr(message, 'sensor_msgs/msg/Imu')
-        logged_ns = ns if logged_s is None else 17 * 10**17 + round(logged_s[k] * 1e9)
-        writer.write('/imu/data', logged_ns, raw)
-    writer.close()
+def imu_bag(path, _t, gyro, felt):
+    still = np.zeros((len(gyro), 4))
+    return write_bag(Record('at rest', 1.0 / RATE_HZ, gyro, still, acceleration=felt), path)
 
 
 @pytest.fixture(scope='module')
 def standing(tmp_path_factory):
     """A bag of 8 s at rest, that stays as it is."""
-    path = tmp_path_factory.mktemp('standing') / 'bag'
-    imu_bag(path, *resting(8.0))
-    return path
+    return imu_bag(tmp_path_factory.mktemp('standing') / 'bag', *resting(8.0))
 
 
-def test_the_command_writes_what_it_finds(tmp_path, standing, capsys):
+def test_the_command_writes_what_it_finds(tmp_path, standing, printed):
     file = tmp_path / 'aircraft' / 'one.yaml'
-    main(['rest', str(standing), '--out', str(file)])
-    assert 'gyro bias +0.01197, -0.02005' in capsys.readouterr().out
+    assert 'gyro bias +0.01197, -0.02005' in printed(main, 'rest', standing, '--out', file)
     kept = yaml.safe_load(file.read_text())['sensors']['rest']
     assert kept['gyro_bias'] == pytest.approx(list(BIAS), abs=1e-3)
     assert kept['source'] == str(standing)

@@ -148,22 +148,24 @@ def test_the_wizard_finds_how_it_is_built_and_the_firmware_flies_by_it(monkeypat
     assert not any(built.outputs)  # it was stopped
 
 
-def test_a_motor_is_tested_only_disarmed_at_rest_and_no_longer_than_asked_for():
+def standing():
+    """Throttle down, switches off, its set-up known."""
     built = Built()
     talk = Talk(built.wait, built.now_s)
     built.pulses = [1500.0, 1500.0, 1000.0, 1500.0, *[1000.0] * 5]
     talk.read()
-    for name, change in (('turning', {'turning': 1.0}), ('kill switch', {}), ('throttle', {})):
-        before = list(built.pulses)
-        vars(built).update(change)
-        if name == 'kill switch':
-            built.pulses[4] = 2000.0
-        elif name == 'throttle':
-            built.pulses[2] = 1300.0
+    return built, talk
+
+
+def test_a_motor_is_tested_only_disarmed_at_rest_and_no_longer_than_asked_for():
+    built, talk = standing()
+    rest = built.pulses
+    kill, throttle = ([*rest[:k], us, *rest[k + 1 :]] for k, us in ((4, 2000.0), (2, 1300.0)))
+    for built.turning, built.pulses in ((1.0, rest), (0.0, kill), (0.0, throttle)):
         talk.wait(0.2)
         with pytest.raises(RefusedError, match='not now'):
             talk.spin(1, 0.1, 0.1)
-        built.turning, built.pulses = 0.0, before
+    built.pulses = rest
     talk.wait(2.2)
     with pytest.raises(RefusedError, match='denied'):
         talk.spin(1, 0.3, 0.1)  # too fast
@@ -176,10 +178,7 @@ def test_a_motor_is_tested_only_disarmed_at_rest_and_no_longer_than_asked_for():
 
 
 def test_a_set_up_that_cannot_fly_does_not_arm_and_nothing_of_it_changes_armed():
-    built = Built()
-    talk = Talk(built.wait, built.now_s)
-    built.pulses = [1500.0, 1500.0, 1000.0, 1500.0, *[1000.0] * 5]
-    talk.read()
+    built, talk = standing()
     talk.write({'receiver.arm_channel': 6.0, 'motors.output_1': 2.0})
     talk.wait(0.1)
     built.pulses[5] = 2000.0

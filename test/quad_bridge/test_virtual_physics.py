@@ -13,8 +13,8 @@ from quad_bridge.virtual import compiled
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import ADDED, ARMED, COLUMNS, INJECTION, INPUTS, THROTTLE
 from quad_bridge.virtual.effects import Effects, GyroscopicCoupling, InertiaCoupling
-from quad_bridge.virtual.physics import CHARGE, QUAT, RATES, ROTORS
-from quad_bridge.virtual.plant import MIXER, axis_gains
+from quad_bridge.virtual.physics import CHARGE, QUAT, RATES
+from quad_bridge.virtual.plant import axis_gains
 
 AXES = ('roll', 'pitch', 'yaw')
 
@@ -84,19 +84,6 @@ def test_a_control_step_gives_gain_lag_and_delay_of_the_base(axis):
         gain * size / damping * (1 - slow - damping * lag * (slow - fast) / (1 - damping * lag))
     )
     assert log[:, COLUMNS['true_rates']][:, index] == pytest.approx(expected, rel=1e-6, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ('motor', 'signs'),
-    [(1, (1, 1, 1)), (2, (-1, 1, -1)), (3, (-1, -1, 1)), (4, (1, -1, -1))],
-)
-def test_each_motor_turns_the_body_as_its_place_and_sense_say(motor, signs):
-    # 1 rear left, 2 rear right, 3 front right, 4 front left; 1 and 3 clockwise from above
-    aircraft = coasting(quiet_profile(mount='hover'), (0.0, 0.0, 0.0))
-    aircraft.machine.state[ROTORS + motor - 1] = 0.5
-    aircraft.run(inputs(3, aircraft, armed=False))
-    assert tuple(np.sign(aircraft.machine.state[RATES : RATES + 3])) == signs
-    assert tuple(MIXER[motor - 1, 1:]) == signs
 
 
 def test_the_battery_sags_under_load_and_empties_by_its_current():

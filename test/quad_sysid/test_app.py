@@ -193,22 +193,22 @@ class Chromium:
         os.close(to_read)
         os.close(to_write)
         self._rest, self._number, self.session, self.errors = b'', 0, None, []
-        target = next(t for t in self.send('Target.getTargets')['targetInfos']
-                      if t['type'] == 'page')
-        self.session = self.send('Target.attachToTarget', targetId=target['targetId'],
+        (target, *_) = (t['targetId'] for t in self.send('Target.getTargets')['targetInfos']
+                        if t['type'] == 'page')
+        self.attach(target)
+
+    def attach(self, target):
+        """Go on in this tab."""
+        self.session = None
+        self.session = self.send('Target.attachToTarget', targetId=target,
                                  flatten=True)['sessionId']
         for domain in ('Page', 'Runtime', 'DOM', 'Log'):
             self.send(f'{domain}.enable')
 
     def other_tab(self, url):
         """Go on in a new tab."""
-        self.session, own = None, self.session
-        target = self.send('Target.createTarget', url=url)['targetId']
-        self.session = self.send('Target.attachToTarget', targetId=target,
-                                 flatten=True)['sessionId']
-        assert self.session != own
-        for domain in ('Page', 'Runtime', 'DOM', 'Log'):
-            self.send(f'{domain}.enable')
+        self.session = None
+        self.attach(self.send('Target.createTarget', url=url)['targetId'])
 
     def send(self, method, **parameters):
         self._number += 1

@@ -3,12 +3,12 @@
 import multiprocessing
 import os
 import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
 
 import pytest
+from node_process import python
 
 from quad_sysid import beside
 
@@ -85,6 +85,5 @@ def test_a_call_whose_result_did_not_come_is_made_here(there: Callable[[], objec
 @ON_CORES
 def test_nobody_goes_on_where_the_command_was_killed() -> None:
     """The output of a process that still ran would stay open."""
-    done = subprocess.run([sys.executable, '-c', KILLED], capture_output=True, text=True,
-                          check=False)
+    done = python('-c', KILLED)
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGTERM, '', '')

@@ -7,21 +7,8 @@ import pytest
 from known_plants import Study, prbs_bits, reference_study
 from scipy.signal import lfilter
 
-from quad_sysid.blackbox import (
-    arx,
-    coherence,
-    excitation_order,
-    fit_percent,
-    frequency_response,
-    horizon_errors,
-    innovation_test,
-    polynomial_model,
-    predict,
-    residual_test,
-    simulate,
-    spa,
-    step_a,
-)
+import quad_sysid as qs
+from quad_sysid.blackbox import horizon_errors, innovation_test, polynomial_model, step_a
 from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.pipeline.held_out import residual
 from quad_sysid.record import IOData
@@ -41,7 +28,7 @@ def test_horizon_errors_equal_predictions_one_by_one(study, record):
     spans = [(0, 3), (5, 400), (410, 900)]
     short = IOData(record.u[:900], record.y[:900], record.dt, segments=spans)
     for k, error in enumerate(horizon_errors(study.truth, short, 12), start=1):
-        expected = short.y - predict(study.truth, short, k)
+        expected = short.y - qs.predict(study.truth, short, k)
         np.testing.assert_allclose(error, expected, atol=1e-10)
 
 
@@ -52,24 +39,24 @@ def test_segments_do_not_leak_into_each_other(study, record):
     other = IOData(record.u, wild, record.dt, segments=cut.segments)
     for horizon in (1, 7, math.inf):
         np.testing.assert_array_equal(
-            predict(study.truth, cut, horizon), predict(study.truth, other, horizon)
+            qs.predict(study.truth, cut, horizon), qs.predict(study.truth, other, horizon)
         )
-    assert np.isnan(predict(study.truth, cut)[4000:5006]).all()
+    assert np.isnan(qs.predict(study.truth, cut)[4000:5006]).all()
 
 
 def test_fit_percent_by_hand(refusal):
     y = np.array([1.0, 2.0, 3.0, 4.0])
     for yhat, fit in (([1, 2, 3, 5], 100 * (1 - 1 / math.sqrt(5))), (y, 100.0),
                       (np.full(4, 2.5), 0.0), ([np.inf, 0, 0, 0], -math.inf)):
-        assert fit_percent(y, np.array(yhat, float)) == pytest.approx(fit)
-    assert 'one length' in refusal(fit_percent, y, y[:2])
+        assert qs.fit_percent(y, np.array(yhat, float)) == pytest.approx(fit)
+    assert 'one length' in refusal(qs.fit_percent, y, y[:2])
 
 
 def test_residual_test_passes_the_truth_as_often_as_stated(study):
     """Each boolean at 99 %: over 60 seeds in closed loop at most 4 false alarms (p = 0.003)."""
     short = Study(study.truth, samples=4000)
     tests = [
-        residual_test(short.record(np.random.default_rng(seed)), study.truth)
+        qs.residual_test(short.record(np.random.default_rng(seed)), study.truth)
         for seed in range(60)
     ]
     for name in ('residual_white', 'residual_uncorrelated_with_input', 'causal'):
@@ -88,35 +75,35 @@ def test_residual_test_passes_the_truth_as_often_as_stated(study):
 def test_residual_test_sees_feedback_only_where_there_is_some(study, record):
     """And feedback alone eliminates no model."""
     without_r = IOData(record.u, record.y, record.dt)
-    assert not residual_test(without_r, study.truth).causal
+    assert not qs.residual_test(without_r, study.truth).causal
     (row,) = step_a([study.truth], without_r, {})
     assert (row.test.causal, row.passed_first_step) == (False, True)
     opened = study.record(np.random.default_rng(9), closed=False)
-    open_test = residual_test(IOData(opened.u, opened.y, opened.dt), study.truth)
+    open_test = qs.residual_test(IOData(opened.u, opened.y, opened.dt), study.truth)
     assert (open_test.causal, open_test.causality_signal) == (True, 'u')
 
 
 def test_residual_test_rejects_what_is_wrong(study, record):
     """Too small a model, a delay too long, an output that comes before its cause."""
-    poor, truth = residual_test(record, arx(record, 2, 1, 1)), study.truth
+    poor, truth = qs.residual_test(record, qs.arx(record, 2, 1, 1)), study.truth
     assert (poor.residual_white, poor.residual_uncorrelated_with_input) == (False, False)
     late = polynomial_model(np.concatenate((np.zeros(4), truth.B)), C=truth.C, D=truth.D,
                             F=truth.F, dt=truth.dt)
-    assert not residual_test(record, late).residual_uncorrelated_with_input
+    assert not qs.residual_test(record, late).residual_uncorrelated_with_input
     early = IOData(record.u[:-9], record.y[9:], record.dt, r=record.r[:-9])
-    assert not residual_test(early, arx(early, 10, 10, 1)).causal
-    assert residual_test(record, arx(record, 10, 10, 3)).causal
+    assert not qs.residual_test(early, qs.arx(early, 10, 10, 1)).causal
+    assert qs.residual_test(record, qs.arx(record, 10, 10, 3)).causal
 
 
 def test_frequency_response_band_covers_the_truth():
     truth, w = polynomial_model([0, 0.5, 0.2], A=[1, -0.8], dt=0.1), np.array([0.3, 3.0, 12.0])
-    expected, z = frequency_response(truth, w).response, np.exp(1j * w * 0.1)
+    expected, z = qs.frequency_response(truth, w).response, np.exp(1j * w * 0.1)
     np.testing.assert_allclose(expected, (0.5 / z + 0.2 / z**2) / (1 - 0.8 / z))
     inside = np.zeros(2)
     for seed in range(200):
         u, e = np.random.default_rng(seed).standard_normal((2, 400))
-        y = simulate(truth, u) + filter_signal(np.ones(1), truth.A, e)
-        found = frequency_response(arx(IOData(u, y, 0.1), 1, 2, 1), w)
+        y = qs.simulate(truth, u) + filter_signal(np.ones(1), truth.A, e)
+        found = qs.frequency_response(qs.arx(IOData(u, y, 0.1), 1, 2, 1), w)
         error = np.abs(found.magnitude - np.abs(expected))
         turned = np.abs(np.angle(found.response / expected))
         inside += np.sum([error < 1.96 * found.magnitude_std, turned < 1.96 * found.phase_std], 1)
@@ -125,11 +112,11 @@ def test_frequency_response_band_covers_the_truth():
 
 def test_spa_and_coherence_in_open_and_closed_loop(study, record):
     w = np.array([2.0, 5.0, 10.0, 20.0])
-    true = frequency_response(study.truth, w).response
-    joint = spa(record, w, joint=True)
+    true = qs.frequency_response(study.truth, w).response
+    joint = qs.spa(record, w, joint=True)
     assert np.all(np.abs(joint.response - true) < 4 * joint.std + 0.03 * np.abs(true))
-    assert np.all(coherence(record, w)[1] > 0.9)
-    assert np.mean(coherence(white(1, 8000), window=100)[1]) < 0.05
+    assert np.all(qs.coherence(record, w)[1] > 0.9)
+    assert np.mean(qs.coherence(white(1, 8000), window=100)[1]) < 0.05
 
 
 def test_excitation_order():
@@ -138,15 +125,15 @@ def test_excitation_order():
         (np.ones(500), 1), (np.zeros(500), 0), (np.sin(0.3 * t), 2),
         (np.sin(0.3 * t) + np.sin(0.7 * t) + 1, 5), (np.tile(prbs_bits(5, 1), 20), 31),
     ):
-        assert excitation_order(signal) == order
-    assert excitation_order(rng.standard_normal(2000), max_order=60) == 60
+        assert qs.excitation_order(signal) == order
+    assert qs.excitation_order(rng.standard_normal(2000), max_order=60) == 60
 
 
 def test_step_a_keeps_the_truth_and_says_why_others_go(study, record):
     """An unstable model goes too, and does not overflow."""
     validation = study.record(np.random.default_rng(21))
     wild = polynomial_model([0, 0.1], A=[1, -1.2], dt=record.dt)
-    models = [arx(record, 2, 1, 0), study.truth, wild]
+    models = [qs.arx(record, 2, 1, 0), study.truth, wild]
     poor, good, unstable = step_a(models, record, {'prbs': validation})
     assert not poor.passed_first_step
     assert 'nk = 0' in poor.eliminated_because
@@ -164,13 +151,13 @@ def test_step_a_keeps_the_truth_and_says_why_others_go(study, record):
 @pytest.mark.parametrize(
     ('call', 'said'),
     [
-        (lambda m, z: predict(m, z, 0), 'horizon'),
-        (lambda m, _: simulate(m, np.array([np.nan])), 'u must be'),
-        (lambda m, z: residual_test(IOData(z.u[:200], z.y[:200], z.dt), m), 'too few residuals'),
-        (lambda m, _: frequency_response(m, np.array([1e5])), 'w must be'),
-        (lambda _, z: spa(z, window=10**6), 'window'),
-        (lambda _, z: spa(IOData(z.u, z.y, z.dt), joint=True), 'reference r'),
-        (lambda _, z: spa(IOData(0.0 * z.u, z.y, z.dt, r=z.r)), 'u is constant'),
+        (lambda m, z: qs.predict(m, z, 0), 'horizon'),
+        (lambda m, _: qs.simulate(m, np.array([np.nan])), 'u must be'),
+        (lambda m, z: qs.residual_test(IOData(z.u[:200], z.y[:200], z.dt), m), 'too few residua'),
+        (lambda m, _: qs.frequency_response(m, np.array([1e5])), 'w must be'),
+        (lambda _, z: qs.spa(z, window=10**6), 'window'),
+        (lambda _, z: qs.spa(IOData(z.u, z.y, z.dt), joint=True), 'reference r'),
+        (lambda _, z: qs.spa(IOData(0.0 * z.u, z.y, z.dt, r=z.r)), 'u is constant'),
         (lambda _, z: step_a([], z, {}), 'models'),
         (lambda _, z: innovation_test(np.full(z.n, np.nan), z), 'too few residuals'),
     ],

@@ -67,7 +67,7 @@ def test_a_trim_wanders_between_flights_as_it_does_within_one(shift, changed):
 
 
 @pytest.mark.usefixtures('quick')
-def test_a_weaker_motor_through_the_command(true_model, tmp_path, capsys):
+def test_a_weaker_motor_through_the_command(true_model, tmp_path, printed):
     """450 and 380 rad/s² per command; a stored model of 450 takes the place of a bag."""
     from quad_sysid.report.model_file import save_models
 
@@ -75,15 +75,14 @@ def test_a_weaker_motor_through_the_command(true_model, tmp_path, capsys):
     bag = write_bag(weaker, tmp_path / 'weaker')
     model = tmp_path / 'model.json'
     save_models({'roll': true_model}, model)
-    assert main(['compare', str(model), str(bag), '--axis', 'roll', '--no-effects', '--json']) == 0
-    tree = json.loads(capsys.readouterr().out)
+    tree = json.loads(printed(main, 'compare', model, bag, '--axis', 'roll', '--no-effects',
+                              '--json'))
     assert tree['schema'] == 'quad_sysid/comparison/1'
     found = {c['name']: c for c in tree['flights'][0]['parameters']}
     assert found['gain']['difference'] == pytest.approx(-70.0, abs=15.0)
     assert found['gain']['changed']
     assert not found['damping']['changed']
-    assert main(['compare', str(model), str(model), '--axis', 'roll']) == 0
-    out = capsys.readouterr().out
+    out = printed(main, 'compare', model, model, '--axis', 'roll')
     assert 'nothing changed' in out
     assert max(map(len, out.replace(str(tmp_path), '').splitlines())) <= 100
     assert main(['compare', str(model)]) == 2

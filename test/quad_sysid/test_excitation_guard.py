@@ -180,9 +180,9 @@ def test_stop_and_cut():
 # standstills
 
 
-def ages(*gaps: float, stall: Stall | None = None) -> list[float]:
+def ages(*gaps: float) -> list[float]:
     """At each tick, so long after the one before, the age of what was heard at the first."""
-    stall, time, found = stall or Stall(), 0.0, []
+    stall, time, found = Stall(), 0.0, []
     heard = stall.awake_s(time)
     for gap in (0.0, *gaps):
         time += gap

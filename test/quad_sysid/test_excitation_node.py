@@ -60,10 +60,6 @@ class Aircraft:
         return [content(event) for event in list(self.events)]
 
     @property
-    def starts_s(self) -> list[float]:
-        return [event.stamp.sec + 1e-9 * event.stamp.nanosec for event in list(self.events)]
-
-    @property
     def setpoints(self) -> list[tuple[float, float, float]]:
         return [(m.vector.x, m.vector.y, m.vector.z) for m in list(self.heard)]
 

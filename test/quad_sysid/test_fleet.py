@@ -68,11 +68,12 @@ def results(folder, tmp_path_factory):
     return out
 
 
-def test_a_fleet_through_the_command_and_on_from_there(folder, results, tmp_path, capsys):
+def test_a_fleet_through_the_command_and_on_from_there(
+    folder, results, tmp_path, printed, refused
+):
     arguments = ['fleet', str(folder), '--out', str(results), '--no-effects']
     before = {path: path.stat().st_mtime_ns for path in results.rglob('*flight.json')}
-    assert main([*arguments, '--json']) == 0
-    rows = {row['bag']: row for row in json.loads(capsys.readouterr().out)}
+    rows = {row['bag']: row for row in json.loads(printed(main, *arguments, '--json'))}
     assert [rows[b]['status'] for b in ('one/flight', 'two/flight', 'two/torn')] == [
         'answered', 'answered', 'failed'
     ]
@@ -97,15 +98,13 @@ def test_a_fleet_through_the_command_and_on_from_there(folder, results, tmp_path
     shutil.copytree(folder, moved, copy_function=shutil.copyfile)
     shutil.copytree(results, tmp_path / 'out')
     again = ['fleet', str(moved), '--out', str(tmp_path / 'out'), '--no-effects']
-    assert main(again) == 0
-    shown = capsys.readouterr().out
+    shown = printed(main, *again)
     assert '2 answered, 1 failed' in shown
     assert max(len(line) for line in shown.splitlines()[:-1]) <= 80
     assert '3 bags, 1 to do' in (tmp_path / 'out' / 'fleet.log').read_text().splitlines()[-3]
     shutil.rmtree(moved / 'one')
     shutil.copytree(moved / 'two' / 'flight', moved / 'one' / 'flight')
-    assert main(again) == 2
-    assert 'holds the results of another bag' in capsys.readouterr().err
+    assert 'holds the results of another bag' in refused(main, *again)
 
 
 def test_a_cluster_gives_the_same_rows_and_outlives_what_goes_wrong(folder, results, tmp_path):
@@ -161,7 +160,7 @@ def test_a_cluster_that_differs_is_refused_before_the_first_bag(folder, tmp_path
         engine.run, [job], cluster='tcp://127.0.0.1:1')
 
 
-def test_shards_are_all_of_it_and_meet_in_one_table(tmp_path, capsys, refusal):
+def test_shards_are_all_of_it_and_meet_in_one_table(tmp_path, refusal, printed):
     craft = ('007', 'ä=b', '', '12')
     for number in range(40):
         (tmp_path / 'flights' / craft[number % 4]).mkdir(parents=True, exist_ok=True)
@@ -173,8 +172,7 @@ def test_shards_are_all_of_it_and_meet_in_one_table(tmp_path, capsys, refusal):
     for shard in shards[:2]:
         engine.run(shard, work=answer)
     merge = ['fleet', str(tmp_path / 'flights'), '--out', str(tmp_path / 'out'), '--merge']
-    assert main(merge) == 0
-    assert f'{len(shards[2])} bags are not done yet' in capsys.readouterr().out
+    assert f'{len(shards[2])} bags are not done yet' in printed(main, *merge)
     with (tmp_path / 'out' / 'fleet.csv').open() as stream:
         rows = sorted((row['bag'], row['aircraft'], row['status'])
                       for row in csv.DictReader(stream))

@@ -152,17 +152,15 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
         assert gains[name] == pytest.approx(value, rel=1e-4)
 
 
-def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, tmp_path):
-    pytest.importorskip('pyulog')
-    topics, control = px4_topics(flight), flight.control
-    stamps = topics.pop('actuator_motors')['timestamp']
-    path = ulog(tmp_path / 'log.ulg', topics | {
-        'vehicle_torque_setpoint': {'timestamp': stamps, 'xyz': FRD * control[:, 1:]},
-        'vehicle_thrust_setpoint': {
-            'timestamp': stamps, 'xyz': control[:, :1] * [0.0, 0.0, -1.0]},
-    }, {})
-    log = read_log(path, format_of(path))
-    np.testing.assert_allclose(log.control.values, control, atol=1e-6)
+def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, px4):
+    def instead(topics):
+        stamps, down = topics.pop('actuator_motors')['timestamp'], [0.0, 0.0, -1.0]
+        for name, xyz in (('torque', FRD * flight.control[:, 1:]),
+                          ('thrust', flight.control[:, :1] * down)):
+            topics[f'vehicle_{name}_setpoint'] = {'timestamp': stamps, 'xyz': xyz}
+
+    record, _ = px4({}, instead)
+    check_motion(record, flight)
 
 
 def ardupilot_messages(flight: Flight) -> dict:
@@ -338,7 +336,7 @@ def encoded(columns: dict[str, np.ndarray], header: dict[str, str]) -> bytes:
     return out + b'E\xffEnd of log\0'
 
 
-def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
+def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, printed, refused):
     pytest.importorskip('orangebox')
     columns = {
         **{f'gyroADC[{i}]': np.degrees(flight.rates[:, i]) for i in range(3)},
@@ -353,8 +351,8 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     still = {name: 0.0 * values for name, values in columns.items()}
     path = tmp_path / 'LOG00001.BBL'
     path.write_bytes(encoded(still, header) + encoded(columns, header))
-    assert main(['import', str(path), '--log', '2', '--out', str(tmp_path / 'bag')]) == 0
-    assert 'rollPID 45,80,40' in ' '.join(capsys.readouterr().out.split())
+    said = printed(main, 'import', path, '--log', 2, '--out', tmp_path / 'bag')
+    assert 'rollPID 45,80,40' in ' '.join(said.split())
     record = read_bag(tmp_path / 'bag')
     n = record.n
     assert n > 0.99 * N
@@ -364,14 +362,11 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, capsys):
     assert record.battery_v[0] == pytest.approx(12.0, abs=0.02)
     turns = 100.0 + np.arange(4) + 50.0 * record.motors
     np.testing.assert_allclose(record.speeds, turns * 100.0 / 6.0 * np.pi / 30.0, rtol=0.01)
-    assert main(['import', str(path), '--log', '3', '--out', str(tmp_path / 'b')]) == 2
-    assert 'must be 1 to 2' in capsys.readouterr().err
-    assert main(['look', str(tmp_path / 'bag'), '--log', '2']) == 2
-    assert '--log: a bag holds one log: found 2; leave it out' in capsys.readouterr().err
-    assert main(['import', str(path)]) == 0
-    assert f'quad-sysid import {path} --out' in capsys.readouterr().out
-    assert main(['import', str(path), '--out', str(tmp_path / 'b')]) == 2
-    assert 'holds commands that never change' in capsys.readouterr().err
+    assert 'must be 1 to 2' in refused(main, 'import', path, '--log', 3, '--out', tmp_path / 'b')
+    assert '--log: a bag holds one log: found 2; leave it out' in refused(
+        main, 'look', tmp_path / 'bag', '--log', 2)
+    assert f'quad-sysid import {path} --out' in printed(main, 'import', path)
+    assert 'commands that never change' in refused(main, 'import', path, '--out', tmp_path / 'b')
     path.write_bytes(encoded(columns, header).replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
     assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
     assert main(['import', str(path), '--log', '2', '--out', str(tmp_path / 'b')]) == 2
@@ -391,8 +386,8 @@ def test_indiflight_says_its_frame_by_gravity_and_names_no_layout(flight, tmp_pa
     }
     rows = np.column_stack([np.arange(N), DT_US * np.arange(N), *columns.values()])
     path = tmp_path / 'LOG.csv'
-    path.write_text('\n'.join([','.join(['loopIteration', 'time', *columns]), *(
-        ','.join(f'{v:.9g}' for v in row) for row in rows)]) + '\n')
+    header = ','.join(['loopIteration', 'time', *columns])
+    np.savetxt(path, rows, '%.9g', ',', header=header, comments='')
     log = read_log(path, format_of(path))
     np.testing.assert_allclose(log.rates.values, flight.rates, atol=1e-6)
     np.testing.assert_allclose(log.acceleration.values, [[0.0, 0.0, 9.80665]] * N, atol=1e-4)
@@ -404,10 +399,9 @@ def test_indiflight_says_its_frame_by_gravity_and_names_no_layout(flight, tmp_pa
 
 
 @pytest.mark.skipif(not SAMPLE.exists(), reason='no folder shared/data beside the checkout')
-def test_a_real_px4_log_through_the_command(tmp_path, capsys):
+def test_a_real_px4_log_through_the_command(tmp_path, printed):
     pytest.importorskip('pyulog')
-    assert main(['import', str(SAMPLE), '--out', str(tmp_path / 'bag')]) == 0
-    out = capsys.readouterr().out
+    out = printed(main, 'import', SAMPLE, '--out', tmp_path / 'bag')
     assert 'MAV_TYPE is 22, no multirotor' in ' '.join(out.split())
     record = read_bag(tmp_path / 'bag')
     assert record.dt == pytest.approx(1 / 284.7, rel=0.03)

@@ -53,8 +53,8 @@ def write(path: Path, table: Mapping[str, np.ndarray], delimiter: str = ',') -> 
     return path
 
 
-def imported(options: ColumnOptions, out: Path, grid_hz: float | None = None):
-    return import_log(read_columns(options), out, grid_hz)
+def imported(options: ColumnOptions, out: Path):
+    return import_log(read_columns(options), out)
 
 
 @pytest.fixture
@@ -108,7 +108,7 @@ def test_units_are_what_they_are_called(role, unit, values, si):
     assert unit_of(role, unit, 'column')(np.array(values)) == pytest.approx(si)
 
 
-def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsys):
+def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, printed, capsys):
     fast = columns()['rate'] * 30.0 / np.pi
     file = write(tmp_path / 'a.csv', columns() | {
         'gx [rpm]': 0.5 * fast, 'rate [rpm]': fast, 'gy [rpm]': fast, 'gz [rpm]': 0.3 * fast})
@@ -116,8 +116,7 @@ def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsy
     assert "'rpm'; use rad/s, deg/s, m/s, mm/s, a factor" in refused(unknown)
     found = read_columns(replace(unknown, units={'rate [rpm]': str(np.pi / 30.0)}))
     np.testing.assert_allclose(found.rates.values[:, 1], columns()['rate'], atol=1e-9)
-    assert main(['import', str(file)]) == 0
-    assert "--unit 'gy [rpm]=rad/s'" in capsys.readouterr().out
+    assert "--unit 'gy [rpm]=rad/s'" in printed(main, 'import', file)
     assert main(['import', str(file), '--out', str(tmp_path / 'other')]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
@@ -126,7 +125,7 @@ def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, capsy
     ('Gyro X (deg/s)', 'Gyro Y', 'Gyro Z'), ('gyro_x_dps', 'gyro_y_dps', 'gyro_z_dps'),
 ])
 def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
-    tmp_path, capsys, monkeypatch, heads
+    tmp_path, monkeypatch, heads, printed
 ):
     """As on a rig where roll alone is free; a typed command needs no --unit for such names."""
     assert unit_of('rate', None, heads[0]).name == 'deg/s'
@@ -137,8 +136,7 @@ def test_the_quiet_axes_of_a_sensor_have_the_unit_of_the_excited_one(
     write(tmp_path / 'own.csv', {
         't': table['t'], **{name: table[name] for name in MOTORS},
         **dict(zip((*heads, 'roll', 'pitch', 'yaw'), [*rates / DEG, *angles / DEG], strict=True))})
-    assert main(['import', 'own.csv']) == 0
-    (line,) = [x for x in capsys.readouterr().out.splitlines() if x.startswith('quad-sysid')]
+    (line,) = [x for x in printed(main, 'import', 'own.csv').splitlines() if x.startswith('quad')]
     words = shlex.split(line)[1:]
     words[words.index('--mixer') + 1] = 'x'  # no motor turned anything
     assert main(words) == 0
@@ -246,29 +244,22 @@ def test_a_bag_of_ros_1(tmp_path):
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS1_NOETIC)
-    kinds = store.types
-    table = columns()
+    store, table = get_typestore(Stores.ROS1_NOETIC), columns()
+    of = {name.rpartition('/')[2]: made for name, made in store.types.items()}
+    time = store.types['builtin_interfaces/msg/Time']
+    nine, upright = np.zeros(9), of['Quaternion'](0.0, 0.0, 0.0, 1.0)
     with Writer(tmp_path / 'flight.bag') as writer:
         imu = writer.add_connection('/imu', 'sensor_msgs/msg/Imu', typestore=store)
         command = writer.add_connection('/cmd', 'geometry_msgs/msg/Vector3', typestore=store)
-        vector = kinds['geometry_msgs/msg/Vector3']
         for k, t in enumerate(table['t']):
             ns = 10**18 + round(1e9 * t)
-            message = kinds['sensor_msgs/msg/Imu'](
-                header=kinds['std_msgs/msg/Header'](
-                    seq=k, frame_id='', stamp=kinds['builtin_interfaces/msg/Time'](
-                        ns // 10**9, ns % 10**9)),
-                orientation=kinds['geometry_msgs/msg/Quaternion'](0.0, 0.0, 0.0, 1.0),
-                angular_velocity=vector(table['rate'][k], 0.0, 0.0),
-                linear_acceleration=vector(0.0, 0.0, 9.81), orientation_covariance=np.zeros(9),
-                angular_velocity_covariance=np.zeros(9),
-                linear_acceleration_covariance=np.zeros(9),
-            )
-            writer.write(imu, ns + 3_000_000,
-                         store.serialize_ros1(message, 'sensor_msgs/msg/Imu'))
-            writer.write(command, ns, store.serialize_ros1(
-                vector(table['u'][k], 0.0, 0.0), 'geometry_msgs/msg/Vector3'))
+            rate, u, felt = (of['Vector3'](*v) for v in (
+                (table['rate'][k], 0.0, 0.0), (table['u'][k], 0.0, 0.0), (0.0, 0.0, 9.81)))
+            head = of['Header'](k, time(*divmod(ns, 10**9)), '')
+            message = of['Imu'](head, upright, nine, rate, nine, felt, nine)
+            for topic, late_ns, one in ((imu, 3_000_000, message), (command, 0, u)):
+                raw = store.serialize_ros1(one, topic.msgtype)
+                writer.write(topic, ns + late_ns, raw)
     assert '/imu.orientation.pitch' in open_table(tmp_path / 'flight.bag').columns
     imported(ColumnOptions(
         file=tmp_path / 'flight.bag', axes=('roll',), control=('/cmd.x',),

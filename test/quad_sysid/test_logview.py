@@ -218,25 +218,22 @@ def test_set_points_of_a_damaged_log_that_nothing_can_follow_are_dropped(seen):
 
 
 def test_the_command_prints_the_answer_first_and_writes_a_page(
-    flight, tmp_path, capsys, monkeypatch
+    flight, tmp_path, monkeypatch, printed, refused
 ):
     monkeypatch.chdir(tmp_path)
     write_bag(flight, tmp_path / 'flight')
-    assert cli.main(['look', 'flight']) == 0
-    out = capsys.readouterr().out
+    out = printed(cli.main, 'look', 'flight')
     assert out.startswith('Roll follows a step of its rate set-point in ')
     text = (tmp_path / 'flight_look.html').read_text()
     assert len(text.encode()) < 2_000_000
     assert not re.search(r'(?:src|href)="(?!data:|#)', text)
-    assert cli.main(['look', 'flight', 'flight', '--out', 'both.html']) == 0
-    assert re.search(r'roll +flight \(2\) +\d', capsys.readouterr().out)
+    both = printed(cli.main, 'look', 'flight', 'flight', '--out', 'both.html')
+    assert re.search(r'roll +flight \(2\) +\d', both)
     assert (tmp_path / 'both.html').stat().st_size < 2_000_000
-    assert cli.main(['look', 'flight', '--json', '--no-page']) == 0
-    tree = json.loads(capsys.readouterr().out)
+    tree = json.loads(printed(cli.main, 'look', 'flight', '--json', '--no-page'))
     assert tree['axes']['roll']['steps'][0]['rise_time_s'] == pytest.approx(
         truth().rise_time_s, rel=0.03)
     (tmp_path / 'mine.html').write_text('notes')
-    assert cli.main(['look', 'flight', '--out', 'mine.html']) == 2
-    assert 'is no page of quad-sysid look' in capsys.readouterr().err
+    assert 'is no page of quad-sysid' in refused(cli.main, 'look', 'flight', '--out', 'mine.html')
     with pytest.raises(BadInputError):
         look(flight).plot('nothing')

@@ -82,6 +82,8 @@ def test_a_file_of_an_earlier_version_is_read_as_it_was_meant_or_refused(tmp_pat
     """The rates are those that the version which wrote the file computes."""
     path = Path(__file__).parents[1] / 'data' / 'model_2.json'
     model = load_models(path)['yaw']
+    assert (model.rungs, model.predicting is model) == ((), True)  # not explained, as then
+    assert {effect.explains_pct for effect in model.effects} == {0.0}
     rate = simulate_model(model, 0.05 * np.repeat([1.0, -1.0, 0.5], 40))
     there = [-0.006016, -0.013561, -0.01941, -0.020571, -0.02451]
     np.testing.assert_allclose(rate[[20, 39, 60, 100, 119]], there, atol=1e-6)
@@ -96,12 +98,8 @@ def test_a_file_of_an_earlier_version_is_read_as_it_was_meant_or_refused(tmp_pat
 # black-box models beside them
 
 
-@pytest.fixture(scope='module')
-def polynomial():
-    return bj(reference_study().record(np.random.default_rng(0)), 2, 2, 2, 2, 3)
-
-
-def test_a_polynomial_model_comes_back_the_same(polynomial, tmp_path):
+def test_a_polynomial_model_comes_back_the_same(tmp_path):
+    polynomial = bj(reference_study().record(np.random.default_rng(0)), 2, 2, 2, 2, 3)
     path = tmp_path / 'model.json'
     path.write_text(json.dumps({'axes': {}, 'blackbox': {'roll': tree_of(polynomial)}}))
     back = load_blackbox(path)['roll']
@@ -112,19 +110,3 @@ def test_a_polynomial_model_comes_back_the_same(polynomial, tmp_path):
     np.testing.assert_array_equal(simulate(back, u), simulate(polynomial, u))
     path.write_text('{"schema": "quad_sysid/model/2", "axes": {}}')
     assert load_blackbox(path) == {}
-
-
-def test_a_file_of_the_version_before_is_read_as_one_without_an_explanation(tmp_path):
-    path = tmp_path / 'model.json'
-    save_models({'roll': some_model()}, path)
-    tree = json.loads(path.read_text())
-    tree['schema'] = 'quad_sysid/model/2'
-    roll = tree['axes']['roll']
-    for name in ('rungs', 'reference', 'ranges', 'mean_throttle'):
-        roll.pop(name)
-    roll['effects'][0].pop('explains_pct')
-    path.write_text(json.dumps(tree))
-    back = load_models(path)['roll']
-    assert back.rungs == ()
-    assert back.predicting is back
-    assert back.effects == some_model().effects

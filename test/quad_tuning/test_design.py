@@ -267,12 +267,11 @@ def test_what_must_never_reach_an_aircraft_is_refused_by_name(check, gains, said
         check(gains)
 
 
-def test_a_gain_that_flies_on_other_firmware_is_a_start_though_beyond_our_bounds(model, changed):
-    flown = model()
-    beyond = {**flown.active_gains, 'roll.rate.ki': 1.12}  # Betaflight's default of 80
+def test_a_gain_that_flies_on_other_firmware_is_a_start_though_beyond_our_bounds(model):
+    beyond = with_gains(model(), roll__rate__ki=1.12)  # Betaflight's default of 80
     with pytest.raises(DesignRefusedError, match='must lie in'):
-        flown_gains(changed(flown, active_gains=beyond))
-    gains = flown_gains(changed(flown, active_gains={**beyond, 'roll.rate.tpa_kp': 1.0}))
+        flown_gains(beyond)
+    gains = flown_gains(with_gains(beyond, roll__rate__tpa_kp=1.0))
     low, high = reachable('rate_ki', gains.rate_ki, 'roll')
     assert gains.rate_ki == pytest.approx(high) == pytest.approx(1.12)
     assert low < 1.0

@@ -34,9 +34,8 @@ def file(tmp_path):
     return path
 
 
-def test_px4_gives_the_same_command_for_the_same_error(file, capsys):
-    assert main(['export', str(file), '--to', 'px4', *UNITS]) == 0
-    told = capsys.readouterr().out
+def test_px4_gives_the_same_command_for_the_same_error(file, printed):
+    told = printed(main, 'export', file, '--to', 'px4', *UNITS)
     rows = [line.split('\t') for line in told.splitlines() if not line.startswith('#')]
     values = {row[2]: float(row[3]) for row in rows}
     assert all(row[:2] == ['1', '1'] and row[4] == '9' for row in rows)
@@ -49,7 +48,7 @@ def test_px4_gives_the_same_command_for_the_same_error(file, capsys):
     assert '# MC_ROLLRATE_P = roll.rate.kp 0.08 / 0.25' in told
 
 
-def test_ardupilot_through_a_file(file, tmp_path, capsys):
+def test_ardupilot_through_a_file(file, tmp_path, refused):
     out = tmp_path / 'gains.param'
     assert main(['export', str(file), '--to', 'ardupilot', '--out', str(out), *ONES]) == 0
     rows = [line.split(',') for line in out.read_text().splitlines() if not line.startswith('#')]
@@ -58,8 +57,8 @@ def test_ardupilot_through_a_file(file, tmp_path, capsys):
     assert values['ATC_RAT_RLL_FLTD'] == 69.0
     assert values['ATC_ANG_YAW_P'] == 2.0
     assert 'differentiates the error' in out.read_text()
-    assert main(['export', str(file), '--to', 'ardupilot', '--out', str(out), *ONES]) == 2
-    assert 'exists already' in capsys.readouterr().err
+    assert 'exists already' in refused(
+        main, 'export', file, '--to', 'ardupilot', '--out', out, *ONES)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +82,7 @@ def test_wrong_files_and_options_are_one_line(file, content, arguments, words, r
     assert words in refused(main, 'export', path, '--to', 'px4', *arguments)
 
 
-def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, capsys):
+def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, printed, refused):
     unit = 57.29578 / 1000.0
     before, after = ({'roll.rate.kp': p * 0.032029 * unit, 'roll.rate.ki': 80 * 0.244381 * unit,
                       'roll.rate.kd': d * 0.000529 * unit} for p, d in ((45, 30), (60, 38)))
@@ -91,15 +90,13 @@ def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, capsys):
     yaw = {'yaw.rate.kp': 45 * 0.032029 * unit, 'yaw.rate.ki': 80 * 2.5 * 0.244381 * unit}
     path.write_text(design({'roll': {'gains': after, 'steps': [before, after]},
                             'yaw': {'gains': yaw}}))
-    assert main(['export', str(path), '--to', 'betaflight']) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed(main, 'export', path, '--to', 'betaflight').splitlines()
     sets = [line for line in lines if not line.startswith('#')]
     same = ['set p_yaw = 45', 'set i_yaw = 80', 'save']
     assert sets == ['set simplified_pids_mode = OFF', 'set p_roll = 45', 'set i_roll = 80',
                     'set d_roll = 30', *same, 'set simplified_pids_mode = OFF',
                     'set p_roll = 60', 'set i_roll = 80', 'set d_roll = 38', *same]
     assert any('from 45 (+15)' in line for line in lines)
-    assert main(['export', str(path), '--to', 'inav']) == 0
-    assert 'set mc_p_roll = 60' in capsys.readouterr().out  # 1/31 beside 0.032029
-    assert main(['export', str(path), '--to', 'inav', '--scale', 'roll=1']) == 2
-    assert '--scale: is not needed for inav' in capsys.readouterr().err
+    inav = 'export', path, '--to', 'inav'
+    assert 'set mc_p_roll = 60' in printed(main, *inav)  # 1/31 beside 0.032029
+    assert '--scale: is not needed for inav' in refused(main, *inav, '--scale', 'roll=1')

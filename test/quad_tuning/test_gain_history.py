@@ -35,16 +35,14 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_every_set_stands_there_with_its_source_and_outcome(folder, capsys):
-    assert main(['history', '--folder', str(folder), '--json']) == 0
-    sets = json.loads(capsys.readouterr().out)['sets']
+def test_every_set_stands_there_with_its_source_and_outcome(folder, printed):
+    sets = json.loads(printed(main, 'history', '--folder', folder, '--json'))['sets']
     assert [one['outcome'] for one in sets] == [
         'found', 'passed', 'confirmed', 'rolled back', 'found',
     ]  # fmt: skip
     assert [one['gains'][ANGLE] for one in sets] == [3.0, 6.0, 7.0, 7.0, 7.0]
     assert (sets[2]['bag'], sets[3]['reason']) == ('flight_1', 'roll: oscillation')
-    assert main(['history', '--folder', str(folder)]) == 0
-    table = capsys.readouterr().out
+    table = printed(main, 'history', '--folder', folder)
     assert table.startswith(f'{folder}/quad_7/gains.jsonl\n')
     assert 'rolled back  operator' in table
     assert 'roll.rate.kp 0.2' in table
@@ -85,16 +83,14 @@ def test_a_set_confirmed_on_the_ground_is_good_once_it_has_flown(folder):
 
 
 def test_the_rollback_shows_what_it_would_send_and_needs_ros_to_send_it(
-    folder, capsys, monkeypatch
+    folder, monkeypatch, printed, refused
 ):
     monkeypatch.delitem(sys.modules, 'quad_tuning.update_node', raising=False)
     monkeypatch.setitem(sys.modules, 'rclpy', None)
-    assert main(['rollback', '--folder', str(folder), '--print']) == 0
-    said = capsys.readouterr().out
+    said = printed(main, 'rollback', '--folder', folder, '--print')
     assert said.startswith('set 1 of')
     assert said.endswith('roll.rate.kp 0.07, roll.angle.kp 3\n')
-    assert main(['rollback', '--folder', str(folder)]) == 2
-    assert 'quad-tune rollback: needs ROS 2' in capsys.readouterr().err
+    assert 'quad-tune rollback: needs ROS 2' in refused(main, 'rollback', '--folder', folder)
 
 
 @pytest.mark.parametrize(

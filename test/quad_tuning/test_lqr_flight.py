@@ -90,7 +90,7 @@ def test_off_it_leaves_no_trace(profile, proposal):
     np.testing.assert_array_equal(*(flight.wrench for flight in flights))
 
 
-def test_a_flight_under_it_is_no_flight_of_the_cascade(model, changed):
+def test_a_flight_under_it_is_no_flight_of_the_cascade(model):
     """The analysis hears nothing of the cascade's gains; a design says what to do."""
     record = Record(
         source='flight', dt=0.004, rates=np.zeros((4, 3)), control=np.zeros((4, 4)),
@@ -99,5 +99,5 @@ def test_a_flight_under_it_is_no_flight_of_the_cascade(model, changed):
     )  # fmt: skip
     assert 'roll.rate.kp' in record.gains_at(0.5)
     assert set(record.gains_at(2.0)) == {'pitch.rate.kp', 'roll.lqr.share'}
-    flown = changed(model(), active_gains=record.gains_at(2.0))
+    flown = replace(model(), active_gains=record.gains_at(2.0))
     assert 'set the share to 0 and fly again' in design(flown).refused_because

@@ -27,26 +27,9 @@ def shaken(tmp_path):
     rates[:, 0] += 0.8 * np.sin(2.0 * np.pi * 70.0 * t)
     still, hover = np.zeros_like(rates), np.full((t.size, 4), 0.4)
     return str(write_bag(Record(
-        source='shaken', dt=0.004, t0_ns=1_750_000_000_000_000_000, rates=rates,
-        control=hover * (1.0, 0.0, 0.0, 0.0), angles=still, motors=hover, wrench=None,
-        attitude_setpoint=still, rate_setpoint=still, acceleration=None, excitation=None,
-        battery_v=None, segments=(), gains=(),
+        source='shaken', dt=0.004, rates=rates, control=hover * (1.0, 0.0, 0.0, 0.0),
+        angles=still, motors=hover, attitude_setpoint=still, rate_setpoint=still,
     ), tmp_path / 'shaken'))  # fmt: skip
-
-
-@pytest.fixture
-def answer(stored, capsys, monkeypatch):
-    """What `quad-tune design --axis roll --json` with more words says of the axis."""
-
-    def told(*words, command=main):
-        line = ['design', stored, '--axis', 'roll', '--json', *words]
-        monkeypatch.setattr('sys.argv', [f'lib/{line[0]}', *line[1:]])
-        assert (ros2() if command is ros2 else main(line)) == 0
-        tree = json.loads(capsys.readouterr().out)
-        assert (tree['schema'], set(tree['axes'])) == ('quad_tuning/design/1', {'roll'})
-        return tree['axes']['roll']
-
-    return told
 
 
 @pytest.mark.usefixtures('quick')
@@ -74,13 +57,17 @@ def test_table_and_file_tell_the_same(stored, shaken, tmp_path, capsys):
 
 @pytest.mark.usefixtures('quick')
 def test_lqr_by_the_ros_name_of_the_command_with_brysons_weights(
-    stored, answer, tmp_path, capsys
+    stored, tmp_path, printed, capsys, monkeypatch
 ):
-    plain, file = answer('--method', 'lqr', command=ros2), tmp_path / 'slow.json'
+    words, file = (stored, '--axis', 'roll', '--method', 'lqr'), tmp_path / 'slow.json'
+    monkeypatch.setattr('sys.argv', ['lib/design', *words, '--json'])
+    assert ros2() == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert (tree['schema'], set(tree['axes'])) == ('quad_tuning/design/1', {'roll'})
+    plain = tree['axes']['roll']
     assert (plain['gains']['roll.lqr.share'], len(plain['gains'])) == (1.0, 10)
-    assert main(['design', stored, '--method', 'lqr', '--axis', 'roll', '--max-rate', '0.3',
-                 '--out', str(file)]) == 0
-    assert 'roll.lqr.k_angle' in capsys.readouterr().out
+    said = printed(main, 'design', *words, '--max-rate', 0.3, '--out', file)
+    assert 'roll.lqr.k_angle' in said
     slow = json.loads(file.read_text())['axes']['roll']
     assert slow['figures']['rise_time_s'] > 1.2 * plain['figures']['rise_time_s']
 

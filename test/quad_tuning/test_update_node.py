@@ -1,14 +1,13 @@
 """`quad-tune send` to the bridge of one namespace; another aircraft's must not hear it."""
 
 import json
-import sys
 
 import pytest
+from node_process import program
 
 from quad_bridge.gains.update import WATCH_S
 from quad_bridge.lockstep import VARIABLE
 
-QUAD_TUNE = 'import sys; from quad_tuning.cli import main as start; sys.exit(start())'
 KIND = 'rcl_interfaces/srv/SetParametersAtomically'
 
 
@@ -20,7 +19,7 @@ def send(run, tmp_path, monkeypatch):
     file = tmp_path / 'gains.json'
     file.write_text(json.dumps({'schema': 'quad_tuning/design/1', 'axes': axes}))
     words = ('send', file, '--namespace')
-    return lambda namespace: run(sys.executable, '-c', QUAD_TUNE, *words, namespace)
+    return lambda namespace: run(*program('main'), *words, namespace)
 
 
 def told(answer):

@@ -18,11 +18,11 @@ from quad_tuning.designer import design
 EXPONENT, REFERENCE = 'roll.sag.exponent', 'roll.sag.reference_v'
 
 
-def sagging(model, changed, power=1.2, **active):
+def sagging(model, power=1.2, **active):
     """An identified model with sag."""
     effect = estimate_of('battery_sag', (power,), settings={'reference_v': 11.1}, std=0.05)
     m = model(effects=[effect])
-    return changed(m, mean_battery_v=11.4, active_gains={**m.active_gains, **active})
+    return dataclasses.replace(m, mean_battery_v=11.4, active_gains={**m.active_gains, **active})
 
 
 def slopes(charge, gains, power=1.5):
@@ -54,13 +54,13 @@ def test_a_low_pack_flies_as_a_full_one():
 
 
 @pytest.mark.usefixtures('quick')
-def test_the_design_takes_the_schedule(model, changed):
+def test_the_design_takes_the_schedule(model):
     """In steps that the gate makes; test_design.py: without sag there is none."""
-    with_it = design(sagging(model, changed))
+    with_it = design(sagging(model))
     assert with_it.gains[EXPONENT] == pytest.approx(1.2)
     assert with_it.gains[REFERENCE] == pytest.approx(11.4)
     assert with_it.figures['worst_phase_margin_deg'] >= 45.0
-    m = sagging(model, changed)
+    m = sagging(model)
     made = gate_steps(with_it.gains, m.active_gains, DEFAULT_BOUNDS)
     ours, gates = ([step[EXPONENT] for step in steps] for steps in (with_it.steps, made))
     least = min(len(ours), len(gates))
@@ -68,10 +68,10 @@ def test_the_design_takes_the_schedule(model, changed):
     assert all(step[REFERENCE] == pytest.approx(11.4) for step in made)
 
 
-def test_a_flight_with_the_schedule_is_analysed_with_it(model, changed):
+def test_a_flight_with_the_schedule_is_analysed_with_it(model):
     """The controller sees the plant times what the firmware makes of its command."""
-    m = sagging(model, changed, **{EXPONENT: 1.2, REFERENCE: 12.0})
+    m = sagging(model, **{EXPONENT: 1.2, REFERENCE: 12.0})
     assert schedule_factor(m) == pytest.approx((12.0 / 11.4) ** 1.2)
-    bare = sagging(model, changed)
+    bare = sagging(model)
     ours, plain = (loop_plant(one).plant.p[0] for one in (m, bare))
     assert ours == pytest.approx(plain * (12.0 / 11.4) ** 1.2)

@@ -1,9 +1,9 @@
 """What the benchmarks publish: the plants of each set as they were, the pages as their data."""
 
 import hashlib
-import subprocess
-import sys
 from pathlib import Path
+
+from node_process import python
 
 BENCH = Path(__file__).resolve().parents[2] / 'bench'
 
@@ -26,6 +26,5 @@ def test_a_set_of_effects_from_outside_stays_as_it_was_opened(monkeypatch):
 
 def test_the_pages_show_their_data():
     """`make bench-results` would change nothing."""
-    done = subprocess.run([sys.executable, BENCH / 'results.py', '--check'], capture_output=True,
-                          text=True, check=False)
+    done = python(BENCH / 'results.py', '--check')
     assert (done.returncode, done.stdout) == (0, ''), done.stderr

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from flown_axis import Axis, Plan, fly
+from node_process import ended
 
 from quad_sysid import cli as sysid
 from quad_sysid.bags import write_bag
@@ -132,10 +133,8 @@ def test_the_installed_fleet_starts_its_processes(tmp_path: Path) -> None:
     """Each imports the program that started it, which must not begin a fleet of its own then."""
     (tmp_path / 'flights').mkdir()
     (tmp_path / 'flights/no_bag.mcap').write_text('no bag')
-    done = subprocess.run(
-        [Path(sys.prefix) / 'bin/quad-sysid', 'fleet', 'flights', '--out', 'fleet'],
-        cwd=tmp_path, check=False, capture_output=True, text=True,
-    )  # fmt: skip
+    done = ended(Path(sys.prefix) / 'bin/quad-sysid', 'fleet', 'flights', '--out', 'fleet',
+                 cwd=tmp_path)
     row = (tmp_path / 'fleet/fleet.csv').read_text()
     assert ('Traceback' in done.stderr, 'process died' in row) == (False, False), done.stderr
 

@@ -4,10 +4,10 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from node_process import python
 
 ROOT = Path(__file__).resolve().parents[2]
 CHANGES = re.findall(r'```diff\n(.*?)```', (ROOT / 'CONTRIBUTING.md').read_text(), re.DOTALL)
@@ -26,14 +26,11 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def python(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def python_in(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """What Python with these words does where the copy's packages are the installed ones."""
     paths = [place, *(place / 'src' / name for name in ('quad_bridge', 'quad_sysid')),
              place / 'test', os.environ.get('PYTHONPATH', '')]
-    return subprocess.run(
-        [sys.executable, *words], cwd=place, capture_output=True, text=True, check=False,
-        env={**os.environ, 'PYTHONPATH': os.pathsep.join(map(str, paths))},
-    )  # fmt: skip
+    return python(*words, cwd=place, env={'PYTHONPATH': os.pathsep.join(map(str, paths))})
 
 
 def applied(place: Path, change: str) -> list[str]:
@@ -58,8 +55,8 @@ def test_each_worked_change_works(copy: Path) -> None:
     assert len(tests) == len(CHANGES) == 5
     files = sorted({name for change in CHANGES
                     for name in re.findall(r'^--- (test/\S+)', change, re.MULTILINE)})
-    done = python(copy, '-m', 'pytest', '-q', '-n', '0', '-p', 'no:cacheprovider',
-                  '-k', ' or '.join(tests), *files)
+    done = python_in(copy, '-m', 'pytest', '-q', '-n', '0', '-p', 'no:cacheprovider',
+                     '-k', ' or '.join(tests), *files)
     assert '5 passed' in done.stdout, (done.stdout + done.stderr)[-3000:]
     assert done.returncode == 0
 
@@ -92,5 +89,5 @@ def test_what_the_page_adds_works(copy: Path) -> None:
     for name, text in FILES:
         path = copy / 'src' / name.partition('/')[0] / name if '/' in name else copy / name
         path.write_text(text)
-    done = python(copy, '-c', USES.format(str(copy)))
+    done = python_in(copy, '-c', USES.format(str(copy)))
     assert (done.stdout, done.returncode) == (SAYS, 0), done.stderr[-2000:]

@@ -2,12 +2,10 @@
 
 import importlib.util
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from probe import PATIENCE_S
+from node_process import python
 
 from quad_bridge.topics import TOPIC_TYPES
 
@@ -58,10 +56,7 @@ def test_the_site_lists_every_page() -> None:
 @pytest.mark.skipif(importlib.util.find_spec('mkdocs') is None, reason='mkdocs is not installed')
 def test_what_is_made_for_the_site_stands_in_it(tmp_path: Path) -> None:
     """The notebook runs here; .ci/run builds the site by `make docs`, which refuses a warning."""
-    done = subprocess.run(
-        [sys.executable, '-m', 'mkdocs', 'build', '--quiet', '--site-dir', tmp_path / 'site'],
-        cwd=ROOT, capture_output=True, text=True, check=False, timeout=PATIENCE_S,
-    )
+    done = python('-m', 'mkdocs', 'build', '--quiet', '--site-dir', tmp_path / 'site', cwd=ROOT)
     assert done.returncode == 0, done.stderr[-2000:]
     for page, words in {
         'reference/api': ('read_bag', 'AxisModel', 'CascadeGains', 'import_log'),

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from node_process import MODULES, STARTS, Started, node_command, program
+from node_process import PROGRAMS, Started, node_command, program
 from probe import entries, event
 
 INT, TERM = signal.SIGINT, signal.SIGTERM
-NODES = {*STARTS} - {'virtual_stm32'}
+NODES = {*PROGRAMS} - {'virtual_stm32', 'main'}
 ONE_OF_EACH = ('serial_bridge', 'excitation', 'virtual_stm32')
 """The nodes of a package begin by the same lines."""
 PARAMETERS = {
@@ -74,7 +74,7 @@ def test_a_signal_while_it_imports(begin, name, number):
 
 def test_a_callback_that_fails_is_said_and_only_signals_end_the_node(begin):
     """One that a timer calls; the excitation's ends what it flies (test_excitation_node.py)."""
-    process = begin('serial_bridge', FAIL.format(MODULES['serial_bridge'],
+    process = begin('serial_bridge', FAIL.format(PROGRAMS['serial_bridge'][1],
                                                  'SerialBridge._on_report'))
     process.says('a callback failed and was left out: OverflowError: too large')
     for number in (INT, INT, TERM):

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 
 import pytest
-from node_process import until
+from node_process import ended, until
 from probe import PATIENCE_S
 
 COMMANDS = {
@@ -78,10 +78,7 @@ def work(tmp_path, nursery) -> Callable[[str], tuple[int, str, str]]:
     [('quad-sysid', 'numpy'), ('demo', 'quad_tuning.demo.main'), ('recover', 'yaml')],
 )
 def test_while_it_imports(tmp_path, program, module):
-    done = subprocess.run(
-        command(program, AT_IMPORT.format(module)), cwd=tmp_path, capture_output=True, text=True,
-        check=False, timeout=PATIENCE_S,
-    )  # fmt: skip
+    done = ended(*command(program, AT_IMPORT.format(module)), cwd=tmp_path)
     told = done.returncode, done.stdout, done.stderr
     assert told == (130, '', f'{program}: interrupted\n')
 
@@ -143,11 +140,8 @@ def test_a_second_one_ends_it_at_once(tmp_path):
 
 def test_one_that_ignores_it_goes_on(tmp_path):
     """As in the background of a script."""
-    done = subprocess.run(
-        ['sh', '-c', 'trap "" INT; exec "$@"', 'sh',
-         *command('quad-sysid', AT_WORK.format('interrupted()'), *IDENTIFY)],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = ended('sh', '-c', 'trap "" INT; exec "$@"', 'sh',
+                 *command('quad-sysid', AT_WORK.format('interrupted()'), *IDENTIFY), cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, 'went on\n', '')
 
 
@@ -167,9 +161,7 @@ if any('forkserver' in word for word in sys.orig_argv):
                 os.killpg(0, signal.SIGINT)
     sys.meta_path.insert(0, At())
 """)
-    done = subprocess.run(
-        command('quad-sysid', '', 'fleet', 'flights', '--workers', '2'), cwd=tmp_path,
-        capture_output=True, text=True, check=False, start_new_session=True, timeout=PATIENCE_S,
-        env={**os.environ, 'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'},
-    )  # fmt: skip
+    done = ended(*command('quad-sysid', '', 'fleet', 'flights', '--workers', '2'), cwd=tmp_path,
+                 start_new_session=True,
+                 env={'PYTHONPATH': f'{tmp_path}:{os.environ.get("PYTHONPATH", "")}'})
     assert (done.returncode, done.stdout, done.stderr) == (130, '', 'quad-sysid: interrupted\n')

@@ -5,12 +5,11 @@ The wheels of rclpy bring no `ros2`; what `make shell` has in its place is not a
 
 import shutil
 import signal
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
-from node_process import Started
+from node_process import Started, ended
 from probe import EVENT, PATIENCE_S, TRIGGER
 
 INSTALLED = Path(shutil.which('ros2') or 'tools').resolve()
@@ -25,9 +24,7 @@ NAN = (
 
 def ros2(*words: str) -> str:
     """What `ros2` with these words prints."""
-    done = subprocess.run(
-        ['ros2', *words], capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
+    done = ended('ros2', *words)
     return done.stdout + done.stderr
 
 

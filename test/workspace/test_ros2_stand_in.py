@@ -5,6 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from node_process import ended
 from probe import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,11 +21,9 @@ def ros2(tmp_path):
     script.chmod(0o755)
 
     def command(*words: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            ['timeout', str(PATIENCE_S), 'ros2', *words], check=False,
-            capture_output=True, text=True, env={**os.environ, 'AMENT_PREFIX_PATH': str(tmp_path),
-                 'PATH': os.pathsep.join([str(ROOT / 'tools/bin'), os.environ['PATH']])},
-        )
+        return ended('timeout', PATIENCE_S, 'ros2', *words, env={
+            'AMENT_PREFIX_PATH': str(tmp_path),
+            'PATH': os.pathsep.join([str(ROOT / 'tools/bin'), os.environ['PATH']])})
 
     return command
 

@@ -6,14 +6,13 @@ Which room may import which is import-linter's (pyproject.toml).
 import ast
 import importlib
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from node_process import ended, python
 
 ROOT = Path(__file__).resolve().parents[2]
 SRC, TEST = ROOT / 'src', ROOT / 'test'
@@ -78,8 +77,9 @@ def test_each_module_opens_with_what_it_is_and_is_no_longer_than_a_thought() -> 
 
 def test_nothing_of_one_machine_in_the_project() -> None:
     private = re.compile(r'/(?:home|root|Users)/\w+/|' + re.escape(str(ROOT)))
-    listed = subprocess.run(['git', 'ls-files', '-z'], cwd=ROOT, capture_output=True, check=True)
-    for name in filter(None, listed.stdout.decode().split('\0')):
+    listed = ended('git', 'ls-files', '-z', cwd=ROOT)
+    listed.check_returncode()
+    for name in filter(None, listed.stdout.split('\0')):
         if (path := ROOT / name).is_file():
             assert not private.search(path.read_text(errors='replace')), name
 
@@ -141,9 +141,7 @@ def test_every_offline_module_imports_without_ros_and_pip_is_asked_for_none() ->
     assert len(names) > 100
     source = (f'import sys; sys.modules.update(dict.fromkeys({sorted(ROS)!r}))\n'
               f'for name in {names!r}: __import__(name)')
-    done = subprocess.run(
-        [sys.executable, '-c', source], capture_output=True, text=True, check=False
-    )
+    done = python('-c', source)
     assert done.returncode == 0, done.stderr
     for package in (SYSID, TUNING):
         text = (package.parent / 'setup.py').read_text()
