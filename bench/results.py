@@ -122,15 +122,20 @@ def everyday_effects(rows: Sequence[Row]) -> str:
 
 
 def twice(rows: Sequence[Row]) -> str:
-    """Each aircraft flown twice (effects_twice.py)."""
-    claims = [[[name for name, *_ in one['claims']] for one in r['flights']] for r in rows]
-    spoke = [both for both in claims if any(both)]
-    return table(['', 'flights'], [
-        ['aircraft; those of which a flight claims something', f'{len(rows)}; {len(spoke)}'],
-        ['the main cause is the same', share([a[:1] == b[:1] for a, b in spoke])],
-        ['an effect that one flight claims is claimed in the other',
-         share([name in b for pair in spoke for a, b in (pair, pair[::-1]) for name in a])],
-    ])
+    """Each aircraft flown twice, by the kind of what is planted (effects_twice.py)."""
+    lines: list[list[object]] = [
+        ['aircraft'], ['those of which a flight claims something'], ['the main cause is the same'],
+        ['an effect that one flight claims is claimed in the other']]
+    for kind in ('named', 'pair', 'outside'):
+        claims = [[[name for name, *_ in flight['claims']] for flight in r['flights']]
+                  for r in rows if r['kind'] == kind]
+        spoke = [both for both in claims if any(both)]
+        for line, cell in zip(lines, (
+            len(claims), len(spoke), share([a[:1] == b[:1] for a, b in spoke]),
+            share([name in b for pair in spoke for a, b in (pair, pair[::-1]) for name in a]),
+        ), strict=True):
+            line.append(cell)
+    return table(['', 'one of the list', 'two of them', 'from outside'], lines)
 
 
 def demo(rows: Sequence[Row]) -> str:

@@ -369,9 +369,8 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, printed, ref
     assert 'commands that never change' in refused(main, 'import', path, '--out', tmp_path / 'b')
     path.write_bytes(encoded(columns, header).replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
     assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
-    assert main(['import', str(path), '--log', '2', '--out', str(tmp_path / 'b')]) == 2
-    said = capsys.readouterr().err
-    assert '--log: the file holds one log: found 2; leave it out' in said
+    assert '--log: the file holds one log: found 2; leave it out' in refused(
+        main, 'import', path, '--log', 2, '--out', tmp_path / 'b')
 
 
 @pytest.mark.parametrize('down', [True, False])
