@@ -223,15 +223,15 @@ class _Beside(Trajectory):
         late = round(self.values[2] / data.dt)
         bins = np.clip(np.roll(data.motors, late, axis=0), 0.0, 1.0) // BIN
         sums = np.zeros(1 + round(1.0 / BIN))
-        for step, share in zip(bins.T.astype(int), data.share, strict=True):
-            sums += np.bincount(step, share * pushed, sums.size)
+        for levels, share in zip(bins.T.astype(int), data.share, strict=True):
+            sums += np.bincount(levels, share * pushed, sums.size)
         waves, count = np.fft.rfft(sums, PADDED), np.fft.rfftfreq(PADDED, BIN)
         size = np.where((count > STEPS[0]) & (count < STEPS[1]), np.abs(waves), 0.0)
-        scores = []
+        starts = []
         for peak in _peaks(size, 60):
             turn = 0.25 - np.angle(waves[peak]) / (2.0 * math.pi) - count[peak] * (0.5 - 0.5 * BIN)
-            scores.append(np.array([1.0 / count[peak], turn - np.round(turn)]))
-        return scores
+            starts.append(np.array([1.0 / count[peak], turn - np.round(turn)]))
+        return starts
 
     @cached_property
     def backwards(self) -> FloatArray:

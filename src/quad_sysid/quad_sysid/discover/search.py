@@ -127,8 +127,8 @@ class SearchResult:
             away[base] = theta[base] - fitted.theta[base]
             for part, where in entry.fit.structure.placed():
                 if part.effect.label in slices:
-                    slice_here = slices[part.effect.label]
-                    away[slice_here] = theta[where] - fitted.theta[slice_here]
+                    own = slices[part.effect.label]
+                    away[own] = theta[where] - fitted.theta[own]
             out += probability * np.outer(away, away)
         return out
 
@@ -210,11 +210,11 @@ class _Search:
         for _ in range(MOST_EFFECTS):
             if self.halt():
                 return
-            best, beam = beam[0], leading(self.build_on(beam))
+            before, beam = beam[0], leading(self.build_on(beam))
             if not beam:
                 break
             beam[0] = self.store(both_orders(self.problem, beam[0].fit))
-            if beam[0].score <= best.score or self.improves_little(best.fit, beam[0].fit):
+            if beam[0].score <= before.score or self.improves_little(before.fit, beam[0].fit):
                 break
         while not self.halt() and self.spare():
             pass
