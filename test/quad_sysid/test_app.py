@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import re
+import select
 import shutil
 import signal
 import subprocess
@@ -206,9 +207,10 @@ class Chromium:
             self.send(f'{domain}.enable')
 
     def other_tab(self, url):
-        """Go on in a new tab."""
+        """Go on in a new tab, which an answer finds where it was asked: it navigates first."""
         self.session = None
-        self.attach(self.send('Target.createTarget', url=url)['targetId'])
+        self.attach(self.send('Target.createTarget', url='about:blank')['targetId'])
+        self.send('Page.navigate', url=url)
 
     def send(self, method, **parameters):
         self._number += 1
@@ -218,6 +220,7 @@ class Chromium:
         os.write(self._out, json.dumps(message).encode() + b'\0')
         while True:
             while b'\0' not in self._rest:
+                assert select.select([self._in], [], [], PATIENCE_S)[0], f'no answer: {method}'
                 self._rest += os.read(self._in, 1 << 16)
             raw, _, self._rest = self._rest.partition(b'\0')
             answer = json.loads(raw)
@@ -347,7 +350,7 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, b
     browser.until("document.getElementById('files').innerText.includes('dropped_bag')")
     # a second tab sees the same jobs
     browser.other_tab(server.base + '/')
-    browser.until("document.getElementById('jobs').innerText.includes('import dropped')")
+    browser.until("document.getElementById('jobs')?.innerText.includes('import dropped')")
     assert browser.fits(1280)
     assert browser.fits(390, dark=True)
     assert browser.brightness('document.body).backgroundColor') < 60
