@@ -96,8 +96,8 @@ class ExcitationRelay:
         self, x: float, y: float, z: float, now_s: float = 0.0, age_s: float = 0.0
     ) -> Frame | None:
         """The frame of a set-point (FLU, the segment's unit); None where it must not be sent."""
-        fault = self._aircraft().cannot(Ability.EXCITE)
-        fault = fault or self._enable.fault(now_s) or stale(age_s)
+        aircraft = self._aircraft()
+        fault = aircraft.cannot(Ability.EXCITE) or self._enable.fault(now_s) or stale(age_s)
         if self._lost:
             fault = fault or 'the operator has released the enable: start the next segment'
         elif self._injection is Injection.NONE:
@@ -109,7 +109,7 @@ class ExcitationRelay:
             return None
         self.forwarded += 1
         self.reason = ''
-        return self._aircraft().excite((x, y, z), self._injection, self._valid_ms)
+        return aircraft.excite((x, y, z), self._injection, self._valid_ms)
 
     def _drop(self, reason: str) -> None:
         self.dropped += 1

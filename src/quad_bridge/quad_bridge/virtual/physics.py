@@ -107,18 +107,18 @@ def shaped_command(motors: FloatArray, state: FloatArray, plant: Plant, out: Flo
 @kernel
 def drive_torque(thrusts: FloatArray, plant: Plant, time_s: float, drive: FloatArray) -> None:
     """Write the body torque (3,) of the rotors in N m, cross-axis share and event included."""
-    rates = np.empty(3)
+    torque = np.empty(3)
     for i in range(3):
         total = 0.0
         for j in range(4):
             total += plant.torque_map[i][j] * thrusts[j]
         if time_s >= plant.event_time_s:
             total *= 1.0 + plant.event_gain[i]
-        rates[i] = total
+        torque[i] = total
     for i in range(3):
-        drive[i] = rates[i]
+        drive[i] = torque[i]
         for j in range(3):
-            drive[i] += plant.cross[i][j] * rates[j]
+            drive[i] += plant.cross[i][j] * torque[j]
 
 
 @kernel

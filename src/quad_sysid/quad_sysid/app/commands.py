@@ -196,8 +196,8 @@ def named_columns(columns: object) -> list[str]:
     out = ['--axis', ','.join(AXES[i] for i in axes)]
     for option, own in by_option.items():
         wanted = axes if OPTIONS[option].per_axis else sorted(own)
-        if all(name in own for name in wanted):
-            out += as_typed(option, [own[name] for name in wanted])
+        if all(place in own for place in wanted):
+            out += as_typed(option, [own[place] for place in wanted])
     return [*out, *(['--mixer', 'auto'] if 'motors' in by_option else []), *units]
 
 

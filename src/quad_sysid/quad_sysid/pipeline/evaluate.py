@@ -245,8 +245,8 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
 
 def _like(value: npt.ArrayLike | None, n: int, name: str, usual: float) -> FloatArray:
     """One value, or (n,), as (n,)."""
-    gains = np.asarray(usual if value is None else value, dtype=np.float64)
-    if gains.shape not in ((), (n,)) or not np.isfinite(gains).all():
+    values = np.asarray(usual if value is None else value, dtype=np.float64)
+    if values.shape not in ((), (n,)) or not np.isfinite(values).all():
         raise BadInputError('simulate', f'{name} must be one finite value or as long as u',
-                            gains.shape)
-    return np.full(n, gains)
+                            values.shape)
+    return np.full(n, values)

@@ -189,7 +189,7 @@ def with_own(problem: Problem, searched: SearchResult, effects: Sequence[Effect]
 
     It fits only what promises something; who wrote an effect is told what it explains anyway.
     """
-    fitted = {label for scored in searched.all for label in scored.fit.structure.labels}
+    fitted = {label for entry in searched.all for label in entry.fit.structure.labels}
     passed_over = [effect for effect in effects if effect not in EFFECTS
                    and effect.label not in fitted | searched.reasons.keys()]
     if not passed_over:
@@ -200,7 +200,7 @@ def with_own(problem: Problem, searched: SearchResult, effects: Sequence[Effect]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
     return to_convergence(problem, replace(
-        searched, all=tuple(sorted((*searched.all, *more), key=lambda scored: -scored.score)),
+        searched, all=tuple(sorted((*searched.all, *more), key=lambda entry: -entry.score)),
         reasons=searched.reasons | failed))
 
 
@@ -235,9 +235,9 @@ def _reason(findings: Findings, not_searched: str) -> str:
         reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'
     other = findings.search.other
     if other is not None and verdict.verdict != 'cannot_tell':
-        first, second = (', '.join(f'{name} {scored.value(name):.3g}{unit}' for name, unit in (
+        first, second = (', '.join(f'{name} {reading.value(name):.3g}{unit}' for name, unit in (
             ('gain', ''), ('lag', ' s'), ('damping', ' 1/s')))
-            for scored in (findings.search.best, other))
+            for reading in (findings.search.best, other))
         reason += (f'{"; " if reason else ""}the data do not tell lag and damping apart: {first}, '
                    f'or about as well {second}; measured rotor speeds would decide')
     gain = verdict.chosen.value('gain')

@@ -118,7 +118,7 @@ def fit_others(z: IOData, fits: Fits, possible: tuple[Approach, ...],
     nk, n = fits.nk, fits.order
     models: tuple[Model, ...] = ()
     start = next((m for m in fits.models if m.structure == 'BJ'), None)
-    names = {effect.name for effect in possible if effect.possible}
+    names = {approach.name for approach in possible if approach.possible}
     if 'joint' in names:
         models += tried(
             reasons, lambda: joint(z, lambda data: bj(data, n, NOISE_ORDER, NOISE_ORDER, n, nk))
@@ -211,11 +211,11 @@ def with_blackbox(answer: AxisAnswer, fits: Fits | str, data: AxisData, loop: st
 
     fits: the models, or why there are none.
     """
-    answered, z = required(answer.model), required(answer.train)
+    completed, z = required(answer.model), required(answer.train)
     if isinstance(fits, str):
         return replace(answer, warnings=(*answer.warnings, f'no black-box model: {fits}'),
-                       selection=Selection(advice=tuple(rivalry(answered))))
-    gains = answered.active_gains
+                       selection=Selection(advice=tuple(rivalry(completed))))
+    gains = completed.active_gains
     cascade = CascadeGains.from_mapping(gains, data.axis) \
         if f'{data.axis}.rate.kp' in gains else None
     try:

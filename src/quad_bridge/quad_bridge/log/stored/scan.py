@@ -230,8 +230,8 @@ class McapScan:
         """Whole messages of the last chunk, if its end is missing or was never written."""
         name, packed = _packed(self.data, position, len(self.data))
         written, content = packed.rstrip(b'\0'), b''
-        missing = len(self.data) - position - RECORD.size - (len(packed) - len(written))
-        if not written or RECORD.unpack_from(self.data, position)[1] <= missing:
+        present = len(self.data) - position - RECORD.size - (len(packed) - len(written))
+        if not written or RECORD.unpack_from(self.data, position)[1] <= present:
             return b''  # it is all there, and damaged
         with suppress(*UNPACK_ERRORS, KeyError):
             content = bytes(_UNPACK_PART[name](written))
