@@ -123,7 +123,7 @@ def build_plant(
 ) -> Plant:
     """The constants of one aircraft on one mount; `phase` (rad) of the periodic disturbance."""
     hovers, inertia = mount == 'hover', np.array(airframe.inertia_kg_m2)
-    mount = airframe.mounts.hover if hovers else airframe.mounts.rig
+    support = airframe.mounts.hover if hovers else airframe.mounts.rig
     motors, battery = airframe.motors, airframe.battery
     lag, limits, gyro = effects.motor_lag, effects.saturation, effects.gyroscopic_coupling
     lags = np.full(4, motors.lag_s)
@@ -141,10 +141,10 @@ def build_plant(
         'full_thrust': motors.full_thrust_n,
         'lag': lags,
         'linear_drag': airframe.linear_drag_per_s,
-        'damping': np.array(mount.damping_per_s) * inertia,
-        'bias_torque': mount.bias_torque_nm,
-        'noise': mount.torque_noise_nm_rthz,
-        'noise_bandwidth_hz': mount.torque_noise_bandwidth_hz,
+        'damping': np.array(support.damping_per_s) * inertia,
+        'bias_torque': support.bias_torque_nm,
+        'noise': support.torque_noise_nm_rthz,
+        'noise_bandwidth_hz': support.torque_noise_bandwidth_hz,
         'charge_points': battery.charge_points,
         'pack_voltage': np.array(battery.cell_voltage_v) * battery.cells,
         'resistance': battery.resistance_ohm,
