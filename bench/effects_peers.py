@@ -18,7 +18,7 @@ import numpy as np
 
 
 def statsmodels_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
-    """Its state-space filter with a known input in every cycle, compiled."""
+    """Time per cycle, µs, and RMS error of the compiled filter of statsmodels, with inputs."""
     try:
         from statsmodels.tsa.statespace.kalman_filter import KalmanFilter
     except ImportError:

@@ -25,7 +25,7 @@ class Undeclared:
 
     make: Callable[[], Scalar]
     may_be: tuple[str, ...]
-    """Names of the table that are no lie here; shapes, modes and events always may be said."""
+    """Names of the table that describe it truly; shapes, modes and events always do."""
 
     def torque(self, index: int, size: float) -> EffectFunction:
         """The function the virtual STM32's physics calls."""

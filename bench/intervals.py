@@ -167,7 +167,7 @@ def unnamed(case: Case, data: AxisData, plant: Plant, named: list[str]) -> float
 
 
 def away(row: dict[str, Any], name: str) -> float:
-    """Distance from the truth in standard errors; NaN where none is given."""
+    """Distance from the truth in standard errors; NaN where the row has none."""
     value, std = row['told'][name]
     return math.nan if std is None else (value - row['truth'][name]) / std
 

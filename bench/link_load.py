@@ -56,7 +56,7 @@ def memory_mb(pid: int) -> float:
 
 
 class Processes:
-    """Started by name, ended by SIGINT in the order given."""
+    """Processes by name; SIGINT ends them in the order of their start."""
 
     def __init__(self) -> None:
         self.running: dict[str, subprocess.Popen[bytes]] = {}
@@ -150,7 +150,7 @@ def lost(folder: Path, rate: float) -> dict[str, Any]:
 
 
 def attacked(folder: Path) -> dict[str, Any]:
-    """What the attacker was answered, what became of gains and excitation, how it moved, rad/s."""
+    """Answers to the attacker, final gains and excitation, and the largest rates, rad/s."""
     (bag,) = folder.glob('flight_*')
     with AnyReader([bag]) as reader:
         wanted = [c for c in reader.connections if c.topic in {'/imu/data', '/gains/active',

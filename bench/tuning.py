@@ -146,7 +146,7 @@ def ours(airframe: Airframe, model: AxisModel, true: AxisModel, before: Flown) -
 
 
 def attainable(airframe: Airframe, true: AxisModel, before: Flown) -> Outcome:
-    """The same design when it is given the true plant, without any doubt about it."""
+    """The design for the true plant, without any uncertainty."""
     floors, delay = dict(ensemble.FLOOR), ensemble.DELAY_FLOOR_CYCLES
     ensemble.FLOOR, ensemble.DELAY_FLOOR_CYCLES = dict.fromkeys(floors, 0.0), 0.0
     try:

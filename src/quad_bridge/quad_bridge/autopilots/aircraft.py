@@ -212,7 +212,7 @@ class Connected:
 
     @property
     def last_cycle(self) -> f.Cycle | None:
-        """What stood for its last control cycle, where it sends none of ours."""
+        """Substitute for its last control cycle; None where it sends cycles of the contract."""
         return self.autopilot.last_cycle if self.autopilot is not None else None
 
     @property
@@ -228,7 +228,7 @@ class Connected:
             self.autopilot.take(frame, now_s)
 
     def forget(self) -> None:
-        """It may be another one from now on; a trial that has not ended is on the disk."""
+        """Forget the aircraft, since another may follow; an unfinished trial is on the disk."""
         if self.autopilot is not None:
             self.autopilot.abort()
 

@@ -54,7 +54,7 @@ class Kind:
     advice: Callable[[Values, tuple[int, int]], list[Advice]]
     log_suffix: str
     fetches_armed: bool
-    """Whether it sends logs while it is armed; they are asked for after landing all the same."""
+    """Whether it sends logs while it is armed; they are requested after landing all the same."""
     log_closes_s: float
     """After landing: until it writes to the log no more. Who asks before cuts the log short, and
     ArduPilot begins another one then."""

@@ -37,7 +37,7 @@ MOST = {Injection.ATTITUDE: math.radians(20.0), Injection.RATE: math.radians(200
 
 
 class Phase(Enum):
-    """Where it stands."""
+    """State of the takeover."""
 
     IDLE = 'idle'
     STREAMING = 'streaming before the switch'

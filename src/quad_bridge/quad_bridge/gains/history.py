@@ -66,7 +66,7 @@ def _work(jobs: Jobs) -> None:
 
 
 class History:
-    """The files of the aircraft that is connected; nothing is written before it is known.
+    """The files of the connected aircraft; none is written before its name is known.
 
     Nothing raises: a full disk must not keep gains from being rolled back. `run` takes the work
     of writing, a `Worker` or something that does it at once.

@@ -173,7 +173,7 @@ class GainWatch:
         return is_full and bool((self._before() <= self._most(self._unknown)).all())
 
     def know(self, before: object) -> None:
-        """Take `before` of the aircraft's last good flight; what is none leaves none known."""
+        """Restore levels that were stored after the last good flight; invalid ones are ignored."""
         self._sound = self._unknown
         try:
             levels = np.array(before, dtype=float)

@@ -38,7 +38,7 @@ class TimedNode:
             time.on_due = node.create_guard_condition(time.step).trigger
 
     def get_clock(self) -> Any:
-        """As rclpy's; only `now` in lockstep."""
+        """The clock of rclpy; in lockstep one with `now` only."""
         return _Now() if here().simulated else super().get_clock()  # type: ignore[misc]
 
     def create_publisher(self, kind: Any, topic: str, *others: Any, **more: Any) -> Any:
@@ -66,7 +66,7 @@ class TimedNode:
         return bool(super().destroy_subscription(subscription))  # type: ignore[misc]
 
     def create_timer(self, period_s: float, callback: Any, *, clock: Any = None) -> Any:
-        """As rclpy's, on the steady clock where none is given; in lockstep whatever its clock.
+        """A timer of rclpy, by default on the steady clock; in lockstep on the simulated time.
 
         A node's own clock stands still for as long as the system clock was set back.
         """

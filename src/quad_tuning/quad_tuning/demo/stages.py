@@ -64,7 +64,7 @@ class Campaign:
 
     @property
     def folder(self) -> Path:
-        """Where everything is written."""
+        """Folder of all files of the campaign."""
         return self.crew.folder
 
     def wait(self, stage: str, what: str, condition: Callable[[], bool], timeout_s: float) -> None:
