@@ -20,6 +20,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, write_whole
+from quad_sysid.model.plant import LEAST_LAG
 
 if TYPE_CHECKING:
     from quad_sysid.model import AxisModel
@@ -42,7 +43,7 @@ def matrices(model: AxisModel) -> dict[str, Any]:
     flying = linear_part(loop_plant(model))
     lag_s, delay_s, dt = flying.plant.p[1], flying.plant.p[2], flying.dt
     p = flying.plant.p.copy()
-    p[1], p[2] = max(lag_s, 0.25 * dt), 0.0
+    p[1], p[2] = max(lag_s, LEAST_LAG * dt), 0.0
     prompt = replace(flying, plant=replace(flying.plant, p=p))
     loop, prompt_loop = loops_of([(flying, STILL)]), loops_of([(prompt, STILL)])
     n = prompt_loop.b.shape[1]

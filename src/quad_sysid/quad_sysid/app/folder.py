@@ -55,7 +55,7 @@ def is_bag(path: Path) -> bool:
 
 
 def entries(folder: Path) -> list[Entry]:
-    """What can be chosen, by name; bags as one entry each."""
+    """The files that can be chosen, by name; a bag is one entry."""
     root = folder.resolve()
     listed: list[Entry] = []
     waiting = [(root, 0)]

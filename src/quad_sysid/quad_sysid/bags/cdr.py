@@ -72,7 +72,7 @@ WIDTH = {msgtype: len(columns) for msgtype, columns in COLUMNS.items()}
 
 @dataclass(frozen=True)
 class Joints:
-    """What is read of a JointState: one number of each motor, motor_1 first."""
+    """Layout of a JointState: one number per motor is read, motor_1 first."""
 
     count: int = 4
     field: str = 'effort'
@@ -111,8 +111,6 @@ def joints_of(messages: Sequence[bytes], field: str) -> Joints:
 
 MAX_LAYOUTS = 8
 """Layouts that are tried for messages of one length before they are read one by one."""
-FIRST = 1_000_003
-"""A number that no message holds, and those after it, show which goes to which column."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,7 @@ class Layout:
     """Messages of one length that agree in all bytes but their numbers'."""
 
     pattern: npt.NDArray[np.uint8]
-    """One of them."""
+    """Bytes (m,) of one of these messages."""
     fixed: tuple[tuple[int, int], ...]
     """Ranges [start, stop) of the bytes that agree: the encapsulation, lengths and texts."""
     columns: tuple[tuple[int, str], ...]
@@ -143,8 +141,9 @@ def layout_of(msgtype: str, raw: bytes, joints: Joints = FOUR) -> Layout:
     try:
         message = typestore().deserialize_cdr(raw, msgtype)
         kind = Nodetype.NAME, msgtype
+        # numbers that no message holds show which of them goes to which column
         bare, full, counted = (_numbered(kind, message, numbers)
-                               for numbers in (repeat(0), repeat(None), count(FIRST)))
+                               for numbers in (repeat(0), repeat(None), count(1_000_003)))
         low, high, plain = (
             np.frombuffer(bytes(typestore().serialize_cdr(message, msgtype)), np.uint8)
             for message in (bare, full, counted))

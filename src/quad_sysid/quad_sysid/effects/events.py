@@ -26,6 +26,7 @@ from quad_sysid.model.effect import (
 EDGE_S = 1.0
 """Least distance of an event from the ends of the training segments."""
 GRID_S = 0.5
+"""Distance of the times that are tried; the fit moves the best of them."""
 LONG_AGO_S = -1e6
 """Time of an event that happened before this flight."""
 HARMONICS = 6
@@ -48,7 +49,7 @@ def after(s: Signals, time_s: float) -> FloatArray:
 
 
 class Repeating(Effect):
-    """What repeats itself at a frequency, its first parameter in Hz."""
+    """An effect that repeats itself at a frequency, its first parameter, in Hz."""
 
     def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
         starts = self.starts(left.data, settings)

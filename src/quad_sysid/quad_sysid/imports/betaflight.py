@@ -22,12 +22,14 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.bags.reader import PLAUSIBLE_PACK_V
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import BETAFLIGHT, Craft, of_betaflight
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
 from quad_sysid.imports.betaflight_gains import PIDSUM, Adjustment, changes, tuning
 from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.experiments import PAUSE_S
 from quad_sysid.imports.log import (
     DEGREE,
     RPM,
@@ -45,11 +47,9 @@ from quad_sysid.motion import GRAVITY
 
 POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
-DSHOT = (48.0, 2047.0)
 PULSE_US = (1000.0, 2000.0)
+"""A servo's pulse, from no throttle to all."""
 IN_THE_AIR = 0.25  # of the throttle stick: below it an aircraft stands or falls
-MAX_VOLTS = 100.0
-"""A larger battery value is in hundredths of a volt."""
 FEWEST = 200
 """Least number of frames of a flight."""
 UNIT_AS_INTEGER = 8127.0
@@ -72,14 +72,11 @@ INTRA = 'I'
 """Type of a frame that holds whole values, not differences."""
 PHASE = 5000.0
 """Betaflight's debug[0] per radian of the chirp's phase, in debug mode CHIRP."""
-CHIRP_GAP_S = 1.0
 FASTER = 'set blackbox_sample_rate (before 4.3 blackbox_p_ratio) to log 500 Hz or more'
 NO_GAINS = (
     "the controller's gains in a header of Betaflight or INAV: no closed loop, no gain design "
     '(blackbox_decode --simulate-imu adds angles)'
 )
-VARINT = 0x7F, 0x80
-"""Masks of the bits and of the sign that more follow, of a number in an event."""
 AS_FLOAT = 0x80
 """Bit of an adjustment's number that a float follows."""
 
@@ -149,7 +146,7 @@ def _chirps(reading: Reading) -> Iterator[Experiment]:
             any(name.startswith('chirp_amplitude') for name in fields) and _is_phase(phase)):
         return
     on = np.flatnonzero(phase.values[:, 0] > 0.0)
-    for rows in np.split(on, np.flatnonzero(np.diff(phase.time_s[on]) > CHIRP_GAP_S) + 1):
+    for rows in np.split(on, np.flatnonzero(np.diff(phase.time_s[on]) > PAUSE_S) + 1):
         if rows.size < FEWEST:
             continue
         times, angle = phase.time_s[rows], phase.values[rows, 0] / PHASE
@@ -198,7 +195,8 @@ def _signals(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Signal
     how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if turned else 'the frame is ours')
 
     def volts(values: FloatArray) -> FloatArray:
-        hundredths = units.get('vbatLatest') != 'V' and float(np.median(values)) > MAX_VOLTS
+        too_high = float(np.median(values)) > PLAUSIBLE_PACK_V[1]
+        hundredths = units.get('vbatLatest') != 'V' and too_high
         return values * (1e-3 if units.get('vbatLatest') == 'mV' else
                          0.01 if hundredths else 1.0)
 
@@ -280,7 +278,7 @@ class _Events:
         if function & AS_FLOAT:
             value = struct.unpack('<f', bytes(next(reader) for _ in range(4)))[0]
         else:
-            bits, more = VARINT
+            bits, more = 0x7F, 0x80  # of a byte: its part of the number, and that more follow
             raw = shift = 0
             while True:
                 byte = next(reader)
@@ -430,7 +428,7 @@ def _motor_range(table: Table, raw: FloatArray) -> tuple[float, float, str]:
     if 'maxthrottle' in table.header:
         return *PULSE_US, 'pulses of 1000 to 2000 µs, as maxthrottle of the header'
     if np.nanmin(raw) < PULSE_US[0] - 1.0 or np.nanmax(raw) > PULSE_US[1] + 1.0:
-        return *DSHOT, 'DShot, judging by the values'
+        return 48.0, 2047.0, 'DShot, judging by the values'
     return *PULSE_US, 'pulses of 1000 to 2000 µs, judging by the values'
 
 

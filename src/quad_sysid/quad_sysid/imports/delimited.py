@@ -39,7 +39,6 @@ MOMENT = re.compile(
     r'(?:(?P<hour>\d{1,2}):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,]\d+)?))?)?'
     r' ?(?P<zone>Z|UTC|[+-]\d\d:?\d\d)?$')
 """A date, a time of day, or both (ISO 8601; also day.month.year)."""
-DAY_S = 86400.0
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,9 @@ class Text:
     lines: NDArray[np.int64]
     """(n,) line number of each row, counted from 1."""
     notes: tuple[str, ...]
-    """What was repaired."""
+    """Repairs, in words."""
     aliases: Mapping[str, str]
-    """Other names by which a column may be asked for: its own without the unit of a units' row."""
+    """Other names of a column: its own without the unit of a units' row."""
 
 
 @dataclass
@@ -315,9 +314,9 @@ def _day(text: str) -> float:
     parts = [int(part) for part in re.split(r'[-/.]', text)]
     year, month, day = parts if parts[0] > 31 else parts[::-1]
     try:
-        return DAY_S * (date(year, month, day).toordinal() - date(1970, 1, 1).toordinal())
+        return 86_400.0 * (date(year, month, day).toordinal() - date(1970, 1, 1).toordinal())
     except ValueError:  # month before day
-        return DAY_S * (date(year, day, month).toordinal() - date(1970, 1, 1).toordinal())
+        return 86_400.0 * (date(year, day, month).toordinal() - date(1970, 1, 1).toordinal())
 
 
 def _refuse_text(

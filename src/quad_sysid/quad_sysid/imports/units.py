@@ -175,7 +175,7 @@ def as_typed(option: str, columns: Sequence[str]) -> list[str]:
 
 
 def unit_of(role: Role, text: str | None, column: str, likely: str = '') -> Unit:
-    """Look up the unit of a column: as given, else as its header or name says, else SI.
+    """Look up the unit of a column: `text`, else the unit of its header or name, else SI.
 
     Raises BadInputError naming what the role allows, and `likely` as an example.
     """

@@ -15,8 +15,6 @@ from quad_sysid.contract import FloatArray
 
 FRAME_S = 0.5
 """Length of a frame, s: 2 Hz between lines."""
-FEWEST_SAMPLES = 8
-"""Of a frame: a slower log has no spectrum."""
 THROTTLE = np.linspace(0.0, 1.0, 41)
 """Edges of the throttle's classes."""
 ORDERS = np.linspace(0.25, 4.25, 161)
@@ -107,7 +105,7 @@ class Frames:
 def frames(signal: FloatArray, usable: npt.NDArray[np.bool_], dt: float) -> Frames | None:
     """The frames of a signal (n,) within `good` (n,); None without any."""
     size = round(FRAME_S / dt)
-    if size < FEWEST_SAMPLES or len(signal) < size:
+    if size < 8 or len(signal) < size:  # so slow a log has no spectrum
         return None
     lost_before = np.concatenate(([0], np.cumsum(~(usable & np.isfinite(signal)))))
     starts = np.arange(0, len(signal) - size + 1, max(1, size // 2))

@@ -40,7 +40,7 @@ class Table:
     caption: str = ''
 
     def html(self) -> str:
-        """For a page; it scrolls by itself where the screen is narrow."""
+        """The table as HTML, which scrolls by itself on a narrow screen."""
         if not self.rows:
             return ''
         classes = ['n' if i in self.numeric else 'w' if h in WIDE else ''
@@ -250,7 +250,7 @@ def tried(tree: Tree) -> Table:
 
 
 def own(tree: Tree) -> Table:
-    """What became of the user's own effects."""
+    """Table of the user's own effects: accepted, rejected or not tried."""
     rows = [[item['name'], _became(item)] for item in tree.get('own_effects', [])]
     return Table(['your effect', 'outcome'], rows)
 

@@ -13,8 +13,6 @@ from quad_sysid.signals.schedule import AMPLITUDES, Part
 NONE = 0.005
 """A share below this is reported as none."""
 SHOWN = 8
-NEVER_S = 6000.0
-"""More than a hundred minutes is no flight."""
 NOTICED = 0.01
 """Shares that differ by less are the same to a reader."""
 WIDTH = 80
@@ -98,7 +96,7 @@ def why(result: Separation) -> str:
 
 
 def pilot_of(excitation: Excitation) -> str:
-    """What the pilot does during training, which no schedule contains."""
+    """Words for the pilot's part in the training, which no schedule contains."""
     sentence = ''
     if excitation.throttle_steps:
         sentence += (
@@ -143,7 +141,7 @@ def _row(number: str, row: Row, seconds: float) -> str:
 
 
 def _seconds(value: float) -> str:
-    return f'{math.ceil(value)} s' if value < NEVER_S else 'never'
+    return f'{math.ceil(value)} s' if value < 6000.0 else 'never'  # a hundred minutes
 
 
 def schedule(result: Separation) -> str:

@@ -18,7 +18,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Limits:
-    """What ends an excitation. Angles in rad, times in s, sticks and switches in -1..1."""
+    """Limits that end an excitation. Angles in rad, times in s, sticks and switches in -1..1."""
 
     mount: str = 'rig'
     """`rig`: any stick but the throttle ends it; `hover`: only a deflection beyond
@@ -50,7 +50,7 @@ class Readings:
     sticks: Vector | None = None
     """Roll, pitch, yaw, -1..1."""
     abort_switch: float | None = None
-    """None or NaN where /rc/in has no such channel."""
+    """Position of the switch, -1..1; None or NaN where /rc/in has no such channel."""
     failsafe: bool = False
     battery_v: float | None = None
     battery_age_s: float | None = None

@@ -45,7 +45,7 @@ class Part:
     axis: str = 'roll'
     injection: str = 'attitude'
     amplitude: float = 0.0
-    """In the unit of the injection: rad, rad/s or normalised command."""
+    """Amplitude in the unit of the injection: rad, rad/s or normalised command."""
     ramp_s: float = RAMP_S
     """The amplitude grows over this time at the start and falls over it at the end."""
     parameters: Mapping[str, float | int] = field(default_factory=dict)
