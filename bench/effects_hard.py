@@ -189,7 +189,7 @@ def answered(first_seed: int, number: int, kind: str) -> dict[str, object]:
 def answers(
     first_seed: int, count: int, jobs: int, kind: str
 ) -> Iterator[dict[str, object]]:
-    """Of all flights, as they come."""
+    """Answers of all flights, in the order in which they finish."""
     with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
         waiting = [pool.submit(answered, first_seed, k, kind) for k in range(count)]
         for done, future in enumerate(as_completed(waiting), 1):

@@ -43,7 +43,7 @@ def statsmodels_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def filterpy_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
-    """Its KalmanFilter, a call of predict and one of update a sample."""
+    """Time per cycle, µs, and RMS error of filterpy's KalmanFilter, two calls per sample."""
     try:
         from filterpy.kalman import KalmanFilter
     except ImportError:
@@ -64,7 +64,7 @@ def filterpy_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def dynamax_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
-    """Its lgssm_filter in double precision, alone and with its reverse-mode derivatives."""
+    """Time and error of dynamax' lgssm_filter in double precision, alone and with derivatives."""
     try:
         import jax
         import jax.numpy as jnp

@@ -225,7 +225,7 @@ def flown(scenario: Scenario, *, unseen: bool) -> Record:
 
 
 def without(scenario: Scenario) -> Scenario:
-    """The same flight by an aircraft that lacks nothing (traps stay)."""
+    """The scenario without its effects (traps stay)."""
     traps = {k: v for k, v in scenario.effects.items() if k == 'vibration'}
     return replace(scenario, effects=traps, module='')
 

@@ -42,7 +42,7 @@ class Undeclared:
 
 
 def plain_torque(name: str, size: float) -> Callable[[float, float, float], float]:
-    """The same for the tests' simulator; no drive."""
+    """The torque for the tests' simulator, which has no drive."""
     own = UNDECLARED[name].make()
     return lambda t, rate, angle: size * own(t, rate, angle, 0.0)
 

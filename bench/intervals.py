@@ -136,7 +136,7 @@ def flight(case: Case) -> tuple[AxisData, Plant]:
 
 
 def answered(case: Case, effects: tuple[Any, ...]) -> dict[str, Any]:
-    """What the analysis says of a flight, beside the truth."""
+    """The analysis' answer to a flight, with the truth."""
     data, plant = flight(case)
     began = time.process_time()
     with threadpool_limits(limits=1):

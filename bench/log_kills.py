@@ -62,7 +62,7 @@ class Point:
 
 
 class Ledger:
-    """What a recorder has put and synced, kept outside of it: a mapped file."""
+    """A mapped file that counts, outside of a recorder, what it has put and synced."""
 
     def __init__(self, path: Path) -> None:
         self.cells = np.memmap(path, np.int64, 'r+' if path.exists() else 'w+', shape=(4 * MOST,))

@@ -78,7 +78,7 @@ class Flown:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one way to gains gave on one airframe; no gains: flown as before."""
+    """Result of one design method on one airframe; without gains, it flies as before."""
 
     name: str
     refused_because: str

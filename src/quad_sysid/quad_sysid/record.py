@@ -280,7 +280,7 @@ class Record:
         return start, min(self.n, round(segment.end_s / self.dt))
 
     def at_interval(self, dt: float) -> Record:
-        """The same samples at an interval of dt s; times of segments and gains are scaled."""
+        """The samples at an interval of dt s; times of segments and gains are scaled with it."""
         if dt == self.dt:
             return self
         ratio = dt / self.dt

@@ -35,7 +35,7 @@ NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
 
 @dataclass(frozen=True)
 class Firmware:
-    """How a firmware's file of parameters looks; its names are the table's, or those of `cli`."""
+    """Format of a firmware's file of parameters, with the names of `table` or of `cli`."""
 
     table: Table | None
     notes: tuple[str, ...]
@@ -250,7 +250,7 @@ def scales(items: list[str]) -> dict[str, float]:
 
 
 def read_axes(path: Path) -> dict[str, Mapping[str, Any]]:
-    """What a design or report says of each axis that has gains. Raises BadInputError."""
+    """The part of a design or report on each axis that has gains; raises BadInputError."""
     tree = read_json(path, REMEDY)
     schema = tree.get('schema') if isinstance(tree, dict) else None
     if schema not in SCHEMAS:

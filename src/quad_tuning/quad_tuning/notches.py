@@ -45,7 +45,7 @@ class NotchProposal:
     command_rms: float
     """RMS of the peak in the command, as a share of its range."""
     command_rms_after: float
-    """The same RMS behind the notch."""
+    """RMS in the command behind the notch, as a share of its range."""
     phase_deg: float
     """Phase lag of the notch at the highest crossover of the axes, degrees."""
 

@@ -174,7 +174,7 @@ class AutopilotAircraft(Aircraft):
         return out
 
     def cycle(self, frame: Inertial, now_s: float) -> f.Cycle | None:
-        """What one of its attitudes, and all that came before, say as a control cycle."""
+        """A control cycle from one of its attitudes and the latest other messages."""
         self.flight.inertial(frame, now_s)
         flying = self.takeover.flying or (self.system_id is not None and self.system_id.flying)
         flags = f.Flag.EXCITATION if flying else f.Flag.NONE

@@ -36,7 +36,7 @@ class Row:
     ours: str
     theirs: str
     limits: Limits | None = None
-    """What the parameter may be, by the autopilot's own list; None: it is never written."""
+    """Bounds of the parameter in the autopilot's own list; None: it is never written."""
     yaw_limits: Limits | None = None
     factor: float = 1.0
     torque: bool = False

@@ -48,7 +48,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Means:
-    """How an autopilot is flown by set-points."""
+    """Mode, messages and injections with which an autopilot flies set-points."""
 
     mode: int
     name: str

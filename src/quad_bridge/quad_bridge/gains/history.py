@@ -91,7 +91,7 @@ class History:
         return self.stored(POLARITY) | self.stored(f'{FLIGHT}.json') | self.stored(f'{TRIAL}.json')
 
     def stored(self, name: str) -> dict[str, Any]:
-        """What is in one of the aircraft's files that are replaced whole; {} where nothing."""
+        """Content of one of the aircraft's files that are replaced whole; {} without that file."""
         try:
             path = self._folder / self._aircraft / name
             content = json.loads(path.read_text(encoding='utf-8'))

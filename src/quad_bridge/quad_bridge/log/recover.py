@@ -102,7 +102,7 @@ def recover(bag: Path, out: Path | None = None) -> Recovered:
 
 
 class Tally:
-    """In place of a writer: counts what one would have written."""
+    """Stands in for a writer, and counts what it would have written."""
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}

@@ -14,6 +14,7 @@ RESULTS = 'quad_sysid_app'
 SUFFIXES = ('.mcap', '.db3', '.ulg', '.bin', '.log', '.bbl', '.bfl', '.txt', '.csv', '.mat',
             '.bag', '.gz', '.xz', '.bz2', '.json')
 MOST_FILES = 500
+"""Files on a page that a reader still scans."""
 DEEPEST = 3
 ALLOWED = re.compile(r'[^\w.+\-() ]')
 LONGEST_NAME = 200

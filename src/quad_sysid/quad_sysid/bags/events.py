@@ -106,7 +106,7 @@ def segments_from(events: Sequence[Event], seconds: Callable[[int], float],
 
 
 def desaturation_from(events: Sequence[Event]) -> str:
-    """What the aircraft does with commands that its motors cannot give, `mixer.desaturation`."""
+    """Value of `mixer.desaturation`: the treatment of commands beyond the motors' range."""
     values = [str(event.values[DESATURATION]) for event in events if DESATURATION in event.values]
     return values[-1] if values and values[-1] in DESATURATIONS else DESATURATIONS[0]
 

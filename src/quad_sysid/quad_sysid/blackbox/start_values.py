@@ -28,6 +28,7 @@ from quad_sysid.qr import upper
 from quad_sysid.record import IOData
 
 ROUNDS = 12
+"""Most rounds to a start value; the descent does the rest."""
 CONVERGED = 1e-4
 """Change of a coefficient of F from which further rounds are left to the descent."""
 NEAR = 0.4

@@ -57,7 +57,7 @@ class Job:
     folder: str = ''
     """Address of the fleet's folder."""
     files: tuple[tuple[str, int], ...] = ()
-    """Its files: name below that folder, bytes."""
+    """Name below that folder and bytes of each of its files."""
     stamp: str = ''
     """Names, sizes and times of its files."""
     out: str = ''

@@ -194,6 +194,6 @@ class Reading:
                           mapped=tuple(self.mapped), missing=tuple(lacking))
 
     def motors_fast(self, motors: Stream | None, command: Stream | None) -> bool:
-        """Whether the motors are the input, and not the controller's demand."""
+        """Whether the motors, instead of the controller's demand, are the input."""
         return motors is not None and (
             command is None or motors.rate_hz >= FAST_ENOUGH * self.streams['rates'].rate_hz)

@@ -52,6 +52,7 @@ GAP_CYCLES = 1.5
 ON_CHANGE = 'rcl_interfaces/msg/ParameterEvent'
 TEXT = 'std_msgs/msg/String'
 STAMP_END = 12
+"""Bytes of a message up to the end of its stamp: encapsulation, seconds, nanoseconds."""
 
 
 @dataclass(frozen=True)

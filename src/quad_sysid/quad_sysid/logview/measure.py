@@ -23,6 +23,7 @@ NOISE_HZ = 80.0
 LEAST_BAND = 1.2
 """Factor by which a spectrum must reach beyond NOISE_HZ for an RMS above it."""
 LONGEST_LATENCY_S, LONGEST_ANGLE_LATENCY_S = 0.3, 1.0
+"""Longest delay behind the set-point that is tried, of a rate and of an angle."""
 LEAST_TRACKED_S = 2.0
 """Time with set-point and measurement from which tracking is stated."""
 UNRELATED = 0.9
@@ -85,7 +86,7 @@ class MotorLook:
     mean: float
     """Mean command, 0..1."""
     apart_pct: float
-    """Its mean command less the mean of all, % of that."""
+    """Deviation of its mean command from the mean of all motors, %."""
     at_zero_pct: float
     at_one_pct: float
     """Share of the time at the limits, %."""

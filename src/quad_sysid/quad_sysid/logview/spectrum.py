@@ -22,6 +22,7 @@ ORDERS = np.linspace(0.25, 4.25, 161)
 PEAK, PEAKS = 3.0, 3
 """A peak is this factor above the median around it, in power; so many are stated."""
 AROUND_HZ = 30.0
+"""Span whose median is the floor from which a peak stands out."""
 LOWEST_PEAK_HZ = 20.0
 """Below this is what the aircraft flies."""
 

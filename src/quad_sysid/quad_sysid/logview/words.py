@@ -60,7 +60,7 @@ def sentences(look: Measured) -> list[str]:
 
 
 def header(look: Measured) -> str:
-    """What was looked at."""
+    """A line on the log: source, length, rate, gaps, time in the air."""
     flight = look.flown
     count = len(flight.gaps)
     gaps = f', {count} gap{"s" * (count > 1)}' if count else ''

@@ -22,7 +22,7 @@ drive over the halves of each cycle, rad/s², and the signals."""
 
 
 class Sensitivity:
-    """How the runs of a structure from a reference's states move with its parameters."""
+    """Derivatives by its parameters of a structure's runs that start in a reference's states."""
 
     def __init__(self, flight: Flight, structure: Structure, theta: FloatArray,
                  windows: Windows, prediction: Prediction, run: Run) -> None:

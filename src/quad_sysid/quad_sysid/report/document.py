@@ -280,7 +280,7 @@ def _times(factor: float, tree: Any) -> Any:
 
 def horizons_tree(horizons: Sequence[Horizon],
                   blackbox: Mapping[float, float]) -> list[dict[str, Any]]:
-    """How the error grows, as the contract's `error.horizons`."""
+    """Errors over the horizons, as the contract's `error.horizons`."""
     tree: list[dict[str, Any]] = plain([
         {'horizon_s': h.horizon_s, 'hold': h.hold, 'before': h.before, 'after': h.after,
          'blackbox': blackbox.get(h.horizon_s)}

@@ -54,7 +54,7 @@ def signals(answer: AxisAnswer) -> Picture | None:
 
 
 def zooming(answer: AxisAnswer) -> str:
-    """The same for a page, where it zooms; empty without data."""
+    """HTML of the whole record, which zooms, with its segments shaded; '' without data."""
     findings = answer.findings
     if findings is None:
         return ''

@@ -153,7 +153,7 @@ def errors(tree: Tree) -> Table:
 
 
 def horizons(tree: Tree) -> Table:
-    """How the error grows with the time since the start of a free run."""
+    """Errors over the time since the start of a free run."""
     listed = tree['error'].get('horizons') or []
     names = {'hold': 'hold', 'before': 'base', 'after': 'completed', 'blackbox': 'black box'}
     if not tree['effects']:

@@ -142,7 +142,7 @@ class Rival:
         return f'{self.name} ({", ".join(values)})'
 
     def parts(self, data: AxisData) -> list[Part]:
-        """Its variants, as an identification would try them on this flight."""
+        """Variants of the effect, as an identification would try them on this flight."""
         prepared = ((effect, effect.prepare(data)) for effect in self.variants)
         return [Part(effect, s) for effect, s in prepared if not isinstance(s, str)]
 
