@@ -73,7 +73,7 @@ def flown(elf: Path) -> tuple[int, int]:
 
 
 def paced(elf: Path) -> tuple[int, set[int], int, int, int]:
-    """Timing of a board without chips: cycles, µs between two; latest start, longest, µs; stack."""
+    """Timing of a board without chips: cycles, µs between two, latest and longest, µs, stack."""
     frames: list[f.Frame] = []
     decoder = Decoder()
     command = [EMULATOR, '-M', MACHINE, '-display', 'none', '-monitor', 'none', '-serial', 'stdio',

@@ -20,7 +20,6 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, write_whole
-from quad_sysid.model.plant import LEAST_LAG
 
 if TYPE_CHECKING:
     from quad_sysid.model import AxisModel
@@ -39,6 +38,7 @@ def matrices(model: AxisModel) -> dict[str, Any]:
 
     from quad_sysid.loop.from_model import loop_plant
     from quad_sysid.loop.linear import STILL, linear_part, loops_of
+    from quad_sysid.model.plant import LEAST_LAG
 
     flying = linear_part(loop_plant(model))
     lag_s, delay_s, dt = flying.plant.p[1], flying.plant.p[2], flying.dt

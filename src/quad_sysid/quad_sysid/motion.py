@@ -17,8 +17,6 @@ GRAVITY = 9.80665
 """Standard gravity, m/s²."""
 CROSSOVER_HZ = 0.15
 """Below it the barometer says how high the aircraft is, above it the accelerometer."""
-DRIFT = 3
-"""Degree of the polynomial that an accelerometer's bias leaves in the altitude, and its change."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,8 @@ def vertical_motion(height: FloatArray, force: FloatArray,
     quick = np.cumsum(quick_speed) * dt
     slow = height - quick
     t = np.linspace(-1.0, 1.0, slow.size)
-    drift = np.polynomial.Polynomial.fit(t, slow, DRIFT)
+    # an accelerometer's bias, and its change, leave a cubic in the altitude
+    drift = np.polynomial.Polynomial.fit(t, slow, 3)
     sections = butter(2, CROSSOVER_HZ, fs=1.0 / dt, output='sos')
     left = drift(t) + sosfiltfilt(sections, slow - drift(t),
                                   padlen=min(slow.size - 1, round(3.0 / (CROSSOVER_HZ * dt))))

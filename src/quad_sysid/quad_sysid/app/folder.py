@@ -15,7 +15,6 @@ SUFFIXES = ('.mcap', '.db3', '.ulg', '.bin', '.log', '.bbl', '.bfl', '.txt', '.c
             '.bag', '.gz', '.xz', '.bz2', '.json')
 MOST_FILES = 500
 """Files on a page that a reader still scans."""
-DEEPEST = 3
 ALLOWED = re.compile(r'[^\w.+\-() ]')
 LONGEST_NAME = 200
 """Bytes of it: file systems take 255."""
@@ -74,7 +73,7 @@ def entries(folder: Path) -> list[Entry]:
                 if is_bag(path):
                     size = sum(f.stat().st_size for f in path.iterdir() if f.is_file())
                     listed.append(Entry(relative, 'bag', size / 1e6))
-                elif depth < DEEPEST:
+                elif depth < 3:
                     waiting.append((path, depth + 1))
             elif path.name == 'model.json':
                 listed.append(Entry(relative, 'model', path.stat().st_size / 1e6))

@@ -109,8 +109,6 @@ def joints_of(messages: Sequence[bytes], field: str) -> Joints:
             return joints
     return Joints(field=field)
 
-MAX_LAYOUTS = 8
-"""Layouts that are tried for messages of one length before they are read one by one."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +193,7 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
         rows = np.flatnonzero(lengths == length)
         key = msgtype, joints, int(length)
         layout = _LAST.get(key)
-        for _ in range(MAX_LAYOUTS):
+        for _ in range(8):  # layouts, then one by one
             if len(rows) == 0:
                 break
             unread = np.zeros(len(rows), dtype=bool)

@@ -27,8 +27,6 @@ EDGE_S = 1.0
 """Least distance of an event from the ends of the training segments."""
 GRID_S = 0.5
 """Distance of the times that are tried; the fit moves the best of them."""
-LONG_AGO_S = -1e6
-"""Time of an event that happened before this flight."""
 HARMONICS = 6
 """Harmonics of a delay that repeats itself: nine tenths of a saw's variance."""
 FADING = 0.25
@@ -70,7 +68,7 @@ class Event(Torque):
         return [np.array([t, *d, 0.0]) for d in self.lengths for t in times(data)]
 
     def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
-        return np.array([LONG_AGO_S, *p[1:]])
+        return np.array([-1e6, *p[1:]])  # it happened long before
 
 
 class Periodic(Repeating, Event):

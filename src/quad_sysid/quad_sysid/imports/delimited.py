@@ -24,8 +24,6 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports.units import WRITTEN, header_unit, written
 
 DELIMITERS = (',', ';', '\t')
-LOOKED_AT = 200
-"""First lines in which the header is sought."""
 BLOCK = 20_000
 """Rows that are converted at once."""
 WORDS: Mapping[str, float] = {
@@ -82,7 +80,7 @@ def read_text_table(
     """
     text = _Lines(lines, first)
     numbered = iter(text)
-    looked = list(islice(numbered, LOOKED_AT))
+    looked = list(islice(numbered, 200))  # no header comes later
     if not looked:
         raise BadInputError(source, 'is empty', remedy='record it or copy it again')
     layout = _layout(looked, text.comments, source)

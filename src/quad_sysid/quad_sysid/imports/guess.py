@@ -100,8 +100,6 @@ RISING = 0.95
 """Least share of the steps of a time that rise; of one by its name, that do not fall."""
 TICKING = 0.5
 """Share of the rows with which a clock has to tick to be likelier than others."""
-FAST_HZ = 500.0
-"""Sample rate from which a fit takes minutes."""
 
 Triple = tuple[str, str, str]
 
@@ -341,7 +339,7 @@ def quicker(rate_hz: float) -> list[str]:
     """A line on the grid that saves time, for samples that come fast."""
     advice = (f'at {rate_hz:.4g} Hz a fit takes minutes for each axis: --grid 250 makes a '
               'bag that is fitted sooner')
-    return [advice] if rate_hz > FAST_HZ else []
+    return [advice] if rate_hz > 500.0 else []
 
 
 def _times(table: Table) -> list[str]:

@@ -34,8 +34,6 @@ from quad_sysid.imports.matlab import read_mat
 from quad_sysid.imports.rosbag import read_messages
 from quad_sysid.imports.units import Unit
 
-HEAD = 65536
-"""Number of bytes by which a format is recognised."""
 SQLITE = b'SQLite format 3'
 PACKED: Mapping[bytes, Callable[..., Any]] = {
     b'\x1f\x8b': gzip.open, b'\xfd7zXZ\0': lzma.open, b'BZh': bz2.open,
@@ -260,7 +258,7 @@ def head_of(path: Path) -> bytes:
     if path.is_dir():
         return b''
     with _readable(path), _opener(path)(path, 'rb') as stream:
-        return bytes(stream.read(HEAD))
+        return bytes(stream.read(65536))
 
 
 @contextmanager

@@ -38,8 +38,6 @@ RESTING = 0.05
 """rad/s. Equal largest values below this are the resolution of a gyro at rest, not its limit."""
 LEAST_SHARE = 0.05
 """Least size of another axis' command, relative to this axis'."""
-LARGE_PCT = 97.0
-"""Percentile of a magnitude that counts as large: a few spikes do not."""
 LEAST_SPAN = 1e-6
 """Range of a motor's command below which it does not move."""
 MEASURED = 0.95
@@ -403,8 +401,8 @@ def filled(values: FloatArray) -> FloatArray:
 
 
 def high(x: FloatArray) -> float:
-    """97th percentile of |x|, at least 1e-9."""
-    return max(float(np.nanpercentile(np.abs(x), LARGE_PCT)), 1e-9)
+    """97th percentile of |x|, which a few spikes do not move, at least 1e-9."""
+    return max(float(np.nanpercentile(np.abs(x), 97.0)), 1e-9)
 
 
 def typical_acceleration(data: AxisData, spans: Sequence[Span]) -> float:

@@ -42,8 +42,6 @@ FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
 SMOOTHED = 5
 """Cycles over which the gyro is averaged for the first trajectory."""
-MOST_DRIVES = 40
-"""Drives that are kept: the steps of all derivatives, not those of a whole search."""
 FINER = 0.1
 """Share of a step by which a torque's parameter is moved, so that its curvature does not enter: an
 event's edge, a frequency over a long flight."""
@@ -198,7 +196,7 @@ class Flight:
         when = [np.ascontiguousarray(required(x)) for x in (drive.ages, drive.fraction)]
         for start, stop in data.stretches if remembered else self.passes:
             recursion.motors(*channels, drive.factors, *when, data.dt, start, stop, halves, states)
-        if len(self._drives) > MOST_DRIVES:
+        if len(self._drives) > 40:  # the steps of all derivatives, not those of a whole search
             self._drives.clear()
         self._drives[key] = halves, states
         return halves, states

@@ -34,7 +34,7 @@ FURTHER = 1.5
 # what is named
 
 RIVAL = 0.05
-"""Probability from which a rival effect calls for a flight that separates it; below it the effect
+"""Probability above which a rival effect calls for a flight that separates it; below it the effect
 is certain by the 95 % that such a flight is designed for."""
 PEAK = 6.0
 """Least power of a peak over its surroundings, whatever its significance."""

@@ -27,7 +27,7 @@ def next_flight(axis: str, tree: Mapping[str, Any]) -> Sequence[Next]:
 def _rivals(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
     for effect in tree.get('effects', ()):
         rival = max(effect.get('rivals') or (), key=lambda r: r['probability'], default=None)
-        if rival is not None and rival['probability'] >= RIVAL:
+        if rival is not None and rival['probability'] > RIVAL:
             yield Next(
                 f"{effect['name']} ({effect['probability']:.2f}) or {rival['name']} "
                 f"({rival['probability']:.2f}): fly the excitation that tells them apart",

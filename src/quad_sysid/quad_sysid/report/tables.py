@@ -18,8 +18,6 @@ Tree = Mapping[str, Any]
 WIDTH = 78
 COLUMNS = 80
 """Most of a table's line."""
-NARROWEST = 8
-"""Width to which a column of words is broken at most."""
 MODELS = (('before', 'base'), ('after', 'completed'), ('blackbox', 'black box'))
 GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_kd': 's²/rad',
               'd_filter_hz': 'Hz'}
@@ -93,7 +91,7 @@ def _widths(cells: Sequence[Sequence[str]], words: Collection[int]) -> list[int]
         longest = [max((len(word) for cell in column for word in cell.split()), default=0)
                    for column in columns]
         widest = max(words, key=lambda i: (longest[i] <= widths[i] - over, widths[i]))
-        widths[widest] = max(NARROWEST, widths[widest] - over)
+        widths[widest] = max(8, widths[widest] - over)
     return widths
 
 

@@ -53,8 +53,6 @@ VERDICTS = {
 }
 """Verdict → its style and headline."""
 
-MAX_VALUES = 6
-"""Parameters of an effect that a sentence lists."""
 FIGURES = {
     'rise_time_s': ('rise time', 's', 1.0), 'overshoot_pct': ('overshoot', '%', 1.0),
     'settling_time_s': ('settling time', 's', 1.0),
@@ -123,7 +121,7 @@ def values(effect: Tree) -> str:
     if 'curve' in effect:
         y, what = effect['curve']['y'], 'slopes' if first == 'slope_0' else 'values'
         return f'{what} {number(min(y))} to {number(max(y))}'
-    if len(effect['parameters']) > MAX_VALUES:
+    if len(effect['parameters']) > 6:
         return parameter(effect['parameters'][0]) + '; the others stand in report.json'
     return '; '.join(parameter(p) for p in effect['parameters'])
 

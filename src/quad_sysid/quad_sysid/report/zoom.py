@@ -18,8 +18,6 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 
 SCRIPT = Path(__file__).with_name('zoom.js')
-BUDGET = 1_100_000
-"""Characters that the samples of one group may take."""
 INT16 = np.iinfo(np.int16)
 """What a sample is coded in; the least one stands for a lost sample (zoom.js)."""
 STYLE = """.zoom{margin:.6em 0;outline-offset:4px}.zoomrow{display:block;width:100%;height:130px;
@@ -60,8 +58,12 @@ class Mark:
     colour: str
 
 
-def group(rows: Sequence[Row], dt: float, marks: Sequence[Mark] = (), budget: int = BUDGET) -> str:
-    """The element that zoom.js fills: rows of lines of equal length, dt s apart."""
+def group(rows: Sequence[Row], dt: float, marks: Sequence[Mark] = (),
+          budget: int = 1_100_000) -> str:
+    """The element that zoom.js fills: rows of lines of equal length, dt s apart.
+
+    budget: characters that the samples may take.
+    """
     n = max((len(line.values) for row in rows for line in row.lines), default=0)
     count = sum(len(row.lines) for row in rows)
     every = 1

@@ -10,8 +10,6 @@ from quad_sysid.separation.design import CERTAIN, Row, Separation
 from quad_sysid.separation.flight import THROTTLE_STEP, THROTTLE_STEP_S, Excitation
 from quad_sysid.signals.schedule import AMPLITUDES, Part
 
-NONE = 0.005
-"""A share below this is reported as none."""
 SHOWN = 8
 NOTICED = 0.01
 """Shares that differ by less are the same to a reader."""
@@ -78,7 +76,7 @@ def why(result: Separation) -> str:
     else:
         share = best.worst.mimicked
         sentence += (f'in this flight {other.name} cannot imitate {harder.name}'
-                     if share < NONE else
+                     if share < 0.005 else  # it would print as 0 %
                      f'{other.name} explains {share:.0%} of the evidence for {harder.name}')
         if matched is not None and matched.mimicked > share + NOTICED:
             sentence += f', with the plain PRBS it explains {matched.mimicked:.0%}'
