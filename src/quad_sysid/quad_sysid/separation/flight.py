@@ -19,7 +19,7 @@ from quad_sysid.loop.from_model import acting_effect
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, NoiseEstimate
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import SETTLE_S, AxisData
 from quad_sysid.model.effect import ActingEffect, Signals, required
 from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.structure import BASE, Structure
@@ -90,8 +90,6 @@ def effect_of(model: AxisModel, name: str) -> ActingEffect | None:
     return next((acting_effect(model, e) for e in model.effects if e.name == name), None)
 
 
-LEAD_S = 1.0
-"""Time at rest before the excitation, s."""
 THROTTLE_STEP, THROTTLE_STEP_S = 0.1, 4.0
 """Size and time of the pilot's steps of the throttle, up and down."""
 VOLTS_PER_S = 0.003
@@ -120,8 +118,8 @@ class Excitation:
         return (self.part,) if self.before is None else (self.before, self.part)
 
     def added(self, dt: float) -> FloatArray:
-        """(3, n) excitation of attitude (rad), rate (rad/s) and control, with the lead."""
-        pieces = [np.zeros((3, round(LEAD_S / dt)))]
+        """(3, n) excitation of attitude (rad), rate (rad/s) and control, after a lead at rest."""
+        pieces = [np.zeros((3, round(SETTLE_S / dt)))]
         for part in self.parts:
             piece = np.zeros((3, round(part.duration_s / dt)))
             row = ('attitude', 'rate', 'control').index(part.injection)
@@ -227,7 +225,7 @@ def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisDat
                     other_angles=np.cumsum(rates, axis=0) * dt,
                     battery_v=volts - VOLTS_PER_THROTTLE * (throttle - aircraft.throttle),
                     gyro_filter_hz=aircraft.gyro_filter_hz, stretches=((0, n),),
-                    train=((round(LEAD_S / dt), n),), validation=())
+                    train=((round(SETTLE_S / dt), n),), validation=())
 
 
 @lru_cache(maxsize=16)

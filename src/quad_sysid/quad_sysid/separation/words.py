@@ -148,6 +148,7 @@ def schedule(result: Separation) -> str:
     part = best.part
     scale = result.seconds / sum(p.duration_s for p in best.parts)
     trains = [_entry('train', p, p.parameters, scale * p.duration_s) for p in best.parts]
+    # two fifths of the training, and at least the 28 windows of 15 s
     checks = [_entry('validation', part, _like(part), max(15.0, 0.4 * result.seconds))]
     if best.before is not None:
         checks.insert(0, _entry('validation', best.before, _like(best.before), 15.0))
