@@ -60,7 +60,7 @@ class Experiment:
     largest_rate: float
     """Largest |rate|, in its unit."""
     largest_angle: float
-    """Largest |angle|, rad."""
+    """Largest |angle|, in its unit."""
     ranking: tuple[tuple[str, float], ...]
     """Every candidate and its criterion, best first: nats of information (D), or the root mean
     square of the relative standard errors (A)."""

@@ -152,7 +152,7 @@ class Push(NamedTuple):
 
 
 class PolarityCheck:
-    """The check before a flight: its stored result, its rule and its run."""
+    """The check of motors and signs before a flight: its record, its rule and its run."""
 
     def __init__(self, mode: str, rate_hz: float = 250.0) -> None:
         """`rate_hz`: control cycles per second, of the next run."""

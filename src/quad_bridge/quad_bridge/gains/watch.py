@@ -173,7 +173,7 @@ class GainWatch:
         return is_full and bool((self._before() <= self._most(self._unknown)).all())
 
     def know(self, before: object) -> None:
-        """Restore levels that were stored after the last good flight; invalid ones are ignored."""
+        """Restore levels that were stored after a good flight; invalid ones leave none."""
         self._sound = self._unknown
         try:
             levels = np.array(before, dtype=float)

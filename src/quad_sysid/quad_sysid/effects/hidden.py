@@ -42,7 +42,7 @@ FADES = 0.7
 EDGE = 1.1
 """A polynomial goes on for a tenth of its half range, and is constant from there on."""
 SHOWN_MOTORS = 4
-"""Motors whose vibration a gyro may show: with more, the coefficients outnumber what shows."""
+"""Motors for which this is stated: its number of coefficients is fixed."""
 SHOWN_BY = tuple(itertools.product(range(SHOWN_MOTORS), range(1, DEGREE + 1)))
 """Motor and degree of each term that a gyro may show."""
 

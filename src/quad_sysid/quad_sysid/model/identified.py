@@ -203,7 +203,7 @@ class AxisModel:
         ]
 
     def in_units(self, p: Parameter) -> Parameter:
-        """A parameter in the units of the user's arrays, which a law of the user's uses anyway."""
+        """A parameter in the units of the user's arrays; one of a user's law already is."""
         if self.units is None or (self.law and p.name.startswith(f'{self.law.name}.')):
             return p
         unit, factor = self.units.parameter(p.unit)
