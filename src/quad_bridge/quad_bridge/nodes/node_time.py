@@ -42,7 +42,7 @@ class TimedNode:
         return _Now() if here().simulated else super().get_clock()  # type: ignore[misc]
 
     def create_publisher(self, kind: Any, topic: str, *others: Any, **more: Any) -> Any:
-        """As rclpy's."""
+        """A publisher of rclpy; in lockstep it reports what it publishes."""
         publisher: Any = super().create_publisher(kind, topic, *others, **more)  # type: ignore[misc]
         stream = _contract(topic)
         if here().simulated and stream in STREAMS:
@@ -53,7 +53,7 @@ class TimedNode:
     def create_subscription(
         self, kind: Any, topic: str, callback: Any, qos: Any, **more: Any
     ) -> Any:
-        """As rclpy's; in lockstep a stream loses nothing."""
+        """A subscription of rclpy; in lockstep a stream loses nothing."""
         stream = _contract(topic)
         if here().simulated and stream in STREAMS:
             callback = _then(callback, functools.partial(here().handled, stream))
@@ -61,7 +61,7 @@ class TimedNode:
         return super().create_subscription(kind, topic, callback, qos, **more)  # type: ignore[misc]
 
     def destroy_subscription(self, subscription: Any) -> bool:
-        """As rclpy's."""
+        """Destroy a subscription; the lockstep no longer waits for it."""
         here().forget(_contract(subscription.topic_name))
         return bool(super().destroy_subscription(subscription))  # type: ignore[misc]
 
@@ -77,7 +77,7 @@ class TimedNode:
         return super().create_timer(period_s, callback, clock=steady)  # type: ignore[misc]
 
     def destroy_timer(self, timer: Any) -> bool:
-        """As rclpy's."""
+        """Destroy a timer of rclpy or of the lockstep."""
         time = here()
         if isinstance(time, Participant) and isinstance(timer, Timer):
             time.remove(timer)

@@ -126,7 +126,7 @@ class Support:
 
     @classmethod
     def of(cls, z: IOData, axis: str, model: Model | None = None) -> Support:
-        """From the training of an axis, and a `model` that shows what it determines.
+        """The frequencies that the training of an axis supports, and a `model` of it determines.
 
         In the band command and rate are coherent (squared coherence over COHERENT; where the
         external reference is known, that of reference and rate, since feedback alone makes the
