@@ -1,7 +1,7 @@
 """The verdict on the validation segments, which are opened once, after everything is chosen.
 
-Each effect of the answer's rung is confirmed by a test of its own or withdrawn, and the errors are
-computed; nothing else is decided here.
+Each effect of the answer's rung is confirmed by tests of its own, or the answer goes down a rung,
+and the errors are computed; nothing else is decided here.
 """
 
 from __future__ import annotations
@@ -62,10 +62,13 @@ def p_of_both(long: FloatArray, shorter: FloatArray, ahead: FloatArray) -> float
 
     Each (windows,), -1 to 1. Two tests: the metric's own windows alone, and the mean of all three,
     for where gusts rule long windows shorter ones may tell. A model that was projected onto the
-    long ones may predict the next sample worse. As they depend on each other, their harmonic mean
-    is the chance of both (Wilson 2019).
+    long ones may predict the next sample worse.
     """
-    p_values = p_value(long), p_value((long + shorter + ahead) / 3.0)
+    return of_both(p_value(long), p_value((long + shorter + ahead) / 3.0))
+
+
+def of_both(*p_values: float) -> float:
+    """The chance that tests which depend on each other leave together (Wilson 2019)."""
     return float(stats.hmean(np.maximum(p_values, LEAST_P)))
 
 
@@ -98,10 +101,14 @@ class Claim:
     """What the held-out segments and the resampled flights say of one effect."""
 
     p_value: float
-    without: float
-    """Error without the effect, the rest projected anew, rad/s."""
+    error_reduction_pct: float
+    """How much lower the error is with the effect."""
     reproducible: float
-    accepted: bool
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is claimed."""
+        return self.p_value <= LEVEL and self.reproducible >= AGAIN
 
 
 @dataclass(frozen=True)
@@ -228,39 +235,30 @@ def rms(errors: FloatArray) -> float:
 
 
 def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder) -> Verdict:
-    """Confirm or withdraw each claimed effect on the validation segments.
+    """Confirm the answer's rung on the validation segments, or the highest one below it.
 
-    What is claimed, and in which order, the training has decided (explain/ladder.py).
+    What is claimed, and in which order, the training has decided (explain/ladder.py). A rung is
+    confirmed where each of its effects is; if not, the answer goes down a rung.
     """
     unseen.predict(search.base)  # which measures the innovations that wandering effects follow
     models = ladder.models
     rungs = [models.fitted(rung.model) for rung in ladder.rungs]
-    base = rungs[0]
-    answer = ladder.rungs[ladder.answer].model
-    p_all = unseen.p_value(rungs[ladder.answer], base) if ladder.answer else 1.0
-    chosen = base
+    base = chosen = rungs[0]
     claims: list[Claim] = []
-    while ladder.answer and p_all <= LEVEL:
-        fitted = models.comparable(answer)
-        if not isinstance(fitted, Fit):  # what is left cannot follow a flight
-            chosen, claims = base, []
+    answer = ladder.answer
+    if answer and unseen.p_value(rungs[answer], base) > LEVEL:
+        answer = 0
+    while answer:
+        claims = _claims(unseen, ladder, rungs[: answer + 1])
+        if all(claim.accepted for claim in claims):
+            chosen = rungs[answer]
             break
-        chosen = fitted
-        without = models.each_left_out(answer)
-        claims = [_claim(unseen, chosen, models.comparable(other), part.effect.name, ladder)
-                  for part, other in zip(answer.structure.parts, without, strict=True)]
-        weak = [i for i, claim in enumerate(claims) if not claim.accepted]
-        if not weak:
-            break
-        if len(claims) == 1:
-            chosen, claims = base, []
-            break
-        # one at a time: each of two that stand for the same makes the other look needless
-        weakest = max(weak, key=lambda i: (claims[i].p_value, -claims[i].reproducible))
-        answer = without[weakest]
+        answer -= 1
     told = _commands_tell(problem, unseen, chosen)
     if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
-        chosen, claims = base, []
+        chosen = base
+    if chosen is base:
+        claims = []
     parts = chosen.structure.parts
     noise, spread = noise_of(chosen), growth(chosen.prediction.filter, unseen.windows.length)
     verdict, reason = 'cannot_tell', (
@@ -283,13 +281,31 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
     )
 
 
-def _claim(unseen: Unseen, chosen: Fit, without: Fitted, name: str, ladder: Ladder) -> Claim:
-    p, error, other = unseen.p_value(chosen, without), *(
-        rms(unseen.errors(fit)) for fit in (chosen, without)
-    )
-    reproducible = ladder.reproducible.get(name, 1.0)
-    return Claim(p, other, reproducible,
-                 accepted=p <= LEVEL and error < other and reproducible >= AGAIN)
+def _claims(unseen: Unseen, ladder: Ladder, rungs: Sequence[Fitted]) -> list[Claim]:
+    """A claim for each effect of the last rung.
+
+    Two tests of each: the rung that adds it against the one below, and the last rung against what
+    is left without it, projected anew. A finer effect that contains a friction makes that friction
+    needless, but not untrue.
+    """
+    models, model = ladder.models, ladder.rungs[len(rungs) - 1].model
+    out = []
+    for part, left in zip(model.structure.parts, models.each_left_out(model), strict=True):
+        pairs = [(rungs[-1], models.comparable(left))]
+        added = ladder.added.get(part.effect.label)
+        if added is not None:
+            pairs.append((rungs[added], rungs[added - 1]))
+        out.append(_claim(unseen, pairs, ladder.reproducible.get(part.effect.name, 1.0)))
+    return out
+
+
+def _claim(unseen: Unseen, pairs: Sequence[tuple[Fitted, Fitted]], reproducible: float) -> Claim:
+    """What pairs of a model with an effect and one without it say of it."""
+    errors = [[rms(unseen.errors(fitted)) for fitted in pair] for pair in pairs]
+    p_values = [unseen.p_value(*pair) if error < other else 1.0
+                for pair, (error, other) in zip(pairs, errors, strict=True)]
+    reduction = max(1.0 - error / max(other, LEAST_P) for error, other in errors)
+    return Claim(of_both(*p_values), 100.0 * reduction, reproducible)
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:

@@ -12,7 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import compress, pairwise
 
 import numpy as np
@@ -78,11 +78,18 @@ class Ladder:
         """Onto whose runs the rungs are projected."""
         return self.models.projection
 
+    @cached_property
+    def added(self) -> dict[str, int]:
+        """Label of an effect → index of the rung that adds it, and it alone."""
+        return {rung.labels[-1]: i for i, rung in enumerate(self.rungs)
+                if i and set(rung.labels[:-1]) == set(self.rungs[i - 1].labels)}
+
     def explains(self, label: str) -> float:
-        """Percent that an effect takes away on the rung that adds it."""
+        """Percent that an effect takes away on the rung that adds it; effects share a rung's."""
         for below, rung in pairwise(self.rungs):
-            if rung.labels[-1] == label:
-                return rung.explains_pct - below.explains_pct
+            new = set(rung.labels) - set(below.labels)
+            if label in new:
+                return (rung.explains_pct - below.explains_pct) / len(new)
         return 0.0
 
     @property

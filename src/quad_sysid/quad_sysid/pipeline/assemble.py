@@ -45,8 +45,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
     readings, plain = read(chosen), read(verdict.base)
     judged = [
         {'p_value': claim.p_value, 'probability': probability, 'rivals': rivals,
-         'error_reduction_pct': 100.0 * (1.0 - verdict.after / claim.without)
-         if claim.without > 0.0 else 0.0,
+         'error_reduction_pct': claim.error_reduction_pct,
          'explains_pct': ladder.explains(part.effect.label)}
         for claim, probability, rivals, part in zip(
             verdict.claims, verdict.probabilities, verdict.rivals, chosen.structure.parts,
