@@ -9,6 +9,7 @@ import re
 from dataclasses import replace
 
 import pytest
+from autopilots import INERTIAL
 from flight_controller import Updated
 from flying_autopilot import (
     FLYING_ARDUPILOT,
@@ -42,7 +43,8 @@ from quad_bridge.virtual.physics import POSITION, VELOCITY
 from quad_bridge.wire import frames as f
 
 KINDS = {
-    name: replace(kind, most_hz={n: min(hz, 62.5) for n, hz in kind.most_hz.items()})
+    name: replace(kind, most_hz={n: min(hz, 62.5 if n in INERTIAL else 25.0)
+                                 for n, hz in kind.most_hz.items()})
     for name, kind in (('px4', FLYING_PX4), ('ardupilot', FLYING_ARDUPILOT))
 }
 """At rates that a modest line carries: what is tested here is no matter of rates."""

@@ -318,7 +318,7 @@ def test_every_function_takes_what_the_others_return(result, tmp_path):
     assert np.isfinite(qs.simulate_cascade(model, gains, np.full(50, 0.1), DT).angle).all()
     assert model.to_control().ninputs == 1
     assert qs.export(found, tmp_path / 'model.mat').stat().st_size > 100
-    assert qs.inspect(flight).length_s == pytest.approx(30.0)
+    assert qs.inspect(flight).length_s == pytest.approx(SHORT.seconds)
     saved = found.save(tmp_path / 'out', html=False, pictures=False).folder
     (_, changes), = qs.compare(found, saved)
     assert not any(change.changed for change in changes)
