@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from autopilots import INERTIAL
-from flight_controller import Updated
+from flight_controller import Port, Pty, Updated
 from flying_autopilot import (
     FLYING_ARDUPILOT,
     FLYING_PX4,
@@ -433,9 +433,15 @@ def test_one_screen_says_whether_it_is_ready_and_what_to_change(flying, name):
     assert screen[-1] == f'{len(bad)} of {len(screen) - 1} lines are not as they should be'
 
 
-def test_nobody_there_is_one_line(tmp_path, refused):
-    assert 'port not there: plug it in' in refused(
-        check, '--check', '--port', tmp_path / 'tty', '--seconds', 0.1)
+def test_the_check_listens_at_a_port_where_somebody_is(tmp_path, refused, capsys):
+    words = ['--check', '--port', str(tmp_path / 'tty'), '--seconds']
+    assert 'port not there: plug it in' in refused(check, *words, 0.1)
+    with Port(Flying(KINDS['px4']), Pty(tmp_path / 'tty')):
+        assert check([*words, '3']) == 3
+    screen = capsys.readouterr().out
+    assert screen.startswith("  ok  PX4 1.16, PX4's CA_ROTOR parameters")
+    assert '  ok  mode ' in screen
+    assert 'leads to another computer' in refused(check, '--port', 'udp://10.0.0.1:14550')
 
 
 def test_a_slow_line_gets_what_it_can_carry():
