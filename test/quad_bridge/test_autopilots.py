@@ -65,9 +65,7 @@ class Cockpit(Updated):
         """A bridge begins; one that was there is killed."""
         gains, excitation = self.allow
         self.connected = Connected(
-            lambda: '', lambda: 1e-9 * self.now_ns, allow_gains=gains,
-            allow_excitation=excitation,
-        )
+            lambda: '', lambda: 1e-9 * self.now_ns, allow_gains=gains, allow_excitation=excitation)
         self.relay = ExcitationRelay(100, None, lambda: self.connected.aircraft)
         self.connected.on_change = self.changed
         super().connect(link)

@@ -83,7 +83,7 @@ def test_what_was_seen_at_rest_is_subtracted_from_the_next_stamp_on_and_forgotte
     assert live.status().values['stood (s)'] == '6.0'
     live.want('asked for')  # nothing is at rest any more
     assert live.request() is None
-    with pytest.raises(RefusedError, match='it is armed: .*; the earlier one stays'):
+    with pytest.raises(RefusedError, match=r'it is armed: .*; the earlier one stays'):
         live.estimate(EstimateRequest('asked for', ()))
     live.restarted()
     assert (live.stamped(4).gyro_bias, live.words) == ((0.0, 0.0, 0.0), NOT_YET)

@@ -72,7 +72,7 @@ class Server(Client):
     def __init__(self, folder: Path) -> None:
         self.process = subprocess.Popen(
             [sys.executable, '-c', 'from quad_sysid.start import main; main()', 'app', folder,
-             '--no-browser'], stdout=subprocess.PIPE, text=True)
+             '--no-browser', '--most-mb', str(MOST_MB)], stdout=subprocess.PIPE, text=True)
         super().__init__(folder, self.process.stdout.readline().strip())
 
 

@@ -272,9 +272,7 @@ def with_play(
     return changes
 
 
-def behind_a_spring(
-    frequency_hz: float, damping: float, reach: float, share: float
-) -> Changes:
+def behind_a_spring(frequency_hz: float, damping: float, reach: float, share: float) -> Changes:
     """A share of the drive comes through a spring that hardens towards two stops."""
 
     def make():

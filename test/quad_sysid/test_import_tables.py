@@ -303,13 +303,11 @@ STILL = {**FOUR, 'rate': ('bat',), 'angle': (), 'battery': None}
         ({**FOUR, 'motors': ('m1', 'm2')}, '--mixer x: is one of 4 motors'),
         ({'rate': (), 'angle': ()}, '--rate or --angle'),
         ({'rate': ('rate', 'm1')}, 'a column for each of pitch'),
-        ({'rate': ('u',)}, 'named twice'),
-        ({'units': {'rate': 'furlong'}}, "'furlong'"),
+        ({'rate': ('u',)}, 'named twice'), ({'units': {'rate': 'furlong'}}, "'furlong'"),
         ({'units': {'u': '9'}}, 'column u'),
         ({**STILL, 'mixer': 'auto'}, 'does not show what the motors do'),
         ({**FOUR, 'units': {'m1': '4'}}, 'column m1'),
-        ({'file': Path('absent.csv')}, 'absent.csv: cannot be read'),
-    ],
+        ({'file': Path('absent.csv')}, 'absent.csv: cannot be read')],
 )
 def test_wrong_options_end_in_one_line(options, refused, change, words):
     assert words in refused(replace(options, **change))
@@ -422,13 +420,9 @@ def test_what_is_odd_is_told(tmp_path, scale, units, names, words):
     ('names', 'columns_of', 'advice'),
     [
         (MOTORS, lambda x: 1000.0 + 1000.0 * x, 'pulse_us'),
-        (MOTORS, lambda x: 48.0 + 1200.0 * x, 'dshot'),
-        (MOTORS, lambda x: 100.0 * x, 'percent'),
-        (MOTORS, lambda x: 65535.0 * x, 'pwm16'),
-        (MOTORS, lambda x: 30000.0 * (x - 0.5), None),
-        (('u',), lambda x: 1500.0 + 1000.0 * x, 'pulse_us'),
-        (('u',), lambda x: 1850.0 * x, None),
-    ],
+        (MOTORS, lambda x: 48.0 + 1200.0 * x, 'dshot'), (MOTORS, lambda x: 100.0 * x, 'percent'),
+        (MOTORS, lambda x: 65535.0 * x, 'pwm16'), (MOTORS, lambda x: 30000.0 * (x - 0.5), None),
+        (('u',), lambda x: 1500.0 + 1000.0 * x, 'pulse_us'), (('u',), lambda x: 1850.0 * x, None)],
 )
 def test_the_unit_of_a_command_that_is_advised_is_accepted(
     tmp_path, refusal, names, columns_of, advice
