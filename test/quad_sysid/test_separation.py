@@ -27,7 +27,7 @@ from quad_sysid.separation.flight import PAPER, PAPER_NOISE, fly, paper_aircraft
 from quad_sysid.separation.measure import judged
 from quad_sysid.signals.schedule import parse_schedule
 
-SECONDS = 12.0
+SECONDS = 20.0
 
 
 FLOWN = {
