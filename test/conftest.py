@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -56,13 +57,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope='session')
 def quickly() -> Callable[[], AbstractContextManager[None]]:
     """A context in which an answer gets no black-box models, and gains from a few points of the
-    search: either takes longer than what the answer says."""
+    search and a quarter of the draws: either takes longer than what the answer says."""
 
     @contextmanager
     def context() -> Iterator[None]:
+        from quad_tuning import ensemble
+
+        few = partial(ensemble.build, count=ensemble.DRAWS // 4)
         with (
             mock.patch('quad_sysid.pipeline.identify._black_boxes', return_value='left out'),
             mock.patch.multiple('quad_tuning.pid', STARTS=1, JUDGED=20, GRID=(5, 7, 2, 4, 3)),
+            mock.patch.object(ensemble, 'build', few),
         ):
             yield
 
