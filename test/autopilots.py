@@ -72,12 +72,10 @@ PX4 = Kind(
     most_hz={name: hz for name, hz in ALL.items() if name != 'RC_CHANNELS_RAW'}
     | {'ESC_STATUS': 50.0},
     parameters={
-        'CA_ROTOR_COUNT': 4,
-        **{f'CA_ROTOR{k}_PX': x for k, (x, _) in enumerate(PX4_PLACES)},
+        'CA_ROTOR_COUNT': 4, **{f'CA_ROTOR{k}_PX': x for k, (x, _) in enumerate(PX4_PLACES)},
         **{f'CA_ROTOR{k}_PY': y for k, (_, y) in enumerate(PX4_PLACES)},
         **{f'CA_ROTOR{k}_KM': 0.05 if k < 2 else -0.05 for k in range(4)},
-        **{f'PWM_MAIN_FUNC{k + 1}': 101 + k for k in range(4)},
-    },
+        **{f'PWM_MAIN_FUNC{k + 1}': 101 + k for k in range(4)}},
     bytewise=True,
     hpa=100.0,
 )

@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -31,13 +32,22 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 @pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest first, so that none begins when the others are done: loops, then searches.
+    """The longest first, so that none begins when the others are done: loops, then searches, and
+    between them what waits for processes, which leaves them the CPU.
 
     What a module's fixture makes is made once: tests that share one stay with one worker.
     """
-    searches = ('quad_sysid', 'quad_tuning')
-    items.sort(key=lambda item: (item.get_closest_marker('timeout') is None,
-                                 item.path.parent.name not in searches))
+    kinds: dict[str, list[pytest.Item]] = {'loop': [], 'search': [], 'wait': [], 'quick': []}
+    for item in items:
+        folder = item.path.parent.name
+        kinds['loop' if item.get_closest_marker('timeout') else
+              'search' if folder in {'quad_sysid', 'quad_tuning'} else
+              'wait' if folder == 'workspace' or 'nursery' in item.fixturenames else
+              'quick'].append(item)
+    mixed = [(k / len(kinds[kind]), item) for kind in ('search', 'wait')
+             for k, item in enumerate(kinds[kind])]
+    mixed.sort(key=lambda pair: pair[0])
+    items[:] = [*kinds['loop'], *(item for _, item in mixed), *kinds['quick']]
     for item in items:
         definitions = item._fixtureinfo.name2fixturedefs.values()
         if any(made[-1].scope == 'module' for made in definitions):
@@ -47,13 +57,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope='session')
 def quickly() -> Callable[[], AbstractContextManager[None]]:
     """A context in which an answer gets no black-box models, and gains from a few points of the
-    search: either takes longer than what the answer says."""
+    search and a quarter of the draws: either takes longer than what the answer says."""
 
     @contextmanager
     def context() -> Iterator[None]:
+        from quad_tuning import ensemble
+
+        few = partial(ensemble.build, count=ensemble.DRAWS // 4)
         with (
             mock.patch('quad_sysid.pipeline.identify._black_boxes', return_value='left out'),
             mock.patch.multiple('quad_tuning.pid', STARTS=1, JUDGED=20, GRID=(5, 7, 2, 4, 3)),
+            mock.patch.object(ensemble, 'build', few),
         ):
             yield
 

@@ -68,14 +68,9 @@ class FlightController:
     """The flight controller's script; all attributes may be changed while it runs."""
 
     def __init__(
-        self,
-        *,
-        gyro=(None, 0.25, 0.5),
-        unanswered=(),
-        also: Callable[[FlightController], Iterable[f.Frame]] = lambda _: (),
-        number=0,
-        bits=64,
-    ) -> None:
+        self, *, gyro=(None, 0.25, 0.5), unanswered=(),
+        also: Callable[[FlightController], Iterable[f.Frame]] = lambda _: (), number=0,
+        bits=64) -> None:
         self.unanswered = unanswered
         """Kinds of frames that it does not answer."""
         self.gyro, self.flags = gyro, int(f.Flag.ARMED)

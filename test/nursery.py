@@ -6,6 +6,7 @@ imports needs a Python of its own (node_process.Started).
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import os
@@ -118,6 +119,7 @@ def serve(line: socket.socket) -> dict[str, Any]:
             about = json.loads(data)
             for module in about['modules']:
                 importlib.import_module(module)
+            gc.freeze()  # no collection of a fork touches, and so copies, what was imported
             if not (pid := os.fork()):
                 take_over(streams, [line.detach(), heard, wake])
                 return about

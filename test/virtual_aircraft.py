@@ -51,21 +51,12 @@ def without_noise(profile: Profile) -> Profile:
     quiet = (0.0, 0.0, 0.0)
     mounts = profile.airframe.mounts
     mounts = replace(
-        mounts,
-        rig=replace(mounts.rig, torque_noise_nm_rthz=quiet),
-        hover=replace(mounts.hover, torque_noise_nm_rthz=quiet),
-    )
+        mounts, rig=replace(mounts.rig, torque_noise_nm_rthz=quiet),
+        hover=replace(mounts.hover, torque_noise_nm_rthz=quiet))
     sensors = replace(
-        profile.sensors,
-        gyro_noise_rad_s_rthz=0.0,
-        gyro_calibration_error_rad_s=0.0,
-        gyro_drift_rad_s_rts=0.0,
-        accel_noise_m_s2_rthz=0.0,
-        accel_bias_m_s2=quiet,
-        mag_noise_t=0.0,
-        pressure_noise_pa=0.0,
-        quantisation=False,
-    )
+        profile.sensors, gyro_noise_rad_s_rthz=0.0, gyro_calibration_error_rad_s=0.0,
+        gyro_drift_rad_s_rts=0.0, accel_noise_m_s2_rthz=0.0, accel_bias_m_s2=quiet,
+        mag_noise_t=0.0, pressure_noise_pa=0.0, quantisation=False)
     return replace(profile, airframe=replace(profile.airframe, mounts=mounts), sensors=sensors)
 
 

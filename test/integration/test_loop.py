@@ -36,10 +36,10 @@ schedule:
   segments:
     - {segment: idle, duration_s: 1.0}
     - {segment: train, signal: prbs, axis: roll, injection: attitude, amplitude_deg: 12.0,
-       duration_s: 9.0, clock_s: 0.092, register_bits: 9, seed: 1}
+       duration_s: 7.5, clock_s: 0.092, register_bits: 9, seed: 1}
     - {segment: idle, duration_s: 0.5}
     - {segment: validation, signal: prbs, axis: roll, injection: attitude, amplitude_deg: 12.0,
-       duration_s: 4.0, clock_s: 0.092, register_bits: 8, seed: 2}
+       duration_s: 3.5, clock_s: 0.092, register_bits: 8, seed: 2}
     - {segment: idle, duration_s: 0.5}
     - {segment: validation, signal: square, axis: roll, injection: attitude, amplitude_deg: 12.0,
        duration_s: 4.8, period_s: 2.4}
@@ -106,7 +106,7 @@ def test_an_effect_is_flown_found_and_flown_against(tmp_path: Path, emulated: bo
     assert not np.isnan(record.rates).any()
     parts = [s for s in record.segments if s.role != 'idle']
     assert [s.signal for s in parts] == ['prbs', 'prbs', 'square']
-    assert [s.end_s - s.start_s for s in parts] == pytest.approx([9.0, 4.0, 4.8], abs=0.005)
+    assert [s.end_s - s.start_s for s in parts] == pytest.approx([7.5, 3.5, 4.8], abs=0.005)
     assert parts[0].parameters['amplitude'] == pytest.approx(math.radians(12.0), abs=1e-4)
     sent = record.excitation[slice(*record.span(parts[0]))]
     assert np.nanmax(np.abs(sent[:, 0])) == pytest.approx(math.radians(12.0), abs=1e-4)

@@ -135,7 +135,7 @@ def firmware():
         with (folder / 'lock').open('w') as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)  # one of pytest's workers builds for all
             made = ended('make', '-s', '-C', ROOT / 'firmware', f'BUILD={folder}',
-                         f'PYTHON={sys.executable}', folder / target)
+                         f'PYTHON={sys.executable}', 'CFLAGS=-O1 -g', folder / target)
         assert (made.returncode, made.stderr) == (0, ''), made.stdout + made.stderr
         return folder / target
 

@@ -9,7 +9,8 @@ import re
 from dataclasses import replace
 
 import pytest
-from flight_controller import Updated
+from autopilots import INERTIAL
+from flight_controller import Port, Pty, Updated
 from flying_autopilot import (
     FLYING_ARDUPILOT,
     FLYING_PX4,
@@ -42,7 +43,8 @@ from quad_bridge.virtual.physics import POSITION, VELOCITY
 from quad_bridge.wire import frames as f
 
 KINDS = {
-    name: replace(kind, most_hz={n: min(hz, 62.5) for n, hz in kind.most_hz.items()})
+    name: replace(kind, most_hz={n: min(hz, 62.5 if n in INERTIAL else 25.0)
+                                 for n, hz in kind.most_hz.items()})
     for name, kind in (('px4', FLYING_PX4), ('ardupilot', FLYING_ARDUPILOT))
 }
 """At rates that a modest line carries: what is tested here is no matter of rates."""
@@ -63,9 +65,7 @@ class Cockpit(Updated):
         """A bridge begins; one that was there is killed."""
         gains, excitation = self.allow
         self.connected = Connected(
-            lambda: '', lambda: 1e-9 * self.now_ns, allow_gains=gains,
-            allow_excitation=excitation,
-        )
+            lambda: '', lambda: 1e-9 * self.now_ns, allow_gains=gains, allow_excitation=excitation)
         self.relay = ExcitationRelay(100, None, lambda: self.connected.aircraft)
         self.connected.on_change = self.changed
         super().connect(link)
@@ -431,9 +431,15 @@ def test_one_screen_says_whether_it_is_ready_and_what_to_change(flying, name):
     assert screen[-1] == f'{len(bad)} of {len(screen) - 1} lines are not as they should be'
 
 
-def test_nobody_there_is_one_line(tmp_path, refused):
-    assert 'port not there: plug it in' in refused(
-        check, '--check', '--port', tmp_path / 'tty', '--seconds', 0.1)
+def test_the_check_listens_at_a_port_where_somebody_is(tmp_path, refused, capsys):
+    words = ['--check', '--port', str(tmp_path / 'tty'), '--seconds']
+    assert 'port not there: plug it in' in refused(check, *words, 0.1)
+    with Port(Flying(KINDS['px4']), Pty(tmp_path / 'tty')):
+        assert check([*words, '3']) == 3
+    screen = capsys.readouterr().out
+    assert screen.startswith("  ok  PX4 1.16, PX4's CA_ROTOR parameters")
+    assert '  ok  mode ' in screen
+    assert 'leads to another computer' in refused(check, '--port', 'udp://10.0.0.1:14550')
 
 
 def test_a_slow_line_gets_what_it_can_carry():

@@ -23,12 +23,9 @@ def said(*command):
 @pytest.mark.parametrize(
     ('target', 'says', 'least'),
     [
-        ('store', 'cuts', 5000),
-        ('chips', 'checks, 0 failed', 400),
-        ('control', 'checks, 0 failed', 20_000),
-        ('serial_radio', 'checks, 0 failed', 20_000),
-        pytest.param('registers', 'cuts between accesses', 500, marks=PC),
-    ],
+        ('store', 'cuts', 5000), ('chips', 'checks, 0 failed', 400),
+        ('control', 'checks, 0 failed', 20_000), ('serial_radio', 'checks, 0 failed', 20_000),
+        pytest.param('registers', 'cuts between accesses', 500, marks=PC)],
 )
 def test_it_ends_well(firmware, target, says, least):
     """Power cuts at every byte of a flash write; drivers by their datasheets; DMA, I2C, flash."""

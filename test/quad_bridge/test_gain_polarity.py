@@ -9,13 +9,7 @@ import pytest
 from quad_bridge.craft import LAYOUTS, X
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.history import History
-from quad_bridge.gains.polarity import (
-    PolarityCheck,
-    PulseRun,
-    judge_axes,
-    merge_motors,
-    pulses_of,
-)
+from quad_bridge.gains.polarity import PolarityCheck, PulseRun, judge_axes, merge_motors, pulses_of
 from quad_bridge.wire import frames as f
 
 ROLL = {'roll_rate_kp': 0.1}

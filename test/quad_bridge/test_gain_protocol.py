@@ -86,12 +86,9 @@ class World:
             'tick': True, 'report': not self.down, 'arrives up': room, 'arrives down': self.down,
             'lost up': self.faults and self.up, 'lost down': self.faults and self.down,
             'doubled up': self.faults and room, 'doubled down': self.faults and self.down,
-            'write': self.writes and not self.bridge.busy,
-            'confirm': self.state is State.ON_TRIAL,
-            'revert': self.state in REVOCABLE,
-            'bridge restarts': self.restarts, 'stm32 restarts': self.restarts,
-            'noticed': self.unnoticed,
-        }  # fmt: skip
+            'write': self.writes and not self.bridge.busy, 'confirm': self.state is State.ON_TRIAL,
+            'revert': self.state in REVOCABLE, 'bridge restarts': self.restarts,
+            'stm32 restarts': self.restarts, 'noticed': self.unnoticed}
         return {name: MOVES[name] for name, yes in possible.items() if yes}
 
     def send(self):
@@ -247,16 +244,12 @@ def connected(monkeypatch):
 @pytest.mark.parametrize(
     ('faults', 'restarts', 'writes', 'flies', 'most'),
     [
-        (1, 0, 1, True, 9_000),
-        pytest.param(1, 0, 1, True, math.inf, marks=pytest.mark.long),
-        (0, 1, 1, True, 8_000),
-        (0, 0, 2, True, 6_000),
-        (0, 0, 2, False, 6_000),
+        (1, 0, 1, True, 9_000), pytest.param(1, 0, 1, True, math.inf, marks=pytest.mark.long),
+        (0, 1, 1, True, 8_000), (0, 0, 2, True, 6_000), (0, 0, 2, False, 6_000),
         pytest.param(0, 1, 1, True, 300_000, marks=pytest.mark.long),
         pytest.param(0, 0, 2, True, 300_000, marks=pytest.mark.long),
         pytest.param(2, 1, 2, True, 300_000, marks=pytest.mark.long),
-        pytest.param(2, 1, 2, False, 300_000, marks=pytest.mark.long),
-    ],
+        pytest.param(2, 1, 2, False, 300_000, marks=pytest.mark.long)],
 )
 def test_no_state_and_no_event_breaks_an_invariant(
     connected, faults, restarts, writes, flies, most

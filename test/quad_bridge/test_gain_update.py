@@ -152,13 +152,11 @@ class Walk:
         flight = g._update and (g._update.written, str(g._update.steps), g._update.armed)
         return (
             g.state, flight, bool(g._pending), c.flags, c.arrived_s, c.excited_s > -0.5,
-            g.state is State.WATCHING and g._remaining_s, c.flying,
-            g.watch.bad, g.watch.begun, g.polarity.left, g.polarity.known, p.state, p._tries,
-            p._due_s, p._number % 4, tuple(p._queue), len(p._values), p._values.get(KP),
-            self.flown(), self.flown('good'), s.staging and self.flown('copy'),
-            s.watching and (s.flown_us, s.heard_us), self.asks, self.faults, self.armed,
-            p._late, self.seen_s,
-        )  # fmt: skip
+            g.state is State.WATCHING and g._remaining_s, c.flying, g.watch.bad, g.watch.begun,
+            g.polarity.left, g.polarity.known, p.state, p._tries, p._due_s, p._number % 4,
+            tuple(p._queue), len(p._values), p._values.get(KP), self.flown(), self.flown('good'),
+            s.staging and self.flown('copy'), s.watching and (s.flown_us, s.heard_us), self.asks,
+            self.faults, self.armed, p._late, self.seen_s)
 
     # Events.
 
@@ -249,14 +247,12 @@ class Walk:
             'answer': Walk.exchange, 'cycle': lambda w: w.cycle(armed),
             'killed': lambda w: w.cycle(f.Flag.RC_KILL),
             'failsafe': lambda w: w.cycle(armed | f.Flag.RC_FAILSAFE),
-            'excited': lambda w: w.tick(excited=True),
-            'disarmed': lambda w: w.cycle(f.Flag.NONE),
+            'excited': lambda w: w.tick(excited=True), 'disarmed': lambda w: w.cycle(f.Flag.NONE),
             'alarm': Walk.alarm, 'gesture': Walk.gesture, 'tick': Walk.tick,
             'nan': lambda w: w.ask(math.nan), 'back': lambda w: w.ask(HELD, rollback=True),
             'late': lambda w: w.ask(0.15, 0.6),
             'ahead': lambda w: w.ask(HELD, -0.2, rollback=True),
-            'disturb': lambda w: w.gains.disturb(),
-        }  # fmt: skip
+            'disturb': lambda w: w.gains.disturb()}
         if self.asks or g.state is not State.IDLE:
             found |= {'ask': lambda w: w.ask(0.15), 'ask far': lambda w: w.ask(0.3)}
         if self.faults:

@@ -24,19 +24,12 @@ KEY = bytes([0xAB, 9, *range(1, 31)])
 HEX = KEY.hex().encode()
 NO_KEY, ZEROS = 'must hold 64 hexadecimal digits, or 32 raw bytes', 'is all zeros'
 FILES = {
-    'raw': (KEY, ''),
-    'raw, white at its ends': (b'\n' + KEY[1:-1] + b' ', ''),
-    'hex': (HEX, ''),
+    'raw': (KEY, ''), 'raw, white at its ends': (b'\n' + KEY[1:-1] + b' ', ''), 'hex': (HEX, ''),
     'a line of Windows': (HEX + b'\r\n', ''),
-    'the most white space': (HEX + b' ' * (4096 - 64), ''),
-    'empty': (b'', NO_KEY),
-    'a digit missing': (HEX[:63] + b'\n', NO_KEY),
-    'two keys': (HEX + HEX, NO_KEY),
-    'a zero byte behind': (HEX + b'\0', NO_KEY),
-    '31 bytes': (KEY[:31], NO_KEY),
-    'raw with a line end': (KEY + b'\n', NO_KEY),
-    'zeros': (bytes(32), ZEROS),
-}
+    'the most white space': (HEX + b' ' * (4096 - 64), ''), 'empty': (b'', NO_KEY),
+    'a digit missing': (HEX[:63] + b'\n', NO_KEY), 'two keys': (HEX + HEX, NO_KEY),
+    'a zero byte behind': (HEX + b'\0', NO_KEY), '31 bytes': (KEY[:31], NO_KEY),
+    'raw with a line end': (KEY + b'\n', NO_KEY), 'zeros': (bytes(32), ZEROS)}
 """Content of a file, and what is wrong with it: the same in Python and in C."""
 
 

@@ -4,15 +4,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from autopilots import (
-    ALL,
-    ARDUPILOT,
-    BETAFLIGHT,
-    GRAVITY,
-    PX4,
-    Autopilot,
-    mav,
-)
+from autopilots import ALL, ARDUPILOT, BETAFLIGHT, GRAVITY, PX4, Autopilot, mav
 from flight_controller import Line, Port, Pty
 
 from quad_bridge.craft import LAYOUTS, from_urdf
@@ -115,11 +107,9 @@ def test_betaflights_rates_of_exactly_zero_are_unknown_and_its_raw_channels_are_
 
 ONE_EACH = {
     '/imu/data': ('HIGHRES_IMU', 'SCALED_IMU', 'ATTITUDE'),
-    '/imu/mag': ('HIGHRES_IMU', 'SCALED_IMU'),
-    '/baro': ('HIGHRES_IMU', 'SCALED_PRESSURE'),
+    '/imu/mag': ('HIGHRES_IMU', 'SCALED_IMU'), '/baro': ('HIGHRES_IMU', 'SCALED_PRESSURE'),
     '/rc/in': ('RC_CHANNELS', 'RC_CHANNELS_RAW', 'MANUAL_CONTROL'),
-    '/battery': ('BATTERY_STATUS', 'SYS_STATUS'),
-}  # fmt: skip
+    '/battery': ('BATTERY_STATUS', 'SYS_STATUS')}
 
 
 @pytest.mark.parametrize('without', [
@@ -270,10 +260,8 @@ MAVROS = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
 
 
 @pytest.mark.parametrize(
-    ('sender', 'beat'),
-    [((255, 190), GROUND_STATION), ((1, 240), MAVROS), ((1, 191), MAVROS)],
-    ids=['ground station', 'mavros', 'a second bridge'],
-)
+    ('sender', 'beat'), [((255, 190), GROUND_STATION), ((1, 240), MAVROS), ((1, 191), MAVROS)],
+    ids=['ground station', 'mavros', 'a second bridge'])
 def test_a_program_beside_is_not_taken_for_the_aircraft(sender, beat):
     line = Shared(Autopilot(PX4), *sender)
     read = mav.MAVLink_param_request_read_message(1, 1, b'CA_ROTOR_COUNT', -1)

@@ -25,12 +25,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.recover import main, recover
 from quad_bridge.log.stored import scan
-from quad_bridge.log.stored.records import (
-    CHUNK,
-    MAGIC,
-    RECORD,
-    end_of,
-)
+from quad_bridge.log.stored.records import CHUNK, MAGIC, RECORD, end_of
 from quad_bridge.log.stored.scan import McapScan
 from quad_bridge.log.writer import BagWriter, Limits, free_paths, new_bag
 from quad_sysid.bags.storage import Storage
@@ -161,13 +156,11 @@ def test_what_was_flushed_is_recovered_after_a_kill_and_nothing_is_overwritten(t
 @pytest.mark.parametrize(
     ('name', 'content', 'text'),
     [
-        ('absent', None, 'does not exist'),
-        ('empty.mcap', b'', 'is empty'),
+        ('absent', None, 'does not exist'), ('empty.mcap', b'', 'is empty'),
         ('text.mcap', b'time,rate\n', 'is not an mcap file'),
         ('bare.mcap', b'\x89MCAP0\r\n', 'holds no whole message'),
         ('table.csv', b'1,2', 'holds no .mcap or .db3 file'),
-        ('junk.db3', b'no database' * 100, 'is a damaged sqlite3 file (file is not a database)'),
-    ],
+        ('junk.db3', b'no database' * 100, 'is a damaged sqlite3 file (file is not a database)')],
 )
 def test_what_cannot_be_recovered_ends_with_one_line_and_status_two(
     tmp_path, refused, name, content, text
@@ -341,12 +334,10 @@ def leaf_zeroed(file):
 @pytest.mark.parametrize(
     ('damage', 'words'),
     [
-        (unfinished, 'its last transaction was not finished'),
-        (leaf_zeroed, 'Page'),
+        (unfinished, 'its last transaction was not finished'), (leaf_zeroed, 'Page'),
         (lambda file: os.truncate(file, file.stat().st_size - 1000), 'its last page is torn'),
         (lambda file: os.truncate(file, 4096 * 5), 'malformed'),
-        (lambda file: file.write_bytes(flipped(file.read_bytes(), 100, 0x80)), 'malformed'),
-    ],
+        (lambda file: file.write_bytes(flipped(file.read_bytes(), 100, 0x80)), 'malformed')],
 )
 def test_a_damaged_sqlite3_file_is_answered_with_the_command_that_recovers_it(
     tmp_path, damage, words

@@ -82,11 +82,9 @@ def test_the_screen_tells_all_in_one_place():
     for pattern in (
         r'link +ok +control cycles', r'clock +stale +no news for 10 s', r'imu +ok +250 Hz',
         r'recording +ERROR +disk full', r'42 % train prbs roll',
-        r'angles +WARN .*roll  \+22.0.*limit 25',
-        r'battery +ERROR +11.70 V', r'WARN +a stale',
-        r'coverage +ok +roll 0.5 to 20 of 0.5 to 20',
-        r'gains +- +nothing received', r'100 %', r' 70 s trained, 0 s validated$',
-    ):
+        r'angles +WARN .*roll  \+22.0.*limit 25', r'battery +ERROR +11.70 V', r'WARN +a stale',
+        r'coverage +ok +roll 0.5 to 20 of 0.5 to 20', r'gains +- +nothing received', r'100 %',
+        r' 70 s trained, 0 s validated$'):
         assert re.search(pattern, shown, re.MULTILINE), pattern
     nothing = '\n'.join(State().lines(0.0))
     assert 'nothing received' in nothing

@@ -105,11 +105,8 @@ def test_at_rest_the_acceleration_is_up_and_all_messages_carry_the_same_stamp_an
 
 def test_rates_setpoints_torques_and_excitation_turn_y_and_z():
     m = filled(
-        gyro=(1.0, 2.0, 3.0),
-        rate_setpoint=(4.0, 5.0, 6.0),
-        control=(0.5, 0.1, 0.2, 0.3),
-        excitation=(7.0, 8.0, 9.0),
-    )
+        gyro=(1.0, 2.0, 3.0), rate_setpoint=(4.0, 5.0, 6.0), control=(0.5, 0.1, 0.2, 0.3),
+        excitation=(7.0, 8.0, 9.0))
     assert vector(m.imu.angular_velocity) == (1.0, -2.0, -3.0)
     assert vector(m.rate_setpoint.vector) == (4.0, -5.0, -6.0)
     assert m.wrench.wrench.force.z == 0.5

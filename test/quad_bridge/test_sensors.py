@@ -1,13 +1,16 @@
 """Known biases are found, from a bag too; what moves or is unclear is refused."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
+from flight_controller import STILL
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.sensors.command import main
+from quad_bridge.sensors.live import NOT_YET, EstimateRequest, LiveSensors
 from quad_bridge.sensors.rest import GRAVITY_M_S2, estimate_at_rest
 from quad_sysid.bags import write_bag
 from quad_sysid.record import Record
@@ -61,6 +64,29 @@ def test_what_is_not_at_rest_is_refused(what, text):
     with pytest.raises(RefusedError, match=text) as caught:
         estimate_at_rest(*what(*resting()))
     assert '\n' not in str(caught.value)
+
+
+def test_what_was_seen_at_rest_is_subtracted_from_the_next_stamp_on_and_forgotten_at_a_restart():
+    """As the port's thread and the executor's call it: cycles disarmed, one armed, a restart."""
+    live, rest = LiveSensors(correct=True), zip(*resting(7.0), strict=True)
+    for time_s, gyro, felt in rest:
+        live.cycle(replace(STILL, time_us=round(1e6 * time_s), gyro=gyro * (1, -1, -1),
+                           accel=felt * (1, -1, -1), flags=0))
+    assert live.stamped(1).gyro_bias == (0.0, 0.0, 0.0)
+    assert live.idle
+    live.cycle(STILL)  # it is armed
+    assert live.estimate(live.request()).startswith('gyro bias +0.01')
+    assert live.request() is None
+    found = live.stamped(2)
+    assert (found.gyro_bias, found.since_ns) == (pytest.approx(BIAS, abs=1e-3), 2)
+    assert live.stamped(3) == found
+    assert live.status().values['stood (s)'] == '6.0'
+    live.want('asked for')  # nothing is at rest any more
+    assert live.request() is None
+    with pytest.raises(RefusedError, match=r'it is armed: .*; the earlier one stays'):
+        live.estimate(EstimateRequest('asked for', ()))
+    live.restarted()
+    assert (live.stamped(4).gyro_bias, live.words) == ((0.0, 0.0, 0.0), NOT_YET)
 
 
 def imu_bag(path, _t, gyro, felt):

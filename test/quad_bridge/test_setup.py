@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from flight_controller import FlightController, Port, Pty
 
-from quad_bridge.errors import BadInputError, RefusedError
-from quad_bridge.gains.table import ROWS, SET_UP
+from quad_bridge.errors import RefusedError
+from quad_bridge.gains.table import ROWS, SET_UP, WIRE_NAMES
 from quad_bridge.motor_test import frame
 from quad_bridge.setup import measure, wizard
 from quad_bridge.setup.talk import Talk
@@ -224,11 +225,35 @@ def test_any_turn_of_the_board_is_found():
         assert found['accel.scale_x'] == pytest.approx(SCALE[0], abs=0.02)
 
 
-def test_the_file_comes_back_and_a_bad_one_is_named(tmp_path):
-    values = {row.name: row.start[0] for row in SET_UP}
-    save(tmp_path / 'a' / 'setup.yaml', 'one', values)
-    assert load(tmp_path / 'a' / 'setup.yaml') == pytest.approx(values)
-    bad = tmp_path / 'bad.yaml'
+@pytest.mark.parametrize(('step', 'answers', 'told'), [
+    ('motors', ['x', 'n'], "must be a number of 800 to 2200: found 'x'"),
+    ('motors', ['1000', '1100', '', '1000', '2000', 'n'], 'must be at least 200 µs above'),
+    ('outputs', ['on', 'n'], 'no motor is spun with a propeller on'),
+    ('outputs', ['OFF', '', '', '', 'n', *['', '', ''] * 3, 'n'], 'motor 1: swap two of its'),
+])
+def test_a_wrong_answer_is_said_and_what_is_not_agreed_to_is_not_written(step, answers, told):
+    _, talk = standing()
+    talk.wait(2.2)  # at rest for as long as a motor wants
+    said, given = [], iter(answers)
+    assert wizard.Wizard(talk, lambda _: next(given), said.append).run([step]) == {}
+    assert told in ' '.join(said)
+    assert next(given, None) is None
+
+
+def test_a_file_is_restored_through_the_port_and_a_bad_one_is_named(tmp_path, printed, refused):
+    values = {row.name: row.start[0] for row in SET_UP} | {'battery.divider': 9.5}
+    kept, bad, port = tmp_path / 'a' / 'setup.yaml', tmp_path / 'bad.yaml', tmp_path / 'tty'
+    save(kept, 'one', values)
+    assert load(kept) == pytest.approx(values)
     bad.write_text('set_up: {motors.output_1: 9}\n', encoding='utf-8')
-    with pytest.raises(BadInputError, match=r'bad.yaml: motors.output_1'):
-        load(bad)
+    for wrong, words in ((['--restore', bad], 'bad.yaml: motors.output_1'), (
+            ['--restore', tmp_path], 'is no file of setup'), (['engine'], "no step 'engine'")):
+        assert words in refused(wizard.main, *wrong)
+    with Port(FlightController(), Pty(port)) as there:
+        own = ['--port', port, '--folder', tmp_path]
+        assert 'it is armed' in refused(wizard.main, *own)
+        said = printed(wizard.main, *own, '--restore', kept)
+    (file,) = {*tmp_path.glob('*/setup.yaml')} - {kept}
+    assert said == f'1 values written\n{file}\n'
+    assert load(file)['battery.divider'] == 9.5
+    assert there.controller.store.of([WIRE_NAMES['battery.divider']], 'good') == (9.5,)

@@ -53,9 +53,7 @@ def test_every_profile_loads(name):
         ('extends: nobody', 'no such profile'),
         ('firmware: {physics_steps_per_cycle: 1000}', 'must be at most 20: 1000'),
         ('firmware: {gains: {roll.rate.kq: 0}}', 'gains: unknown roll.rate.kq'),
-        ('- 1', 'must be a mapping of keys'),
-        ('a: [', 'is not YAML'),
-    ],
+        ('- 1', 'must be a mapping of keys'), ('a: [', 'is not YAML')],
 )
 def test_a_wrong_profile_is_one_line_that_names_file_and_key(tmp_path, refused, text, said):
     path = written(tmp_path, mine=text)
@@ -66,10 +64,8 @@ def test_a_wrong_profile_is_one_line_that_names_file_and_key(tmp_path, refused, 
 
 def test_a_profile_extends_another_by_name_or_beside_it(tmp_path):
     path = written(
-        tmp_path,
-        base='airframe: {mass_kg: 2.0, arm_m: 0.3}',
-        mine='extends: base\nairframe: {arm_m: 0.4}',
-    )
+        tmp_path, base='airframe: {mass_kg: 2.0, arm_m: 0.3}',
+        mine='extends: base\nairframe: {arm_m: 0.4}')
     airframe = load_profile(path).airframe
     assert (airframe.mass_kg, airframe.arm_m) == (2.0, 0.4)
     other = written(tmp_path, other='extends: paper\nmount: hover')

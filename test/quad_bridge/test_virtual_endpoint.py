@@ -58,9 +58,7 @@ def handlers():
         (EFFECT + 'raise KeyError("x")\n', 'KeyError'),
         (EFFECT + 'return [1.0, 2.0]\n', 'three finite torques'),
         (EFFECT + 'raise SystemExit(5)\n', 'effect() at t = 0.000 s: SystemExit: 5'),
-        ('x = 1\n', 'no function effect'),
-        (None, 'not a readable Python file'),
-    ],
+        ('x = 1\n', 'no function effect'), (None, 'not a readable Python file')],
 )
 def test_a_bad_effect_module_is_one_line_and_status_2(tmp_path, refused, source, said):
     path = tmp_path / 'bad.py'

@@ -136,11 +136,9 @@ def test_values_that_cannot_be_are_not_handed_out():
 STREAM = b''.join(Encoder().encode(frame) for frame in FRAMES * 2)
 SENT = {repr(frame) for frame in FRAMES}
 PIECES = st.one_of(
-    st.binary(max_size=300),
-    st.sampled_from([Encoder().encode(frame) for frame in FRAMES]),
+    st.binary(max_size=300), st.sampled_from([Encoder().encode(frame) for frame in FRAMES]),
     st.integers(0, len(GOLDEN)).map(lambda cut: GOLDEN[:cut]),
-    st.binary(max_size=40).map(lambda tail: b'\xfd' + tail),
-)
+    st.binary(max_size=40).map(lambda tail: b'\xfd' + tail))
 SIZES, BYTES = st.integers(1, 300), st.binary(min_size=1, max_size=60)
 
 

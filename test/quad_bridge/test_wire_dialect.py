@@ -11,11 +11,8 @@ from quad_bridge.wire import dialect
 from quad_bridge.wire.dialect import OTHER_MESSAGES
 
 OWN = {
-    dialect.MAVLINK_MSG_ID_QUAD_CYCLE,
-    dialect.MAVLINK_MSG_ID_QUAD_EXCITATION,
-    dialect.MAVLINK_MSG_ID_QUAD_GAINS,
-    dialect.MAVLINK_MSG_ID_QUAD_GAINS_STATE,
-}
+    dialect.MAVLINK_MSG_ID_QUAD_CYCLE, dialect.MAVLINK_MSG_ID_QUAD_EXCITATION,
+    dialect.MAVLINK_MSG_ID_QUAD_GAINS, dialect.MAVLINK_MSG_ID_QUAD_GAINS_STATE}
 MADE = runpy.run_path(str(Path(__file__).parents[2] / 'tools/dialect.py'))
 WIRE_FIELDS = ('crc_extra', 'fieldnames', 'fieldtypes', 'array_lengths', 'orders')
 

@@ -3,14 +3,16 @@
 import asyncio
 import contextlib
 import dataclasses
+import importlib
 import json
 import os
 import re
 import select
 import shutil
-import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 import tracemalloc
 import urllib.error
@@ -31,7 +33,9 @@ from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.report import sliders
 
 pytest.importorskip('starlette', reason="the extra is not installed: pip install '…[app]'")
-pytest.importorskip('uvicorn', reason="the extra is not installed: pip install '…[app]'")
+uvicorn = pytest.importorskip(
+    'uvicorn', reason="the extra is not installed: pip install '…[app]'")
+App = importlib.import_module('quad_sysid.app.server').App
 BROWSER = next((name for name in ('chromium', 'chromium-browser', 'google-chrome')
                 if shutil.which(name)), '')
 MOST_MB = 1
@@ -39,16 +43,12 @@ ANSWER_S = 60.0
 """A browser that has not answered until then never does: a page of ours never blocks it."""
 
 
-class Server:
-    """The command as a process, and requests to it."""
+class Client:
+    """Requests to the app at an address."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.process = subprocess.Popen(
-            [sys.executable, '-c', 'from quad_sysid.start import main; main()', 'app', folder,
-             '--no-browser', '--most-mb', str(MOST_MB)], stdout=subprocess.PIPE, text=True)
-        self.address = self.process.stdout.readline().strip()
-        self.base, _, self.token = self.address.partition('/?token=')
+    def __init__(self, folder: Path, address: str) -> None:
+        self.folder, self.address = folder, address
+        self.base, _, self.token = address.partition('/?token=')
 
     def ask(self, path, data=None, *, token=True, **headers):
         """(status, text) of a request."""
@@ -66,16 +66,29 @@ class Server:
         return self.ask('/jobs', json.dumps(asked).encode())
 
 
+class Server(Client):
+    """The command as a process."""
+
+    def __init__(self, folder: Path) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, '-c', 'from quad_sysid.start import main; main()', 'app', folder,
+             '--no-browser', '--most-mb', str(MOST_MB)], stdout=subprocess.PIPE, text=True)
+        super().__init__(folder, self.process.stdout.readline().strip())
+
+
 @pytest.fixture(scope='module')
 def server(tmp_path_factory, plain_bag):
     folder = tmp_path_factory.mktemp('app') / 'flights'
     shutil.copytree(plain_bag, folder / 'my_flight')
     (folder.parent / 'secret.csv').write_text('a,b\n')
     (folder / 'link.csv').symlink_to(folder.parent / 'secret.csv')
-    running = Server(folder)
-    yield running
-    running.process.send_signal(signal.SIGINT)
-    assert running.process.wait(PATIENCE_S) in (0, 130)
+    app, line = App(folder, MOST_MB), socket.create_server(('127.0.0.1', 0))
+    running = uvicorn.Server(uvicorn.Config(app.starlette(), log_level='warning'))
+    thread = threading.Thread(target=running.run, args=([line],))
+    thread.start()
+    yield Client(folder, f'http://127.0.0.1:{line.getsockname()[1]}/?token={app.token}')
+    running.should_exit = True
+    thread.join()
 
 
 def test_only_who_has_the_token_on_this_machine_is_answered(server):

@@ -202,8 +202,7 @@ BAD = {
     'unknown unit': ({'units': {'u': 'furlong'}}, "units: u is no known unit: found 'furlong'"),
     'other unit': ({'units': {'y': 'V'}}, "units: y is not a unit of it: found 'V'; use rad/s"),
     'unit of none': ({'units': {'z': 'V'}}, "units names what is no argument: found 'z'"),
-    'no output': ({'y': None}, 'lack y or angle'),
-    'no input': ({'u': None}, 'lack u, the input'),
+    'no output': ({'y': None}, 'lack y or angle'), 'no input': ({'u': None}, 'lack u, the input'),
     'strange signal': ({'signals': {'wind': Y}}, "signals holds an unknown one: found 'wind'"),
     'short signal': ({'signals': {'battery': Y[:9]}}, 'signals: battery must be as long as u'),
     'short mask': ({'train': np.ones(9, bool)}, 'train must be a mask as long as u: found (9,)'),
@@ -212,8 +211,7 @@ BAD = {
     'no part': ({'train': slice(10, 10)}, 'train holds no sample'),
     'no column': ({'u': 'volts'}, "u names a column of no frame: found 'volts'"),
     'no axis': ({'axis': 'bank'}, "axis must be one of roll, pitch, yaw: found 'bank'"),
-    'lists': ({'u': [U, U], 'y': [Y, Y, Y]}, 'needs lists of as many experiments: found u has 2'),
-}
+    'lists': ({'u': [U, U], 'y': [Y, Y, Y]}, 'needs lists of as many experiments: found u has 2')}
 
 
 @pytest.mark.parametrize('name', BAD)
@@ -318,7 +316,7 @@ def test_every_function_takes_what_the_others_return(result, tmp_path):
     assert np.isfinite(qs.simulate_cascade(model, gains, np.full(50, 0.1), DT).angle).all()
     assert model.to_control().ninputs == 1
     assert qs.export(found, tmp_path / 'model.mat').stat().st_size > 100
-    assert qs.inspect(flight).length_s == pytest.approx(30.0)
+    assert qs.inspect(flight).length_s == pytest.approx(SHORT.seconds)
     saved = found.save(tmp_path / 'out', html=False, pictures=False).folder
     (_, changes), = qs.compare(found, saved)
     assert not any(change.changed for change in changes)

@@ -11,13 +11,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from quad_sysid.bags import (
-    BagOptions,
-    read_bag,
-    split_segments,
-    write_bag,
-    write_streams,
-)
+from quad_sysid.bags import BagOptions, read_bag, split_segments, write_bag, write_streams
 from quad_sysid.bags.cdr import Stamped
 from quad_sysid.bags.events import Event
 from quad_sysid.bags.stamps import uniform_grid

@@ -58,11 +58,9 @@ def flight(
     still = np.full((n, 2), trim)
     return Record(
         source=source, dt=DT, rates=rates, angles=angles, attitude_setpoint=wanted,
-        control=np.column_stack((np.full(n, 0.5), run.control + trim, still)),
-        excitation=applied,
+        control=np.column_stack((np.full(n, 0.5), run.control + trim, still)), excitation=applied,
         segments=tuple(Segment(r, s, 'roll', injection, a, b) for r, s, a, b in SPANS),
-        gains=(GainChange(0.0, gains.to_mapping('roll', constants=True)),),
-    )
+        gains=(GainChange(0.0, gains.to_mapping('roll', constants=True)),))
 
 
 def shows_its_band(model: AxisModel) -> GainProposal:

@@ -272,9 +272,7 @@ def with_play(
     return changes
 
 
-def behind_a_spring(
-    frequency_hz: float, damping: float, reach: float, share: float
-) -> Changes:
+def behind_a_spring(frequency_hz: float, damping: float, reach: float, share: float) -> Changes:
     """A share of the drive comes through a spring that hardens towards two stops."""
 
     def make():
@@ -627,7 +625,7 @@ RIVALS = (
 """What an effect is told from here."""
 
 
-BRIEF = Plan(21.0, (('train', 'prbs', 1.0, 13.0), ('validation', 'prbs', 13.5, 21.0)))
+LONGER = Plan(30.0, (('train', 'prbs', 1.0, 18.0), ('validation', 'prbs', 19.0, 30.0)))
 ANOTHER = Plan(16.0, (('idle', 'none', 0.0, 1.0), ('validation', 'prbs', 1.0, 16.0)))
 
 
@@ -644,7 +642,7 @@ class Planted:
     """(value, relative tolerance, absolute tolerance) of its first parameters."""
     alone: bool = True
     """Whether it is all that is found."""
-    plan: Plan = BRIEF
+    plan: Plan = SHORT
     quick: bool = True
     """Whether it is flown outside of `make test-long`."""
 
@@ -656,8 +654,9 @@ STEP = 0.0213
 PLANTED = [
     Planted(law_of('dead_zone', 'half_width'), 'dead_zone', 4.0, ((0.004, 0.10, 0.0),)),
     Planted(strap(3.6, 0.8), 'mode:slow_state', 1.5, ((0.8, 0.6, 0.0), (3.6, 0.3, 0.0)),
-            plan=SHORT),
-    Planted(held(5), 'shape:delay:time/held', 3.0, ((50.0, 1e-3, 0.0),), alone=False, plan=SHORT),
+            plan=LONGER),
+    Planted(held(5), 'shape:delay:time/held', 3.0, ((50.0, 1e-3, 0.0),), alone=False,
+            plan=LONGER),
     Planted(in_steps(STEP, 0.4969), 'shape:gain:command/steps', 3.0,
             ((STEP, 0.005, 0.0), (-0.0031 / STEP, 0.0, 0.05), (0.0, 0.0, 0.05))),
     # propellers that coast, by how far they have to go
@@ -682,7 +681,7 @@ def answer_of(record: Record, **options):
         return pipeline.identify([record], pipeline.Options(axes=('roll',), **options))['roll']
 
 
-def answer_to(changes: Changes, seed: int, *, plan: Plan = BRIEF, **options):
+def answer_to(changes: Changes, seed: int, *, plan: Plan = SHORT, **options):
     """What is said of a flight in which this acts."""
     return answer_of(fly(Axis(**{**QUIET, **changes()}), seed, plan), **options)
 
@@ -736,7 +735,7 @@ def test_friction_is_named_and_measured_among_all_effects(rubbed_answer):
 
 
 def test_a_gain_that_wanders_is_followed_in_another_flight_on_its_own_path():
-    answer = answer_to(drifting(1, 0.3, 5.0), 1, plan=SHORT,
+    answer = answer_to(drifting(1, 0.3, 5.0), 1,
                        effects=only('shape:gain:time/wandering', 'shape:gain:time/smooth'))
     (effect,) = answer.model.effects
     assert (effect.name, effect.variant) == ('shape:gain:time', 'wandering')
@@ -814,7 +813,7 @@ def test_what_comes_twice_and_no_model_predicts_is_not_passed_over(changes):
 def test_validation_does_not_touch_what_is_chosen(rubbed_flight):
     """Another flight behind the training segment: the same model to the last bit."""
     other = fly(Axis(**QUIET, **law_of('coulomb_friction', 'torque')()), 7, SHORT)
-    cut = round(18.5 / other.dt)
+    cut = round(13.25 / other.dt)
     columns = ('rates', 'angles', 'control', 'battery_v', 'attitude_setpoint')
     mixed = replace(rubbed_flight, **{
         name: np.concatenate((getattr(rubbed_flight, name)[:cut], getattr(other, name)[cut:]))

@@ -22,8 +22,7 @@ GOOD = Readings(
 DT = 0.004
 
 REASONS = [
-    ({'failsafe': True}, 'failsafe', True),
-    ({'rc_age_s': 1.5}, '/rc/in is 1.50 s old', True),
+    ({'failsafe': True}, 'failsafe', True), ({'rc_age_s': 1.5}, '/rc/in is 1.50 s old', True),
     ({'abort_switch': 0.9}, 'abort switch', False),
     ({'imu_age_s': None}, 'no /imu/data yet', False),
     ({'imu_age_s': 0.25}, '/imu/data is 0.25 s old', False),
@@ -36,8 +35,7 @@ REASONS = [
     ({'sticks': (math.nan, 0.0, 0.0)}, 'the roll stick', False),
     ({'battery_v': 10.1}, 'battery at 10.10 V', False),
     ({'refused': True}, 'the STM32 refuses the excitation', True),
-    ({'refused': True, 'battery_v': 8.73}, 'low battery (8.73 V)', True),
-]
+    ({'refused': True, 'battery_v': 8.73}, 'low battery (8.73 V)', True)]
 UNHEARD = [
     ({'rc_age_s': None, 'abort_switch': None}, 'no /rc/in yet', False),
     ({'abort_switch': None}, 'no channel of the pilot', False),

@@ -174,7 +174,7 @@ def test_evaluate_gives_the_figures_of_identify_through_the_file(plain, plain_fl
     for name in ('before', 'after', 'one_step_before', 'one_step_after'):
         assert getattr(found, name) == pytest.approx(told[name], rel=1e-9), name
     assert found.hold > 3.0 * found.before
-    rate, starts = plain_flight.rates[:, 0], 5000 + 125 * np.arange(found.windows)
+    rate, starts = plain_flight.rates[:, 0], 3625 + 125 * np.arange(found.windows)
     errors = rate[starts - 1][:, None] - rate[starts[:, None] + np.arange(125)]
     assert found.hold == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-9)
 
@@ -277,10 +277,7 @@ def lost(share, *columns):
 
 @pytest.mark.parametrize(
     ('change', 'wider'),
-    [
-        (clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6),
-    ],
-)
+    [ (clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6) ])
 def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flight, change, wider):
     """Errors stay standard errors, and these grow little."""
     data = axis_data([change(plain_flight)], 'roll')

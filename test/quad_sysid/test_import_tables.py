@@ -242,14 +242,19 @@ def test_a_crazyflies_sd_card(tmp_path, version, cut):
 
 def test_a_bag_of_ros_1(tmp_path):
     from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    from quad_sysid.imports import mavros
 
     store, table = get_typestore(Stores.ROS1_NOETIC), columns()
+    store.register(get_types_from_msg('std_msgs/Header header\nuint16[] channels',
+                                      'mavros_msgs/msg/RCOut'))
     of = {name.rpartition('/')[2]: made for name, made in store.types.items()}
     time = store.types['builtin_interfaces/msg/Time']
     nine, upright = np.zeros(9), of['Quaternion'](0.0, 0.0, 0.0, 1.0)
     with Writer(tmp_path / 'flight.bag') as writer:
-        imu = writer.add_connection('/imu', 'sensor_msgs/msg/Imu', typestore=store)
+        imu = writer.add_connection('/mavros/imu/data', 'sensor_msgs/msg/Imu', typestore=store)
+        out = writer.add_connection('/mavros/rc/out', 'mavros_msgs/msg/RCOut', typestore=store)
         command = writer.add_connection('/cmd', 'geometry_msgs/msg/Vector3', typestore=store)
         for k, t in enumerate(table['t']):
             ns = 10**18 + round(1e9 * t)
@@ -257,17 +262,22 @@ def test_a_bag_of_ros_1(tmp_path):
                 (table['rate'][k], 0.0, 0.0), (table['u'][k], 0.0, 0.0), (0.0, 0.0, 9.81)))
             head = of['Header'](k, time(*divmod(ns, 10**9)), '')
             message = of['Imu'](head, upright, nine, rate, nine, felt, nine)
-            for topic, late_ns, one in ((imu, 3_000_000, message), (command, 0, u)):
+            pulses = of['RCOut'](head, np.array([1500 + k % 9] * 4 + [0] * 4, np.uint16))
+            for topic, late_ns, one in ((imu, 3_000_000, message), (command, 0, u),
+                                        (out, 0, pulses)):
                 raw = store.serialize_ros1(one, topic.msgtype)
                 writer.write(topic, ns + late_ns, raw)
-    assert '/imu.orientation.pitch' in open_table(tmp_path / 'flight.bag').columns
+    assert '/mavros/imu/data.orientation.pitch' in open_table(tmp_path / 'flight.bag').columns
     imported(ColumnOptions(
         file=tmp_path / 'flight.bag', axes=('roll',), control=('/cmd.x',),
-        rate=('/imu.angular_velocity.x',),
+        rate=('/mavros/imu/data.angular_velocity.x',),
     ), tmp_path / 'bag')
     record = read_bag(tmp_path / 'bag')
     np.testing.assert_allclose(record.rates[:, 0], table['rate'], atol=1e-9)
     np.testing.assert_allclose(record.control[:, 1], table['u'], atol=1e-9)
+    log = mavros.read(tmp_path / 'flight.bag')
+    np.testing.assert_allclose(log.rates.values[:, 0], table['rate'], atol=1e-9)
+    assert {*log.motors.values[:9].mean(axis=1).round(3)} == {x / 1000 for x in range(500, 509)}
 
 
 @pytest.fixture
@@ -293,13 +303,11 @@ STILL = {**FOUR, 'rate': ('bat',), 'angle': (), 'battery': None}
         ({**FOUR, 'motors': ('m1', 'm2')}, '--mixer x: is one of 4 motors'),
         ({'rate': (), 'angle': ()}, '--rate or --angle'),
         ({'rate': ('rate', 'm1')}, 'a column for each of pitch'),
-        ({'rate': ('u',)}, 'named twice'),
-        ({'units': {'rate': 'furlong'}}, "'furlong'"),
+        ({'rate': ('u',)}, 'named twice'), ({'units': {'rate': 'furlong'}}, "'furlong'"),
         ({'units': {'u': '9'}}, 'column u'),
         ({**STILL, 'mixer': 'auto'}, 'does not show what the motors do'),
         ({**FOUR, 'units': {'m1': '4'}}, 'column m1'),
-        ({'file': Path('absent.csv')}, 'absent.csv: cannot be read'),
-    ],
+        ({'file': Path('absent.csv')}, 'absent.csv: cannot be read')],
 )
 def test_wrong_options_end_in_one_line(options, refused, change, words):
     assert words in refused(replace(options, **change))
@@ -412,13 +420,9 @@ def test_what_is_odd_is_told(tmp_path, scale, units, names, words):
     ('names', 'columns_of', 'advice'),
     [
         (MOTORS, lambda x: 1000.0 + 1000.0 * x, 'pulse_us'),
-        (MOTORS, lambda x: 48.0 + 1200.0 * x, 'dshot'),
-        (MOTORS, lambda x: 100.0 * x, 'percent'),
-        (MOTORS, lambda x: 65535.0 * x, 'pwm16'),
-        (MOTORS, lambda x: 30000.0 * (x - 0.5), None),
-        (('u',), lambda x: 1500.0 + 1000.0 * x, 'pulse_us'),
-        (('u',), lambda x: 1850.0 * x, None),
-    ],
+        (MOTORS, lambda x: 48.0 + 1200.0 * x, 'dshot'), (MOTORS, lambda x: 100.0 * x, 'percent'),
+        (MOTORS, lambda x: 65535.0 * x, 'pwm16'), (MOTORS, lambda x: 30000.0 * (x - 0.5), None),
+        (('u',), lambda x: 1500.0 + 1000.0 * x, 'pulse_us'), (('u',), lambda x: 1850.0 * x, None)],
 )
 def test_the_unit_of_a_command_that_is_advised_is_accepted(
     tmp_path, refusal, names, columns_of, advice

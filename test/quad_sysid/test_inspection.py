@@ -132,7 +132,7 @@ def test_the_page_fits_a_terminal_and_json_is_whole(bag, printed):
 
 def test_a_log_is_drawn_with_the_motor_that_the_motion_contradicts(tmp_path, refused):
     """In a table: motors 1 and 2 of the X frame exchanged, which roll and pitch tell apart."""
-    flight = flown(Airframe(X), 1, 24.0)
+    flight = flown(Airframe(X), 1, 16.0)
     rates, motors = flight['rates'], flight['motors'][:, [1, 0, 2, 3]]
     table = np.column_stack([STEP_S * np.arange(len(rates)), rates, motors])
     log, out = tmp_path / 'flight.csv', tmp_path / 'flight.html'

@@ -188,11 +188,9 @@ def test_a_mat_file_comes_back_as_flown(tmp_path, monkeypatch, printed):
 
 @pytest.mark.parametrize(('first', 'words'), [
     (b'PK\x03\x04', 'is an archive (.zip, .xlsx, …); unpack it'),
-    (b'MATLAB 7.3 MAT-file', 'save it again with -v7'),
-    (b'\x89HDF\r\n\x1a\n', 'is HDF5'),
+    (b'MATLAB 7.3 MAT-file', 'save it again with -v7'), (b'\x89HDF\r\n\x1a\n', 'is HDF5'),
     (b'version https://git-lfs.github.com/spec/v1\n', 'git lfs pull'),
-    (b'<!DOCTYPE html>\n', 'download the file itself'),
-])
+    (b'<!DOCTYPE html>\n', 'download the file itself')])
 def test_what_is_no_table_is_called_by_its_name(tmp_path, refusal, first, words):
     file = tmp_path / 'log.csv'
     file.write_bytes(first + b'\n1,2,3\n' * 50)
@@ -215,14 +213,10 @@ class Found:
 FOUND = {
     'gaps_16ms_every_240ms.csv': Found(('124 short gaps of up to 16 ms', 'faster medium'), 496),
     'ardupilot_damaged.bin': Found(('damaged:', 'no gyro measures such rates'), 66, yaw=False),
-    'ardupilot_timems.bin': Found(yaw=False),
-    'px4_frd_mcap': Found(('FRD to FLU',), yaw=False),
-    'controller_names_pose.csv': Found(rates=False),
-    'torque_roll_names.csv': Found(),
-    'header_with_commas.csv': Found(),
-    'same_names.csv': Found(('3 columns are called gyro',)),
-    'motors_signed_by_spin.csv': Found(('motor2, motor4 are negative',)),
-}
+    'ardupilot_timems.bin': Found(yaw=False), 'px4_frd_mcap': Found(('FRD to FLU',), yaw=False),
+    'controller_names_pose.csv': Found(rates=False), 'torque_roll_names.csv': Found(),
+    'header_with_commas.csv': Found(), 'same_names.csv': Found(('3 columns are called gyro',)),
+    'motors_signed_by_spin.csv': Found(('motor2, motor4 are negative',))}
 
 
 @pytest.mark.parametrize('name', FOUND)

@@ -10,8 +10,10 @@ import pytest
 from quad_sysid import cli
 from quad_sysid.bags import write_bag
 from quad_sysid.errors import BadInputError
+from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.log import ForeignLog
 from quad_sysid.logview.flown import Flown, stretches
-from quad_sysid.logview.read import look, of_record
+from quad_sysid.logview.read import look, of_log, of_record
 from quad_sysid.logview.spectrum import frames
 from quad_sysid.logview.step import responses
 from quad_sysid.loop.figures import step_figures
@@ -166,7 +168,23 @@ def test_each_set_of_gains_is_measured_by_itself():
     for part, kp in zip(found.parts, (0.04, 0.09), strict=True):
         figures = part.axes['roll'].rate_step.figures
         assert figures.rise_time_s == pytest.approx(truth(kp).rise_time_s, rel=0.03)
+    assert len(found.plot('step_by_gains').axes[0].lines) == 1 + 2
     assert np.isnan(found.whole.axes['roll'].loop.phase_margin_deg)
+
+
+def test_a_log_without_commands_is_looked_at_all_the_same(flight, seen, tmp_path):
+    """Rates, set-points and a throttle that rises through the flight."""
+    t = DT * np.arange(flight.n)
+    motors = np.tile(0.3 + 0.4 * t / t[-1], (4, 1)).T
+    found = look(of_log(ForeignLog(
+        'log', 'a log', rates=Stream(t, flight.rates), motors=Stream(t, motors),
+        rate_setpoint=Stream(t, flight.rate_setpoint))))
+    assert 'it cannot be identified: ' in found.flown.warnings[0]
+    (mine, whole) = (one.whole.axes['roll'].rate_step for one in (found, seen))
+    assert mine.figures.rise_time_s == pytest.approx(whole.figures.rise_time_s, rel=0.01)
+    low, high = found.plot('throttle').axes[0].get_xlim()
+    assert (low, high) == pytest.approx((0.3, 0.7), abs=0.03)
+    assert 'Gyro spectrum over throttle' in found.save(tmp_path / 'page.html').read_text()
 
 
 def test_gains_that_fly_for_moments_are_no_stretch():

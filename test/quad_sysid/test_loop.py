@@ -321,9 +321,7 @@ def test_a_firmware_that_adds_the_newest_rate_flies_as_the_simulation_with_half_
 @pytest.mark.parametrize('lead', [0.0, 0.5])
 def test_the_indirect_approach_takes_the_integration_that_gives_the_recorded_command(lead):
     reference = np.resize(prbs(9, 10, 0.2, 1), 4000)
-    run = simulate_polynomial_cascade(
-        A, B, GAINS, reference, SLOW_DT, angle_lead_s=lead * SLOW_DT
-    )
+    run = simulate_polynomial_cascade(A, B, GAINS, reference, SLOW_DT, angle_lead_s=lead * SLOW_DT)
     z = IOData(run.control, run.rate, SLOW_DT, r=reference)
     _, known = approaches(z, GAINS, behind_attitude=True, one_loop=True, closed=True)
     # limits aside it is the very command; the other integration is half a cycle out

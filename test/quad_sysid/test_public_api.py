@@ -94,10 +94,8 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path, refusal):
     model = quad_sysid.bj(z, 2, 2, 2, 2, 3)
     for value, words in (
         (plain_flight, 'train: prbs on roll'), (z, 'at 250 Hz in 1 segments'),
-        (model, '  D = +1 '),
-        (quad_sysid.residual_test(z, model), 'white: yes, p = '), (found, 'base (before) 0.'),
-        (result.model, 'rad/s² per unit command'),
-    ):
+        (model, '  D = +1 '), (quad_sysid.residual_test(z, model), 'white: yes, p = '),
+        (found, 'base (before) 0.'), (result.model, 'rad/s² per unit command')):
         assert words in repr(value) == str(value)
         assert len(repr(value)) < 500
     assert found.before == pytest.approx(result.errors['before'], rel=0.3)

@@ -105,9 +105,7 @@ def test_every_row_is_a_schedule_that_the_node_can_fly(springs):
 def model_with_rival(probability: float) -> AxisModel:
     names = ('gain', 'lag', 'delay', 'damping', 'bias')
     base = tuple(
-        Parameter(name, value, 0.01, '')
-        for name, value in zip(names, PAPER['roll'], strict=True)
-    )
+        Parameter(name, value, 0.01, '') for name, value in zip(names, PAPER['roll'], strict=True))
     friction = estimate_of(
         'coulomb_friction', (0.12,), std=0.01, probability=1.0 - probability,
         rivals=(('quadratic_drag', probability),),

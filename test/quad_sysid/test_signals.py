@@ -12,13 +12,10 @@ from quad_sysid.excitation_settings import load_schedule
 
 CONFIG = Path(__file__).resolve().parents[2] / 'src/quad_sysid/config'
 EXAMPLES = {
-    'prbs': {'clock_s': 0.1, 'register_bits': 5},
-    'square': {'period_s': 2.0},
+    'prbs': {'clock_s': 0.1, 'register_bits': 5}, 'square': {'period_s': 2.0},
     'chirp': {'f0_hz': 0.1, 'f1_hz': 4.0, 'sweep_s': 20.0},
-    'multisine': {'f0_hz': 0.1, 'f1_hz': 3.0, 'period_s': 20.0},
-    '3211': {'unit_s': 0.3},
-    'none': {},
-}
+    'multisine': {'f0_hz': 0.1, 'f1_hz': 3.0, 'period_s': 20.0}, '3211': {'unit_s': 0.3},
+    'none': {}}
 
 
 @pytest.mark.parametrize('bits', range(2, 16))

@@ -40,9 +40,3 @@ def few_draws(monkeypatch):
     """A design over a quarter of its draws, where their number is not the matter."""
     few = partial(ensemble.build, count=ensemble.DRAWS // 4)
     monkeypatch.setattr(ensemble, 'build', few)
-
-
-@pytest.fixture
-def quick(quick, few_draws):
-    """Besides, one search from a few points of the grid, where the optimum is not the matter."""
-    del quick, few_draws

@@ -30,9 +30,7 @@ def proposal(model, profile):
     body, firmware = profile.airframe, profile.firmware
     m = model(
         gain=float(axis_gains(body)[0]), lag=body.motors.lag_s,
-        delay=firmware.delay_cycles / firmware.rate_hz,
-        damping=body.mounts.rig.damping_per_s[0],
-    )
+        delay=firmware.delay_cycles / firmware.rate_hz, damping=body.mounts.rig.damping_per_s[0])
     return propose_lqr(replace(m, gyro_filter_hz=profile.sensors.gyro_filter_hz))
 
 

@@ -22,7 +22,7 @@ from quad_tuning import cli as tuning
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md')), ROOT / 'CONTRIBUTING.md']
-PLAN = Plan(20.0, (('train', 'prbs', 1.0, 13.0), ('validation', 'prbs', 13.5, 20.0)))
+PLAN = Plan(15.0, (('train', 'prbs', 1.0, 9.5), ('validation', 'prbs', 10.0, 15.0)))
 
 PROGRAMS = {'quad-sysid': sysid.main, 'quad-tune': tuning.main}
 STARTED_ELSEWHERE = {

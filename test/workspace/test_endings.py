@@ -14,9 +14,7 @@ NODES = {*PROGRAMS} - {'virtual_stm32', 'main'}
 ONE_OF_EACH = ('serial_bridge', 'excitation', 'virtual_stm32')
 """The nodes of a package begin by the same lines."""
 PARAMETERS = {
-    'serial_bridge': {'port': 'tty', 'state_folder': 'state'},
-    'bag_logger': {'autostart': True},
-}
+    'serial_bridge': {'port': 'tty', 'state_folder': 'state'}, 'bag_logger': {'autostart': True}}
 INTERRUPT_AT_IMPORT = """
 import importlib.abc, os, sys
 class Interrupt(importlib.abc.MetaPathFinder):

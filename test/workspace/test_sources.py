@@ -95,13 +95,10 @@ def test_maths_calls_nothing_that_touches_files() -> None:
 
 def test_what_both_packages_share_is_linked_and_knows_neither() -> None:
     for shared, link in (
-        ('log/stored', SYSID / 'bags/stored'),
-        ('craft.py', SYSID / 'craft.py'),
-        ('topics.py', SYSID / 'topics.py'),
-        ('one_line.py', SYSID / 'one_line.py'),
+        ('log/stored', SYSID / 'bags/stored'), ('craft.py', SYSID / 'craft.py'),
+        ('topics.py', SYSID / 'topics.py'), ('one_line.py', SYSID / 'one_line.py'),
         ('autopilots/table.py', SYSID / 'autopilot_table.py'),
-        ('gains/table.py', TUNING / 'gain_table.py'),
-    ):
+        ('gains/table.py', TUNING / 'gain_table.py')):
         source = BRIDGE / shared
         assert link.resolve() == source
         for path, _, imports, _ in modules(source):

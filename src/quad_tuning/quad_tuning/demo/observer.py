@@ -63,6 +63,11 @@ class Observer:
         self._node.destroy_node()
         try_shutdown(context=self._context)
 
+    @property
+    def nodes(self) -> list[str]:
+        """Names of the nodes that are there."""
+        return list(self._node.get_node_names())
+
     def count_imu(self, on: bool) -> None:
         """Listen to /imu/data only while its arrival is the question; it costs CPU."""
         if on and self._imu is None:

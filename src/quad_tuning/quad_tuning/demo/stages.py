@@ -14,7 +14,7 @@ from typing import Any
 
 from quad_sysid.excitation_settings import load_schedule
 from quad_tuning.demo.observer import Observer
-from quad_tuning.demo.processes import Crew, StageFailedError, executable
+from quad_tuning.demo.processes import Child, Crew, StageFailedError, executable
 from quad_tuning.history import changed
 
 CONNECT_S, START_S, CLOSE_S, ACKNOWLEDGE_S, IDENTIFY_S = 40.0, 20.0, 20.0, 60.0, 600.0
@@ -80,6 +80,16 @@ class Campaign:
 
         self.observer.wait_for(stage, what, condition, timeout_s, meanwhile)
 
+    def start_node(self, stage: str, package: str, name: str, settings: Mapping[str, object], *,
+                   called: str = '') -> Child:
+        """Start a node; in lockstep nobody flies on until it is there."""
+        self.crew.clock.hold()
+        child = self.crew.start_node(package, name, settings, called=called)
+        if self.crew.lockstep:
+            self.wait(stage, f'node {name}', lambda: name in self.observer.nodes, CONNECT_S)
+        self.crew.clock.release()
+        return child
+
 
 @dataclass(frozen=True)
 class Flight:
@@ -96,9 +106,9 @@ def connect(campaign: Campaign, aircraft: Aircraft) -> None:
     campaign.crew.start('virtual_stm32', aircraft.command(link, campaign.crew.socket))
     campaign.wait('connect', 'pseudo-terminal of the virtual STM32', link.exists, CONNECT_S)
     settings = {'port': str(link), 'state_folder': str(campaign.folder / 'aircraft')}
-    campaign.crew.start_node('quad_bridge', 'serial_bridge', settings)
-    campaign.crew.start_node('quad_bridge', 'bag_logger',
-                             {'folder': str(campaign.folder), 'prefix': 'flight'})
+    campaign.start_node('connect', 'quad_bridge', 'serial_bridge', settings)
+    campaign.start_node('connect', 'quad_bridge', 'bag_logger',
+                        {'folder': str(campaign.folder), 'prefix': 'flight'})
     observer = campaign.observer
     observer.count_imu(on=True)
     campaign.wait('connect', '/imu/data', lambda: observer.imu_count > 250 * STREAM_S, CONNECT_S)
@@ -120,8 +130,8 @@ def fly(campaign: Campaign, name: str, schedule: Path) -> Flight:
     settings = {'schedule': str(schedule), 'autostart': True, 'exit_when_done': True}
     if not campaign.crew.lockstep:
         settings['imu_stale_s'] = STALE_S
-    child = campaign.crew.start_node('quad_sysid', 'excitation', settings,
-                                     called=f'{name}_excitation')
+    child = campaign.start_node(name, 'quad_sysid', 'excitation', settings,
+                                called=f'{name}_excitation')
     child.may_end = True
     campaign.wait(name, 'end of the schedule', lambda: child.ended, planned + START_S)
     seconds = campaign.crew.clock.now_s() - began_s
@@ -133,7 +143,7 @@ def start_identification(campaign: Campaign, *, auto_update: bool, axes: Sequenc
     """Start the node that waits for a complete bag and writes the report."""
     settings = {'out': str(campaign.folder / 'report'), 'auto_update': auto_update,
                 'axes': list(axes), 'folder': str(campaign.folder)}
-    campaign.crew.start_node('quad_sysid', 'identification', settings)
+    campaign.start_node('identify', 'quad_sysid', 'identification', settings)
     # gains are sent only for a recording that it has seen begin
     campaign.wait('identify', f'diagnostics of {IDENTIFICATION}',
                   lambda: IDENTIFICATION in campaign.observer.diagnostics, CONNECT_S)
