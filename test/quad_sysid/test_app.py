@@ -170,7 +170,7 @@ def test_menus_become_options_and_earlier_jobs_say_how_long_one_takes(tmp_path):
               ['b', 'motor 2', ''], ['a', 'motor 1', ''], ['q', 'angle, yaw', '']]
     assert named_columns(chosen) == [
         '--axis', 'roll', '--time', 't', '--rate=-p', '--motors', 'a,b', '--mixer', 'auto',
-        '--unit=t=ms']
+        '--unit', 't=ms']
     (tmp_path / 'flight.csv').write_bytes(bytes(1000))
     for number, seconds in ((1, 2.0), (2, 4.0), (3, 30.0)):
         (tmp_path / f'{number}').mkdir()

@@ -15,7 +15,6 @@ import struct
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -98,7 +97,9 @@ def read(path: Path, log: int = 1) -> ForeignLog:
                 'log the gyro (blackbox_disable_gyro = OFF)'))
     clock_unit = unit_of('time', 's' if units.get('time') == 's' else 'us', 'time')
     table = table.on_clock('time', clock_unit)
-    table = _possible(table, _rate_unit(table, units.get('gyroADC[0]', '')))
+    gyro, scale = _several('gyroADC', 3), _rate_unit(table, units.get('gyroADC[0]', ''))
+    table = table.without(np.any(  # as damaged frames hold them
+        [np.abs(table.columns[n]) * scale > FASTEST_RAD_S for n in gyro], axis=0), gyro, 'frames')
     indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
         'u[0]' in table.columns
     signals = _signals(table, units, indi=indi)
@@ -171,17 +172,6 @@ def _is_phase(phase: Stream) -> bool:
     values = phase.values[:, 0]
     return bool(values.min() >= 0.0 and values.max() <= 2.0 * np.pi * PHASE + 1.0
                 and values.max() > np.pi * PHASE)
-
-
-def _possible(table: Table, scale: float) -> Table:
-    """The table without rates that no gyro measures, as damaged frames hold them; it says so."""
-    names = _several('gyroADC', 3)
-    wrong = np.any([np.abs(table.columns[name]) * scale > FASTEST_RAD_S for name in names], axis=0)
-    if not wrong.any():
-        return table
-    line = f'{int(wrong.sum())} of {wrong.size} frames left out: no gyro measures such rates'
-    return replace(table, notes=(*table.notes, line), columns={
-        **table.columns, **{n: np.where(wrong, np.nan, table.columns[n]) for n in names}})
 
 
 def _several(name: str, count: int) -> tuple[str, ...]:

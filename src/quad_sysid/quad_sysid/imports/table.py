@@ -29,7 +29,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
 from quad_sysid.imports.clock import Stream, draw, unroll
 from quad_sysid.imports.crazyflie_sd import SD_MAGIC, sd_card
-from quad_sysid.imports.delimited import read_text_table
+from quad_sysid.imports.delimited import no_column, read_text_table
 from quad_sysid.imports.matlab import read_mat
 from quad_sysid.imports.rosbag import read_messages
 from quad_sysid.imports.units import Unit
@@ -128,6 +128,14 @@ class Table:
             return Stream(times, values) if len(times) > 1 else None
         return Stream(times[is_finite], values[is_finite]) if is_finite.sum() > 1 else None
 
+    def without(self, wrong: np.ndarray, names: Iterable[str], what: str) -> Table:
+        """Without the numbers of these columns in rows whose rates cannot be, which it says."""
+        if not wrong.any():
+            return self
+        note = f'{int(wrong.sum())} of {wrong.size} {what} left out: no gyro measures such rates'
+        clean = {name: np.where(wrong, np.nan, self.columns[name]) for name in names}
+        return replace(self, columns={**self.columns, **clean}, notes=(*self.notes, note))
+
     def _in_order(self, name: str) -> Stream:
         times = self.times[name]
         if (np.diff(times) > 0.0).all():
@@ -186,7 +194,7 @@ def open_table(
     named = [table.aliases.get(name, name) for name in names]
     absent = [name for name, own in zip(names, named, strict=True) if own not in table.columns]
     if absent:
-        raise _absent(str(path), absent, list(table.columns))
+        raise no_column(str(path), absent, list(table.columns))
     return replace(table, columns={name: table.columns[name] for name in dict.fromkeys(named)})
 
 
@@ -249,11 +257,6 @@ def is_ours(path: Path) -> bool:
     except BadInputError:
         return False
     return True
-
-
-def _absent(source: str, absent: Sequence[str], names: Sequence[str]) -> BadInputError:
-    return BadInputError(source, f'no column {", ".join(absent)}', ', '.join(names),
-                         'name a column of the file')
 
 
 def head_of(path: Path) -> bytes:

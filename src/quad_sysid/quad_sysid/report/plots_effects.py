@@ -80,7 +80,7 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
         x, y = scale(units, *shape.over), scale(answer.units, *shape.label)
         weights = missing_torque.weight(replay, part)
         if weights is not None:
-            points = missing_torque.binned(missing_torque.variable(replay, part),
+            points = missing_torque.binned(missing_torque.over(replay, part).values,
                                            replay.added(index) + rest, findings.problem.spans,
                                            findings.data.dt, 25, weights)
             if points is not None:
