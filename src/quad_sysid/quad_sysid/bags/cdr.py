@@ -14,18 +14,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count, islice, repeat
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.record import finite_runs
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
 
 LITTLE_ENDIAN = b'\x00\x01'
 _DTYPES = {'bool': '|b1', 'byte': '|u1', 'char': '|u1', 'uint8': '|u1', 'int8': '|i1',

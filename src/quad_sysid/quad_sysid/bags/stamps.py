@@ -6,15 +6,12 @@ Pure array maths on nanoseconds. Repairs are reported as warnings; no sample is 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-
-if TYPE_CHECKING:
-    from quad_sysid.contract import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 

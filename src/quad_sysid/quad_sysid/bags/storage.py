@@ -10,10 +10,10 @@ import mmap
 import re
 import sqlite3
 from collections import Counter
+from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import yaml
 
@@ -32,9 +32,6 @@ from quad_sysid.bags.stored.scan import BATCH, McapScan
 from quad_sysid.contract import STORAGE, TOPIC_TYPES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
 
 RECOVER = '`ros2 run quad_bridge recover` may find more'
 Batch = dict[str, list[bytes]]

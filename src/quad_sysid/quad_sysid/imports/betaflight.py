@@ -27,15 +27,8 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
 from quad_sysid.imports.betaflight_gains import PIDSUM, Adjustment, changes, tuning
 from quad_sysid.imports.clock import Stream
-from quad_sysid.imports.log import (
-    DEGREE,
-    RPM,
-    Experiment,
-    ForeignLog,
-    Mapped,
-    Reading,
-    Signal,
-)
+from quad_sysid.imports.experiments import apart
+from quad_sysid.imports.log import DEGREE, RPM, Experiment, ForeignLog, Mapped, Reading, Signal
 from quad_sysid.imports.mixers import MIRROR, ned_angles
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
@@ -71,7 +64,6 @@ INTRA = 'I'
 """Type of a frame that holds whole values, not differences."""
 PHASE = 5000.0
 """Betaflight's debug[0] per radian of the chirp's phase, in debug mode CHIRP."""
-CHIRP_GAP_S = 1.0
 FASTER = 'set blackbox_sample_rate (before 4.3 blackbox_p_ratio) to log 500 Hz or more'
 NO_GAINS = (
     "the controller's gains in a header of Betaflight or INAV: no closed loop, no gain design "
@@ -150,7 +142,7 @@ def _chirps(reading: Reading) -> Iterator[Experiment]:
             any(name.startswith('chirp_amplitude') for name in fields) and _is_phase(phase)):
         return
     on = np.flatnonzero(phase.values[:, 0] > 0.0)
-    for rows in np.split(on, np.flatnonzero(np.diff(phase.time_s[on]) > CHIRP_GAP_S) + 1):
+    for rows in apart(on, phase.time_s):
         if rows.size < FEWEST:
             continue
         times, angle = phase.time_s[rows], phase.values[rows, 0] / PHASE

@@ -143,10 +143,8 @@ def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
         return [f'{rate.name} and the change of {angle.name} disagree {loose}: {alone}']
     _refuse(rate, angle, factor)
     if not 1.0 / ABSURD < abs(factor) < ABSURD:
-        raise BadInputError(
-            rate.where, f'{angle.name} moves {factor:.3g} times as far as {rate.name} says',
-            f'{rate.name} in {rate.unit.name}, {angle.name} in {angle.unit.name}',
-            f'name the true unit of one, such as {rate.advise(rate.unit.factor * factor)}')
+        raise _apart(rate, rate, angle, factor, 'name the true unit of one, such as '
+                     f'{rate.advise(rate.unit.factor * factor)}')
     if abs(factor - 1.0) > TOLERATED:
         advice = f'if the rate is at fault, {rate.advise(rate.unit.factor * factor)}'
         return [f'{angle.name} changes by {factor:.3g} times what {rate.name} gives: {advice}']
@@ -248,10 +246,8 @@ def _refuse(first: Column, angle: Column, factor: float) -> None:
         remedy = 'one of them turns against forward-left-up'
     elif _near(factor, DEGREE**2, DEGREE**-2):
         large, small = (angle, first) if abs(factor) > 1.0 else (first, angle)
-        raise BadInputError(
-            large.where, f'{angle.name} moves {factor:.3g} times as far as {first.name} says',
-            f'{first.name} in {first.unit.name}, {angle.name} in {angle.unit.name}',
-            f'name both units: {large.advise(large.degrees)} {small.advise(small.radians)}')
+        raise _apart(large, first, angle, factor, 'name both units: '
+                     f'{large.advise(large.degrees)} {small.advise(small.radians)}')
     elif _near(factor, DEGREE, 1.0 / DEGREE):
         large, small = (angle, first) if abs(factor) > 1.0 else (first, angle)
         degrees, radians = (large.degrees, small.radians) if factor > 0.0 else (-DEGREE, -1.0)
@@ -262,8 +258,12 @@ def _refuse(first: Column, angle: Column, factor: float) -> None:
     else:
         return
     blamed = next((column for column, _ in ways if not column.named), ways[0][0])
-    raise BadInputError(
+    raise _apart(blamed, first, angle, factor,
+                 f'{remedy}: {", or ".join(column.advise(unit) for column, unit in ways)}')
+
+
+def _apart(blamed: Column, first: Column, angle: Column, factor: float,
+           remedy: str) -> BadInputError:
+    return BadInputError(
         blamed.where, f'{angle.name} moves {factor:.3g} times as far as {first.name} says',
-        f'{first.name} in {first.unit.name}, {angle.name} in {angle.unit.name}',
-        f'{remedy}: {", or ".join(column.advise(unit) for column, unit in ways)}',
-    )
+        f'{first.name} in {first.unit.name}, {angle.name} in {angle.unit.name}', remedy)

@@ -19,29 +19,16 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.foresight import drawn_hz
-from quad_sysid.imports.clock import (
-    EPOCH_S,
-    Cycles,
-    Stream,
-    cycles,
-    drawn_on,
-    held_on,
-    hold,
-    mean_of_next_cycle,
-)
+from quad_sysid.imports import clock
+from quad_sysid.imports.clock import Cycles, Stream
 from quad_sysid.imports.experiments import with_experiments
 from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.mixers import Mixer, chosen, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
 from quad_sysid.imports.stretches import summary as stretches_summary
-from quad_sysid.motor_layout import (
-    Pattern,
-    commands_of,
-    doubts,
-    opposite,
-    patterns_of,
-)
+from quad_sysid.motion import turned
+from quad_sysid.motor_layout import Pattern, commands_of, doubts, opposite, patterns_of
 from quad_sysid.record import SHORT_GAP_S, GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
@@ -109,7 +96,7 @@ def record_of(
         raise BadInputError(log.source, 'has too few samples of the body rates',
                             0 if base is None else len(base.time_s),
                             f'at least {MIN_SAMPLES} are needed; log longer')
-    grid = cycles(base, log.source, grid_hz)
+    grid = clock.cycles(base, log.source, grid_hz)
     faster = f' ({log.faster})' if log.faster else ''
     notes, warnings = [*log.clock, *grid.notes], list(log.warnings)
     gains = dict(log.gains)
@@ -137,15 +124,15 @@ def record_of(
     if log.kind == 'a table':  # a row is whole or a gap
         is_lost = np.asarray(np.isnan(control).any(axis=1))
         rates = np.where(is_lost[:, None], np.nan, rates)
-    start = grid.times[0] if grid.times[0] > EPOCH_S else 1.0
+    start = grid.times[0] if grid.times[0] > clock.EPOCH_S else 1.0
     record = Record(
         source=log.source, dt=grid.dt, t0_ns=round(start * 1e9),
         rates=rates, control=control, wrench=None if motors is not None else control,
         motors=motors, craft=craft, speeds=_speeds(log, grid, motors),
         desaturation='clip' if motors is not None else 'none', angles=angles,
-        acceleration=drawn_on(log.acceleration, grid.times),
-        attitude_setpoint=held_on(log.attitude_setpoint, grid.times, grid.dt),
-        rate_setpoint=held_on(log.rate_setpoint, grid.times, grid.dt),
+        acceleration=clock.drawn_on(log.acceleration, grid.times),
+        attitude_setpoint=clock.held_on(log.attitude_setpoint, grid.times, grid.dt),
+        rate_setpoint=clock.held_on(log.rate_setpoint, grid.times, grid.dt),
         battery_v=volts_on(log.battery, grid.times), **_moved(log, grid, angles),
         gains=(GainChange(0.0, gains),) if gains else (),
     )
@@ -178,7 +165,7 @@ def _motion(
     log: ForeignLog, grid: Cycles, gains: dict[str, float], notes: list[str], warnings: list[str]
 ) -> tuple[FloatArray, FloatArray | None]:
     """Rates (n, 3) and angles (n, 3); those that contradict the rates are left out."""
-    angles = drawn_on(log.angles, grid.times)
+    angles = clock.drawn_on(log.angles, grid.times)
     if log.rates is None:
         rates, how = _derivative(grid.values, grid.dt)
         gains['sensor.rate_from_angle_s'] = DERIVATIVE_HALF_WIDTH_S
@@ -258,8 +245,8 @@ def _by_motion(
 
 def _held(stream: Stream, grid: Cycles) -> FloatArray:
     if grid.own:
-        return hold(stream, grid.times, grid.dt)
-    return mean_of_next_cycle(stream, grid.times, grid.dt)
+        return clock.hold(stream, grid.times, grid.dt)
+    return clock.mean_of_next_cycle(stream, grid.times, grid.dt)
 
 
 def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatArray | None:
@@ -277,10 +264,7 @@ def _moved(log: ForeignLog, grid: Cycles, angles: FloatArray | None) -> dict[str
         velocity = Stream(position.time_s, np.asarray(slope))
     if velocity is None or angles is None or len(velocity.time_s) < 2:
         return {}
-    world = _in_cells(velocity, grid)
-    x, y = world[:, 0], world[:, 1]
-    c, s = np.cos(angles[:, 2]), np.sin(angles[:, 2])
-    out = {'velocity': np.column_stack([c * x + s * y, c * y - s * x, world[:, 2]])}
+    out = {'velocity': turned(_in_cells(velocity, grid), -angles[:, 2])}
     if position is not None:
         out['altitude'] = _in_cells(position, grid)[:, 2]
     return out

@@ -14,13 +14,7 @@ from quad_sysid.discover.accept import Horizon
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.errors import BadInputError
 from quad_sysid.model import AxisModel, EffectEstimate, GainProposal, NoiseEstimate, Parameter
-from quad_sysid.pipeline.answer import (
-    AxisAnswer,
-    Findings,
-    ModelRow,
-    Residual,
-    Selection,
-)
+from quad_sysid.pipeline.answer import AxisAnswer, Findings, ModelRow, Residual, Selection
 from quad_sysid.record import Segment
 from quad_sysid.units import Units, in_units_of, shown_in
 from quad_sysid.whole import Whole
