@@ -34,10 +34,8 @@ class AutopilotAircraft(Aircraft):
 
     gains: ParameterGains
 
-    def __init__(
-        self, kind: Kind, system: int, *, allow_gains: bool, allow_excitation: bool,
-        now_s: Callable[[], float],
-    ) -> None:  # fmt: skip
+    def __init__(self, kind: Kind, system: int, *, allow_gains: bool, allow_excitation: bool,
+                 now_s: Callable[[], float]) -> None:
         self.kind, self.flight = kind, FlightState()
         self.gains = ParameterGains(kind.table, bytewise=kind.bytewise)
         self.gains.units = self._units
@@ -195,10 +193,8 @@ class AutopilotAircraft(Aircraft):
 class Connected:
     """The aircraft on the line, whichever it is: ours until a heartbeat says otherwise."""
 
-    def __init__(
-        self, standard: Callable[[], str], now_s: Callable[[], float],
-        *, allow_gains: bool, allow_excitation: bool,
-    ) -> None:  # fmt: skip
+    def __init__(self, standard: Callable[[], str], now_s: Callable[[], float],
+                 *, allow_gains: bool, allow_excitation: bool) -> None:
         self._quad = Quad(standard)
         self.aircraft: Aircraft = self._quad
         self.autopilot: AutopilotAircraft | None = None

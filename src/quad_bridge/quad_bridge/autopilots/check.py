@@ -80,7 +80,7 @@ class _Listener:
     def __init__(self, port: str, baud: int) -> None:
         self.link = Link(baud=None if '://' in port else baud)
         self.connected = Connected(lambda: '', clock().now_s, allow_gains=False,
-                                   allow_excitation=False)  # fmt: skip
+                                   allow_excitation=False)
         self.connected.on_change = self._on_change
         self.craft = 'a craft that it does not describe'
         self._lock = threading.Lock()
@@ -98,7 +98,7 @@ class _Listener:
                     self._take(event.frame, now_ns)
                 elif isinstance(event, Described):
                     outputs = motor_outputs(event.peer.autopilot, self.link.name,
-                                            event.parameters)  # fmt: skip
+                                            event.parameters)
                     if outputs.craft is not None and self.connected.autopilot is not None:
                         self.craft = outputs.craft.name
                         self.connected.autopilot.craft = outputs.craft

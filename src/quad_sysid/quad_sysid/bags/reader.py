@@ -155,10 +155,8 @@ def _read(path: Path) -> _Content:
                                  np.concatenate([p.values for p in pieces]),
                                  sum(p.spoiled for p in pieces))
         if streams[topic].spoiled:
-            warnings.append(
-                f'{topic}: {streams[topic].spoiled} messages cannot be read as '
-                f'{TOPIC_TYPES[topic]} of the contract; left out'
-            )
+            warnings.append(f'{topic}: {streams[topic].spoiled} messages cannot be read as '
+                            f'{TOPIC_TYPES[topic]} of the contract; left out')
     with_rates = {TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/'), PX4_RATES}
     rates = [name for name, kind in sorted(storage.others.items())
              if kind.replace('/msg/', '/') in with_rates]

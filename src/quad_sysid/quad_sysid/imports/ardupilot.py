@@ -111,11 +111,9 @@ def read(path: Path) -> ForeignLog:
     reading = Reading(table)
     reading.take(CONTROL_RATES if first else GYRO, *SIGNALS)
     if 'rates' not in reading.streams:
-        raise BadInputError(
-            table.source, 'holds no RATE and no IMU messages',
-            table.messages or 'no message of use',
-            'set LOG_BITMASK to log fast attitude (bit 0) and log again',
-        )
+        raise BadInputError(table.source, 'holds no RATE and no IMU messages',
+                            table.messages or 'no message of use',
+                            'set LOG_BITMASK to log fast attitude (bit 0) and log again')
     _climb(reading)
     crafts, gains, warnings = _input(reading)
     return reading.log('an ArduPilot log', SIGNALS, crafts=crafts, armed=_armed(table),

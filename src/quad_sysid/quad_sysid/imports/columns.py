@@ -167,9 +167,7 @@ def _unsigned(options: ColumnOptions, table: Table) -> Table:
         **table.columns, **{name: -columns[name] for name in turned}})
 
 
-def _limited(
-    options: ColumnOptions, units: Mapping[str, Unit], table: Table
-) -> Iterator[str]:
+def _limited(options: ColumnOptions, units: Mapping[str, Unit], table: Table) -> Iterator[str]:
     """Say of pulses beyond their range that they are limited to it (_stream does)."""
     for option in ('motors', 'control'):
         low, high = OPTIONS[option].span or (-np.inf, np.inf)
@@ -349,10 +347,8 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:  # noqa: C901 - one check
         raise BadInputError('--axis', 'is not an axis', ','.join(options.axes) or None,
                             f'use {", ".join(AXES)}, several by commas, or all')
     if bool(options.control) == bool(options.motors):
-        raise BadInputError(
-            'import', 'needs exactly one of --control and --motors',
-            remedy='the input of the model comes from one of them',
-        )
+        raise BadInputError('import', 'needs exactly one of --control and --motors',
+                            remedy='the input of the model comes from one of them')
     if options.motors and not 2 <= len(options.motors) <= 8:
         raise BadInputError('--motors', 'needs the columns of all motors, 4, 6 or 8',
                             ','.join(options.motors), 'separate them by commas')
@@ -377,16 +373,12 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:  # noqa: C901 - one check
             roles[name] = what.role
     strange = [name for name in options.units if name not in roles]
     if strange:
-        raise BadInputError(
-            '--unit', 'names a column that is not imported', ', '.join(strange),
-            f'imported are {", ".join(roles)}',
-        )
+        raise BadInputError('--unit', 'names a column that is not imported', ', '.join(strange),
+                            f'imported are {", ".join(roles)}')
     return roles
 
 
-def _check_ranges(
-    options: ColumnOptions, table: Table, units: Mapping[str, Unit]
-) -> None:
+def _check_ranges(options: ColumnOptions, table: Table, units: Mapping[str, Unit]) -> None:
     """Raise BadInputError at the first row that is outside the normalised range."""
     for option, name in ((key, n) for key in OPTIONS for n in options.names(key)):
         low, high = OPTIONS[option].span or (-np.inf, np.inf)
@@ -420,10 +412,8 @@ def _fitting(raw: FloatArray, low: float, high: float) -> str:
     return f'{factor:g}:{low - factor * bottom:.6g}'
 
 
-def _column(
-    options: ColumnOptions, units: Mapping[str, Unit], name: str, values: FloatArray,
-    degrees: str = 'deg',
-) -> Column:
+def _column(options: ColumnOptions, units: Mapping[str, Unit], name: str, values: FloatArray,
+            degrees: str = 'deg') -> Column:
     unit = units[name]
     named = name in options.units or header_unit(name) is not None
     return Column(str(options.file), name, unit, named, values, degrees)

@@ -264,10 +264,8 @@ def _rows(
         yield numbers, list(split(line for _, line in part))
 
 
-def _block(
-    rows: Sequence[Sequence[str]], numbers: NDArray[np.int64], places: Sequence[int],
-    named: Sequence[str] | None, source: str,
-) -> FloatArray:
+def _block(rows: Sequence[Sequence[str]], numbers: NDArray[np.int64], places: Sequence[int],
+           named: Sequence[str] | None, source: str) -> FloatArray:
     """(k, n) the numbers at `places` of n rows; text in a column that was named is an error."""
     out = np.full((len(places), len(rows)), np.nan)
     last = max(places)

@@ -220,9 +220,7 @@ def _near(factor: float, *wanted: float) -> bool:
     return any(abs(math.log(abs(factor) / value)) < NEAR for value in wanted)
 
 
-def _over_windows(
-    rate: FloatArray, angle: FloatArray, dt: float
-) -> tuple[FloatArray, FloatArray]:
+def _over_windows(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
     """Integral of the rate and change of the angle over whole windows, (k,) each.
 
     Windows with missing rows or a jump of the angle (it may wrap) are left out.

@@ -185,11 +185,9 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         return (crafts, _gains(table, scale),
                 [] if scale else [note])
     if torque is None:
-        raise BadInputError(
-            table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
-            'actuator_controls_0', table.messages,
-            f'{FASTER}; then log again',
-        )
+        raise BadInputError(table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
+                            'actuator_controls_0', table.messages,
+                            f'{FASTER}; then log again')
     reading.put(Signal(
         'control', old if old[0] in table.columns else new, '-1..1',
         "as it is, pitch and yaw turned; U is in the unit of PX4's torque set-point",

@@ -134,12 +134,10 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
     for i, piece in enumerate(pieces):
         lost_share = 1.0 - float(is_finite[piece].mean())
         stuck = 0.0 if motors is None else float(motors_at_limit(motors[piece]).any(axis=1).mean())
-        out.append(
-            'gap' if lost_share > MAX_LOST else
-            'ground' if not flying[piece].mean() >= 1.0 - MAX_LOST else
-            'saturated' if stuck > MAX_AT_LIMIT else
-            'still' if still[0][i] or still[1][i] else ''
-        )
+        out.append('gap' if lost_share > MAX_LOST else
+                   'ground' if not flying[piece].mean() >= 1.0 - MAX_LOST else
+                   'saturated' if stuck > MAX_AT_LIMIT else
+                   'still' if still[0][i] or still[1][i] else '')
     return out
 
 

@@ -147,10 +147,8 @@ class Table:
     def complain(self, row: int, column: str, what: str, remedy: str) -> BadInputError:
         """An error that names file, line and column."""
         line = f', line {self.lines[row]}' if len(self.lines) else ''
-        return BadInputError(
-            f'{self.source}{line}, column {column}', what,
-            f'{self.columns[column][row]:.10g}', remedy,
-        )
+        return BadInputError(f'{self.source}{line}, column {column}', what,
+                             f'{self.columns[column][row]:.10g}', remedy)
 
 
 def _at(stream: Stream, times: FloatArray) -> FloatArray:

@@ -125,17 +125,15 @@ def record_of(
         is_lost = np.asarray(np.isnan(control).any(axis=1))
         rates = np.where(is_lost[:, None], np.nan, rates)
     start = grid.times[0] if grid.times[0] > clock.EPOCH_S else 1.0
-    record = Record(
-        source=log.source, dt=grid.dt, t0_ns=round(start * 1e9),
-        rates=rates, control=control, wrench=None if motors is not None else control,
-        motors=motors, craft=craft, speeds=_speeds(log, grid, motors),
-        desaturation='clip' if motors is not None else 'none', angles=angles,
-        acceleration=clock.drawn_on(log.acceleration, grid.times),
-        attitude_setpoint=clock.held_on(log.attitude_setpoint, grid.times, grid.dt),
-        rate_setpoint=clock.held_on(log.rate_setpoint, grid.times, grid.dt),
-        battery_v=volts_on(log.battery, grid.times), **_moved(log, grid, angles),
-        gains=(GainChange(0.0, gains),) if gains else (),
-    )
+    record = Record(source=log.source, dt=grid.dt, t0_ns=round(start * 1e9),
+                    rates=rates, control=control, wrench=None if motors is not None else control,
+                    motors=motors, craft=craft, speeds=_speeds(log, grid, motors),
+                    desaturation='clip' if motors is not None else 'none', angles=angles,
+                    acceleration=clock.drawn_on(log.acceleration, grid.times),
+                    attitude_setpoint=clock.held_on(log.attitude_setpoint, grid.times, grid.dt),
+                    rate_setpoint=clock.held_on(log.rate_setpoint, grid.times, grid.dt),
+                    battery_v=volts_on(log.battery, grid.times), **_moved(log, grid, angles),
+                    gains=(GainChange(0.0, gains),) if gains else ())
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together',
                             remedy='log both during the same flight')
@@ -210,10 +208,8 @@ def _commands(
     return craft.control(motors), motors, craft
 
 
-def _armed(
-    log: ForeignLog, grid: Cycles, control: FloatArray, motors: FloatArray | None,
-    warnings: list[str],
-) -> tuple[FloatArray, FloatArray | None]:
+def _armed(log: ForeignLog, grid: Cycles, control: FloatArray, motors: FloatArray | None,
+           warnings: list[str]) -> tuple[FloatArray, FloatArray | None]:
     """Commands as they reach the motors: none while disarmed, whatever was demanded."""
     if log.armed is None:
         return control, motors
