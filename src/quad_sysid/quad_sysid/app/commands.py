@@ -72,15 +72,6 @@ def _look(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
     return f'look at {title}', SYSID, ['look', *map(str, paths), '--out', '@look.html']
 
 
-def _inspect(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
-    return f'inspect {paths[0].name}', SYSID, [
-        'inspect', str(paths[0]), '--out', '@inspect.html']
-
-
-def _columns(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
-    return f'columns of {paths[0].name}', SYSID, ['import', str(paths[0]), '--json']
-
-
 def _import(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
     columns = named_columns(request.get('columns'))
     if not columns and not is_bag(paths[0]):
@@ -155,8 +146,12 @@ def _schedule(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> 
 
 
 KINDS: dict[str, Callable[[Free, Sequence[Path], Mapping[str, Any]], Command]] = {
-    'look': _look, 'inspect': _inspect, 'columns': _columns, 'import': _import,
-    'identify': _identify, 'compare': _compare, 'export': _export, 'schedule': _schedule,
+    'look': _look, 'import': _import, 'identify': _identify, 'compare': _compare,
+    'export': _export, 'schedule': _schedule,
+    'inspect': lambda _, paths, __: (f'inspect {paths[0].name}', SYSID, [
+        'inspect', str(paths[0]), '--out', '@inspect.html']),
+    'columns': lambda _, paths, __: (f'columns of {paths[0].name}', SYSID, [
+        'import', str(paths[0]), '--json']),
 }
 OF_SEVERAL = ('look', 'identify', 'compare')
 """Those that take several files at once."""
