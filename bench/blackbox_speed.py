@@ -113,7 +113,7 @@ def identify_seconds(bag: str) -> dict[str, float | str]:
 
 
 def ratios(result: dict[str, float | str]) -> dict[str, float]:
-    """How many times faster than each peer, and than the plain fits."""
+    """Speed relative to each peer, and to the plain fits."""
     found = {'lstsq_1000 / search_1000_arx': result['lstsq_1000'] / result['search_1000_arx']}
     for name, value in result.items():
         peer, _, ours = name.partition('_')

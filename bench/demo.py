@@ -49,7 +49,7 @@ def flown(seed: int) -> Flight:
 
 
 def answered(seed: int) -> dict[str, Any]:
-    """What the analysis says of one flight."""
+    """The analysis' answer to one flight."""
     record = record_of(flown(seed))
     began = time.process_time()
     with threadpool_limits(limits=1):

@@ -89,7 +89,7 @@ def _by_command(
 
 
 def opened(sealed: Path, answers: Path) -> list[judge_of.Row]:
-    """Answers and seals put together: from here on it is known what was planted."""
+    """Answers and sealed scenarios as rows, which thereby contain what was planted."""
     seals = {row['number']: row for row in map(json.loads, sealed.read_text().splitlines())}
     rows = [json.loads(line) for line in answers.read_text().splitlines()]
     return [{**seals[row['number']], **row} for row in sorted(rows, key=lambda r: r['number'])]

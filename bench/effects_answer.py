@@ -70,7 +70,7 @@ def searched(record: Record, axis: str, effects: Sequence[Effect]) -> Findings:
 
 
 def answered_by_command(scenario: scenarios.Scenario, folder: Path) -> Row:
-    """The same through a bag, `quad-sysid identify` and `quad-sysid evaluate`, as a user would."""
+    """The answer by a bag and the commands `identify` and `evaluate`, as a user gets it."""
     folder.mkdir(parents=True, exist_ok=True)
     bags = [folder / 'flight', folder / 'unseen']
     for bag, unseen in zip(bags, (False, True), strict=True):

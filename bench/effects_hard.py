@@ -38,12 +38,12 @@ STEP_S = 0.004
 EXCITED = 0.32
 """Density of the acceleration that the PRBS asks for at 0.3 Hz, (rad/s²)/√Hz."""
 STEPS = (0.0, 0.00106, 0.0043, 0.01745)
-"""Of quantised rates, rad/s: 1/16 to 1 degree a second."""
+"""Steps of quantised rates, rad/s: 1/16 to 1 degree a second."""
 
 
 @dataclass(frozen=True)
 class Hardship:
-    """What one flight has to bear."""
+    """Disturbances and faults of one flight."""
 
     gust: float
     """Density of the gusts' acceleration over the excitation's, below their bandwidth."""
@@ -54,7 +54,7 @@ class Hardship:
     """RMS of coloured gyro noise, rad/s."""
     colour_hz: float
     step: float
-    """Of the quantised rate, rad/s."""
+    """Step of the quantised rate, rad/s."""
     jitter_s: float
     doublets: bool
     """Other axes' manoeuvres, in hover."""
@@ -189,7 +189,7 @@ def answered(first_seed: int, number: int, kind: str) -> dict[str, object]:
 def answers(
     first_seed: int, count: int, jobs: int, kind: str
 ) -> Iterator[dict[str, object]]:
-    """Of all flights, as they come."""
+    """Answers of all flights, in the order in which they finish."""
     with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
         waiting = [pool.submit(answered, first_seed, k, kind) for k in range(count)]
         for done, future in enumerate(as_completed(waiting), 1):

@@ -23,7 +23,7 @@ Row = Mapping[str, Any]
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """All figures of the issue's list, over the given rows."""
+    """All figures of the study, over these rows."""
     worth = [r for r in rows if r['kind'] == 'named' and (r['factor'] or 0.0) >= WORTH]
     pairs = [r for r in rows if r['kind'] == 'pair' and (r['factor'] or 0.0) >= WORTH]
     none = [r for r in rows if r['kind'] == 'nothing']
@@ -102,7 +102,7 @@ def _coverage(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def claims(rows: Sequence[Row]) -> np.ndarray:
-    """(m, 2) probability that was given to a name, and whether it is true of the flight.
+    """(m, 2) stated probability of each name, and whether the flight has it (0 or 1).
 
     That physics is not on the list is true of every invention.
     """
@@ -120,7 +120,7 @@ def _brier(rows: Sequence[Row]) -> float | None:
 
 
 def reliability(rows: Sequence[Row]) -> list[tuple[float, float, int]]:
-    """(mean probability said, share that was true, number) in five bins."""
+    """Mean stated probability, share that was true, and number of claims, in five bins."""
     said = claims(rows)
     out = []
     for low, high in zip((0.0, 0.05, 0.3, 0.7, 0.95), (0.05, 0.3, 0.7, 0.95, 1.01), strict=True):

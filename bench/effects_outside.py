@@ -33,7 +33,7 @@ from quad_sysid.pipeline.evaluate import evaluate
 
 
 def true_error(case: Case) -> float:
-    """What the true equations reach on the second flight, beside what the base reaches there."""
+    """Error of the true equations on the second flight, in the units of the base's error there."""
     axis = simulator.AXES[case.axis]
     learnt, off = (case.flown(unseen=later, there=False) for later in (False, True))
     plain = axis_model(searched(record_of(learnt, axis), axis, ()), {}, None)

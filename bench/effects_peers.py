@@ -18,7 +18,7 @@ import numpy as np
 
 
 def statsmodels_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
-    """Its state-space filter with a known input in every cycle, compiled."""
+    """Time per cycle, µs, and RMS error of the compiled filter of statsmodels, with inputs."""
     try:
         from statsmodels.tsa.statespace.kalman_filter import KalmanFilter
     except ImportError:
@@ -43,7 +43,7 @@ def statsmodels_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def filterpy_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
-    """Its KalmanFilter, a call of predict and one of update a sample."""
+    """Time per cycle, µs, and RMS error of filterpy's KalmanFilter, two calls per sample."""
     try:
         from filterpy.kalman import KalmanFilter
     except ImportError:
@@ -64,7 +64,7 @@ def filterpy_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def dynamax_filter(model: dict[str, np.ndarray]) -> dict[str, float]:
-    """Its lgssm_filter in double precision, alone and with its reverse-mode derivatives."""
+    """Time and error of dynamax' lgssm_filter in double precision, alone and with derivatives."""
     try:
         import jax
         import jax.numpy as jnp

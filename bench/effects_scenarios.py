@@ -48,7 +48,7 @@ class Scenario:
     effects: Settings = field(default_factory=dict)
     wanted_factor: float = 0.0
     module: str = ''
-    """Of effects_undeclared, with `size` (rad/s²)."""
+    """Name of an undeclared effect of effects_undeclared.py, of this `size` (rad/s²)."""
     size: float = 0.0
     torque_bandwidth_hz: float = 0.0
     stirred: bool = False
@@ -56,7 +56,7 @@ class Scenario:
     start_charge: float = 0.95
 
     def sealed(self) -> dict[str, object]:
-        """As it is written before the flight and opened by the judge."""
+        """The scenario as plain values, sealed before the flight and opened by the judge."""
         return asdict(self)
 
 
@@ -133,7 +133,7 @@ PAIRS = (
 
 
 def factor_of(rng: np.random.Generator) -> float:
-    """Log-uniform worth."""
+    """A log-uniform factor on an effect's strength."""
     return float(np.exp(rng.uniform(*np.log(FACTORS))))
 
 
@@ -225,7 +225,7 @@ def flown(scenario: Scenario, *, unseen: bool) -> Record:
 
 
 def without(scenario: Scenario) -> Scenario:
-    """The same flight by an aircraft that lacks nothing (traps stay)."""
+    """The scenario without its effects (traps stay)."""
     traps = {k: v for k, v in scenario.effects.items() if k == 'vibration'}
     return replace(scenario, effects=traps, module='')
 

@@ -116,7 +116,7 @@ def plain_filter(problem: Problem, base: Fit, evaluations: int) -> float:
 
 
 def by_peers(problem: Problem, base: Fit, python: str) -> dict[str, dict[str, float]]:
-    """The same linear model filtered by others, in their own Python: us a sample, RMS."""
+    """Time per sample, µs, and RMS of the peers' filters on one linear model, in their Python."""
     used, pushes = linear(problem, base)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.npz'

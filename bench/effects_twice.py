@@ -37,7 +37,7 @@ Plant = scenarios.Scenario | outside.Case
 
 
 def plants(count: int) -> list[Plant]:
-    """As many of each kind, as far as there are."""
+    """Up to `count` plants, alternating between the kinds."""
     drawn = scenarios.draw(FIRST_SEED, seeds=4, pairs=2, nothing=0, undeclared=0)
     kinds: list[list[Plant]] = [
         [one for one in drawn if one.kind == 'named' and one.simulator == 'virtual'],
@@ -59,7 +59,7 @@ def flown(plant: Plant, seed: int) -> tuple[Record, str]:
 
 
 def answered(plant: Plant) -> dict[str, Any]:
-    """What both flights say."""
+    """The answers to two flights of one plant."""
     both = []
     with threadpool_limits(limits=1):
         for seed in (plant.seed, plant.seed + AGAIN):
@@ -78,7 +78,7 @@ def answered(plant: Plant) -> dict[str, Any]:
 
 
 def answers(count: int, jobs: int) -> Iterator[dict[str, Any]]:
-    """Of all plants, as they come."""
+    """Answers for all plants, in the order in which they finish."""
     with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
         for future in as_completed([pool.submit(answered, one) for one in plants(count)]):
             yield future.result()

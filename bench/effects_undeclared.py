@@ -25,7 +25,7 @@ class Undeclared:
 
     make: Callable[[], Scalar]
     may_be: tuple[str, ...]
-    """Names of the table that are no lie here; shapes, modes and events always may be said."""
+    """Names of the table that describe it truly; shapes, modes and events always do."""
 
     def torque(self, index: int, size: float) -> EffectFunction:
         """The function the virtual STM32's physics calls."""
@@ -42,7 +42,7 @@ class Undeclared:
 
 
 def plain_torque(name: str, size: float) -> Callable[[float, float, float], float]:
-    """The same for the tests' simulator; no drive."""
+    """The torque for the tests' simulator, which has no drive."""
     own = UNDECLARED[name].make()
     return lambda t, rate, angle: size * own(t, rate, angle, 0.0)
 

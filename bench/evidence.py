@@ -70,7 +70,7 @@ def flight(rng: np.random.Generator, friction: float, drag: float, dead: float) 
 
 
 def fits(data: AxisData) -> list[Fit]:
-    """Nothing, then each of NAMES."""
+    """Fits of the base alone, and of the base with each of NAMES."""
     problem = Problem(data, data.train)
     base = fit(problem, Structure(), start_of(problem))
     problem.measure(base)

@@ -136,7 +136,7 @@ def flight(case: Case) -> tuple[AxisData, Plant]:
 
 
 def answered(case: Case, effects: tuple[Any, ...]) -> dict[str, Any]:
-    """What the analysis says of a flight, beside the truth."""
+    """The analysis' answer to a flight, with the truth."""
     data, plant = flight(case)
     began = time.process_time()
     with threadpool_limits(limits=1):
@@ -167,7 +167,7 @@ def unnamed(case: Case, data: AxisData, plant: Plant, named: list[str]) -> float
 
 
 def away(row: dict[str, Any], name: str) -> float:
-    """Distance from the truth in standard errors; NaN where none is given."""
+    """Distance from the truth in standard errors; NaN where the row has none."""
     value, std = row['told'][name]
     return math.nan if std is None else (value - row['truth'][name]) / std
 

@@ -24,7 +24,7 @@ OWN = (1, 191)
 
 
 def mended(data: bytes) -> bytes:
-    """The same bytes with good checksums where something looks like a packet: or few get past."""
+    """The bytes with a valid checksum in everything that looks like a packet; few pass without."""
     out, at = bytearray(data), data.find(MARKER)
     while 0 <= at <= len(out) - HEADER:
         size = HEADER + out[at + 1] + CHECKSUM

@@ -49,12 +49,12 @@ class World:
 
 
 class Far:
-    """What the aircraft sends, when the host gets it, and what became of it."""
+    """The aircraft's side of a link with delays, and the stamps that the host computes."""
 
     def __init__(self, case: dict[str, float], seed: int) -> None:
         self.world, self.stamping = World(case, seed), Stamping()
         self.found: list[tuple[float, float, float]] = []
-        """True time, stamp and when it was given, s."""
+        """True time, stamp, and the time at which it was computed, s."""
         self.begun_s = -1.0
         self.stall = (case.get('stall_from_s', math.inf), case.get('stall_s', 0.0))
         self.kept: list[Cycle] = []

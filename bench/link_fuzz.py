@@ -46,7 +46,7 @@ def cycle(rng: np.random.Generator, number: int) -> f.Cycle:
 
 
 def stream(rng: np.random.Generator) -> tuple[bytes, set[str]]:
-    """What a second and a half of flight sends, and how each frame prints."""
+    """Bytes that a second and a half of flight sends, and the printed form of each frame."""
     encoder, data, sent = Encoder(1, 1), bytearray(), set()
     begin = int(rng.integers(1 << 31))
     for k in range(CYCLES):

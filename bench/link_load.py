@@ -45,7 +45,7 @@ def cpu_s(pid: int) -> float:
 
 
 def waited_s(pid: int) -> float:
-    """How long its threads were ready and others had the processor."""
+    """Time, s, for which its threads were ready and others had the processor."""
     tasks = Path(f'/proc/{pid}/task').glob('*/schedstat')
     return sum(int(task.read_text().split()[1]) for task in tasks) * 1e-9
 
@@ -56,7 +56,7 @@ def memory_mb(pid: int) -> float:
 
 
 class Processes:
-    """Started by name, ended by SIGINT in the order given."""
+    """Processes by name; SIGINT ends them in the order of their start."""
 
     def __init__(self) -> None:
         self.running: dict[str, subprocess.Popen[bytes]] = {}
@@ -120,7 +120,7 @@ def quantiles(values: np.ndarray) -> dict[str, float]:
 
 
 def latency(folder: Path, rate: float) -> dict[str, float]:
-    """From the write of a cycle's last byte to the callback, ms."""
+    """Quantiles of the time from the write of a cycle's last byte to the callback, ms."""
     wire, ears = np.load(folder / 'wire.npy'), np.load(folder / 'ears.npy')
     # cycle k begins k periods after the start; the one written soonest tells when that was
     start_ns = int((wire - np.arange(len(wire)) * (1e9 / rate)).min())
@@ -150,7 +150,7 @@ def lost(folder: Path, rate: float) -> dict[str, Any]:
 
 
 def attacked(folder: Path) -> dict[str, Any]:
-    """What the attacker was answered, what became of gains and excitation, how it moved, rad/s."""
+    """Answers to the attacker, final gains and excitation, and the largest rates, rad/s."""
     (bag,) = folder.glob('flight_*')
     with AnyReader([bag]) as reader:
         wanted = [c for c in reader.connections if c.topic in {'/imu/data', '/gains/active',
@@ -171,7 +171,7 @@ def attacked(folder: Path) -> dict[str, Any]:
 
 
 def said(reader: AnyReader) -> dict[str, str]:
-    """Where it was lost: the last counts of the nodes in /diagnostics."""
+    """The last counts of the nodes' losses in /diagnostics."""
     wanted = {
         'lost cycles', 'cycles held back', 'dropped writes', 'messages lost (middleware)',
         'messages dropped (disk)', 'restarts', 'bad CRC', 'round trips dropped',

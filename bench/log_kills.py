@@ -47,22 +47,22 @@ PLACE = 28
 
 @dataclass(frozen=True)
 class Point:
-    """One recorder's end and what was found afterwards."""
+    """The end of one recorder, and the messages recovered afterwards."""
 
     split_s: float
     damage: str
     put: int
     recovered: int
     lost_s: float
-    """From the oldest missing message to the damage; 0 where none is missing."""
+    """Time from the oldest missing message to the damage, s; 0 where none is missing."""
     strange: int
-    """Messages that were never put, or twice there."""
+    """Messages in the bag that were never put, or that are there twice."""
     unrecovered: int
     """Messages that the project's reader finds in the bag as it lies there."""
 
 
 class Ledger:
-    """What a recorder has put and synced, kept outside of it: a mapped file."""
+    """A mapped file that counts, outside of a recorder, what it has put and synced."""
 
     def __init__(self, path: Path) -> None:
         self.cells = np.memmap(path, np.int64, 'r+' if path.exists() else 'w+', shape=(4 * MOST,))

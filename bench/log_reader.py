@@ -40,17 +40,17 @@ Arrays = dict[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Speed:
-    """Of one bag, in s."""
+    """Time to read one bag, s, by rosbags and by this project."""
 
     name: str
     messages: int
     rosbags_read: float
-    """The reader's loop without deserialising."""
+    """Time of the reader's loop, without deserialising."""
     rosbags_deserialise: float
     decode: float
-    """The same messages in bulk, already in memory."""
+    """Time to decode the messages in bulk, from memory."""
     read: float
-    """From the bag to the arrays."""
+    """Time from the bag to the arrays."""
     equal: bool
 
     @property

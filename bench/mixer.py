@@ -90,7 +90,7 @@ def fly_all() -> list[dict[str, object]]:
 
 
 def child(folder: Path) -> list[dict[str, object]]:
-    """The same in a process of its own, with the library of this folder."""
+    """The rows, computed in a process of its own with the library of this folder."""
     environment = {**os.environ, 'QUAD_FIRMWARE': str(folder)}
     command = [sys.executable, __file__, '--rows']
     run = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)

@@ -57,7 +57,7 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def imported(file: Path, options: tuple[str, ...], bag: Path) -> str:
-    """What the import said, in one line; a complaint where it refused."""
+    """The import's output in one line, or its error."""
     if '--axis' not in options:  # a table's line is guessed, a log needs none
         done = command('import', str(file))
         lines = [one for one in done.stdout.splitlines() if one.startswith('quad-sysid import')]

@@ -42,13 +42,13 @@ def rows_of(pattern: str) -> list[Row]:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """As Markdown."""
+    """A Markdown table."""
     lines = [head, ['---'] * len(head), *rows]
     return '\n'.join('| ' + ' | '.join(str(cell) for cell in line) + ' |' for line in lines)
 
 
 def share(holds: Sequence[bool]) -> str:
-    """How many of how many."""
+    """Words such as `3 of 4`."""
     return f'{sum(holds)} of {len(holds)}'
 
 
@@ -113,7 +113,7 @@ def everyday(rows: Sequence[Row]) -> str:
 
 
 def everyday_effects(rows: Sequence[Row]) -> str:
-    """The same one by one."""
+    """Table of the everyday effects, one per row."""
     return table(['effect', 'strength', 'gap closed', 'answer', 'right by its writer'], [
         [r['effect'].replace('_', ' '), r['strength'],
          f'{100 * r["gap"]:.0f} %' if r['counts'] else '·',
@@ -170,9 +170,9 @@ def intervals(rows: Sequence[Row]) -> str:
 
 
 def calibration(rows: Sequence[Row]) -> str:
-    """What `probability` and `reproducible` promise: does the other flight agree, is it so?
+    """Table of `probability` and `reproducible` against agreement between flights and truth.
 
-    True is what was planted; whose plant has no name of the list counts for the first only.
+    A plant without a name of the list counts for the agreement only.
     """
     claims = []
     for r in rows:

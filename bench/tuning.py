@@ -78,7 +78,7 @@ class Flown:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one way to gains gave on one airframe; no gains: flown as before."""
+    """Result of one design method on one airframe; without gains, it flies as before."""
 
     name: str
     refused_because: str
@@ -146,7 +146,7 @@ def ours(airframe: Airframe, model: AxisModel, true: AxisModel, before: Flown) -
 
 
 def attainable(airframe: Airframe, true: AxisModel, before: Flown) -> Outcome:
-    """The same design when it is given the true plant, without any doubt about it."""
+    """The design for the true plant, without any uncertainty."""
     floors, delay = dict(ensemble.FLOOR), ensemble.DELAY_FLOOR_CYCLES
     ensemble.FLOOR, ensemble.DELAY_FLOOR_CYCLES = dict.fromkeys(floors, 0.0), 0.0
     try:

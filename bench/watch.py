@@ -65,7 +65,7 @@ class Gusts:
 
 @dataclass(frozen=True)
 class Watched:
-    """What the watch made of one update."""
+    """The watch's reaction to one update."""
 
     alarm: str | None
     after_s: float

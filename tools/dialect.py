@@ -26,7 +26,7 @@ OTHER_MESSAGES: Dict[int, Tuple[str, int]] = {
 
 
 def dialect_source(xml: Path = XML) -> str:
-    """What mavgen makes of `xml` (MAVLink 2), and the table of all other messages."""
+    """Source that mavgen makes of `xml` (MAVLink 2), with the table of all other messages."""
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / xml.with_suffix('.py').name
         options = SimpleNamespace(

@@ -37,7 +37,7 @@ def size(elf: Path) -> tuple[int, int]:
 
 
 def timing(frames: list[f.Frame]) -> tuple[int, int, int]:
-    """What the board says last: latest and longest cycle in us of its timer, stack in bytes."""
+    """The board's last message: latest and longest cycle, µs of its timer, and stack, bytes."""
     said = [STATUS.match(x.text) for x in frames if isinstance(x, f.StatusText)]
     latest, longest, stack = [m for m in said if m][-1].groups()
     return int(latest), int(longest), int(stack)
@@ -73,7 +73,7 @@ def flown(elf: Path) -> tuple[int, int]:
 
 
 def paced(elf: Path) -> tuple[int, set[int], int, int, int]:
-    """Of a board without chips: cycles, µs between two; latest start and longest, µs; stack."""
+    """Timing of a board without chips: cycles, µs between two, latest and longest, µs, stack."""
     frames: list[f.Frame] = []
     decoder = Decoder()
     command = [EMULATOR, '-M', MACHINE, '-display', 'none', '-monitor', 'none', '-serial', 'stdio',

@@ -73,7 +73,7 @@ class Case:
     axis: int
     noise: float
     file: str = ''
-    """Of a sealed set."""
+    """File of a sealed set; empty for an open one."""
 
     @property
     def plant(self) -> Plant:

@@ -480,7 +480,7 @@ class DentedRaceValleys:
 
 
 class ForkDraggedPot:
-    """The rig's angle potentiometer, taken along by a fork with play, and stiff to turn.
+    """The rig's angle potentiometer, driven by a fork with play, and stiff to turn.
 
     The pin has a free way of ±b in the fork; at its ends it bends elastically (stiffness k) and
     takes the wiper (angle y) along, which holds with its Coulomb friction F and then turns against

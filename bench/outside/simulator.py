@@ -56,7 +56,7 @@ def drive(speed, axis):
 
 @dataclass
 class Situation:
-    """What an effect may look at, at one millisecond."""
+    """The state that an effect may depend on, at one millisecond."""
 
     t: float
     """s from the start of the flight."""
@@ -69,7 +69,7 @@ class Situation:
     command: np.ndarray
     """(4,) motor commands 0..1 as they arrive at the motors now."""
     speed: np.ndarray
-    """(4,) what the motors deliver at this moment: the command behind their lag (42 ms), 0..1. The
+    """(4,) command behind the motors' lag (42 ms), 0..1. The
     thrust of a motor is proportional to it."""
     acceleration: np.ndarray
     """(3,) angular acceleration of the last millisecond, rad/s²."""
@@ -83,7 +83,7 @@ class Situation:
 
 @dataclass
 class Change:
-    """What an effect does during that millisecond; all is optional."""
+    """The changes that an effect makes during that millisecond; all are optional."""
 
     torque: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,) angular acceleration that it adds, rad/s²."""
@@ -94,24 +94,24 @@ class Change:
     lag: np.ndarray | None = None
     """(4,) factors of the motors' lag."""
     gyro: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """(3,) what the gyro shows beside the true rate, before its filter, rad/s."""
+    """(3,) error of the gyro, added before its filter, rad/s."""
 
 
 @dataclass(frozen=True)
 class Plant:
-    """An effect, and from where it came."""
+    """An effect and its origin."""
 
     name: str
     effect: Callable[[float], object]
-    """By its strength."""
+    """Function that makes the effect at a strength."""
     opened: str
     """The set with which it was opened, of SETS."""
     place: int
-    """In that set; the seed of its flights follows from it."""
+    """Number in that set, from which the seed of its flights follows."""
     rig: bool
-    """On a rig of one axis, or in free flight."""
+    """Whether it flies on a rig of one axis, and not freely."""
     may_be: tuple[str, ...] = ()
-    """Names of our table that are no lie: what it contains, or cannot be distinguished from."""
+    """Names of the project's table that describe it truly, or cannot be distinguished from it."""
 
 
 class Nothing:

@@ -294,7 +294,7 @@ class BendingPlate:
 
 
 class SoftMount:
-    """Sensor board on foam: it swings against the frame, and the gyro tells of the board.
+    """Sensor board on foam, which swings against the frame; the gyro measures the board.
 
     y'' = -2 z w0 y' - w0² (y + n y³) - frame's acceleration;  gyro error = y'   (y: angle of board against frame).
     Foam of a board with its cables: some 8 Hz, a damping of 0.2, stiffer when it is squeezed. Den Hartog, "Mechanical

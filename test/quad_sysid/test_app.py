@@ -143,19 +143,18 @@ def test_a_log_that_is_to_be_identified_is_made_a_bag_first(tmp_path):
 
 
 def test_a_body_of_200_mb_is_refused_without_being_held(tmp_path):
-    from quad_sysid.app.cli import MOST_MB
     from quad_sysid.app.folder import RefusedError, receive
 
     part = bytes(4_000_000)
 
     async def body():
-        for _ in range(round(1e6 * MOST_MB / len(part)) + 1):
+        for _ in range(round(200e6 / len(part)) + 1):
             yield part
 
     tracemalloc.start()
     try:
         with pytest.raises(RefusedError, match='larger than 200 MB'):
-            asyncio.run(receive(tmp_path / 'large.bin', body(), round(1e6 * MOST_MB)))
+            asyncio.run(receive(tmp_path / 'large.bin', body(), round(200e6)))
         assert tracemalloc.get_traced_memory()[1] < 2_000_000
     finally:
         tracemalloc.stop()

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from quad_sysid.signals.guard import MAX_DURATION_S, Limits, Readings, Stall, check
+from quad_sysid.signals.guard import MOST_STALLED_S, Limits, Readings, Stall, check
 from quad_sysid.signals.player import Player, State
 from quad_sysid.signals.schedule import parse_schedule
 
@@ -200,7 +200,7 @@ def ages(*gaps: float) -> list[float]:
         # a second standstill at once is left out too, but no more than a second of both
         ((0.5, DT, 0.4, DT), 2 * DT), ((0.5, DT, 0.4, DT, 0.3), 0.3 + 2 * DT),
         # a long one by nothing, and one that only time awake has earned
-        ((1.01 * MAX_DURATION_S,), 1.01 * MAX_DURATION_S),
+        ((1.01 * MOST_STALLED_S,), 1.01 * MOST_STALLED_S),
         ((0.9, *50 * [DT], 0.9), 0.9 + 50 * DT), ((0.9, *250 * [DT], 0.9), 250 * DT),
     ],
 )

@@ -14,7 +14,6 @@ import pytest
 from quad_sysid.errors import BadInputError
 from quad_sysid.fleets.drift import Series, _mean, over_fleet
 from quad_sysid.fleets.page import Fleet
-from quad_sysid.fleets.summary import DAY_NS
 
 SIZES = {'gain': 450.0, 'lag': 0.04, 'delay': 0.008, 'damping': 0.4, 'bias': 0.2}
 FIRST = 20_600.0
@@ -37,7 +36,7 @@ def fleet(seed, *, wear=True, odd=False, aircraft=30, flights=10):
     for k in range(aircraft):
         for i, day in enumerate(np.linspace(0.0, 180.0, flights) + rng.uniform(0.0, 5.0, flights)):
             row = {'bag': f'craft_{k:02d}/{i}', 'aircraft': f'craft_{k:02d}', 'reason': '',
-                   'status': 'answered', 'start_ns': int((FIRST + day) * DAY_NS)}
+                   'status': 'answered', 'start_ns': int((FIRST + day) * 86_400e9)}
             for axis in ('roll', 'pitch'):
                 for name in SIZES:
                     value = own[k, axis, name]

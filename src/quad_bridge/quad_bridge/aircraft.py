@@ -59,7 +59,7 @@ class Gains(Protocol):
 
     @property
     def aircraft(self) -> str:
-        """A name for the aircraft's files; empty while it is not known."""
+        """Name of the aircraft's files; empty while the aircraft is not known."""
 
     @property
     def reading(self) -> bool:

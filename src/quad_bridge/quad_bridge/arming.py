@@ -150,7 +150,7 @@ class Arming:
                 self._end(outcome_of(ack.result), now_s)
 
     def late(self, now_s: float, *, armed: bool) -> str:
-        """A warning, once, where the aircraft armed after the request had been given up."""
+        """A warning, once, where the aircraft arms after the request was given up."""
         with self._lock:
             passed_s = now_s - self._abandoned_s
             if not armed or passed_s > LATE_S:

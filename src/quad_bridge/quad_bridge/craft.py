@@ -36,11 +36,11 @@ class Motor:
     x: float
     """Forward of the body frame's origin, m."""
     y: float
-    """To the left of it, m."""
+    """To the left of the body frame's origin, m."""
     spin: int
     """1 where the propeller turns counter-clockwise seen from above, -1 where clockwise."""
     z: float = 0.0
-    """Above it, m."""
+    """Above the body frame's origin, m."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Craft:
     """The motors in the order of `/motors/command`, and the body where it is known."""
 
     name: str
-    """In words, for messages: `the contract's X frame`."""
+    """Name in messages, such as `the contract's X frame`."""
     motors: tuple[Motor, ...]
     mass_kg: float | None = None
     inertia: tuple[float, float, float] | None = None
@@ -116,7 +116,7 @@ class Craft:
 
     @cached_property
     def signs(self) -> tuple[tuple[int, ...], ...]:
-        """For each motor the signs with which more of it turns roll, pitch and yaw; 0 for none."""
+        """(motors, 3) signs with which more of a motor turns roll, pitch and yaw; 0 for none."""
         size = np.abs(self.inverse[1:]).max(axis=1, keepdims=True)
         clear = np.where(np.abs(self.inverse[1:]) > ON_AXIS * size, self.inverse[1:], 0.0)
         return tuple(tuple(int(s) for s in np.sign(column)) for column in clear.T)

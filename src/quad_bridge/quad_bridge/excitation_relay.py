@@ -37,11 +37,11 @@ class ExcitationRelay:
 
     @property
     def injection(self) -> Injection:
-        """Where the running segment injects."""
+        """Point of the loop at which the running segment injects."""
         return self._injection
 
     def status(self, last: Cycle | None, now_s: float) -> Status:
-        """The excitation that is forwarded, and how the STM32 used it in the last cycle."""
+        """The forwarded excitation, and its use by the STM32 in the last cycle."""
         flags = Flag(last.flags) if last is not None else Flag.NONE
         values = {
             'injection': self.injection.name.lower(),

@@ -72,7 +72,7 @@ def write_key(path: Path) -> None:
 
 
 def signing_from(path: Path | None) -> Signing | None:
-    """What signs and judges by the key in `path` and the system's clock; None without a path."""
+    """Signing and checking by the key in `path` and the system's clock; None without a path."""
     if path is None:
         return None
     return Signing(read_key(path), lambda: signing_time(time.time_ns()))

@@ -70,7 +70,7 @@ class Clock:
 
 
 def patience(seconds: float) -> float:
-    """How long to wait in real time; in lockstep for ever, since nobody there is hurried."""
+    """Longest real time to wait, s; without limit in lockstep, where simulated time waits too."""
     return math.inf if VARIABLE in os.environ else seconds
 
 

@@ -26,7 +26,7 @@ class MotorOutputs:
     """The outputs that are motors."""
 
     craft: Craft | None = None
-    """None: not known; the contract's X frame holds."""
+    """The airframe; None where unknown, and the contract's X frame is assumed."""
     channels: tuple[int, ...] = X_ORDER
     """Output (from 0) of each motor."""
     range_us: tuple[float, float] = RANGE_US
@@ -41,7 +41,7 @@ class MotorOutputs:
         return [min(max((pulse - low) / (high - low), 0.0), 1.0) for pulse in row]
 
     def ordered(self, values: tuple[float, ...]) -> list[float]:
-        """Values by output, such as speeds, as values by motor; NaN where not known."""
+        """Values per output, such as speeds, in the order of the motors; NaN where missing."""
         return [values[k] if k < len(values) else float('nan') for k in self.channels]
 
 

@@ -141,7 +141,7 @@ def own_effects(path: str | None) -> tuple[Effect, ...]:
 
 
 def candidates(options: argparse.Namespace) -> tuple[Effect, ...] | None:
-    """What `identify` takes as its effects, by --effects and --no-effects; None: its default."""
+    """Effects to try, by --effects and --no-effects; None for the default of `identify`."""
     if options.no_effects:
         return ()
     effects = own_effects(options.effects)

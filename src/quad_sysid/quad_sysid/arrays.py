@@ -24,14 +24,12 @@ from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND, MIN_SAMPLES, record_of
 from quad_sysid.imports.units import UNITS, Role, written
-from quad_sysid.record import IOData, Record, Segment, finite_runs
+from quad_sysid.record import SPEED_DT_S, IOData, Record, Segment, finite_runs
 from quad_sysid.units import Units
 
 WHERE = 'arrays'
 MOST_COMMAND = 0.5
 """Largest normalised command."""
-LONGEST_DT_S = 0.05
-"""Errors are those of free runs of 0.5 s, which need some samples."""
 FEWEST_PER_OSCILLATION = 15
 """Samples below which a narrow oscillation is warned of: a model takes one step per sample."""
 NARROW = 1.3
@@ -91,7 +89,7 @@ def from_arrays(data: Table | IOData | None = None, *, u: Samples | None = None,
                 signals: Mapping[str, Samples] | None = None,
                 units: Mapping[str, str | float] | None = None, train: Part | None = None,
                 validate: Part | None = None, axis: str = 'roll') -> Record:
-    """One experiment as a Record, which every function takes that takes a flight.
+    """A Record of one experiment, which can be passed wherever a flight can.
 
     u (n,): the input. y (n,): what was measured, a rate, or, by its unit, an angle or a position;
     `angle` (n,) beside a rate or alone. `dt` (s) or the increasing times `t` (n,). `reference`
@@ -379,11 +377,12 @@ def _times(time: Any, dt: Any, n: int,
 
 
 def _check_interval(name: str, seconds: float) -> None:
-    if seconds > LONGEST_DT_S:
+    longest = SPEED_DT_S[1]
+    if seconds > longest:
         raise BadInputError(WHERE, f'{name} has intervals that are too long', f'{seconds:g} s',
-                            f'at most {LONGEST_DT_S:g} s, since errors are those of half a second;'
+                            f'at most {longest:g} s, since errors are those of half a second;'
                             " scale a slow machine's time: "
-                            f"units={{'t': {LONGEST_DT_S / seconds:.2g}}} makes it fast enough")
+                            f"units={{'t': {longest / seconds:.2g}}} makes it fast enough")
 
 
 # units
@@ -534,7 +533,7 @@ def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:
 
 def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: Any,
                validate: Any) -> Record:
-    """The record with the segments of samples at time_s (n,) that were asked for, if any."""
+    """The record with the requested segments, if any, for samples at time_s (n,), s."""
     if train is None and validate is None:
         return record
     trained = None if train is None else _mask('train', train, time_s, last=False)

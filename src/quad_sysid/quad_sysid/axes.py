@@ -64,11 +64,11 @@ class Axis:
     others: tuple[str, str]
     """The two axes whose signals an effect may need."""
     units: Units | None = None
-    """Of what moves; None: of a rotation, rad/s per normalised command."""
+    """Units of speed and command; None for a rotation: rad/s, normalised command."""
     excited_as: str = ''
     """The axis whose excitation also excites this one."""
     place: str = 'angle'
-    """What its outer loop holds, as the contract names its gains."""
+    """The quantity that its outer loop holds, by which the contract names its gains."""
     trial: Trial = TURNING
     outer: bool = False
     """Whether its loop is the user's own, around that of the lean: the firmware has none."""
@@ -88,9 +88,9 @@ EVERY: dict[str, Axis] = {axis.name: axis for axis in (
     Axis('climb', -1, ('roll', 'pitch'), THRUST, place='height', trial=CLIMBING),
 )}
 ALL_WORDS = {'all': AXES, 'every': tuple(EVERY)}
-"""What stands for several axes in a command."""
+"""Words of a command that stand for several axes."""
 NAMES = (*EVERY, *ALL_WORDS)
-"""What an option that names axes takes."""
+"""Values of an option that names axes."""
 
 
 def axes_in(words: str | Sequence[str], where: str = '--axis') -> tuple[str, ...]:

@@ -14,8 +14,6 @@ from typing import Any
 
 TASKS = Path('/proc/self/task')
 """The threads of this process, those of libraries included (Linux; no other system has it)."""
-PR_SET_PDEATHSIG = 1
-"""Option of prctl (Linux): the signal that a process receives when its parent dies."""
 
 WIDE = 2
 """Bytes of a call's number in the pipe from which processes take the next one."""
@@ -78,7 +76,7 @@ def _make(
     They are sent once all are there: a pipe is full after 64 kB, and the parent reads it last.
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: when the parent dies
     results: list[tuple[int, Any]] = []
     with suppress(Exception):  # the parent makes the call itself and meets the error
         for place in _numbers(first, queue):

@@ -90,7 +90,7 @@ def export(model: AnyModel, path: str | Path, to: str = '') -> Path:
 
 
 def inspect(flight: AnyFlight) -> Content:
-    """What a flight holds and can be used for, before any fit."""
+    """Content of a flight and its possible uses, before any fit."""
     from quad_sysid.bags import split_segments
     from quad_sysid.inspection import content
 

@@ -39,8 +39,6 @@ from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
 from quad_sysid.logview import cli as look
 
-DONE = 0
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit status."""
@@ -168,7 +166,7 @@ def _identify(options: argparse.Namespace) -> int:
     if not outcome.answered:
         print(f'quad-sysid: {options.bags[0]}: {outcome.reasons}', file=sys.stderr)
         return NOT_ANSWERED
-    return DONE
+    return 0
 
 
 def _evaluate(options: argparse.Namespace) -> int:
@@ -218,21 +216,21 @@ def _evaluate(options: argparse.Namespace) -> int:
     if options.json:
         unanswered = {'not_answered': refused} if refused else {}
         print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes, **unanswered}))
-        return DONE
+        return 0
     for e in () if options.quiet else evaluations:
         tree = {**axes[e.axis], 'effects': models[e.axis].effects}
         beyond = (line for excess in e.outside for line in tables.wrapped(str(excess)))
         print('\n'.join([e.axis, *tables.wrapped(words.on_this_flight(tree)),
                          *tables.errors(tree).text((0, 1, 3)),
                          *tables.explanation(tree).text(), *text.growth(tree), *beyond]))
-    return DONE
+    return 0
 
 
 def _compile(_: argparse.Namespace) -> int:
     from quad_sysid.compiled import compile_all
 
     print('\n'.join(f'compiled in {folder}' for folder in compile_all()))
-    return DONE
+    return 0
 
 
 def _design(options: argparse.Namespace) -> int:
@@ -253,7 +251,7 @@ def _design(options: argparse.Namespace) -> int:
         text += f'\nschedule in {options.out}'
     if not options.quiet:
         print(text)
-    return DONE
+    return 0
 
 
 def _separation(options: argparse.Namespace) -> tuple[str, str]:

@@ -41,11 +41,9 @@ LEVEL = 0.01
 """Probability of any false change among all comparisons."""
 QUARTERS = 4
 """Parts of a flight whose trims give the trim's scatter between equal flights."""
-MANY = 1e9
-"""Degrees of freedom with which Student's t is normal."""
 COMMAND = 'normalised command'
 MIN_IN_PART = 50
-"""Samples."""
+"""Samples of a quarter that has a mean."""
 ROUNDING = 1e-9
 """Normalised command; what scatters less was not flown."""
 
@@ -56,7 +54,7 @@ class Estimate:
 
     value: float
     std: float | None
-    """None where there is no ordinary standard error."""
+    """Standard error; None where there is no ordinary one."""
     unit: str
     degrees: float = np.inf
     """Degrees of freedom of `std`."""
@@ -70,7 +68,7 @@ class Flight:
     parameters: Mapping[str, Mapping[str, Estimate]]
     """`gain`, `lag`, …, `trim`, and `<effect>.<parameter>`; of answered axes."""
     reasons: Mapping[str, str]
-    """By axis, why there is no model."""
+    """Axis → why it has no model."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class Change:
     name: str
     unit: str
     reference: float | None
-    """In the first flight; None where it has no such effect."""
+    """Value in the first flight; None where it has no such effect."""
     value: float | None
     difference: float | None = None
     std: float | None = None
@@ -199,9 +197,7 @@ def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Cha
     std = float(np.sqrt(variances.sum()))
     # Welch 1947
     variance_share = float(np.sum(variances**2 / np.array([a.degrees, b.degrees])))
-    degrees = MANY
-    if variance_share > 0.0:
-        degrees = min(float(variances.sum()) ** 2 / variance_share, MANY)
+    degrees = float(variances.sum()) ** 2 / variance_share if variance_share > 0.0 else np.inf
     p = float(2.0 * t.sf(abs(b.value - a.value) / std, degrees))
     return replace(change, std=std, p_value=p)
 
@@ -256,7 +252,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def tree(reference: Flight, pairs: Sequence[Pair]) -> dict[str, Any]:
-    """What `--json` prints."""
+    """The comparison as plain values, for `--json`."""
     return {
         'schema': SCHEMA, 'reference': reference.source, 'level': LEVEL,
         'flights': [

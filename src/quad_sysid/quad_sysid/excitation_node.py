@@ -45,10 +45,6 @@ from quad_sysid.excitation_settings import (
 from quad_sysid.signals.guard import Readings, Stall
 from quad_sysid.signals.player import Player, State, Tick
 
-ANGLE_TICKS = 5
-"""Ticks between two decodings of the orientation: 20 ms at 250 Hz."""
-BATTERY_SAMPLES = 5
-"""Number of voltages whose highest counts, since a short dip is not a low battery."""
 LEAVE_S = 0.5
 """Longest wait for the last messages at the end, s."""
 RELAY, FLAGS, REFUSED = ': excitation', 'flags of the STM32', 'excitation_refused'
@@ -83,7 +79,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._imu_time = self._rc_time = self._volts_time = 0.0
         self._rc = Readings()
         self._refusal, self._began_s = False, 0.0
-        self._volts: deque[float] = deque(maxlen=BATTERY_SAMPLES)
+        self._volts: deque[float] = deque(maxlen=5)  # the highest counts, a dip is not low
         self._ticks = 0
         self._stall = Stall()
         self._waiting = settings.autostart
@@ -193,7 +189,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         stamp = self.get_clock().now().nanoseconds
         self._ticks += 1
         self._stall.tick(clock().now_s())  # first: what waits to be received is not old
-        readings = self._readings(decode_angles=self._ticks % ANGLE_TICKS == 0)
+        readings = self._readings(decode_angles=self._ticks % 5 == 0)  # at 50 Hz of 250
         if self._stall.stood_still_s:
             self.get_logger().warning(
                 f'this node stood still for {self._stall.stood_still_s:.2f} s: the host is busy'

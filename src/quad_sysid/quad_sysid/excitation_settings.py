@@ -17,7 +17,6 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.signals.guard import Limits
 from quad_sysid.signals.schedule import Schedule, parse_schedule
 
-FIRST_AUX = 4
 ABORT_AUX = 3
 """Default of abort_aux: docs/connect.md has the channels, 1 and 2 kill and arm."""
 
@@ -59,11 +58,12 @@ def settings_from(
     limits = Limits(mount=loaded.mount, angle_rad=math.radians(numbers['angle_limit_deg']),
                     abort_switch=bool(aux), **same)
     return Settings(loaded, limits, numbers['ramp_out_s'], rate_hz,
-                    FIRST_AUX + aux - 1 if aux else None, autostart, exit_when_done)
+                    aux + 3 if aux else None,  # AUX1 is the fifth channel, of index 4
+                    autostart, exit_when_done)
 
 
 def find_schedule(name: str, share: Callable[[], Path]) -> Path:
-    """Path of a schedule: as given, or shipped under that name in the share directory."""
+    """Path of a schedule: `name` itself, or the file of that name in the share directory."""
     path = Path(name).expanduser()
     if path.suffix or path.exists():
         return path

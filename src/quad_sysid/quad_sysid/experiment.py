@@ -21,7 +21,7 @@ from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import completed, plant_of
 from quad_sysid.identified import Identified
 from quad_sysid.loop.from_model import usual_signals
-from quad_sysid.model.effect import Signals
+from quad_sysid.model.effect import SMALL, Signals
 from quad_sysid.record import IOData
 from quad_sysid.result import model_of
 from quad_sysid.signals import waveform
@@ -38,15 +38,13 @@ LOW = 0.3
 CRITERIA = ('D', 'A')
 HELD = 1e-12
 """What is smaller and has no standard error is no part of the model."""
-NUDGE, LEAST = 1e-4, 1e-2
-"""Step of a parameter for derivatives, as a share of its size, and the least size."""
-ROUNDS = 6
-"""Halvings of the amplitudes' range."""
+LEAST = 1e-2
+"""Least size of a parameter, of which the step for derivatives is a share."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """An excitation and what it should bring."""
+    """An excitation, and the standard errors that it should lead to."""
 
     name: str
     """Signal and its parameters."""
@@ -58,10 +56,11 @@ class Experiment:
     std_now: Mapping[str, float | None]
     """Standard error of each parameter in the model; None where it has none."""
     std_expected: Mapping[str, float]
-    """The same with this experiment beside the data so far."""
+    """Standard error of each parameter with this experiment added to the data."""
     largest_rate: float
-    """In the unit of the rate."""
+    """Largest |rate|, in its unit."""
     largest_angle: float
+    """Largest |angle|, in its unit."""
     ranking: tuple[tuple[str, float], ...]
     """Every candidate and its criterion, best first: nats of information (D), or the root mean
     square of the relative standard errors (A)."""
@@ -159,7 +158,7 @@ def _within(model: Identified, commands: FloatArray, rate: float,
     most = np.ones(len(commands))
     rates, angles, within = inside(most)
     least = np.where(within, 1.0, 0.0)
-    for _ in range(ROUNDS if not within.all() else 0):
+    for _ in range(6 if not within.all() else 0):  # halvings of the range: to 2 %
         middle = np.where(least == most, most, 0.5 * (least + most))
         *_, within = inside(middle)
         least, most = np.where(within, middle, least), np.where(within, most, middle)
@@ -203,7 +202,7 @@ def _information(model: Identified, command: FloatArray, rate: FloatArray,
     data, spans = model._data_of(IOData(u, y, model.dt))  # noqa: SLF001 - of the same object
     problem = Problem(replace(data, angle=angle), spans)
     logs = np.array([spec.log for spec in structure.specs])
-    steps = NUDGE * np.where(logs, 1.0, np.maximum(np.abs(theta), LEAST))
+    steps = SMALL * np.where(logs, 1.0, np.maximum(np.abs(theta), LEAST))
     prediction = problem.flight.predict(structure, theta, sweeps=2, steps=steps)
     if prediction.jacobian is None:
         return np.zeros((count, count))

@@ -38,11 +38,12 @@ def matrices(model: AxisModel) -> dict[str, Any]:
 
     from quad_sysid.loop.from_model import loop_plant
     from quad_sysid.loop.linear import STILL, linear_part, loops_of
+    from quad_sysid.model.plant import LEAST_LAG
 
     flying = linear_part(loop_plant(model))
     lag_s, delay_s, dt = flying.plant.p[1], flying.plant.p[2], flying.dt
     p = flying.plant.p.copy()
-    p[1], p[2] = max(lag_s, 0.25 * dt), 0.0
+    p[1], p[2] = max(lag_s, LEAST_LAG * dt), 0.0
     prompt = replace(flying, plant=replace(flying.plant, p=p))
     loop, prompt_loop = loops_of([(flying, STILL)]), loops_of([(prompt, STILL)])
     n = prompt_loop.b.shape[1]

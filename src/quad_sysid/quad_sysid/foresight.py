@@ -15,13 +15,12 @@ import numpy as np
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import DIFFERS
+from quad_sysid.record import ENOUGH_ROWS
 
 HORIZONS_S = (0.02, 0.05, 0.1, 0.2)
 """Those of the verdict over which the motors answer; later the unknown commands rule."""
 LAGS, PAST_S = 20, 0.1
 """Number and span of the past samples: the motors' lag and delay lie within it."""
-MAX_ROWS = 20_000
-"""At most so many samples are predicted, spread over the recording."""
 ROWS_EACH = 2
 """Least number of rows for each coefficient."""
 FLAT = 0.02
@@ -58,7 +57,7 @@ def _ratio(rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, in
         np.arange(a + (LAGS - 1) * step, b - horizon) for a, b in spans)])
     if rows.size <= ROWS_EACH * ((1 + commands.shape[1]) * LAGS + 1):
         return 1.0
-    rows = rows[:: -(-rows.size // MAX_ROWS)]
+    rows = rows[:: -(-rows.size // ENOUGH_ROWS)]
     lagged_rows = rows[:, None] - step * np.arange(LAGS)
     rates = np.column_stack([np.ones(rows.size), rate[lagged_rows]])
     both = np.column_stack([rates, commands[lagged_rows].reshape(rows.size, -1)])

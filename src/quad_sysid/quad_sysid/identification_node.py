@@ -276,7 +276,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._diagnostics.publish(diagnostic_array(self, '', [status]))
 
     def close(self) -> None:
-        """Nothing to close: an identification that still runs ends with the process."""
+        """Do nothing: an identification that still runs ends with the process."""
 
 
 def _wanted(node: Any) -> dict[str, Any]:

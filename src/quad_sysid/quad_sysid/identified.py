@@ -35,11 +35,8 @@ if TYPE_CHECKING:
     from quad_sysid.model.data import AxisData
     from quad_sysid.model.effect import Effect
 
-POINTS = 200
 NUDGE = 0.01
 """Step of a parameter for derivatives, standard errors."""
-STEP_RAD = 0.2
-STEP_S = 2.0
 
 
 class Identified(AxisModel):
@@ -128,7 +125,7 @@ class Identified(AxisModel):
         from quad_sysid.loop.linear import NEAR_REST
 
         nyquist = np.pi / self.dt
-        grid = np.geomspace(0.1, 0.999 * nyquist, POINTS) if w is None else \
+        grid = np.geomspace(0.1, 0.999 * nyquist, 200) if w is None else \
             np.atleast_1d(np.asarray(w, dtype=np.float64))
         if grid.ndim != 1 or not (np.isfinite(grid) & (grid > 0.0) & (grid <= nyquist)).all():
             raise BadInputError('bode', f'w must be (m,) within 0..{nyquist:.6g} rad/s')
@@ -138,7 +135,7 @@ class Identified(AxisModel):
                        if si.covariance is None else scale**2 * si.covariance)
 
     def step(self, gains: CascadeGains | Mapping[str, float] | None = None,
-             size: float = STEP_RAD, seconds: float = STEP_S) -> LoopResponse:
+             size: float = 0.2, seconds: float = 2.0) -> LoopResponse:
         """The angle's answer to a step of its reference (rad, m) in the cascade with these gains.
 
         `gains`: by the contract's names, such as those of a design; default: those that flew.

@@ -14,12 +14,9 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 
 GRAVITY = 9.80665
-SEA_LEVEL_PA, PER_METRE, POWER = 101325.0, 2.25577e-5, 5.25588
-"""International standard atmosphere."""
+"""Standard gravity, m/s²."""
 CROSSOVER_HZ = 0.15
 """Below it the barometer says how high the aircraft is, above it the accelerometer."""
-DRIFT = 3
-"""Degree of the polynomial that an accelerometer's bias leaves in the altitude, and its change."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +28,11 @@ class Motion:
     position: FloatArray | None
     """(n,) rad, or m."""
     control: FloatArray
-    """(n, 4) in column index + 1 what drives the axis."""
+    """(n, 4); column `index` + 1 drives the axis."""
     motors: FloatArray | None
-    """(n, k) commands 0..1; None: what single motors do to the axis is not known."""
+    """(n, k) commands 0..1; None where the effect of single motors on the axis is not known."""
     share: FloatArray
-    """(n,) of the motors' commands that acts along the axis."""
+    """(n,) share of the motors' commands that acts along the axis."""
 
 
 def lean(angles: FloatArray) -> FloatArray:
@@ -85,8 +82,8 @@ def in_body(level: FloatArray, angles: FloatArray) -> FloatArray:
 
 
 def altitude_of(pressure_pa: FloatArray) -> FloatArray:
-    """(n,) m above the first known of these pressures, by the standard atmosphere."""
-    height = (1.0 - (pressure_pa / SEA_LEVEL_PA) ** (1.0 / POWER)) / PER_METRE
+    """Altitude (n,), m, above the first known of these pressures, by the standard atmosphere."""
+    height = (1.0 - (pressure_pa / 101_325.0) ** (1.0 / 5.25588)) / 2.25577e-5
     finite = height[np.isfinite(height)]
     start = finite[: max(1, finite.size // 100)]
     return np.asarray(height - (start.mean() if finite.size else 0.0))
@@ -105,7 +102,8 @@ def vertical_motion(height: FloatArray, force: FloatArray,
     quick = np.cumsum(quick_speed) * dt
     slow = height - quick
     t = np.linspace(-1.0, 1.0, slow.size)
-    drift = np.polynomial.Polynomial.fit(t, slow, DRIFT)
+    # an accelerometer's bias, and its change, leave a cubic in the altitude
+    drift = np.polynomial.Polynomial.fit(t, slow, 3)
     sections = butter(2, CROSSOVER_HZ, fs=1.0 / dt, output='sos')
     left = drift(t) + sosfiltfilt(sections, slow - drift(t),
                                   padlen=min(slow.size - 1, round(3.0 / (CROSSOVER_HZ * dt))))

@@ -32,6 +32,7 @@ or a landing does not outweigh the whole flight."""
 BLOCKS = 8
 """Parts of the recording in which the pattern is compared with its nearest rival."""
 MAX_BLOCKS = 0.75
+"""Share of these parts that a certain pattern wins."""
 MIN_SHARE = {'angular acceleration': 0.02, 'angle': 0.8}
 """Least explained share; larger for an angle, which in flight follows the motors by chance."""
 FULL_PREFERRED = 1.3
@@ -51,6 +52,7 @@ REVERSED_SHARE = 0.2
 MAX_ROWS = 200_000
 """At most so many samples are compared, in as many parts as there are blocks."""
 MAX_MOTORS = 8
+"""All patterns of their signs are compared, whose number grows as a power."""
 PLUS = range(4)
 """In a plus frame two motors are idle for roll and the other two for pitch; every propeller turns
 the yaw. An idle motor that fits neither hardly moved in the recording."""

@@ -53,13 +53,13 @@ class Quantity:
     unit: str
     start: float
     positive: bool = True
-    """Its prior is of the logarithm, `spread` a factor; else of the number, `spread` its unit."""
+    """Whether the prior is on the logarithm and `spread` a factor; else both are in its unit."""
     spread: float | None = None
     """One standard deviation; default: a factor of 10, or the size of the start (1 for 0)."""
 
     @property
     def spec(self) -> Spec:
-        """As the fit takes it."""
+        """The parameter as the fit takes it."""
         if self.positive:
             return Spec(self.name, self.unit, math.log(self.spread or 10.0),
                         math.log(self.start), log=True)

@@ -41,6 +41,10 @@ SHORT_GAP_S = 0.05
 and the rate is compared with a straight line."""
 AT_LIMIT = 1e-3
 """A motor this near to 0 or 1 is at its limit."""
+INDEPENDENT_S = 1.0
+"""Errors that are further apart count as independent: an axis in its loop has settled."""
+ENOUGH_ROWS = 20_000
+"""Samples of a record that suffice for some dozen coefficients; more cost time only."""
 
 
 @dataclass(frozen=True)
@@ -110,11 +114,11 @@ class Record:
     speeds: FloatArray | None = None
     """(n, k) measured speeds of the rotors, rad/s, positive in flight; NaN where not measured."""
     craft: Craft = X
-    """Where the motors are and how they turn; the X frame where the bag does not say."""
+    """The airframe: place and spin of each motor; the X frame where the bag has no other."""
     rotor_lag: RotorLag | None = None
     """The motors' lag by these speeds during training; the pipeline takes it (rotors.py)."""
     desaturation: str = 'clip'
-    """What the aircraft does with commands that its motors cannot give: `clip`, `yaw_first`; by
+    """Treatment of commands beyond the motors' range: `clip`, `yaw_first`; by
     `none` the mixer is not known, and the control is as another controller commanded it."""
     wrench: FloatArray | None = None
     """(n, 4) controller output before mixer and limits, normalised."""
@@ -209,7 +213,7 @@ class Record:
         return IOData(u=u, y=y, dt=self.dt, r=r, segments=tuple(runs))
 
     def motion(self, name: str) -> Motion:
-        """What drives an axis and how it moves.
+        """Commands and motion of an axis.
 
         Raises BadInputError for another name, NotInformativeError where the bag lacks the speed
         or the attitude.
@@ -264,7 +268,7 @@ class Record:
         return out
 
     def injected_at(self, name: str) -> set[str]:
-        """Where the axis is excited in its training (without any, in all of its segments)."""
+        """Where the axis is excited in its training, or without any in all of its segments."""
         excitations = [s for s in self.segments if s.axis == name and s.injection in INJECTIONS
                        and s.role != 'idle']
         trained = {s.injection for s in excitations if s.role == 'train'}
@@ -276,7 +280,7 @@ class Record:
         return start, min(self.n, round(segment.end_s / self.dt))
 
     def at_interval(self, dt: float) -> Record:
-        """The same samples at an interval of dt s; times of segments and gains are scaled."""
+        """The samples at an interval of dt s; times of segments and gains are scaled with it."""
         if dt == self.dt:
             return self
         ratio = dt / self.dt
@@ -379,7 +383,7 @@ def _joined(values: FloatArray, most: float) -> FloatArray:
 
 
 def motors_at_limit(motors: FloatArray) -> np.ndarray:
-    """Where commands of motors, of any shape, are at a limit of their range."""
+    """Whether each motor command, an array of any shape, is at a limit of its range."""
     return np.asarray((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT))
 
 

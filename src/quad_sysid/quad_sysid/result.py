@@ -91,7 +91,7 @@ class Result:
 
     @property
     def answer(self) -> AxisAnswer:
-        """Everything behind the answer for the axis."""
+        """The whole answer of the axis, with data, search and held-out errors."""
         if len(self.answers) != 1:
             raise NoSuchAttributeError('result', 'has several axes', ', '.join(self.answers),
                                 f"take one, such as result['{next(iter(self.answers), 'roll')}']")
@@ -122,7 +122,7 @@ class Result:
 
     @property
     def rivals(self) -> dict[str, dict[str, float]]:
-        """For each effect its alternatives with their probabilities."""
+        """Effect → its alternatives, with their probabilities."""
         return {effect.name: dict(effect.rivals) for effect in self.effects}
 
     @property
@@ -231,7 +231,7 @@ class Result:
         return {name: value for _, gains, _ in self._proposed() for name, value in gains.items()}
 
     def sent_with(self) -> dict[str, str]:
-        """What goes with the gains in /gains/update; see `sent_with`."""
+        """Fields beside the gains in /gains/update; see the function `sent_with`."""
         return sent_with({axis: figures for axis, _, figures in self._proposed()})
 
     def refusals(self) -> dict[str, str]:
@@ -247,7 +247,7 @@ class Result:
 
 
 def sent_with(figures: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
-    """What goes with designed gains in /gains/update, each as JSON; `figures` of designs by axis.
+    """Fields beside designed gains in /gains/update, each as JSON, from the figures per axis.
 
     `predicted` is for the watch in flight; `flown` are the gains that the design improves, which
     the aircraft must have.
@@ -326,7 +326,7 @@ def identify(
 
 def undetermined(base: Base, flights: Flights | None = None, axis: str = '',
                  **arrays: Any) -> tuple[str, ...]:
-    """Before any fit: the parameters of a base that these data cannot give, with their partners.
+    """Parameters of a base that these data cannot determine, with their partners; before a fit.
 
     By the sensitivities of the innovations at the start values. Flights or arrays as `identify`.
     """
@@ -485,7 +485,7 @@ def model_of(model: object) -> Identified | Model:
 def separate(model: AxisModel | str, names: Sequence[str] = (), seconds: float = 60.0, *,
              effects: Sequence[Effect] = (), source: str = 'the model',
              progress: Callable[[str], None] = lambda _: None) -> Separation:
-    """Which flight of `seconds` separates two effects, and how reliably.
+    """The flight of `seconds` s that separates two effects best, and how reliably.
 
     `model`: an identified axis, or the name of an axis for the paper's aircraft. `names`: two
     effects, or an effect and `nothing`; default: an effect of the model and its most probable

@@ -13,20 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.record import Record, finite_runs
+from quad_sysid.record import ENOUGH_ROWS, INDEPENDENT_S, Record, finite_runs
 
 LAGS_S = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2)
 DELAYS_S = (0.0, 0.004, 0.008, 0.015, 0.025, 0.04)
 """Where the search for lag and delay (of the telemetry too) begins."""
 MAX_LAG_S, MAX_DELAY_S = 1.0, 0.1
+"""Bounds of the search; beyond them stamps or columns are wrong."""
 MIN_S = 3.0
 """Least time with speed and command for a lag."""
-MAX_ROWS = 20_000
-"""Samples that are enough for a lag."""
 MIN_FIT = 0.5
 """Share of the speed's variance that the lagged command must explain."""
-BLOCK_S = 1.0
-"""Errors further apart count as independent."""
 FORM = 0.03
 """Part by which a lag of one size differs from how a motor really answers."""
 LAGS, LAGS_SIGMAS = 1.3, 3.0
@@ -40,11 +37,12 @@ SLIP_S = 0.1
 IDLE = 0.05
 """Command below which a motor may stand."""
 SETTLE_S = 0.5
+"""Time after a gap in which the lagged command forgets where it began: some ten lags."""
 
 
 @dataclass(frozen=True)
 class Rotor:
-    """One motor as its speed shows it."""
+    """Lag and curve of one motor, by its measured speed."""
 
     lag_s: float
     spread: float
@@ -60,7 +58,7 @@ class Rotors:
     """All motors of a flight."""
 
     rotors: tuple[Rotor | None, ...]
-    """None where a motor's speed was not measured, or does not follow its command."""
+    """Each motor; None where its speed was not measured, or does not follow its command."""
     remarks: tuple[str, ...]
     """Motors that lag, slip, stop or differ, one line each."""
     lag_s: float | None
@@ -148,7 +146,7 @@ def _rotor(u: FloatArray, w: FloatArray, is_known: np.ndarray, dt: float) -> Rot
     costs = [fitted(log_lag + sign * 0.02, delay)[0] for sign in (1.0, -1.0)]
     j = np.stack([(costs[0] - costs[1]) / 0.04,
                   (fitted(log_lag, delay + 5e-4)[0] - e) / 5e-4], axis=1)
-    starts = np.arange(0, rows.size, max(1, round(BLOCK_S / dt)))
+    starts = np.arange(0, rows.size, max(1, round(INDEPENDENT_S / dt)))
     scores = np.add.reduceat(j * e[:, None], starts)
     inverse = np.linalg.pinv(j.T @ j)
     spread = math.sqrt(max(float((inverse @ (scores.T @ scores) @ inverse)[0, 0]), 0.0))
@@ -157,14 +155,14 @@ def _rotor(u: FloatArray, w: FloatArray, is_known: np.ndarray, dt: float) -> Rot
 
 
 def _liveliest(u: FloatArray, rows: np.ndarray) -> slice:
-    """At most MAX_ROWS samples, those in which the command moves most."""
+    """At most ENOUGH_ROWS samples, those in which the command moves most."""
     moves = np.zeros(u.size)
     moves[rows[1:]] = np.nan_to_num(np.abs(np.diff(u)))[rows[1:] - 1]
     total = np.concatenate([[0.0], np.cumsum(moves)])
-    last = max(u.size - MAX_ROWS, 0)
-    start = max(range(0, last + 1, max(1, MAX_ROWS // 4)),
-                key=lambda a: total[min(a + MAX_ROWS, u.size)] - total[a])
-    return slice(start, start + MAX_ROWS)
+    last = max(u.size - ENOUGH_ROWS, 0)
+    start = max(range(0, last + 1, max(1, ENOUGH_ROWS // 4)),
+                key=lambda a: total[min(a + ENOUGH_ROWS, u.size)] - total[a])
+    return slice(start, start + ENOUGH_ROWS)
 
 
 def _behind(u: FloatArray, lag: float, delay: float, dt: float) -> FloatArray:

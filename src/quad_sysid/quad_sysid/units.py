@@ -82,7 +82,7 @@ class Units:
 
 @dataclass(frozen=True)
 class Scale:
-    """How a picture shows one quantity: its label, and its values in the unit of the label."""
+    """A quantity in a picture: its label, and its values in the unit of the label."""
 
     label: str
     factor: float = 1.0
@@ -121,7 +121,7 @@ def in_units_of(units: Units | None, text: str) -> str:
 
 
 def with_error(value: float, std: float) -> str:
-    """`458 ± 24`: two digits of the standard error, and the value as far as it is known."""
+    """Value and standard error as `458 ± 24`: two digits of the error, and the value to match."""
     digits = 1 - math.floor(math.log10(std)) if 0.0 < std < math.inf else SMALLEST + 1
     if digits > SMALLEST:
         return f'{value:.4g} ± {std:.2g}'

@@ -28,6 +28,7 @@ BLOCK_S = 2.0
 STEADY = 0.1
 """Share of gravity up to which the mean vertical acceleration of a block is allowed for."""
 FEWEST = 6
+"""Means, or blocks, below which a fit of two numbers says nothing."""
 FELL = 0.03
 """Relative change of the voltage that shows what the thrust makes of it."""
 SHAKING_S = 0.2
@@ -53,14 +54,14 @@ class Fact:
 
 @dataclass(frozen=True)
 class Whole:
-    """What is known of an aircraft, and its craft with mass and inertia where they follow."""
+    """The facts of an aircraft, and its craft with mass and inertia where they follow."""
 
     facts: tuple[Fact, ...]
     craft: Craft
 
     @property
     def tree(self) -> dict[str, object]:
-        """As report.json has it."""
+        """The facts as plain values, for report.json."""
         return {'facts': [vars(fact) for fact in self.facts], 'urdf': self.craft.to_urdf()}
 
 
@@ -151,7 +152,7 @@ def _inertia(models: Mapping[str, AxisModel], craft: Craft,
 
 
 def flies(record: Record) -> bool:
-    """Whether speed or accelerometer show free flight; not where nothing tells it from a rig.
+    """Whether speed or accelerometer show free flight; False where a rig would look alike.
 
     On a rig an accelerometer shows gravity, whose direction turns with the attitude; in flight it
     shows the thrust, which stays along z and follows the throttle, until drag holds a fast lean.

@@ -23,17 +23,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, read_json, write_whole
-from quad_sysid.imports.betaflight_gains import (
-    DEGREES,
-    DTERM,
-    INAV_D,
-    INAV_I,
-    INAV_P,
-    ITERM,
-    PIDSUM,
-    PTERM,
-    YAW_I,
-)
+from quad_sysid.imports.betaflight_gains import BETAFLIGHT, DEGREES, INAV, PIDSUM, YAW_I
 from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
 
 DESIGN = 'quad_tuning/design/1'
@@ -45,7 +35,7 @@ NEEDED = ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
 
 @dataclass(frozen=True)
 class Firmware:
-    """How a firmware's file of parameters looks; its names are the table's, or those of `cli`."""
+    """Format of a firmware's file of parameters, with the names of `table` or of `cli`."""
 
     table: Table | None
     notes: tuple[str, ...]
@@ -86,11 +76,12 @@ FIRMWARES = {
                     '1\t1\t{name}\t{value:.9g}\t9'),
     'ardupilot': Firmware(ARDUPILOT, ARDUPILOT_NOTES),
     'betaflight': Firmware(None, BETAFLIGHT_NOTES, cli={
-        'rate.kp': ('p_{}', PTERM), 'rate.ki': ('i_{}', ITERM), 'rate.kd': ('d_{}', DTERM),
+        'rate.kp': ('p_{}', BETAFLIGHT[0]), 'rate.ki': ('i_{}', BETAFLIGHT[1]),
+        'rate.kd': ('d_{}', BETAFLIGHT[2]),
     }, head_lines=('set simplified_pids_mode = OFF',)),
     'inav': Firmware(None, INAV_NOTES, cli={
-        'rate.kp': ('mc_p_{}', INAV_P), 'rate.ki': ('mc_i_{}', INAV_I),
-        'rate.kd': ('mc_d_{}', INAV_D),
+        'rate.kp': ('mc_p_{}', INAV[0]), 'rate.ki': ('mc_i_{}', INAV[1]),
+        'rate.kd': ('mc_d_{}', INAV[2]),
     }),
 }
 """By the name that --to takes."""
@@ -192,7 +183,7 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
             if name not in gains:
                 continue
             unit_si = unit * DEGREES / PIDSUM * (
-                YAW_I if (axis, ours, unit) == ('yaw', 'rate.ki', ITERM) else 1.0)
+                YAW_I if (axis, ours, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]) else 1.0)
             unit_si *= flown.get(f'{axis}.rate.tpa_{ours[-2:]}', 1.0)
             value, old = (round(known[name] / unit_si) if name in known else None
                           for known in (gains, before))
@@ -259,7 +250,7 @@ def scales(items: list[str]) -> dict[str, float]:
 
 
 def read_axes(path: Path) -> dict[str, Mapping[str, Any]]:
-    """What a design or report says of each axis that has gains. Raises BadInputError."""
+    """The part of a design or report on each axis that has gains; raises BadInputError."""
     tree = read_json(path, REMEDY)
     schema = tree.get('schema') if isinstance(tree, dict) else None
     if schema not in SCHEMAS:

@@ -36,7 +36,7 @@ class GainSet:
     """One set that was active."""
 
     number: int
-    """From 1, in the order of time."""
+    """Number of the set, from 1, in the order of time."""
     time: str
     """ISO 8601, UTC."""
     gains: Mapping[str, float]
@@ -47,13 +47,13 @@ class GainSet:
     update: str = ''
     """Name of its update; sets of one update are its steps."""
     outcome: str = 'in flight'
-    """`found` on the STM32, `in flight`, `confirmed`, `not flown` (confirmed on the ground),
-    `passed` on the way, `rolled back`, ..."""
+    """Outcome: `found` on the STM32, `in flight`, `confirmed`, `not flown` (confirmed on the
+    ground), `passed` on the way, `rolled back`, ..."""
     reason: str = ''
 
 
 def default_folder() -> Path:
-    """Where the bridge stores it: `$ROS_HOME/quad_suite`, or in `~/.ros`."""
+    """Folder of the bridge's files: `$ROS_HOME/quad_suite`, or `~/.ros/quad_suite`."""
     home = os.environ.get('ROS_HOME')
     return (Path(home) if home else Path.home() / '.ros') / 'quad_suite'
 

@@ -37,20 +37,21 @@ class NotchProposal:
     place: str
     """`rate.d_notch`, `sensor.notch_1` or `sensor.notch_2`."""
     axis: str
-    """Where it shows most."""
+    """Axis on which the peak is largest."""
     frequency_hz: float
     width_hz: float
     gyro_rms: float
-    """Of the peak, rad/s."""
+    """RMS of the peak in the gyro, rad/s."""
     command_rms: float
-    """What the controller makes of it, of the whole range; `…_after` behind the notch."""
+    """RMS of the peak in the command, as a share of its range."""
     command_rms_after: float
+    """RMS in the command behind the notch, as a share of its range."""
     phase_deg: float
-    """That it takes at the highest crossover of the axes."""
+    """Phase lag of the notch at the highest crossover of the axes, degrees."""
 
     @property
     def gains(self) -> dict[str, float]:
-        """By the contract's names."""
+        """Frequency and width, Hz, by the contract's names."""
         return {f'{self.place}_hz': self.frequency_hz,
                 f'{self.place}_bandwidth_hz': self.width_hz}
 

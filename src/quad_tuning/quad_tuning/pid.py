@@ -71,7 +71,7 @@ CHUNK = 256
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything that is constant during a search."""
+    """The constants of one search: plant, ensembles and requirements."""
 
     plant: Flying
     active: CascadeGains

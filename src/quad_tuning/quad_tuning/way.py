@@ -40,7 +40,7 @@ class Way:
 
 
 def way_to(wanted: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
-    """A safe way to `wanted`; raises DesignRefusedError where none was found.
+    """A safe way to `wanted`; raises DesignRefusedError where there is none.
 
     Three kinds are tried: each gain changes as far as it may in each step; the same up to a halt;
     all gains change by equal ratios.

@@ -171,7 +171,7 @@ class AutopilotAircraft(Aircraft):
         return out
 
     def cycle(self, frame: Inertial, now_s: float) -> f.Cycle | None:
-        """What one of its attitudes, and all that came before, say as a control cycle."""
+        """A control cycle from one of its attitudes and the latest other messages."""
         self.flight.inertial(frame, now_s)
         flying = any(way.flying for way in self._ways)
         flags = f.Flag.EXCITATION if flying else f.Flag.NONE
@@ -205,7 +205,7 @@ class Connected:
 
     @property
     def last_cycle(self) -> f.Cycle | None:
-        """What stood for its last control cycle, where it sends none of ours."""
+        """Substitute for its last control cycle; None where it sends cycles of the contract."""
         return self.autopilot.last_cycle if self.autopilot is not None else None
 
     @property
@@ -221,7 +221,7 @@ class Connected:
             self.autopilot.take(frame, now_s)
 
     def forget(self) -> None:
-        """It may be another one from now on; a trial that has not ended is on the disk."""
+        """Forget the aircraft, since another may follow; an unfinished trial is on the disk."""
         if self.autopilot is not None:
             self.autopilot.abort()
 

@@ -28,7 +28,7 @@ NOT_READY = 3
 
 
 def report(aircraft: AutopilotAircraft, link: Link, now_ns: int, craft: str) -> list[Advice]:
-    """What was found, whether it is as it should be, and what to change."""
+    """Findings, each with whether it is right and what to change."""
     kind, flight = aircraft.kind, aircraft.flight
     major, minor = aircraft.number
     version = f'{major}.{minor}' if major else 'of unknown version'

@@ -59,7 +59,7 @@ class FlightState:
     target_s: float = -math.inf
     calm_since_s: float = math.inf
     rate_hz: float = 0.0
-    """Of the attitudes, measured."""
+    """Measured rate of the attitudes, Hz."""
     cycles: int = 0
     _thrusts: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=WINDOW))
     _arrivals: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
@@ -125,7 +125,7 @@ class FlightState:
         return ''
 
     def sticks_fault(self, now_s: float) -> str:
-        """Why the pilot's sticks are not known; empty where they are."""
+        """Reason why the pilot's sticks are not known; empty where they are."""
         if now_s - self.sticks_s > STICKS_S or len(self.sticks) < 4:
             return "the pilot's sticks are not received"
         return 'the receiver is in failsafe' if self.failsafe else ''
@@ -151,7 +151,7 @@ class FlightState:
     def cycle(
         self, frame: Inertial, now_s: float, added: Vector3, injection: f.Injection, flags: f.Flag
     ) -> f.Cycle | None:
-        """What is known now as a control cycle; None without attitude and rates."""
+        """The latest measurements as a control cycle; None without attitude and rates."""
         if frame.gyro is None or frame.attitude is None:
             return None
         target = self.target if now_s - self.target_s < REFERENCE_S else None

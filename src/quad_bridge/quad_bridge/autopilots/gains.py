@@ -30,7 +30,7 @@ STUBBORN_S = 1.0  # between two tries to write a good value back, once the first
 
 
 class State(Enum):
-    """Where the set stands."""
+    """State of the gain set."""
 
     READING = 'reading'
     READY = 'read back'
@@ -98,7 +98,7 @@ class ParameterGains:
         return self._table.in_common
 
     def identify(self, aircraft: str) -> None:
-        """Say which aircraft it is; what the disk knows of another one is not known of this."""
+        """Set the aircraft's name; sets on the disk of another aircraft are not used."""
         if self.aircraft not in {'', aircraft}:
             self._recalled = False
             self._good = self._good if self._good_of == aircraft else {}
@@ -148,7 +148,7 @@ class ParameterGains:
             self._take_back(What.FAILED, reason)
 
     def restart(self) -> None:
-        """Read everything again; a trial that goes on is taken back after that."""
+        """Read all parameters again; a running trial is then rolled back."""
         if self.state not in {State.READING, State.READY}:
             self.events.append(GainEvent(What.LOST, reason='the link broke'))
         self.active, self.values, self._kinds, self._requested = {}, {}, {}, {}

@@ -18,7 +18,7 @@ MOST_SAG = 0.08  # share of the voltage at the beginning by which the battery ma
 
 @dataclass(frozen=True)
 class Guard:
-    """How the flight was when a segment began; `fault` says why it must end now."""
+    """State of the flight at the start of a segment; `fault` gives the reason to end it."""
 
     mode: int
     sticks: tuple[float, ...]

@@ -54,10 +54,10 @@ class Kind:
     advice: Callable[[Values, tuple[int, int]], list[Advice]]
     log_suffix: str
     fetches_armed: bool
-    """Whether it sends logs while it is armed; they are asked for after landing all the same."""
+    """Whether it sends logs while it is armed; they are requested after landing all the same."""
     log_closes_s: float
-    """After landing: until it writes to the log no more. Who asks before cuts the log short, and
-    ArduPilot begins another one then."""
+    """Time after landing until it no longer writes to the log. An earlier request cuts the log
+    short, and ArduPilot then begins another one."""
     logs_by_time: bool = False
     """Whether its list of logs is in no order: PX4 lists a directory as it finds it."""
     modes: Mapping[int, str] = field(default_factory=dict)

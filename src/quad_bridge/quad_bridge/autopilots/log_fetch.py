@@ -22,7 +22,7 @@ TRIES = 40
 
 
 class Phase(Enum):
-    """Where it stands."""
+    """State of the fetch."""
 
     IDLE = 'none asked for'
     WAITING = 'waiting until the log is closed'
@@ -67,7 +67,7 @@ class LogFetch:
 
     @property
     def size(self) -> int:
-        """Bytes of the log; 0 before it is known."""
+        """Size of the log, bytes; 0 before the autopilot has stated it."""
         return self.entry.size if self.entry is not None else 0
 
     def begin(self, now_s: float, wait_s: float, *, by_time: bool = False) -> None:

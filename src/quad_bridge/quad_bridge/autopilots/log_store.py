@@ -21,11 +21,11 @@ class LogStore:
         self._name = ''
 
     def open(self, folder: Path, suffix: str) -> None:
-        """From now on this aircraft's."""
+        """Use the folder and suffix of another aircraft."""
         self._folder, self._suffix = folder, suffix
 
     def there(self, entry: LogEntry) -> int:
-        """How many bytes of this log are there already."""
+        """Number of bytes of this log that are stored already."""
         self._name, self.fault, self.whole = f'log_{entry.number}_{entry.size}', '', ''
         for path in (self._path(self._suffix), self._path('.part')):
             with contextlib.suppress(OSError):

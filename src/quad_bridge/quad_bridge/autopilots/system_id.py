@@ -35,7 +35,7 @@ LEAST_S = 5.0
 
 
 class Phase(Enum):
-    """Where it stands."""
+    """State of the experiment."""
 
     IDLE = 'idle'
     WRITING = 'writing SID parameters'

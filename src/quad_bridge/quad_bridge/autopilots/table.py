@@ -36,7 +36,7 @@ class Row:
     ours: str
     theirs: str
     limits: Limits | None = None
-    """What the parameter may be, by the autopilot's own list; None: it is never written."""
+    """Bounds of the parameter in the autopilot's own list; None: it is never written."""
     yaw_limits: Limits | None = None
     factor: float = 1.0
     torque: bool = False
@@ -58,7 +58,7 @@ class Table:
     axes: tuple[str, str, str]
     rows: tuple[Row, ...]
     shared: tuple[Row, ...]
-    """Of the aircraft as a whole; their `ours` is the whole name."""
+    """Rows of the whole aircraft, whose `ours` is the full contract name."""
     multiplier: str = ''
     """A parameter of each axis that multiplies P, I and D."""
     d_on_error: bool = False
@@ -95,7 +95,7 @@ class Table:
                 * (multiplier if row.multiplied else 1.0))
 
     def gains(self, known: Mapping[str, float], units: Units) -> dict[str, float]:
-        """Contract names, SI, of known parameters; limits and filters of 0 are none."""
+        """Gains by contract name, SI, from parameters; a limit or filter of 0 is left out."""
         gains = {}
         for ours, axis, row, theirs in self.of_axes():
             if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
@@ -124,7 +124,7 @@ class Table:
     def parameters(
         self, gains: Mapping[str, float], known: Mapping[str, float], units: Units
     ) -> dict[str, float]:
-        """Parameters that give these gains; of one for all axes the lowest that is asked for.
+        """Parameters for these gains; one that all axes share gets the lowest of their values.
 
         Raises UnfitError where one has no parameter, or leaves what the parameter may be.
         """

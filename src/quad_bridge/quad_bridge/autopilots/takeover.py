@@ -37,7 +37,7 @@ MOST = {Injection.ATTITUDE: math.radians(20.0), Injection.RATE: math.radians(200
 
 
 class Phase(Enum):
-    """Where it stands."""
+    """State of the takeover."""
 
     IDLE = 'idle'
     STREAMING = 'streaming before the switch'
@@ -48,7 +48,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Means:
-    """How an autopilot is flown by set-points."""
+    """Mode, messages and injections with which an autopilot flies set-points."""
 
     mode: int
     name: str

@@ -66,7 +66,7 @@ def _work(jobs: Jobs) -> None:
 
 
 class History:
-    """The files of the aircraft that is connected; nothing is written before it is known.
+    """The files of the connected aircraft; none is written before its name is known.
 
     Nothing raises: a full disk must not keep gains from being rolled back. `run` takes the work
     of writing, a `Worker` or something that does it at once.
@@ -91,7 +91,7 @@ class History:
         return self.stored(POLARITY) | self.stored(f'{FLIGHT}.json') | self.stored(f'{TRIAL}.json')
 
     def stored(self, name: str) -> dict[str, Any]:
-        """What is in one of the aircraft's files that are replaced whole; {} where nothing."""
+        """Content of one of the aircraft's files that are replaced whole; {} without that file."""
         try:
             path = self._folder / self._aircraft / name
             content = json.loads(path.read_text(encoding='utf-8'))

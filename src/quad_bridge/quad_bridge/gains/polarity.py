@@ -145,14 +145,14 @@ def merge_motors(
 
 
 class Push(NamedTuple):
-    """What is to be added now."""
+    """Excitation to add now."""
 
     value: Vector3  # FLU
     injection: Injection
 
 
 class PolarityCheck:
-    """The record, the rule, and the run."""
+    """The check of motors and signs before a flight: its record, its rule and its run."""
 
     def __init__(self, mode: str, rate_hz: float = 250.0) -> None:
         """`rate_hz`: control cycles per second, of the next run."""

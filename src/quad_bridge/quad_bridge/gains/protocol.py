@@ -53,7 +53,7 @@ _ACTIONS = {
 
 
 class What(Enum):
-    """What happened to the gains."""
+    """Events of the gains."""
 
     READ = 'all read'
     COMMITTED = 'committed and read back'

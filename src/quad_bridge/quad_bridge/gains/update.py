@@ -98,7 +98,7 @@ class GainUpdates:
     """See the module. `ask` and `check` raise RefusedError, the rest never."""
 
     def __init__(self, settings: GainSettings, history: History) -> None:
-        """For this project's firmware, until `use` says otherwise."""
+        """Begin with the protocol of this project's firmware; `use` sets another."""
         self.notes: list[Note] = []
         self.refused = ''
         """Why the last update was refused, failed or reverted; empty after a good one."""

@@ -84,7 +84,7 @@ class ClimbWatch:
         self._over_s = self._over_s + dt if over else 0.0
 
     def begin(self, ratio: float = 1.0) -> None:
-        """From now on compare with the motion before this call, times the predicted ratio."""
+        """Compare from now on with the motion before this call, times the predicted ratio."""
         self._bound = max((MARGIN * ratio) ** 2 * self._energy, CLIMB_FLOOR_M_S**2)
         self._over_s = 0.0
 
@@ -173,7 +173,7 @@ class GainWatch:
         return is_full and bool((self._before() <= self._most(self._unknown)).all())
 
     def know(self, before: object) -> None:
-        """Take `before` of the aircraft's last good flight; what is none leaves none known."""
+        """Restore levels that were stored after a good flight; invalid ones leave none."""
         self._sound = self._unknown
         try:
             levels = np.array(before, dtype=float)
@@ -241,7 +241,7 @@ class GainWatch:
     def begin(
         self, predicted: Mapping[str, Predicted] | None = None, axes: Collection[str] = AXES
     ) -> None:
-        """From now on compare with the figures before this call, times what is `predicted`.
+        """Compare from now on with the figures before this call, times the `predicted` ratios.
 
         Only `axes` are looked at: what gains have not changed, they have not spoilt.
         """

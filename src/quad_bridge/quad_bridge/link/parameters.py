@@ -46,7 +46,7 @@ def encoded(value: float, kind: int, *, bytewise: bool) -> float:
 
 
 class Parameters:
-    """Asks for the parameters of one autopilot; `complete` once all have come or been given up."""
+    """Requests the parameters of one autopilot; `complete` once all have arrived or expired."""
 
     def __init__(self, peer: Heartbeat) -> None:
         self.values: dict[str, float] = {}
@@ -56,11 +56,11 @@ class Parameters:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing more is asked for."""
+        """Whether no request is open."""
         return not any(self._open(name) for name in self._names())
 
     def take(self, value: ParamValue) -> None:
-        """Take an answer, or what another party has asked for."""
+        """Store a value, whoever requested it."""
         if value.kind == REAL32 or value.kind in _INTEGERS:
             self.values[value.name] = number(value, bytewise=self._bytewise)
 

@@ -149,7 +149,7 @@ def _why_slow(autopilot: Autopilot, slow: list[str]) -> str:
 
 
 def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> Status:
-    """How well device time is mapped to host time; see `LinkReport.entries`."""
+    """Quality of the map from device to host time; see `LinkReport.entries`."""
     clock = link.clock
     values = {
         'offset (s)': f'{1e-9 * clock.offset_ns:.6f}',

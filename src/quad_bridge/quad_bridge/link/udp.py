@@ -44,7 +44,7 @@ class UdpPort:
         self.url = f'{"udpin" if self.listens else "udpout"}://{host}:{port}'
 
     def fileno(self) -> int:
-        """For select."""
+        """Descriptor of the socket, for `select`."""
         return self._socket.fileno()
 
     def read(self, _size: int) -> bytes:

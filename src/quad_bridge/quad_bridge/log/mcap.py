@@ -54,7 +54,7 @@ class RecordedTopic:
 
     name: str
     kind: str
-    """Such as `sensor_msgs/msg/Imu`."""
+    """Message type, such as `sensor_msgs/msg/Imu`."""
     definition: str
     digest: str
     """RIHS01 hash of the type."""

@@ -33,10 +33,10 @@ class Recovered:
     """The result of a recovery."""
 
     path: Path
-    """The new bag; of a sound one that nobody wants copied, that bag itself."""
+    """The new bag; the old one where it is sound and no copy was requested."""
     counts: dict[str, int] = field(default_factory=dict)
     lost: int = 0
-    """Messages known to be lost; where the end of a file is missing, there were more."""
+    """Lower bound on the lost messages; the missing end of a file may have held more."""
     unread_bytes: int = 0
     total_bytes: int = 0
     undecodable: int = 0
@@ -102,7 +102,7 @@ def recover(bag: Path, out: Path | None = None) -> Recovered:
 
 
 class Tally:
-    """In place of a writer: counts what one would have written."""
+    """Stands in for a writer, and counts what it would have written."""
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}

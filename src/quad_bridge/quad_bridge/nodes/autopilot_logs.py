@@ -86,7 +86,7 @@ class AutopilotLogs:
         self._tell()
 
     def status(self) -> Status:
-        """For /diagnostics."""
+        """Status of the fetch, for /diagnostics."""
         fetch = self._fetch
         values = {'state': fetch.phase.value, 'bytes': fetch.got, 'of': fetch.size,
                   'path': self._store.whole}  # fmt: skip

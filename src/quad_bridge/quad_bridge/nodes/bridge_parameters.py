@@ -26,7 +26,7 @@ from quad_bridge.wire.signing import Signing
 
 @dataclass(frozen=True)
 class BridgeSettings:
-    """What the node was started with."""
+    """Parameters with which the node was started."""
 
     port: str
     baud: int

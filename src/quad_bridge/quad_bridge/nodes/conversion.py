@@ -223,7 +223,7 @@ def parameters(event: ParameterEvent) -> dict[str, object]:
 
 
 def age_s(stamp: Time, now_ns: int) -> float:
-    """How long ago a message was stamped; negative: that is still to come."""
+    """Age of a message by its stamp, s; negative for a stamp in the future."""
     return 1e-9 * float(now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec)
 
 

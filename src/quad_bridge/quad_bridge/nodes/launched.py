@@ -74,5 +74,5 @@ def included(package: str, name: str, names: Iterable[str]) -> Any:
 
 
 def deferred(make: Any) -> Any:
-    """What `make`, called with the launch's context, returns: once the arguments are known."""
+    """The actions of `make(context)`, which is called once the launch arguments are known."""
     return OpaqueFunction(function=make)

@@ -58,7 +58,7 @@ class Aside(ReentrantCallbackGroup):  # type: ignore[misc]
 
 
 def waiting(subscription: Any, most: int) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """At most so many of the messages that have come to a subscription, and about each."""
+    """Waiting messages of a subscription, at most so many, each with its information."""
     handle = subscription.handle
     with handle:
         for _ in range(most):

@@ -38,11 +38,11 @@ class TimedNode:
             time.on_due = node.create_guard_condition(time.step).trigger
 
     def get_clock(self) -> Any:
-        """As rclpy's; only `now` in lockstep."""
+        """The clock of rclpy; in lockstep one with `now` only."""
         return _Now() if here().simulated else super().get_clock()  # type: ignore[misc]
 
     def create_publisher(self, kind: Any, topic: str, *others: Any, **more: Any) -> Any:
-        """As rclpy's."""
+        """A publisher of rclpy; in lockstep it reports what it publishes."""
         publisher: Any = super().create_publisher(kind, topic, *others, **more)  # type: ignore[misc]
         stream = _contract(topic)
         if here().simulated and stream in STREAMS:
@@ -53,7 +53,7 @@ class TimedNode:
     def create_subscription(
         self, kind: Any, topic: str, callback: Any, qos: Any, **more: Any
     ) -> Any:
-        """As rclpy's; in lockstep a stream loses nothing."""
+        """A subscription of rclpy; in lockstep a stream loses nothing."""
         stream = _contract(topic)
         if here().simulated and stream in STREAMS:
             callback = _then(callback, functools.partial(here().handled, stream))
@@ -61,12 +61,12 @@ class TimedNode:
         return super().create_subscription(kind, topic, callback, qos, **more)  # type: ignore[misc]
 
     def destroy_subscription(self, subscription: Any) -> bool:
-        """As rclpy's."""
+        """Destroy a subscription; the lockstep no longer waits for it."""
         here().forget(_contract(subscription.topic_name))
         return bool(super().destroy_subscription(subscription))  # type: ignore[misc]
 
     def create_timer(self, period_s: float, callback: Any, *, clock: Any = None) -> Any:
-        """As rclpy's, on the steady clock where none is given; in lockstep whatever its clock.
+        """A timer of rclpy, by default on the steady clock; in lockstep on the simulated time.
 
         A node's own clock stands still for as long as the system clock was set back.
         """
@@ -77,7 +77,7 @@ class TimedNode:
         return super().create_timer(period_s, callback, clock=steady)  # type: ignore[misc]
 
     def destroy_timer(self, timer: Any) -> bool:
-        """As rclpy's."""
+        """Destroy a timer of rclpy or of the lockstep."""
         time = here()
         if isinstance(time, Participant) and isinstance(timer, Timer):
             time.remove(timer)

@@ -169,7 +169,7 @@ def _paths(tree: object, above: str = '') -> Iterator[str]:
 
 
 def tell_unused(node: Any) -> None:
-    """Warn where parameter files were given and hold nothing of this node."""
+    """Warn where parameter files hold nothing for this node."""
     if '--params-file' in sys.argv and not overrides(node):
         name = node.get_fully_qualified_name()
         text = f'the parameter files set nothing of {name}: root them at "{name}:" or "/**:"'

@@ -25,7 +25,7 @@ MAX_NORM_ERROR = 0.8  # m/s²: by how much the measured gravity may be off
 
 @dataclass(frozen=True)
 class RestEstimate:
-    """Estimates for the middle of the recording; standard errors where they are known."""
+    """Estimates for the middle of the recording, with standard errors where there are any."""
 
     duration_s: float
     gyro_bias: tuple[float, float, float]  # rad/s, body axes x y z

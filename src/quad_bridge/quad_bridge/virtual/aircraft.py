@@ -230,6 +230,6 @@ def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:
 
 
 def aircraft_number(profile: Profile) -> int:
-    """As the STM32's unique id: the same for the same airframe on any mount, 64 bits."""
+    """Unique number of an airframe, 64 bits as of an STM32; the same on any mount."""
     digest = hashlib.blake2b(repr(profile.airframe).encode(), digest_size=8).digest()
     return int.from_bytes(digest, 'little')

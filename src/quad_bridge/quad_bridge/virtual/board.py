@@ -22,7 +22,7 @@ START_S = 60.0
 
 
 class EndedError(Exception):
-    """The firmware's process has ended, and has said why."""
+    """The firmware's process has ended, after a message that says why."""
 
 
 class Board:
@@ -49,7 +49,7 @@ class Board:
             raise EndedError from error
 
     def motors(self) -> hil.Motors:
-        """Its answer; raises EndedError where it has ended."""
+        """The firmware's motor commands; raises EndedError where its process has ended."""
         try:
             frame = self._line.recv(hil.MOTORS_BYTES, socket.MSG_WAITALL)
         except OSError as error:

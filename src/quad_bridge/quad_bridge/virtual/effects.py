@@ -98,7 +98,7 @@ class Saturation(Effect):
 
 @dataclass(frozen=True)
 class MotorLag(Effect):
-    """The given motors (1..4) are slower than the others."""
+    """Some motors (1..4) are slower than the others."""
 
     motors: tuple[int, ...] = (1,)
     slow_time_constant_s: float = 0.12

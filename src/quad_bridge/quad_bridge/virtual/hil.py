@@ -40,7 +40,7 @@ class Boot:
     gains: Sequence[float]  # all parameters in the order of their index
 
     def frame(self) -> bytes:
-        """As it goes over the line."""
+        """The bytes of this message."""
         return _framed(
             b'B',
             _BOOT.pack(

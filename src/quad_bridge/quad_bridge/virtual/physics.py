@@ -32,7 +32,7 @@ STATES = 31
 
 
 def initial_state(start_charge: float, capacity_as: float, throttle: float) -> FloatArray:
-    """At rest and level, rotors already at `throttle` (0..1)."""
+    """State at rest and level, with the rotors at `throttle` (0..1)."""
     state = np.zeros(STATES)
     state[QUAT] = 1.0
     state[ROTORS : ROTORS + 4] = throttle
@@ -223,7 +223,7 @@ def stands(state: FloatArray, plant: Plant) -> bool:
 
 @kernel
 def touch_ground(state: FloatArray, plant: Plant) -> None:
-    """Nothing sinks into the ground; what stands on it is level and neither slides nor turns."""
+    """Keep the aircraft above the ground; on it, it is level and neither slides nor turns."""
     if not stands(state, plant) or state[VELOCITY + 2] > 0.0:
         return
     state[POSITION + 2] = plant.ground_m

@@ -16,7 +16,7 @@ NAMES = ('roll', 'pitch', 'throttle', 'yaw', 'aux1', 'aux2', 'aux3', 'aux4', 'au
 
 @dataclass(frozen=True)
 class Event:
-    """From `time_s` (device time) on, `channel` has `value`; `failsafe` takes 0 or 1."""
+    """A change of `channel` to `value` at `time_s` (device time); `failsafe` takes 0 or 1."""
 
     time_s: float
     channel: str

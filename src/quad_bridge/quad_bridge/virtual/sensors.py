@@ -178,7 +178,7 @@ def sense_step(
 def sense_cycle(
     sensed: FloatArray, state: FloatArray, chips: Chips, normals: FloatArray, cycle: int
 ) -> None:
-    """What changes once a cycle or more slowly; `normals` (7,): drift 3, compass 3, pressure.
+    """Update the readings that change once a cycle; `normals` (7,): drift 3, compass 3, pressure.
 
     The first readings of all are those of a calibration at rest, without noise.
     """

@@ -55,7 +55,7 @@ class Decoder:
 
     @property
     def peer(self) -> tuple[int, int] | None:
-        """System and component of the peer, where `own` was given and it has spoken."""
+        """System and component of the peer; None before its first message, or without `own`."""
         return self._peer
 
     def resync(self) -> None:

@@ -37,7 +37,7 @@ class Flag(IntFlag):
 
 
 class Injection(IntEnum):
-    """Where an excitation is added (enum QUAD_INJECTION); names as in the contract, lower case."""
+    """Point at which an excitation is added (enum QUAD_INJECTION), by the contract's names."""
 
     NONE = 0
     ATTITUDE = 1
@@ -98,7 +98,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Excitation:
-    """What the bridge asks the STM32 to add, until replaced or `valid_ms` old."""
+    """Excitation that the STM32 adds until it is replaced or `valid_ms` old."""
 
     value: Vector3  # per axis, FRD, rad, rad/s or normalised command
     injection: int

@@ -9,8 +9,6 @@ from pathlib import Path
 from quad_sysid.arguments import Commands, command, positive
 from quad_sysid.errors import BadInputError
 
-MOST_MB = 200.0
-
 
 def add(commands: Commands) -> None:
     """Register the command."""
@@ -24,8 +22,8 @@ def add(commands: Commands) -> None:
                         'there (default: this folder)')
     parser.add_argument('--port', type=int, default=0,
                         help='port on 127.0.0.1 (default: a free one)')
-    parser.add_argument('--most-mb', metavar='MB', type=float, default=MOST_MB,
-                        help=f'largest file that may be dropped (default {MOST_MB:g})')
+    parser.add_argument('--most-mb', metavar='MB', type=float, default=200.0,
+                        help='largest file that may be dropped (default %(default)g)')
     parser.add_argument('--no-browser', action='store_true', help='print the address only')
 
 

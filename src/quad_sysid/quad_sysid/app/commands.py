@@ -14,10 +14,10 @@ from quad_sysid.app.folder import RefusedError, inside, is_bag
 from quad_sysid.axes import NAMES
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
+from quad_sysid.motor_layout import MAX_MOTORS
 
 SYSID = 'quad-sysid'
 FIRMWARES = ('px4', 'ardupilot', 'betaflight', 'inav')
-MOST_MOTORS = 8
 UNIT = re.compile(r'[A-Za-z0-9/_.:+-]{0,24}')
 
 Command = tuple[str, str, list[str]]
@@ -212,7 +212,7 @@ def _place(role: str) -> tuple[str, int]:
     number = role.removeprefix('motor ')
     if not role:
         return '', 0
-    if role.startswith('motor ') and number.isdecimal() and 1 <= int(number) <= MOST_MOTORS:
+    if role.startswith('motor ') and number.isdecimal() and 1 <= int(number) <= MAX_MOTORS:
         return 'motors', int(number) - 1
     entry = OPTIONS.get(option)
     if entry is not None and entry.per_axis and axis in AXES:

@@ -14,7 +14,7 @@ RESULTS = 'quad_sysid_app'
 SUFFIXES = ('.mcap', '.db3', '.ulg', '.bin', '.log', '.bbl', '.bfl', '.txt', '.csv', '.mat',
             '.bag', '.gz', '.xz', '.bz2', '.json')
 MOST_FILES = 500
-DEEPEST = 3
+"""Files on a page that a reader still scans."""
 ALLOWED = re.compile(r'[^\w.+\-() ]')
 LONGEST_NAME = 200
 """Bytes of it: file systems take 255."""
@@ -55,7 +55,7 @@ def is_bag(path: Path) -> bool:
 
 
 def entries(folder: Path) -> list[Entry]:
-    """What can be chosen, by name; bags as one entry each."""
+    """The files that can be chosen, by name; a bag is one entry."""
     root = folder.resolve()
     listed: list[Entry] = []
     waiting = [(root, 0)]
@@ -73,7 +73,7 @@ def entries(folder: Path) -> list[Entry]:
                 if is_bag(path):
                     size = sum(f.stat().st_size for f in path.iterdir() if f.is_file())
                     listed.append(Entry(relative, 'bag', size / 1e6))
-                elif depth < DEEPEST:
+                elif depth < 3:
                     waiting.append((path, depth + 1))
             elif path.name == 'model.json':
                 listed.append(Entry(relative, 'model', path.stat().st_size / 1e6))

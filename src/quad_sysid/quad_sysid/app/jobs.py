@@ -49,28 +49,28 @@ class Job:
     program: str
     arguments: tuple[str, ...]
     folder: Path
-    """Where its output and results are."""
+    """Folder of its output and results."""
     state: str = 'waiting'
     """`waiting`, `running`, `done`, `no answer` (status 3), `failed`, `stopped`."""
     doing: str = ''
-    """What it says that it is doing."""
+    """Its last line of progress."""
     begun: float = 0.0
     ended: float = 0.0
     process: subprocess.Popen[bytes] | None = field(default=None, repr=False)
     expected: float = 0.0
-    """Time that it will take by earlier jobs, s; 0 where none is known."""
+    """Expected duration by earlier jobs, s; 0 where there was none."""
     after: Sequence[Job] = ()
     """Jobs whose bags it reads: without them it is not begun."""
 
     def remaining_s(self) -> float | None:
-        """Time that is left, s, by earlier jobs of its kind; None where nothing says so."""
+        """Remaining time, s, by earlier jobs of its kind; None where there was none."""
         if self.state != 'running' or not self.expected:
             return None
         return max(0.0, self.expected - self.seconds)
 
     @property
     def size(self) -> int:
-        """What it works on: bytes of its files, times axes."""
+        """Amount of its work: bytes of its files, times the number of axes."""
         paths = [Path(a) for a in self.arguments if a.startswith('/') and Path(a).exists()]
         files = [f for path in paths for f in (path.iterdir() if path.is_dir() else [path])
                  if f.is_file() and self.folder not in f.parents]
@@ -83,7 +83,7 @@ class Job:
         return (self.ended or time.monotonic()) - self.begun if self.begun else 0.0
 
     def keep(self) -> None:
-        """Leave in its folder what it is and what became of it."""
+        """Write title, command and outcome into its folder."""
         with suppress(OSError):
             (self.folder / KEPT).write_text(json.dumps({
                 'title': self.title, 'program': self.program, 'arguments': self.arguments,
@@ -91,13 +91,13 @@ class Job:
                 'size': self.size}))
 
     def say(self, line: str) -> None:
-        """Put a line below what it printed, unless it stands there."""
+        """Append a line to its output, unless it is there."""
         self.doing = line
         with suppress(OSError), (self.folder / OUTPUT).open('a', encoding='utf-8') as out:
             out.write('' if line in self.text() else f'{line}\n')
 
     def text(self) -> str:
-        """What it printed."""
+        """The output that it printed, its last MOST_TEXT characters."""
         with suppress(OSError):
             return (self.folder / OUTPUT).read_text(
                 encoding='utf-8', errors='replace')[-MOST_TEXT:]

@@ -29,8 +29,6 @@ from quad_sysid.app.jobs import Job, Queue
 from quad_sysid.report.style import SHEET
 
 COOKIE = 'quad_sysid_token'
-SHOWN_NAME = 60
-"""Characters of a file's name in a message."""
 MOST_REQUEST = 100_000
 """Bytes of a request that is no upload."""
 HERE = Path(__file__).parent
@@ -135,7 +133,7 @@ class App:
         try:
             path = await self._received(name, request)
         except RefusedError as error:
-            raise RefusedError(f'{name[-SHOWN_NAME:]}: {error}') from error
+            raise RefusedError(f'{name[-60:]}: {error}') from error
         return responses.JSONResponse({'path': path.name})
 
     async def _received(self, name: str, request: Request) -> Path:

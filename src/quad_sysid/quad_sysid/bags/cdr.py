@@ -70,7 +70,7 @@ WIDTH = {msgtype: len(columns) for msgtype, columns in COLUMNS.items()}
 
 @dataclass(frozen=True)
 class Joints:
-    """What is read of a JointState: one number of each motor, motor_1 first."""
+    """Layout of a JointState: one number per motor is read, motor_1 first."""
 
     count: int = 4
     field: str = 'effort'
@@ -107,10 +107,6 @@ def joints_of(messages: Sequence[bytes], field: str) -> Joints:
             return joints
     return Joints(field=field)
 
-MAX_LAYOUTS = 8
-"""Layouts that are tried for messages of one length before they are read one by one."""
-FIRST = 1_000_003
-"""A number that no message holds, and those after it, show which goes to which column."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +123,7 @@ class Layout:
     """Messages of one length that agree in all bytes but their numbers'."""
 
     pattern: npt.NDArray[np.uint8]
-    """One of them."""
+    """Bytes (m,) of one of these messages."""
     fixed: tuple[tuple[int, int], ...]
     """Ranges [start, stop) of the bytes that agree: the encapsulation, lengths and texts."""
     columns: tuple[tuple[int, str], ...]
@@ -141,8 +137,9 @@ def layout_of(msgtype: str, raw: bytes, joints: Joints = FOUR) -> Layout:
     try:
         message = typestore().deserialize_cdr(raw, msgtype)
         kind = Nodetype.NAME, msgtype
+        # numbers that no message holds show which of them goes to which column
         bare, full, counted = (_numbered(kind, message, numbers)
-                               for numbers in (repeat(0), repeat(None), count(FIRST)))
+                               for numbers in (repeat(0), repeat(None), count(1_000_003)))
         low, high, plain = (
             np.frombuffer(bytes(typestore().serialize_cdr(message, msgtype)), np.uint8)
             for message in (bare, full, counted))
@@ -194,7 +191,7 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
         rows = np.flatnonzero(lengths == length)
         key = msgtype, joints, int(length)
         layout = _LAST.get(key)
-        for _ in range(MAX_LAYOUTS):
+        for _ in range(8):  # layouts, then one by one
             if len(rows) == 0:
                 break
             unread = np.zeros(len(rows), dtype=bool)

@@ -18,7 +18,6 @@ EVENT = 'rcl_interfaces/msg/ParameterEvent'
 DESATURATION = 'mixer.desaturation'
 DESATURATIONS = ('clip', 'yaw_first', 'none')
 """Its values; the first holds where a bag does not say."""
-SECOND = 1_000_000_000
 KINDS: dict[int, tuple[str, type]] = {1: ('bool_value', bool), 2: ('integer_value', int),
                                       3: ('double_value', float), 4: ('string_value', str)}
 """ParameterType to the field that holds the value, and its type; True counts as a bool."""
@@ -49,7 +48,7 @@ def decode_events(messages: Iterable[bytes]) -> tuple[list[Event], int]:
             value = parameter.value
             if value.type in KINDS:
                 values[parameter.name] = getattr(value, KINDS[value.type][0])
-        event = Event(message.stamp.sec * SECOND + message.stamp.nanosec, values)
+        event = Event(message.stamp.sec * 10**9 + message.stamp.nanosec, values)
         if event not in events:
             events.append(event)
     return sorted(events, key=lambda e: e.stamp), spoiled
@@ -58,7 +57,7 @@ def decode_events(messages: Iterable[bytes]) -> tuple[list[Event], int]:
 def encode_event(event: Event, node: str) -> bytes:
     """Serialise a ParameterEvent (CDR)."""
     message = blank(EVENT, node=node)
-    message.stamp.sec, message.stamp.nanosec = divmod(event.stamp, SECOND)
+    message.stamp.sec, message.stamp.nanosec = divmod(event.stamp, 10**9)
     message.changed_parameters = [
         blank('rcl_interfaces/msg/Parameter', name=name, value=_value(value))
         for name, value in event.values.items()
@@ -105,7 +104,7 @@ def segments_from(events: Sequence[Event], seconds: Callable[[int], float],
 
 
 def desaturation_from(events: Sequence[Event]) -> str:
-    """What the aircraft does with commands that its motors cannot give, `mixer.desaturation`."""
+    """Value of `mixer.desaturation`: the treatment of commands beyond the motors' range."""
     values = [str(event.values[DESATURATION]) for event in events if DESATURATION in event.values]
     return values[-1] if values and values[-1] in DESATURATIONS else DESATURATIONS[0]
 

@@ -25,6 +25,7 @@ LEAST = 10
 MOVES_M = 0.05
 """Positions that spread less say nothing of how fast the aircraft is."""
 SLOWEST_BARO_S = 0.5
+"""Usual interval of the barometer above which a climb is over between two of its values."""
 SMOOTH_S = 0.2
 """Slopes of positions are compared with the twist as means over this: their noise is white."""
 CLOSER = 0.5
@@ -36,7 +37,7 @@ AIR_PA = (1e4, 1.2e5)
 
 @dataclass(frozen=True)
 class Moving:
-    """What a bag says of the motion over the ground; None: nothing."""
+    """Motion over the ground, as a bag has it; None where it has none."""
 
     velocity: FloatArray | None = None
     """(n, 3) m/s forward, left, up; NaN where not measured."""

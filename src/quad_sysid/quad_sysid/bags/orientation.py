@@ -7,9 +7,9 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 
 UNMEASURED = -1.0
+"""First number of a covariance whose quantity is not measured (REP-145)."""
 MIN_NORM = 0.5
 """Below it four numbers are zeros or noise, and no quaternion of norm 1."""
-"""First number of a covariance whose quantity is not measured (REP-145)."""
 
 
 def quaternions(angles: FloatArray) -> FloatArray:

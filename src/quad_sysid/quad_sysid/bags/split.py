@@ -14,8 +14,6 @@ from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import Record, Segment
 
-TRAIN_SHARE = 0.6
-
 Span = tuple[float, float]
 """Start and end, s from the record's first sample."""
 
@@ -47,7 +45,7 @@ def split_segments(record: Record, train: Span | None = None, validate: Span | N
     if train is None and validate is None:
         if evaluated:
             return record
-        train = (0.0, TRAIN_SHARE * record.n * record.dt)
+        train = (0.0, 0.6 * record.n * record.dt)
     if axes is None:
         axes = tuple(axis for axis in EVERY if axis in {s.axis for s in evaluated}) or AXES
     train, cut = clip_span(train, record, '--train')

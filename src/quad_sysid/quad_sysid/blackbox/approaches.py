@@ -29,17 +29,8 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
-LOOP_ORDER = 20
-"""Order of the ARX model for instruments, which need not be exact."""
-STAGE_ORDER = 6
-"""Order of the output error model of the loop, whose errors bias the plant."""
-STAGE_ORDERS = (6, 8, 4)
-"""Orders of the loop's output error model for start values, tried in this order."""
-WHITENED = 3
-"""Rounds of fitting, each behind a filter that whitens what the one before left."""
 
-
-def joint(z: IOData, fit: Callable[[IOData], Model], *, order: int = STAGE_ORDER) -> Model:
+def joint(z: IOData, fit: Callable[[IOData], Model], *, order: int = 6) -> Model:
     """Joint input-output: u and y as outputs of r; `fit` runs on the part of u that r explains.
 
     The two-stage method (Van den Hof, Schrama 1993), right whatever the noise and unknown the
@@ -73,7 +64,7 @@ def noise_free(where: str, z: IOData, x: FloatArray, order: int | None = None) -
             model = oe(loop, order, order, 0)
         else:
             longest = max(stop - start for start, stop in z.segments)
-            high = max(1, min(LOOP_ORDER, longest // 20))
+            high = max(1, min(20, longest // 20))  # instruments need no exact model
             model = stabilised(arx(loop, high, high, 0))
     except BadInputError as error:
         raise BadInputError(
@@ -135,7 +126,7 @@ def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
     check_informative('indirect', z, nb + nf, nk + nb + nf + controller.P.size)
     model = _start(z, nb, nf, nk, controller, start)
     ar, iterations = np.ones(1), 0
-    for _ in range(WHITENED):
+    for _ in range(3):  # each round behind a filter that whitens what the one before left
         end = descend(_evaluate(model, z, controller, ar),
                       lambda model, ar=ar: _evaluate(model, z, controller, ar))  # type: ignore[misc]
         model, iterations = end.model, iterations + end.model.iterations
@@ -155,7 +146,7 @@ def _start(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
     unit = np.ones(1)
     plain = {'C': unit, 'D': unit, 'structure': 'OE', 'orders': {'nb': nb, 'nf': nf, 'nk': nk},
              'approach': 'indirect', 'warnings': ()}
-    for order in (None, *STAGE_ORDERS):
+    for order in (None, 6, 8, 4):
         model = start
         if order is not None:
             clean, u = noise_free('indirect', z, z.y, order), np.zeros_like(z.u)

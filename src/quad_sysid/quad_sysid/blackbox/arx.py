@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from quad_sysid.blackbox.constants import EXACT
 from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.polynomial import delayed, monic
 from quad_sysid.blackbox.regression import (
@@ -28,8 +29,6 @@ from quad_sysid.qr import upper
 from quad_sysid.record import IOData
 
 IntArray = npt.NDArray[np.int64]
-ROUNDING = 1e-22
-"""Part of the output's power below which a residual sum is rounding: such models tie."""
 CRITERIA = ('aic', 'bic')
 
 
@@ -117,7 +116,7 @@ def search_arx(z: IOData, na: int | Iterable[int] = range(1, 11),
     blocks = arx_blocks(z, range(1, nas[-1] + 1), u_lags, lead)
     rows = usable_rows(z, lead)
     r = triangular(blocks)
-    floor = ROUNDING * float(np.sum(r[:, -1] ** 2))
+    floor = EXACT * float(np.sum(r[:, -1] ** 2))
     sse = np.maximum(_losses(r, nas, nbs, nks), floor)
     grid = np.meshgrid(nas, nbs, nks, indexing='ij')
     k = (grid[0] + grid[1]).ravel()
@@ -129,7 +128,7 @@ def search_arx(z: IOData, na: int | Iterable[int] = range(1, 11),
 
 
 def delay_estimate(z: IOData, na: int = 8, nb: int = 4, nk_min: int = 0, nk_max: int = 20) -> int:
-    """Delay nk in samples of the ARX model with the lowest BIC, na and nb up to those given."""
+    """Delay in samples: nk of the ARX model with the lowest BIC, of orders up to na and nb."""
     nk_min = check_order('delay_estimate', 'nk_min', nk_min, 0)
     nk_max = check_order('delay_estimate', 'nk_max', nk_max, nk_min)
     na, nb = (check_order('delay_estimate', k, v, 1) for k, v in (('na', na), ('nb', nb)))

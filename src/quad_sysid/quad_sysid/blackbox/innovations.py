@@ -12,14 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quad_sysid.blackbox.constants import ROUNDING
 from quad_sysid.blackbox.filters import filter_columns, filter_lags, filter_signal, pulses
 from quad_sysid.blackbox.polynomial import Polynomials
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
-
-DEPENDENT = 1e-13
-"""Part of a column of initial states, beside the others, below which it is rounding."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ def one_step_errors(model: Polynomials, z: IOData) -> list[SegmentErrors]:
 
 
 def squares(model: Polynomials, z: IOData) -> tuple[int, float]:
-    """How many one-step errors there are, and the sum of their squares."""
+    """Number of one-step errors, and the sum of their squares."""
     parts = one_step_errors(model, z)
     return sum(p.errors.size for p in parts), sum(float(p.errors @ p.errors) for p in parts)
 
@@ -125,7 +123,7 @@ def span(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         for direction in basis * 2:
             residual -= (direction @ residual) * direction
         remaining, size = math.sqrt(residual @ residual), math.sqrt(column @ column)
-        if math.isfinite(size) and remaining > DEPENDENT * size:
+        if math.isfinite(size) and remaining > ROUNDING * size:
             basis.append(residual / remaining)
             independent.append(j)
     turn = np.zeros((columns.shape[1], len(independent)))

@@ -12,6 +12,7 @@ import numpy as np
 
 from quad_sysid.blackbox.approaches import noise_free, stabilised
 from quad_sysid.blackbox.arx import arx
+from quad_sysid.blackbox.constants import ROUNDING
 from quad_sysid.blackbox.filters import filter_columns, pulses
 from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import one_step_errors, squares, without
@@ -26,13 +27,10 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
-ROUNDS = 15
 CONVERGED = 0.02
 """Largest change of a parameter at convergence, in standard errors."""
 SWINGING = 6
 """Rounds after which the rounds are averaged."""
-SINGULAR = 1e14
-"""Condition of scaled instruments from which on a double holds no digit of the solution."""
 UNSTABLE = 'the estimate is unstable; its instruments were made with reflected poles'
 
 
@@ -75,7 +73,7 @@ def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
     model = next(bj_starts(high_order(z, nk, nb + nc + nd + nf), nb, nc, nd, nf))
     model = replace(model, structure='CLRIV', orders=orders)
     converged, iteration, was_unstable = False, 0, False
-    while iteration < ROUNDS:
+    while iteration < 15:
         iteration += 1
         refined, variance, noise_spread = _noise_step(model, z)
         shape = np.convolve(refined.C, refined.F)
@@ -144,7 +142,7 @@ def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
     if not ((scale > 0.0).all() and (unit > 0.0).all() and np.isfinite(unit).all()):
         raise BadInputError(where, 'an instrument is zero or diverges', remedy='lower the orders')
     cross = sum(((w / unit).T @ (x / scale) for x, w, _ in blocks), np.zeros((scale.size,) * 2))
-    if np.linalg.cond(cross) > SINGULAR:
+    if ROUNDING * np.linalg.cond(cross) > 1.0:
         raise BadInputError(where, 'the instruments do not excite all parameters',
                             remedy='lower the orders')
     right = sum(((w / unit).T @ y for _, w, y in blocks), np.zeros(scale.size))

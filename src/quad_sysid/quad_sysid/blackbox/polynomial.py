@@ -30,7 +30,7 @@ class Polynomials:
     structure: str
     """ARX, ARMAX, OE, BJ, IV4 or CLRIV."""
     orders: Mapping[str, int]
-    """Such as {'na': 10, 'nb': 10, 'nk': 5}."""
+    """Orders by name, such as {'na': 10, 'nb': 10, 'nk': 5}."""
     A: FloatArray
     B: FloatArray
     C: FloatArray
@@ -127,7 +127,7 @@ class Polynomials:
 
     @property
     def name(self) -> str:
-        """Such as `ARX 10 10 5`, as the paper's Table 2 writes it."""
+        """Structure and orders as in the paper's Table 2, such as `ARX 10 10 5`."""
         return ' '.join([self.structure, *(str(value) for value in self.orders.values())])
 
     def to_control(self) -> Any:

@@ -16,6 +16,7 @@ from itertools import chain
 
 import numpy as np
 
+from quad_sysid.blackbox.constants import EXACT, ROUNDING
 from quad_sysid.blackbox.filters import filter_columns
 from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import errors_and_gradient
@@ -36,7 +37,6 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.qr import upper
 from quad_sysid.record import IOData
 
-MAX_ITERATIONS = 60
 PATIENCE = 5
 """Iterations before a descent is measured against one before it."""
 HOPE = 20.0
@@ -45,22 +45,12 @@ TOLERANCE = 1e-3
 """Converged where the next step would lower N ln V by less than this."""
 DAMPINGS = (1e-6, 1e-2, 1.0)
 """Tried in turn where the plain Gauss-Newton direction gives no descent."""
-FLAT = 1e-13
-"""Eigenvalue of a scaled Hessian, against the largest, below which it is rounding."""
-EXACT = 1e-18
-"""Part of the output's power below which a residual is rounding, as with data free of noise."""
-ON_EDGE = 1.0 - 2.0 * (1.0 - EDGE)
-"""Radius from which a root counts as held at EDGE, where it was pulled to."""
 DOUBTFUL = 1.1
 """Loss of a start, against that of its minimum, from which another minimum may be lower."""
 OVERSHOT = 0.2
 """Slope behind a full step, against that before it, from which a shorter one is tried."""
 WANDERS = 0.02
 """Power of the residual's changes, against its own, below which it wanders as with a drift."""
-SINGULAR = 1e12
-"""Condition of the scaled slopes from which on their inverse gives no standard errors."""
-REINSERTED = 3
-"""Places of a nearly cancelling pair from which the descent is tried again."""
 
 EDGE_WARNINGS = {
     'F': 'a pole is held at the edge of stability (an integrator): the rate drifts in a way that '
@@ -203,7 +193,7 @@ def _bounded(poly: FloatArray) -> tuple[FloatArray, FloatArray]:
     if (radius > EDGE).any():
         roots = roots * np.minimum(1.0, EDGE / np.maximum(radius, EDGE))
         poly = np.real(np.poly(roots))
-    edge_roots = roots[(radius > ON_EDGE) & (roots.imag >= 0.0)]
+    edge_roots = roots[(1.0 - radius < 2.0 * (1.0 - EDGE)) & (roots.imag >= 0.0)]
     if not edge_roots.size:
         return poly, np.zeros((0, n))
     turn = np.conj(edge_roots * np.polyval(np.polyder(poly), edge_roots))
@@ -219,7 +209,7 @@ def descend(point: Point, at: Callable[[Model], Point], bar: float = math.inf) -
     """
     converged, iteration = False, 0
     rows = sum(e.size for e in point.errors)
-    while iteration < MAX_ITERATIONS and math.isfinite(point.squares):
+    while iteration < 60 and math.isfinite(point.squares):
         iteration += 1
         free = _free(point)
         plain = _step(point, free)
@@ -252,7 +242,7 @@ def _free(point: Point) -> FloatArray:
     if not fixed.size:
         return np.eye(p)
     _, sizes, turn = np.linalg.svd(fixed)
-    return np.asarray(turn[int(np.sum(sizes > FLAT * sizes[0])) :].T)
+    return np.asarray(turn[int(np.sum(sizes > ROUNDING * sizes[0])) :].T)
 
 
 def _step(point: Point, free: FloatArray | None = None, damping: float = 0.0) -> FloatArray:
@@ -261,7 +251,7 @@ def _step(point: Point, free: FloatArray | None = None, damping: float = 0.0) ->
     hessian = free.T @ point.hessian @ free
     scale = _scale(hessian)
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
-    steep = values > FLAT * max(values[-1:], default=0.0)
+    steep = values > ROUNDING * max(values[-1:], default=0.0)
     basis = vectors[:, steep]
     return np.asarray(
         free @ (basis @ ((basis.T @ (free.T @ point.slope / scale)) / (values[steep] + damping))
@@ -312,7 +302,7 @@ def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:
             best = min(best, descend(at(start), at, best.squares), key=_squares)
     trials = sorted((at(model) for model in reinserted(best.model)),
                     key=lambda trial: trial.squares - trial.slope @ _step(trial))
-    for trial in trials[:REINSERTED]:
+    for trial in trials[:3]:
         best = min(best, descend(trial, at, best.squares), key=_squares)
     return best
 
@@ -340,7 +330,7 @@ def with_covariance(point: Point) -> Model:
     gradients = [g @ free for g in point.gradients]
     scale = _scale(free.T @ point.hessian @ free)
     r = upper(np.vstack([upper(g / scale) for g in gradients]))
-    if r.shape[0] != free.shape[1] or np.linalg.cond(r) > SINGULAR:
+    if r.shape[0] != free.shape[1] or ROUNDING * np.linalg.cond(r) > 1.0:
         return model
     inverse = free @ (np.linalg.solve(r, np.eye(r.shape[0])) / scale[:, None])
     if not model.C.size == model.D.size == model.A.size == 1:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+from quad_sysid.blackbox.constants import ROUNDING
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.qr import upper
@@ -17,8 +18,6 @@ from quad_sysid.record import IOData
 
 BLOCK_ROWS = 1 << 11
 """Rows factored at once, so that memory grows with the columns and not with the record."""
-DEPENDENT = 1e13
-"""Condition number from which regressors count as linearly dependent."""
 
 
 def check_order(where: str, name: str, value: int, least: int) -> int:
@@ -69,7 +68,7 @@ def check_exciting(where: str, z: IOData, count: int) -> None:
             r = upper(np.vstack((r, block)))
             scale = np.linalg.norm(r, axis=0)
             full = len(r) == count and (scale > 0.0).all()
-            if full and np.linalg.cond(r / scale) <= DEPENDENT:
+            if full and ROUNDING * np.linalg.cond(r / scale) <= 1.0:
                 return
     raise BadInputError(
         where, f'u does not excite {count} parameters (its lags are linearly dependent)',
@@ -163,7 +162,7 @@ def solve_triangular_factor(where: str, r: FloatArray) -> tuple[FloatArray, floa
     if p and (scale == 0.0).any():
         raise BadInputError(where, 'a regressor is zero throughout', remedy='lower the orders')
     x = r[:p, :p] / scale
-    if p and np.linalg.cond(x) > DEPENDENT:
+    if p and ROUNDING * np.linalg.cond(x) > 1.0:
         raise BadInputError(
             where, f'the data do not excite {p} parameters (regressors linearly dependent)',
             remedy='lower the orders or excite more richly',

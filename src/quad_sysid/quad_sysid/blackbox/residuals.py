@@ -23,7 +23,7 @@ from quad_sysid.qr import upper
 from quad_sysid.record import IOData, finite_runs
 
 AR_ORDER_MAX = 30
-BOUND_LAGS = 1000
+"""Highest order of a whitener: an eighth of a second at 250 Hz, a resonance's memory."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class ResidualTest:
     """Results of the residual tests, with their figures."""
 
     residual_white: bool
-    """Ljung-Box over the lags 1..M, at the given confidence for all lags together."""
+    """Whether the Ljung-Box test over lags 1..M, at `confidence`, finds no correlation."""
     residual_uncorrelated_with_input: bool
     """No past input (lags 1..M; from 0 where nk is 0) explains the residual."""
     causal: bool
@@ -109,7 +109,7 @@ def _tested(parts: list[SegmentErrors], z: IOData, lags: int, confidence: float,
                             'take fewer lags or a longer record')
     mean = float(np.concatenate([part.errors for part in parts]).mean())
     errors = [part.errors - mean for part in parts]
-    cov = autocovariance(errors, max(lags, min(BOUND_LAGS, n // 5)))
+    cov = autocovariance(errors, max(lags, min(1000, n // 5)))
     if cov[0] <= 0.0:
         raise BadInputError('residual_test', 'the residual is zero throughout', 0.0,
                             'give measured data; without noise there is nothing to test')

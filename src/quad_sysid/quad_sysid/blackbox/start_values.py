@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import toeplitz
 
+from quad_sysid.blackbox.constants import ROUNDING
 from quad_sysid.blackbox.filters import filter_columns, filter_signal, pulses
 from quad_sysid.blackbox.innovations import one_step_errors
 from quad_sysid.blackbox.model import Model, polynomial_model
@@ -27,19 +28,17 @@ from quad_sysid.qr import upper
 from quad_sysid.record import IOData
 
 ROUNDS = 12
+"""Most rounds to a start value; the descent does the rest."""
 CONVERGED = 1e-4
 """Change of a coefficient of F from which further rounds are left to the descent."""
 NEAR = 0.4
 """Distance in the z plane within which a pole and a zero count as cancelling."""
 NEARLY_REAL = 0.15
 """Imaginary part below which a pair of D's roots may stand for two real ones."""
-PLACES = (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95)
 SLOW_FACTOR = np.array([1.0, -0.9999])
 """Factor of a cancelling pole and zero, which a drift can separate."""
 EDGE = 1.0 - 1e-7
-RIDGE = 1e-13
-"""Added to scaled normal equations: data without noise, or a command of few frequencies, leave
-coefficients of the high-order model open, and then any that explain the data will do."""
+"""Largest radius of a root that a fit keeps: an integrator, to the digits of a double."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class HighOrder:
 
 
 def high_order(z: IOData, nk: int, parameters: int) -> HighOrder:
-    """ARX of order 20, more for large models, less where the record is short; nk given."""
+    """Fit an ARX model of order 20, more for large models, less for a short record; delay nk."""
     longest = max(stop - start for start, stop in z.segments)
     order = max(20, parameters)
     while order > 1 and (nk + order > longest // 4 or usable_rows(z, nk + order) < 10 * order):
@@ -77,7 +76,8 @@ def high_order(z: IOData, nk: int, parameters: int) -> HighOrder:
     gram = sum((_lag_gram((z.y[i:j], np.append(np.zeros(nk), z.u[i : j - nk])), order + 1, lead)
                 for i, j in z.segments if j - i > lead), np.zeros((2 * order + 2, 2 * order + 2)))
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    gram = gram / np.outer(scale, scale) + RIDGE * np.eye(scale.size)
+    # without noise, or with few frequencies, any coefficients that explain the data will do
+    gram = gram / np.outer(scale, scale) + ROUNDING * np.eye(scale.size)
     theta = np.linalg.solve(gram[1:-1, 1:-1], gram[1:-1, 0]) * scale[0] / scale[1:-1]
     model = polynomial_model(delayed(theta[::2], nk), A=monic(-theta[1::2]), nk=nk, dt=z.dt)
     return HighOrder(model, z)
@@ -173,7 +173,7 @@ def reinserted(model: Model) -> Iterator[Model]:
         if distance.min(initial=np.inf) > NEAR:
             continue
         i, j = np.unravel_index(int(np.argmin(distance)), distance.shape)
-        for place in PLACES:
+        for place in (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95):  # all over the real axis
             top = lead[0] * np.real(np.poly([*np.delete(z_roots, i), place]))
             bottom = np.real(np.poly([*np.delete(p_roots, j), place]))
             moved: dict[str, Any] = {
@@ -212,7 +212,7 @@ def _reduced(ho: HighOrder, nb: int, nf: int) -> tuple[FloatArray, FloatArray]:
         for start, stop in ho.data.segments:
             u = filter_signal(np.ones(1), f, ho.data.u[start:stop])
             cov += np.correlate(np.append(u, np.zeros(size - 1)), u)
-        cov[0] *= 1.0 + RIDGE * size
+        cov[0] *= 1.0 + ROUNDING * size
         theta = _least_squares(np.linalg.cholesky(toeplitz(cov)).T @ unknown)
         before, b, f = f, theta[:nb], inside(monic(theta[nb:]))
         if float(np.max(np.abs(_padded(before, nf + 1) - f), initial=0.0)) < CONVERGED:

@@ -69,7 +69,7 @@ class StepARow:
 
 def step_a(models: Sequence[Model], train: IOData, validations: Mapping[str, IOData],
            lags: int = 25, confidence: float = 0.99) -> tuple[StepARow, ...]:
-    """Judge every model: one row each, in the order given.
+    """Judge every model: one row each, in the order of `models`.
 
     `validations` by signal, such as {'prbs': …, 'square': …}; residual tests run on `train`.
     Without an external reference in `train` a residual that predicts u speaks against no model,
@@ -118,7 +118,7 @@ def _objections(model: Model, test: ResidualTest, fits: Mapping[str, float | Non
         reasons.append('the fit did not converge')
     if not model.stable:
         reasons.append('the plant is unstable, its free run diverges')
-    if not 0 < model.nk < 9:
+    if not 0 < model.nk < 9:  # the paper's range: a command acts after its cycle, and soon
         reasons.append(f'nk = {model.nk} breaks 0 < nk < 9')
     for name, fit in fits.items():
         if fit is None or fit <= 0.0:

@@ -9,11 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.constants import MOST_MOTORS, MOVES, SAG_SHOWS, VOLTAGE_MOVES
 from quad_sysid.effects.curves import COUNT, Smooth, placed_around_zero
 from quad_sysid.effects.hidden import Linked, System, behind_lag, followed, ring, step_of
 from quad_sysid.effects.torques import Row
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import (
+    SHORTEST_S,
     UNITS,
     Drive,
     Effect,
@@ -25,12 +27,6 @@ from quad_sysid.model.effect import (
 )
 from quad_sysid.model.structure import BASE
 
-MOVES = 0.02
-"""Share of its mean by which a signal must move for its effect to show."""
-AT_ONCE_S = 1e-5
-"""A lag that counts as none."""
-MOST_MOTORS = 12
-"""Motors that may each have an effect of their own."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
 SLOPING = 0.05
@@ -47,7 +43,7 @@ class Map(Row):
     term = 'command'
 
     def commands(self, s: Signals) -> FloatArray:
-        """What it maps: (1, …) the axis' command, or (k, …) those of the motors."""
+        """The commands that it maps: (1, …) the axis', or (k, …) those of the motors."""
         return np.stack(required(s.motors) if 'motors' in self.signals else [required(s.sent)])
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
@@ -208,8 +204,6 @@ MAPS = (
 )
 
 
-SAG_SHOWS = 0.05
-"""Relative change of the voltage that shows it; a smaller one shows a strong one at most."""
 
 
 class BatterySag(Effect):
@@ -225,7 +219,7 @@ class BatterySag(Effect):
         if isinstance(volts, str):
             return volts
         used = data.training(volts)
-        if np.ptp(used) < 0.002 * np.mean(used):
+        if np.ptp(used) < VOLTAGE_MOVES * np.mean(used):
             return (f'the voltage moves by {np.ptp(used):.3f} V only; fly until it has sunk by '
                     f'{SAG_SHOWS:.0%}')
         return {'reference_v': float(np.mean(used))}
@@ -252,7 +246,7 @@ class Propellers(Linked):
 
     def bend(self, m: FloatArray, p: FloatArray,
              settings: Settings) -> tuple[FloatArray, FloatArray]:
-        """What thrusts gain at lagged commands m (motors, n), and the slope of that over m.
+        """Additional thrust (motors, n) at lagged commands m (motors, n), and its slope over m.
 
         Nothing is gained at the usual throttle, so that the base keeps its bias.
         """
@@ -394,7 +388,7 @@ def differing(s: Signals, drive: Drive, motors: Sequence[int], slow_s: float | N
 
 
 class Motors(Row):
-    """What happens between commands and torque: the law gives the Drive after it."""
+    """An effect between commands and torque: the law gives the Drive behind it."""
 
     term = 'response'
 
@@ -426,7 +420,7 @@ def _slow_share(sign: float) -> Callable[[Signals, Drive, FloatArray], Drive]:
 def _reaction(_: Signals, drive: Drive, p: FloatArray) -> Drive:
     """Torque T drive' beside the drive; as drive' = (u - drive) / lag, it is a share of u."""
     lag = drive.lag[:1]
-    return _shared(drive, float(p[0]) / float(lag[0, 0]), np.full_like(lag, AT_ONCE_S))
+    return _shared(drive, float(p[0]) / float(lag[0, 0]), np.full_like(lag, SHORTEST_S))
 
 
 class HasteCurve(Smooth):

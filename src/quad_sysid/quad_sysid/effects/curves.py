@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.constants import SLOW_MOVES
 from quad_sysid.model import laws
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import (
@@ -30,8 +31,6 @@ from quad_sysid.model.effect import (
     size_of_term,
 )
 
-SLOW_MOVES = 0.01
-"""Share of its mean by which a slow signal must move to support a curve."""
 COUNT, LENGTH = 6, 0.6
 """Number of knots, and correlation length as a share of their range."""
 PLACES = np.linspace(-1.0, 1.0, COUNT)
@@ -81,7 +80,10 @@ def placed(used: FloatArray, knots: FloatArray) -> dict[str, Any]:
 
 
 def placed_around_zero(used: FloatArray, reach: float = 1.0) -> dict[str, Any]:
-    """The same with knots that are dense around zero, where friction lives, and reach so far."""
+    """Settings as of `placed`, with knots that are dense around zero, where friction acts.
+
+    They end at `reach` times the largest |used| (n,), apart from spikes.
+    """
     far = np.max(np.abs(np.nanpercentile(used, [0.5, 99.5])))
     return placed(used, reach * far * np.sign(PLACES) * np.abs(PLACES) ** 1.7)
 

@@ -26,8 +26,7 @@ from quad_sysid.model.effect import (
 EDGE_S = 1.0
 """Least distance of an event from the ends of the training segments."""
 GRID_S = 0.5
-LONG_AGO_S = -1e6
-"""Time of an event that happened before this flight."""
+"""Distance of the times that are tried; the fit moves the best of them."""
 HARMONICS = 6
 """Harmonics of a delay that repeats itself: nine tenths of a saw's variance."""
 FADING = 0.25
@@ -48,7 +47,7 @@ def after(s: Signals, time_s: float) -> FloatArray:
 
 
 class Repeating(Effect):
-    """What repeats itself at a frequency, its first parameter in Hz."""
+    """An effect that repeats itself at a frequency, its first parameter, in Hz."""
 
     def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
         starts = self.starts(left.data, settings)
@@ -69,7 +68,7 @@ class Event(Torque):
         return [np.array([t, *d, 0.0]) for d in self.lengths for t in times(data)]
 
     def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
-        return np.array([LONG_AGO_S, *p[1:]])
+        return np.array([-1e6, *p[1:]])  # it happened long before
 
 
 class Periodic(Repeating, Event):

@@ -13,7 +13,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.curves import COUNT, SLOW_MOVES, Shape, Smooth, over_knots, signal_of
+from quad_sysid.effects.constants import SLOW_MOVES
+from quad_sysid.effects.curves import COUNT, Shape, Smooth, over_knots, signal_of
 from quad_sysid.effects.torques import Torque
 from quad_sysid.model import laws
 from quad_sysid.model.data import AxisData, Span
@@ -41,6 +42,7 @@ FADES = 0.7
 EDGE = 1.1
 """A polynomial goes on for a tenth of its half range, and is constant from there on."""
 SHOWN_MOTORS = 4
+"""Motors for which this is stated: its number of coefficients is fixed."""
 SHOWN_BY = tuple(itertools.product(range(SHOWN_MOTORS), range(1, DEGREE + 1)))
 """Motor and degree of each term that a gyro may show."""
 
@@ -61,7 +63,7 @@ def ring(frequency_hz: float, damping_ratio: float) -> System:
 
 
 def behind_lag(lag_s: float) -> System:
-    """What the input lately was."""
+    """A first-order lag of lag_s, whose state is the recent mean of its input."""
     return np.array([[-1.0 / lag_s]]), np.array([1.0 / lag_s])
 
 
@@ -97,7 +99,7 @@ class Linked(Effect):
         return behind_lag(float(p[0]))
 
     def inputs(self, s: Signals, settings: Settings) -> Sequence[FloatArray]:
-        """What drives the states."""
+        """The inputs of the states, each (n,)."""
         return (s.rate,)
 
     def _step(self, s: Signals, p: FloatArray) -> System:
@@ -130,7 +132,7 @@ class Linear(Linked, Torque):
 
 
 class Summing(Linear):
-    """The same where the states sum up the rate."""
+    """A linear response whose states sum up the rate."""
 
     def size(self, s: Signals, j: int, settings: Settings) -> FloatArray:
         return 0.5 * s.rate

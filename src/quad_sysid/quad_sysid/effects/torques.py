@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.effects.constants import LEAST_CLIMB_M
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import (
+    LEAST_TRANSITION,
     TRANSITION,
     Effect,
     Settings,
@@ -56,14 +58,12 @@ class Torque(Row):
 
 
 DRY = (Spec('torque', 'rad/s²', positive=True), TRANSITION)
-LEAST_CLIMB_M = 0.1
-"""Altitudes that change by less show no ground."""
 LEAST_HEIGHT = 0.5
 """Below this share of the least height that was trained on it grows no more."""
 
 
 def _stribeck(s: Signals, p: FloatArray) -> FloatArray:
-    near = np.exp(-((s.rate / max(p[3], 1e-4)) ** 2))
+    near = np.exp(-((s.rate / max(p[3], LEAST_TRANSITION)) ** 2))
     return (p[0] + p[2] * near) * per_unit('friction', s, p[1])
 
 

@@ -28,14 +28,12 @@ from quad_sysid.model.effect import Part, required
 from quad_sysid.model.flight import Flight, Prediction, passes_of
 from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.qr import upper
-from quad_sysid.record import finite_runs
+from quad_sysid.record import INDEPENDENT_S, finite_runs
 
 SETTLE_S = 0.5
 """Innovations count from this long after the start of an unbroken stretch."""
 DEGREES = (3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e4)
 """Degrees of freedom of the innovations that are tried; the last is a normal distribution."""
-BLOCK_S = 1.0
-"""Standard errors take innovations that are further apart for independent."""
 DAMPING = 5.0
 """Prior of the base's damping, 1/s."""
 LAG_DAMPING, LAG_DAMPING_SPREAD = 0.035, 0.9
@@ -47,6 +45,7 @@ that it does not draw an estimate; as all structures have it, comparisons hardly
 NULL_BASE, FIXED_STD = (0.0, math.log(1e-5), math.log(1e-6), 0.0, 0.0), 1e-6
 """Coordinates of a base whose terms are nothing, and how far one that is held may be off."""
 SMALL_NATS = 0.02
+"""Gain of evidence, nats, below which a fit has converged: no verdict depends on so little."""
 LONGEST_STEP = 1.5
 """The longest step of a logarithm: no step leads back from a delay of minutes."""
 LARGEST_GROWTH = 10.0
@@ -54,6 +53,7 @@ LARGEST_GROWTH = 10.0
 BOUNDED_S = 1.0
 """Length of the runs that have to stay within it."""
 MOST_STEPS = 40
+"""A fit that needs more has not converged."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Problem:
         self.acceleration = typical_acceleration(self.data, self.spans)
 
     def shortened(self, rows: int, blocks: int) -> Problem:
-        """The same on so many rows only, in blocks spread evenly over the spans."""
+        """The problem on so many rows only, in blocks spread evenly over the spans."""
         if self.rows.size <= rows:
             return self
         index = np.concatenate([np.arange(a, b) for a, b in self.spans])
@@ -399,7 +399,8 @@ def covariance(problem: Problem, fitted: Fit) -> FloatArray:
     j = required(fitted.prediction.jacobian)[problem.rows]
     tail = fitted.tail
     score = j * (tail.weights(e) * e / tail.scale**2)[:, None]
-    sums = np.add.reduceat(score, np.flatnonzero(np.diff(problem.blocks(BLOCK_S), prepend=-1)))
+    blocks = problem.blocks(INDEPENDENT_S)
+    sums = np.add.reduceat(score, np.flatnonzero(np.diff(blocks, prepend=-1)))
     meat = sums.T @ sums + fitted.precision
     half = np.linalg.inv(fitted.hessian)
     sandwich = half @ meat @ half

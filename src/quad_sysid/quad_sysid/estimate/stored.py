@@ -23,11 +23,9 @@ from quad_sysid.model import AxisModel, EffectEstimate, NoiseEstimate, Parameter
 from quad_sysid.model.effect import Effect, Part, Settings, required
 from quad_sysid.model.flight import central
 from quad_sysid.model.noise import sensor_of
-from quad_sysid.model.plant import Plant
+from quad_sysid.model.plant import LEAST_LAG, Plant
 from quad_sysid.model.structure import NOISE, Structure, coordinates
 
-SHORTEST = 0.25
-"""Share of a cycle below which the data do not show a lag or delay."""
 VAGUE = 1.0
 """Standard error above which a logarithm counts as undetermined."""
 
@@ -91,7 +89,7 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
     for name, spec, coordinate, value, deviation in zip(
         structure.names, structure.specs, theta, fitted.values, deviations, strict=True
     ):  # what is at its bound or not determined: from nothing to where it may reach, 95 %
-        if spec.log and (deviation > VAGUE or (spec.unit == 's' and value < SHORTEST * dt)):
+        if spec.log and (deviation > VAGUE or (spec.unit == 's' and value < LEAST_LAG * dt)):
             most = float(np.exp(min(coordinate + 1.645 * deviation, 40.0)))
             vague[name] = (0.0, most) if most < NO_BOUND else None
         elif spec.positive and value <= 0.0:
@@ -167,7 +165,7 @@ def estimate_of(
     probability: float = 1.0, rivals: tuple[tuple[str, float], ...] = (),
     own: Sequence[Effect] = (),
 ) -> EffectEstimate:
-    """An effect with given parameters, as its physics takes them, without a fit.
+    """An effect with parameters that were not fitted, in the units of its physics.
 
     Parameters left out at the end take the centres of their priors.
     """

@@ -57,13 +57,13 @@ class Job:
     folder: str = ''
     """Address of the fleet's folder."""
     files: tuple[tuple[str, int], ...] = ()
-    """Its files: name below that folder, bytes."""
+    """Name below that folder and bytes of each of its files."""
     stamp: str = ''
     """Names, sizes and times of its files."""
     out: str = ''
     """Address of the results; empty: none are kept."""
     record: Record | None = None
-    """What is identified where there is no bag."""
+    """Record to identify where there is no bag."""
     axes: tuple[str, ...] = ()
     search_effects: bool = True
     effects: str = ''
@@ -72,14 +72,14 @@ class Job:
 
     @property
     def asked(self) -> Row:
-        """What the row answers."""
+        """The fields of a row that state the request."""
         own = hashlib.blake2b(self.effects.encode(), digest_size=8).hexdigest()
         return {'axes': list(self.axes), 'effects': self.search_effects,
                 **({'own_effects': own} if self.effects else {})}
 
     @property
     def source(self) -> str:
-        """Where the bag is, seen from the results, so that both can move; empty for a record."""
+        """Path of the bag relative to the results, so that both can move; empty for a record."""
         if not self.files:
             return ''
         bag = f'{self.folder}/{self.place}'
@@ -89,7 +89,7 @@ class Job:
 
     @property
     def place(self) -> str:
-        """Where the bag is below the folder; empty where the folder is the bag."""
+        """Path of the bag below the folder; empty where the folder is the bag."""
         first = self.files[0][0]
         return self.name if first == self.name or first.startswith(f'{self.name}/') else ''
 
@@ -180,7 +180,7 @@ def _job(place: Place, results: Place, bag: str, names: tuple[str, ...],
 
 
 def content_of(job: Job) -> str:
-    """By what a bag is known wherever it is: names and sizes of its files, and their ends."""
+    """Hash that identifies a bag wherever it is: names and sizes of its files, and their ends."""
     place, digest = Place(job.folder), hashlib.blake2b(digest_size=16)
     for name, size in job.files:
         digest.update(f'{PurePosixPath(name).name} {size} '.encode() + place.ends(name, size))

@@ -30,6 +30,7 @@ LEAST_FLIGHTS = 5
 LEAST_AIRCRAFT = 3
 """Least aircraft for which their scatter says something of each other's."""
 INTERVAL = 0.95
+"""Probability of every interval that is stated."""
 NEAR = float(stats.chi2.ppf(INTERVAL, 1))
 """Loss of twice the logarithm of the likelihood within the interval of one parameter."""
 TRUSTED = 20.0
@@ -56,7 +57,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Drift:
-    """How a parameter of an aircraft changes."""
+    """Change of one parameter of one aircraft over its flights."""
 
     aircraft: str
     kind: str
@@ -71,7 +72,7 @@ class Drift:
     std: float
     """Standard error of the difference."""
     p_value: float
-    """For this parameter of this aircraft, all shapes considered."""
+    """p-value for this parameter of this aircraft, corrected for the number of shapes."""
     flights: int
     claimed: bool = False
 
@@ -120,13 +121,13 @@ class OverFleet:
 
     mean: Mean
     drifts: tuple[Drift, ...]
-    """One for each aircraft with enough flights, claimed or not."""
+    """Drift of each aircraft with enough flights, significant or not."""
     odd: tuple[Odd, ...]
-    """One for each of their flights."""
+    """Test of each of their flights."""
 
 
 def holm(p_values: Sequence[float], level: float) -> list[bool]:
-    """Which of the hypotheses are rejected, at one level for all of them together (Holm 1979)."""
+    """Whether each hypothesis is rejected, at one level for all of them together (Holm 1979)."""
     marks = [False] * len(p_values)
     for rank, i in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
         if p_values[i] * (len(p_values) - rank) > level:
@@ -136,9 +137,9 @@ def holm(p_values: Sequence[float], level: float) -> list[bool]:
 
 
 def over_fleet(every: Sequence[Sequence[Series]]) -> list[OverFleet]:
-    """What the series of each parameter show, at LEVEL over all parameters, aircraft, flights."""
-    shared = [_scale([row for row in series if not row.comes_and_goes]) for series in every]
-    scales = [[_scale([row]) if row.comes_and_goes else scale for row in series]
+    """Drifts and odd flights of each parameter, at LEVEL over all parameters and flights."""
+    shared = [_scale([one for one in series if not one.comes_and_goes]) for series in every]
+    scales = [[_scale([one]) if one.comes_and_goes else scale for one in series]
               for series, scale in zip(every, shared, strict=True)]
     drifts = [[_drift(*pair) for pair in zip(series, own, strict=True) if _enough(pair[0])]
               for series, own in zip(every, scales, strict=True)]
@@ -166,17 +167,17 @@ class _Scale:
     degrees: float
     """Degrees of freedom that the other aircraft are good for."""
 
-    def variance(self, row: Series, scatter: FloatArray, degrees: float) -> FloatArray:
+    def variance(self, series: Series, scatter: FloatArray, degrees: float) -> FloatArray:
         """The ratio of an aircraft whose sum of squares is known with so many degrees.
 
         It is at least that of the estimates' own errors.
         """
-        least = float(np.mean(row.stds**2 * _weights(row, self.tau)))
+        least = float(np.mean(series.stds**2 * _weights(series, self.tau)))
         return np.maximum(least, (self.degrees * self.usual + scatter) / (self.degrees + degrees))
 
 
-def _enough(row: Series) -> bool:
-    return len(row.values) >= LEAST_FLIGHTS and float(np.ptp(row.days)) > 0.0
+def _enough(series: Series) -> bool:
+    return len(series.values) >= LEAST_FLIGHTS and float(np.ptp(series.days)) > 0.0
 
 
 def _least(values: FloatArray) -> float:
@@ -184,8 +185,8 @@ def _least(values: FloatArray) -> float:
     return 1e-9 * float(np.max(np.abs(values))) + 1e-300
 
 
-def _weights(row: Series, tau: float) -> FloatArray:
-    return np.asarray(1.0 / (row.stds**2 + tau**2 + _least(row.values)**2))
+def _weights(series: Series, tau: float) -> FloatArray:
+    return np.asarray(1.0 / (series.stds**2 + tau**2 + _least(series.values)**2))
 
 
 def _lines(x: FloatArray, y: FloatArray, w: FloatArray) -> tuple[FloatArray, ...]:
@@ -203,14 +204,14 @@ def _lines(x: FloatArray, y: FloatArray, w: FloatArray) -> tuple[FloatArray, ...
 
 
 def _scale(series: Sequence[Series]) -> _Scale:
-    able = [row for row in series if _enough(row) and float(np.ptp(row.values)) > 0.0]
+    able = [one for one in series if _enough(one) and float(np.ptp(one.values)) > 0.0]
     if not able:
         return _Scale(0.0, 1.0, 0.0)
-    longest = max(len(row.values) for row in able)
+    longest = max(len(one.values) for one in able)
     x, y, stds, there = (np.zeros((len(able), longest)) for _ in range(4))
-    for row, each in enumerate(able):
+    for i, each in enumerate(able):
         n = len(each.values)
-        x[row, :n], y[row, :n], stds[row, :n], there[row, :n] = (
+        x[i, :n], y[i, :n], stds[i, :n], there[i, :n] = (
             each.days - each.days.mean(), each.values, each.stds, 1.0)
     free = there.sum(axis=1) - 2.0
     least = _least(y)
@@ -249,19 +250,19 @@ def _shapes(days: FloatArray) -> tuple[FloatArray, list[tuple[str, int]]]:
     n = len(days)
     ramps = [('ramp', i) for i in range(n - 2)]
     steps = [('step', i) for i in range(1, n - 2)]
-    kept, rows = [], []
+    kept, shapes = [], []
     for kind, i in (*ramps, *steps):
-        row = (np.maximum(days - days[i], 0.0) if kind == 'ramp'
+        shape = (np.maximum(days - days[i], 0.0) if kind == 'ramp'
                else (np.arange(n) > i).astype(float))
-        if np.count_nonzero(row) >= 2:  # flights may share their day
+        if np.count_nonzero(shape) >= 2:  # flights may share their day
             kept.append((kind, i))
-            rows.append(row)
-    return np.array(rows), kept
+            shapes.append(shape)
+    return np.array(shapes), kept
 
 
-def _drift(row: Series, scale: _Scale) -> Drift:
-    y, w, n = row.values, _weights(row, scale.tau), len(row.values)
-    x, shapes = _shapes(row.days)
+def _drift(series: Series, scale: _Scale) -> Drift:
+    y, w, n = series.values, _weights(series, scale.tau), len(series.values)
+    x, shapes = _shapes(series.days)
     slope, information, residuals, leverage, about = _lines(x, y, w)
     # each flight left out in turn: (k, n)
     free = np.maximum(1.0 - leverage, 1e-9)
@@ -269,19 +270,19 @@ def _drift(row: Series, scale: _Scale) -> Drift:
     without = slope[:, None] - w * about * residuals / (information[:, None] * free)
     squares = (residuals**2 * w).sum(axis=1)
     scatter = np.maximum(squares[:, None] - w * residuals**2 / free, 0.0)
-    left = np.abs(without) * np.sqrt(less / scale.variance(row, scatter, n - 3.0))
-    t = np.abs(slope) * np.sqrt(information / scale.variance(row, squares, n - 2.0))
+    left = np.abs(without) * np.sqrt(less / scale.variance(series, scatter, n - 3.0))
+    t = np.abs(slope) * np.sqrt(information / scale.variance(series, squares, n - 2.0))
     best = int(np.argmax(t))
     p = min(1.0, len(shapes) * _chance(t[best], scale, n - 2.0))
     alone = min(1.0, len(shapes) * _chance(left[best].min(), scale, n - 3.0))
-    variance = float(scale.variance(row, squares[best], n - 2.0))
+    variance = float(scale.variance(series, squares[best], n - 2.0))
     limit = squares[best] + NEAR * variance
-    near = [row.days[i] for k, (_, i) in enumerate(shapes) if squares[k] <= limit]
+    near = [series.days[i] for k, (_, i) in enumerate(shapes) if squares[k] <= limit]
     kind, begun = shapes[best]
     change = float(slope[best] * np.ptp(x[best]))
     level = float((y * w).sum() / w.sum() - slope[best] * (x[best] * w).sum() / w.sum())
-    return Drift(row.aircraft, kind, float(row.days[begun]), (float(min(near)), float(max(near))),
-                 level, level + change,
+    return Drift(series.aircraft, kind, float(series.days[begun]),
+                 (float(min(near)), float(max(near))), level, level + change,
                  float(np.ptp(x[best]) * np.sqrt(variance / information[best])),
                  p if alone <= LEVEL else max(p, alone), n)
 
@@ -291,35 +292,35 @@ def _chance(t: float, scale: _Scale, degrees: float) -> float:
     return 2.0 * float(special.stdtr(min(scale.degrees + degrees, MANY), -t))
 
 
-def _odd(row: Series, scale: _Scale, drift: Drift | None) -> list[Odd]:
+def _odd(series: Series, scale: _Scale, drift: Drift | None) -> list[Odd]:
     """Each flight against what the others of its aircraft say, along a drift that is claimed."""
-    y, w, n = row.values, _weights(row, scale.tau), len(row.values)
+    y, w, n = series.values, _weights(series, scale.tau), len(series.values)
     if drift is None:
         residuals, leverage, fitted = y - (y * w).sum() / w.sum(), w / w.sum(), 1
     else:
-        x, shapes = _shapes(row.days)
+        x, shapes = _shapes(series.days)
         this = next(k for k, (kind, i) in enumerate(shapes)
-                    if kind == drift.kind and row.days[i] == drift.since)
+                    if kind == drift.kind and series.days[i] == drift.since)
         _, _, all_residuals, all_leverage, _ = _lines(x, y, w)
         residuals, leverage, fitted = all_residuals[this], all_leverage[this], 2
     free = np.maximum(1.0 - leverage, 1e-9)
     degrees = n - fitted - 1.0
     scatter = np.maximum((residuals**2 * w).sum() - w * residuals**2 / free, 0.0)
     deleted = residuals / free  # from what is expected without this flight
-    std = np.sqrt(scale.variance(row, scatter, degrees) / (w * free))
+    std = np.sqrt(scale.variance(series, scatter, degrees) / (w * free))
     p = 2.0 * special.stdtr(min(scale.degrees + degrees, TRUSTED), -np.abs(deleted) / std)
     expected = y - deleted
-    return [Odd(row.aircraft, bag, float(y[k]), float(expected[k]), float(std[k]), float(p[k]))
-            for k, bag in enumerate(row.bags)]
+    return [Odd(series.aircraft, bag, float(y[k]), float(expected[k]), float(std[k]), float(p[k]))
+            for k, bag in enumerate(series.bags)]
 
 
 def _mean(series: Sequence[Series], taus: Sequence[float], odd: set[str]) -> Mean:
     levels = []
-    for row, tau in zip(series, taus, strict=True):
-        regular = np.array([bag not in odd for bag in row.bags])
-        w = _weights(row, tau)[regular]
+    for one, tau in zip(series, taus, strict=True):
+        regular = np.array([bag not in odd for bag in one.bags])
+        w = _weights(one, tau)[regular]
         if w.size:
-            levels.append(Level(row.aircraft, int(w.size), float((row.values[regular] * w).sum()
+            levels.append(Level(one.aircraft, int(w.size), float((one.values[regular] * w).sum()
                                                                  / w.sum()),
                                 float(np.sqrt(1.0 / w.sum()))))
     y = np.array([level.mean for level in levels])

@@ -113,7 +113,7 @@ def run(every: Sequence[Job], workers: int = 1, cluster: str = '', *,
 
 
 def cost(rows: Sequence[Row], count: int, elapsed_s: float) -> str:
-    """What `count` bags cost by those that were done within `taken_s`, in words."""
+    """Words on the cost of `count` bags, by `rows` that were finished within elapsed_s."""
     if not (able := [row for row in rows if row['status'] != FAILED]):
         return 'no bag could be read, so what they cost is not known'
     cpu, size, kept = (sum(row.get(name, 0) for row in able) / len(able)
@@ -129,7 +129,7 @@ def cost(rows: Sequence[Row], count: int, elapsed_s: float) -> str:
 def duration(seconds: float) -> str:
     """A time in the unit that suits it."""
     for size, unit in ((86_400.0, 'days'), (3_600.0, 'h'), (60.0, 'min')):
-        if seconds >= 1.5 * size:
+        if seconds >= 1.5 * size:  # 80 min, not 1.3 h
             return f'{seconds / size:.1f} {unit}'
     return f'{seconds:.0f} s'
 

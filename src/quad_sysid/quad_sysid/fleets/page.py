@@ -23,18 +23,14 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 200
 """Rows of one table on the page."""
-MOST_POINTS = 2000
-"""Flights in one picture."""
 NO_NAME = 'all'
-SHORT = (0, 1, 3, 5, 6, 7)
-"""Columns of the means that a terminal has room for."""
 
 
 class Fleet(Summary):
     """Rows of bags, one each, what they say together, and how that is shown."""
 
     def only(self, since: str = '', group_by: str = '') -> Fleet:
-        """The same rows, from a day on, or grouped in another way."""
+        """The fleet from a day on, or grouped in another way."""
         return replace(self, since=since or self.since, group_by=group_by or self.group_by)
 
     def __str__(self) -> str:
@@ -85,7 +81,8 @@ def _lines(fleet: Summary) -> list[str]:
         out += ['', *wrapped(_nothing(fleet), '')]
     for table in (lacks, means):
         if table.rows:
-            out += ['', *table.text(SHORT if table is means else None)]
+            # a terminal has room for these columns of the means
+            out += ['', *table.text((0, 1, 3, 5, 6, 7) if table is means else None)]
     return out
 
 
@@ -167,7 +164,7 @@ def _figure(quantity: Quantity, aircraft: str | None = None, drift: Drift | None
     some = [s for s in quantity.series if aircraft is None or s.aircraft == aircraft]
     days, values, stds = (np.concatenate([getattr(s, name) for s in some])
                           for name in ('days', 'values', 'stds'))
-    every = max(1, len(days) // MOST_POINTS)
+    every = max(1, len(days) // 2000)
     start = float(days.min())
     figure, (axes,) = panels(height_in=2.0)
     axes.errorbar(days[::every] - start, values[::every], 1.96 * stds[::every], color=AFTER,

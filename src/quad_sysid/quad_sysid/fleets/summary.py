@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 SHOWN = 0.5
 """Share of an aircraft's flights that show an effect whose size is followed over time."""
-DAY_NS = 86_400e9
 GROUPS = ('aircraft', 'folder', 'none')
 """What is one aircraft: the first folder, the whole folder of a bag, or all flights."""
 UNITS = {'gain': 'rad/s²', 'lag': 's', 'delay': 's', 'damping': '1/s', 'bias': 'rad/s²'}
@@ -89,7 +88,7 @@ class Summary:
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """How many bags are of each status."""
+        """Number of bags per status."""
         return dict(sorted(Counter(row['status'] for row in self.flights).items()))
 
     @cached_property
@@ -100,7 +99,7 @@ class Summary:
 
     @cached_property
     def lacks(self) -> list[tuple[str, str, str, int, int]]:
-        """Aircraft, axis, effect, flights in which it was found, flights answered."""
+        """Aircraft, axis, effect, number of flights that show it, number of flights answered."""
         out = []
         answered = [row for row in self.flights if row['status'] == ANSWERED]
         for craft, axis in sorted({(row['aircraft'], axis) for row in answered for axis in EVERY}):
@@ -123,7 +122,7 @@ class Summary:
 
     @property
     def drifts(self) -> list[tuple[Quantity, Drift]]:
-        """What drifts beyond chance, the surest first."""
+        """Significant drifts, the surest first."""
         every = [(q, d) for q in self.quantities for d in q.statistics.drifts if d.claimed]
         return sorted(every, key=lambda pair: pair[1].p_value)
 
@@ -149,7 +148,7 @@ class Summary:
                 for row in flights:
                     if row['bag'] in of_bag:
                         by_craft.setdefault(row['aircraft'], []).append(
-                            (row['start_ns'] / DAY_NS, row['bag'], *of_bag[row['bag']]))
+                            (row['start_ns'] / 86_400e9, row['bag'], *of_bag[row['bag']]))
                 series = []
                 for craft, some in sorted(by_craft.items()):
                     shown = sum(value != 0.0 for *_, value, _ in some) / len(some)

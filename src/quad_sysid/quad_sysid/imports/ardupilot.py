@@ -38,8 +38,6 @@ from quad_sysid.imports.table import Table, head_of, text_lines
 
 FIRST_INSTANCE = ('IMU', 'BAT', 'XKF1')
 INSTANCE = ('I', 'Instance', 'Inst', 'C')
-QUAD = 4
-"""Number of motors where the parameters do not say it."""
 OLD_CHANNEL = re.compile(r'^Ch(an)?(?=\d)')
 """How RCOU's C1, C2, … began before 2015."""
 ARMED, DISARMED = 10, 11
@@ -47,8 +45,6 @@ ARMED, DISARMED = 10, 11
 OF_RATES = ('RATE.RDes', 'RATE.R', 'RATE.PDes', 'RATE.P', 'RATE.YDes', 'RATE.Y')
 MAX_PULSE = 3000.0
 """µs. No speed controller is sent a longer one."""
-CENTI = 0.01
-"""deg/s of RATE's unit in logs with TimeMS, and of a speed in cm/s."""
 MIN_MESSAGES = 10
 """Messages of CTUN that say how it climbs."""
 AS_FAST = 0.9
@@ -131,8 +127,8 @@ def _climb(reading: Reading) -> None:
         return
     rate, height = logged.values.T
     slope = np.gradient(height, logged.time_s)
-    off = [np.nansum((factor * rate - slope) ** 2) for factor in (CENTI, 1.0)]
-    factor, unit = (CENTI, 'cm/s') if off[0] <= off[1] else (1.0, 'm/s')
+    off = [np.nansum((factor * rate - slope) ** 2) for factor in (0.01, 1.0)]
+    factor, unit = (0.01, 'cm/s') if off[0] <= off[1] else (1.0, 'm/s')
     for role, name, values, of, how in (
         ('velocity', 'CRt', factor * rate, unit, 'the vertical speed alone, by its altitude'),
         ('position', 'Alt', height, 'm', 'the altitude alone'),
@@ -199,7 +195,7 @@ def _load(path: Path) -> Table:
     table = Table(str(path), columns, times, header=log.parameters)
     if log.in_ms and 'RATE.R' in columns:
         for name in OF_RATES:
-            columns[name] = columns.get(name, np.zeros(0)) * CENTI
+            columns[name] = columns.get(name, np.zeros(0)) * 0.01
     for signal, largest in ((CONTROL_RATES, FASTEST_RAD_S / DEGREE), (GYRO, FASTEST_RAD_S)):
         kind = signal.columns[0].partition('.')[0]
         if signal.columns[0] in columns:
@@ -218,7 +214,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
     """Take the commands: the craft of the motors, the gains in their unit, warnings."""
     table = reading.table
     craft = of_ardupilot(table.header)
-    count = craft.count if isinstance(craft, Craft) else QUAD
+    count = craft.count if isinstance(craft, Craft) else 4  # most fly on four
     channels = ardupilot_channels(table.header, count)
     pulses = within('RCOU', *(f'C{n}' for n in channels))
     if reading.motors_fast(table.stream(*pulses), table.stream(*OUTPUTS.columns)):

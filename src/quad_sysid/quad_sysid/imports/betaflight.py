@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.bags.reader import PLAUSIBLE_PACK_V
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import BETAFLIGHT, Craft, of_betaflight
 from quad_sysid.errors import BadInputError
@@ -37,11 +38,9 @@ from quad_sysid.motion import GRAVITY
 
 POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
-DSHOT = (48.0, 2047.0)
 PULSE_US = (1000.0, 2000.0)
+"""A servo's pulse, from no throttle to all."""
 IN_THE_AIR = 0.25  # of the throttle stick: below it an aircraft stands or falls
-MAX_VOLTS = 100.0
-"""A larger battery value is in hundredths of a volt."""
 FEWEST = 200
 """Least number of frames of a flight."""
 UNIT_AS_INTEGER = 8127.0
@@ -69,8 +68,6 @@ NO_GAINS = (
     "the controller's gains in a header of Betaflight or INAV: no closed loop, no gain design "
     '(blackbox_decode --simulate-imu adds angles)'
 )
-VARINT = 0x7F, 0x80
-"""Masks of the bits and of the sign that more follow, of a number in an event."""
 AS_FLOAT = 0x80
 """Bit of an adjustment's number that a float follows."""
 
@@ -180,7 +177,8 @@ def _signals(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Signal
     how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if turned else 'the frame is ours')
 
     def volts(values: FloatArray) -> FloatArray:
-        hundredths = units.get('vbatLatest') != 'V' and float(np.median(values)) > MAX_VOLTS
+        too_high = float(np.median(values)) > PLAUSIBLE_PACK_V[1]
+        hundredths = units.get('vbatLatest') != 'V' and too_high
         return values * (1e-3 if units.get('vbatLatest') == 'mV' else
                          0.01 if hundredths else 1.0)
 
@@ -262,7 +260,7 @@ class _Events:
         if function & AS_FLOAT:
             value = struct.unpack('<f', bytes(next(reader) for _ in range(4)))[0]
         else:
-            bits, more = VARINT
+            bits, more = 0x7F, 0x80  # of a byte: its part of the number, and that more follow
             raw = shift = 0
             while True:
                 byte = next(reader)
@@ -412,7 +410,7 @@ def _motor_range(table: Table, raw: FloatArray) -> tuple[float, float, str]:
     if 'maxthrottle' in table.header:
         return *PULSE_US, 'pulses of 1000 to 2000 µs, as maxthrottle of the header'
     if np.nanmin(raw) < PULSE_US[0] - 1.0 or np.nanmax(raw) > PULSE_US[1] + 1.0:
-        return *DSHOT, 'DShot, judging by the values'
+        return 48.0, 2047.0, 'DShot, judging by the values'
     return *PULSE_US, 'pulses of 1000 to 2000 µs, judging by the values'
 
 

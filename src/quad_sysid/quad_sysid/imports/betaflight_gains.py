@@ -19,10 +19,10 @@ from quad_sysid.contract import AXES
 from quad_sysid.record import GainChange
 
 DEGREES = math.degrees(1.0)
-PTERM, ITERM, DTERM, FEEDFORWARD = 0.032029, 0.244381, 0.000529, 0.013754
-"""Betaflight, per unit of the CLI: of the sum per deg/s, deg, deg/s², and deg/s² of set-point."""
+BETAFLIGHT, INAV = (0.032029, 0.244381, 0.000529), (1 / 31.0, 1 / 4.0, 1 / 1905.0)
+"""What P, I and D of the CLI weigh: of the sum per deg/s, deg and deg/s² (pid.h, pid.c)."""
 YAW_I = 2.5
-INAV_P, INAV_I, INAV_D, INAV_LEVEL = 1 / 31.0, 1 / 4.0, 1 / 1905.0, 1 / 6.56
+"""Betaflight's I of the yaw, beside that of the other axes."""
 PIDSUM = 1000.0
 """Sum of P, I and D that is the whole range of the motors."""
 DELAYS = {0: 1.0, 1: math.sqrt(2.0), 2: 2 / 1.553773974, 3: 3 / 1.961459177}
@@ -50,7 +50,7 @@ class Tuning:
 
 
 def firmware_of(header: Mapping[str, str]) -> str:
-    """`betaflight` or `inav`, whose scales are known; '' for others."""
+    """`betaflight` or `inav`; '' for firmware whose scales are not known."""
     text = ' '.join(str(header.get(name, '')) for name in (
         'Firmware revision', 'Firmware type', 'firmwareType', 'firmware')).lower()
     if 'inav' in text:
@@ -86,7 +86,7 @@ def tuning(header: Mapping[str, str], throttle: float | None, motor_us: float = 
     level = _numbers(header, 'levelPID')
     if level:
         for axis in AXES[:2]:
-            gains[f'{axis}.angle.kp'] = level[0] * (INAV_LEVEL if inav else 0.1)
+            gains[f'{axis}.angle.kp'] = level[0] * (1 / 6.56 if inav else 0.1)
     delay = _delay(header, ('gyro_lpf1', 'gyro_lowpass', 'gyro_lpf'),
                    ('gyro_lpf2', 'gyro_lowpass2'), throttle)
     if delay > 0.0:
@@ -105,12 +105,12 @@ def _of_axis(header: Mapping[str, str], axis: str, scale: float, *,
     least = _numbers(header, 'd_min')
     if len(least) > i and 0.0 < least[i] < d:
         d = least[i]  # D of a stick that rests; from 2025.12 on that is D itself
-    of_p, of_i, of_d = (INAV_P, INAV_I, INAV_D) if inav else (PTERM, ITERM, DTERM)
+    of_p, of_i, of_d = INAV if inav else BETAFLIGHT
     out = {'kp': of_p * p * scale, 'kd': of_d * d * scale, 'ki': of_i * integral * scale * (
         YAW_I if axis == 'yaw' and not inav else 1.0)}
     forward = _numbers(header, 'ff_weight') or _numbers(header, 'feedforward_weight')
     if len(forward) > i:
-        out['kff_slope'] = FEEDFORWARD * 0.01 * forward[i] * scale
+        out['kff_slope'] = 0.013754 * 0.01 * forward[i] * scale
     limit = _number(header, 'pidsum_limit_yaw' if axis == 'yaw' else 'pidsum_limit')
     if limit > 0.0:
         out['output_limit'] = limit / PIDSUM
@@ -119,7 +119,7 @@ def _of_axis(header: Mapping[str, str], axis: str, scale: float, *,
 
 def changes(header: Mapping[str, str], adjustments: Iterable[Adjustment],
             throttle: float | None, motor_us: float = PIDSUM) -> tuple[GainChange, ...]:
-    """The gains after each adjustment in flight; times as given."""
+    """The gains after each adjustment in flight, at the times of the adjustments."""
     texts = {name: str(value) for name, value in header.items()}
     out = []
     table = ADJUSTED.get(firmware_of(header), {})

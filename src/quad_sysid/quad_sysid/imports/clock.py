@@ -48,8 +48,6 @@ MAX_DRAWN = 2.5
 """Longest interval, cycles, that is interpolated; a longer one is a gap."""
 MAX_PAUSE = 3.0
 """Usual intervals for which a command is held."""
-FINEST = 4.0
-"""Largest rate of a grid that is asked for, over that of the samples: between them is nothing."""
 PARTS = 8
 """Parts of a cycle over which the active command is averaged."""
 
@@ -74,7 +72,7 @@ class Unrolled:
     """Rows of increasing time, restarts and jumps removed."""
 
     rows: np.ndarray
-    """(m,) indices of the given rows, in order of time."""
+    """(m,) indices of the original rows, in order of time."""
     time_s: FloatArray
     """(m,) strictly increasing, from one second on if they do not count from 1970."""
     notes: tuple[str, ...]
@@ -200,7 +198,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     odd = int(np.count_nonzero(~near))
     head = f'{len(time_s)} samples, a median of {1.0 / interval:.4g} Hz, {odd} odd intervals'
     head = '; '.join([*wrong, head])
-    highest = min(MAX_RATE_HZ, FINEST / interval)
+    highest = min(MAX_RATE_HZ, 4.0 / interval)  # between the samples there is nothing
     if grid_hz is not None and grid_hz > highest:
         raise BadInputError('--grid', f'must be at most {highest:.4g} Hz', f'{grid_hz:g} Hz',
                             f'the log has {1.0 / interval:.4g} Hz; leave --grid out')
@@ -304,7 +302,7 @@ def drawn_on(stream: Stream | None, times: FloatArray) -> FloatArray | None:
 
 
 def held_on(stream: Stream | None, times: FloatArray, dt: float) -> FloatArray | None:
-    """As `hold`; None where there is no stream."""
+    """`hold` for a stream that may be absent; None without one."""
     return None if stream is None else hold(stream, times, dt)
 
 

@@ -49,7 +49,7 @@ class ColumnOptions:
     file: Path
     axes: tuple[str, ...]
     time: str | None = None
-    """None where each column has its own time (messages of a bag or an SD card)."""
+    """Column of time; None where each column has its own (messages of a bag or an SD card)."""
     control: tuple[str, ...] = ()
     thrust: str | None = None
     motors: tuple[str, ...] = ()
@@ -72,7 +72,7 @@ class ColumnOptions:
     """A folder of .msg files, for a bag without definitions."""
 
     def called(self, aliases: Mapping[str, str]) -> ColumnOptions:
-        """The same with the names that the table gives its columns."""
+        """The options with the table's own names of its columns."""
         def one(name: str) -> str:
             return aliases.get(name, name)
 

@@ -46,7 +46,7 @@ class Kind:
 
     number: int
     length: int
-    """With the header of three bytes."""
+    """Bytes of a message, with its header of three."""
     name: str
     dtype: np.dtype[np.void]
     factors: tuple[float, ...]
@@ -237,7 +237,7 @@ def _text(raw: bytes) -> str:
 
 
 def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
-    """The same from a text log: lines of names and numbers, described by its FMT lines."""
+    """Read a text log: lines of names and numbers, described by its FMT lines."""
     log, labels = Log(), {}
     rows: dict[str, list[list[float]]] = {}
     clocks: dict[str, list[float]] = {}

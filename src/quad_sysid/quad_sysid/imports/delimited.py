@@ -24,8 +24,6 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports.units import WRITTEN, header_unit, written
 
 DELIMITERS = (',', ';', '\t')
-LOOKED_AT = 200
-"""First lines in which the header is sought."""
 BLOCK = 20_000
 """Rows that are converted at once."""
 WORDS: Mapping[str, float] = {
@@ -39,7 +37,6 @@ MOMENT = re.compile(
     r'(?:(?P<hour>\d{1,2}):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,]\d+)?))?)?'
     r' ?(?P<zone>Z|UTC|[+-]\d\d:?\d\d)?$')
 """A date, a time of day, or both (ISO 8601; also day.month.year)."""
-DAY_S = 86400.0
 
 
 @dataclass(frozen=True)
@@ -50,9 +47,9 @@ class Text:
     lines: NDArray[np.int64]
     """(n,) line number of each row, counted from 1."""
     notes: tuple[str, ...]
-    """What was repaired."""
+    """Repairs, in words."""
     aliases: Mapping[str, str]
-    """Other names by which a column may be asked for: its own without the unit of a units' row."""
+    """Other names of a column: its own without the unit of a units' row."""
 
 
 @dataclass
@@ -83,7 +80,7 @@ def read_text_table(
     """
     text = _Lines(lines, first)
     numbered = iter(text)
-    looked = list(islice(numbered, LOOKED_AT))
+    looked = list(islice(numbered, 200))  # no header comes later
     if not looked:
         raise BadInputError(source, 'is empty', remedy='record it or copy it again')
     layout = _layout(looked, text.comments, source)
@@ -314,9 +311,9 @@ def _day(text: str) -> float:
     parts = [int(part) for part in re.split(r'[-/.]', text)]
     year, month, day = parts if parts[0] > 31 else parts[::-1]
     try:
-        return DAY_S * (date(year, month, day).toordinal() - date(1970, 1, 1).toordinal())
+        return 86_400.0 * (date(year, month, day).toordinal() - date(1970, 1, 1).toordinal())
     except ValueError:  # month before day
-        return DAY_S * (date(year, day, month).toordinal() - date(1970, 1, 1).toordinal())
+        return 86_400.0 * (date(year, day, month).toordinal() - date(1970, 1, 1).toordinal())
 
 
 def _refuse_text(

@@ -14,13 +14,11 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.log import Experiment
-from quad_sysid.imports.stretches import blocks
+from quad_sysid.imports.stretches import MIN_DURATION_S, blocks
 from quad_sysid.record import Record, Segment
 
 PAUSE_S = 1.0
 """Time without an injection that ends an experiment."""
-MIN_DURATION_S = 5.0
-"""A shorter one trains nothing."""
 
 
 def apart(rows: np.ndarray, time_s: FloatArray) -> list[np.ndarray]:

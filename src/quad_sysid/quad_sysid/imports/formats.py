@@ -19,7 +19,7 @@ from quad_sysid.imports.table import head_of, is_bag, plain
 
 @dataclass(frozen=True)
 class Source:
-    """What a format is recognised by."""
+    """The start of a file, by which its format is recognised."""
 
     head: bytes
     """The first bytes, unpacked; none of a folder."""
@@ -32,7 +32,7 @@ class Format:
     """A format of logs. A file that none recognises is a table: CSV, an SD card, a bag."""
 
     name: str
-    """With its article, such as `a PX4 log`."""
+    """Name with its article, such as `a PX4 log`."""
     recognises: Callable[[Source], bool]
     read: Callable[..., ForeignLog]
     """A function of the path and of the options named below."""

@@ -100,8 +100,6 @@ RISING = 0.95
 """Least share of the steps of a time that rise; of one by its name, that do not fall."""
 TICKING = 0.5
 """Share of the rows with which a clock has to tick to be likelier than others."""
-FAST_HZ, GRID_HZ = 500.0, 250.0
-"""Sample rate from which a fit takes minutes, and a grid that suffices for most aircraft."""
 
 Triple = tuple[str, str, str]
 
@@ -111,9 +109,9 @@ class Guess:
     """The options of the import with their columns, and the units that are proposed for them."""
 
     columns: Mapping[str, tuple[str, ...]]
-    """By option; of one with a column for each axis those of AXES, '' where an axis has none."""
+    """Option → its columns; one per axis in the order of AXES, '' for an axis without."""
     axes: tuple[str, ...]
-    """Those that can be imported together: with a rate (or else an angle) and a command."""
+    """Axes that can be imported together: they have a rate (or an angle) and a command."""
     units: Mapping[str, str]
     timed: bool = True
     """Whether there is a column of time, or the columns have times of their own."""
@@ -157,7 +155,7 @@ class Guess:
                 if any(column in names for names in used.values())}
 
     def options(self, file: Path) -> ColumnOptions | None:
-        """What the command of all axes asks for; None without one."""
+        """Options of the import of all axes; None where no axis can be imported."""
         if self.command(file) is None:
             return None
         used = self._used(self.axes)
@@ -336,9 +334,9 @@ def _tried(table: Table, file: Path) -> tuple[Guess, ForeignLog | None, str]:
 
 def quicker(rate_hz: float) -> list[str]:
     """A line on the grid that saves time, for samples that come fast."""
-    advice = (f'at {rate_hz:.4g} Hz a fit takes minutes for each axis: --grid {GRID_HZ:g} makes a '
+    advice = (f'at {rate_hz:.4g} Hz a fit takes minutes for each axis: --grid 250 makes a '
               'bag that is fitted sooner')
-    return [advice] if rate_hz > FAST_HZ else []
+    return [advice] if rate_hz > 500.0 else []
 
 
 def _times(table: Table) -> list[str]:

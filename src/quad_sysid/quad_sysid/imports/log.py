@@ -44,12 +44,13 @@ LACKING = {
 NO_GAINS = "the controller's gains: no closed loop, no gain design"
 DEMAND_ONLY = 'the input is what the controller demanded: the limits of the motors are not in it'
 FAST_ENOUGH = 0.5
-"""Share of the rates' rate at which motors must be logged to be used as the input."""
+"""Share of the rates' rate at which motors must be logged to be used as the input, and below which
+a warning says that commands are slow."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a firmware injected into one axis, once."""
+    """One excitation that a firmware injected into one axis."""
 
     axis: str
     signal: str
@@ -127,13 +128,13 @@ class ForeignLog:
     """Missing streams with the consequences."""
     warnings: tuple[str, ...] = ()
     reversing: Mapping[str, str] = field(default_factory=dict)
-    """By axis, what the user types to turn the sign of its command."""
+    """Axis → the option that turns the sign of its command."""
     checks: tuple[str, ...] = ()
     """Doubts about columns, for the report."""
     faster: str = ''
     """Settings of the firmware with which the next flight is logged fast enough."""
     clock: tuple[str, ...] = ()
-    """What was repaired so far, or could not be read."""
+    """Repairs so far, and parts that could not be read, in words."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ def within(message: str, *fields: str) -> tuple[str, ...]:
 
 @dataclass
 class Reading:
-    """A table on its way to a ForeignLog: what was taken from it so far."""
+    """A table that is turned into a ForeignLog, with the streams read so far."""
 
     table: Table
     streams: dict[str, Stream] = field(default_factory=dict)
@@ -193,6 +194,6 @@ class Reading:
                           mapped=tuple(self.mapped), missing=tuple(lacking))
 
     def motors_fast(self, motors: Stream | None, command: Stream | None) -> bool:
-        """Whether the motors are the input, not what the controller asked for."""
+        """Whether the motors, instead of the controller's demand, are the input."""
         return motors is not None and (
             command is None or motors.rate_hz >= FAST_ENOUGH * self.streams['rates'].rate_hz)

@@ -28,7 +28,6 @@ STREAMS = (*TOPICS, 'armed')
 """Fields of a ForeignLog that are streams."""
 MIN_S = 5.0
 """A log that has less of the bag's flight is of another flight."""
-SLACK_S = 1.0
 
 
 def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
@@ -41,7 +40,7 @@ def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
     read = read_log(log, kind)
     start_s = 1e-9 * live.t0_ns
     end_s = start_s + live.n * live.dt
-    cut = _cut(read, start_s - offset_s - SLACK_S, end_s - offset_s + SLACK_S)
+    cut = _cut(read, start_s - offset_s - 1.0, end_s - offset_s + 1.0)
     if cut.rates is None or len(cut.rates.time_s) < 2 or np.ptp(cut.rates.time_s) < MIN_S:
         raise BadInputError(str(log), 'is of another flight than the bag', str(bag),
                             'the newest log was fetched; take the right one from the card')

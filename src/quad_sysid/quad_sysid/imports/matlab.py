@@ -15,11 +15,10 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
+from quad_sysid.imports.rosbag import MAX_NUMBERS
 
 LEAST = 20
 """Least length of a vector that is a recording."""
-MAX_WIDE = 64
-"""Largest number of columns of a matrix."""
 
 
 def read_mat(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
@@ -54,7 +53,7 @@ def _vectors(name: str, value: Any) -> Iterator[tuple[str, FloatArray]]:
     if not isinstance(value, np.ndarray):
         return
     if value.dtype == object:
-        for i, cell in enumerate(value.ravel()[:MAX_WIDE]):
+        for i, cell in enumerate(value.ravel()[:MAX_NUMBERS]):
             yield from _vectors(f'{name}[{i}]', cell)
         return
     if value.dtype.kind not in 'biuf':
@@ -66,5 +65,5 @@ def _vectors(name: str, value: Any) -> Iterator[tuple[str, FloatArray]]:
     elif array.ndim > 1 and max(array.shape) >= LEAST:
         long = int(np.argmax(array.shape))
         flat = np.moveaxis(array, long, 0).reshape(array.shape[long], -1)
-        if flat.shape[1] <= MAX_WIDE:
+        if flat.shape[1] <= MAX_NUMBERS:
             yield from ((f'{name}[{i}]', flat[:, i].copy()) for i in range(flat.shape[1]))

@@ -22,10 +22,8 @@ from quad_sysid.imports.table import Table
 
 TOPIC = re.compile(r'^(?P<place>(?:/[^/.]+)*?)/mavros/(?P<topic>[^.]+)\.')
 """A topic of mavros: whose, and its name."""
-PULSES = (1000.0, 2000.0)
 MIN_PULSE = 800.0
 """µs. A channel that never gives more is not a motor's."""
-MOTORS = (4, 6, 8)
 FASTER = ('ask the autopilot for faster messages (service /mavros/set_message_interval), or '
           'import its own log')
 NO_GAINS = ("the controller's gains: no closed loop, no gain design (the autopilot's own log has "
@@ -78,7 +76,7 @@ def read(path: Path, messages: Path | None = None) -> ForeignLog:
     motors = table.stream(*channels) if channels else None
     command = table.stream(*CONTROLS)
     if reading.motors_fast(motors, command):
-        low, high = PULSES
+        low, high = 1000.0, 2000.0
         reading.take(Signal('motors', channels, 'µs', f'(pulse - {low:g}) / {high - low:g}; U by '
                             'what the motion shows',
                             lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
@@ -95,7 +93,7 @@ def read(path: Path, messages: Path | None = None) -> ForeignLog:
 
 def _channels(table: Table) -> tuple[str, ...]:
     """The first channels of rc/out that move as motors do."""
-    used = [name for i in range(max(MOTORS)) if (name := f'rc/out.channels[{i}]') in table.columns
+    used = [name for i in range(8) if (name := f'rc/out.channels[{i}]') in table.columns
             and np.nanmax(table.columns[name]) > MIN_PULSE]
-    count = max((n for n in MOTORS if n <= len(used)), default=0)
+    count = max((n for n in (4, 6, 8) if n <= len(used)), default=0)
     return tuple(used[:count])

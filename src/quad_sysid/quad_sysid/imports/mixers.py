@@ -67,7 +67,7 @@ def _craft_of(name: str, matrix: FloatArray) -> Craft | None:
 
 def chosen(crafts: Sequence[Craft | Mixer], patterns: Sequence[Pattern], rates: FloatArray,
            motors: FloatArray, dt: float) -> Craft | Mixer | None:
-    """That craft of several with which the motors explain most of the motion; None without one."""
+    """The craft, of several, with which the motors explain most of the motion; None for none."""
     certain = [p for p in patterns if p.certain]
 
     def explained(craft: Craft | Mixer) -> float:

@@ -37,8 +37,8 @@ ARMED = 2
 """arming_state of vehicle_status."""
 MULTIROTORS = (2, 3, 13, 14, 15, 29, 35)
 """MAV_TYPE of those that fly by their rotors alone."""
-FIRST_MOTOR, MAX_ESCS = 101, 8
-"""actuator_function of motor 1; entries of esc_status."""
+FIRST_MOTOR = 101
+"""actuator_function of motor 1."""
 FREE = (0.02, 0.98)
 """Commands between which a motor is at none of its ends."""
 LINEAR = 0.98
@@ -226,7 +226,7 @@ def _speeds(reading: Reading, count: int) -> None:
     if rpm is None or not np.nanmax(np.abs(rpm.values)) > 0.0:
         return
     values = np.full((len(rpm.time_s), count), np.nan)
-    for i in range(min(size, MAX_ESCS)):
+    for i in range(min(size, 8)):
         named = table.columns.get(f'esc_status.esc[{i}].actuator_function', np.zeros(1))
         motor = int(named[-1]) - FIRST_MOTOR if named[-1] >= FIRST_MOTOR else i
         if 0 <= motor < count:

@@ -23,9 +23,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
 
 MAX_NUMBERS = 64
-"""Longest array in a message that becomes columns; a longer one is an image or a cloud."""
-MICRO = 1e-6
-"""s of a time stamp of PX4."""
+"""Longest array that becomes columns; a longer one is an image, a cloud or a matrix of data."""
 PACKAGE_NAME = re.compile(r'<name>\s*([\w-]+)\s*</name>')
 
 Columns = dict[str, FloatArray]
@@ -214,7 +212,7 @@ def _stamp(message: Any) -> float:
     for name in ('timestamp_sample', 'timestamp'):
         ticks = getattr(message, name, 0)
         if isinstance(ticks, int | np.integer) and ticks > 0:
-            return MICRO * float(ticks)
+            return 1e-6 * float(ticks)
     return 0.0
 
 

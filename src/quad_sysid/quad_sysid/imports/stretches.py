@@ -15,8 +15,9 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.record import Record, Segment, finite_runs, motors_at_limit
 
 PIECE_S = 1.0
+"""Two windows of half a second, which are what an error is measured in."""
 MAX_LOST = 0.2
-"""Largest share of gaps or ground in a piece."""
+"""Largest share of a piece that is gap or ground, or has a motor at its limit."""
 AIRBORNE = 0.4
 """Share of the usual throttle below which the aircraft does not fly."""
 GROUND_S = 1.0
@@ -26,13 +27,12 @@ STILL = 0.1
 """Share of the usual motion and command below which nothing is excited."""
 USUAL = 0.75
 """Quantile over the pieces that counts as usual."""
-MAX_AT_LIMIT = 0.2
-"""Share of a piece for which a motor may be at its limit."""
 NEARLY_ALL = 0.9
 """Usable share of a short record from which it keeps no segments."""
 MIN_DURATION_S = 3.0
 """Shortest stretch, since windows begin a second after its start."""
 BLOCK_S = 5.0
+"""Eight windows behind the second that the filter needs; short, so that both roles see all."""
 ROLES = ('train', 'train', 'validation', 'train', 'validation')
 """Roles of consecutive blocks: 60 % train."""
 
@@ -136,7 +136,7 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
         stuck = 0.0 if motors is None else float(motors_at_limit(motors[piece]).any(axis=1).mean())
         out.append('gap' if lost_share > MAX_LOST else
                    'ground' if not flying[piece].mean() >= 1.0 - MAX_LOST else
-                   'saturated' if stuck > MAX_AT_LIMIT else
+                   'saturated' if stuck > MAX_LOST else
                    'still' if still[0][i] or still[1][i] else '')
     return out
 

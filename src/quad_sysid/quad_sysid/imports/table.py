@@ -34,8 +34,6 @@ from quad_sysid.imports.matlab import read_mat
 from quad_sysid.imports.rosbag import read_messages
 from quad_sysid.imports.units import Unit
 
-HEAD = 65536
-"""Number of bytes by which a format is recognised."""
 SQLITE = b'SQLite format 3'
 PACKED: Mapping[bytes, Callable[..., Any]] = {
     b'\x1f\x8b': gzip.open, b'\xfd7zXZ\0': lzma.open, b'BZh': bz2.open,
@@ -65,8 +63,6 @@ QUATERNION = re.compile(
 """The parts of a quaternion by their names: w, x, y, z or four numbers, the scalar first."""
 NAMED_QUATERNION = re.compile(r'(?<![a-z])(q|quaternion)(?![a-z])|quat|orientation',
                               re.IGNORECASE)
-NORM = 0.02
-"""Largest difference of a quaternion's norm from 1."""
 EULER = ('roll', 'pitch', 'yaw')
 
 
@@ -83,7 +79,7 @@ class Table:
     header: Mapping[str, Any] = field(default_factory=dict)
     """The log's parameters, as it names them."""
     notes: tuple[str, ...] = ()
-    """What was repaired, or could not be read."""
+    """Repairs, and parts that could not be read, in words."""
     aliases: Mapping[str, str] = field(default_factory=dict)
     """Other names of columns, by which a user may ask for them."""
 
@@ -235,7 +231,8 @@ def with_angles(table: Table) -> Table:
         values = np.column_stack([table.columns[parts[p]] for p in order])
         is_finite = np.isfinite(values).all(axis=1)
         norm = np.linalg.norm(values[is_finite], axis=1)
-        if not is_finite.any() or np.mean(np.abs(norm - 1.0) < NORM) < 0.9:
+        # nine in ten have norm 1, to the two digits of a short log
+        if not is_finite.any() or np.mean(np.abs(norm - 1.0) < 0.02) < 0.9:
             continue
         euler = np.full((len(values), 3), np.nan)
         euler[is_finite] = euler_from_quaternion(values[is_finite])
@@ -262,7 +259,7 @@ def head_of(path: Path) -> bytes:
     if path.is_dir():
         return b''
     with _readable(path), _opener(path)(path, 'rb') as stream:
-        return bytes(stream.read(HEAD))
+        return bytes(stream.read(65536))
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from quad_sysid.foresight import drawn_hz
 from quad_sysid.imports import clock
 from quad_sysid.imports.clock import Cycles, Stream
 from quad_sysid.imports.experiments import with_experiments
-from quad_sysid.imports.log import ForeignLog
+from quad_sysid.imports.log import FAST_ENOUGH, ForeignLog
 from quad_sysid.imports.mixers import Mixer, chosen, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
@@ -33,15 +33,14 @@ from quad_sysid.record import SHORT_GAP_S, GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
 """U1 beside the command of a single axis: the middle of the motors' range."""
-SLOW = 0.5
-"""Share of the rates' sample rate below which slow commands cause a warning."""
 LOST = 0.005
 """Share of lost samples from which on the logger is blamed."""
 MIN_SAMPLES = 100
+"""Fewer hold no window of half a second behind the time that the filter takes to settle."""
 SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
 DERIVATIVE_HALF_WIDTH_S = 0.01
-DERIVATIVE_ORDER = 3
+"""A cubic over 20 ms passes what an airframe does and averages an angle's noise."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Imported:
 
 
 def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Imported:
-    """Write the bag, on a grid of `grid_hz` where that is given.
+    """Write the bag, on a grid of `grid_hz`, Hz; None: the log's own rate.
 
     Raises BadInputError where `out` exists or the log holds too little.
     """
@@ -87,7 +86,7 @@ def uneven(notes: Sequence[str]) -> list[str]:
 def record_of(
     log: ForeignLog, grid_hz: float | None = None
 ) -> tuple[Record, list[str], list[str]]:
-    """The record that a log gives, what was repaired and found, and warnings.
+    """The record of a log, notes on repairs and findings, and warnings.
 
     Raises BadInputError where the log holds too little.
     """
@@ -116,7 +115,7 @@ def record_of(
             f'the commands are straight lines between samples at some {drawn:.3g} Hz: they were '
             'interpolated and not logged at this rate, so no effect can be claimed from them: log '
             f'the commands at the full rate{faster}')
-    if commands is not None and commands.rate_hz < SLOW / grid.dt:
+    if commands is not None and commands.rate_hz < FAST_ENOUGH / grid.dt:
         warnings.append(
             f'the commands were logged at {commands.rate_hz:.3g} Hz and the rates at '
             f'{1.0 / grid.dt:.4g} Hz; between them the last one is held, so fast motion has the '
@@ -299,7 +298,7 @@ def _derivative(angles: FloatArray, dt: float) -> tuple[FloatArray, str]:
     for start, stop in finite_runs(is_finite, (0, len(angles))):
         if stop - start >= width:
             out[start:stop] = savgol_filter(
-                angles[start:stop], width, DERIVATIVE_ORDER, deriv=1, delta=dt, mode='interp',
+                angles[start:stop], width, 3, deriv=1, delta=dt, mode='interp',
                 axis=0,
             )
     return out, f'a zero-phase Savitzky-Golay derivative (cubic over {width} samples)'

@@ -82,14 +82,12 @@ def flag(option: str) -> str:
 
 
 DEGREE = math.pi / 180.0
-VOLTS_OF_FULL_COMMAND = 20.0
-"""An analogue command of -10 V..10 V spans the whole range of 1 of a motor command."""
 
 UNITS: dict[Role, dict[str, tuple[float, float]]] = {
     'time': {'s': (1.0, 0.0), 'ms': (1e-3, 0.0), 'us': (1e-6, 0.0), 'ns': (1e-9, 0.0)},
     'control': {
         '1': (1.0, 0.0), 'percent': (0.01, 0.0), 'pwm16': (1.0 / 65535.0, 0.0),
-        'pulse_us': (1e-3, -1.5), 'V': (1.0 / VOLTS_OF_FULL_COMMAND, 0.0),
+        'pulse_us': (1e-3, -1.5), 'V': (1.0 / 20.0, 0.0),  # of an analogue command, -10 V..10 V
     },
     'motor': {
         '1': (1.0, 0.0), 'percent': (0.01, 0.0), 'pwm16': (1.0 / 65535.0, 0.0),
@@ -182,7 +180,7 @@ def as_typed(axes: Sequence[str], columns: Mapping[str, Sequence[str]],
 
 
 def unit_of(role: Role, text: str | None, column: str, likely: str = '') -> Unit:
-    """Look up the unit of a column: as given, else as its header or name says, else SI.
+    """Look up the unit of a column: `text`, else the unit of its header or name, else SI.
 
     Raises BadInputError naming what the role allows, and `likely` as an example.
     """

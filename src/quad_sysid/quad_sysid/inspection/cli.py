@@ -70,5 +70,5 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def tree(content: Content) -> Mapping[str, Any]:
-    """What `--json` prints: the dataclasses' fields by name."""
+    """The content as plain values for `--json`: the dataclasses' fields by name."""
     return {'schema': SCHEMA, **asdict(content)}

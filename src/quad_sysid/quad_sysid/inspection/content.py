@@ -20,7 +20,7 @@ from quad_sysid.contract import AXES, TOPIC_TYPES
 from quad_sysid.craft import Craft, X
 from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
-from quad_sysid.effects.actuators import SAG_SHOWS
+from quad_sysid.effects.constants import SAG_SHOWS
 from quad_sysid.errors import BadInputError, NotInformativeError, QuadSysidError
 from quad_sysid.foresight import improvement
 from quad_sysid.imports.formats import check_single, format_of
@@ -52,6 +52,7 @@ GAP_CYCLES = 1.5
 ON_CHANGE = 'rcl_interfaces/msg/ParameterEvent'
 TEXT = 'std_msgs/msg/String'
 STAMP_END = 12
+"""Bytes of a message up to the end of its stamp: encapsulation, seconds, nanoseconds."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,10 @@ class TopicContent:
     rate_hz: float | None
     """Median rate of the stamps; None for a topic on change, or with fewer than 3 stamps."""
     span_s: float
-    """From the first stamp to the last."""
+    """Time from the first stamp to the last, s."""
     gaps: int
     longest_gap_s: float
-    """Between the stamps around it."""
+    """Time between the stamps around the longest gap, s."""
 
     @property
     def longest_lost_s(self) -> float:
@@ -138,7 +139,7 @@ class Use:
 
 
 def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]:
-    """What one axis' data allow: identification first, then what hangs on more signals.
+    """The uses that one axis' data allow: identification first, then those that need more signals.
 
     `reason`: why the commands do not predict the rate; empty where they do.
     """
@@ -259,9 +260,9 @@ class MotorPlace:
     spin: int
     """1 where the propeller turns counter-clockwise seen from above, -1 where clockwise."""
     expected: tuple[int, ...]
-    """Sign of more of it on roll, pitch, yaw by its place and spin; 0 for none."""
+    """Sign of its effect on roll, pitch and yaw by place and spin; 0: none."""
     shown: tuple[int | None, ...]
-    """The same by the motion; None where the flight does not show it for certain."""
+    """Sign of its effect by the motion; None where the flight does not show it for certain."""
 
 
 @dataclass(frozen=True)
@@ -285,14 +286,14 @@ class Content:
     """Per motor, share of the time at 0 or 1; empty where /motors/command is missing."""
     battery: Battery | None = None
     craft: str = ''
-    """Where its motors are, in words; empty where only the control is known."""
+    """Places of the motors, in words; empty where only the control is known."""
     rotors: tuple[str, ...] = ()
     """The motors' lag by the measured speeds of the rotors, and motors that lag, slip or stop."""
     layout: tuple[Pattern, ...] = ()
     """Patterns of each moving axis by the motion, in the order of the contract: of the motors, or
     where the bag lacks them of the axis' command."""
     motors: tuple[MotorPlace, ...] = ()
-    """Where the craft has its motors, beside what the motion shows of each."""
+    """Each motor of the craft, with the signs that the motion shows."""
     axes: tuple[AxisContent, ...] = ()
     uses: tuple[Use, ...] = ()
     """Uses of the whole flight."""

@@ -10,7 +10,6 @@ from quad_sysid.inspection.content import AxisContent, Content, Use
 from quad_sysid.report.tables import Table, wrapped
 
 MAX_SEGMENTS = 12
-MAX_WARNINGS = 8
 
 
 def lines(content: Content) -> list[str]:
@@ -23,7 +22,7 @@ def lines(content: Content) -> list[str]:
         out += [*_axis(axis), '']
     out += ['usable for', *(line for use in content.uses for line in _use(use))]
     if content.warnings:
-        shown = content.warnings[:MAX_WARNINGS]
+        shown = content.warnings[:8]
         more = len(content.warnings) - len(shown)
         out += ['', 'warnings', *(line for text in shown for line in wrapped(text, '  '))]
         out += [f'  and {more} more (--json)'] if more else []

@@ -59,7 +59,7 @@ class Flown:
     """(n, 3) what an experiment added to the command of an axis, normalised; NaN without one."""
     gains: tuple[GainChange, ...] = ()
     lacks: tuple[str, ...] = ()
-    """What is not in the log, and what cannot be measured for that reason."""
+    """Signals that the log lacks, each with the measurement that needs it."""
     warnings: tuple[str, ...] = ()
     proposed: tuple[tuple[str, float, float], ...] = ()
     """Role (`train`, `validation`), start and end, s, of stretches for an identification."""

@@ -23,8 +23,7 @@ NOISE_HZ = 80.0
 LEAST_BAND = 1.2
 """Factor by which a spectrum must reach beyond NOISE_HZ for an RMS above it."""
 LONGEST_LATENCY_S, LONGEST_ANGLE_LATENCY_S = 0.3, 1.0
-DELAYS = 60
-"""Latencies that are tried up to the longest."""
+"""Longest delay behind the set-point that is tried, of a rate and of an angle."""
 LEAST_TRACKED_S = 2.0
 """Time with set-point and measurement from which tracking is stated."""
 UNRELATED = 0.9
@@ -36,7 +35,7 @@ SEEN = 0.5
 
 @dataclass(frozen=True)
 class Tracking:
-    """How far the rate is from its set-point, rad/s (angles: rad)."""
+    """Distance of the rate from its set-point, rad/s (angles: rad)."""
 
     quantity: str
     setpoint_rms: float
@@ -53,13 +52,13 @@ class AxisLook:
 
     axis: str
     steps: tuple[step.Response, ...]
-    """Of the rate, and of the angle where it has a set-point: all windows first, then classes."""
+    """Step responses of the rate, and of an angle with a set-point; all windows, then classes."""
     loop: response.LoopResponse | None
     tracking: tuple[Tracking, ...]
     gyro: Frames | None
     """Spectra of the rate as the controller sees it."""
     gyro_before: Frames | None
-    """The same before the filters."""
+    """Spectra of the rate before the filters."""
     d_term: Frames | None
 
     @property
@@ -87,7 +86,7 @@ class MotorLook:
     mean: float
     """Mean command, 0..1."""
     apart_pct: float
-    """Its mean command beside the mean of all, %."""
+    """Deviation of its mean command from the mean of all motors, %."""
     at_zero_pct: float
     at_one_pct: float
     """Share of the time at the limits, %."""
@@ -97,7 +96,7 @@ class MotorLook:
 
 @dataclass(frozen=True)
 class Part:
-    """What was measured over one stretch of the flight."""
+    """Measurements over one stretch of the flight."""
 
     stretch: Stretch
     flown_s: float
@@ -107,12 +106,12 @@ class Part:
 
 @dataclass(frozen=True)
 class Measured:
-    """All that a log shows without a model."""
+    """All measurements of a log, without a model."""
 
     flown: Flown
     whole: Part
     parts: tuple[Part, ...]
-    """By set of gains; empty where the gains never change."""
+    """Measurements per set of gains; empty where the gains never change."""
     motors: tuple[MotorLook, ...]
     motor_frames: Frames | None
     """Spectra of the motors' commands, mean over the motors."""
@@ -276,7 +275,7 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
     most = LONGEST_LATENCY_S if quantity == 'rate' else LONGEST_ANGLE_LATENCY_S
     longest = max(round(most / dt), 2)
     # all short delays, then in steps of some per cent
-    for k in sorted({round(k) for k in np.geomspace(1, longest, DELAYS)}):
+    for k in sorted({round(k) for k in np.geomspace(1, longest, 60)}):
         both = is_finite[k:] & is_finite[:len(is_finite) - k]
         behind = (setpoint[:len(setpoint) - k] - measured[k:])[both]
         residual = float(np.sqrt(np.mean(behind**2)))

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 COLOURS = {'all': canvas.INK, 'small': canvas.SKY, 'medium': canvas.BLUE, 'large': canvas.ORANGE}
 MOST_PIXELS = 300
 """Columns and rows of a map."""
-COLUMN_S = 0.25
-"""Shortest column of a spectrogram."""
 RANGE_DB = 50.0
 
 
@@ -33,14 +31,14 @@ def pictures(look: Measured) -> tuple[Picture, ...]:
 
 
 def makers() -> tuple[Callable[[Measured], Picture | None], ...]:
-    """What draws a picture each, or none where the log does not allow it."""
+    """The functions that draw a picture each, or return None where the log does not allow it."""
     return (partial(steps, quantity='rate'), partial(steps, quantity='angle'), by_gains, spectra,
             throttle_map, time_map, orders, loop)
 
 
 def draw(look: Measured, name: str) -> Picture:
     """One picture by its name; raises BadInputError where the log does not allow it."""
-    by_name = {seen.name: seen for seen in pictures(look)}
+    by_name = {picture.name: picture for picture in pictures(look)}
     if name not in by_name:
         raise BadInputError('look', 'has no such picture', name, f'it has {", ".join(by_name)}')
     return by_name[name]
@@ -48,8 +46,8 @@ def draw(look: Measured, name: str) -> Picture:
 
 def steps(look: Measured, quantity: str) -> Picture | None:
     """The step response of each axis, by amplitude."""
-    axes = {axis: [s for s in seen.steps if s.quantity == quantity]
-            for axis, seen in look.whole.axes.items()}
+    axes = {axis: [s for s in on_axis.steps if s.quantity == quantity]
+            for axis, on_axis in look.whole.axes.items()}
     axes = {axis: responses for axis, responses in axes.items() if responses}
     if not axes:
         return None
@@ -94,7 +92,7 @@ def by_gains(look: Measured) -> Picture | None:
 
 def spectra(look: Measured) -> Picture | None:
     """Amplitude spectra of gyro, before and after, D part and motors."""
-    axes = {axis: seen for axis, seen in look.whole.axes.items() if seen.gyro is not None}
+    axes = {axis: on_axis for axis, on_axis in look.whole.axes.items() if on_axis.gyro is not None}
     if not axes:
         return None
     motors = look.motor_frames
@@ -149,14 +147,14 @@ def time_map(look: Measured) -> Picture | None:
     figure, drawn = canvas.panels(len(maps), height_in=0.7 + 1.6 * len(maps))
     for panel, frames in zip(drawn, maps.values(), strict=True):
         edges = np.linspace(0.0, look.flown.length_s, min(
-            MOST_PIXELS, max(2, math.ceil(look.flown.length_s / COLUMN_S))) + 1)
+            MOST_PIXELS, max(2, math.ceil(look.flown.length_s / 0.25))) + 1)
         _map(panel, frames.at_places(frames.time_s, edges).T, (0.0, look.flown.length_s), frames)
     canvas.finish(drawn, 'time, s', *(f'{axis}, Hz' for axis in maps))
     return Picture('spectrogram', 'Spectrogram of the gyro', _map_words(look), figure)
 
 
 def _map_words(look: Measured) -> str:
-    raw = any(seen.gyro_before is not None for seen in look.whole.axes.values())
+    raw = any(on_axis.gyro_before is not None for on_axis in look.whole.axes.values())
     whose = 'before its filters' if raw else 'as the controller sees it'
     return (f'Bright is loud, {RANGE_DB:.0f} dB from the loudest above {LOWEST_PEAK_HZ:g} Hz to '
             f'black; the gyro {whose}. White: not flown there.')
@@ -164,9 +162,9 @@ def _map_words(look: Measured) -> str:
 
 def _noisiest(look: Measured) -> Iterator[tuple[str, Frames]]:
     """Of each axis the gyro before its filters on the log's grid, or else behind them."""
-    for axis, seen in look.whole.axes.items():
-        raw = seen.gyro_before if look.flown.before_dt == look.flown.dt else None
-        gyro = raw if raw is not None else seen.gyro
+    for axis, on_axis in look.whole.axes.items():
+        raw = on_axis.gyro_before if look.flown.before_dt == look.flown.dt else None
+        gyro = raw if raw is not None else on_axis.gyro
         if gyro is not None:
             yield axis, gyro
 
@@ -208,19 +206,19 @@ def orders(look: Measured) -> Picture | None:
 def loop(look: Measured) -> Picture | None:
     """Tracking over frequency, coherence, and loop gain where the gains are known."""
     part: Part = look.parts[-1] if look.parts else look.whole
-    loops = {axis: seen.loop for axis, seen in part.axes.items() if seen.loop is not None}
+    loops = {axis: on_axis.loop for axis, on_axis in part.axes.items() if on_axis.loop is not None}
     if not loops:
         return None
-    has_loop = any(seen.loop is not None for seen in loops.values())
+    has_loop = any(measured.loop is not None for measured in loops.values())
     figure, drawn = canvas.panels(4 if has_loop else 3, height_in=5.6 if has_loop else 4.4)
-    for (axis, seen), colour in zip(loops.items(), canvas.LINES, strict=False):
-        f = seen.frequency_hz
-        drawn[0].loglog(f, np.abs(seen.tracking), color=colour, label=axis)
-        drawn[1].semilogx(f, np.degrees(np.unwrap(np.angle(seen.tracking))), color=colour)
-        drawn[2].semilogx(f, seen.coherence, color=colour)
-        if has_loop and seen.loop is not None:
-            finite = np.isfinite(seen.loop)
-            drawn[3].loglog(f[finite], np.abs(1.0 / (1.0 + seen.loop[finite])), color=colour)
+    for (axis, measured), colour in zip(loops.items(), canvas.LINES, strict=False):
+        f = measured.frequency_hz
+        drawn[0].loglog(f, np.abs(measured.tracking), color=colour, label=axis)
+        drawn[1].semilogx(f, np.degrees(np.unwrap(np.angle(measured.tracking))), color=colour)
+        drawn[2].semilogx(f, measured.coherence, color=colour)
+        if has_loop and measured.loop is not None:
+            finite = np.isfinite(measured.loop)
+            drawn[3].loglog(f[finite], np.abs(1.0 / (1.0 + measured.loop[finite])), color=colour)
     drawn[2].set_ylim(0.0, 1.05)
     canvas.plain_logarithms(drawn)
     canvas.finish(drawn, 'frequency, Hz', 'tracking, 1', 'phase, °', 'coherence²',

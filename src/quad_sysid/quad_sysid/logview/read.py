@@ -43,7 +43,7 @@ LACKING = {
 
 
 class Look(Measured):
-    """What a log shows without a model, with its text, pictures and page."""
+    """The measurements of a log, with their text, pictures and page."""
 
     def __str__(self) -> str:
         """The text that the command prints."""
@@ -52,7 +52,7 @@ class Look(Measured):
         return '\n'.join(lines(self))
 
     def tree(self) -> dict[str, Any]:
-        """What `--json` prints."""
+        """The measurements as plain values, for `--json`."""
         from quad_sysid.logview.words import tree
 
         return tree(self)
@@ -90,7 +90,7 @@ def look(flight: Record | Flown | str | Path, *, log: int = 1,
 
 
 def read(path: Path, log: int = 1, messages: Path | None = None) -> Flown:
-    """Everything that is looked at in a file or bag; raises BadInputError."""
+    """The signals of a file or bag that are looked at; raises BadInputError."""
     record = None
     if is_bag(path, head_of(path)):
         with suppress(BadInputError):  # then it holds other topics, which the readers below know

@@ -19,10 +19,10 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.logview.spectrum import starts_of
 from quad_sysid.loop.cascade import UNFILTERED_HZ, CascadeGains, margins, weight_of
 from quad_sysid.loop.linear import ComplexArray
+from quad_sysid.pipeline.constants import COHERENT
 
 FRAME_S = 2.0
-COHERENT = 0.6
-"""Squared coherence from which a frequency counts."""
+"""Half a hertz between lines, as slow as a pilot steers."""
 FEWEST = 8
 """Frames from which a response is stated."""
 LEAST_POWER = 1e-4
@@ -32,8 +32,7 @@ REFERENCE_HZ = 10.0
 NEAR = 0.35
 """Distance of frequencies, in logarithms, whose phases give the delay at one."""
 FEWEST_LINES = 3
-NEARLY_0_HZ = 1e-6
-"""In the place of 0, where an integrator has no response."""
+"""Lines in a row that make a band; as many may lack in it."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Spectra:
 
 @dataclass(frozen=True)
 class Delay:
-    """What one part costs at the stated frequency."""
+    """Delay of one part of the loop at the stated frequency."""
 
     part: str
     milliseconds: float
@@ -74,9 +73,9 @@ class LoopResponse:
     """(f,) rate over set-point."""
     coherence: FloatArray
     bandwidth_hz: float
-    """Where the tracking falls below -3 dB for good; NaN where that is not coherent."""
+    """Frequency above which the tracking stays below -3 dB; NaN where it is not coherent there."""
     peak: float
-    """Largest magnitude of the tracking, and its frequency."""
+    """Largest magnitude of the tracking."""
     peak_hz: float
     plant: ComplexArray | None = None
     """(f,) rad/s per unit of command; NaN where the command is not coherent."""
@@ -166,7 +165,7 @@ def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
 
 def feedback(gains: Mapping[str, float], axis: str, frequency_hz: FloatArray,
              dt: float) -> ComplexArray | None:
-    """(f,) command over minus the rate, by the contract's gains; None where kp is not known."""
+    """(f,) response from -rate to command, by the contract's gains; None without kp."""
     if f'{axis}.rate.kp' not in gains:
         return None
     return np.asarray(-_cascade(gains, axis).response(2.0 * np.pi * frequency_hz, dt)[0])
@@ -176,7 +175,7 @@ def derivative(gains: Mapping[str, float], axis: str, frequency_hz: FloatArray,
                dt: float) -> ComplexArray:
     """(f,) the D part over minus the rate, behind its filters."""
     alone = replace(_cascade(gains, axis), rate_kp=0.0, rate_ki=0.0, output_filter_hz=0.0)
-    omega = 2.0 * np.pi * np.maximum(frequency_hz, NEARLY_0_HZ)
+    omega = 2.0 * np.pi * np.maximum(frequency_hz, 1e-6)  # an integrator has no response at 0
     return np.asarray(-alone.response(omega, dt)[0])
 
 
@@ -246,7 +245,7 @@ def at_crossover(loop: LoopResponse | None) -> float:
 
 
 def plant_delay(loop: LoopResponse, at_hz: float) -> float | None:
-    """Seconds from the command to the angular acceleration at a frequency; None if not known."""
+    """Delay, s, from command to angular acceleration at a frequency, Hz; None if not measured."""
     if loop.plant is None:
         return None
     is_finite = np.isfinite(loop.plant)

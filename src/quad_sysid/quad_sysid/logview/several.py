@@ -36,22 +36,22 @@ def figures(looks: Sequence[Measured]) -> Table:
     rows = []
     for axis in _axes(looks):
         for name, look in zip(names(looks), looks, strict=True):
-            seen = look.whole.axes.get(axis)
-            if seen is not None:
-                rows.append([axis, name, *_row(seen)])
+            on_axis = look.whole.axes.get(axis)
+            if on_axis is not None:
+                rows.append([axis, name, *_row(on_axis)])
     return Table(['axis', 'flight', 'rise, ms', 'overshoot, %', 'settling, ms', 'crossover, Hz',
                   'phase margin, °', 'noise, deg/s'], rows, range(2, 8))
 
 
-def _row(seen: AxisLook) -> list[str]:
-    step, loop = seen.rate_step, seen.loop
+def _row(on_axis: AxisLook) -> list[str]:
+    step, loop = on_axis.rate_step, on_axis.loop
     values = [math.nan] * 5
     if step is not None:
         f = step.figures
         values[:3] = [1e3 * f.rise_time_s, f.overshoot_pct, 1e3 * f.settling_time_s]
     if loop is not None:
         values[3:] = [loop.crossover_hz, loop.phase_margin_deg]
-    noise = seen.noise_rms
+    noise = on_axis.noise_rms
     values.append(math.nan if noise is None else DEG * noise)
     return [number(value if math.isfinite(value) else None) for value in values]
 
@@ -70,18 +70,18 @@ def page(looks: Sequence[Measured]) -> str:
 
 def pictures(looks: Sequence[Measured]) -> list[Picture]:
     """Step responses, gyro spectra and tracking, a line for each log."""
-    def step(axes: Axes, seen: AxisLook, colour: str, name: str) -> None:
-        if seen.rate_step is not None:
-            axes.plot(seen.rate_step.time_s, seen.rate_step.mean, color=colour, label=name)
+    def step(axes: Axes, on_axis: AxisLook, colour: str, name: str) -> None:
+        if on_axis.rate_step is not None:
+            axes.plot(on_axis.rate_step.time_s, on_axis.rate_step.mean, color=colour, label=name)
 
-    def spectrum(axes: Axes, seen: AxisLook, colour: str, name: str) -> None:
-        if seen.gyro is not None:
-            axes.loglog(seen.gyro.frequency_hz[1:], DEG * np.sqrt(np.maximum(
-                seen.gyro.mean[1:], 1e-30)), color=colour, label=name)
+    def spectrum(axes: Axes, on_axis: AxisLook, colour: str, name: str) -> None:
+        if on_axis.gyro is not None:
+            axes.loglog(on_axis.gyro.frequency_hz[1:], DEG * np.sqrt(np.maximum(
+                on_axis.gyro.mean[1:], 1e-30)), color=colour, label=name)
 
-    def tracking(axes: Axes, seen: AxisLook, colour: str, name: str) -> None:
-        if seen.loop is not None and np.isfinite(seen.loop.tracking).any():
-            axes.loglog(seen.loop.frequency_hz, np.abs(seen.loop.tracking), color=colour,
+    def tracking(axes: Axes, on_axis: AxisLook, colour: str, name: str) -> None:
+        if on_axis.loop is not None and np.isfinite(on_axis.loop.tracking).any():
+            axes.loglog(on_axis.loop.frequency_hz, np.abs(on_axis.loop.tracking), color=colour,
                         label=name)
 
     return [

@@ -15,8 +15,6 @@ from quad_sysid.contract import FloatArray
 
 FRAME_S = 0.5
 """Length of a frame, s: 2 Hz between lines."""
-FEWEST_SAMPLES = 8
-"""Of a frame: a slower log has no spectrum."""
 THROTTLE = np.linspace(0.0, 1.0, 41)
 """Edges of the throttle's classes."""
 ORDERS = np.linspace(0.25, 4.25, 161)
@@ -24,6 +22,7 @@ ORDERS = np.linspace(0.25, 4.25, 161)
 PEAK, PEAKS = 3.0, 3
 """A peak is this factor above the median around it, in power; so many are stated."""
 AROUND_HZ = 30.0
+"""Span whose median is the floor from which a peak stands out."""
 LOWEST_PEAK_HZ = 20.0
 """Below this is what the aircraft flies."""
 
@@ -117,7 +116,8 @@ def starts_of(usable: npt.NDArray[np.bool_], size: int) -> npt.NDArray[np.int64]
 def frames(signal: FloatArray, usable: npt.NDArray[np.bool_], dt: float) -> Frames | None:
     """The frames of a signal (n,) within `good` (n,); None without any."""
     size = round(FRAME_S / dt)
-    if size < FEWEST_SAMPLES or not len(starts := starts_of(usable & np.isfinite(signal), size)):
+    # a log too slow for 8 samples in a frame has no spectrum
+    if size < 8 or not len(starts := starts_of(usable & np.isfinite(signal), size)):
         return None
     window = np.hanning(size + 1)[:size]
     cut = signal[starts[:, None] + np.arange(size)]

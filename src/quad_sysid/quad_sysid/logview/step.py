@@ -22,8 +22,6 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.loop.figures import StepFigures, step_figures
 from quad_sysid.record import finite_runs
 
-HOP = 0.5
-"""Distance of windows as a share of their length."""
 MOST_WINDOWS = 240
 """Windows that suffice: in a longer flight they lie further apart."""
 LAGS = 250
@@ -44,13 +42,11 @@ end, to be stated: else something other than the set-point moves the output."""
 LEAST_SURE = 0.03
 """Largest standard deviation, as a share of the step, with which a class is stated: windows of one
 class may hold high frequencies alone, as a chirp's whose size falls, and no end of the step."""
-SPREAD = (16.0, 84.0)
-"""Percentiles of the windows that the spread shows: one standard deviation either way."""
 
 
 @dataclass(frozen=True)
 class Loop:
-    """What one loop's response is measured with, by its quantity."""
+    """Settings for the step response of one loop, rate or angle."""
 
     quantity: str
     seconds: float
@@ -173,7 +169,7 @@ def _thinned(x: FloatArray, every: int) -> FloatArray:
 
 def _windows(runs: Sequence[tuple[FloatArray, FloatArray]], m: int, rows: int) -> _Windows | None:
     """Cut the runs of set-point and output into windows that overlap."""
-    hop = max(1, round(HOP * rows), sum(len(r) for r, _ in runs) // MOST_WINDOWS)
+    hop = max(1, round(0.5 * rows), sum(len(r) for r, _ in runs) // MOST_WINDOWS)
     cuts = [(r, y, np.arange(m, len(r) - rows + 1, hop)[:, None]) for r, y in runs]
     cuts = [cut for cut in cuts if len(cut[2])]
     if not cuts:
@@ -228,7 +224,7 @@ def _response(windows: _Windows, inside: npt.NDArray[np.bool_], step: float, qua
     prior = noise * _precision(group.shape[1], m, share, size)[0]
     solved = np.linalg.solve(windows.gram[inside] + prior, residual[:, :, None])
     by_window = solved[:, :, 0] @ group.T
-    low, high = np.percentile(mean + np.cumsum(by_window, axis=1), SPREAD, axis=0)
+    low, high = np.percentile(mean + np.cumsum(by_window, axis=1), (16.0, 84.0), axis=0)  # a sigma
     half = int(np.argmax(mean >= 0.5))
     reached = bool(mean[half] >= 0.5)
     offset = mean[half - 1] if half else 0.0

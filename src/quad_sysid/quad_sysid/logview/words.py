@@ -25,8 +25,6 @@ MISSED_PCT = 5.0
 """Distance of a step's end from the step from which it is said."""
 ORIGIN = ('import:', 'import clock:')
 """How the notes of an import begin that say where a bag comes from, and warn of nothing."""
-MOST_GAINS = 6
-"""Changed gains that a title names."""
 
 
 def lines(look: Measured) -> list[str]:
@@ -53,7 +51,7 @@ def answer(look: Measured) -> list[str]:
 
 
 def sentences(look: Measured) -> list[str]:
-    """What a reader asks first, one sentence each: all of it measured."""
+    """The measurements that a reader looks for first, one sentence each."""
     out = [_axis_sentence(look, axis) for axis in look.whole.axes.values()]
     out += filter(None, (_motor_sentence(look),))
     if look.parts:
@@ -63,7 +61,7 @@ def sentences(look: Measured) -> list[str]:
 
 
 def header(look: Measured) -> str:
-    """What was looked at."""
+    """A line on the log: source, length, rate, gaps, time in the air."""
     flight = look.flown
     count = len(flight.gaps)
     gaps = f', {count} gap{"s" * (count > 1)}' if count else ''
@@ -72,21 +70,21 @@ def header(look: Measured) -> str:
             f'{look.whole.flown_s:.1f} s of it in the air')
 
 
-def _axis_sentence(look: Measured, seen: AxisLook) -> str:
-    step, loop = seen.rate_step, seen.loop
-    name = seen.axis.capitalize()
+def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:
+    step, loop = on_axis.rate_step, on_axis.loop
+    name = on_axis.axis.capitalize()
     if step is not None:
         text = f'{name} follows a step of its rate set-point {_figures(step)}'
-    elif seen.tracking:
-        error = seen.tracking[0]
+    elif on_axis.tracking:
+        error = on_axis.tracking[0]
         text = (f'{name} is off its rate set-point by {DEG * error.error_rms:.3g} deg/s RMS of '
                 f'{DEG * error.setpoint_rms:.3g}; the set-point moves too little, or the rate '
                 'follows it too loosely, for a step response')
     elif look.flown.rate_setpoint is None:
         text = f'{name} has no rate set-point in the log, hence no step response'
     else:
-        text = f'The rate set-point of {seen.axis} does not move, hence no step response'
-    angle = next((s for s in seen.steps if s.quantity == 'angle'), None)
+        text = f'The rate set-point of {on_axis.axis} does not move, hence no step response'
+    angle = next((s for s in on_axis.steps if s.quantity == 'angle'), None)
     if angle is not None:
         text += f'; the angle {_figures(angle)}'
     if loop is not None and np.isfinite(loop.phase_margin_deg):
@@ -94,10 +92,10 @@ def _axis_sentence(look: Measured, seen: AxisLook) -> str:
                  f'{loop.phase_margin_deg:.0f}° of phase margin')
         if np.isfinite(loop.gain_margin_db):
             text += f' and {loop.gain_margin_db:.1f} dB of gain margin'
-    noise = seen.noise_rms
-    if noise is not None and seen.gyro is not None:
+    noise = on_axis.noise_rms
+    if noise is not None and on_axis.gyro is not None:
         text += f'. Gyro noise above {NOISE_HZ:g} Hz: {DEG * noise:.2g} deg/s RMS'
-        peaks = [p for p in seen.gyro.peaks() if p.frequency_hz >= NOISE_HZ]
+        peaks = [p for p in on_axis.gyro.peaks() if p.frequency_hz >= NOISE_HZ]
         if peaks:
             text += f', of which {DEG * peaks[0].rms:.2g} at {peaks[0].frequency_hz:.0f} Hz'
     return f'{text}.'
@@ -145,15 +143,15 @@ def _title(part: Part) -> str:
     s = part.stretch
     if not s.changed:
         return '' if not s.start_s else f'{s.start_s:.1f} to {s.end_s:.1f} s: '
-    changed = ', '.join(f'{n} {s.gains[n]:.4g}' for n in s.changed[:MOST_GAINS])
+    changed = ', '.join(f'{n} {s.gains[n]:.4g}' for n in s.changed[:6])
     return f'{s.start_s:.1f} to {s.end_s:.1f} s, from here on {changed}: '
 
 
 def steps(part: Part) -> Table:
     """Step responses by class."""
     rows = []
-    for axis, seen in part.axes.items():
-        for s in seen.steps:
+    for axis, on_axis in part.axes.items():
+        for s in on_axis.steps:
             f = s.figures
             largest = f'{DEG * s.largest:.0f}' + (' deg/s' if s.quantity == 'rate' else ' deg')
             rows.append([axis, s.quantity, s.amplitude, largest, _or(1e3 * f.rise_time_s, '.3g'),
@@ -172,8 +170,8 @@ def steps(part: Part) -> Table:
 def loops(part: Part) -> Table:
     """Closed loop and margins."""
     rows = []
-    for axis, seen in part.axes.items():
-        loop = seen.loop
+    for axis, on_axis in part.axes.items():
+        loop = on_axis.loop
         if loop is not None:
             rows.append([
                 axis, f'{loop.frequency_hz[0]:.2g} to {loop.frequency_hz[-1]:.3g}',
@@ -193,10 +191,11 @@ def loops(part: Part) -> Table:
 
 
 def delays(part: Part) -> Table:
-    """What delays the loop."""
+    """Table of the delays in the loop."""
     rows = [[axis, d.part, f'{d.milliseconds:.2f}', f'{d.degrees:.1f}',
-             f'{seen.loop.delay_hz:.3g}', d.how]
-            for axis, seen in part.axes.items() if seen.loop is not None for d in seen.loop.delays]
+             f'{on_axis.loop.delay_hz:.3g}', d.how]
+            for axis, on_axis in part.axes.items() if on_axis.loop is not None
+            for d in on_axis.loop.delays]
     return Table(['axis', 'part', 'ms', 'phase, °', 'at, Hz', 'by'], rows, (2, 3, 4), caption=(
         f'{_title(part)}What delays the loop, at its crossover where that is known. The rest is '
         'the delay from command to angular acceleration less the parts above it.'))
@@ -205,10 +204,11 @@ def delays(part: Part) -> Table:
 def noise(part: Part) -> Table:
     """RMS of gyro and D part, and their largest peaks."""
     rows = []
-    for axis, seen in part.axes.items():
+    for axis, on_axis in part.axes.items():
         for name, frames, scale, unit in (
-                ('gyro before filters', seen.gyro_before, DEG, 'deg/s'),
-                ('gyro', seen.gyro, DEG, 'deg/s'), ('D part', seen.d_term, 100.0, '% command')):
+                ('gyro before filters', on_axis.gyro_before, DEG, 'deg/s'),
+                ('gyro', on_axis.gyro, DEG, 'deg/s'),
+                ('D part', on_axis.d_term, 100.0, '% command')):
             if frames is None:
                 continue
             high = noise_rms(frames)
@@ -227,7 +227,7 @@ def tracking(part: Part) -> Table:
     """Tracking error by axis."""
     rows = [[axis, t.quantity, f'{DEG * t.setpoint_rms:.3g}', f'{DEG * t.error_rms:.3g}',
              f'{DEG * t.error_rms_delayed:.3g}', _ms(t.latency_s)]
-            for axis, seen in part.axes.items() for t in seen.tracking]
+            for axis, on_axis in part.axes.items() for t in on_axis.tracking]
     return Table(['axis', 'of', 'set-point RMS', 'error RMS', 'left if delayed', 'by'], rows,
                  range(2, 6), caption=f'{_title(part)}deg/s and deg; the set-point delayed by as '
                  'much as leaves the least error.')
@@ -251,7 +251,7 @@ def _or(value: float, form: str) -> str:
 
 
 def tree(look: Measured) -> dict[str, Any]:
-    """What `--json` prints: SI units, null where something was not measured."""
+    """The measurements for `--json`: SI units, null where something was not measured."""
     flight = look.flown
     return dict(_plain({
         'schema': SCHEMA, 'source': flight.source, 'kind': flight.kind,
@@ -267,13 +267,14 @@ def tree(look: Measured) -> dict[str, Any]:
 def _axes(part: Part) -> dict[str, Any]:
     return {axis: {
         'steps': [{**{name: value for name, value in vars(step).items() if name != 'figures'},
-                   **vars(step.figures)} for step in seen.steps],
-        'loop': _loop(seen.loop), 'tracking': seen.tracking,
+                   **vars(step.figures)} for step in on_axis.steps],
+        'loop': _loop(on_axis.loop), 'tracking': on_axis.tracking,
         'noise': {name: {'rms': frames.rms(1.0), f'rms_above_{NOISE_HZ:g}_hz':
                          frames.rms(NOISE_HZ), 'peaks': frames.peaks()}
-                  for name, frames in (('gyro_before', seen.gyro_before), ('gyro', seen.gyro),
-                                       ('d_term', seen.d_term)) if frames is not None},
-    } for axis, seen in part.axes.items()}
+                  for name, frames in (('gyro_before', on_axis.gyro_before),
+                                       ('gyro', on_axis.gyro), ('d_term', on_axis.d_term))
+                  if frames is not None},
+    } for axis, on_axis in part.axes.items()}
 
 
 def _loop(loop: LoopResponse | None) -> dict[str, Any] | None:

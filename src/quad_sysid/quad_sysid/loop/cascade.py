@@ -220,7 +220,7 @@ def responses(sets: Sequence[CascadeGains], omega: FloatArray, dt: float) -> Com
 
 
 class Controller(Protocol):
-    """What margins are judged of: a cascade, a state feedback, a mixture of both."""
+    """A controller whose margins can be judged: a cascade, a state feedback, a mixture of both."""
 
     def dynamics(self, dt: float) -> Dynamics:
         """The linear controller, with a control cycle of dt s."""

@@ -33,7 +33,7 @@ class StepFigures:
     rise_time_s: float
     """Time from 10 to 90 % of the settled value."""
     overshoot_pct: float
-    """Overshoot beyond the settled value, % of it; 0 without any."""
+    """Overshoot beyond the settled value, % of that value; 0 without any."""
     settling_time_s: float
     """Time after which it stays within 5 % of the step around the settled value."""
     final_error_pct: float

@@ -32,10 +32,6 @@ LOOP_SIGNALS = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'moto
 """Signals that one axis' loop contains or holds constant."""
 OTHER_AXES = 'it depends on the other axes'
 NEEDS_HEIGHT = 'it depends on the height, and gains must hold at any height'
-LEANING_RAD_S = (0.1, 4.0)
-"""Where a loop around the lean works."""
-ROUNDS = 4
-"""Steps to the command that holds an axis with effects."""
 SLOW_HZ = 10.0
 """What repeats itself slower than this is no vibration to a loop: its worst case counts."""
 
@@ -143,7 +139,8 @@ def behind_lean(model: AxisModel, inner: AxisModel) -> AxisModel:
         raise BadInputError(model.axis, f'needs the gains with which {inner.axis} was flown',
                             remedy='record /gains/active')
     gains = CascadeGains.from_mapping(inner.active_gains, inner.axis)
-    plant, omega = loop_plant(inner), np.geomspace(*LEANING_RAD_S, 40)
+    # rad/s, where a loop around the lean works
+    plant, omega = loop_plant(inner), np.geomspace(0.1, 4.0, 40)
     response = loops_of([(plant, plant.trial.wide)]).response(omega)
     answer = reference_response(gains, response, omega, inner.dt)[0]
 
@@ -187,7 +184,7 @@ def _about_trim(flying: Flying) -> Flying:
     """The same about the command that holds it: a climb flies beside the throttle of the hover."""
     plant, trim = flying.plant, 0.0
     gain, out = float(plant.p[0]), flying
-    for _ in range(ROUNDS if plant.structure.parts else 1):
+    for _ in range(4 if plant.structure.parts else 1):
         trim -= out.held / gain if gain else 0.0
         structure = replace(plant.structure, parts=(Part(Trim(trim)), *plant.structure.parts))
         out = replace(flying, plant=replace(plant, structure=structure))

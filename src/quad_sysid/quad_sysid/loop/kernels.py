@@ -37,9 +37,9 @@ class Constants(NamedTuple):
     notch: float
     """b0 of the notch before D, whose b2 is the same; 1: there is none."""
     notch_turn: float
-    """Its b1 and a1."""
+    """b1 and a1 of the notch, which are equal."""
     notch_keep: float
-    """Its a2."""
+    """a2 of the notch."""
     d_on_error: float
     output_limit: float
     rate_limit: float
@@ -48,7 +48,7 @@ class Constants(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where a plant's numbers stand among the registers."""
+    """Registers of a plant's numbers."""
 
     split: int
     """Operations before the motors."""

@@ -56,7 +56,7 @@ class LinearTorque(Linearised):
 
 
 class LinearMap(Linearised):
-    """What becomes of the command."""
+    """The linear likeness of an effect that maps the command."""
 
     def inputs(self, s: Signals) -> FloatArray:
         return required(s.sent)[None]
@@ -72,7 +72,7 @@ class Trim(Effect):
     name = 'trim'
 
     def __init__(self, given: float) -> None:
-        """`given`: normalised, or a lean in rad."""
+        """`given`: the command, normalised, or a lean in rad."""
         self.given = given
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
@@ -80,7 +80,7 @@ class Trim(Effect):
 
 
 class LinearChannels(Effect):
-    """What becomes of the axis' command, and of those of the motors, in channels with their lags.
+    """The linear likeness of the effects between command and motors: channels with a lag each.
 
     It stands first and sees the command as it was sent.
     """

@@ -32,8 +32,6 @@ STILL: Level = (2e-7, 2e-8, 1e-8)
 """Next to none: the slope at rest."""
 TONES = (0.41, 1.0, 2.17)
 """Frequencies of the motion that a memory sees, over rate / angle; one without a memory, 1."""
-SWINGS = 4
-"""Number of swings of the slowest of them."""
 LEAST, MOST = 64, 2000
 """Cycles of the motion."""
 FEW_STATES = 2
@@ -104,7 +102,7 @@ def _many(around: Signals, n: int, sent: FloatArray) -> Signals:
 
 
 def linear(flying: Flying, level: Level) -> Flying:
-    """The same with each effect's linear likeness in motion of these amplitudes."""
+    """The plant with each effect replaced by its linear likeness in motion of these amplitudes."""
     plant = flying.plant
     by_law = plant.structure.law is not None and not plant.p[0]
     if by_law:  # which alone takes the command: at unit gain, less what that gain drives
@@ -120,7 +118,7 @@ def linear(flying: Flying, level: Level) -> Flying:
 
 
 def linear_part(flying: Flying) -> Flying:
-    """The same with those effects alone that answer alike in small and in wide motion."""
+    """The plant with only those effects that respond alike in small and in wide motion."""
     plant, kept = flying.plant, []
     bare = replace(plant.structure, parts=())
     p = [plant.p[: len(bare.base)]]
@@ -145,7 +143,7 @@ def _tones(n: int, dt: float, frequency: float, several: bool) -> tuple[FloatArr
 def _length(dt: float, frequency: float, several: bool) -> int:
     """Whole swings."""
     slowest = TONES[0] if several else 1.0
-    cycles = math.ceil(SWINGS * 2.0 * np.pi / (frequency * slowest * dt))
+    cycles = math.ceil(8.0 * np.pi / (frequency * slowest * dt))  # four swings
     return min(max(LEAST, cycles), MOST)
 
 

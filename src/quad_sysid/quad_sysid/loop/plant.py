@@ -30,7 +30,8 @@ class Flying:
 
     plant: Plant
     around: Signals
-    """(1,) what stays as it is, or (n,) of each cycle; but for what the loop itself moves."""
+    """The signals around the axis, constant (1,) or per cycle (n,); the loop replaces those that
+    it moves itself."""
     steady: bool = True
     """Whether it begins in the middle of a flight, not at its start."""
     trial: Trial = TURNING
@@ -43,7 +44,7 @@ class Flying:
 
     @cached_property
     def first(self) -> Signals:
-        """What is around in the first cycle, without a command."""
+        """The signals of the first cycle, without a command."""
         return self.plant.with_motors(self.around.at(np.arange(1)).replaced(sent=np.zeros(1)))
 
     def begin(self, rate: float = 0.0, angle: float = 0.0) -> State:
@@ -82,6 +83,6 @@ def plant_like(
 
 
 def around(throttle: float, battery_v: float | None = None) -> Signals:
-    """What goes on around an axis where nothing changes, after all events."""
+    """The signals around an axis at constant throttle and voltage (V), after all events."""
     volts = None if battery_v is None else np.full(1, battery_v)
     return Signals.at_rest(np.full(1, LATE_S), np.full(1, throttle), battery_v=volts)

@@ -61,11 +61,11 @@ class Program:
     factors: FloatArray
     """(c, 2, k) as in Drive."""
     calls: Sequence[tuple[int, Call]]
-    """Which operations are laws in Python."""
+    """Operations that are laws in Python: index in `code`, and the call."""
 
     @cached_property
     def kind(self) -> tuple[Any, ...]:
-        """What programs share whose plants differ in numbers only."""
+        """Key that is equal for plants that differ in numbers only."""
         return (self.code.tobytes(), self.more.tobytes(), self.tables.size, self.start.size,
                 self.factors.shape, *(x if isinstance(x, int) else x.tobytes()
                                       for x in self.places))
@@ -122,7 +122,7 @@ def _arrays(result: Any) -> list[FloatArray]:
 
 @lru_cache(maxsize=16)
 def program(plant: Plant, known: tuple[bool, ...]) -> Program:
-    """The operations of a cycle of a plant, `known`: which of OUTSIDE are."""
+    """The operations of one cycle of a plant; `known`: which signals of OUTSIDE it has."""
     given = Signals.at_rest(np.zeros(1), np.zeros(1))
     one = replace(given, battery_v=np.zeros(1), sent=np.zeros(1))
     rest = plant.begin(plant.with_motors(one), np.zeros(1), np.zeros(1))
@@ -196,11 +196,11 @@ class Running:
 
     @property
     def kind(self) -> tuple[Any, ...]:
-        """What those share that can fly side by side."""
+        """Key that is equal for flights that can be computed side by side."""
         return *self.made.kind, *self.moving
 
     def rows(self, n: int) -> FloatArray:
-        """(s, n) what is known of each cycle, of `moving`."""
+        """(s, n) values over n cycles of the signals in `moving`."""
         return np.array([np.broadcast_to(row, (n,)) for row in self._known]).reshape(-1, n)
 
     def step(self, u: float, push: float = 0.0) -> None:

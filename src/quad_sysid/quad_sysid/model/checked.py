@@ -24,7 +24,7 @@ SIGNALS = (
 
 
 def checked(effects: object, where: str, library: Sequence[Effect] = ()) -> tuple[Effect, ...]:
-    """`effects` as a tuple; those that are not among the `known` are tried.
+    """The effects as a tuple; those that are not in the `library` are tested on made-up signals.
 
     Raises BadInputError, which names `where` they were listed, for what is no effect, has no name
     or that of another, or whose torque is none.

@@ -28,17 +28,16 @@ Span = tuple[int, int]
 WINDOW_S = 0.5
 """Length of a free-run window (contract, error.before)."""
 SETTLE_S = 1.0
-"""Time between the start of a segment, or a gap, and its first window."""
+"""Time in which the filter forgets where it began: it starts so long before a span, and the first
+window begins so long behind the start of a segment or a gap."""
 BRIDGED_S = 0.1
 """The filter runs on over shorter gaps, without the rate and with commands interpolated."""
-SLOW_S = 0.04
-"""Span over which the rate's change gives the flight's typical acceleration."""
+SLOPE_S = 0.02
+"""An acceleration is the slope of the rate over this time to either side."""
 RESTING = 0.05
 """rad/s. Equal largest values below this are the resolution of a gyro at rest, not its limit."""
 LEAST_SHARE = 0.05
 """Least size of another axis' command, relative to this axis'."""
-LARGE_PCT = 97.0
-"""Percentile of a magnitude that counts as large: a few spikes do not."""
 LEAST_SPAN = 1e-6
 """Range of a motor's command below which it does not move."""
 MEASURED = 0.95
@@ -83,10 +82,10 @@ class AxisData:
     """(n, 2) the other two axes' rates in the order of AXES, rad/s; NaN where not measured."""
     battery_v: FloatArray | None
     gyro_filter_hz: float | None
-    """Cut-off of the filter of the measured rate, Hz; None: not known. Where some flights do not
-    tell theirs, it is that of the others."""
+    """Cut-off of the filter of the measured rate, Hz; None: unknown. A flight that does not state
+    its own is taken to have that of the others."""
     stretches: tuple[Span, ...]
-    """Unbroken, except for gaps of at most BRIDGED_S."""
+    """Stretches without a gap of more than BRIDGED_S."""
     train: tuple[Span, ...]
     validation: tuple[Span, ...]
     idle: tuple[Span, ...] = ()
@@ -102,16 +101,16 @@ class AxisData:
     other_angles: FloatArray | None = None
     """(n, 2) the other two axes' angles, rad; None: not measured."""
     gyro_filters_hz: FloatArray | None = None
-    """(n,) the same of each sample, where flights differ in it."""
+    """(n,) cut-off of each sample, Hz, where flights differ in it."""
     flights: tuple[Span, ...] = ()
     """Samples of each flight; empty: all are of one."""
     source: tuple[AxisData, NDArray[np.int64]] | None = None
     """The whole flights of which this is a part, and (n,) the sample there of each here; None: it
     is whole itself."""
     trim: tuple[float, float] | None = None
-    """Command and rate (rad/s) of the equilibrium that a fit has found; None: not known."""
+    """Command and rate (rad/s) of the fitted equilibrium; None before a fit."""
     craft: Craft = X
-    """Where its motors are and how they turn."""
+    """The airframe: place and spin of each motor."""
     rotor_lag: RotorLag | None = None
     """The motors' lag as the measured speeds of the rotors show it; None: not measured."""
 
@@ -248,7 +247,7 @@ def other_axis(data: AxisData, index: int) -> AxisData:
 
 
 def shifted_spans(spans: Sequence[Span], passes: Sequence[Span]) -> tuple[Span, ...]:
-    """Where spans are among the samples of these stretches, joined; those in none are left out."""
+    """The spans in samples of `passes` put end to end; a span that lies in none is left out."""
     begins = np.cumsum([0] + [b - a for a, b in passes])
     return tuple(
         (a - start + int(begin), b - start + int(begin))
@@ -335,20 +334,20 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
 
 def _prepare(record: Record, axis: str) -> dict[str, Any]:
     """The axis' arrays of one record; the rate is NaN where it or the command is not known."""
-    n, axis_row, motion = record.n, EVERY[axis], record.motion(axis)
+    n, entry, motion = record.n, EVERY[axis], record.motion(axis)
     rate, control, motors = motion.rate, motion.control, motion.motors
     if motors is None:
         motors = np.zeros((n, 0)) if record.desaturation == 'none' else \
             motion.share[:, None] * record.craft.commands(record.control)
-    is_finite = np.isfinite(rate) & np.isfinite(control[:, axis_row.index + 1])
+    is_finite = np.isfinite(rate) & np.isfinite(control[:, entry.index + 1])
     if not is_finite.any():
         raise NotInformativeError(
             f'{record.source}: {axis} has no sample with both rate and command; '
             'record /imu/data with /motors/command or /control/wrench'
         )
     missing, external = np.full(n, np.nan), record.external(axis)
-    gap = SHORT_GAP_S if axis_row.turns else SPEED_GAP_S
-    beside = [_seen(record, name) for name in axis_row.others]
+    gap = SHORT_GAP_S if entry.turns else SPEED_GAP_S
+    beside = [_seen(record, name) for name in entry.others]
     out: dict[str, Any] = {
         'rate': across_short_gaps(np.where(is_finite, rate, np.nan), record.dt, gap),
         'lost': ~is_finite,
@@ -402,13 +401,13 @@ def filled(values: FloatArray) -> FloatArray:
 
 
 def high(x: FloatArray) -> float:
-    """97th percentile of |x|, at least 1e-9."""
-    return max(float(np.nanpercentile(np.abs(x), LARGE_PCT)), 1e-9)
+    """97th percentile of |x|, which a few spikes do not move, at least 1e-9."""
+    return max(float(np.nanpercentile(np.abs(x), 97.0)), 1e-9)
 
 
 def typical_acceleration(data: AxisData, spans: Sequence[Span]) -> float:
-    """RMS of the rate's change over SLOW_S within these spans, rad/s²; 1 where nothing moves."""
-    reach = max(1, round(0.5 * SLOW_S / data.dt))
+    """Scatter of the acceleration within these spans, rad/s²; 1 where nothing moves."""
+    reach = max(1, round(SLOPE_S / data.dt))
     inside = [data.rate[a:b] for a, b in spans if b - a > 4 * reach]
     change = np.concatenate([x[2 * reach :] - x[: -2 * reach] for x in inside])
     return float(np.std(change)) / (2 * reach * data.dt) or 1.0

@@ -34,8 +34,11 @@ def required(value: Present | None) -> Present:
 
 LEAST_TRANSITION = 1e-4
 """Rate, rad/s, over which dry friction changes its sign at least."""
+SHORTEST_S = 1e-5
+"""A shorter lag or delay counts as none: no sampled flight shows it."""
 SMALL = 1e-4
-"""Step of a parameter for numerical derivatives."""
+"""Step of numerical derivatives: of a parameter in its unit or its logarithm, of the rate in
+rad/s, of a hidden state relative to its RMS."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ class Spec:
 
 @dataclass(frozen=True)
 class Signals:
-    """What an effect may depend on, arrays of one shape; None where it was not measured."""
+    """The signals that an effect may depend on, arrays of one shape; None where not measured."""
 
     rate: FloatArray
     """rad/s"""
@@ -94,7 +97,7 @@ class Signals:
     """The axis' command of this cycle on its way to the motors, normalised; for what acts before
     the torque, which sees it as the effects before it left it."""
     share: FloatArray | None = None
-    """(motors,) what a unit of each motor's command adds to that of the axis."""
+    """(motors,) part of the axis' command that one unit of each motor's command adds."""
     lag: float = 0.0
     """Lag of the base's motors, s."""
     delay: float = 0.0
@@ -104,7 +107,7 @@ class Signals:
 
     @classmethod
     def at_rest(cls, time: FloatArray, throttle: FloatArray, **signals: Any) -> Signals:
-        """The axis at rest, and the other two, but for what is `known`."""
+        """Signals of three axes at rest, (n,) as `time` in s; `signals` replaces any of them."""
         zero = np.zeros_like(time)
         still = dict.fromkeys(('rate', 'angle', 'drive', 'command', 'change', 'lagged'), zero)
         others = dict.fromkeys(('other_rates', 'other_commands', 'other_angles'), (zero, zero))
@@ -112,7 +115,7 @@ class Signals:
         return cls(time=time, throttle=throttle, **fields)
 
     def replaced(self, **changes: Any) -> Signals:
-        """The same but for these, as dataclasses.replace, which takes ten times as long."""
+        """A copy with these fields changed: dataclasses.replace, which takes ten times as long."""
         other = object.__new__(Signals)
         vars(other).update(vars(self) | changes)
         return other
@@ -168,16 +171,16 @@ class Drive:
     lag: FloatArray
     """(c, n) s."""
     factors: FloatArray = field(default_factory=lambda: np.zeros((1, 2, 6)))
-    """(c, 2, 6) logarithm of a factor of the lag over how far a motor has to go: knots, values.
-    Of channels for which none are given it is zero."""
+    """(c, 2, 6) knots and values of a curve: the logarithm of a factor on the lag over the
+    distance that a motor still has to go. It is zero for channels beyond those given."""
     ages: FloatArray | None = None
     """(2, n) how many cycles ago the commands were sent that act in each cycle, before and after
     they change, linear between two commands; None: by the base's delay."""
     fraction: FloatArray | None = None
-    """(n,) of the cycle before they change."""
+    """(n,) share of the cycle before they change."""
 
     def behind(self, delay: FloatArray) -> Drive:
-        """The same behind a delay (n,) in cycles."""
+        """The commands behind a delay (n,), in cycles."""
         delay = np.maximum(delay, 0.0)
         cycles = np.floor(delay + 1e-9)
         return replace(self, ages=np.stack([cycles + 1.0, cycles]),
@@ -191,7 +194,7 @@ class Drive:
 
 
 class FitResidual(Protocol):
-    """What a fit leaves."""
+    """The residual of a fit, from which effects take their start values."""
 
     @property
     def data(self) -> AxisData:
@@ -213,13 +216,13 @@ class Effect:
     name: str = ''
     kind: str = 'named'
     signals: tuple[str, ...] = ()
-    """What it depends on; reports draw it over the first."""
+    """Names of the signals that the effect depends on; reports draw it over the first."""
     motors: tuple[int, ...] = ()
-    """Which motors, from 0, differ from the others; none: no single one does."""
+    """Motors (from 0) that differ from the others; empty: no single one does."""
     axes: tuple[str, ...] = ()
     """The axes that it exists on; none: all."""
     others: tuple[int, ...] = ()
-    """Which of the other two axes (0, 1) it depends on."""
+    """The other axes (0, 1) that the effect depends on."""
     term: str = 'torque'
     """The part of the base that it changes: torque, gain, damping, friction, lag, delay, command,
     or response (of the motors)."""
@@ -385,7 +388,10 @@ class Effect:
         self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
         first: Sequence[FloatArray],
     ) -> FloatArray:
-        """The same in Python, where `advance` cannot be noted; from `first` (states,) of each."""
+        """The hidden states (states, n) in plain Python, where `advance` cannot be recorded.
+
+        `first` has those (states,) at the start of each stretch.
+        """
         out = np.zeros((len(first[0]), s.time.size))
         for (start, stop), begin in zip(stretches, first, strict=True):
             x = begin

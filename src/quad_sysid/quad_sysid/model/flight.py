@@ -21,8 +21,8 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.angle import led_by_gyro
-from quad_sysid.model.data import AxisData, Span, Windows, at_limit, filled
-from quad_sysid.model.effect import ActingEffect, Part, Signals, required
+from quad_sysid.model.data import SETTLE_S, SLOPE_S, AxisData, Span, Windows, at_limit, filled
+from quad_sysid.model.effect import SMALL, ActingEffect, Part, Signals, required
 from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
 from quad_sysid.model.plant import (
     EffectOnSignals,
@@ -36,23 +36,17 @@ from quad_sysid.model.plant import (
 )
 from quad_sysid.model.structure import Structure, natural
 
-LEAD_S = 1.0
-"""The filter starts this long before each span, where the flight is unbroken."""
-SLOPE_S = 0.02
-"""An acceleration is the slope of the rate over this time to either side."""
+DIVERGED = 1e6
+"""Rate, rad/s, from which a run counts as diverged: ten thousand times what any gyro measures."""
 FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
 SMOOTHED = 5
 """Cycles over which the gyro is averaged for the first trajectory."""
-MOST_DRIVES = 40
-"""Drives that are kept: the steps of all derivatives, not those of a whole search."""
-NORMAL_MEDIAN = 0.6745
-"""Median magnitude of a normal variable, in standard deviations."""
 FINER = 0.1
 """Share of a step by which a torque's parameter is moved, so that its curvature does not enter: an
 event's edge, a frequency over a long flight."""
-FILTER_STEP, PURSUIT_STEP = 1e-4, 1e-3
-"""Steps of the noise's and of a wandering coefficient's parameters for derivatives of gains."""
+PURSUIT_STEP = 1e-3
+"""Step of a wandering coefficient's parameters for derivatives of its gain."""
 
 
 class Pushed(NamedTuple):
@@ -83,8 +77,8 @@ def unmeasured(data: AxisData) -> NDArray[np.bool_]:
 
 
 def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
-    """What the filter runs over: each span with LEAD_S before it, where that is unbroken."""
-    lead = round(LEAD_S / data.dt)
+    """The samples that the filter runs over: each span with SETTLE_S before it, where unbroken."""
+    lead = round(SETTLE_S / data.dt)
     is_measured = ~unmeasured(data)
     merged: list[list[int]] = []
     for start, stop in sorted(spans):
@@ -101,7 +95,7 @@ def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
 class Flight:
     """One axis of a flight as the filter follows it.
 
-    Only `spans` count; the filter starts LEAD_S before each. The trajectory on which physics is
+    Only `spans` count; the filter starts SETTLE_S before each. The trajectory on which physics is
     evaluated is kept between calls.
     """
 
@@ -116,7 +110,7 @@ class Flight:
     """(n, 2) acceleration of the other two axes that their bases do not explain, rad/s²; zero
     until discover.base.shares sets it."""
     variance: float
-    """Variance of the innovations, (rad/s)²; 0: not known yet."""
+    """Variance of the innovations, (rad/s)²; 0 before the first pass."""
 
     def __init__(self, data: AxisData, spans: Sequence[Span]) -> None:
         self.data, self.passes = data, passes_of(data, spans)
@@ -162,7 +156,7 @@ class Flight:
 
     @property
     def sensor(self) -> Sensor:
-        """That of the first pass, for what all have in common."""
+        """The sensor of the first pass, for properties that all passes share."""
         return self.sensors[0]
 
     def _advanced(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
@@ -202,13 +196,13 @@ class Flight:
         when = [np.ascontiguousarray(required(x)) for x in (drive.ages, drive.fraction)]
         for start, stop in data.stretches if remembered else self.passes:
             recursion.motors(*channels, drive.factors, *when, data.dt, start, stop, halves, states)
-        if len(self._drives) > MOST_DRIVES:
+        if len(self._drives) > 40:  # the steps of all derivatives, not those of a whole search
             self._drives.clear()
         self._drives[key] = halves, states
         return halves, states
 
     def commanded(self, p: FloatArray) -> Signals:
-        """What acts before the torque sees: the commands, and what else was measured."""
+        """The signals (n,) for effects that act before the torque: commands and measurements."""
         lag, delay = lag_and_delay(p)
         return Signals.at_rest(**self._known, angle=None, sent=self.data.command, share=self.share,
                                lag=lag, delay=delay, dt=self.data.dt)
@@ -363,8 +357,8 @@ class Flight:
                 filters = self._by_filter(structure, theta, damping, steady)
             ran = self._run(push, steady, by, filters)
             if not self.variance:
-                self.variance = float(np.nanmedian(np.abs(ran.innovation)) / NORMAL_MEDIAN) ** 2
-            if not np.isfinite(ran.rate).all() or np.abs(ran.rate).max() > 1e6:
+                self.variance = (1.4826 * float(np.nanmedian(np.abs(ran.innovation)))) ** 2
+            if not np.isfinite(ran.rate).all() or np.abs(ran.rate).max() > DIVERGED:
                 return Prediction(np.full(n, np.inf), None, ran.states, steady, rate)
             rate = ran.rate
         self.rate = rate
@@ -397,9 +391,9 @@ class Flight:
         out = np.zeros((len(self.passes), theta.size, 6 + 4 * structure.lines))
         filters_here, point = flat(steady), np.r_[theta, damping]
         for j in range(theta.size - structure.filtered, point.size):
-            shifted = point + FILTER_STEP * (np.arange(point.size) == j)
+            shifted = point + SMALL * (np.arange(point.size) == j)
             shifted_filters = flat(self.filters_of(structure, shifted[:-1], shifted[-1]))
-            out[:, j if j < theta.size else 3] = (shifted_filters - filters_here) / FILTER_STEP
+            out[:, j if j < theta.size else 3] = (shifted_filters - filters_here) / SMALL
         return [*out]
 
     def _follow(
@@ -462,7 +456,7 @@ class Flight:
         self, structure: Structure, theta: FloatArray, windows: Windows, *,
         prediction: Prediction | None = None, rounds: int = 1,
     ) -> Run:
-        """The same with what the plant went through."""
+        """The free runs of `free_run`, with the states and signals on their way."""
         dt, p = self.data.dt, structure.natural(theta)
         prediction = prediction or self.predict(structure, theta)
         steady = prediction.filter
@@ -572,5 +566,5 @@ class Prediction:
 
     @property
     def filter(self) -> Filter:
-        """That of the first pass; all of one gyro filter are alike."""
+        """The filter of the first pass; passes with the same gyro filter have the same one."""
         return self.filters[0]

@@ -25,7 +25,7 @@ class Parameter:
     std: float | None
     unit: str
     interval: tuple[float, float] | None = None
-    """95 % where there is no `std` (one-sided at a bound); in reports, not stored."""
+    """95 % interval where there is no `std` (one-sided at a bound); in reports, not stored."""
 
 
 LAW = 'base'
@@ -78,7 +78,7 @@ class NoiseEstimate:
     lines: tuple[tuple[float, float, float], ...] = ()
     """Lines of vibration in the recorded rate: RMS over the gyro's noise, frequency, width, Hz."""
     averaged: bool = False
-    """The same as in structure.Structure."""
+    """Whether the gyro's noise is averaged over two cycles (structure.Structure)."""
 
     @property
     def disturbance_rms(self) -> float:
@@ -109,13 +109,15 @@ class Outside:
 
     signal: str
     seconds: float
-    """How long."""
+    """Time outside the range, s."""
     least: float
+    """Smallest value in this flight."""
     most: float
-    """Its range in this flight."""
+    """Largest value in this flight."""
     low: float
+    """Smallest value in the training."""
     high: float
-    """Its range in the training."""
+    """Largest value in the training."""
 
     def __str__(self) -> str:
         return (f'{self.signal} is outside the range of the training for {self.seconds:.2g} s: '
@@ -154,7 +156,7 @@ class AxisModel:
     noise: NoiseEstimate | None = None
     """Noise of the completed model."""
     trusted_band_rad_s: tuple[float, float] | None = None
-    """Where the data support the model, rad/s."""
+    """Band in which the data support the model, rad/s."""
     plain: tuple[Parameter, ...] = ()
     """Rung 0, the base alone, for the error `before`; empty: the base above."""
     plain_noise: NoiseEstimate | None = None
@@ -163,7 +165,7 @@ class AxisModel:
     reference: AxisModel | None = None
     """The model that predicts best, with which gains are designed; None: this one."""
     craft: Craft = X
-    """Where the motors are and how they turn."""
+    """The airframe: place and spin of each motor."""
     units: Units | None = None
     """Units of the arrays that it was identified from; None: of a bag, the contract's."""
     own_effects: tuple[Effect, ...] = field(default=(), repr=False)
@@ -201,7 +203,7 @@ class AxisModel:
         ]
 
     def in_units(self, p: Parameter) -> Parameter:
-        """In the units of the arrays, in which those of a law of the user's are as they stand."""
+        """A parameter in the units of the user's arrays; one of a user's law already is."""
         if self.units is None or (self.law and p.name.startswith(f'{self.law.name}.')):
             return p
         unit, factor = self.units.parameter(p.unit)
@@ -231,7 +233,7 @@ class GainProposal:
     """A designer's answer: gains of one axis by the contract's names, or why there are none."""
 
     gains: Mapping[str, float] | None
-    """Such as `roll.angle.kp`, `roll.rate.kp`; None where the design is refused."""
+    """Values by names such as `roll.angle.kp`; None where the design is refused."""
     refused_because: str = ''
     figures: Mapping[str, float] = field(default_factory=dict)
     """Predicted figures: phase_margin_deg, rise_time_s, …; those of the old gains end in

@@ -81,7 +81,7 @@ def loose_ahead(pull, moved, spring, damping, dt, z, q):
 
 @kernel(LINE, LINE, LINE, LINE, NUMBER, NUMBER, NUMBER, TABLE)
 def all_loose_ahead(pull, moved, z, q, spring, damping, dt, out):
-    """The same of many a cycle later, and f meanwhile, into `out` (3, w)."""
+    """`loose_ahead` of w flights: place, own speed and acceleration, into `out` (3, w)."""
     for i in range(pull.size):
         out[0, i], out[1, i], out[2, i] = loose_ahead(
             pull[i], moved[i], spring, damping, dt, z[i], q[i]
@@ -126,7 +126,7 @@ def over(tables, at, n, i, x):
 
 @inner
 def value(what, x, y):  # noqa: PLR0911 - a table
-    """What one of the rarer operations makes of a number or two."""
+    """The result of one of the rarer operations on x, or on x and y."""
     if what == POWER:
         return x ** y
     if what == GREATER:

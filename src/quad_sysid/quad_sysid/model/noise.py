@@ -23,7 +23,7 @@ FORM_STEP_S = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """What lies between the rate and the measurement: nothing, a filter, or an integral."""
+    """The sensor between rate and measurement: nothing, a filter, or an integral."""
 
     step: FloatArray
     """(2, 5) step of its two states over one cycle. Columns: the states, then the weights of the
@@ -37,8 +37,8 @@ class Sensor:
     floor: tuple[float, float] = 0.0, 0.0
     """Variance behind the filter of unit white noise before it, and covariance over one cycle."""
     derived: float = 0.0
-    """Where only the angle was measured: variance of the derived rate over that of the angle's
-    noise per cycle; else 0."""
+    """Variance of the derived rate over that of the angle's noise per cycle; 0 where the rate was
+    measured."""
 
 
 @lru_cache(maxsize=16)
@@ -112,9 +112,9 @@ class Filter:
     covariance: FloatArray
     """Covariance of the prediction over the variance of the gyro noise."""
     output: FloatArray
-    """From the states to the recorded rate."""
+    """Row that gives the recorded rate from the states."""
     after: float
-    """What adds to the variance of `output`: white noise, and what that has in common with it."""
+    """Variance that the measurement's white noise adds to that of `output`, and covariance."""
 
 
 def kalman(

@@ -19,16 +19,12 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.model import recursion
-from quad_sysid.model.effect import ActingEffect, Drive, Part, Signals, required
+from quad_sysid.model.effect import SHORTEST_S, SMALL, ActingEffect, Drive, Part, Signals, required
 from quad_sysid.model.noise import Sensor
 from quad_sysid.model.structure import Structure
 
 LEAST_LAG = 0.25
-"""Cycles: a shorter lag counts as so long where the drive's slope is needed."""
-SLOPE_STEP = 1e-4
-"""Step of the rate for the slope of a torque, rad/s."""
-SHORTEST_S = 1e-5
-"""A lag or delay below this counts as none."""
+"""Share of a cycle below which a lag does not show; the drive's slope takes it for so long."""
 
 
 EffectOnSignals = tuple[Part, FloatArray, Signals]
@@ -50,9 +46,9 @@ def with_slopes(start: FloatArray, acting: Sequence[EffectOnSignals]) -> FloatAr
         if 'rate' in part.effect.signals:
             above, below = (
                 with_torques(np.zeros(1), [(part, p, s.replaced(rate=s.rate + step))])
-                for step in (SLOPE_STEP, -SLOPE_STEP)
+                for step in (SMALL, -SMALL)
             )
-            start = start + (above - below) / (2.0 * SLOPE_STEP)
+            start = start + (above - below) / (2.0 * SMALL)
     return start
 
 
@@ -60,7 +56,7 @@ def drive_of(
     command_effects: Sequence[ActingEffect], s: Signals,
     remembered: Callable[[int, Signals], FloatArray | None],
 ) -> Drive:
-    """What becomes of a command s.sent before the motors; along a flight or in one cycle.
+    """The commands that reach the motors for s.sent, along a flight (n,) or in one cycle.
 
     remembered: the hidden states of the effect of this number, which sees these signals.
     """
@@ -127,7 +123,7 @@ class Plant:
     dt: float
     sensor: Sensor
     craft: Craft
-    """Where its motors are."""
+    """The airframe: place and spin of each motor."""
     index: int
     """0 roll or surge, 1 pitch or sway, 2 yaw; -1 climb."""
     rounds: int = 3
@@ -151,7 +147,7 @@ class Plant:
         return any({'rate', 'angle'} & {*part.effect.signals} for part, _ in self.torque_effects)
 
     def with_own(self, s: Signals) -> Signals:
-        """The same with what the plant knows itself."""
+        """The signals with the plant's lag, delay and cycle, s, and the shares of its motors."""
         lag, delay = lag_and_delay(self.p)
         share = self.craft.inverse[self.index + 1]
         return s.replaced(lag=lag, delay=delay, dt=self.dt, share=share)
@@ -212,7 +208,7 @@ class Plant:
     def send(
         self, hidden: tuple[FloatArray | None, ...], s: Signals
     ) -> tuple[Drive, tuple[FloatArray | None, ...]]:
-        """What becomes of the command s.sent, and what its effects remember a cycle later.
+        """Commands that reach the motors for s.sent, and the effects' hidden states a cycle later.
 
         s: as of `with_own`.
         """
@@ -233,7 +229,7 @@ class Plant:
         self, x: Turning, s: Signals, halves: FloatArray, states: FloatArray,
         push: FloatArray | float, step: FloatArray,
     ) -> Turning:
-        """How the axis turns in a cycle; drive (2, w) as Flight.driven gives it, at unit gain.
+        """The motion a cycle later; drive (2, w) as Flight.driven gives it, at unit gain.
 
         push: more acceleration, rad/s². step (2, 5) or (2, 5, w): of the gyro's filter.
         """

@@ -90,7 +90,7 @@ def sent(commands, k, age, start):
 
 @inner
 def motor_response(commands, weight, tau, older, newer, fraction, dt, start, stop, halves, states):
-    """What one motor of a constant lag and delay adds to the arrays of `motors`.
+    """Add the response of one motor of constant lag and delay to `halves` and `states`.
 
     With both commands of a cycle held, all that motor_step solves is linear in w and these two.
     """

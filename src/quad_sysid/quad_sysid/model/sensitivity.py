@@ -11,14 +11,10 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 from quad_sysid.model import recursion
 from quad_sysid.model.data import Windows
-from quad_sysid.model.effect import Signals, required
+from quad_sysid.model.effect import SMALL, Signals, required
 from quad_sysid.model.flight import Flight, Prediction, Run
-from quad_sysid.model.plant import SLOPE_STEP, lag_and_delay, with_drive, with_torques
+from quad_sysid.model.plant import lag_and_delay, with_drive, with_torques
 from quad_sysid.model.structure import Structure
-
-STATE_STEP = 1e-4
-"""Step of a hidden state relative to its RMS."""
-
 
 Passed = tuple[FloatArray, Signals]
 """What the cycles of all windows saw, one window behind the other: (2, n) acceleration by the
@@ -26,7 +22,7 @@ drive over the halves of each cycle, rad/s², and the signals."""
 
 
 class Sensitivity:
-    """How the runs of a structure from a reference's states move with its parameters."""
+    """Derivatives by its parameters of a structure's runs that start in a reference's states."""
 
     def __init__(self, flight: Flight, structure: Structure, theta: FloatArray,
                  windows: Windows, prediction: Prediction, run: Run) -> None:
@@ -57,19 +53,19 @@ class Sensitivity:
 
         (slope, moves), (slope_back, moves_back) = (
             slopes(s.replaced(rate=self.middle + step), step)
-            for step in (SLOPE_STEP, -SLOPE_STEP)
+            for step in (SMALL, -SMALL)
         )
         slope, by_rate[:, first:] = 0.5 * (slope + slope_back), 0.5 * (moves + moves_back)
         if turns:
             by_state[:, 0], onward[:, first:, 0] = slopes(
-                s.replaced(angle=required(self.angle) + SLOPE_STEP), SLOPE_STEP)
+                s.replaced(angle=required(self.angle) + SMALL), SMALL)
             slope = slope + 0.5 * dt * by_state[:, 0]
             by_rate[:, first:] += 0.5 * dt * onward[:, first:, 0]
             by_rate[:, 0], onward[:, 0, 0] = dt, 1.0
         k = first
         for x in self.hidden:
             for i, kept in enumerate(x.copy()):
-                step = STATE_STEP * float(np.sqrt(np.mean(kept**2))) or 1e-9
+                step = SMALL * float(np.sqrt(np.mean(kept**2))) or 1e-9
                 x[i] = kept + step
                 by_state[:, k], onward[:, first:, k] = slopes(s, step)
                 x[i] = kept

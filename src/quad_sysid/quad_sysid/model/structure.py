@@ -50,7 +50,7 @@ class Structure:
     """Whether the gyro's noise, before its filter, is averaged over two cycles. So it is where the
     filter is computed once a cycle by the bilinear transformation (Oppenheim, Schafer, 7.1)."""
     shared: tuple[int, ...] = ()
-    """Which of the other two axes (0, 1) share their disturbance with this one."""
+    """The other axes (0, 1) that share their disturbance with this one."""
     law: Part | None = None
     """A law of the user's that the base has beside its built-in terms (own_base.py)."""
 
@@ -116,7 +116,7 @@ class Structure:
         return list(zip(self.parts, self.slices(), strict=True))
 
     def placed(self) -> list[tuple[Part, slice]]:
-        """The same with the law: all that acts beside the base's built-in terms."""
+        """The law, if any, and the effects, each with its slice of the vector."""
         law = [] if self.law is None else [(self.law, slice(len(BASE), len(self.base)))]
         return [*law, *self.effects()]
 

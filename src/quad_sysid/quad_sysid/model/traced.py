@@ -115,12 +115,12 @@ class Listing:
                 for indices, array in zip(places, like, strict=True)]
 
     def called(self, code: Indices) -> list[tuple[int, Call]]:
-        """Which of the operations (m, 4) are laws in Python."""
+        """The operations of `code` (m, 4) that are laws in Python: index and call."""
         return [(k, self.calls[int(self.start[self.more[a + b - 1]])])
                 for k, (what, _, a, b) in enumerate(code) if what == CODES['called']]
 
     def table(self, numbers: tuple[float, ...]) -> int:
-        """Where these numbers stand in `tables`."""
+        """Index of the first of these numbers in `tables`."""
         if numbers not in self._tables:
             self._tables[numbers] = len(self.tables)
             self.tables.extend(numbers)
@@ -172,9 +172,9 @@ class Listing:
                         dtype=np.int64).reshape(array.shape)
 
     def apart(self, value: Any) -> list[int]:
-        """The same one below the other, known numbers in registers that nothing shares.
+        """The registers of a value, flattened; known numbers get registers that nothing else uses.
 
-        So that it does not depend on their values which register is which.
+        Which register is which then does not depend on their values.
         """
         if isinstance(value, Traced):
             return [int(i) for i in value.at.ravel()]
@@ -194,7 +194,7 @@ class Listing:
 
 
 class Traced(np.lib.mixins.NDArrayOperatorsMixin):
-    """An array of numbers that are not known yet, by their registers."""
+    """An array of registers, in place of numbers that are computed later."""
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -203,7 +203,7 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The same as an array's."""
+        """Shape, as of an array."""
         return self.at.shape
 
     @property
@@ -235,19 +235,19 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         self.at[index] = self.listing.places(value)
 
     def reshape(self, *shape: int) -> Traced:
-        """The same as an array's."""
+        """The numbers in another shape, as by `ndarray.reshape`."""
         return Traced(self.listing, self.at.reshape(*shape))
 
     def ravel(self) -> Traced:
-        """The same as an array's."""
+        """The numbers as (n,), as by `ndarray.ravel`."""
         return Traced(self.listing, self.at.ravel())
 
     def copy(self) -> Traced:
-        """The same as an array's."""
+        """A copy, as by `ndarray.copy`."""
         return Traced(self.listing, self.at.copy())
 
     def sum(self, axis: int | None = None) -> Traced:
-        """The same as an array's."""
+        """Sum over an axis, as by `ndarray.sum`."""
         return _sum(self, axis)
 
     def __bool__(self) -> bool:
@@ -260,7 +260,7 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         raise Untraceable('a value as a plain array')
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **more: Any) -> Any:
-        """What numpy calls instead of computing."""
+        """Record the operation, which numpy calls instead of computing it."""
         if more:
             raise Untraceable(f'{ufunc.__name__} with {", ".join(more)}')
         if method == 'outer':
@@ -279,7 +279,7 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __array_function__(self, function: Callable[..., Any], _: Any, arguments: tuple[Any, ...],
                            more: dict[str, Any]) -> Any:
-        """The same for functions that are no ufuncs."""
+        """Record a numpy function that is no ufunc."""
         if function not in FUNCTIONS:
             raise Untraceable(function.__name__)
         return FUNCTIONS[function](*arguments, **more)

@@ -13,14 +13,9 @@ from quad_sysid.model.effect import required
 from quad_sysid.pipeline.answer import AxisAnswer, ModelRow
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import Fits
+from quad_sysid.pipeline.constants import FURTHER, PAPERS_BAND, RIVAL
 from quad_sysid.record import IOData
 
-PAPERS_BAND = (0.1, 20.0)
-"""rad/s."""
-NEAR_RIVAL = 0.1
-"""Probability of a rival from which a separating flight is advised."""
-FURTHER = 1.5
-"""Factor by which held-out rates exceed the training's where extrapolation is told."""
 RICHEST = 50
 """Order up to which the paper's PRBS is persistently exciting."""
 
@@ -37,7 +32,7 @@ def rivalry(model: AxisModel | None) -> Iterator[str]:
     """The command that designs the flight against an effect's nearest rival, if it is near."""
     for effect in () if model is None else model.effects:
         name, near = max(effect.listed_rivals, key=lambda pair: pair[1], default=('', 0.0))
-        if near > NEAR_RIVAL and model is not None:
+        if near > RIVAL and model is not None:
             yield (f'{effect.name} (probability {effect.probability:.2g}) or {name} ({near:.2g}): '
                    'this flight hardly separates them; design one that does: quad-sysid '
                    f'design-excitation --separate {effect.name} {name} --axis {model.axis} '
@@ -79,6 +74,7 @@ def _delay(answer: AxisAnswer, samples: int) -> Iterator[str]:
             'its own cycle; the stamps of command and rate seem to be one cycle apart'
         )
     lag = model.value('delay') + model.value('lag')
+    # three cycles of slack for an estimate in whole cycles; the fits go no further than 8
     if samples > max(int(np.ceil(lag / model.dt)) + 3, 8):
         yield (
             f'the delay of {samples} samples ({1e3 * samples * model.dt:.0f} ms) is not '
@@ -99,7 +95,7 @@ def _band(answer: AxisAnswer, lowest: float) -> Iterator[str]:
                'excite with more amplitude')
         return
     low, high = band
-    if PAPERS_BAND[0] < low <= 1.05 * lowest:
+    if PAPERS_BAND[0] < low <= 1.05 * lowest:  # trusted from the lowest frequency on
         yield (f'below {low:.2g} rad/s nothing can be said: the longest unbroken training stretch '
                'is too short for it')
     elif low > 2.0 * PAPERS_BAND[0]:

@@ -64,7 +64,7 @@ class Approach:
 
 @dataclass(frozen=True)
 class Selection:
-    """How the black-box models of one axis were found and selected."""
+    """Fit and selection of the black-box models of one axis."""
 
     approaches: tuple[Approach, ...] = ()
     feedback: bool | None = None
@@ -80,11 +80,11 @@ class HeldOut:
     errors: FloatArray
     """(windows, length) of the free run over windows of 0.5 s, rad/s."""
     interval: tuple[float, float]
-    """95 % of the RMS of `errors`, rad/s."""
+    """95 % interval of the RMS of `errors`, rad/s."""
     innovations: FloatArray
     """(n,) one-step errors, measured less predicted, rad/s; NaN outside of the segments."""
     disturbance: FloatArray
-    """(n,) the torque disturbance that its filter sees, rad/s²; NaN alike."""
+    """(n,) torque disturbance by the filter, rad/s²; NaN outside of the segments."""
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,13 @@ class Findings:
     data: AxisData
     """The whole flight."""
     problem: Problem
-    """Its training segments, cut out, on which `search` was fitted."""
+    """The training segments, cut out, on which `search` was fitted."""
     search: SearchResult
     ladder: Ladder
     verdict: Verdict
     before: HeldOut
     after: HeldOut
-    """The same object as `before` where nothing was added."""
+    """Errors of the completed model; `before` itself where no effect was accepted."""
 
     @property
     def added(self) -> bool:
@@ -145,7 +145,7 @@ class Residual:
     peaks: tuple[tuple[float, float], ...] = ()
     """Frequency, Hz, and power over the surroundings, strongest first."""
     missing: MissingTorque | None = None
-    """None for a black-box model, which has no torque."""
+    """Missing torque; None for a black-box model, which has no torque."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class AxisAnswer:
     """(n,) rad/s, alike."""
     selection: Selection = field(default_factory=Selection)
     outside: tuple[Outside, ...] = ()
-    """Where the held-out segments leave the range of the training."""
+    """Signals of the held-out segments that leave the range of the training."""
     residuals: Mapping[str, Residual] = field(default_factory=dict)
     """One-step errors on the held-out segments of `before`, `after`, `blackbox`."""
 

@@ -18,17 +18,9 @@ from quad_sysid.model import AxisModel, Outside, RungModel
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Effect, Part
 from quad_sysid.pipeline.answer import Findings
+from quad_sysid.pipeline.constants import BEYOND, COHERENT, HALF_POWER, Z99
 from quad_sysid.record import IOData, finite_runs
 from quad_sysid.units import Units
-
-COHERENT = 0.6
-"""Squared coherence above which a frequency supports the model: noise explains less than half."""
-CONFIDENT = 2.576
-"""Standard errors of 99 %."""
-BEYOND = 0.05
-"""Share of a range by which a signal must leave it."""
-HALF_POWER = 0.41
-"""A gain that is off by this part is off by 3 dB."""
 
 
 def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,
@@ -105,7 +97,7 @@ def ranges_of(data: AxisData, parts: Sequence[Part]) -> dict[str, tuple[float, f
 
 
 def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple[Outside, ...]:
-    """Which signals leave their range of the training in these spans, the longest first."""
+    """The signals that leave their range of the training in these spans, the longest first."""
     signals = []
     for name, (low, high) in model.ranges.items():
         signal = data.signal(name)
@@ -134,7 +126,7 @@ class Support:
 
     @classmethod
     def of(cls, z: IOData, axis: str, model: Model | None = None) -> Support:
-        """From the training of an axis, and a `model` that shows what it determines.
+        """The frequencies that the training of an axis supports, and a `model` of it determines.
 
         In the band command and rate are coherent (squared coherence over COHERENT; where the
         external reference is known, that of reference and rate, since feedback alone makes the
@@ -155,7 +147,7 @@ class Support:
         if model is not None and model.covariance is not None and w.size:
             response = frequency_response(model, w)
             trusted = trusted & (
-                CONFIDENT * response.magnitude_std < HALF_POWER * response.magnitude)
+                Z99 * response.magnitude_std < HALF_POWER * response.magnitude)
         bands = finite_runs(trusted, (0, trusted.size))
         if not bands:
             return cls(None, lowest)

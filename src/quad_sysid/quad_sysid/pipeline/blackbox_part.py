@@ -29,14 +29,14 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.discover.accept import HORIZONS_S, at_horizon, rms
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.model.data import AxisData, Span, Windows
+from quad_sysid.model.flight import DIVERGED
 from quad_sysid.pipeline.answer import ModelRow
 from quad_sysid.record import IOData, finite_runs
 
 ORDERS = (2, 3, 4)
 """Orders of the plant B/F in structures with a separate noise model."""
 NOISE_ORDER = 2
-DIVERGED = 1e6
-"""rad/s"""
+"""Order of C and D: a coloured residual with one resonance."""
 SHORTEST = 100
 """Samples of a validation span that is worth a fit."""
 
@@ -67,6 +67,7 @@ def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -
         in_both = is_finite & np.isfinite(r)
         inside = np.concatenate([in_both[a:b] for a, b in spans])
         moves = any(np.ptp(r[a:b][in_both[a:b]]) > 0.0 for a, b in spans if in_both[a:b].any())
+        # a reference that is known for less than nine tenths would cost more than it explains
         is_finite, r = (in_both, r) if inside.mean() > 0.9 and moves else (is_finite, None)
     return IOData(u=data.command - command, y=data.rate - rate, dt=data.dt,
                   r=None if r is None else r - mean(r),
@@ -75,7 +76,7 @@ def io_data(data: AxisData, spans: tuple[Span, ...], *, external: bool = True) -
 
 @dataclass(frozen=True)
 class Fits:
-    """The models of one axis, with what is known of those that could not be fitted."""
+    """The models of one axis, and the reasons why others could not be fitted."""
 
     models: tuple[Model, ...]
     search: OrderSearch
@@ -90,7 +91,7 @@ class Fits:
 
     @property
     def surest(self) -> Model:
-        """That whose covariance is the best that is known: BJ's, where it converged."""
+        """The model with the most reliable covariance: BJ, where it converged."""
         return next((m for m in self.models if m.structure == 'BJ' and m.converged),
                     self.search.model)
 
@@ -176,7 +177,7 @@ def tried(refused: list[str], *fits: Callable[[], Model]) -> tuple[Model, ...]:
 
 
 def validations(data: AxisData) -> dict[str, IOData]:
-    """What the models are validated on, by signal."""
+    """Validation data of the models, by the name of the segment's signal."""
     signals: dict[str, IOData] = {}
     for name in dict.fromkeys(data.validation_names):
         spans = tuple(

@@ -28,12 +28,10 @@ from quad_sysid.model.effect import Signals
 from quad_sysid.model.structure import coordinates
 from quad_sysid.pipeline import blackbox_part
 from quad_sysid.pipeline.assemble import outside_of
+from quad_sysid.pipeline.constants import MOTION
 from quad_sysid.pipeline.usable import check_limits, same_craft, same_rate
 from quad_sysid.record import Record, finite_runs
 from quad_sysid.units import shown_in
-
-MOTION = 1.5
-"""Error of holding the last rate over the measurement noise, below which nothing moved."""
 
 NO_GAINS = CascadeGains(0.0, 0.0, 0.0, 0.0)
 PHASES = 12
@@ -60,11 +58,11 @@ class Evaluation:
     rungs: tuple[tuple[tuple[str, ...], float, float], ...] = ()
     """The explanation: names of the effects, percent explained, error on this flight."""
     blackbox: float | None = None
-    """None where none was given, or where its predictions diverge."""
+    """Error of the black-box model; None without one, or where its predictions diverge."""
     horizons: tuple[Horizon, ...] = ()
     blackbox_horizons: dict[float, float] = field(default_factory=dict)
     outside: tuple[Outside, ...] = ()
-    """Where the flight leaves the range of the training."""
+    """Signals of the flight that leave the range of the training."""
     unit: str = 'rad/s'
 
     def __repr__(self) -> str:

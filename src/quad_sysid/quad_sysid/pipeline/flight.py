@@ -28,7 +28,7 @@ class AxisFlight:
     units: Units | None
     """Units of the arrays that it came from; None: of its axis."""
     drawn_hz: float
-    """Rate at which the commands are known where they were interpolated between; else 0."""
+    """Sample rate, Hz, of commands that were interpolated in between; 0 if they were not."""
     attitude_reference: FloatArray | None
     """(n,) rad, on the grid of the data; None where a record does not hold it."""
     rate_reference: FloatArray | None
@@ -37,17 +37,17 @@ class AxisFlight:
     @classmethod
     def of(cls, records: Sequence[Record], axis: str) -> AxisFlight:
         """Raises NotInformativeError where the records cannot answer for the axis."""
-        data, axis_row, first = axis_data(records, axis), EVERY[axis], records[0]
+        data, entry, first = axis_data(records, axis), EVERY[axis], records[0]
         check_usable(data, records)
         # of surge and sway the command is the lean, which nobody interpolates
-        commands = slice(1, None) if axis_row.turns else slice(1)
+        commands = slice(1, None) if entry.turns else slice(1)
         drawn = [drawn_hz(record.control[:, commands], record.dt)
-                 for record in records if axis_row.turns or axis_row.index < 0]
+                 for record in records if entry.turns or entry.index < 0]
         trained = [s.start_s for s in first.segments if s.role == 'train']
 
         def joined(setpoints: Sequence[FloatArray | None]) -> FloatArray | None:
-            columns = [setpoint[:, axis_row.index] for setpoint in setpoints
-                       if setpoint is not None and axis_row.turns]
+            columns = [setpoint[:, entry.index] for setpoint in setpoints
+                       if setpoint is not None and entry.turns]
             return np.concatenate(columns) if len(columns) == len(setpoints) else None
 
         return cls(

@@ -20,6 +20,7 @@ from quad_sysid.estimate import stored
 from quad_sysid.estimate.fit import Fit
 from quad_sysid.model.effect import required
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, MissingTorque, Residual
+from quad_sysid.pipeline.constants import PEAK
 from quad_sysid.record import IOData, finite_runs
 
 
@@ -50,12 +51,10 @@ LOWEST_PEAK_HZ = 1.0
 """Below this, two lines of the spectrum, a peak cannot be told from a slope."""
 WINDOW_S = 2.0
 """Window of the spectra, which resolves peaks half a hertz apart."""
-PEAK = 6.0
-"""Least power of a peak over its surroundings, whatever its significance."""
 
 
 def residuals(answer: AxisAnswer, findings: Findings) -> dict[str, Residual]:
-    """What is left of the held-out rate: `before`, `after` (effects or not), `blackbox`.
+    """Residuals of the held-out rate: `before`, `after` (with or without effects), `blackbox`.
 
     A model is left out where the segments are too short to test it.
     """
@@ -106,9 +105,10 @@ def _peaks(f: FloatArray, density: FloatArray, count: int) -> tuple[tuple[float,
     width = max(9, round(10.0 * WINDOW_S) | 1)
     median = ndimage.median_filter(density, size=width, mode='nearest')
     ratio = density / np.maximum(median, 1e-12 * density.max())
-    looked = (f >= LOWEST_PEAK_HZ) & (f < 0.95 * f[-1])
+    looked = (f >= LOWEST_PEAK_HZ) & (f < 0.95 * f[-1])  # the last lines hold folded ones
     freedom = 1.2 * count  # halves overlap, so neighbours in time are not independent
     level = float(special.chdtri(freedom, 1e-3 / max(int(looked.sum()), 1))) / freedom
+    # half as much again, since a running median only follows the background
     high = looked & (ratio > max(PEAK, 1.5 * level))
     peaks = [
         (float(f[i]), float(ratio[i])) for i in np.flatnonzero(high)

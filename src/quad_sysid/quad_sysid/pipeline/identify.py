@@ -185,9 +185,10 @@ def findings_of(data: AxisData, options: Options, progress: Progress = lambda _:
 
 
 def with_own(problem: Problem, searched: SearchResult, effects: Sequence[Effect]) -> SearchResult:
-    """What a search found, and the fits beside the base of a user's effects that it passed over.
+    """The search's result, with fits beside the base of the user's effects that it skipped.
 
-    It fits only what promises something; who wrote an effect is told what it explains anyway.
+    A search fits only promising effects; the report states for every effect of the user's what it
+    explains.
     """
     fitted = {label for entry in searched.all for label in entry.fit.structure.labels}
     passed_over = [effect for effect in effects if effect not in EFFECTS

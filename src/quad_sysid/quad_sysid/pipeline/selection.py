@@ -37,7 +37,8 @@ from quad_sysid.pipeline.blackbox_part import NOISE_ORDER, ORDERS, Fits, tried
 from quad_sysid.record import IOData
 
 KNOWN_CONTROLLER_PCT = 70.0
-"""Least fit of the controller's computed command to the recorded one, %."""
+"""Least fit of the controller's computed command to the recorded one, %: the rest, an amplitude of
+three tenths, is what limits and an outer loop may add."""
 
 
 def approaches(z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, one_loop: bool,
@@ -133,6 +134,7 @@ def fit_others(z: IOData, fits: Fits, possible: tuple[Approach, ...],
 
 
 FEEDBACK_LEVEL = 0.01
+"""Level at which past rates must explain the command for feedback to count as shown."""
 FEW_LEVELS = 8
 """A command with at most this many values (PRBS, square, 3-2-1-1) has no feedback."""
 SAME = 1e-4

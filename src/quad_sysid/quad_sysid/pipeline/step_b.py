@@ -28,9 +28,6 @@ from quad_sysid.model.flight import Flight
 from quad_sysid.pipeline.answer import ClosedLoop, LoopRun, ModelRow
 from quad_sysid.record import Record, Segment, finite_runs
 
-LEAST_FIT_PCT = 0.0
-"""Least fit of the simulated closed loop to the recording, %."""
-
 
 @dataclass(frozen=True)
 class Flown:
@@ -63,7 +60,7 @@ class Flown:
 
 @dataclass(frozen=True)
 class Loop:
-    """How the loop around an axis was flown: what the records say beside its data."""
+    """The loop around an axis, as the records describe it beside its data."""
 
     flights: tuple[Flown, ...]
     because: str
@@ -196,7 +193,7 @@ def second_step(row: ModelRow, flights: Sequence[Flown]) -> ModelRow:
     for simulated in runs:
         if simulated.diverged:
             objections.append(f'in the simulated loop of {simulated.bag} it diverges')
-        elif simulated.fit_pct is not None and simulated.fit_pct <= LEAST_FIT_PCT:
+        elif simulated.fit_pct is not None and simulated.fit_pct <= 0.0:
             objections.append(f'its simulated loop fits {simulated.bag} no better than the mean')
     fits = [run.fit_pct for run in runs if run.fit_pct is not None]
     return replace(

@@ -17,7 +17,8 @@ from quad_sysid.contract import IDLE, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
-from quad_sysid.record import SHORT_GAP_S, Record, RotorLag, motors_at_limit
+from quad_sysid.pipeline.constants import CLIPPED, LEAST_WINDOWS, THROUGHOUT
+from quad_sysid.record import ENOUGH_ROWS, SHORT_GAP_S, Record, RotorLag, motors_at_limit
 from quad_sysid.rotors import rotors_of
 
 SAME_RATE = 5e-3
@@ -31,7 +32,7 @@ LEAST_OVERLAP = 50
 
 
 def together(records: Sequence[Record]) -> tuple[Record, ...]:
-    """The records on the first one's sample interval, its clock's difference taken as nothing.
+    """The records at the first one's sample interval, as if all had its clock.
 
     With the motors' lag where the speeds of the rotors were measured.
 
@@ -85,13 +86,11 @@ def _check_distinct(record: Record, other: Record) -> None:
         if a.shape[0] < LEAST_OVERLAP or not np.ptp(a, axis=0).any():
             continue
         same = (a == b).all(axis=1)
-        if same.mean() > 0.5:
+        if same.mean() > 0.5:  # no two flights have the same noise
             raise BadInputError(other.source, f'holds the same measurement as {record.source}',
                                 f'{np.count_nonzero(same)} samples', 'give each flight once')
 
 
-ROWS = 20_000
-"""The most samples that are compared, spread over the record."""
 BETTER = 0.5
 """Another order counts where it leaves less than this share of what the contract's leaves."""
 FLOOR = 2e-4
@@ -110,7 +109,7 @@ def swapped_motors(record: Record) -> tuple[int, ...] | None:
     expected = record.craft.commands(record.wrench, record.desaturation, idle)
     is_finite = np.isfinite(record.motors).all(axis=1) & np.isfinite(expected).all(axis=1)
     samples = np.flatnonzero(is_finite)
-    rows = samples[:: max(1, samples.size // ROWS)]
+    rows = samples[:: max(1, samples.size // ENOUGH_ROWS)]
     if rows.size == 0:
         return None
     motors, expected = record.motors[rows], expected[rows]
@@ -136,13 +135,6 @@ def refusal(record: Record) -> str:
             'put them in order and fly again')
 
 
-LEAST_WINDOWS = 8
-"""Least number of training windows of 0.5 s for a fit."""
-THROUGHOUT = 0.9
-"""Share of the training in which all motors at their limits leave nothing to learn from."""
-CLIPPED = 0.1
-"""Share that a gyro may spend at its limit: the fit leaves these samples out and would hold to
-0.3, but the errors include them."""
 
 
 def check_usable(data: AxisData, records: Sequence[Record]) -> None:

@@ -33,7 +33,6 @@ THEMED = {INK: 'ink', MUTED: 'muted', GRID: 'grid', BLUE: 'blue', ORANGE: 'orang
 MEASURED, BEFORE, AFTER, OTHER = INK, ORANGE, BLUE, GREEN
 WIDTH_IN = 4.4
 """Width of all pictures: 317 pt, so that the text keeps its size on a phone."""
-PNG_DPI = 150
 _RC: Any = {'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 8.5,
             'axes.edgecolor': MUTED, 'axes.labelcolor': INK, 'text.color': INK,
             'xtick.color': MUTED, 'ytick.color': MUTED, 'xtick.labelcolor': INK,
@@ -71,7 +70,7 @@ class Drawing:
     section: str
     """The heading of report.html below which it stands."""
     draw: Callable[[AxisAnswer], Picture | None]
-    """None where the answer lacks the data."""
+    """Function that draws it; its result is None where the answer lacks the data."""
 
 
 def panels(rows: int = 1, height_in: float = 3.0, *, share_x: bool = True,
@@ -185,6 +184,6 @@ def png(picture: Picture) -> bytes:
     stream = io.BytesIO()
     with mpl.rc_context(_RC):
         picture.figure.patch.set_alpha(1.0)
-        picture.figure.savefig(stream, format='png', dpi=PNG_DPI, facecolor='white')
+        picture.figure.savefig(stream, format='png', dpi=150, facecolor='white')
         picture.figure.patch.set_alpha(0.0)
     return stream.getvalue()

@@ -20,8 +20,6 @@ from quad_sysid.units import Units, in_units_of, shown_in
 from quad_sysid.whole import Whole
 
 SCHEMA = 'quad_sysid/report/1'
-MAX_TRIED = 40
-MAX_PEAKS = 6
 METRIC = 'rms of the rate over free-run windows of 0.5 s'
 RESIDUALS = ('before', 'after', 'blackbox')
 SENTENCES = ('metric', 'reason', 'advice', 'because')
@@ -43,7 +41,7 @@ def document(answers: Mapping[str, AxisAnswer], bags: Sequence[str],
 
 def answers_of(report: Mapping[str, Any],
                models: Mapping[str, AxisModel]) -> dict[str, AxisAnswer]:
-    """Back from the tree: by axis, what is known without the flight, with its model.
+    """The answers that a report's tree holds, by axis, each with its model and without the flight.
 
     Raises BadInputError for what is no report.
     """
@@ -192,7 +190,7 @@ def _tried(findings: Findings, own_labels: Sequence[str]) -> list[dict[str, Any]
         {'effects': scored.fit.structure.labels, 'log_evidence_over_base': scored.score - base,
          'probability': float(p), 'converged': scored.fit.converged}
         for place, (scored, p) in enumerate(zip(search.all, search.probabilities(), strict=True))
-        if place < MAX_TRIED or scored in best
+        if place < 40 or scored in best
     ]
 
 
@@ -271,7 +269,7 @@ def _times(factor: float, tree: Any) -> Any:
 
 def horizons_tree(horizons: Sequence[Horizon],
                   blackbox: Mapping[float, float]) -> list[dict[str, Any]]:
-    """How the error grows, as the contract's `error.horizons`."""
+    """Errors over the horizons, as the contract's `error.horizons`."""
     tree: list[dict[str, Any]] = plain([
         {'horizon_s': h.horizon_s, 'hold': h.hold, 'before': h.before, 'after': h.after,
          'blackbox': blackbox.get(h.horizon_s)}
@@ -320,7 +318,7 @@ def _residual(residual: Residual, units: Units | None) -> dict[str, Any]:
         'cross_bound': test.cross_bound,
         'largest_cross_correlation': _largest(test.cross_lags, test.cross_correlation),
         'peaks': [{'frequency_hz': f, 'over_surroundings_db': 10.0 * math.log10(ratio)}
-                  for f, ratio in residual.peaks[:MAX_PEAKS]],
+                  for f, ratio in residual.peaks[:6]],
     }
     if missing is not None:
         at_s, value = missing.largest

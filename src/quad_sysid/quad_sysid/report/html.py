@@ -64,7 +64,7 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
 
 
 def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: str) -> str:
-    """What a notebook shows of a result: answer, tables and one picture an axis; `text` folded."""
+    """A result in a notebook: answer, tables and one picture per axis; `text` folded."""
     parts = [f'<style>{CELL}</style><div class="quad">']
     for axis, tree in report['axes'].items():
         drawn = (draw(answers[axis], name) for name in SHOWN)
@@ -77,7 +77,7 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
 
 
 def model_excerpt(model: AxisModel, parameters: Mapping[str, Parameter]) -> str:
-    """What a notebook shows of a model: its ladder, and its parameters as they are handed in."""
+    """A model in a notebook: its ladder, and the `parameters` passed."""
     rungs = [(' and '.join(e.name for e in rung.effects),
               {'explains_pct': rung.explains_pct, 'answer': len(rung.effects) ==
                len(model.effects)}) for rung in model.rungs]

@@ -17,18 +17,16 @@ import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.events import Clocked
-from quad_sysid.estimate.fit import Fit, Problem, covariance
+from quad_sysid.estimate.fit import SETTLE_S, Fit, Problem, covariance
 from quad_sysid.loop.from_model import signals_at, torque_at
-from quad_sysid.model.data import Span
+from quad_sysid.model.data import SLOPE_S, Span
 from quad_sysid.model.effect import ActingEffect, Drive, Effect, Part, Signals, per_unit
+from quad_sysid.record import INDEPENDENT_S
 from quad_sysid.units import COMMAND
 
-HALF_SPAN_S = 0.025
-BLOCK_S = 1.0
-BINS = 17
 MIN_IN_A_BIN = 40
+"""Fewer samples give no standard error, since neighbours are not independent."""
 GRID = 301
-Z95 = 1.96
 
 OVER = {'rate': ('rate', 'rad/s'), 'angle': ('angle', 'rad'), 'command': ('lagged', COMMAND),
         'throttle': ('throttle', 'norm.'), 'battery': ('battery_v', 'V'), 'time': ('time', 's'),
@@ -104,7 +102,7 @@ class Replay:
         return {i: self.fit.prediction.states[:, first + j] for j, i in enumerate(wandering)}
 
     def seen(self, signal: FloatArray) -> FloatArray:
-        """(n,) mean over the short span of what is known per cycle, as the gyro lags behind."""
+        """(n,) mean of a signal per cycle over the span of a slope, delayed as the gyro is."""
         half = _half(self.problem.data.dt)
         total = np.concatenate([[0.0], np.cumsum(self._late(signal, 0.0))])
         out = np.full(signal.size, np.nan)
@@ -113,7 +111,7 @@ class Replay:
         return out
 
     def at_samples(self, signal: FloatArray) -> FloatArray:
-        """(n,) what is known at half of each cycle, at the samples, as the gyro lags behind."""
+        """(n,) at the samples, a signal of the middle of each cycle, delayed as the gyro is."""
         return self._late(signal, 0.5)
 
     def _late(self, signal: FloatArray, cycles: float) -> FloatArray:
@@ -141,7 +139,7 @@ def variables(replay: Replay) -> dict[str, FloatArray]:
 
 
 def weight(replay: Replay, part: Part) -> FloatArray | None:
-    """(n,) rad/s² that one unit of what the effect changes adds; None where that is not known."""
+    """(n,) acceleration per unit of the term that the effect changes; None for one with states."""
     if part.effect.states or part.effect.moves_command:
         return None
     return replay.seen(per_unit(part.effect.term, replay.signals))
@@ -226,7 +224,7 @@ def drawn(replay: Replay, index: int) -> Drawn:
     slope = np.stack(columns, axis=1)
     spread = np.sqrt(np.maximum(np.einsum('ni,ij,nj->n', slope, raw, slope), 0.0))
     plain = np.ones(GRID) if part.effect.term == 'lag' else None
-    return Drawn(along.label, LABELS[part.effect.term], x, at(theta), Z95 * spread, along.axis,
+    return Drawn(along.label, LABELS[part.effect.term], x, at(theta), 1.96 * spread, along.axis,
                  plain)
 
 
@@ -275,7 +273,7 @@ def _lag(part: Part, x: FloatArray) -> Evaluate:
 
 
 def _slope(signal: FloatArray, dt: float) -> FloatArray:
-    """(n,) mean slope over 2 HALF_SPAN_S around each sample; NaN at the ends."""
+    """(n,) mean slope over 2 SLOPE_S around each sample; NaN at the ends."""
     half = _half(dt)
     out = np.full(signal.size, np.nan)
     if signal.size > 2 * half:
@@ -284,22 +282,22 @@ def _slope(signal: FloatArray, dt: float) -> FloatArray:
 
 
 def _half(dt: float) -> int:
-    return max(1, round(HALF_SPAN_S / dt))
+    return max(1, round(SLOPE_S / dt))
 
 
 def past_start(spans: Sequence[Span], dt: float) -> npt.NDArray[np.int64]:
-    """Indices inside `spans`, less the 0.3 s at each start in which lag and filter settle."""
-    margin = _half(dt) + round(0.3 / dt)
+    """Indices inside `spans`, less the time at each start in which lag and filter settle."""
+    margin = _half(dt) + round(SETTLE_S / dt)
     none = np.zeros(0, dtype=np.int64)
     return np.concatenate([none, *(np.arange(a + margin, b, dtype=np.int64) for a, b in spans)])
 
 
-def binned(x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins: int = BINS,
+def binned(x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins: int = 17,
            weights: FloatArray | None = None) -> Binned | None:
-    """Means of y over bins of x inside `spans`; None where too little is known.
+    """Means of y (n,) over bins of x (n,) inside `spans`; None for too few samples.
 
     With weights (n,) the factor by which they explain y, by least squares in each bin. The
-    standard error takes blocks of BLOCK_S as clusters (Liang and Zeger 1986).
+    standard error takes blocks of INDEPENDENT_S as clusters (Liang and Zeger 1986).
     """
     f = np.ones_like(x) if weights is None else weights
     inside = past_start(spans, dt)
@@ -316,7 +314,8 @@ def binned(x: FloatArray, y: FloatArray, spans: Sequence[Span], dt: float, bins:
         return None
     middle = np.bincount(number, x, minlength=count.size) / np.maximum(count, 1.0)
     mean = np.bincount(number, f * y, minlength=count.size) / power
-    block = np.unique(samples // max(1, round(BLOCK_S / dt)), return_inverse=True)[1].reshape(-1)
+    independent = max(1, round(INDEPENDENT_S / dt))
+    block = np.unique(samples // independent, return_inverse=True)[1].reshape(-1)
     sums = np.bincount(number * (int(block.max()) + 1) + block, f * (y - mean[number] * f),
                        minlength=count.size * (int(block.max()) + 1))
     spread = np.sqrt(np.sum(sums.reshape(count.size, -1) ** 2, axis=1)) / power

@@ -103,7 +103,7 @@ def load_models(path: str | os.PathLike[str],
 
 
 def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> dict[str, AxisModel]:
-    """The same from plain values, of which messages name the `path`."""
+    """Models by axis from plain values; messages name the `path`."""
     root = _keys(tree, path, {'schema', 'axes'}, more=True)
     if root['schema'] not in (SCHEMA, BEFORE):
         raise BadInputError(f'{path}: schema', f'must be {SCHEMA}', root['schema'], REMEDY)

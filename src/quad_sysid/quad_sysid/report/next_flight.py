@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from quad_sysid.axes import EVERY
-
-RIVAL = 0.05
-"""Probability from which a rival must be distinguished."""
-MAX_REASONS = 6
+from quad_sysid.pipeline.constants import RIVAL
 
 
 @dataclass(frozen=True)
@@ -19,7 +16,7 @@ class Next:
 
     why: str
     command: str = ''
-    """What to type for it; '' where nothing plans it."""
+    """Command that designs it; '' without one."""
 
 
 def next_flight(axis: str, tree: Mapping[str, Any]) -> Sequence[Next]:
@@ -30,7 +27,7 @@ def next_flight(axis: str, tree: Mapping[str, Any]) -> Sequence[Next]:
 def _rivals(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
     for effect in tree.get('effects', ()):
         rival = max(effect.get('rivals') or (), key=lambda r: r['probability'], default=None)
-        if rival is not None and rival['probability'] >= RIVAL:
+        if rival is not None and rival['probability'] > RIVAL:
             yield Next(
                 f"{effect['name']} ({effect['probability']:.2f}) or {rival['name']} "
                 f"({rival['probability']:.2f}): fly the excitation that tells them apart",
@@ -57,6 +54,6 @@ def _untested(tree: Mapping[str, Any]) -> Iterator[Next]:
     reasons: dict[str, list[str]] = {}
     for item in tree.get('not_tested', ()):
         reasons.setdefault(item['because'], []).append(item['name'])
-    for because, names in sorted(reasons.items(), key=lambda r: len(r[1]))[:MAX_REASONS]:
+    for because, names in sorted(reasons.items(), key=lambda r: len(r[1]))[:6]:
         shown = ', '.join(dict.fromkeys(names[:4])) + (' and others' if len(names) > 4 else '')
         yield Next(f'not tested: {shown}, since {because}')

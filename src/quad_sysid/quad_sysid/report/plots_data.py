@@ -12,7 +12,7 @@ from quad_sysid.blackbox import coherence
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, bridged
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.pipeline.assemble import COHERENT
+from quad_sysid.pipeline.constants import COHERENT
 from quad_sysid.record import IOData
 from quad_sysid.report import canvas, zoom
 from quad_sysid.report.canvas import Picture
@@ -41,7 +41,7 @@ def signals(answer: AxisAnswer) -> Picture | None:
 
 
 def zooming(answer: AxisAnswer) -> str:
-    """The same for a page, where it zooms; empty without data."""
+    """HTML of the whole record, which zooms, with its segments shaded; '' without data."""
     findings = answer.findings
     if findings is None:
         return ''
@@ -139,7 +139,7 @@ def trusted(axes: Axes, answer: AxisAnswer) -> None:
 
 
 def trusted_words(answer: AxisAnswer) -> str:
-    """What the shading means; the answer says its limits. Empty where there is none."""
+    """A sentence on the meaning of the shading, whose limits the answer states; '' without it."""
     band = answer.model.trusted_band_rad_s if answer.model else None
     return '' if band is None else ' Green: the trusted range.'
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from quad_sysid.axes import units_of
 from quad_sysid.pipeline.answer import AxisAnswer
+from quad_sysid.pipeline.constants import Z99
 from quad_sysid.report import canvas, missing_torque
 from quad_sysid.report.canvas import Picture
-from quad_sysid.report.plots_models import Z99, runs
+from quad_sysid.report.plots_models import runs
 from quad_sysid.units import scale
 
-MAX_RIVALS = 5
 SHOWN = ('rate', 'angle', 'command')
 
 
 def left_out(answer: AxisAnswer) -> Picture | None:
-    """What base and completed model leave out, over rate, angle and command."""
+    """Acceleration that base and completed model leave out, over rate, angle and command."""
     findings = answer.findings
     if findings is None:
         return None
@@ -103,7 +103,7 @@ def rivals(answer: AxisAnswer) -> Picture | None:
     for effect in answer.model.effects if answer.model else ():
         others = sorted(effect.rivals, key=lambda rival: -rival[1])
         if others:
-            lists.append([(effect.name, effect.probability), *others[:MAX_RIVALS]])
+            lists.append([(effect.name, effect.probability), *others[:5]])
     if not lists:
         return None
     rows = sum(len(entries) for entries in lists)

@@ -17,8 +17,6 @@ from quad_sysid.report.canvas import Picture
 from quad_sysid.report.plots_models import degrees
 from quad_sysid.units import COMMAND, scale
 
-SHOWN_S = 10.0
-
 
 def overlay(answer: AxisAnswer) -> Picture | None:
     """The simulated cascade on the recorded reference against the recorded rate."""
@@ -31,7 +29,7 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     pieces = np.split(np.arange(time_s.size), breaks)
     long = [p for p in pieces if p.size > 1.0 / step] or pieces
     shown = max(long, key=lambda p: float(np.var(loop.measured[p])))
-    shown = shown[: round(SHOWN_S / step)]
+    shown = shown[: round(10.0 / step)]
     figure, axes = canvas.panels(2, height_in=3.9, ratios=(2.0, 1.0))
     of = scale(answer.units, 'rate', 'rad/s')
     measured = of(loop.measured[shown])

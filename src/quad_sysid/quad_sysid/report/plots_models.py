@@ -18,6 +18,7 @@ from quad_sysid.identified import response_of
 from quad_sysid.loop.linear import WIDE, ComplexArray
 from quad_sysid.model.data import Windows
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, Residual
+from quad_sysid.pipeline.constants import Z99
 from quad_sysid.report import canvas
 from quad_sysid.report.canvas import Picture
 from quad_sysid.report.plots_data import trusted, trusted_words
@@ -170,11 +171,8 @@ def degrees(response: ComplexArray) -> FloatArray:
     return np.asarray(phase)
 
 
-Z99 = 2.576
 NAMES = (('before', 'base', canvas.BEFORE, '--'), ('after', 'completed', canvas.AFTER, '-'),
          ('blackbox', 'black box', canvas.OTHER, ':'))
-OFFSET = 0.3
-"""Offset of each model's lines from those of the one before, lags."""
 
 
 def _known(answer: AxisAnswer) -> Iterator[tuple[Residual, str, str, str]]:
@@ -198,7 +196,7 @@ def correlations(answer: AxisAnswer) -> Picture | None:
             (0, test.lags[1:], test.autocorrelation[1:], test.autocorrelation_bound),
             (1, test.cross_lags, test.cross_correlation, test.cross_bound),
         ):
-            lag_s = (lags + OFFSET * number) * findings.data.dt
+            lag_s = (lags + 0.3 * number) * findings.data.dt
             axes[panel].vlines(lag_s, 0.0, values, color=colour, lw=1.1)
             axes[panel].plot(lag_s, values, 's' if number == 0 else 'o', ms=2.4, color=colour,
                              label=name)

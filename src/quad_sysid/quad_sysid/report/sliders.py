@@ -24,11 +24,8 @@ from quad_sysid.model import AxisModel
 from quad_sysid.units import in_units_of
 
 SCRIPT = Path(__file__).with_name('sliders.js')
-POINTS = 200
 SECONDS = 0.6
 """Length of the step over half a period of the axis' trial."""
-STEP_RAD_S = 1.0
-"""The step of the rate's reference, where the flight held no angle."""
 STICK_S = 0.02
 """Time in which a rate set-point with feed-forward takes its step, as a stick does."""
 STYLE = """.tryout label{display:flex;flex-wrap:wrap;gap:4px 12px;align-items:center}
@@ -37,7 +34,7 @@ STYLE = """.tryout label{display:flex;flex-wrap:wrap;gap:4px 12px;align-items:ce
 
 
 def sliders(model: AxisModel, designed: Mapping[str, float]) -> str:
-    """The element of an axis, '' where the gains that flew are not known."""
+    """HTML of the sliders of an axis; '' where the gains that flew are not known."""
     try:
         data = loop_data(model, designed)
         text = json.dumps(data, separators=(',', ':'), allow_nan=False).replace('<', '\\u003c')
@@ -59,7 +56,7 @@ def script() -> str:
 
 
 def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any] | None:
-    """What the page computes with; None where the gains that flew are not known."""
+    """Numbers that the page computes with; None where the gains that flew are not known."""
     axis, active = model.axis, model.active_gains
     if not active.get(f'{axis}.rate.kp', 0.0) > 0.0:
         return None
@@ -67,7 +64,7 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
     stick = f'{axis}.rate.tpa_kp' in active  # a blackbox log holds the stick's rate, no angle's
     flown_gains = CascadeGains.from_mapping(
         {names[0]: 0.0, **active} | ({names[0]: 0.0} if stick else {}), axis)
-    plant, omega = loop_plant(model), frequency_grid(model.dt, POINTS, 0.5)
+    plant, omega = loop_plant(model), frequency_grid(model.dt, 200, 0.5)
     loops = loops_of([(plant, plant.trial.wide), (plant, plant.trial.near_rest)])
     rate, angle = loops.response(omega)
     none = replace(flown_gains, angle_kp=0.0, rate_kp=0.0, rate_ki=0.0, rate_kd=0.0, kff=0.0)
@@ -79,7 +76,7 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
     return {
         'axis': axis, 'dt': model.dt,
         'steps': round(SECONDS * plant.trial.half_period_s / model.dt),
-        'size': plant.trial.step if flown_gains.angle_kp else STEP_RAD_S,
+        'size': plant.trial.step if flown_gains.angle_kp else 1.0,
         'names': names,
         'flown': [float(getattr(flown_gains, field)) for field in TUNED],
         'designed': [float(designed.get(name, getattr(flown_gains, field)))

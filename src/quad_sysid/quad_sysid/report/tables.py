@@ -18,8 +18,6 @@ Tree = Mapping[str, Any]
 WIDTH = 78
 COLUMNS = 80
 """Most of a table's line."""
-NARROWEST = 8
-"""Width to which a column of words is broken at most."""
 MODELS = (('before', 'base'), ('after', 'completed'), ('blackbox', 'black box'))
 GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_kd': 's²/rad',
               'd_filter_hz': 'Hz'}
@@ -40,7 +38,7 @@ class Table:
     caption: str = ''
 
     def html(self) -> str:
-        """For a page; it scrolls by itself where the screen is narrow."""
+        """The table as HTML, which scrolls by itself on a narrow screen."""
         if not self.rows:
             return ''
         classes = ['n' if i in self.numeric else 'w' if h in WIDE else ''
@@ -93,7 +91,7 @@ def _widths(cells: Sequence[Sequence[str]], words: Collection[int]) -> list[int]
         longest = [max((len(word) for cell in column for word in cell.split()), default=0)
                    for column in columns]
         widest = max(words, key=lambda i: (longest[i] <= widths[i] - over, widths[i]))
-        widths[widest] = max(NARROWEST, widths[widest] - over)
+        widths[widest] = max(8, widths[widest] - over)
     return widths
 
 
@@ -153,7 +151,7 @@ def errors(tree: Tree) -> Table:
 
 
 def horizons(tree: Tree) -> Table:
-    """How the error grows with the time since the start of a free run."""
+    """Errors over the time since the start of a free run."""
     listed = tree['error'].get('horizons') or []
     names = {'hold': 'hold', 'before': 'base', 'after': 'completed', 'blackbox': 'black box'}
     if not tree['effects']:
@@ -250,7 +248,7 @@ def tried(tree: Tree) -> Table:
 
 
 def own(tree: Tree) -> Table:
-    """What became of the user's own effects."""
+    """Table of the user's own effects: accepted, rejected or not tried."""
     rows = [[item['name'], _became(item)] for item in tree.get('own_effects', [])]
     return Table(['your effect', 'outcome'], rows)
 

@@ -53,8 +53,6 @@ VERDICTS = {
 }
 """Verdict → its style and headline."""
 
-MAX_VALUES = 6
-"""Parameters of an effect that a sentence lists."""
 FIGURES = {
     'rise_time_s': ('rise time', 's', 1.0), 'overshoot_pct': ('overshoot', '%', 1.0),
     'settling_time_s': ('settling time', 's', 1.0),
@@ -123,7 +121,7 @@ def values(effect: Tree) -> str:
     if 'curve' in effect:
         y, what = effect['curve']['y'], 'slopes' if first == 'slope_0' else 'values'
         return f'{what} {number(min(y))} to {number(max(y))}'
-    if len(effect['parameters']) > MAX_VALUES:
+    if len(effect['parameters']) > 6:
         return parameter(effect['parameters'][0]) + '; the others stand in report.json'
     return '; '.join(parameter(p) for p in effect['parameters'])
 
@@ -149,12 +147,12 @@ def equals(p: float | None) -> str:
 
 
 def lowered(percent: float) -> str:
-    """What an effect does to the error, from the percentage by which it lowers it."""
+    """Words on the change of the error, from the percentage by which it falls."""
     return f'{"lowers" if percent >= 0.0 else "raises"} the error by {abs(percent):.0f} %'
 
 
 def on_this_flight(tree: Tree) -> str:
-    """What a stored model's effects do to the error on another flight; empty without effects."""
+    """Words on the error of a stored model's effects on another flight; '' without effects."""
     names = [effect.name for effect in tree['effects']]
     if not names:
         return ''
@@ -240,7 +238,7 @@ def horizon_words(error: Tree) -> str:
 
 
 def causes(tree: Tree) -> str:
-    """What is missing and how much of the trouble it is, in a sentence; '' without effects."""
+    """A sentence on the missing effects and their share of the error; '' without effects."""
     parts = []
     for effect in tree.get('effects', ()):
         size = effect['parameters'][0] if effect['parameters'] else None
@@ -346,6 +344,6 @@ def _interval(interval: Sequence[float] | None) -> str:
 
 
 def left_out(effects: Mapping[str, str]) -> str:
-    """Which effects the margins of a design do not hold; '' where they hold all."""
+    """Words on the effects that the margins of a design leave out; '' where they have all."""
     reasons = '; '.join(f'{name}, since {why}' for name, why in effects.items())
     return reasons and f'not in the margins: {reasons}'

@@ -18,9 +18,8 @@ import numpy as np
 from quad_sysid.contract import FloatArray
 
 SCRIPT = Path(__file__).with_name('zoom.js')
-BUDGET = 1_100_000
-"""Characters that the samples of one group may take."""
-LOST, MOST = -32768, 32767
+INT16 = np.iinfo(np.int16)
+"""What a sample is coded in; the least one stands for a lost sample (zoom.js)."""
 STYLE = """.zoom{margin:.6em 0;outline-offset:4px}.zoomrow{display:block;width:100%;height:130px;
 touch-action:pan-y;cursor:crosshair}.zoomhead{font-size:.85rem;margin:.5em 0 0}
 .zoomhead span{margin-left:1em}.zoombar{display:flex;gap:4px}.zoombar button{font:inherit;
@@ -46,7 +45,7 @@ class Row:
     """Lines over one scale."""
 
     label: str
-    """With the unit."""
+    """Name of the quantity, with its unit."""
     lines: Sequence[Line]
 
 
@@ -59,8 +58,12 @@ class Mark:
     colour: str
 
 
-def group(rows: Sequence[Row], dt: float, marks: Sequence[Mark] = (), budget: int = BUDGET) -> str:
-    """The element that zoom.js fills: rows of lines of equal length, dt s apart."""
+def group(rows: Sequence[Row], dt: float, marks: Sequence[Mark] = (),
+          budget: int = 1_100_000) -> str:
+    """The element that zoom.js fills: rows of lines of equal length, dt s apart.
+
+    budget: characters that the samples may take.
+    """
     n = max((len(line.values) for row in rows for line in row.lines), default=0)
     count = sum(len(row.lines) for row in rows)
     every = 1
@@ -95,8 +98,9 @@ def _line(line: Line, every: int) -> dict[str, object]:
         values = np.column_stack([least, most]).ravel()
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    offset, scale = 0.5 * (low + high), max((high - low) / (2.0 * MOST), 1e-12)
-    coded = np.where(np.isfinite(values), np.round((np.nan_to_num(values) - offset) / scale), LOST)
+    offset, scale = 0.5 * (low + high), max((high - low) / (2.0 * INT16.max), 1e-12)
+    coded = np.where(np.isfinite(values), np.round((np.nan_to_num(values) - offset) / scale),
+                     INT16.min)
     return {'name': line.name, 'colour': line.colour, 'every': every,
             'offset': float(f'{offset:.7g}'), 'scale': float(f'{scale:.7g}'),
             'data': base64.b64encode(coded.astype('<i2').tobytes()).decode('ascii')}

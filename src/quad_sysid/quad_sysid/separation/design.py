@@ -23,10 +23,9 @@ from quad_sysid.separation.flight import Aircraft, Excitation, Flown, effect_of,
 from quad_sysid.separation.measure import Apart, JudgedFlight, judged
 from quad_sysid.signals import schedule
 from quad_sysid.signals.guard import Limits
+from quad_sysid.signals.schedule import AMPLITUDE_DEG
 from quad_sysid.signals.waveforms import waveform
 
-PLAIN_DEG = 12.0
-"""Amplitude of the plain PRBS, the excitation node's default."""
 PLAIN = {'clock_s': 0.092, 'register_bits': 9, 'seed': 1}
 """design-excitation --band 0.1:20."""
 
@@ -68,7 +67,7 @@ OTHERS = {
 
 def plain_prbs(axis: str, seconds: float) -> Excitation:
     """The PRBS that is flown where nobody asks for more."""
-    return Excitation(_part('attitude', 'prbs', PLAIN, PLAIN_DEG, axis, seconds))
+    return Excitation(_part('attitude', 'prbs', PLAIN, AMPLITUDE_DEG, axis, seconds))
 
 
 def with_pilot(usual: Excitation, signals: set[str]) -> Iterator[Excitation]:
@@ -105,6 +104,7 @@ NOTHING = 'nothing'
 SIMULATED_S = 30.0
 """Longest simulated flight, s; longer ones only repeat it."""
 MIN_DURATION_S, MAX_DURATION_S = 10.0, 600.0
+"""A shorter flight determines no base; a longer one outlasts a battery."""
 DETECTABLE_NATS = 12.0
 """Evidence, nats, at which a plain PRBS of the whole length just finds an effect: its prior costs
 some 7, and 5 remain. A rival that the model does not contain is made that strong."""
@@ -113,6 +113,7 @@ PER_PARAMETER = 4.0
 ANGLE_SHARE = 0.9
 """Share of the guard's angle that a flight may use."""
 CERTAIN = 0.95
+"""Probability with which a flight should tell two effects apart."""
 NEARLY_BEST = 0.95
 """Share of the best figure from which a simpler flight is preferred."""
 FITTED = 8
@@ -141,7 +142,7 @@ class Rival:
         return f'{self.name} ({", ".join(values)})'
 
     def parts(self, data: AxisData) -> list[Part]:
-        """Its variants, as an identification would try them on this flight."""
+        """Variants of the effect, as an identification would try them on this flight."""
         prepared = ((effect, effect.prepare(data)) for effect in self.variants)
         return [Part(effect, s) for effect, s in prepared if not isinstance(s, str)]
 

@@ -19,7 +19,7 @@ from quad_sysid.loop.from_model import acting_effect
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, NoiseEstimate
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import SETTLE_S, AxisData
 from quad_sysid.model.effect import ActingEffect, Signals, required
 from quad_sysid.model.noise import sensor_of
 from quad_sysid.model.structure import BASE, Structure
@@ -31,10 +31,6 @@ PAPER = {'roll': (434.5, 0.045, 0.008, 0.4, 0.3), 'pitch': (419.0, 0.045, 0.008,
 PAPER_NOISE = NoiseEstimate({'white': 1.5, 'disturbance': 0.5, 'correlation': 0.3, 'after': 0.1},
                             scale=0.002, degrees=1e4, gyro_rms=0.01, measured_rms=0.0048)
 """MPU-6050 with its 42 Hz filter; torque noise of 0.015 (rad/s²)/√Hz, hardly any wind."""
-PAPER_GYRO_HZ = 42.0
-PAPER_DT = 0.004
-THROTTLE = 0.35
-"""Between rig and hover."""
 VOLTS = 12.1
 """3 cells, charged, under load."""
 
@@ -49,15 +45,15 @@ class Aircraft:
     gains: CascadeGains
     acting: tuple[ActingEffect, ...] = ()
     """The effects that are no rivals."""
-    dt: float = PAPER_DT
+    dt: float = 0.004
     """Control cycle, s."""
-    gyro_filter_hz: float | None = PAPER_GYRO_HZ
+    gyro_filter_hz: float | None = 42.0
     noise: NoiseEstimate = field(default=PAPER_NOISE)
     battery_v: float = VOLTS
-    throttle: float = THROTTLE
+    throttle: float = 0.35
     craft: Craft = X
     source: str = "the paper's plant"
-    """Where the values come from, for the user."""
+    """Origin of the values, in words for the user."""
 
 
 def paper_aircraft(axis: str) -> Aircraft:
@@ -94,10 +90,8 @@ def effect_of(model: AxisModel, name: str) -> ActingEffect | None:
     return next((acting_effect(model, e) for e in model.effects if e.name == name), None)
 
 
-LEAD_S = 1.0
-"""Time at rest before the excitation, s."""
-THROTTLE_STEP = 0.1
-THROTTLE_STEP_S = 4.0
+THROTTLE_STEP, THROTTLE_STEP_S = 0.1, 4.0
+"""Size and time of the pilot's steps of the throttle, up and down."""
 VOLTS_PER_S = 0.003
 """Discharge of a 4.5 Ah battery at half throttle."""
 VOLTS_PER_THROTTLE = 1.4
@@ -105,8 +99,7 @@ VOLTS_PER_THROTTLE = 1.4
 PILOT_DEG = 8.0
 """Size of the other axes' motion where the pilot moves them."""
 PILOT_HZ = (0.2, 0.5, 0.9, 1.4)
-SEED = 1
-"""All flights have the same noise, so that only the excitations differ."""
+"""Its frequencies: what a pilot's hands do."""
 
 
 @dataclass(frozen=True)
@@ -125,8 +118,8 @@ class Excitation:
         return (self.part,) if self.before is None else (self.before, self.part)
 
     def added(self, dt: float) -> FloatArray:
-        """(3, n) excitation of attitude (rad), rate (rad/s) and control, with the lead."""
-        pieces = [np.zeros((3, round(LEAD_S / dt)))]
+        """(3, n) excitation of attitude (rad), rate (rad/s) and control, after a lead at rest."""
+        pieces = [np.zeros((3, round(SETTLE_S / dt)))]
         for part in self.parts:
             piece = np.zeros((3, round(part.duration_s / dt)))
             row = ('attitude', 'rate', 'control').index(part.injection)
@@ -194,7 +187,7 @@ def _known(data: AxisData) -> Signals:
 
 def _noise(aircraft: Aircraft, n: int) -> tuple[FloatArray, FloatArray]:
     """(n,) disturbing torque, rad/s², and (n,) noise of the measured rate, rad/s."""
-    dt, noise, rng = aircraft.dt, aircraft.noise, np.random.default_rng(SEED)
+    dt, noise, rng = aircraft.dt, aircraft.noise, np.random.default_rng(1)
     torque = noise.ratios['white'] * noise.gyro_rms / np.sqrt(dt) * rng.standard_normal(n)
     fade = np.exp(-dt / noise.correlation_s)
     gust = noise.disturbance_rms * np.sqrt(1.0 - fade**2) * rng.standard_normal(n)
@@ -232,7 +225,7 @@ def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisDat
                     other_angles=np.cumsum(rates, axis=0) * dt,
                     battery_v=volts - VOLTS_PER_THROTTLE * (throttle - aircraft.throttle),
                     gyro_filter_hz=aircraft.gyro_filter_hz, stretches=((0, n),),
-                    train=((round(LEAD_S / dt), n),), validation=())
+                    train=((round(SETTLE_S / dt), n),), validation=())
 
 
 @lru_cache(maxsize=16)

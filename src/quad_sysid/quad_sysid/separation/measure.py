@@ -24,7 +24,6 @@ from quad_sysid.separation.flight import Aircraft
 
 GAIN_KNOWN = 0.1
 """Relative standard error of the gain below which a flight identifies the base."""
-GRID = 65
 REACH = 4.0
 """Range of the search for a strength: prior standard deviations, or powers of e."""
 
@@ -36,11 +35,11 @@ class Apart:
     nats: float
     """Log evidence of the true one less that of the other."""
     mimicked: float
-    """Share (0..1) of the true one's evidence over nothing that the other reaches."""
+    """Share (0..1) of the true effect's evidence over no effect that the other reaches."""
     seconds: float
 
     def over(self, seconds: float) -> Apart:
-        """The same for a longer or shorter flight of this kind."""
+        """The evidence of a longer or shorter flight of this kind (s)."""
         return Apart(self.nats * seconds / self.seconds, self.mimicked, seconds)
 
     @property
@@ -88,7 +87,7 @@ class JudgedFlight:
         return max((s.nats for s in scores if s is not None), default=0.0)
 
     def fitted(self, parts: Sequence[Part]) -> float:
-        """The same by fits of the two that the linear step ranks first."""
+        """Largest evidence, nats, of the two variants that the linear step ranks first, fitted."""
         self.linear(parts)
         scores = [s for s in (self.scores.get(p.effect.label) for p in parts) if s is not None]
         best = 0.0
@@ -149,7 +148,7 @@ class JudgedFlight:
             p[free] = scale * direction
             return ActingEffect(part, p)
         spread = specs[0].spread or 1.0
-        reach = np.linspace(-REACH, REACH, GRID)
+        reach = np.linspace(-REACH, REACH, 65)
         grid = p[0] * np.exp(reach) if specs[0].log else p[0] + 0.5 * spread * reach
         levels = [self.trace(ActingEffect(part, np.r_[value, p[1:]])) for value in grid]
         misses = np.abs(np.log(np.maximum(levels, 1e-12) / target_nats))

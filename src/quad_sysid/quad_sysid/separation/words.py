@@ -10,11 +10,7 @@ from quad_sysid.separation.design import CERTAIN, Row, Separation
 from quad_sysid.separation.flight import THROTTLE_STEP, THROTTLE_STEP_S, Excitation
 from quad_sysid.signals.schedule import AMPLITUDES, Part
 
-NONE = 0.005
-"""A share below this is reported as none."""
 SHOWN = 8
-NEVER_S = 6000.0
-"""More than a hundred minutes is no flight."""
 NOTICED = 0.01
 """Shares that differ by less are the same to a reader."""
 WIDTH = 80
@@ -80,7 +76,7 @@ def why(result: Separation) -> str:
     else:
         share = best.worst.mimicked
         sentence += (f'in this flight {other.name} cannot imitate {harder.name}'
-                     if share < NONE else
+                     if share < 0.005 else  # it would print as 0 %
                      f'{other.name} explains {share:.0%} of the evidence for {harder.name}')
         if matched is not None and matched.mimicked > share + NOTICED:
             sentence += f', with the plain PRBS it explains {matched.mimicked:.0%}'
@@ -98,7 +94,7 @@ def why(result: Separation) -> str:
 
 
 def pilot_of(excitation: Excitation) -> str:
-    """What the pilot does during training, which no schedule contains."""
+    """Words for the pilot's part in the training, which no schedule contains."""
     sentence = ''
     if excitation.throttle_steps:
         sentence += (
@@ -143,7 +139,7 @@ def _row(number: str, row: Row, seconds: float) -> str:
 
 
 def _seconds(value: float) -> str:
-    return f'{math.ceil(value)} s' if value < NEVER_S else 'never'
+    return f'{math.ceil(value)} s' if value < 6000.0 else 'never'  # a hundred minutes
 
 
 def schedule(result: Separation) -> str:
@@ -152,6 +148,7 @@ def schedule(result: Separation) -> str:
     part = best.part
     scale = result.seconds / sum(p.duration_s for p in best.parts)
     trains = [_entry('train', p, p.parameters, scale * p.duration_s) for p in best.parts]
+    # two fifths of the training, and at least the 28 windows of 15 s
     checks = [_entry('validation', part, _like(part), max(15.0, 0.4 * result.seconds))]
     if best.before is not None:
         checks.insert(0, _entry('validation', best.before, _like(best.before), 15.0))

@@ -15,6 +15,7 @@ from quad_sysid.signals.waveforms import TAPS
 PERIODS = (3.0, 5.0)
 """Eq. (9): N * clock = 3 to 5 of the longest time constant."""
 SAMPLES_PER_CLOCK = 2
+"""Least number of samples for which a bit is held."""
 MAX_PERIOD_S = 120.0
 """Length of the training, s, up to which a whole period is flown unless a length is asked for."""
 SPARED = 0.63

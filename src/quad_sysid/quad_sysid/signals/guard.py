@@ -18,7 +18,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Limits:
-    """What ends an excitation. Angles in rad, times in s, sticks and switches in -1..1."""
+    """Limits that end an excitation. Angles in rad, times in s, sticks and switches in -1..1."""
 
     mount: str = 'rig'
     """`rig`: any stick but the throttle ends it; `hover`: only a deflection beyond
@@ -50,7 +50,7 @@ class Readings:
     sticks: Vector | None = None
     """Roll, pitch, yaw, -1..1."""
     abort_switch: float | None = None
-    """None or NaN where /rc/in has no such channel."""
+    """Position of the switch, -1..1; None or NaN where /rc/in has no such channel."""
     failsafe: bool = False
     battery_v: float | None = None
     battery_age_s: float | None = None
@@ -135,7 +135,7 @@ def _battery(limits: Limits, r: Readings) -> Iterator[Abort]:
 
 STALL_S = 0.05
 """Time between two ticks above which the node counts as stalled."""
-MAX_DURATION_S = 1.0
+MOST_STALLED_S = 1.0
 """Most stalled time that is left out, in one piece or several; running time restores it second by
 second. A longer stall counts as age, because nothing watched the aircraft."""
 
@@ -146,13 +146,13 @@ class Stall:
     def __init__(self) -> None:
         self._last: float | None = None
         self._stalled_s = 0.0
-        self._allowed_s = MAX_DURATION_S
+        self._allowed_s = MOST_STALLED_S
         self.stood_still_s = 0.0
         """Length of the stall before the last tick, s; 0: none."""
 
     def begin(self, now_s: float) -> None:
         """Start at `now_s`, before the first tick, and forget earlier ticks."""
-        self._last, self.stood_still_s, self._allowed_s = now_s, 0.0, MAX_DURATION_S
+        self._last, self.stood_still_s, self._allowed_s = now_s, 0.0, MOST_STALLED_S
 
     def tick(self, now_s: float) -> None:
         """Register a tick, before ages are judged in it."""
@@ -160,7 +160,7 @@ class Stall:
         self._last = now_s
         self.stood_still_s = gap if gap > STALL_S else 0.0
         if not self.stood_still_s:
-            self._allowed_s = min(self._allowed_s + gap, MAX_DURATION_S)
+            self._allowed_s = min(self._allowed_s + gap, MOST_STALLED_S)
         elif gap <= self._allowed_s:
             self._allowed_s -= gap
             self._stalled_s += gap

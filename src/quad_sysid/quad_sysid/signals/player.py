@@ -29,7 +29,7 @@ class State(Enum):
 
 @dataclass(frozen=True)
 class Tick:
-    """What to publish now; None: nothing."""
+    """Messages to publish now; None: nothing."""
 
     setpoint: Vector | None = None
     announcement: Announcement | None = None

@@ -22,6 +22,7 @@ MOUNTS = ('rig', 'hover')
 MAX_DURATION_S = 3600.0
 """Longest segment, s: an hour."""
 RAMP_S = 0.5
+"""Default time over which a segment begins and ends, so that it does not jerk."""
 AMPLITUDE_DEG = 12.0
 DEGREE = math.pi / 180.0
 
@@ -45,7 +46,7 @@ class Part:
     axis: str = 'roll'
     injection: str = 'attitude'
     amplitude: float = 0.0
-    """In the unit of the injection: rad, rad/s or normalised command."""
+    """Amplitude in the unit of the injection: rad, rad/s or normalised command."""
     ramp_s: float = RAMP_S
     """The amplitude grows over this time at the start and falls over it at the end."""
     parameters: Mapping[str, float | int] = field(default_factory=dict)
@@ -103,7 +104,7 @@ class Schedule:
         return sum(1 for start in self.starts_s if start <= time_s) - 1
 
     def scaled(self, factor: float) -> Schedule:
-        """The same schedule with all amplitudes times `factor`."""
+        """The schedule with all amplitudes times `factor`."""
         parts = tuple(replace(part, amplitude=factor * part.amplitude) for part in self.parts)
         return replace(self, parts=parts)
 

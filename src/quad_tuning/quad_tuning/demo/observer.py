@@ -54,7 +54,7 @@ class Observer:
         self._imu: Any = None
 
     def __enter__(self) -> Observer:
-        """Nothing more to open."""
+        """Return the observer, which needs nothing opened."""
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -128,7 +128,7 @@ class Crew:
 
     @property
     def socket(self) -> Path | None:
-        """Where the processes meet in lockstep."""
+        """Path of the socket of the lockstep; None outside of it."""
         return None if self._folder is None else Path(self._folder.name) / 'lockstep'
 
     def __enter__(self) -> Crew:

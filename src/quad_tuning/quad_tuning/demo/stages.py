@@ -60,11 +60,11 @@ class Campaign:
     say: Callable[[str], None]
     status: dict[str, Any] = field(default_factory=dict)
     requested_s: float = 0.0
-    """When the new gains were sent, s on the run's clock."""
+    """Time at which the new gains were sent, s on the run's clock."""
 
     @property
     def folder(self) -> Path:
-        """Where everything is written."""
+        """Folder of all files of the campaign."""
         return self.crew.folder
 
     def wait(self, stage: str, what: str, condition: Callable[[], bool], timeout_s: float) -> None:

@@ -87,7 +87,7 @@ def address(file: Path) -> str:
 
 
 def sqlite_fault(file: Path) -> str:
-    """What is damaged in a sqlite3 file; empty where nothing is.
+    """Description of the damage in a sqlite3 file; empty for a sound one.
 
     The file is only read. SQLite cannot see damage within a row.
     """

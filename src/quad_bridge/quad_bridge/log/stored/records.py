@@ -39,7 +39,7 @@ class Topic(NamedTuple):
 
     name: str
     kind: str
-    """Such as `sensor_msgs/msg/Imu`; empty where unknown."""
+    """Message type, such as `sensor_msgs/msg/Imu`; empty where unknown."""
     definition: str
     qos: str = ''
     """`offered_qos_profiles`, YAML as rosbag2 writes it; empty where unknown."""
