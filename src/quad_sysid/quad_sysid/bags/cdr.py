@@ -108,7 +108,6 @@ def joints_of(messages: Sequence[bytes], field: str) -> Joints:
     return Joints(field=field)
 
 
-
 @dataclass(frozen=True)
 class Stamped:
     """Messages of one topic: stamps (n,) ns, values (n, w), `spoiled`: unreadable."""
@@ -191,7 +190,7 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
         rows = np.flatnonzero(lengths == length)
         key = msgtype, joints, int(length)
         layout = _LAST.get(key)
-        for _ in range(8):  # layouts, then one by one
+        for _ in range(8):  # layouts; what fits none is read one by one
             if len(rows) == 0:
                 break
             unread = np.zeros(len(rows), dtype=bool)

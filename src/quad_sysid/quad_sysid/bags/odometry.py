@@ -25,7 +25,7 @@ LEAST = 10
 MOVES_M = 0.05
 """Positions that spread less say nothing of how fast the aircraft is."""
 SLOWEST_BARO_S = 0.5
-"""Usual interval of the barometer above which a climb is over between two of its values."""
+"""Longest usual interval of a barometer, s, from which the vertical speed is taken."""
 SMOOTH_S = 0.2
 """Slopes of positions are compared with the twist as means over this: their noise is white."""
 CLOSER = 0.5

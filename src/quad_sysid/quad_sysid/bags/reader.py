@@ -39,11 +39,11 @@ TOPICS = (IMU_TOPIC, *OPTIONAL.values(), SPEEDS, DESCRIPTION, '/battery', ODOM, 
           SEGMENT, GAINS)
 
 PLAUSIBLE_PACK_V = (2.0, 100.0)
-"""One empty cell to 24 full ones; other values are cells, millivolts or no measurement."""
+"""Voltage of a battery, V; values outside are left out."""
 BATTERY_GAP_S = 2.0
-"""Over a longer gap the voltage is unknown: the throttle may have changed and come back."""
+"""Longest gap, s, over which the voltage is interpolated."""
 LOST_WARNING = 0.01
-"""Share of the cycles without a value that causes a warning: one in a hundred hides nothing."""
+"""Share of the cycles without a value above which a warning says so."""
 SPEED_GAP = 5.0
 """Rotor speeds that are further apart than this many of their usual intervals are not joined."""
 

@@ -18,15 +18,15 @@ TOPIC = '/imu/data'
 """Whose stamps are the grid."""
 
 MIN_SAMPLES = 3
-"""Two intervals, the least that can agree on a rate."""
+"""Least number of messages of a recording."""
 LEAK = 0.02
 """Share of the remaining phase by which the grid follows the stamps, per sample."""
 JUMP_NS = 1_000_000_000
 """A step beyond it, either way, may be a clock that was set."""
 MAX_GAP_S = 600.0
-"""A longer gap separates flights: the recorder ran on between them."""
+"""Longest gap, s, within a recording; between longer ones the longest stretch is kept."""
 RATE_TOLERANCE = 0.15
-"""Relative difference from which a block has another rate; jitter averages out within a block."""
+"""Relative difference above which a block has another rate."""
 ONE_CYCLE = 0.5
 """A step that is off by less, as a share, is one cycle and neither none nor two."""
 CRYSTAL = 2e-4
@@ -34,7 +34,7 @@ CRYSTAL = 2e-4
 BLOCK = 32
 """Differences per block in which the rate is checked."""
 JITTER_WARNING = 0.25
-"""Cycles (99th percentile) by which stamps may jitter: at half a cycle they change places."""
+"""Jitter of the stamps, cycles (99th percentile), above which a warning says so."""
 
 
 @dataclass(frozen=True)

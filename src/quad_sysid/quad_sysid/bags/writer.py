@@ -66,7 +66,7 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
     if wrench is not None:
         wrench = np.column_stack((np.zeros((record.n, 2)), wrench))
     battery = record.battery_v
-    step = max(1, round(0.1 / record.dt))  # 10 Hz, as flight controllers report it
+    step = max(1, round(0.1 / record.dt))  # at 10 Hz
     arrays: dict[str, FloatArray | None] = {
         '/motors/command': motors,
         '/motors/state': record.speeds,

@@ -214,7 +214,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
     """Take the commands: the craft of the motors, the gains in their unit, warnings."""
     table = reading.table
     craft = of_ardupilot(table.header)
-    count = craft.count if isinstance(craft, Craft) else 4  # most fly on four
+    count = craft.count if isinstance(craft, Craft) else 4  # where the parameters do not say it
     channels = ardupilot_channels(table.header, count)
     pulses = within('RCOU', *(f'C{n}' for n in channels))
     if reading.motors_fast(table.stream(*pulses), table.stream(*OUTPUTS.columns)):

@@ -39,7 +39,7 @@ from quad_sysid.motion import GRAVITY
 POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
 PULSE_US = (1000.0, 2000.0)
-"""A servo's pulse, from no throttle to all."""
+"""Pulses of no and of full throttle, µs."""
 IN_THE_AIR = 0.25  # of the throttle stick: below it an aircraft stands or falls
 FEWEST = 200
 """Least number of frames of a flight."""

@@ -20,9 +20,9 @@ from quad_sysid.record import GainChange
 
 DEGREES = math.degrees(1.0)
 BETAFLIGHT, INAV = (0.032029, 0.244381, 0.000529), (1 / 31.0, 1 / 4.0, 1 / 1905.0)
-"""What P, I and D of the CLI weigh: of the sum per deg/s, deg and deg/s² (pid.h, pid.c)."""
+"""Weights of the CLI's P, I and D: part of the sum per deg/s, deg and deg/s² (pid.h, pid.c)."""
 YAW_I = 2.5
-"""Betaflight's I of the yaw, beside that of the other axes."""
+"""Factor of Betaflight's I on the yaw axis."""
 PIDSUM = 1000.0
 """Sum of P, I and D that is the whole range of the motors."""
 DELAYS = {0: 1.0, 1: math.sqrt(2.0), 2: 2 / 1.553773974, 3: 3 / 1.961459177}

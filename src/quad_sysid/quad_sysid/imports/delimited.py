@@ -80,7 +80,7 @@ def read_text_table(
     """
     text = _Lines(lines, first)
     numbered = iter(text)
-    looked = list(islice(numbered, 200))  # no header comes later
+    looked = list(islice(numbered, 200))  # the lines that may hold the header
     if not looked:
         raise BadInputError(source, 'is empty', remedy='record it or copy it again')
     layout = _layout(looked, text.comments, source)

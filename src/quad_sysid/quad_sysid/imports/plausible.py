@@ -20,7 +20,7 @@ from quad_sysid.imports.units import DEGREE, UNITS, Unit
 MIN_RATE_HZ = 20.0
 """Lowest sample rate of flight controllers and rigs."""
 USUAL_RATE_HZ = 250.0
-"""Of several units of a time, the one whose rate is nearest to this is meant."""
+"""Of several units of a time, the one whose sample rate is nearest to this is taken."""
 MAX_TURN_RAD = 0.5
 """Largest turn between two samples with which they show the motion."""
 FASTEST_RAD_S = 70.0
@@ -29,13 +29,13 @@ WINDOW_S = 0.2
 """Window in which an angle's change is compared with the rate's integral: long against noise and
 filter lag, short against drift."""
 MIN_WINDOWS = 20
-"""Windows below which a factor may be chance."""
+"""Least number of windows, or samples, for a factor."""
 TOGETHER = 0.6
 """Least correlation for which a factor between two columns is meaningful."""
 NEAR = 0.4
 """Largest difference of a factor's logarithm that counts as near (a factor of 1.5)."""
 TOLERATED = 0.2
-"""Part by which a factor may be off without a warning: filters and drift make as much."""
+"""Part by which a factor may be off without a warning."""
 ABSURD = 10.0
 """Factor between rate and angle that no filter or drift makes: a unit is wrong."""
 CALM, WILD = DEGREE, 1.0

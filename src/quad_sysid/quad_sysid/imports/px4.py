@@ -226,7 +226,7 @@ def _speeds(reading: Reading, count: int) -> None:
     if rpm is None or not np.nanmax(np.abs(rpm.values)) > 0.0:
         return
     values = np.full((len(rpm.time_s), count), np.nan)
-    for i in range(min(size, 8)):
+    for i in range(min(size, 8)):  # entries of esc_status
         named = table.columns.get(f'esc_status.esc[{i}].actuator_function', np.zeros(1))
         motor = int(named[-1]) - FIRST_MOTOR if named[-1] >= FIRST_MOTOR else i
         if 0 <= motor < count:

@@ -231,7 +231,7 @@ def with_angles(table: Table) -> Table:
         values = np.column_stack([table.columns[parts[p]] for p in order])
         is_finite = np.isfinite(values).all(axis=1)
         norm = np.linalg.norm(values[is_finite], axis=1)
-        # nine in ten have norm 1, to the two digits of a short log
+        # nine in ten of the norms must be within 0.02 of 1
         if not is_finite.any() or np.mean(np.abs(norm - 1.0) < 0.02) < 0.9:
             continue
         euler = np.full((len(values), 3), np.nan)

@@ -36,11 +36,11 @@ MIDDLE_COMMAND = 0.5
 LOST = 0.005
 """Share of lost samples from which on the logger is blamed."""
 MIN_SAMPLES = 100
-"""Fewer hold no window of half a second behind the time that the filter takes to settle."""
+"""Least number of samples of a log."""
 SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
 DERIVATIVE_HALF_WIDTH_S = 0.01
-"""A cubic over 20 ms passes what an airframe does and averages an angle's noise."""
+"""Half the width, s, of the cubic whose slope is the rate of an angle."""
 
 
 @dataclass(frozen=True)

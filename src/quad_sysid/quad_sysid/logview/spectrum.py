@@ -114,7 +114,7 @@ def starts_of(usable: npt.NDArray[np.bool_], size: int) -> npt.NDArray[np.int64]
 
 
 def frames(signal: FloatArray, usable: npt.NDArray[np.bool_], dt: float) -> Frames | None:
-    """The frames of a signal (n,) within `good` (n,); None without any."""
+    """The frames of a signal (n,) within `usable` (n,); None without any."""
     size = round(FRAME_S / dt)
     # a log too slow for 8 samples in a frame has no spectrum
     if size < 8 or not len(starts := starts_of(usable & np.isfinite(signal), size)):
