@@ -176,17 +176,18 @@ def test_a_body_of_200_mb_is_refused_without_being_held(tmp_path):
 
 def test_menus_become_options_and_earlier_jobs_say_how_long_one_takes(tmp_path):
     from quad_sysid.app.commands import named_columns
-    from quad_sysid.app.jobs import TOOK, Job, expected
+    from quad_sysid.app.jobs import KEPT, Job, expected
 
     chosen = [['t', 'time', 'ms'], ['-p', 'rate, roll', ''], ['x', '', ''],
               ['b', 'motor 2', ''], ['a', 'motor 1', ''], ['q', 'angle, yaw', '']]
     assert named_columns(chosen) == [
         '--axis', 'roll', '--time', 't', '--rate=-p', '--motors', 'a,b', '--mixer', 'auto',
-        '--unit=t=ms']
+        '--unit', 't=ms']
     (tmp_path / 'flight.csv').write_bytes(bytes(1000))
     for number, seconds in ((1, 2.0), (2, 4.0), (3, 30.0)):
         (tmp_path / f'{number}').mkdir()
-        (tmp_path / f'{number}' / TOOK).write_text(json.dumps(['look', 500, seconds]))
+        (tmp_path / f'{number}' / KEPT).write_text(json.dumps({
+            'arguments': ['look'], 'state': 'done', 'size': 500, 'seconds': seconds}))
     job = Job(4, '', 'quad-sysid', ('look', str(tmp_path / 'flight.csv')), tmp_path / '4')
     assert expected(job) == pytest.approx(8.0)
     assert job.remaining_s() is None

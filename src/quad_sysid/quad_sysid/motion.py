@@ -50,15 +50,19 @@ def upright(angles: FloatArray) -> FloatArray:
     return np.asarray(np.cos(angles[:, 0]) * np.cos(angles[:, 1]))
 
 
+def turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
+    """(n, 2 or 3) vectors turned about the vertical by an angle (n,), rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, *up = vectors.T
+    return np.column_stack([c * x - s * y, s * x + c * y, *up])
+
+
 def steady_heading(forward_left: FloatArray, yaw: FloatArray) -> FloatArray:
     """(n, 2) what is along a heading that turns, along the mean heading.
 
     There no turn of the aircraft accelerates it.
     """
-    deviation = yaw - np.angle(np.nanmean(np.exp(1j * yaw)))
-    c, s = np.cos(deviation), np.sin(deviation)
-    x, y = forward_left.T
-    return np.column_stack([c * x - s * y, s * x + c * y])
+    return turned(forward_left, yaw - np.angle(np.nanmean(np.exp(1j * yaw))))
 
 
 def over_level(body: FloatArray, angles: FloatArray) -> FloatArray:

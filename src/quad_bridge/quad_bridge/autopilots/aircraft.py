@@ -34,16 +34,15 @@ class AutopilotAircraft(Aircraft):
 
     gains: ParameterGains
 
-    def __init__(
-        self, kind: Kind, system: int, *, allow_gains: bool, allow_excitation: bool,
-        now_s: Callable[[], float],
-    ) -> None:  # fmt: skip
+    def __init__(self, kind: Kind, system: int, *, allow_gains: bool, allow_excitation: bool,
+                 now_s: Callable[[], float]) -> None:
         self.kind, self.flight = kind, FlightState()
         self.gains = ParameterGains(kind.table, bytewise=kind.bytewise)
         self.gains.units = self._units
         self.gains.want(*kind.reads, *(SID_NAMES if kind.system_id else ()))
         self.takeover = Takeover(kind.means, self.flight)
         self.system_id = SystemId(self.flight, kind.means.set_mode) if kind.system_id else None
+        self._ways = (self.takeover, *((self.system_id,) if self.system_id is not None else ()))
         self.craft: Craft | None = None
         self.version: f.Version | None = None
         self._allow = {Ability.GAINS: allow_gains, Ability.EXCITE: allow_excitation}
@@ -70,11 +69,15 @@ class AutopilotAircraft(Aircraft):
             key = 'gains' if ability is Ability.GAINS else 'excitation'
             return f'{name}: {key} are ' + OFF.format(f'{name.lower()}.md', key)
         if ability is Ability.EXCITE:
-            words = self._refusal or self.takeover.refusal
-            words = words or (self.system_id.refusal if self.system_id is not None else '')
-            return f'{name}: {words}' if words else ''
-        words = self.gains.refused or self._pilot_fault()
+            words = self._not_flown
+        else:
+            words = self.gains.refused or self._pilot_fault()
         return f'{name}: {words}' if words else ''
+
+    @property
+    def _not_flown(self) -> str:
+        """Why the last segment is not flown, or ended early; empty where it did not."""
+        return next(filter(None, (self._refusal, *(way.refusal for way in self._ways))), '')
 
     def _pilot_fault(self) -> str:
         """Why nothing may begin now: a fresh line, a pilot's mode, hover."""
@@ -92,21 +95,21 @@ class AutopilotAircraft(Aircraft):
         now_s, fields = self._now_s(), parameters or {}
         axis = str(fields.get('axis', ''))
         injection = INJECTIONS.get(str(fields.get('injection', '')), Injection.NONE)
-        chirp = self.system_id is not None and fields.get('signal') == 'chirp'
-        goes_on = self.takeover.flying and injection is self._injection and not chirp
+        chirp = self.system_id if fields.get('signal') == 'chirp' else None
+        goes_on = self.takeover.flying and injection is self._injection and chirp is None
         if not goes_on:
-            self.takeover.end('the segment has ended', now_s)
-            if self.system_id is not None:
-                self.system_id.end('the segment has ended', now_s)
+            self._end('the segment has ended')
             self._injection = Injection.NONE
         if parameters is None:
             return  # why the last one was not flown stays to be read
-        self._clear()
+        self._refusal = ''
+        for way in self._ways:
+            way.refusal = ''
         fault = self.cannot(Ability.EXCITE) or ('' if goes_on else self._pilot_fault())
         if axis not in AXES:
             fault = fault or f'axis {axis[:20]!r}: known are {", ".join(AXES)}'
-        if not fault and self.system_id is not None and chirp:
-            fault = self.system_id.fault(self.number)
+        if not fault and chirp is not None:
+            fault = chirp.fault(self.number)
             try:
                 sid = sid_parameters(AXES.index(axis), injection, parameters)
             except ValueError as error:
@@ -117,15 +120,14 @@ class AutopilotAircraft(Aircraft):
             self._refusal = fault.removeprefix(f'{self.kind.name}: ')
             return
         self._axis, self._injection = AXES.index(axis), injection
-        if self.system_id is not None and chirp:
-            self.system_id.begin(sid, now_s)
+        if chirp is not None:
+            chirp.begin(sid, now_s)
         else:
             self.takeover.begin(self._axis, injection, now_s)
 
-    def _clear(self) -> None:
-        self._refusal = self.takeover.refusal = ''
-        if self.system_id is not None:
-            self.system_id.refusal = ''
+    def _end(self, reason: str) -> None:
+        for way in self._ways:
+            way.end(reason, self._now_s())
 
     def excite(self, value: Vector3, injection: Injection, valid_ms: int) -> None:
         """Take what the schedule wants now; SYSTEM ID plays its own signal."""
@@ -135,9 +137,7 @@ class AutopilotAircraft(Aircraft):
 
     def abort(self) -> None:
         """End the excitation at once."""
-        self.takeover.end('it was ended', self._now_s())
-        if self.system_id is not None:
-            self.system_id.end('it was ended', self._now_s())
+        self._end('it was ended')
 
     # The line.
 
@@ -151,8 +151,7 @@ class AutopilotAircraft(Aircraft):
         elif isinstance(frame, f.Version) and self.version is None:
             self.version = frame
             uid = bytes(frame.uid2).hex() if any(frame.uid2) else f'{frame.uid:016x}'
-            unset = not int(uid, 16)
-            self._identify(uid if not unset else '')
+            self._identify(uid if int(uid, 16) else '')
         elif isinstance(frame, f.Heartbeat):
             self._ask_s = min(self._ask_s, now_s)
 
@@ -162,9 +161,7 @@ class AutopilotAircraft(Aircraft):
 
     def poll(self, now_s: float) -> list[f.Frame]:
         """Say what to send now, beside parameters."""
-        out = self.takeover.poll(now_s)
-        if self.system_id is not None:
-            out += self.system_id.poll(now_s)
+        out = [frame for way in self._ways for frame in way.poll(now_s)]
         if not self.gains.aircraft and now_s - self._ask_s > AGAIN_S:
             self._ask_s, self._requests = now_s, self._requests + 1
             if self._requests > REQUESTS:
@@ -176,11 +173,9 @@ class AutopilotAircraft(Aircraft):
     def cycle(self, frame: Inertial, now_s: float) -> f.Cycle | None:
         """A control cycle from one of its attitudes and the latest other messages."""
         self.flight.inertial(frame, now_s)
-        flying = self.takeover.flying or (self.system_id is not None and self.system_id.flying)
+        flying = any(way.flying for way in self._ways)
         flags = f.Flag.EXCITATION if flying else f.Flag.NONE
-        if self._refusal or self.takeover.refusal or (
-            self.system_id is not None and self.system_id.refusal
-        ):
+        if self._not_flown:
             flags |= f.Flag.EXCITATION_REFUSED
         rate_hz, known_hz = self.flight.rate_hz, self.gains.cycles_hz
         if rate_hz and not 1.0 / RATE_CHANGE < (known_hz or rate_hz * 2.0) / rate_hz < RATE_CHANGE:
@@ -198,10 +193,8 @@ class AutopilotAircraft(Aircraft):
 class Connected:
     """The aircraft on the line, whichever it is: ours until a heartbeat says otherwise."""
 
-    def __init__(
-        self, standard: Callable[[], str], now_s: Callable[[], float],
-        *, allow_gains: bool, allow_excitation: bool,
-    ) -> None:  # fmt: skip
+    def __init__(self, standard: Callable[[], str], now_s: Callable[[], float],
+                 *, allow_gains: bool, allow_excitation: bool) -> None:
         self._quad = Quad(standard)
         self.aircraft: Aircraft = self._quad
         self.autopilot: AutopilotAircraft | None = None

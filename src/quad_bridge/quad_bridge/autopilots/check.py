@@ -32,44 +32,35 @@ def report(aircraft: AutopilotAircraft, link: Link, now_ns: int, craft: str) -> 
     kind, flight = aircraft.kind, aircraft.flight
     major, minor = aircraft.number
     version = f'{major}.{minor}' if major else 'of unknown version'
-    advice: list[Advice] = [(f'{kind.name} {version}, {craft}', bool(major),
-                            'it does not answer MAV_CMD_REQUEST_MESSAGE: is it older than 4.0?')]
-    rates = link.autopilot.rates(now_ns)
-    if rates:
-        words = ', '.join(f'{name} {rate_hz:.0f}' for name, (rate_hz, _) in rates.items())
-        advice.append((f'Hz: {words}', True, ''))
-    fastest = max((rate for rate, _ in rates.values()), default=0.0)
-    budget = link.autopilot.budget
-    if math.isfinite(budget):
-        carried = load({name: rate for name, (rate, _) in rates.items()})
-        capacity = budget / LINE_SHARE / 1000.0
-        used = f'{carried / 1000:.1f} used'
-        advice.append((f'the line carries {capacity:.1f} kB/s: {used}', True, ''))
-    advice.append((
-        f'rates for a live bag: {fastest:.0f} Hz', fastest >= FAST_HZ,
-        f'below {FAST_HZ:g} Hz identify from the log on the card, or take 921600 baud',
-    ))  # fmt: skip
-    advice.append((f'rates for the watch over gains: {fastest:.0f} Hz', fastest >= WATCH_HZ,
-                  f'gains are refused below {WATCH_HZ:g} Hz: a faster line is needed'))
-    read = len(aircraft.gains.active)
-    advice.append((f'{read} gains, limits and filters read', read > 0,
-                  'no answer to PARAM_REQUEST_READ: is the line one way only?'))
-    advice.append((f'battery {flight.volts:.1f} V', math.isfinite(flight.volts),
-                  'no voltage: calibrate the power module'))
-    sticks = not flight.sticks_fault(1e-9 * now_ns)
-    advice.append(('the sticks are received' if sticks else 'the sticks are not received', sticks,
-                  'switch the transmitter on: without it nothing is excited and no gain is sent'))
-    mode = kind.mode_name(flight.mode)
-    advice.append((f'mode {mode}', flight.mode in kind.pilot_modes,
-                  f'put {", ".join(kind.pilot_modes.values())} on the mode switch'))
-    advice.append((
-        'attitude set-points are reported' if flight.target is not None
-        else 'no ATTITUDE_TARGET', flight.target is not None,
-        'without it the excitation is not measured, and none is flown',
-    ))  # fmt: skip
-    parameters = {**aircraft.gains.values, **({} if aircraft.system_id is None
-                                              else aircraft.system_id.known)}  # fmt: skip
-    return [*advice, *kind.advice(parameters, aircraft.number)]
+    rates_hz = {name: rate for name, (rate, _) in link.autopilot.rates(now_ns).items()}
+    words = ', '.join(f'{name} {rate_hz:.0f}' for name, rate_hz in rates_hz.items())
+    fastest = max(rates_hz.values(), default=0.0)
+    capacity = link.autopilot.budget / LINE_SHARE / 1000.0
+    read, sticks = len(aircraft.gains.active), not flight.sticks_fault(1e-9 * now_ns)
+    known = {} if aircraft.system_id is None else aircraft.system_id.known
+    return [
+        (f'{kind.name} {version}, {craft}', bool(major),
+         'it does not answer MAV_CMD_REQUEST_MESSAGE: is it older than 4.0?'),
+        *([(f'Hz: {words}', True, '')] if words else []),
+        *([(f'the line carries {capacity:.1f} kB/s: {load(rates_hz) / 1000:.1f} used', True, '')]
+          if math.isfinite(capacity) else []),
+        (f'rates for a live bag: {fastest:.0f} Hz', fastest >= FAST_HZ,
+         f'below {FAST_HZ:g} Hz identify from the log on the card, or take 921600 baud'),
+        (f'rates for the watch over gains: {fastest:.0f} Hz', fastest >= WATCH_HZ,
+         f'gains are refused below {WATCH_HZ:g} Hz: a faster line is needed'),
+        (f'{read} gains, limits and filters read', read > 0,
+         'no answer to PARAM_REQUEST_READ: is the line one way only?'),
+        (f'battery {flight.volts:.1f} V', math.isfinite(flight.volts),
+         'no voltage: calibrate the power module'),
+        ('the sticks are received' if sticks else 'the sticks are not received', sticks,
+         'switch the transmitter on: without it nothing is excited and no gain is sent'),
+        (f'mode {kind.mode_name(flight.mode)}', flight.mode in kind.pilot_modes,
+         f'put {", ".join(kind.pilot_modes.values())} on the mode switch'),
+        ('attitude set-points are reported' if flight.target is not None
+         else 'no ATTITUDE_TARGET', flight.target is not None,
+         'without it the excitation is not measured, and none is flown'),
+        *kind.advice({**aircraft.gains.values, **known}, aircraft.number),
+    ]
 
 
 def lines(advice: Sequence[Advice]) -> list[str]:
@@ -89,7 +80,7 @@ class _Listener:
     def __init__(self, port: str, baud: int) -> None:
         self.link = Link(baud=None if '://' in port else baud)
         self.connected = Connected(lambda: '', clock().now_s, allow_gains=False,
-                                   allow_excitation=False)  # fmt: skip
+                                   allow_excitation=False)
         self.connected.on_change = self._on_change
         self.craft = 'a craft that it does not describe'
         self._lock = threading.Lock()
@@ -107,7 +98,7 @@ class _Listener:
                     self._take(event.frame, now_ns)
                 elif isinstance(event, Described):
                     outputs = motor_outputs(event.peer.autopilot, self.link.name,
-                                            event.parameters)  # fmt: skip
+                                            event.parameters)
                     if outputs.craft is not None and self.connected.autopilot is not None:
                         self.craft = outputs.craft.name
                         self.connected.autopilot.craft = outputs.craft

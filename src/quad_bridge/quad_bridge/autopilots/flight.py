@@ -168,7 +168,7 @@ class FlightState:
             target.rates if target is not None else (0.0, 0.0, 0.0),
             (thrust if flies else 0.0, 0.0, 0.0, 0.0), added, (0.0, 0.0, 0.0, 0.0), int(flags), 0,
             int(injection),
-        )  # fmt: skip
+        )
 
     def _take_sticks(self, frame: f.RcChannels, now_s: float) -> None:
         pulses = frame.channels[:4]

@@ -164,7 +164,7 @@ class ParameterGains:
             str(name): float(value) for name, value in good.items()
             if name in self._table.written and isinstance(value, int | float)
             and math.isfinite(value)
-        }  # fmt: skip
+        }
         self._good_of = self.aircraft
         if self.state is State.READY:
             self._return_to_good()

@@ -32,7 +32,7 @@ class Guard:
         """The flight as it is now."""
         yaw = 0.0 if flight.angles is None else flight.angles[2]
         return cls(flight.mode or 0, flight.sticks, yaw, flight.height_m, flight.place,
-                   flight.volts)  # fmt: skip
+                   flight.volts)
 
     def fault(self, flight: FlightState, now_s: float) -> str:  # noqa: PLR0911
         """Why what began so must end now; empty where it may go on."""

@@ -101,7 +101,7 @@ def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
          'set COM_RC_OVERRIDE to 3: else the bridge alone gives the mode back'),
         (f'loss of OFFBOARD COM_OF_LOSS_T {known.get("COM_OF_LOSS_T", 1):g} s',
          known.get('COM_OF_LOSS_T', 1.0) <= 1.0, 'set COM_OF_LOSS_T to 1 or less'),
-    ]  # fmt: skip
+    ]
     if version >= (1, 15):
         advice.append(("parameters in the processor's flash are stored once disarmed", True, ''))
     return advice
@@ -122,7 +122,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
          'clear bit 20: DO_SET_MODE may not enter SYSTEM ID'),
         (f'MOT_HOVER_LEARN {learns}', not learns,
          'set it to 0 after a minute of hover: the unit of the gains follows what it learns'),
-    ]  # fmt: skip
+    ]
     del version
     return advice
 
@@ -150,5 +150,5 @@ KINDS = (
         advice=_ardupilot_advice, log_suffix='.bin', fetches_armed=False, log_closes_s=16.0,
         modes={25: 'SYSTEM ID', 9: 'Land', 6: 'RTL'}, system_id=True,
     ),
-)  # fmt: skip
+)
 BY_NUMBER: Mapping[int, Kind] = {kind.number: kind for kind in KINDS}

@@ -26,7 +26,7 @@ DEGREES = {Injection.ATTITUDE: True, Injection.RATE: True, Injection.CONTROL: Fa
 MOST = {Injection.ATTITUDE: 20.0, Injection.RATE: 200.0, Injection.CONTROL: 0.25}
 """Largest SID_MAGNITUDE, deg, deg/s and share of the command."""
 NAMES = ('SID_AXIS', 'SID_MAGNITUDE', 'SID_F_START_HZ', 'SID_F_STOP_HZ', 'SID_T_FADE_IN',
-         'SID_T_REC', 'SID_T_FADE_OUT')  # fmt: skip
+         'SID_T_REC', 'SID_T_FADE_OUT')
 REPEAT_S, TRIES = 0.25, 8
 ENTER_S, AGAIN_S = 3.0, 0.5
 DELAY_S = 1.0  # from the mode's entry until it injects
@@ -71,7 +71,7 @@ def sid_parameters(
         'SID_AXIS': FIRST_AXIS[injection] + axis, 'SID_MAGNITUDE': size,
         'SID_F_START_HZ': fields['f0_hz'], 'SID_F_STOP_HZ': fields['f1_hz'],
         'SID_T_FADE_IN': ramp_s, 'SID_T_REC': record_s, 'SID_T_FADE_OUT': ramp_s,
-    }  # fmt: skip
+    }
 
 
 class SystemId:

@@ -92,7 +92,7 @@ class Table:
         """Ours per theirs."""
         multiplier = known.get(self.multiplier.format(self.axes[axis]), 1.0)
         return (row.factor * (units[axis] if row.torque else 1.0)
-                * (multiplier if row.multiplied else 1.0))  # fmt: skip
+                * (multiplier if row.multiplied else 1.0))
 
     def gains(self, known: Mapping[str, float], units: Units) -> dict[str, float]:
         """Gains by contract name, SI, from parameters; a limit or filter of 0 is left out."""
@@ -189,9 +189,7 @@ ARDUPILOT = Table(
 TABLES = {table.number: table for table in (PX4, ARDUPILOT)}
 
 
-def px4_units(
-    mixer: npt.NDArray[np.float64], x: Sequence[float], y: Sequence[float]
-) -> Units:
+def px4_units(mixer: npt.NDArray[np.float64], x: Sequence[float], y: Sequence[float]) -> Units:
     """U per torque of PX4's control allocation; `mixer` of a craft, `x` and `y` of its motors.
 
     PX4 scales its allocation so that roll and pitch have a root mean square of 1/√2 over their
@@ -206,9 +204,7 @@ def px4_units(
     return roll, pitch, yaw
 
 
-def ardupilot_units(
-    mixer: npt.NDArray[np.float64], known: Mapping[str, float]
-) -> Units:
+def ardupilot_units(mixer: npt.NDArray[np.float64], known: Mapping[str, float]) -> Units:
     """U per torque of ArduPilot's mixer, near hover: the thrust curve's slope is in it.
 
     The largest factor of each axis is 0.5; thrust becomes a command by MOT_THST_EXPO, between

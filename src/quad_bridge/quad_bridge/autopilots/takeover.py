@@ -224,7 +224,7 @@ class Takeover:
         rates = total if rate else ZERO
         mask = RATE_MASK if rate else ATTITUDE_MASK
         return f.SetAttitudeTarget(int(1000 * now_s) % 2**32, mask, (w, x, y, z), rates,
-                                   self._thrust(start))  # fmt: skip
+                                   self._thrust(start))
 
     def _lean(self, start: Guard, now_s: float) -> tuple[float, float]:
         """Roll and pitch, back to where it began; 0 where no place is known."""
@@ -235,7 +235,7 @@ class Takeover:
         ):
             return 0.0, 0.0
         north, east = (PLACE_GAIN * (start.place[i] - place[i]) - SPEED_GAIN * speed[i]
-                       for i in (0, 1))  # fmt: skip
+                       for i in (0, 1))
         c, s = math.cos(angles[2]), math.sin(angles[2])
         roll, pitch = c * east - s * north, -(c * north + s * east)
         return (min(max(roll, -MOST_LEAN), MOST_LEAN), min(max(pitch, -MOST_LEAN), MOST_LEAN))

@@ -72,15 +72,6 @@ def _look(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
     return f'look at {title}', SYSID, ['look', *map(str, paths), '--out', '@look.html']
 
 
-def _inspect(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
-    return f'inspect {paths[0].name}', SYSID, [
-        'inspect', str(paths[0]), '--out', '@inspect.html']
-
-
-def _columns(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
-    return f'columns of {paths[0].name}', SYSID, ['import', str(paths[0]), '--json']
-
-
 def _import(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
     columns = named_columns(request.get('columns'))
     if not columns and not is_bag(paths[0]):
@@ -155,8 +146,12 @@ def _schedule(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> 
 
 
 KINDS: dict[str, Callable[[Free, Sequence[Path], Mapping[str, Any]], Command]] = {
-    'look': _look, 'inspect': _inspect, 'columns': _columns, 'import': _import,
-    'identify': _identify, 'compare': _compare, 'export': _export, 'schedule': _schedule,
+    'look': _look, 'import': _import, 'identify': _identify, 'compare': _compare,
+    'export': _export, 'schedule': _schedule,
+    'inspect': lambda _, paths, __: (f'inspect {paths[0].name}', SYSID, [
+        'inspect', str(paths[0]), '--out', '@inspect.html']),
+    'columns': lambda _, paths, __: (f'columns of {paths[0].name}', SYSID, [
+        'import', str(paths[0]), '--json']),
 }
 OF_SEVERAL = ('look', 'identify', 'compare')
 """Those that take several files at once."""
@@ -180,25 +175,24 @@ def named_columns(columns: object) -> list[str]:
     if columns is None:
         return []
     by_option: dict[str, dict[int, str]] = {}
-    units = []
+    units: dict[str, str] = {}
     for name, role, unit in _checked(columns):
         option, place = _place(role)
         if option and place in by_option.setdefault(option, {}):
             raise RefusedError(f'{role}: two columns have this role')
         if option:
             by_option[option][place] = name
-            units += [f'--unit={name}={unit}'] if unit else []
+            units |= {name: unit} if unit else {}
     measured = by_option.get('rate') or by_option.get('angle') or {}
     driven = range(len(AXES)) if 'motors' in by_option else by_option.get('control', {})
     axes = [i for i in range(len(AXES)) if i in measured and i in driven]
     if not axes:
         raise RefusedError('choose a rate (or angle) and a command, or the motors, of an axis')
-    out = ['--axis', ','.join(AXES[i] for i in axes)]
-    for option, own in by_option.items():
-        wanted = axes if OPTIONS[option].per_axis else sorted(own)
-        if all(place in own for place in wanted):
-            out += as_typed(option, [own[place] for place in wanted])
-    return [*out, *(['--mixer', 'auto'] if 'motors' in by_option else []), *units]
+    wanted = {option: axes if OPTIONS[option].per_axis else sorted(own)
+              for option, own in by_option.items()}
+    return as_typed([AXES[i] for i in axes], {
+        option: [own[place] for place in wanted[option]] for option, own in by_option.items()
+        if all(place in own for place in wanted[option])}, units)
 
 
 def _checked(columns: object) -> list[list[str]]:

@@ -28,9 +28,8 @@ MOST_JOBS = 200
 """Jobs that are remembered; the oldest finished ones are forgotten."""
 MOST_WAITING = 20
 KEPT = 'job.json'
-"""What a job was and what became of it, in its folder: the next start of the app shows it."""
-TOOK = 'took.json'
-"""Kind, size and time of a finished job, in its folder: what the time left is judged by."""
+"""What a job was and what became of it, in its folder: the next start of the app shows it, and by
+size and time of those that are done the time left is judged."""
 STOP_S = 5.0
 """Time for a process to end by itself before it is killed."""
 MOST_TEXT = 200_000
@@ -88,7 +87,8 @@ class Job:
         with suppress(OSError):
             (self.folder / KEPT).write_text(json.dumps({
                 'title': self.title, 'program': self.program, 'arguments': self.arguments,
-                'state': self.state, 'doing': self.doing, 'seconds': self.seconds}))
+                'state': self.state, 'doing': self.doing, 'seconds': self.seconds,
+                'size': self.size}))
 
     def say(self, line: str) -> None:
         """Append a line to its output, unless it is there."""
@@ -211,10 +211,6 @@ class Queue:
                 job.ended = time.monotonic()
                 if job.state == 'running':
                     job.state = STATES.get(status, 'failed')
-            if job.state == 'done':
-                with suppress(OSError):
-                    (job.folder / TOOK).write_text(json.dumps(
-                        [job.arguments[0], job.size, job.seconds]))
             job.keep()
 
 
@@ -238,11 +234,12 @@ def kept(place: Path) -> list[Job]:
 def expected(job: Job) -> float:
     """Time that a job will take, by the earlier ones of its kind: their median per byte."""
     per_byte = []
-    for path in sorted(job.folder.parent.glob(f'*/{TOOK}'))[-MOST_JOBS:]:
-        with suppress(OSError, ValueError, TypeError):
-            kind, size, seconds = json.loads(path.read_text())
-            if kind == job.arguments[0] and size > 0:
-                per_byte.append(seconds / size)
+    for path in sorted(job.folder.parent.glob(f'*/{KEPT}'))[-MOST_JOBS:]:
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            tree = json.loads(path.read_text(encoding='utf-8'))
+            alike = tree['state'] == 'done' and tree['arguments'][0] == job.arguments[0]
+            if alike and tree['size'] > 0:
+                per_byte.append(tree['seconds'] / tree['size'])
     return statistics.median(per_byte) * job.size if per_byte else 0.0
 
 

@@ -17,15 +17,10 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from starlette import responses
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import (
-    FileResponse,
-    HTMLResponse,
-    JSONResponse,
-    RedirectResponse,
-    Response,
-)
+from starlette.responses import Response
 from starlette.routing import Route
 
 from quad_sysid.app.commands import commands
@@ -84,17 +79,18 @@ class App:
             if refused:
                 return Response(refused, 403, media_type='text/plain')
             if request.query_params.get('token'):  # from now on by the cookie
-                answer: Response = RedirectResponse(request.url.path, 303)
+                answer: Response = responses.RedirectResponse(request.url.path, 303)
                 answer.set_cookie(COOKIE, self.token, httponly=True, samesite='strict')
                 return _sealed(answer)
             try:
                 return _sealed(await handler(request))
             except RefusedError as error:
-                return _sealed(JSONResponse({'error': str(error)}, 400))
+                return _sealed(responses.JSONResponse({'error': str(error)}, 400))
             except OSError as error:
                 where = Path(error.filename or self.folder).name
-                return _sealed(JSONResponse({'error': f'{where}: {error.strerror}; check the '
-                                             'permissions of the folder, and the disk'}, 400))
+                return _sealed(responses.JSONResponse({
+                    'error': f'{where}: {error.strerror}; check the permissions of the folder, '
+                    'and the disk'}, 400))
             except ClientDisconnect:
                 return Response(status_code=499)
 
@@ -120,17 +116,17 @@ class App:
     async def _home(self, _: Request) -> Response:
         page = (HERE / 'app.html').read_text(encoding='utf-8')
         page = page.replace('MOST_BYTES', str(self.most_bytes))
-        return HTMLResponse(page.replace('FOLDER', escape(self.folder.resolve().name)))
+        return responses.HTMLResponse(page.replace('FOLDER', escape(self.folder.resolve().name)))
 
     async def _script(self, _: Request) -> Response:
-        return FileResponse(HERE / 'app.js', media_type='text/javascript')
+        return responses.FileResponse(HERE / 'app.js', media_type='text/javascript')
 
     async def _style(self, _: Request) -> Response:
         styles = (HERE / 'app.css').read_text(encoding='utf-8')
         return Response(SHEET + styles, media_type='text/css')
 
     async def _files(self, _: Request) -> Response:
-        return JSONResponse([asdict(entry) for entry in entries(self.folder)])
+        return responses.JSONResponse([asdict(entry) for entry in entries(self.folder)])
 
     async def _upload(self, request: Request) -> Response:
         name = request.query_params.get('name', '')
@@ -138,7 +134,7 @@ class App:
             path = await self._received(name, request)
         except RefusedError as error:
             raise RefusedError(f'{name[-60:]}: {error}') from error
-        return JSONResponse({'path': path.name})
+        return responses.JSONResponse({'path': path.name})
 
     async def _received(self, name: str, request: Request) -> Path:
         length = request.headers.get('content-length', '')
@@ -149,7 +145,7 @@ class App:
         return target
 
     async def _jobs(self, _: Request) -> Response:
-        return JSONResponse([_shown(job) for job in self.queue.all()])
+        return responses.JSONResponse([_shown(job) for job in self.queue.all()])
 
     async def _start(self, request: Request) -> Response:
         raw = b''
@@ -166,7 +162,7 @@ class App:
         *before, last = commands(self.folder, request_tree, self.queue.promised())
         try:
             made = [self.queue.add(*one) for one in before]
-            return JSONResponse(_shown(self.queue.add(*last, after=made)))
+            return responses.JSONResponse(_shown(self.queue.add(*last, after=made)))
         except ValueError as error:
             raise RefusedError(str(error)) from error
 
@@ -181,7 +177,7 @@ class App:
 
         job = self._job(request)
         await run_in_threadpool(self.queue.stop, job)
-        return JSONResponse(_shown(job))
+        return responses.JSONResponse(_shown(job))
 
     async def _text(self, request: Request) -> Response:
         return Response(self._job(request).text(), media_type='text/plain; charset=utf-8')
@@ -191,7 +187,7 @@ class App:
         path = job.folder / name
         if name not in SHOWN or not path.is_file() or path.is_symlink():
             raise RefusedError('no such page')
-        answer = FileResponse(path, media_type='text/html')
+        answer = responses.FileResponse(path, media_type='text/html')
         answer.headers['Content-Security-Policy'] = REPORT_POLICY
         return answer
 

@@ -14,18 +14,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count, islice, repeat
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.record import finite_runs
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
 
 LITTLE_ENDIAN = b'\x00\x01'
 _DTYPES = {'bool': '|b1', 'byte': '|u1', 'char': '|u1', 'uint8': '|u1', 'int8': '|i1',
@@ -110,7 +108,6 @@ def joints_of(messages: Sequence[bytes], field: str) -> Joints:
     return Joints(field=field)
 
 
-
 @dataclass(frozen=True)
 class Stamped:
     """Messages of one topic: stamps (n,) ns, values (n, w), `spoiled`: unreadable."""
@@ -193,7 +190,7 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
         rows = np.flatnonzero(lengths == length)
         key = msgtype, joints, int(length)
         layout = _LAST.get(key)
-        for _ in range(8):  # layouts, then one by one
+        for _ in range(8):  # layouts; what fits none is read one by one
             if len(rows) == 0:
                 break
             unread = np.zeros(len(rows), dtype=bool)

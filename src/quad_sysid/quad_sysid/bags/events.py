@@ -5,16 +5,14 @@ No files; a function converts stamps to seconds.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from quad_sysid.axes import EVERY
 from quad_sysid.bags.cdr import blank, typestore
 from quad_sysid.contract import AXES, IDLE
 from quad_sysid.record import ROLES, GainChange, Segment
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
 
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
 DESATURATION = 'mixer.desaturation'

@@ -16,7 +16,7 @@ from quad_sysid.bags.cdr import Stamped
 from quad_sysid.bags.orientation import MIN_NORM, euler_from_quaternion, quaternions
 from quad_sysid.bags.stamps import Grid
 from quad_sysid.contract import FloatArray
-from quad_sysid.motion import altitude_of, in_body, lean, over_level, vertical_motion
+from quad_sysid.motion import altitude_of, in_body, lean, over_level, turned, vertical_motion
 from quad_sysid.record import Record
 
 ODOM, BARO = '/odom', '/baro'
@@ -25,7 +25,7 @@ LEAST = 10
 MOVES_M = 0.05
 """Positions that spread less say nothing of how fast the aircraft is."""
 SLOWEST_BARO_S = 0.5
-"""Usual interval of the barometer above which a climb is over between two of its values."""
+"""Longest usual interval of a barometer, s, from which the vertical speed is taken."""
 SMOOTH_S = 0.2
 """Slopes of positions are compared with the twist as means over this: their noise is white."""
 CLOSER = 0.5
@@ -93,17 +93,10 @@ def _over_heading(position: FloatArray, twist: FloatArray, attitude: FloatArray,
                   stamps: np.ndarray, warnings: list[str]) -> FloatArray | None:
     """(m, 3) speed forward, left, up: the reading of the twist that the positions agree with."""
     time = 1e-9 * (stamps - stamps[0]).astype(float)
-    yaw = attitude[:, 2]
-    c, s = np.cos(yaw), np.sin(yaw)
-
-    def heading(world: FloatArray) -> FloatArray:
-        x, y, z = world.T
-        return np.column_stack([c * x + s * y, c * y - s * x, z])
-
-    body, world = over_level(twist, attitude), heading(twist)
+    body, world = over_level(twist, attitude), turned(twist, -attitude[:, 2])
     if np.ptp(position, axis=0).max() < MOVES_M:
         return body if np.ptp(twist, axis=0).max() > 0.0 else None
-    derived = heading(np.gradient(position, time, axis=0))
+    derived = turned(np.gradient(position, time, axis=0), -attitude[:, 2])
     if not np.ptp(twist, axis=0).max() > 0.0:
         warnings.append(f'{ODOM}: its twist is not filled in; the speed is the slope of its '
                         'positions')
@@ -168,10 +161,8 @@ def odometry_of(record: Record, stamps: np.ndarray) -> Stamped | None:
         pitch = np.arctan(forward[tilted])
         attitude[tilted, 0] = -np.arctan(left[tilted] * np.cos(pitch))
         attitude[tilted, 1] = pitch
-    speed, time, yaw = velocity[seen], seen * record.dt, attitude[:, 2]
-    flat = np.nan_to_num(speed[:, :2])
-    c, s = np.cos(yaw), np.sin(yaw)
-    world = np.column_stack([c * flat[:, 0] - s * flat[:, 1], s * flat[:, 0] + c * flat[:, 1]])
+    speed, time = velocity[seen], seen * record.dt
+    world = turned(np.nan_to_num(speed[:, :2]), attitude[:, 2])
     steps = 0.5 * (world[1:] + world[:-1]) * np.diff(time)[:, None]
     place = np.zeros((seen.size, 3))
     place[1:, :2] = np.cumsum(steps, axis=0)

@@ -11,15 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from quad_sysid.bags import events
 from quad_sysid.bags.cdr import JOINTS, WIDTH, Joints, Stamped, decode, joints_of, text_of
-from quad_sysid.bags.events import (
-    EVENT,
-    decode_events,
-    desaturation_from,
-    gains_from,
-    idle_from,
-    segments_from,
-)
 from quad_sysid.bags.odometry import BARO, ODOM, moving
 from quad_sysid.bags.orientation import UNMEASURED, euler_angles
 from quad_sysid.bags.stamps import Grid, uniform_grid
@@ -46,11 +39,11 @@ TOPICS = (IMU_TOPIC, *OPTIONAL.values(), SPEEDS, DESCRIPTION, '/battery', ODOM, 
           SEGMENT, GAINS)
 
 PLAUSIBLE_PACK_V = (2.0, 100.0)
-"""One empty cell to 24 full ones; other values are cells, millivolts or no measurement."""
+"""Voltage of a battery, V; values outside are left out."""
 BATTERY_GAP_S = 2.0
-"""Over a longer gap the voltage is unknown: the throttle may have changed and come back."""
+"""Longest gap, s, over which the voltage is interpolated."""
 LOST_WARNING = 0.01
-"""Share of the cycles without a value that causes a warning: one in a hundred hides nothing."""
+"""Share of the cycles without a value above which a warning says so."""
 SPEED_GAP = 5.0
 """Rotor speeds that are further apart than this many of their usual intervals are not joined."""
 
@@ -95,8 +88,8 @@ def read_bag(path: str | Path) -> Record:
     rates = _finite(placed[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
     arrays = {name: _array(name, content, grid, warnings) for name in OPTIONAL}
     wrench, motors = arrays['wrench'], arrays['motors']
-    gain_events, spoiled_gains = decode_events(content.events.get(GAINS, ()))
-    desaturation = desaturation_from(gain_events)
+    gain_events, spoiled_gains = events.decode_events(content.events.get(GAINS, ()))
+    desaturation = events.desaturation_from(gain_events)
     craft = _craft(content, source, warnings)
     if motors is not None:
         _check_count(motors.shape[1], craft, source, described=bool(content.description))
@@ -107,7 +100,7 @@ def read_bag(path: str | Path) -> Record:
                         'the motors made of it is not known')
     elif wrench is not None:
         control = craft.control(
-            craft.commands(wrench, desaturation, idle_from(gain_events)))
+            craft.commands(wrench, desaturation, events.idle_from(gain_events)))
         warnings.append(f'{MOTORS} is missing: the input is {CONTROL} through mixer and limits')
     else:
         raise BadInputError(source, f'{MOTORS} and {CONTROL} are both missing or empty',
@@ -117,13 +110,13 @@ def read_bag(path: str | Path) -> Record:
     def seconds(stamp: int) -> float:
         return float(grid.position(np.array([stamp], dtype=np.int64))[0]) * grid.dt
 
-    segment_events, spoiled = decode_events(content.events.get(SEGMENT, ()))
-    segments, notes = segments_from(segment_events, seconds, grid.n * grid.dt)
+    segment_events, spoiled = events.decode_events(content.events.get(SEGMENT, ()))
+    segments, notes = events.segments_from(segment_events, seconds, grid.n * grid.dt)
     if spoiled + spoiled_gains:
         notes.append(f'{spoiled + spoiled_gains} parameter events cannot be read')
     angles = _angles(placed[:, :5])
     acceleration = placed[:, 8:11] if np.isfinite(placed[:, 8:11]).any() else None
-    gains = gains_from(gain_events, seconds)
+    gains = events.gains_from(gain_events, seconds)
     motion = moving(content.streams, grid, angles, acceleration, warnings)
     accel_hz = next((change.values.get(ACCEL_HZ) for change in gains), None)
     return Record(source=source, dt=grid.dt, rates=_frozen(rates), control=_frozen(control),
@@ -146,13 +139,13 @@ def _read(path: Path) -> _Content:
     """Decode all wanted topics, batch by batch to bound the memory."""
     storage = Storage(path, TOPICS)
     parts: dict[str, list[Stamped]] = {}
-    events: dict[str, list[bytes]] = {}
+    raw_events: dict[str, list[bytes]] = {}
     joints: dict[str, Joints] = {}
     for batch in storage.batches():
         for topic, raws in batch.items():
             expected = TOPIC_TYPES[topic]
-            if expected == EVENT or topic == DESCRIPTION:
-                events.setdefault(topic, []).extend(raws)
+            if expected == events.EVENT or topic == DESCRIPTION:
+                raw_events.setdefault(topic, []).extend(raws)
                 continue
             if expected == JOINTS and topic not in joints:
                 joints[topic] = joints_of(raws, 'velocity' if topic == SPEEDS else 'effort')
@@ -165,15 +158,13 @@ def _read(path: Path) -> _Content:
                                  np.concatenate([p.values for p in pieces]),
                                  sum(p.spoiled for p in pieces))
         if streams[topic].spoiled:
-            warnings.append(
-                f'{topic}: {streams[topic].spoiled} messages cannot be read as '
-                f'{TOPIC_TYPES[topic]} of the contract; left out'
-            )
+            warnings.append(f'{topic}: {streams[topic].spoiled} messages cannot be read as '
+                            f'{TOPIC_TYPES[topic]} of the contract; left out')
     with_rates = {TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/'), PX4_RATES}
     rates = [name for name, kind in sorted(storage.others.items())
              if kind.replace('/msg/', '/') in with_rates]
-    description = text_of(events.pop(DESCRIPTION, []))
-    return _Content(streams, events, warnings, rates, description)
+    description = text_of(raw_events.pop(DESCRIPTION, []))
+    return _Content(streams, raw_events, warnings, rates, description)
 
 
 def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:

@@ -6,28 +6,27 @@ Pure array maths on nanoseconds. Repairs are reported as warnings; no sample is 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 
-if TYPE_CHECKING:
-    from quad_sysid.contract import FloatArray
-
 IntArray = npt.NDArray[np.int64]
+TOPIC = '/imu/data'
+"""Whose stamps are the grid."""
 
 MIN_SAMPLES = 3
-"""Two intervals, the least that can agree on a rate."""
+"""Least number of messages of a recording."""
 LEAK = 0.02
 """Share of the remaining phase by which the grid follows the stamps, per sample."""
 JUMP_NS = 1_000_000_000
 """A step beyond it, either way, may be a clock that was set."""
 MAX_GAP_S = 600.0
-"""A longer gap separates flights: the recorder ran on between them."""
+"""Longest gap, s, within a recording; between longer ones the longest stretch is kept."""
 RATE_TOLERANCE = 0.15
-"""Relative difference from which a block has another rate; jitter averages out within a block."""
+"""Relative difference above which a block has another rate."""
 ONE_CYCLE = 0.5
 """A step that is off by less, as a share, is one cycle and neither none nor two."""
 CRYSTAL = 2e-4
@@ -35,7 +34,7 @@ CRYSTAL = 2e-4
 BLOCK = 32
 """Differences per block in which the rate is checked."""
 JITTER_WARNING = 0.25
-"""Cycles (99th percentile) by which stamps may jitter: at half a cycle they change places."""
+"""Jitter of the stamps, cycles (99th percentile), above which a warning says so."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ class Grid:
         out = np.full((self.n, values.shape[1]), np.nan)
         if len(stamps) == 0:
             return out
-        rows = _in_order(stamps, np.arange(len(stamps)), '', [])
+        rows = _in_order(stamps, np.arange(len(stamps)), [])
         cells = np.rint(self.position(stamps[rows])).astype(np.int64)
         inside = (cells >= 0) & (cells < self.n)
         cells, samples = cells[inside], values[rows][inside]
@@ -78,7 +77,7 @@ class Grid:
         return out
 
 
-def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Grid:
+def uniform_grid(stamps: IntArray, source: str) -> Grid:
     """Grid of `stamps` (ns, in order of arrival), with warnings of what was repaired.
 
     Raises BadInputError where there is no single sample rate.
@@ -86,14 +85,14 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
     warnings: list[str] = []
     rows = np.flatnonzero(stamps > 0)
     if len(rows) < len(stamps):
-        warnings.append(f'{topic}: {len(stamps) - len(rows)} messages without a stamp left out')
-    rows = _in_order(stamps, rows, topic, warnings)
-    rows = _longest_stretch(stamps, rows, topic, warnings)
+        warnings.append(f'{TOPIC}: {len(stamps) - len(rows)} messages without a stamp left out')
+    rows = _in_order(stamps, rows, warnings)
+    rows = _longest_stretch(stamps, rows, warnings)
     if len(rows) < MIN_SAMPLES:
-        raise BadInputError(source, f'{topic} has too few stamped messages', len(rows),
+        raise BadInputError(source, f'{TOPIC} has too few stamped messages', len(rows),
                             f'at least {MIN_SAMPLES} are needed; record longer')
     nominal = float(np.median(np.diff(stamps[rows])))
-    rows = _one_rate(stamps, rows, nominal, source, topic, warnings)
+    rows = _one_rate(stamps, rows, nominal, source, warnings)
     times = stamps[rows]
     steps = np.diff(times)
     near = np.abs(steps / nominal - 1.0) < ONE_CYCLE
@@ -102,19 +101,19 @@ def uniform_grid(stamps: IntArray, source: str, topic: str = '/imu/data') -> Gri
     cells, phase = count_cycles(steps / nominal)
     first = np.concatenate(([True], np.diff(cells) > 0))
     if not first.all():
-        warnings.append(f'{topic}: {np.count_nonzero(~first)} stamps fall into an occupied cycle; '
+        warnings.append(f'{TOPIC}: {np.count_nonzero(~first)} stamps fall into an occupied cycle; '
                         'kept the first')
     rows, times, cells = rows[first], times[first], cells[first]
     dt = _interval(times, cells)
-    _tell_gaps(cells, dt, topic, warnings)
+    _tell_gaps(cells, dt, warnings)
     jitter = float(np.quantile(np.abs(phase), 0.99))
     if jitter > JITTER_WARNING:
-        warnings.append(f'{topic}: stamps jitter by {100 * jitter:.0f} % of a cycle (p99)')
+        warnings.append(f'{TOPIC}: stamps jitter by {100 * jitter:.0f} % of a cycle (p99)')
     return Grid(dt=dt, t0_ns=int(times[0]), n=int(cells[-1]) + 1, rows=rows, cells=cells,
                 stamps=times, warnings=tuple(warnings))
 
 
-def _in_order(stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]) -> IntArray:
+def _in_order(stamps: IntArray, rows: IntArray, warnings: list[str]) -> IntArray:
     """Rows sorted by stamp without duplicates; after a jump of the clock, what follows in time."""
     steps = np.diff(stamps[rows])
     if (steps > 0).all():
@@ -123,20 +122,20 @@ def _in_order(stamps: IntArray, rows: IntArray, topic: str, warnings: list[str])
     if back:
         chain = _longest_chain(np.split(rows, np.flatnonzero(np.abs(steps) > JUMP_NS) + 1), stamps)
         warnings.append(
-            f'{topic}: the clock was set back {back} times: {len(rows) - len(chain)} of '
+            f'{TOPIC}: the clock was set back {back} times: {len(rows) - len(chain)} of '
             f'{len(rows)} messages, whose stamps fit to no others, are left out'
         )
         rows = chain
     times = stamps[rows]
     backward = int(np.count_nonzero(np.diff(times) < 0))
     if backward:
-        warnings.append(f'{topic}: {backward} stamps run backward; sorted by stamp')
+        warnings.append(f'{TOPIC}: {backward} stamps run backward; sorted by stamp')
         rows = rows[np.argsort(times, kind='stable')]
         times = stamps[rows]
     fresh = np.concatenate(([True], np.diff(times) > 0))
     if not fresh.all():
         warnings.append(
-            f'{topic}: {np.count_nonzero(~fresh)} messages repeat a stamp; kept the first of each'
+            f'{TOPIC}: {np.count_nonzero(~fresh)} messages repeat a stamp; kept the first of each'
         )
     return rows[fresh]
 
@@ -162,20 +161,18 @@ def _longest_chain(parts: list[IntArray], stamps: IntArray) -> IntArray:
     return np.concatenate(chain[::-1])
 
 
-def _longest_stretch(
-    stamps: IntArray, rows: IntArray, topic: str, warnings: list[str]
-) -> IntArray:
+def _longest_stretch(stamps: IntArray, rows: IntArray, warnings: list[str]) -> IntArray:
     """Keep the stretch with most samples between gaps of more than MAX_GAP_S."""
     breaks = np.flatnonzero(np.diff(stamps[rows]) > MAX_GAP_S * 1e9)
     if len(breaks) == 0:
         return rows
     longest = max(np.split(rows, breaks + 1), key=len)
-    warnings.append(f'{topic}: gaps of more than {MAX_GAP_S:g} s; kept the longest stretch, '
+    warnings.append(f'{TOPIC}: gaps of more than {MAX_GAP_S:g} s; kept the longest stretch, '
                     f'{len(longest)} of {len(rows)} messages')
     return longest
 
 
-def _one_rate(stamps: IntArray, rows: IntArray, nominal: float, source: str, topic: str,
+def _one_rate(stamps: IntArray, rows: IntArray, nominal: float, source: str,
               warnings: list[str]) -> IntArray:
     """Rows without stretches of another sample rate, whose time becomes a gap."""
     steps = np.diff(stamps[rows]) / nominal
@@ -189,7 +186,7 @@ def _one_rate(stamps: IntArray, rows: IntArray, nominal: float, source: str, top
     share = float(other.mean())
     if share > 0.5:
         raise BadInputError(
-            source, f'{topic} has no steady rate',
+            source, f'{TOPIC} has no steady rate',
             f'{100 * share:.0f} % of the time more than {100 * RATE_TOLERANCE:.0f} % off '
             f'{1e9 / nominal:.4g} Hz',
             'record at one fixed rate, or check which program fills header.stamp',
@@ -197,7 +194,7 @@ def _one_rate(stamps: IntArray, rows: IntArray, nominal: float, source: str, top
     first = int(np.flatnonzero(other)[0]) * BLOCK
     rate = 1e9 / (nominal * float(np.median(medians[other])))
     warnings.append(
-        f'{topic}: the rate changes from {1e9 / nominal:.4g} Hz to about {rate:.4g} Hz at '
+        f'{TOPIC}: the rate changes from {1e9 / nominal:.4g} Hz to about {rate:.4g} Hz at '
         f'{(stamps[rows[first]] - stamps[rows[0]]) * 1e-9:.2f} s; '
         f'the {100 * share:.0f} % at another rate are left out as a gap'
     )
@@ -240,11 +237,11 @@ def in_whole_us(dt: float) -> float:
     return rounded if rounded and abs(rounded / dt - 1.0) < CRYSTAL else dt
 
 
-def _tell_gaps(cells: IntArray, dt: float, topic: str, warnings: list[str]) -> None:
+def _tell_gaps(cells: IntArray, dt: float, warnings: list[str]) -> None:
     missing = np.diff(cells) - 1
     if missing.any():
         worst = int(np.argmax(missing))
         warnings.append(
-            f'{topic}: {int(missing.sum())} of {int(cells[-1]) + 1} cycles lost, the longest gap '
+            f'{TOPIC}: {int(missing.sum())} of {int(cells[-1]) + 1} cycles lost, the longest gap '
             f'{missing[worst] * dt:.3f} s at {cells[worst] * dt:.2f} s'
         )

@@ -10,31 +10,19 @@ import mmap
 import re
 import sqlite3
 from collections import Counter
+from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import yaml
 
-from quad_sysid.bags.stored.files import (
-    SQLITE_MAGIC,
-    ZSTD_MAGIC,
-    address,
-    plain_file,
-    plain_message,
-    recording_state,
-    sqlite_fault,
-    sqlite_remedy,
-)
+from quad_sysid.bags.stored import files as stored
 from quad_sysid.bags.stored.records import MAGIC
 from quad_sysid.bags.stored.scan import BATCH, McapScan
 from quad_sysid.contract import STORAGE, TOPIC_TYPES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
 
 RECOVER = '`ros2 run quad_bridge recover` may find more'
 Batch = dict[str, list[bytes]]
@@ -73,7 +61,8 @@ class Storage:
             files = self._files()
         foreign: Counter[tuple[str, str]] = Counter()
         for file in files:
-            with self._noted(alone=len(files) == 1), readable(file), plain_file(file) as plain:
+            with (self._noted(alone=len(files) == 1), readable(file),
+                  stored.plain_file(file) as plain):
                 yield from self._read(plain, file, foreign)
         self.warnings += [f'{topic}: {count} messages of type {kind} left out; '
                           f'the contract has {TOPIC_TYPES[topic]}'
@@ -128,7 +117,7 @@ class Storage:
 
     def _unlisted(self, files: list[Path], otherwise: str = '') -> None:
         """Warn of files that are still being recorded, or else say this."""
-        state = recording_state(files[-1])
+        state = stored.recording_state(files[-1])
         if state:
             self._growing = files[-1]
             otherwise = (f'{state}: read as far as it is on the disk; stop the recording for '
@@ -160,7 +149,7 @@ class Storage:
                                 remedy='the recording never reached the disk; record again')
         if head.startswith(MAGIC):
             batches = self._read_mcap(plain, source, foreign)
-        elif head == SQLITE_MAGIC:
+        elif head == stored.SQLITE_MAGIC:
             batches = self._read_sqlite(plain, source, foreign)
         else:
             raise BadInputError(str(source), 'is neither mcap nor sqlite3',
@@ -202,13 +191,13 @@ class Storage:
 
     def _read_sqlite(self, plain: Path, source: Path,
                      foreign: Counter[tuple[str, str]]) -> Iterator[Batch]:
-        fault = sqlite_fault(plain)
+        fault = stored.sqlite_fault(plain)
         if fault:
             what = f'is a damaged sqlite3 file ({fault})'
-            raise BadInputError(str(source), what, remedy=sqlite_remedy(source))
+            raise BadInputError(str(source), what, remedy=stored.sqlite_remedy(source))
         strange = 0
         try:
-            with closing(sqlite3.connect(address(plain), uri=True)) as base:
+            with closing(sqlite3.connect(stored.address(plain), uri=True)) as base:
                 topics = base.execute('SELECT id, name, type FROM topics').fetchall()
                 mine = {i: name for i, name, kind in topics if self._wanted(name, kind)}
                 count = 'SELECT count(*) FROM messages WHERE topic_id = ?'
@@ -238,9 +227,9 @@ class Storage:
 
     def _decompressed(self, raws: list[bytes], source: Path) -> list[bytes]:
         """Messages as CDR; those compressed one by one (known by their magic) are decompressed."""
-        if not raws or ZSTD_MAGIC not in (raws[0][:4], raws[-1][:4]):
+        if not raws or stored.ZSTD_MAGIC not in (raws[0][:4], raws[-1][:4]):
             return raws
-        opened = [plain_message(raw) for raw in raws]
+        opened = [stored.plain_message(raw) for raw in raws]
         damaged = opened.count(b'')
         if damaged:
             self.warnings.append(f'{source}: {damaged} compressed messages are damaged; left out')

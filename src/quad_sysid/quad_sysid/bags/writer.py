@@ -12,29 +12,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces as ros
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from quad_sysid.bags.cdr import (
-    BATTERY,
-    FOUR,
-    IMU,
-    JOINTS,
-    TEXT,
-    WIDTH,
-    Joints,
-    Stamped,
-    blank,
-    encode,
-    typestore,
-)
+from quad_sysid.bags import cdr
+from quad_sysid.bags.cdr import Stamped
 from quad_sysid.bags.events import DESATURATION, DESATURATIONS, EVENT, Event, encode_event
 from quad_sysid.bags.odometry import ODOM, odometry_of
 from quad_sysid.bags.orientation import UNMEASURED, quaternions
@@ -84,7 +66,7 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
     if wrench is not None:
         wrench = np.column_stack((np.zeros((record.n, 2)), wrench))
     battery = record.battery_v
-    step = max(1, round(0.1 / record.dt))  # 10 Hz, as flight controllers report it
+    step = max(1, round(0.1 / record.dt))  # at 10 Hz
     arrays: dict[str, FloatArray | None] = {
         '/motors/command': motors,
         '/motors/state': record.speeds,
@@ -132,7 +114,7 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
             writer.set_custom_data(key, text)
         with writer:
             connections = {
-                topic: writer.add_connection(topic, TOPIC_TYPES[topic], typestore=typestore(),
+                topic: writer.add_connection(topic, TOPIC_TYPES[topic], typestore=cdr.typestore(),
                                              offered_qos_profiles=[_qos(TOPIC_TYPES[topic])])
                 for topic in topics
             }
@@ -155,14 +137,14 @@ def _in_order(
     sources, stamps = [], [np.array([stamp for stamp, _, _ in encoded], dtype=np.int64)]
     for topic, stream in streams.items():
         kind = TOPIC_TYPES[topic]
-        joints = Joints(stream.values.shape[1],
+        joints = cdr.Joints(stream.values.shape[1],
                         'velocity' if topic == '/motors/state' else 'effort')
         pattern = template(kind, joints)
         order = np.argsort(stream.stamps, kind='stable')
         sources.append((topic, kind, joints, pattern, stream, order))
         stamps.append(stream.stamps[order])
     if description:
-        text = typestore().serialize_cdr(blank(TEXT, data=description), TEXT)
+        text = cdr.typestore().serialize_cdr(cdr.blank(cdr.TEXT, data=description), cdr.TEXT)
         first = min((int(times[0]) for times in stamps if times.size), default=0)
         yield first, '/robot_description', bytes(text)
     longest = max(stamps, key=len)
@@ -174,7 +156,7 @@ def _in_order(
         part: list[tuple[int, str, bytes]] = []
         for k, (topic, kind, joints, pattern, stream, order) in enumerate(sources, 1):
             rows = order[begins[k] : ends[k]]
-            raws = encode(kind, pattern, stream.stamps[rows], stream.values[rows], joints)
+            raws = cdr.encode(kind, pattern, stream.stamps[rows], stream.values[rows], joints)
             part += zip(stream.stamps[rows].tolist(), [topic] * len(raws), raws, strict=True)
         part += encoded[begins[0] : ends[0]]
         part.sort(key=lambda entry: entry[0])
@@ -189,7 +171,7 @@ def _stream(stamps: np.ndarray, values: FloatArray) -> Stamped:
 
 
 def _imu(record: Record, stamps: np.ndarray) -> Stamped:
-    values = np.zeros((record.n, WIDTH[IMU]))
+    values = np.zeros((record.n, cdr.WIDTH[cdr.IMU]))
     values[:, 3] = 1.0
     if record.angles is None:
         values[:, 4] = UNMEASURED
@@ -229,27 +211,27 @@ def _events(record: Record) -> dict[str, list[Event]]:
     return {topic: events for topic, events in topics.items() if events}
 
 
-def _qos(msgtype: str) -> Qos:
+def _qos(msgtype: str) -> ros.Qos:
     """Reliable; events and texts are kept for late subscribers (contract: transient local)."""
-    unlimited = QosTime(9223372036, 854775807)
-    durability = QosDurability.TRANSIENT_LOCAL if msgtype in {EVENT, TEXT} \
-        else QosDurability.VOLATILE
-    return Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, durability, unlimited, unlimited,
-               QosLiveliness.AUTOMATIC, unlimited, False)
+    unlimited = ros.QosTime(9223372036, 854775807)
+    durability = ros.QosDurability.TRANSIENT_LOCAL if msgtype in {EVENT, cdr.TEXT} \
+        else ros.QosDurability.VOLATILE
+    return ros.Qos(ros.QosHistory.KEEP_LAST, 10, ros.QosReliability.RELIABLE, durability,
+                   unlimited, unlimited, ros.QosLiveliness.AUTOMATIC, unlimited, False)
 
 
 @lru_cache(maxsize=8)
-def template(msgtype: str, joints: Joints = FOUR) -> bytes:
+def template(msgtype: str, joints: cdr.Joints = cdr.FOUR) -> bytes:
     """CDR of one message."""
-    message = blank(msgtype)
+    message = cdr.blank(msgtype)
     message.header.frame_id = 'base_link'
-    if msgtype == IMU:
+    if msgtype == cdr.IMU:
         message.orientation.w = 1.0
-    elif msgtype == JOINTS:
+    elif msgtype == cdr.JOINTS:
         message.name = list(joints.names)
         setattr(message, joints.field, np.zeros(joints.count))
-    elif msgtype == BATTERY:
+    elif msgtype == cdr.BATTERY:
         message.present = True
         for name in UNKNOWN:
             setattr(message, name, float('nan'))
-    return bytes(typestore().serialize_cdr(message, msgtype))
+    return bytes(cdr.typestore().serialize_cdr(message, msgtype))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.constants import MOST_MOTORS, MOVES, SAG_SHOWS, VOLTAGE_MOVES
+from quad_sysid.effects.constants import SAG_SHOWS
 from quad_sysid.effects.curves import COUNT, Smooth, placed_around_zero
 from quad_sysid.effects.hidden import Linked, System, behind_lag, followed, ring, step_of
 from quad_sysid.effects.torques import Row
@@ -27,6 +27,13 @@ from quad_sysid.model.effect import (
 )
 from quad_sysid.model.structure import BASE
 
+MOVES = 0.02
+"""Least scatter for the curvature of thrust: of the throttle, as a share of its mean, or of the
+product of the other axes' commands, as a share of this axis' command."""
+VOLTAGE_MOVES = 0.002
+"""Least change of the voltage, as a share of its mean, for its effect."""
+MOST_MOTORS = 12
+"""Motors that may each have an effect of their own."""
 LIGHT = 0.3
 """Damping ratio up to which a mode counts as lightly damped."""
 SLOPING = 0.05

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.effects.constants import LEAST_CLIMB_M
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import (
     LEAST_TRANSITION,
@@ -58,6 +57,8 @@ class Torque(Row):
 
 
 DRY = (Spec('torque', 'rad/s²', positive=True), TRANSITION)
+LEAST_CLIMB_M = 0.1
+"""Least change of the altitude, m, for the ground effect."""
 LEAST_HEIGHT = 0.5
 """Below this share of the least height that was trained on it grows no more."""
 

@@ -10,16 +10,8 @@ from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
 
-from quad_sysid.arguments import (
-    NOT_ANSWERED,
-    Commands,
-    command,
-    effects_option,
-    own_effects,
-    positive,
-    progress,
-    quiet_and_json,
-)
+from quad_sysid import arguments
+from quad_sysid.arguments import Commands
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_place, make_folder
 from quad_sysid.fleets.bag import ANSWERED, LIMIT_S, jobs
@@ -30,7 +22,7 @@ PAGE, LOG = 'fleet.html', 'fleet.log'
 
 def add(commands: Commands) -> None:
     """Register the command."""
-    parser = command(
+    parser = arguments.command(
         commands, 'fleet', _run,
         'Identify every bag and log below a folder: one row per bag in a table, and one page that '
         'says what the aircraft lack, what drifts, and which flights are odd. Called again, it '
@@ -62,8 +54,8 @@ def add(commands: Commands) -> None:
                         help='what is one aircraft: the first folder below FOLDER (default), the '
                         'whole folder of a bag, or all flights')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
-    effects_option(parser)
-    quiet_and_json(parser, 'the rows')
+    arguments.effects_option(parser)
+    arguments.quiet_and_json(parser, 'the rows')
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -81,18 +73,20 @@ def _run(options: argparse.Namespace) -> int:
         check_place(out.path)
     Fleet([], options.group_by, options.since)  # refused before the work
     axes = keywords(options.axis.split(',') if options.axis else ())['axes']
-    own_effects(options.effects)
+    arguments.own_effects(options.effects)
     text = Path(options.effects).read_text(encoding='utf-8') if options.effects else ''
-    every = jobs(options.folder, out.address, axes=axes, effects=text,
-                 search_effects=not options.no_effects, limit_s=positive('--limit', options.limit))
+    limit_s = arguments.positive('--limit', options.limit)
+    every = jobs(options.folder, out.address, axes=axes, effects=text, limit_s=limit_s,
+                 search_effects=not options.no_effects)
     if options.shard:
         every = shard_of(every, options.shard)
     if options.merge:
         kept = known(every)
         rows = [kept[job.name] for job in every if job.name in kept]
     else:
-        rows = run(every, options.workers, options.cluster, show=progress(quiet=options.quiet),
-                   log=_log(out, name, options, options.plan), sample=options.plan)
+        rows = run(every, options.workers, options.cluster, sample=options.plan,
+                   show=arguments.progress(quiet=options.quiet),
+                   log=_log(out, name, options, options.plan))
     fleet = Fleet(rows, options.group_by, options.since, name)
     partial = bool(options.shard or options.plan)
     written = [] if partial else write(rows, out)
@@ -110,7 +104,7 @@ def _run(options: argparse.Namespace) -> int:
     if every and not any(row['status'] == ANSWERED for row in rows):
         print(f'quad-sysid: {options.folder}: no bag could be answered; the reasons are in '
               f'{out.address}/{CSV if written else "rows"}', file=sys.stderr)
-        return NOT_ANSWERED
+        return arguments.NOT_ANSWERED
     return 0
 
 

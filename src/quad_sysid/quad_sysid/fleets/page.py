@@ -35,11 +35,11 @@ class Fleet(Summary):
 
     def __str__(self) -> str:
         """The text that the command prints."""
-        return '\n'.join(lines(self))
+        return '\n'.join(_lines(self))
 
     def page(self) -> str:
-        """One page, as text of HTML."""
-        return page(self)
+        """fleet.html: what is wrong first, then what every aircraft lacks and is."""
+        return _page(self)
 
 
 def date(days: float) -> str:
@@ -68,27 +68,22 @@ def odd_words(bag: str, reasons: Sequence[tuple[Quantity, Odd]]) -> str:
     return f'{bag}: {"; ".join(parts)}{more}'
 
 
-def lines(fleet: Summary) -> list[str]:
-    """The lines that the command prints."""
+def _lines(fleet: Summary) -> list[str]:
     lacks, means, _ = _tables(fleet)
     drifts = [drift_words(*pair) for pair in fleet.drifts]
     odd = [odd_words(bag, why) for bag, why in fleet.odd.items()]
-    out = _wrapped(_counts(fleet))
+    out = wrapped(_counts(fleet), '')
     for title, sentences in (('what drifts', drifts), ('odd flights', odd)):
         if sentences:
             out += ['', title, *(line for sentence in sentences
                                  for line in wrapped(sentence, '    ', '  '))]
     if not drifts and not odd:
-        out += ['', *_wrapped(_nothing(fleet))]
+        out += ['', *wrapped(_nothing(fleet), '')]
     for table in (lacks, means):
         if table.rows:
             # a terminal has room for these columns of the means
             out += ['', *table.text((0, 1, 3, 5, 6, 7) if table is means else None)]
     return out
-
-
-def _wrapped(text: str) -> list[str]:
-    return wrapped(text, '')
 
 
 def _nothing(fleet: Summary) -> str:
@@ -127,8 +122,7 @@ def _tables(fleet: Summary) -> tuple[Table, Table, Table]:
     )
 
 
-def page(fleet: Summary) -> str:
-    """fleet.html: what is wrong first, then what every aircraft lacks and is."""
+def _page(fleet: Summary) -> str:
     title = f'Fleet {fleet.title or "fleet"}'
     lacks, means, failures = _tables(fleet)
     drifts, odd = fleet.drifts, fleet.odd

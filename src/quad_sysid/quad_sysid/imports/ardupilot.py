@@ -20,7 +20,7 @@ from quad_sysid.craft import Craft, ardupilot_channels, of_ardupilot
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
 from quad_sysid.imports.clock import Stream
-from quad_sysid.imports.dataflash import Log, is_binary, read_binary, read_text
+from quad_sysid.imports.dataflash import is_binary, read_binary, read_text
 from quad_sysid.imports.experiments import PAUSE_S
 from quad_sysid.imports.log import (
     DEGREE,
@@ -107,11 +107,9 @@ def read(path: Path) -> ForeignLog:
     reading = Reading(table)
     reading.take(CONTROL_RATES if first else GYRO, *SIGNALS)
     if 'rates' not in reading.streams:
-        raise BadInputError(
-            table.source, 'holds no RATE and no IMU messages',
-            table.messages or 'no message of use',
-            'set LOG_BITMASK to log fast attitude (bit 0) and log again',
-        )
+        raise BadInputError(table.source, 'holds no RATE and no IMU messages',
+                            table.messages or 'no message of use',
+                            'set LOG_BITMASK to log fast attitude (bit 0) and log again')
     _climb(reading)
     crafts, gains, warnings = _input(reading)
     return reading.log('an ArduPilot log', SIGNALS, crafts=crafts, armed=_armed(table),
@@ -192,43 +190,31 @@ def _load(path: Path) -> Table:
                      np.ones(len(values), dtype=bool))
         ours = f'{kind}.{OLD_CHANNEL.sub("C", label)}' if kind == 'RCOU' else name
         columns[ours], times[ours] = values[first], log.times[name][first]
+        if ours.startswith('RCOU.C'):
+            columns[ours] = np.where(columns[ours] > MAX_PULSE, np.nan, columns[ours])
     table = Table(str(path), columns, times, header=log.parameters)
     if log.in_ms and 'RATE.R' in columns:
         for name in OF_RATES:
             columns[name] = columns.get(name, np.zeros(0)) * 0.01
-    return replace(table, notes=(*_possible(table), *_damage(log, binary=binary)))
-
-
-def _damage(log: Log, *, binary: bool) -> Iterator[str]:
-    if log.skipped:
-        what = 'bytes' if binary else 'characters'
-        yield (f'damaged: {log.skipped} {what} in {log.bursts} places belong to no whole message '
-               'and are left out')
-
-
-def _possible(table: Table) -> Iterator[str]:
-    """Leave out, in place, rates that no gyro can measure; say how many."""
     for signal, largest in ((CONTROL_RATES, FASTEST_RAD_S / DEGREE), (GYRO, FASTEST_RAD_S)):
-        if signal.columns[0] not in table.columns:
-            continue
-        wrong = np.any([~(np.abs(table.columns[c]) <= largest) for c in signal.columns], axis=0)
-        if wrong.any():
-            kind = signal.columns[0].partition('.')[0]
-            for name in table.columns:
-                if name.startswith(f'{kind}.'):
-                    table.columns[name][wrong] = np.nan
-            yield (f'{int(wrong.sum())} of {wrong.size} {kind} messages left out: no gyro '
-                   'measures such rates')
-    for name, values in table.columns.items():
-        if name.startswith('RCOU.C'):
-            values[values > MAX_PULSE] = np.nan
+        kind = signal.columns[0].partition('.')[0]
+        if signal.columns[0] in columns:
+            wrong = np.any([~(np.abs(columns[c]) <= largest) for c in signal.columns], axis=0)
+            table = table.without(
+                wrong, [n for n in columns if n.startswith(f'{kind}.')], f'{kind} messages')
+    if not log.skipped:
+        return table
+    what = 'bytes' if binary else 'characters'
+    return replace(table, notes=(*table.notes, (
+        f'damaged: {log.skipped} {what} in {log.bursts} places belong to no whole message and '
+        'are left out')))
 
 
 def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[str]]:
     """Take the commands: the craft of the motors, the gains in their unit, warnings."""
     table = reading.table
     craft = of_ardupilot(table.header)
-    count = craft.count if isinstance(craft, Craft) else 4  # most fly on four
+    count = craft.count if isinstance(craft, Craft) else 4  # where the parameters do not say it
     channels = ardupilot_channels(table.header, count)
     pulses = within('RCOU', *(f'C{n}' for n in channels))
     if reading.motors_fast(table.stream(*pulses), table.stream(*OUTPUTS.columns)):

@@ -15,7 +15,6 @@ import struct
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -29,16 +28,8 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
 from quad_sysid.imports.betaflight_gains import PIDSUM, Adjustment, changes, tuning
 from quad_sysid.imports.clock import Stream
-from quad_sysid.imports.experiments import PAUSE_S
-from quad_sysid.imports.log import (
-    DEGREE,
-    RPM,
-    Experiment,
-    ForeignLog,
-    Mapped,
-    Reading,
-    Signal,
-)
+from quad_sysid.imports.experiments import apart
+from quad_sysid.imports.log import DEGREE, RPM, Experiment, ForeignLog, Mapped, Reading, Signal
 from quad_sysid.imports.mixers import MIRROR, ned_angles
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
@@ -48,7 +39,7 @@ from quad_sysid.motion import GRAVITY
 POLES = 14.0
 """Magnets of a motor where the header does not say them (motor_poles)."""
 PULSE_US = (1000.0, 2000.0)
-"""A servo's pulse, from no throttle to all."""
+"""Pulses of no and of full throttle, µs."""
 IN_THE_AIR = 0.25  # of the throttle stick: below it an aircraft stands or falls
 FEWEST = 200
 """Least number of frames of a flight."""
@@ -95,7 +86,9 @@ def read(path: Path, log: int = 1) -> ForeignLog:
                 'log the gyro (blackbox_disable_gyro = OFF)'))
     clock_unit = unit_of('time', 's' if units.get('time') == 's' else 'us', 'time')
     table = table.on_clock('time', clock_unit)
-    table = _possible(table, _rate_unit(table, units.get('gyroADC[0]', '')))
+    gyro, scale = _several('gyroADC', 3), _rate_unit(table, units.get('gyroADC[0]', ''))
+    table = table.without(np.any(  # as damaged frames hold them
+        [np.abs(table.columns[n]) * scale > FASTEST_RAD_S for n in gyro], axis=0), gyro, 'frames')
     indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
         'u[0]' in table.columns
     signals = _signals(table, units, indi=indi)
@@ -146,7 +139,7 @@ def _chirps(reading: Reading) -> Iterator[Experiment]:
             any(name.startswith('chirp_amplitude') for name in fields) and _is_phase(phase)):
         return
     on = np.flatnonzero(phase.values[:, 0] > 0.0)
-    for rows in np.split(on, np.flatnonzero(np.diff(phase.time_s[on]) > PAUSE_S) + 1):
+    for rows in apart(on, phase.time_s):
         if rows.size < FEWEST:
             continue
         times, angle = phase.time_s[rows], phase.values[rows, 0] / PHASE
@@ -168,17 +161,6 @@ def _is_phase(phase: Stream) -> bool:
     values = phase.values[:, 0]
     return bool(values.min() >= 0.0 and values.max() <= 2.0 * np.pi * PHASE + 1.0
                 and values.max() > np.pi * PHASE)
-
-
-def _possible(table: Table, scale: float) -> Table:
-    """The table without rates that no gyro measures, as damaged frames hold them; it says so."""
-    names = _several('gyroADC', 3)
-    wrong = np.any([np.abs(table.columns[name]) * scale > FASTEST_RAD_S for name in names], axis=0)
-    if not wrong.any():
-        return table
-    line = f'{int(wrong.sum())} of {wrong.size} frames left out: no gyro measures such rates'
-    return replace(table, notes=(*table.notes, line), columns={
-        **table.columns, **{n: np.where(wrong, np.nan, table.columns[n]) for n in names}})
 
 
 def _several(name: str, count: int) -> tuple[str, ...]:

@@ -20,22 +20,16 @@ from quad_sysid.record import GainChange
 
 DEGREES = math.degrees(1.0)
 BETAFLIGHT, INAV = (0.032029, 0.244381, 0.000529), (1 / 31.0, 1 / 4.0, 1 / 1905.0)
-"""What P, I and D of the CLI weigh: of the sum per deg/s, deg and deg/s² (pid.h, pid.c)."""
+"""Weights of the CLI's P, I and D: part of the sum per deg/s, deg and deg/s² (pid.h, pid.c)."""
 YAW_I = 2.5
-"""Betaflight's I of the yaw, beside that of the other axes."""
+"""Factor of Betaflight's I on the yaw axis."""
 PIDSUM = 1000.0
 """Sum of P, I and D that is the whole range of the motors."""
 DELAYS = {0: 1.0, 1: math.sqrt(2.0), 2: 2 / 1.553773974, 3: 3 / 1.961459177}
 """By the type of a filter (PT1, biquad, PT2, PT3), its delay times 2 pi times its cut-off."""
-ADJUSTED = {
-    'betaflight': {6: 'roll pitch 0', 7: 'roll pitch 1', 8: 'roll pitch 2', 9: 'yaw 0',
-                   10: 'yaw 1', 11: 'yaw 2', 15: 'pitch 0', 16: 'pitch 1', 17: 'pitch 2',
-                   18: 'roll 0', 19: 'roll 1', 20: 'roll 2'},
-    'inav': {6: 'roll pitch 0', 7: 'roll pitch 1', 8: 'roll pitch 2', 10: 'pitch 0',
-             11: 'pitch 1', 12: 'pitch 2', 14: 'roll 0', 15: 'roll 1', 16: 'roll 2',
-             18: 'yaw 0', 19: 'yaw 1', 20: 'yaw 2'},
-}
-"""Number of an adjustment → axes, and the place of the value in P, I, D."""
+ADJUSTED = {'betaflight': {6: 'roll pitch', 9: 'yaw', 15: 'pitch', 18: 'roll'},
+            'inav': {6: 'roll pitch', 10: 'pitch', 14: 'roll', 18: 'yaw'}}
+"""Number of an adjustment of P → axes; I and D follow it."""
 
 
 @dataclass(frozen=True)
@@ -130,11 +124,12 @@ def changes(header: Mapping[str, str], adjustments: Iterable[Adjustment],
     out = []
     table = ADJUSTED.get(firmware_of(header), {})
     for change in adjustments:
-        *axes, place = table.get(change.function, '').split() or ['']
+        first = max((n for n in table if n <= change.function < n + 3), default=0)
+        axes, place = table.get(first, '').split(), change.function - first
         for axis in axes:
             values = _numbers(texts, f'{axis}PID')
-            if len(values) > int(place):
-                values[int(place)] = change.value
+            if len(values) > place:
+                values[place] = change.value
                 texts[f'{axis}PID'] = ','.join(map(str, values))
         if axes:
             gains = tuning(texts, throttle, motor_us).gains

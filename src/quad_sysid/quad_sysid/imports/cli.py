@@ -128,10 +128,8 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
     if options.out is None:
         raise BadInputError('--out', 'is missing', remedy='name the bag to be written')
     if options.mixer is not None and not options.motors:
-        raise BadInputError(
-            '--mixer', 'applies to --motors only; --control columns need no mixer',
-            options.mixer, 'leave it out or give --motors',
-        )
+        raise BadInputError('--mixer', 'applies to --motors only; --control columns need no mixer',
+                            options.mixer, 'leave it out or give --motors')
     names = {name: columns_of(value) for name, option in OPTIONS.items()
              if (value := getattr(options, name)) and (option.per_axis or option.several)}
     return _write(read_columns(ColumnOptions(

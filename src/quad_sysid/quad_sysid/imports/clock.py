@@ -198,7 +198,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
     odd = int(np.count_nonzero(~near))
     head = f'{len(time_s)} samples, a median of {1.0 / interval:.4g} Hz, {odd} odd intervals'
     head = '; '.join([*wrong, head])
-    highest = min(MAX_RATE_HZ, 4.0 / interval)  # between the samples there is nothing
+    highest = min(MAX_RATE_HZ, 4.0 / interval)  # four cycles per sample at most
     if grid_hz is not None and grid_hz > highest:
         raise BadInputError('--grid', f'must be at most {highest:.4g} Hz', f'{grid_hz:g} Hz',
                             f'the log has {1.0 / interval:.4g} Hz; leave --grid out')

@@ -15,20 +15,12 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
+from quad_sysid.imports import plausible
 from quad_sysid.imports.clock import Stream, cycles, draw
 from quad_sysid.imports.likely import likely_units, one_sided, rounded_down
 from quad_sysid.imports.log import ForeignLog, Mapped
 from quad_sysid.imports.mixers import MIRROR, mixer_of
-from quad_sysid.imports.plausible import (
-    TOGETHER,
-    Column,
-    check_extent,
-    check_rate,
-    check_reference,
-    check_times,
-    turn_factor,
-    z_points_down,
-)
+from quad_sysid.imports.plausible import Column
 from quad_sysid.imports.table import Table, open_table
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND
 from quad_sysid.imports.units import (
@@ -127,8 +119,8 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
     if options.time is not None:
         speeds = [np.nanstd(units[name](table.columns[name])) for name in options.rate]
         table = table.on_clock(options.time, units[options.time])
-        odd += check_times(_column(options, units, options.time, next(iter(table.times.values()))),
-                           max(map(float, speeds), default=None))
+        times = _column(options, units, options.time, next(iter(table.times.values())))
+        odd += plausible.check_times(times, max(map(float, speeds), default=None))
     elif options.sample_rate_hz is not None and not table.times:
         table = table.at_rate(options.sample_rate_hz)
     elif any(name not in table.times for name in roles):
@@ -175,9 +167,7 @@ def _unsigned(options: ColumnOptions, table: Table) -> Table:
         **table.columns, **{name: -columns[name] for name in turned}})
 
 
-def _limited(
-    options: ColumnOptions, units: Mapping[str, Unit], table: Table
-) -> Iterator[str]:
+def _limited(options: ColumnOptions, units: Mapping[str, Unit], table: Table) -> Iterator[str]:
     """Say of pulses beyond their range that they are limited to it (_stream does)."""
     for option in ('motors', 'control'):
         low, high = OPTIONS[option].span or (-np.inf, np.inf)
@@ -192,7 +182,7 @@ def _limited(
 def _in_our_frame(options: ColumnOptions, streams: dict[str, Stream | None]) -> Iterator[str]:
     """Turn what was measured forward, right, down to forward, left, up; say why."""
     force = streams['acceleration']
-    down = None if force is None else z_points_down(force.values[:, 2])
+    down = None if force is None else plausible.z_points_down(force.values[:, 2])
     if options.frame == 'auto' and down is None:
         if options.motors and len(options.axes) > 1:
             yield ('the places of the motors hold for axes forward, left, up; if y points right '
@@ -226,8 +216,8 @@ def _opposed(options: ColumnOptions, streams: Mapping[str, Stream | None]) -> bo
     drawn = draw(angle, grid.times, 3.0 / (angle.rate_hz or np.inf))
     signs = {}
     for i, axis in enumerate(options.axes):
-        both = turn_factor(grid.values[:, i], drawn[:, i], grid.dt)
-        if both is not None and abs(both[0]) >= TOGETHER:
+        both = plausible.turn_factor(grid.values[:, i], drawn[:, i], grid.dt)
+        if both is not None and abs(both[0]) >= plausible.TOGETHER:
             signs[axis] = both[1] > 0.0
     others = [turns for axis, turns in signs.items() if axis != 'roll']
     return bool(others) and not any(others) and signs.get('roll', True)
@@ -357,10 +347,8 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:  # noqa: C901 - one check
         raise BadInputError('--axis', 'is not an axis', ','.join(options.axes) or None,
                             f'use {", ".join(AXES)}, several by commas, or all')
     if bool(options.control) == bool(options.motors):
-        raise BadInputError(
-            'import', 'needs exactly one of --control and --motors',
-            remedy='the input of the model comes from one of them',
-        )
+        raise BadInputError('import', 'needs exactly one of --control and --motors',
+                            remedy='the input of the model comes from one of them')
     if options.motors and not 2 <= len(options.motors) <= 8:
         raise BadInputError('--motors', 'needs the columns of all motors, 4, 6 or 8',
                             ','.join(options.motors), 'separate them by commas')
@@ -385,16 +373,12 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:  # noqa: C901 - one check
             roles[name] = what.role
     strange = [name for name in options.units if name not in roles]
     if strange:
-        raise BadInputError(
-            '--unit', 'names a column that is not imported', ', '.join(strange),
-            f'imported are {", ".join(roles)}',
-        )
+        raise BadInputError('--unit', 'names a column that is not imported', ', '.join(strange),
+                            f'imported are {", ".join(roles)}')
     return roles
 
 
-def _check_ranges(
-    options: ColumnOptions, table: Table, units: Mapping[str, Unit]
-) -> None:
+def _check_ranges(options: ColumnOptions, table: Table, units: Mapping[str, Unit]) -> None:
     """Raise BadInputError at the first row that is outside the normalised range."""
     for option, name in ((key, n) for key in OPTIONS for n in options.names(key)):
         low, high = OPTIONS[option].span or (-np.inf, np.inf)
@@ -428,10 +412,8 @@ def _fitting(raw: FloatArray, low: float, high: float) -> str:
     return f'{factor:g}:{low - factor * bottom:.6g}'
 
 
-def _column(
-    options: ColumnOptions, units: Mapping[str, Unit], name: str, values: FloatArray,
-    degrees: str = 'deg',
-) -> Column:
+def _column(options: ColumnOptions, units: Mapping[str, Unit], name: str, values: FloatArray,
+            degrees: str = 'deg') -> Column:
     unit = units[name]
     named = name in options.units or header_unit(name) is not None
     return Column(str(options.file), name, unit, named, values, degrees)
@@ -458,12 +440,12 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
         if 'angle' in columns:
             _check_angle(columns['angle'], axis)
         if 'rate' in columns:
-            odd += check_rate(columns['rate'], columns.get('angle'), grid.dt)
+            odd += plausible.check_rate(columns['rate'], columns.get('angle'), grid.dt)
         if columns.keys() >= {'rate', 'angle'} and axis != 'yaw':
             leaning.append((columns['rate'], columns['angle']))
         if 'reference' in columns and 'angle' in columns:
-            check_reference(columns['reference'], columns['angle'])
-    return odd + check_extent(leaning)
+            plausible.check_reference(columns['reference'], columns['angle'])
+    return odd + plausible.check_extent(leaning)
 
 
 def _check_angle(angle: Column, axis: str) -> None:

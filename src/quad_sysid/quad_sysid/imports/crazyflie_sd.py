@@ -59,9 +59,7 @@ def sd_card(data: bytes, source: str) -> tuple[Columns, Columns]:
     return columns, times
 
 
-def _sd_events(
-    data: bytes, source: str
-) -> tuple[dict[int, tuple[list[str], struct.Struct]], int]:
+def _sd_events(data: bytes, source: str) -> tuple[dict[int, tuple[list[str], struct.Struct]], int]:
     """Names and binary layout of each event by its number, and the offset of the samples."""
     (kinds,) = struct.unpack_from('<H', data, 3)
     position = 5

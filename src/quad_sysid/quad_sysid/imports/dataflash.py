@@ -222,9 +222,7 @@ def _plausible(
     return bool(np.min(np.abs(near - float(row[clock]))) * TIMES[clock] < NEAR_S)
 
 
-def _unpacked(
-    data: NDArray[np.uint8], starts: NDArray[np.int64], kind: Kind
-) -> NDArray[np.void]:
+def _unpacked(data: NDArray[np.uint8], starts: NDArray[np.int64], kind: Kind) -> NDArray[np.void]:
     """(m,) the messages that begin at these offsets."""
     size = kind.dtype.itemsize
     out = np.empty((len(starts), size), dtype=np.uint8)

@@ -80,7 +80,7 @@ def read_text_table(
     """
     text = _Lines(lines, first)
     numbered = iter(text)
-    looked = list(islice(numbered, 200))  # no header comes later
+    looked = list(islice(numbered, 200))  # the lines that may hold the header
     if not looked:
         raise BadInputError(source, 'is empty', remedy='record it or copy it again')
     layout = _layout(looked, text.comments, source)
@@ -89,7 +89,7 @@ def read_text_table(
         layout.aliases.get(name, name) for name in wanted]
     absent = [name for name in names if name not in layout.names]
     if absent:
-        raise _absent(where, absent, layout)
+        raise no_column(where, absent, layout.names)
     places = [layout.names.index(name) for name in names]
     blocks: list[FloatArray] = []
     row_numbers: list[NDArray[np.int64]] = []
@@ -113,13 +113,14 @@ def read_text_table(
                 (*layout.notes, *text.notes), layout.aliases)
 
 
-def _absent(where: str, absent: Sequence[str], layout: _Layout) -> BadInputError:
-    several = [name for name in absent if f'{name}[0]' in layout.names]
+def no_column(where: str, absent: Sequence[str], names: Sequence[str]) -> BadInputError:
+    """The error for columns that are absent among `names`, or that are there more than once."""
+    several = [name for name in absent if f'{name}[0]' in names]
     if several:
-        numbered = [n for n in layout.names if n.rpartition('[')[0] in several]
+        numbered = [n for n in names if n.rpartition('[')[0] in several]
         return BadInputError(where, f'several columns {", ".join(several)}', ', '.join(numbered),
                              'name each by its number')
-    return BadInputError(where, f'no column {", ".join(absent)}', ', '.join(layout.names),
+    return BadInputError(where, f'no column {", ".join(absent)}', ', '.join(names),
                          'name a column of the file')
 
 
@@ -260,10 +261,8 @@ def _rows(
         yield numbers, list(split(line for _, line in part))
 
 
-def _block(
-    rows: Sequence[Sequence[str]], numbers: NDArray[np.int64], places: Sequence[int],
-    named: Sequence[str] | None, source: str,
-) -> FloatArray:
+def _block(rows: Sequence[Sequence[str]], numbers: NDArray[np.int64], places: Sequence[int],
+           named: Sequence[str] | None, source: str) -> FloatArray:
     """(k, n) the numbers at `places` of n rows; text in a column that was named is an error."""
     out = np.full((len(places), len(rows)), np.nan)
     last = max(places)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.contract import AXES
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.log import Experiment
 from quad_sysid.imports.stretches import MIN_DURATION_S, blocks
@@ -21,6 +21,11 @@ PAUSE_S = 1.0
 """Time without an injection that ends an experiment."""
 
 
+def apart(rows: np.ndarray, time_s: FloatArray) -> list[np.ndarray]:
+    """The rows in parts, between which nothing was injected for PAUSE_S."""
+    return np.split(rows, np.flatnonzero(np.diff(time_s[rows]) > PAUSE_S) + 1)
+
+
 def runs_of(signal: str, injection: str, added: Stream) -> tuple[Experiment, ...]:
     """The experiments in a stream (n, 3) of what was added to each axis, zero outside them."""
     out = []
@@ -28,8 +33,7 @@ def runs_of(signal: str, injection: str, added: Stream) -> tuple[Experiment, ...
         on = np.flatnonzero(added.values[:, i] != 0.0)
         if not on.size:
             continue
-        spans = np.split(on, np.flatnonzero(np.diff(added.time_s[on]) > PAUSE_S) + 1)
-        for part in spans:
+        for part in apart(on, added.time_s):
             rows = slice(part[0], part[-1] + 1)
             out.append(Experiment(axis, signal, injection, Stream(
                 added.time_s[rows], added.values[rows, i : i + 1])))

@@ -145,16 +145,14 @@ class Guess:
         if not ({'rate', 'angle'} & used.keys() and {'control', 'motors'} & used.keys()
                 and self.timed):
             return None
-        words = ['quad-sysid', 'import', str(file), '--axis', ','.join(axes or self.axes)]
-        for option, names in used.items():
-            words += as_typed(option, names)
-        words += ['--mixer', 'auto'] if 'motors' in used else []
-        for column, unit in self.units.items():
-            if any(column in names for names in used.values()):
-                words += ['--unit', f'{column}={unit}'] if not column.startswith('-') else [
-                    f'--unit={column}={unit}']
         out = '_'.join([file.name.partition('.')[0], *axes, 'bag'])
-        return shlex.join([*words, '--out', out])
+        return shlex.join(['quad-sysid', 'import', str(file), *as_typed(
+            axes or self.axes, used, self._units_of(used)), '--out', out])
+
+    def _units_of(self, used: Mapping[str, Sequence[str]]) -> dict[str, str]:
+        """The proposed units of these columns."""
+        return {column: unit for column, unit in self.units.items()
+                if any(column in names for names in used.values())}
 
     def options(self, file: Path) -> ColumnOptions | None:
         """Options of the import of all axes; None where no axis can be imported."""
@@ -163,10 +161,8 @@ class Guess:
         used = self._used(self.axes)
         named = {option: names if OPTIONS[option].per_axis or OPTIONS[option].several else names[0]
                  for option, names in used.items()}
-        units = {column: unit for column, unit in self.units.items()
-                 if any(column in names for names in used.values())}
-        return ColumnOptions(file=file, axes=self.axes, mixer='auto', units=units,
-                             **cast('Any', named))
+        return ColumnOptions(file=file, axes=self.axes, mixer='auto',
+                             units=self._units_of(used), **cast('Any', named))
 
     def partial(self) -> dict[tuple[str, ...], list[str]]:
         """Options that only some of the axes have columns for, by these axes."""
@@ -260,7 +256,7 @@ def _axes(triple: Sequence[str]) -> tuple[str, ...]:
 
 def lines(table: Table, file: Path) -> Iterator[str]:
     """The table of columns, and what to type: a command that was tried before it is printed."""
-    guessed, reason = _tried(table, file)
+    guessed, _, reason = _tried(table, file)
     (time,) = guessed.columns.get('time', (None,))
     factor = unit_of('time', guessed.units.get(str(time)), str(time)).factor
     rows, rates = [], []
@@ -303,7 +299,7 @@ def lines(table: Table, file: Path) -> Iterator[str]:
 
 def described(table: Table, file: Path) -> dict[str, Any]:
     """The columns with their guesses, and what may be chosen instead, for a page's menus."""
-    guessed, reason = _tried(table, file)
+    guessed, _, reason = _tried(table, file)
     roles = {name: f'{option}, {AXES[k]}' if OPTIONS[option].per_axis else
              f'motor {k + 1}' if option == 'motors' else option
              for option, names in guessed.columns.items() if option != 'acceleration'
@@ -318,21 +314,22 @@ def described(table: Table, file: Path) -> dict[str, Any]:
     }
 
 
-def _tried(table: Table, file: Path) -> tuple[Guess, str]:
-    """The first guess whose command the import accepts, or the first one and why it does not."""
-    first: tuple[Guess, str] | None = None
+def _tried(table: Table, file: Path) -> tuple[Guess, ForeignLog | None, str]:
+    """The first guess that the import accepts, with its log; else the likeliest, and why not."""
+    first, reason = None, ''
     for guessed in guesses(table):
+        first = first or guessed
         options = guessed.options(file)
-        reason = ''
-        if options is not None:
-            try:
-                record_of(read_columns(options, table))
-            except BadInputError as error:
-                reason = str(error)
-        if options is not None and not reason:
-            return guessed, ''
-        first = first or (guessed, reason)
-    return first or (guess(table), '')
+        if options is None:
+            continue
+        try:
+            log = read_columns(options, table)
+            record_of(log)
+        except BadInputError as error:
+            reason = reason or str(error)
+        else:
+            return guessed, log, ''
+    return first or guess(table), None, reason
 
 
 def quicker(rate_hz: float) -> list[str]:
@@ -408,19 +405,10 @@ def read_any(path: Path, log: int = 1, messages: Path | None = None) -> ForeignL
     if log_format is not None:
         return read_log(path, log_format, log, messages)
     check_single(path, 'a table', log)
-    content, reason = open_table(path, messages=messages), ''
-    for guessed in guesses(content):
-        options = guessed.options(path)
-        if options is None:
-            continue
-        try:
-            read = read_columns(options, content)
-            record_of(read)
-        except BadInputError as error:
-            reason = reason or str(error)
-        else:
-            doubt = f'the columns were guessed: check them with quad-sysid import {path}'
-            return replace(read, checks=(*read.checks, doubt))
-    raise BadInputError(
-        str(path), 'is a table whose columns cannot be guessed', reason or None,
-        'quad-sysid import FILE lists them; import it with the right ones, then give the bag')
+    _, read, reason = _tried(open_table(path, messages=messages), path)
+    if read is None:
+        raise BadInputError(
+            str(path), 'is a table whose columns cannot be guessed', reason or None,
+            'quad-sysid import FILE lists them; import it with the right ones, then give the bag')
+    doubt = f'the columns were guessed: check them with quad-sysid import {path}'
+    return replace(read, checks=(*read.checks, doubt))

@@ -74,10 +74,8 @@ def _cut(log: ForeignLog, begin_s: float, end_s: float) -> ForeignLog:
 
 def _with_schedule(record: Record, live: Record, after_s: float) -> Record:
     """The bag's segments and excitation on the log's samples."""
-    segments = tuple(
-        replace(s, start_s=max(s.start_s - after_s, 0.0), end_s=s.end_s - after_s)
-        for s in live.segments if s.end_s - after_s > 0.0
-    )
+    segments = tuple(replace(s, start_s=max(s.start_s - after_s, 0.0), end_s=s.end_s - after_s)
+                     for s in live.segments if s.end_s - after_s > 0.0)
     excitation = None
     if live.excitation is not None:
         rows = np.floor((record.time_s + after_s) / live.dt).astype(int)

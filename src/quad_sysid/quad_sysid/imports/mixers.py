@@ -65,10 +65,8 @@ def _craft_of(name: str, matrix: FloatArray) -> Craft | None:
     return craft_at(name, -pitch / size[1], roll / size[0], [-int(s) for s in np.sign(yaw)])
 
 
-def chosen(
-    crafts: Sequence[Craft | Mixer], patterns: Sequence[Pattern], rates: FloatArray,
-    motors: FloatArray, dt: float,
-) -> Craft | Mixer | None:
+def chosen(crafts: Sequence[Craft | Mixer], patterns: Sequence[Pattern], rates: FloatArray,
+           motors: FloatArray, dt: float) -> Craft | Mixer | None:
     """The craft, of several, with which the motors explain most of the motion; None for none."""
     certain = [p for p in patterns if p.certain]
 

@@ -20,7 +20,7 @@ from quad_sysid.imports.units import DEGREE, UNITS, Unit
 MIN_RATE_HZ = 20.0
 """Lowest sample rate of flight controllers and rigs."""
 USUAL_RATE_HZ = 250.0
-"""Of several units of a time, the one whose rate is nearest to this is meant."""
+"""Of several units of a time, the one whose sample rate is nearest to this is taken."""
 MAX_TURN_RAD = 0.5
 """Largest turn between two samples with which they show the motion."""
 FASTEST_RAD_S = 70.0
@@ -29,13 +29,13 @@ WINDOW_S = 0.2
 """Window in which an angle's change is compared with the rate's integral: long against noise and
 filter lag, short against drift."""
 MIN_WINDOWS = 20
-"""Windows below which a factor may be chance."""
+"""Least number of windows, or samples, for a factor."""
 TOGETHER = 0.6
 """Least correlation for which a factor between two columns is meaningful."""
 NEAR = 0.4
 """Largest difference of a factor's logarithm that counts as near (a factor of 1.5)."""
 TOLERATED = 0.2
-"""Part by which a factor may be off without a warning: filters and drift make as much."""
+"""Part by which a factor may be off without a warning."""
 ABSURD = 10.0
 """Factor between rate and angle that no filter or drift makes: a unit is wrong."""
 CALM, WILD = DEGREE, 1.0
@@ -146,10 +146,8 @@ def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
         return [f'{rate.name} and the change of {angle.name} disagree {loose}: {alone}']
     _refuse(rate, angle, factor)
     if not 1.0 / ABSURD < abs(factor) < ABSURD:
-        raise BadInputError(
-            rate.where, f'{angle.name} moves {factor:.3g} times as far as {rate.name} says',
-            f'{rate.name} in {rate.unit.name}, {angle.name} in {angle.unit.name}',
-            f'name the true unit of one, such as {rate.advise(rate.unit.factor * factor)}')
+        raise _apart(rate, rate, angle, factor, 'name the true unit of one, such as '
+                     f'{rate.advise(rate.unit.factor * factor)}')
     if abs(factor - 1.0) > TOLERATED:
         advice = f'if the rate is at fault, {rate.advise(rate.unit.factor * factor)}'
         return [f'{angle.name} changes by {factor:.3g} times what {rate.name} gives: {advice}']
@@ -225,9 +223,7 @@ def _near(factor: float, *wanted: float) -> bool:
     return any(abs(math.log(abs(factor) / value)) < NEAR for value in wanted)
 
 
-def _over_windows(
-    rate: FloatArray, angle: FloatArray, dt: float
-) -> tuple[FloatArray, FloatArray]:
+def _over_windows(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
     """Integral of the rate and change of the angle over whole windows, (k,) each.
 
     Windows with missing rows or a jump of the angle (it may wrap) are left out.
@@ -251,10 +247,8 @@ def _refuse(first: Column, angle: Column, factor: float) -> None:
         remedy = 'one of them turns against forward-left-up'
     elif _near(factor, DEGREE**2, DEGREE**-2):
         large, small = (angle, first) if abs(factor) > 1.0 else (first, angle)
-        raise BadInputError(
-            large.where, f'{angle.name} moves {factor:.3g} times as far as {first.name} says',
-            f'{first.name} in {first.unit.name}, {angle.name} in {angle.unit.name}',
-            f'name both units: {large.advise(large.degrees)} {small.advise(small.radians)}')
+        raise _apart(large, first, angle, factor, 'name both units: '
+                     f'{large.advise(large.degrees)} {small.advise(small.radians)}')
     elif _near(factor, DEGREE, 1.0 / DEGREE):
         large, small = (angle, first) if abs(factor) > 1.0 else (first, angle)
         degrees, radians = (large.degrees, small.radians) if factor > 0.0 else (-DEGREE, -1.0)
@@ -265,8 +259,12 @@ def _refuse(first: Column, angle: Column, factor: float) -> None:
     else:
         return
     blamed = next((column for column, _ in ways if not column.named), ways[0][0])
-    raise BadInputError(
+    raise _apart(blamed, first, angle, factor,
+                 f'{remedy}: {", or ".join(column.advise(unit) for column, unit in ways)}')
+
+
+def _apart(blamed: Column, first: Column, angle: Column, factor: float,
+           remedy: str) -> BadInputError:
+    return BadInputError(
         blamed.where, f'{angle.name} moves {factor:.3g} times as far as {first.name} says',
-        f'{first.name} in {first.unit.name}, {angle.name} in {angle.unit.name}',
-        f'{remedy}: {", or ".join(column.advise(unit) for column, unit in ways)}',
-    )
+        f'{first.name} in {first.unit.name}, {angle.name} in {angle.unit.name}', remedy)

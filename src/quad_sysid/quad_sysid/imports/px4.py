@@ -185,11 +185,9 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         return (crafts, _gains(table, scale),
                 [] if scale else [note])
     if torque is None:
-        raise BadInputError(
-            table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
-            'actuator_controls_0', table.messages,
-            f'{FASTER}; then log again',
-        )
+        raise BadInputError(table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
+                            'actuator_controls_0', table.messages,
+                            f'{FASTER}; then log again')
     reading.put(Signal(
         'control', old if old[0] in table.columns else new, '-1..1',
         "as it is, pitch and yaw turned; U is in the unit of PX4's torque set-point",
@@ -228,7 +226,7 @@ def _speeds(reading: Reading, count: int) -> None:
     if rpm is None or not np.nanmax(np.abs(rpm.values)) > 0.0:
         return
     values = np.full((len(rpm.time_s), count), np.nan)
-    for i in range(min(size, 8)):
+    for i in range(min(size, 8)):  # entries of esc_status
         named = table.columns.get(f'esc_status.esc[{i}].actuator_function', np.zeros(1))
         motor = int(named[-1]) - FIRST_MOTOR if named[-1] >= FIRST_MOTOR else i
         if 0 <= motor < count:

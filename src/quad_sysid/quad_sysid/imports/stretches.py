@@ -15,7 +15,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.record import Record, Segment, finite_runs, motors_at_limit
 
 PIECE_S = 1.0
-"""Two windows of half a second, which are what an error is measured in."""
+"""Length of a piece, s, which is used or not."""
 MAX_LOST = 0.2
 """Largest share of a piece that is gap or ground, or has a motor at its limit."""
 AIRBORNE = 0.4
@@ -32,7 +32,7 @@ NEARLY_ALL = 0.9
 MIN_DURATION_S = 3.0
 """Shortest stretch, since windows begin a second after its start."""
 BLOCK_S = 5.0
-"""Eight windows behind the second that the filter needs; short, so that both roles see all."""
+"""Length of the blocks, s, that train and validate in turn."""
 ROLES = ('train', 'train', 'validation', 'train', 'validation')
 """Roles of consecutive blocks: 60 % train."""
 
@@ -134,12 +134,10 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
     for i, piece in enumerate(pieces):
         lost_share = 1.0 - float(is_finite[piece].mean())
         stuck = 0.0 if motors is None else float(motors_at_limit(motors[piece]).any(axis=1).mean())
-        out.append(
-            'gap' if lost_share > MAX_LOST else
-            'ground' if not flying[piece].mean() >= 1.0 - MAX_LOST else
-            'saturated' if stuck > MAX_LOST else
-            'still' if still[0][i] or still[1][i] else ''
-        )
+        out.append('gap' if lost_share > MAX_LOST else
+                   'ground' if not flying[piece].mean() >= 1.0 - MAX_LOST else
+                   'saturated' if stuck > MAX_LOST else
+                   'still' if still[0][i] or still[1][i] else '')
     return out
 
 

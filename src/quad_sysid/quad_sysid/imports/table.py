@@ -29,7 +29,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
 from quad_sysid.imports.clock import Stream, draw, unroll
 from quad_sysid.imports.crazyflie_sd import SD_MAGIC, sd_card
-from quad_sysid.imports.delimited import read_text_table
+from quad_sysid.imports.delimited import no_column, read_text_table
 from quad_sysid.imports.matlab import read_mat
 from quad_sysid.imports.rosbag import read_messages
 from quad_sysid.imports.units import Unit
@@ -124,6 +124,14 @@ class Table:
             return Stream(times, values) if len(times) > 1 else None
         return Stream(times[is_finite], values[is_finite]) if is_finite.sum() > 1 else None
 
+    def without(self, wrong: np.ndarray, names: Iterable[str], what: str) -> Table:
+        """Without the numbers of these columns in rows whose rates cannot be, which it says."""
+        if not wrong.any():
+            return self
+        note = f'{int(wrong.sum())} of {wrong.size} {what} left out: no gyro measures such rates'
+        clean = {name: np.where(wrong, np.nan, self.columns[name]) for name in names}
+        return replace(self, columns={**self.columns, **clean}, notes=(*self.notes, note))
+
     def _in_order(self, name: str) -> Stream:
         times = self.times[name]
         if (np.diff(times) > 0.0).all():
@@ -135,10 +143,8 @@ class Table:
     def complain(self, row: int, column: str, what: str, remedy: str) -> BadInputError:
         """An error that names file, line and column."""
         line = f', line {self.lines[row]}' if len(self.lines) else ''
-        return BadInputError(
-            f'{self.source}{line}, column {column}', what,
-            f'{self.columns[column][row]:.10g}', remedy,
-        )
+        return BadInputError(f'{self.source}{line}, column {column}', what,
+                             f'{self.columns[column][row]:.10g}', remedy)
 
 
 def _at(stream: Stream, times: FloatArray) -> FloatArray:
@@ -182,7 +188,7 @@ def open_table(
     named = [table.aliases.get(name, name) for name in names]
     absent = [name for name, own in zip(names, named, strict=True) if own not in table.columns]
     if absent:
-        raise _absent(str(path), absent, list(table.columns))
+        raise no_column(str(path), absent, list(table.columns))
     return replace(table, columns={name: table.columns[name] for name in dict.fromkeys(named)})
 
 
@@ -225,7 +231,7 @@ def with_angles(table: Table) -> Table:
         values = np.column_stack([table.columns[parts[p]] for p in order])
         is_finite = np.isfinite(values).all(axis=1)
         norm = np.linalg.norm(values[is_finite], axis=1)
-        # nine in ten have norm 1, to the two digits of a short log
+        # nine in ten of the norms must be within 0.02 of 1
         if not is_finite.any() or np.mean(np.abs(norm - 1.0) < 0.02) < 0.9:
             continue
         euler = np.full((len(values), 3), np.nan)
@@ -246,11 +252,6 @@ def is_ours(path: Path) -> bool:
     except BadInputError:
         return False
     return True
-
-
-def _absent(source: str, absent: Sequence[str], names: Sequence[str]) -> BadInputError:
-    return BadInputError(source, f'no column {", ".join(absent)}', ', '.join(names),
-                         'name a column of the file')
 
 
 def head_of(path: Path) -> bytes:

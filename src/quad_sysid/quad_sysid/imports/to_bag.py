@@ -19,29 +19,16 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError
 from quad_sysid.foresight import drawn_hz
-from quad_sysid.imports.clock import (
-    EPOCH_S,
-    Cycles,
-    Stream,
-    cycles,
-    drawn_on,
-    held_on,
-    hold,
-    mean_of_next_cycle,
-)
+from quad_sysid.imports import clock
+from quad_sysid.imports.clock import Cycles, Stream
 from quad_sysid.imports.experiments import with_experiments
 from quad_sysid.imports.log import FAST_ENOUGH, ForeignLog
 from quad_sysid.imports.mixers import Mixer, chosen, mixer_of_patterns
 from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
 from quad_sysid.imports.stretches import summary as stretches_summary
-from quad_sysid.motor_layout import (
-    Pattern,
-    commands_of,
-    doubts,
-    opposite,
-    patterns_of,
-)
+from quad_sysid.motion import turned
+from quad_sysid.motor_layout import Pattern, commands_of, doubts, opposite, patterns_of
 from quad_sysid.record import SHORT_GAP_S, GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
@@ -49,11 +36,11 @@ MIDDLE_COMMAND = 0.5
 LOST = 0.005
 """Share of lost samples from which on the logger is blamed."""
 MIN_SAMPLES = 100
-"""Fewer hold no window of half a second behind the time that the filter takes to settle."""
+"""Least number of samples of a log."""
 SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
 DERIVATIVE_HALF_WIDTH_S = 0.01
-"""A cubic over 20 ms passes what an airframe does and averages an angle's noise."""
+"""Half the width, s, of the cubic whose slope is the rate of an angle."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +95,7 @@ def record_of(
         raise BadInputError(log.source, 'has too few samples of the body rates',
                             0 if base is None else len(base.time_s),
                             f'at least {MIN_SAMPLES} are needed; log longer')
-    grid = cycles(base, log.source, grid_hz)
+    grid = clock.cycles(base, log.source, grid_hz)
     faster = f' ({log.faster})' if log.faster else ''
     notes, warnings = [*log.clock, *grid.notes], list(log.warnings)
     gains = dict(log.gains)
@@ -136,18 +123,16 @@ def record_of(
     if log.kind == 'a table':  # a row is whole or a gap
         is_lost = np.asarray(np.isnan(control).any(axis=1))
         rates = np.where(is_lost[:, None], np.nan, rates)
-    start = grid.times[0] if grid.times[0] > EPOCH_S else 1.0
-    record = Record(
-        source=log.source, dt=grid.dt, t0_ns=round(start * 1e9),
-        rates=rates, control=control, wrench=None if motors is not None else control,
-        motors=motors, craft=craft, speeds=_speeds(log, grid, motors),
-        desaturation='clip' if motors is not None else 'none', angles=angles,
-        acceleration=drawn_on(log.acceleration, grid.times),
-        attitude_setpoint=held_on(log.attitude_setpoint, grid.times, grid.dt),
-        rate_setpoint=held_on(log.rate_setpoint, grid.times, grid.dt),
-        battery_v=volts_on(log.battery, grid.times), **_moved(log, grid, angles),
-        gains=(GainChange(0.0, gains),) if gains else (),
-    )
+    start = grid.times[0] if grid.times[0] > clock.EPOCH_S else 1.0
+    record = Record(source=log.source, dt=grid.dt, t0_ns=round(start * 1e9),
+                    rates=rates, control=control, wrench=None if motors is not None else control,
+                    motors=motors, craft=craft, speeds=_speeds(log, grid, motors),
+                    desaturation='clip' if motors is not None else 'none', angles=angles,
+                    acceleration=clock.drawn_on(log.acceleration, grid.times),
+                    attitude_setpoint=clock.held_on(log.attitude_setpoint, grid.times, grid.dt),
+                    rate_setpoint=clock.held_on(log.rate_setpoint, grid.times, grid.dt),
+                    battery_v=volts_on(log.battery, grid.times), **_moved(log, grid, angles),
+                    gains=(GainChange(0.0, gains),) if gains else ())
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together',
                             remedy='log both during the same flight')
@@ -177,7 +162,7 @@ def _motion(
     log: ForeignLog, grid: Cycles, gains: dict[str, float], notes: list[str], warnings: list[str]
 ) -> tuple[FloatArray, FloatArray | None]:
     """Rates (n, 3) and angles (n, 3); those that contradict the rates are left out."""
-    angles = drawn_on(log.angles, grid.times)
+    angles = clock.drawn_on(log.angles, grid.times)
     if log.rates is None:
         rates, how = _derivative(grid.values, grid.dt)
         gains['sensor.rate_from_angle_s'] = DERIVATIVE_HALF_WIDTH_S
@@ -222,10 +207,8 @@ def _commands(
     return craft.control(motors), motors, craft
 
 
-def _armed(
-    log: ForeignLog, grid: Cycles, control: FloatArray, motors: FloatArray | None,
-    warnings: list[str],
-) -> tuple[FloatArray, FloatArray | None]:
+def _armed(log: ForeignLog, grid: Cycles, control: FloatArray, motors: FloatArray | None,
+           warnings: list[str]) -> tuple[FloatArray, FloatArray | None]:
     """Commands as they reach the motors: none while disarmed, whatever was demanded."""
     if log.armed is None:
         return control, motors
@@ -257,8 +240,8 @@ def _by_motion(
 
 def _held(stream: Stream, grid: Cycles) -> FloatArray:
     if grid.own:
-        return hold(stream, grid.times, grid.dt)
-    return mean_of_next_cycle(stream, grid.times, grid.dt)
+        return clock.hold(stream, grid.times, grid.dt)
+    return clock.mean_of_next_cycle(stream, grid.times, grid.dt)
 
 
 def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatArray | None:
@@ -276,10 +259,7 @@ def _moved(log: ForeignLog, grid: Cycles, angles: FloatArray | None) -> dict[str
         velocity = Stream(position.time_s, np.asarray(slope))
     if velocity is None or angles is None or len(velocity.time_s) < 2:
         return {}
-    world = _in_cells(velocity, grid)
-    x, y = world[:, 0], world[:, 1]
-    c, s = np.cos(angles[:, 2]), np.sin(angles[:, 2])
-    out = {'velocity': np.column_stack([c * x + s * y, c * y - s * x, world[:, 2]])}
+    out = {'velocity': turned(_in_cells(velocity, grid), -angles[:, 2])}
     if position is not None:
         out['altitude'] = _in_cells(position, grid)[:, 2]
     return out

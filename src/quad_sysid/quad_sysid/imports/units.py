@@ -162,14 +162,21 @@ def columns_of(text: str) -> tuple[str, ...]:
     return tuple(next(csv.reader([text], skipinitialspace=True), []))
 
 
-def as_typed(option: str, columns: Sequence[str]) -> list[str]:
-    """The words of a command line that give an option its columns."""
-    text = columns[0]
-    if OPTIONS[option].per_axis or OPTIONS[option].several:
-        out = io.StringIO()
-        csv.writer(out, lineterminator='').writerow(columns)
-        text = out.getvalue()
-    return [f'{flag(option)}={text}'] if text.startswith('-') else [flag(option), text]
+def as_typed(axes: Sequence[str], columns: Mapping[str, Sequence[str]],
+             units: Mapping[str, str]) -> list[str]:
+    """The words of a command line that import these columns, by option, with their units."""
+    values = [('--axis', ','.join(axes))]
+    for option, names in columns.items():
+        text = names[0]
+        if OPTIONS[option].per_axis or OPTIONS[option].several:
+            out = io.StringIO()
+            csv.writer(out, lineterminator='').writerow(names)
+            text = out.getvalue()
+        values.append((flag(option), text))
+    values += [('--mixer', 'auto')] * ('motors' in columns)
+    values += [('--unit', f'{column}={unit}') for column, unit in units.items()]
+    return [word for name, text in values
+            for word in ([f'{name}={text}'] if text.startswith('-') else [name, text])]
 
 
 def unit_of(role: Role, text: str | None, column: str, likely: str = '') -> Unit:

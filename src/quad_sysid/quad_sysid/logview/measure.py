@@ -185,24 +185,22 @@ def _loop(flown: Flown, i: int, usable: npt.NDArray[np.bool_], gains: Mapping[st
     axis, dt, rate = AXES[i], flown.dt, flown.rates[:, i]
     setpoint, command = _column(flown.rate_setpoint, i), _column(flown.control, i + 1)
     injected = _column(flown.injected, i)
-    if injected is not None and command is not None:
-        spectra = response.spectra(injected, command, rate, usable, dt)
-        loop = None if spectra is None else response.loop_response(spectra, dt, gains, axis)
-        if loop is not None:
-            return _delayed(flown, i, usable, gains, before, replace(
-                loop, tracking=np.full_like(loop.tracking, np.nan),  # it is no set-point's
-                bandwidth_hz=np.nan, peak=np.nan, peak_hz=np.nan))
-    if setpoint is None or not follows:
-        return None
-    spectra = response.spectra(
-        setpoint, setpoint if command is None else command, rate, usable, dt)
-    loop = None if spectra is None else response.loop_response(
-        spectra, dt, gains if command is not None else {}, axis)
-    if loop is None:
-        return None
-    if command is None:
-        loop = replace(loop, plant=None, loop=None)
-    return _delayed(flown, i, usable, gains, before, loop)
+
+    def by(instrument: FloatArray) -> response.LoopResponse | None:
+        spectra = response.spectra(
+            instrument, instrument if command is None else command, rate, usable, dt)
+        return None if spectra is None else response.loop_response(
+            spectra, dt, gains if command is not None else {}, axis)
+
+    loop = by(injected) if injected is not None and command is not None else None
+    if loop is not None:
+        loop = replace(loop, tracking=np.full_like(loop.tracking, np.nan),  # it is no set-point's
+                       bandwidth_hz=np.nan, peak=np.nan, peak_hz=np.nan)
+    elif setpoint is not None and follows:
+        loop = by(setpoint)
+        if loop is not None and command is None:
+            loop = replace(loop, plant=None, loop=None)
+    return None if loop is None else _delayed(flown, i, usable, gains, before, loop)
 
 
 def _delayed(flown: Flown, i: int, usable: npt.NDArray[np.bool_], gains: Mapping[str, float],

@@ -13,26 +13,13 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.logview.measure import DEG, Measured, Part
 from quad_sysid.logview.spectrum import LOWEST_PEAK_HZ, ORDERS, THROTTLE, Frames
-from quad_sysid.report.canvas import (
-    BLUE,
-    GREEN,
-    INK,
-    MUTED,
-    ORANGE,
-    PINK,
-    SKY,
-    Picture,
-    finish,
-    legend,
-    panels,
-    plain_logarithms,
-)
+from quad_sysid.report import canvas
+from quad_sysid.report.canvas import Picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = {'all': INK, 'small': SKY, 'medium': BLUE, 'large': ORANGE}
-STRETCHES = (BLUE, ORANGE, GREEN, PINK, SKY, MUTED)
+COLOURS = {'all': canvas.INK, 'small': canvas.SKY, 'medium': canvas.BLUE, 'large': canvas.ORANGE}
 MOST_PIXELS = 300
 """Columns and rows of a map."""
 RANGE_DB = 50.0
@@ -64,18 +51,19 @@ def steps(look: Measured, quantity: str) -> Picture | None:
     axes = {axis: responses for axis, responses in axes.items() if responses}
     if not axes:
         return None
-    figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
+    figure, drawn = canvas.panels(len(axes), height_in=0.7 + 1.6 * len(axes))
     for panel, responses in zip(drawn, axes.values(), strict=True):
-        panel.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
+        panel.axhline(1.0, color=canvas.MUTED, linewidth=0.8, linestyle=':')
         for s in responses:
             colour = COLOURS[s.amplitude]
             if s.amplitude == 'all':
-                panel.fill_between(s.time_s, s.low, s.high, color=MUTED, alpha=0.25, linewidth=0)
+                panel.fill_between(s.time_s, s.low, s.high, color=canvas.MUTED, alpha=0.25,
+                                   linewidth=0)
             panel.plot(s.time_s, s.mean, color=colour, label=s.amplitude,
                        linewidth=1.6 if s.amplitude == 'all' else 1.0)
         panel.set_ylim(min(-0.1, *(float(s.mean.min()) for s in responses)),
                        max(1.5, *(1.05 * float(s.mean.max()) for s in responses)))
-    finish(drawn, 'time after the step, s', *(f'{axis}, 1' for axis in axes))
+    canvas.finish(drawn, 'time after the step, s', *(f'{axis}, 1' for axis in axes))
     return Picture(
         f'step_{quantity}', f'Step response of the {quantity}',
         'Response to a unit step of the set-point, by regularised deconvolution. '
@@ -89,15 +77,15 @@ def by_gains(look: Measured) -> Picture | None:
         p.axes[axis].rate_step is not None for p in look.parts if axis in p.axes)]
     if not axes:
         return None
-    figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
+    figure, drawn = canvas.panels(len(axes), height_in=0.7 + 1.6 * len(axes))
     for panel, axis in zip(drawn, axes, strict=True):
-        panel.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=':')
+        panel.axhline(1.0, color=canvas.MUTED, linewidth=0.8, linestyle=':')
         for k, part in enumerate(look.parts):
             step = part.axes[axis].rate_step
             if step is not None:
-                panel.plot(step.time_s, step.mean, color=STRETCHES[k % len(STRETCHES)],
+                panel.plot(step.time_s, step.mean, color=canvas.LINES[k % len(canvas.LINES)],
                            label=f'{part.stretch.start_s:.0f} to {part.stretch.end_s:.0f} s')
-    finish(drawn, 'time after the step, s', *(f'{axis}, 1' for axis in axes))
+    canvas.finish(drawn, 'time after the step, s', *(f'{axis}, 1' for axis in axes))
     return Picture('step_by_gains', 'Step response by set of gains',
                    'One line for each stretch of the flight with its own gains.', figure)
 
@@ -108,20 +96,20 @@ def spectra(look: Measured) -> Picture | None:
     if not axes:
         return None
     motors = look.motor_frames
-    figure, drawn = panels(len(axes) + (motors is not None),
+    figure, drawn = canvas.panels(len(axes) + (motors is not None),
                            height_in=0.7 + 1.5 * (len(axes) + (motors is not None)))
     for panel, signals in zip(drawn, axes.values(), strict=False):
-        for name, frames, colour in (('gyro before filters', signals.gyro_before, SKY),
-                                     ('gyro', signals.gyro, INK)):
+        for name, frames, colour in (('gyro before filters', signals.gyro_before, canvas.SKY),
+                                     ('gyro', signals.gyro, canvas.INK)):
             if frames is not None:
                 _line(panel, frames, DEG, colour, name)
         if signals.d_term is not None:
-            _line(panel, signals.d_term, 1e3, ORANGE, 'D part, ‰ of command')
+            _line(panel, signals.d_term, 1e3, canvas.ORANGE, 'D part, ‰ of command')
     if motors is not None:
-        _line(drawn[-1], motors, 1e3, GREEN, 'motor commands, ‰')
-        legend(drawn[-1])
-    plain_logarithms(drawn)
-    finish(drawn, 'frequency, Hz', *(f'{axis}, deg/s/√Hz' for axis in axes),
+        _line(drawn[-1], motors, 1e3, canvas.GREEN, 'motor commands, ‰')
+        canvas.legend(drawn[-1])
+    canvas.plain_logarithms(drawn)
+    canvas.finish(drawn, 'frequency, Hz', *(f'{axis}, deg/s/√Hz' for axis in axes),
            *['motors, ‰/√Hz'] * (motors is not None))
     return Picture('spectra', 'Spectra of gyro, D part and motors',
                    'Amplitude density in the air: mean power of Hann windows of 0.5 s.', figure)
@@ -142,12 +130,12 @@ def throttle_map(look: Measured) -> Picture | None:
             if np.isfinite(m).any(axis=1).sum() > 1}
     if not maps:
         return None
-    figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
+    figure, drawn = canvas.panels(len(maps), height_in=0.7 + 1.6 * len(maps))
     for panel, (frames, values) in zip(drawn, maps.values(), strict=True):
         finite = np.flatnonzero(np.isfinite(values).any(axis=1))
         used = values[finite[0]:finite[-1] + 1]
         _map(panel, used.T, (float(THROTTLE[finite[0]]), float(THROTTLE[finite[-1] + 1])), frames)
-    finish(drawn, 'throttle (mean motor command)', *(f'{axis}, Hz' for axis in maps))
+    canvas.finish(drawn, 'throttle (mean motor command)', *(f'{axis}, Hz' for axis in maps))
     return Picture('throttle', 'Gyro spectrum over throttle', _map_words(look), figure)
 
 
@@ -156,16 +144,12 @@ def time_map(look: Measured) -> Picture | None:
     maps = dict(_noisiest(look))
     if not maps:
         return None
-    figure, drawn = panels(len(maps), height_in=0.7 + 1.6 * len(maps))
+    figure, drawn = canvas.panels(len(maps), height_in=0.7 + 1.6 * len(maps))
     for panel, frames in zip(drawn, maps.values(), strict=True):
         edges = np.linspace(0.0, look.flown.length_s, min(
             MOST_PIXELS, max(2, math.ceil(look.flown.length_s / 0.25))) + 1)
-        group = np.digitize(frames.time_s, edges) - 1
-        values = np.full((len(edges) - 1, len(frames.frequency_hz)), np.nan)
-        for c in np.unique(group[group < len(values)]):
-            values[c] = frames.density[group == c].mean(axis=0)
-        _map(panel, values.T, (0.0, look.flown.length_s), frames)
-    finish(drawn, 'time, s', *(f'{axis}, Hz' for axis in maps))
+        _map(panel, frames.at_places(frames.time_s, edges).T, (0.0, look.flown.length_s), frames)
+    canvas.finish(drawn, 'time, s', *(f'{axis}, Hz' for axis in maps))
     return Picture('spectrogram', 'Spectrogram of the gyro', _map_words(look), figure)
 
 
@@ -207,13 +191,13 @@ def orders(look: Measured) -> Picture | None:
     maps = {axis: m for axis, m in maps.items() if m is not None}
     if not maps:
         return None
-    figure, (panel,) = panels(height_in=2.6)
+    figure, (panel,) = canvas.panels(height_in=2.6)
     centres = 0.5 * (ORDERS[1:] + ORDERS[:-1])
-    for (axis, m), colour in zip(maps.items(), (BLUE, ORANGE, GREEN), strict=False):
+    for (axis, m), colour in zip(maps.items(), canvas.LINES, strict=False):
         if m is not None:
             panel.semilogy(centres, DEG * np.sqrt(m), color=colour, label=axis)
-    plain_logarithms([panel])
-    finish([panel], "frequency over the rotors' mean frequency", 'deg/s/√Hz')
+    canvas.plain_logarithms([panel])
+    canvas.finish([panel], "frequency over the rotors' mean frequency", 'deg/s/√Hz')
     return Picture('orders', 'Gyro spectrum in orders of the rotors',
                    'Whole orders are imbalance and blades; what stands between them is not driven '
                    'by the rotors.', figure)
@@ -226,8 +210,8 @@ def loop(look: Measured) -> Picture | None:
     if not loops:
         return None
     has_loop = any(measured.loop is not None for measured in loops.values())
-    figure, drawn = panels(4 if has_loop else 3, height_in=5.6 if has_loop else 4.4)
-    for (axis, measured), colour in zip(loops.items(), (BLUE, ORANGE, GREEN), strict=False):
+    figure, drawn = canvas.panels(4 if has_loop else 3, height_in=5.6 if has_loop else 4.4)
+    for (axis, measured), colour in zip(loops.items(), canvas.LINES, strict=False):
         f = measured.frequency_hz
         drawn[0].loglog(f, np.abs(measured.tracking), color=colour, label=axis)
         drawn[1].semilogx(f, np.degrees(np.unwrap(np.angle(measured.tracking))), color=colour)
@@ -236,8 +220,8 @@ def loop(look: Measured) -> Picture | None:
             finite = np.isfinite(measured.loop)
             drawn[3].loglog(f[finite], np.abs(1.0 / (1.0 + measured.loop[finite])), color=colour)
     drawn[2].set_ylim(0.0, 1.05)
-    plain_logarithms(drawn)
-    finish(drawn, 'frequency, Hz', 'tracking, 1', 'phase, °', 'coherence²',
+    canvas.plain_logarithms(drawn)
+    canvas.finish(drawn, 'frequency, Hz', 'tracking, 1', 'phase, °', 'coherence²',
            *['sensitivity, 1'] * has_loop)
     return Picture('loop', 'Rate loop over frequency',
                    'Rate over set-point where both are coherent' + (

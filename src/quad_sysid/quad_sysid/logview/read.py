@@ -13,7 +13,7 @@ import numpy as np
 from quad_sysid.bags import read_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import cycles, drawn_on, held_on, hold
+from quad_sysid.imports.clock import Cycles, cycles, drawn_on, held_on, hold
 from quad_sysid.imports.formats import check_single
 from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.log import ForeignLog
@@ -137,14 +137,14 @@ def of_log(log: ForeignLog) -> Flown:
     if base is None or len(base.time_s) < 2:
         raise BadInputError(log.source, 'holds no body rates and no angles',
                             remedy='log the gyro; quad-sysid import lists what the log holds')
+    laid = cycles(base, log.source)
     try:
         record, notes, warnings = record_of(log)
     except BadInputError as error:
-        flown = _without_commands(log, str(error))
+        flown = _without_commands(log, laid, str(error))
     else:
         flown = replace(of_record(record, log.kind),
                         warnings=(*log.checks, *warnings, *uneven(notes)))
-    laid = cycles(base, log.source)
     flown = replace(flown, gains=tuple(
         GainChange(change.time_s - laid.times[0] if change.time_s else 0.0, change.values)
         for change in (*flown.gains, *log.gain_changes)))
@@ -163,11 +163,7 @@ def of_log(log: ForeignLog) -> Flown:
     return _complete(flown)
 
 
-def _without_commands(log: ForeignLog, why: str) -> Flown:
-    base = log.rates or log.angles
-    if base is None:
-        raise BadInputError(log.source, 'holds no body rates')
-    laid = cycles(base, log.source)
+def _without_commands(log: ForeignLog, laid: Cycles, why: str) -> Flown:
     rates = laid.values if log.rates is not None else np.gradient(laid.values, laid.dt, axis=0)
     held = partial(held_on, times=laid.times, dt=laid.dt)
     motors = held(log.motors)

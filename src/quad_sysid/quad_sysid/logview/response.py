@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.logview.spectrum import starts_of
 from quad_sysid.loop.cascade import UNFILTERED_HZ, CascadeGains, margins, weight_of
 from quad_sysid.loop.linear import ComplexArray
 from quad_sysid.pipeline.constants import COHERENT
@@ -96,12 +97,7 @@ def spectra(r: FloatArray, u: FloatArray, y: FloatArray, usable: npt.NDArray[np.
             dt: float) -> Spectra | None:
     """Spectra over Hann windows, half overlapping, where all is good; None with too few."""
     size = round(FRAME_S / dt)
-    if len(r) < size:
-        return None
-    is_finite = usable & np.isfinite(r) & np.isfinite(y) & np.isfinite(u)
-    lost_before = np.concatenate(([0], np.cumsum(~is_finite)))
-    starts = np.arange(0, len(r) - size + 1, max(1, size // 2))
-    starts = starts[lost_before[starts + size] == lost_before[starts]]
+    starts = starts_of(usable & np.isfinite(r) & np.isfinite(y) & np.isfinite(u), size)
     if len(starts) < FEWEST:
         return None
     window, cut = np.hanning(size + 1)[:size], starts[:, None] + np.arange(size)

@@ -13,22 +13,8 @@ import numpy as np
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.logview.measure import DEG, AxisLook, Measured
 from quad_sysid.logview.page import MARK
-from quad_sysid.report import zoom
-from quad_sysid.report.canvas import (
-    BLUE,
-    GREEN,
-    INK,
-    MUTED,
-    ORANGE,
-    PINK,
-    SKY,
-    THEMED,
-    Picture,
-    finish,
-    framed,
-    panels,
-    plain_logarithms,
-)
+from quad_sysid.report import canvas, zoom
+from quad_sysid.report.canvas import Picture
 from quad_sysid.report.style import document
 from quad_sysid.report.tables import Table
 from quad_sysid.report.words import number
@@ -36,8 +22,7 @@ from quad_sysid.report.words import number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, INK, MUTED)
-MOST = len(COLOURS)
+MOST = len(canvas.LINES)
 
 
 def names(looks: Sequence[Measured]) -> list[str]:
@@ -74,7 +59,7 @@ def _row(on_axis: AxisLook) -> list[str]:
 def page(looks: Sequence[Measured]) -> str:
     """The page as text: the table, traces from the take-off on, pictures."""
     title = ', '.join(names(looks))
-    drawn = ''.join(framed(look, look.name) for look in pictures(looks))
+    drawn = ''.join(canvas.framed(look, look.name) for look in pictures(looks))
     return document(
         f'Look at {title}',
         f'<h1>Look at {len(looks)} flights</h1><p class="small">{escape(title)}</p>',
@@ -110,13 +95,13 @@ def pictures(looks: Sequence[Measured]) -> list[Picture]:
 def _picture(looks: Sequence[Measured], name: str, title: str, x: str, unit: str,
              draw: Callable[[Axes, AxisLook, str, str], None]) -> Picture:
     axes = _axes(looks)
-    figure, drawn = panels(len(axes), height_in=0.7 + 1.6 * len(axes))
+    figure, drawn = canvas.panels(len(axes), height_in=0.7 + 1.6 * len(axes))
     for panel, axis in zip(drawn, axes, strict=True):
-        for look, colour, label in zip(looks, COLOURS, names(looks), strict=False):
+        for look, colour, label in zip(looks, canvas.LINES, names(looks), strict=False):
             if axis in look.whole.axes:
                 draw(panel, look.whole.axes[axis], colour, label)
-    finish(drawn, x, *(f'{axis}, {unit}' for axis in axes))
-    plain_logarithms(drawn)
+    canvas.finish(drawn, x, *(f'{axis}, {unit}' for axis in axes))
+    canvas.plain_logarithms(drawn)
     return Picture(name, title, 'One line for each flight.', figure)
 
 
@@ -139,8 +124,8 @@ def _traces(looks: Sequence[Measured]) -> str:
         return np.where(inside, DEG * rates[np.where(inside, index, 0)], np.nan)
 
     rows = [zoom.Row(f'{axis}, deg/s', [
-        zoom.Line(name, drawn(look, first, AXES.index(axis)), f'--{THEMED[colour]}')
-        for look, first, colour, name in zip(looks, takeoffs, COLOURS, names(looks),
+        zoom.Line(name, drawn(look, first, AXES.index(axis)), f'--{canvas.THEMED[colour]}')
+        for look, first, colour, name in zip(looks, takeoffs, canvas.LINES, names(looks),
                                              strict=False)])
         for axis in _axes(looks)]
     return zoom.group(rows, dt)

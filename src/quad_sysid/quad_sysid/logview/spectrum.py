@@ -64,8 +64,11 @@ class Frames:
     def over(self, values: FloatArray, edges: FloatArray) -> FloatArray:
         """(c, f) mean density of the frames by the mean of `values` (n,); NaN without any."""
         sums = np.concatenate(([0.0], np.cumsum(np.nan_to_num(values))))
-        mean = (sums[self.at + self.size] - sums[self.at]) / self.size
-        group = np.digitize(mean, edges) - 1
+        return self.at_places((sums[self.at + self.size] - sums[self.at]) / self.size, edges)
+
+    def at_places(self, places: FloatArray, edges: FloatArray) -> FloatArray:
+        """(c, f) mean density of the frames by where each of them is (k,); NaN without any."""
+        group = np.digitize(places, edges) - 1
         out = np.full((len(edges) - 1, len(self.frequency_hz)), np.nan)
         for c in np.unique(group[(group >= 0) & (group < len(out))]):
             out[c] = self.density[group == c].mean(axis=0)
@@ -103,15 +106,18 @@ class Frames:
         return tuple(sorted(out, key=lambda p: -p.rms)[:PEAKS])
 
 
+def starts_of(usable: npt.NDArray[np.bool_], size: int) -> npt.NDArray[np.int64]:
+    """First samples of windows of this size, half overlapping, in which all is usable."""
+    lost_before = np.concatenate(([0], np.cumsum(~usable)))
+    starts = np.arange(0, len(usable) - size + 1, max(1, size // 2))
+    return np.asarray(starts[lost_before[starts + size] == lost_before[starts]])
+
+
 def frames(signal: FloatArray, usable: npt.NDArray[np.bool_], dt: float) -> Frames | None:
-    """The frames of a signal (n,) within `good` (n,); None without any."""
+    """The frames of a signal (n,) within `usable` (n,); None without any."""
     size = round(FRAME_S / dt)
-    if size < 8 or len(signal) < size:  # so slow a log has no spectrum
-        return None
-    lost_before = np.concatenate(([0], np.cumsum(~(usable & np.isfinite(signal)))))
-    starts = np.arange(0, len(signal) - size + 1, max(1, size // 2))
-    starts = starts[lost_before[starts + size] == lost_before[starts]]
-    if not len(starts):
+    # a log too slow for 8 samples in a frame has no spectrum
+    if size < 8 or not len(starts := starts_of(usable & np.isfinite(signal), size)):
         return None
     window = np.hanning(size + 1)[:size]
     cut = signal[starts[:, None] + np.arange(size)]
@@ -121,4 +127,4 @@ def frames(signal: FloatArray, usable: npt.NDArray[np.bool_], dt: float) -> Fram
     if size % 2 == 0:
         density[:, -1] *= 0.5
     lines = np.asarray(np.fft.rfftfreq(size, dt), float)
-    return Frames(lines, density, (starts + 0.5 * size) * dt, starts, size)
+    return Frames(lines, density, np.asarray((starts + 0.5 * size) * dt), starts, size)

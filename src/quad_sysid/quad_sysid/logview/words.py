@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import PurePath
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from quad_sysid.logview.measure import DEG, NOISE_HZ, AxisLook, Measured, Part, noise_rms
 from quad_sysid.logview.response import LoopResponse
-from quad_sysid.logview.spectrum import Frames, Peak
+from quad_sysid.logview.spectrum import Peak
 from quad_sysid.logview.step import Response
 from quad_sysid.report.tables import Table, wrapped
 
@@ -252,58 +253,45 @@ def _or(value: float, form: str) -> str:
 def tree(look: Measured) -> dict[str, Any]:
     """The measurements for `--json`: SI units, null where something was not measured."""
     flight = look.flown
-    return {
+    return dict(_plain({
         'schema': SCHEMA, 'source': flight.source, 'kind': flight.kind,
         'sample_rate_hz': 1.0 / flight.dt, 'length_s': flight.length_s,
-        'flown_s': look.whole.flown_s, 'gaps': [list(g) for g in flight.gaps],
-        'answer': sentences(look), 'axes': _axes(look.whole),
-        'stretches': [{'start_s': p.stretch.start_s, 'end_s': p.stretch.end_s,
-                       'gains': dict(p.stretch.gains), 'changed': list(p.stretch.changed),
-                       'axes': _axes(p)} for p in look.parts],
-        'motors': [vars(m) for m in look.motors], 'lacks': list(flight.lacks),
-        'warnings': list(flight.warnings), 'gains': dict(look.whole.stretch.gains),
-    }
+        'flown_s': look.whole.flown_s, 'gaps': flight.gaps, 'answer': sentences(look),
+        'axes': _axes(look.whole),
+        'stretches': [{**vars(p.stretch), 'axes': _axes(p)} for p in look.parts],
+        'motors': look.motors, 'lacks': flight.lacks, 'warnings': flight.warnings,
+        'gains': look.whole.stretch.gains,
+    }))
 
 
 def _axes(part: Part) -> dict[str, Any]:
     return {axis: {
-        'steps': [_step(s) for s in on_axis.steps], 'loop': _loop(on_axis.loop),
-        'tracking': [vars(t) for t in on_axis.tracking],
-        'noise': {name: _noise(frames) for name, frames in (
-            ('gyro_before', on_axis.gyro_before), ('gyro', on_axis.gyro),
-            ('d_term', on_axis.d_term))
-            if frames is not None},
+        'steps': [{**{name: value for name, value in vars(step).items() if name != 'figures'},
+                   **vars(step.figures)} for step in on_axis.steps],
+        'loop': _loop(on_axis.loop), 'tracking': on_axis.tracking,
+        'noise': {name: {'rms': frames.rms(1.0), f'rms_above_{NOISE_HZ:g}_hz':
+                         frames.rms(NOISE_HZ), 'peaks': frames.peaks()}
+                  for name, frames in (('gyro_before', on_axis.gyro_before),
+                                       ('gyro', on_axis.gyro), ('d_term', on_axis.d_term))
+                  if frames is not None},
     } for axis, on_axis in part.axes.items()}
 
 
-def _step(s: Response) -> dict[str, Any]:
-    return {'quantity': s.quantity, 'amplitude': s.amplitude, 'windows': s.windows, 'fit': s.fit,
-            'largest': s.largest, 'latency_s': _number(s.latency_s),
-            **{k: _number(v) for k, v in vars(s.figures).items()},
-            'time_s': _list(s.time_s), 'mean': _list(s.mean), 'low': _list(s.low),
-            'high': _list(s.high)}
-
-
 def _loop(loop: LoopResponse | None) -> dict[str, Any] | None:
-    if loop is None:
-        return None
-    names = ('bandwidth_hz', 'peak', 'peak_hz', 'crossover_hz', 'phase_margin_deg',
-             'gain_margin_db', 'sensitivity', 'sensitivity_hz', 'delay_hz')
-    return {**{n: _number(getattr(loop, n)) for n in names},
-            'frequency_hz': _list(loop.frequency_hz), 'coherence': _list(loop.coherence),
-            'tracking_abs': _list(np.abs(loop.tracking)),
-            'tracking_deg': _list(np.degrees(np.angle(loop.tracking))),
-            'delays': [vars(d) for d in loop.delays]}
+    return None if loop is None else {
+        **{name: value for name, value in vars(loop).items()
+           if name not in ('plant', 'loop', 'tracking')},
+        'tracking_abs': np.abs(loop.tracking), 'tracking_deg': np.degrees(np.angle(loop.tracking))}
 
 
-def _noise(frames: Frames) -> dict[str, Any]:
-    return {'rms': frames.rms(1.0), f'rms_above_{NOISE_HZ:g}_hz': frames.rms(NOISE_HZ),
-            'peaks': [vars(p) for p in frames.peaks()]}
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _list(values: np.ndarray) -> list[float | None]:
-    return [None if not np.isfinite(v) else float(f'{v:.5g}') for v in values]
+def _plain(value: Any) -> Any:
+    """The value for JSON: null where it is not finite; arrays to five digits."""
+    if is_dataclass(value):
+        value = vars(value)
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return [_plain(float(f'{number:.5g}')) for number in value]
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

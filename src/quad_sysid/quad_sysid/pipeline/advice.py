@@ -13,9 +13,13 @@ from quad_sysid.model.effect import required
 from quad_sysid.pipeline.answer import AxisAnswer, ModelRow
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import Fits
-from quad_sysid.pipeline.constants import FURTHER, PAPERS_BAND, RIVAL
+from quad_sysid.pipeline.constants import RIVAL
 from quad_sysid.record import IOData
 
+PAPERS_BAND = (0.1, 20.0)
+"""Band of the paper's PRBS, rad/s; advice names the part of it that a model does not cover."""
+FURTHER = 1.5
+"""Factor of the held-out rates over the training's above which extrapolation is named."""
 RICHEST = 50
 """Order up to which the paper's PRBS is persistently exciting."""
 

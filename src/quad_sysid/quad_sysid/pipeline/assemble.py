@@ -18,9 +18,14 @@ from quad_sysid.model import AxisModel, Outside, RungModel
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Effect, Part
 from quad_sysid.pipeline.answer import Findings
-from quad_sysid.pipeline.constants import BEYOND, COHERENT, HALF_POWER, Z99
+from quad_sysid.pipeline.constants import COHERENT, Z99
 from quad_sysid.record import IOData, finite_runs
 from quad_sysid.units import Units
+
+BEYOND = 0.05
+"""Share of its range in the training by which a signal must leave it to be named."""
+HALF_POWER = 0.41
+"""Part by which a gain may be off in the trusted band, 3 dB."""
 
 
 def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,

@@ -28,12 +28,13 @@ from quad_sysid.model.effect import Signals
 from quad_sysid.model.structure import coordinates
 from quad_sysid.pipeline import blackbox_part
 from quad_sysid.pipeline.assemble import outside_of
-from quad_sysid.pipeline.constants import MOTION
 from quad_sysid.pipeline.usable import check_limits, same_craft, same_rate
 from quad_sysid.record import Record, finite_runs
 from quad_sysid.units import shown_in
 
 NO_GAINS = CascadeGains(0.0, 0.0, 0.0, 0.0)
+MOTION = 1.5
+"""Error of holding the last rate over the measurement noise, below which nothing moved."""
 PHASES = 12
 """Starts of the search for the phase of a periodic effect."""
 NEEDS = {'other angle': "the other axes' angles in /imu/data",

@@ -20,7 +20,6 @@ from quad_sysid.estimate import stored
 from quad_sysid.estimate.fit import Fit
 from quad_sysid.model.effect import required
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, MissingTorque, Residual
-from quad_sysid.pipeline.constants import PEAK
 from quad_sysid.record import IOData, finite_runs
 
 
@@ -51,6 +50,8 @@ LOWEST_PEAK_HZ = 1.0
 """Below this, two lines of the spectrum, a peak cannot be told from a slope."""
 WINDOW_S = 2.0
 """Window of the spectra, which resolves peaks half a hertz apart."""
+PEAK = 6.0
+"""Least power of a peak over its surroundings, whatever its significance."""
 
 
 def residuals(answer: AxisAnswer, findings: Findings) -> dict[str, Residual]:

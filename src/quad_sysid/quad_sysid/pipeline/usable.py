@@ -17,7 +17,6 @@ from quad_sysid.contract import IDLE, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
-from quad_sysid.pipeline.constants import CLIPPED, LEAST_WINDOWS, THROUGHOUT
 from quad_sysid.record import ENOUGH_ROWS, SHORT_GAP_S, Record, RotorLag, motors_at_limit
 from quad_sysid.rotors import rotors_of
 
@@ -27,6 +26,13 @@ NOTABLE_RATE_ERROR = 5e-4
 """Above this, a warning states the difference."""
 SAME_PLACES = 0.02
 """Difference of mixers that two descriptions of one craft may have."""
+LEAST_WINDOWS = 8
+"""Least number of training windows of 0.5 s for a fit."""
+THROUGHOUT = 0.9
+"""Largest share of the samples with all motors at their limits."""
+CLIPPED = 0.1
+"""Share that a gyro may spend at its limit: the fit leaves these samples out and would hold to
+0.3, but the errors include them."""
 LEAST_OVERLAP = 50
 """Samples; fewer may agree by chance, as at rest."""
 

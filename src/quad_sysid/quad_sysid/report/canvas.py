@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 INK, MUTED, GRID = '#1b1f24', '#5f6b78', '#d5dae0'
 BLUE, ORANGE, GREEN, SKY, PINK = '#0072b2', '#d55e00', '#009e73', '#56b4e9', '#cc79a7'
 """Okabe and Ito (2008): distinct for colour-blind readers."""
+LINES = (BLUE, ORANGE, GREEN, PINK, SKY, INK, MUTED)
+"""Of several lines in one panel."""
 
 THEMED = {INK: 'ink', MUTED: 'muted', GRID: 'grid', BLUE: 'blue', ORANGE: 'orange', GREEN: 'green',
           SKY: 'sky', PINK: 'pink'}

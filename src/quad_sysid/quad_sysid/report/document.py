@@ -14,13 +14,7 @@ from quad_sysid.discover.accept import Horizon
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.errors import BadInputError
 from quad_sysid.model import AxisModel, EffectEstimate, GainProposal, NoiseEstimate, Parameter
-from quad_sysid.pipeline.answer import (
-    AxisAnswer,
-    Findings,
-    ModelRow,
-    Residual,
-    Selection,
-)
+from quad_sysid.pipeline.answer import AxisAnswer, Findings, ModelRow, Residual
 from quad_sysid.record import Segment
 from quad_sysid.units import Units, in_units_of, shown_in
 from quad_sysid.whole import Whole
@@ -101,7 +95,8 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'reason': answer.reason,
         'effects': [_effect(e, model, inertia) for e in model.effects] if model else [],
         'explanation': _explanation(findings, per_rate),
-        'reproducible': _reproducible(findings),
+        'reproducible': {'blocks': findings.ladder.blocks, **findings.ladder.reproducible}
+        if findings else {},
         'not_tested': [{'name': name, 'because': because}
                        for name, because in (findings.search.reasons.items() if findings else ())],
         'tried': _tried(findings, labels) if findings else [],
@@ -116,7 +111,8 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'residual': {name: _residual(answer.residuals[name], units)
                      if name in answer.residuals else None for name in RESIDUALS},
         'warnings': answer.warnings,
-        **_selection(answer.selection),
+        'approaches': [asdict(approach) for approach in answer.selection.approaches],
+        'feedback': answer.selection.feedback, 'advice': answer.selection.advice,
         **_gains(answer.proposal),
     })
     return tree
@@ -164,13 +160,6 @@ def _explanation(findings: Findings | None, per_rate: float) -> list[dict[str, A
          'answer': rung is findings.ladder.rungs[findings.ladder.answer]}
         for rung, error in list(rungs)[1:]
     ]
-
-
-def _reproducible(findings: Findings | None) -> dict[str, Any]:
-    """How often each effect of the answer comes again in resampled flights."""
-    if findings is None:
-        return {}
-    return {'blocks': findings.ladder.blocks, **findings.ladder.reproducible}
 
 
 def _noise(noise: NoiseEstimate | None, units: Units | None) -> list[dict[str, Any]]:
@@ -311,12 +300,6 @@ def _model(row: ModelRow) -> dict[str, Any]:
     if any(because):
         tree['eliminated_because'] = '; '.join(filter(None, because))
     return tree
-
-
-def _selection(selection: Selection) -> dict[str, Any]:
-    """How an axis' black-box models were found and selected."""
-    return {'approaches': [asdict(approach) for approach in selection.approaches],
-            'feedback': selection.feedback, 'advice': selection.advice}
 
 
 def _residual(residual: Residual, units: Units | None) -> dict[str, Any]:

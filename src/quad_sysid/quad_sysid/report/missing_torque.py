@@ -19,7 +19,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.effects.events import Clocked
 from quad_sysid.estimate.fit import SETTLE_S, Fit, Problem, covariance
 from quad_sysid.loop.from_model import signals_at, torque_at
-from quad_sysid.model.data import SLOPE_S, AxisData, Span
+from quad_sysid.model.data import SLOPE_S, Span
 from quad_sysid.model.effect import ActingEffect, Drive, Effect, Part, Signals, per_unit
 from quad_sysid.record import INDEPENDENT_S
 from quad_sysid.units import COMMAND
@@ -145,29 +145,46 @@ def weight(replay: Replay, part: Part) -> FloatArray | None:
     return replay.seen(per_unit(part.effect.term, replay.signals))
 
 
-def variable(replay: Replay, part: Part) -> FloatArray:
-    """(n,) of the signal that an effect is drawn over, at the samples."""
-    if _frequency(replay, part):
-        time = replay.at_samples(replay.signals.time)
-        return (2.0 * np.pi * _frequency(replay, part) * time) % (2.0 * np.pi)
-    name = _name(part)
-    values = getattr(replay.signals, OVER[name][0])
-    if isinstance(values, tuple):
-        values = values[0] * values[1] if name.startswith('product') else values[_which(part)]
-    elif values is None:
-        values = np.full_like(replay.problem.data.rate, np.nan)
-    return replay.at_samples(values)
+@dataclass(frozen=True)
+class Over:
+    """What an effect is drawn over."""
+
+    label: Label
+    axis: str
+    """Whose signal it is; '' where it is of none."""
+    values: FloatArray
+    """(n,) at the samples."""
+    moved: Callable[[FloatArray], dict[str, Any]]
+    """The fields of Signals that go over x (m,) with it."""
 
 
-def _name(part: Part) -> str:
-    """The signal that an effect is drawn over, in the words of OVER."""
-    signal = part.effect.signals[0]
-    return signal.rstrip(' 12') if signal.startswith('other') else signal
+def over(replay: Replay, part: Part) -> Over:
+    """The first signal of an effect, or the phase of one that repeats itself."""
+    if hertz := _frequency(replay, part):
+        turn = 2.0 * np.pi * hertz
+        phase = (turn * replay.at_samples(replay.signals.time)) % (2.0 * np.pi)
+        return Over(('phase', 'rad'), '', phase, lambda x: {'time': x / turn})
+    data, signal = replay.problem.data, part.effect.signals[0]
+    name = signal.rstrip(' 12') if signal.startswith('other') else signal
+    field, unit = OVER[name]
+    values = getattr(replay.signals, field)
+    if 'other' in name:
+        which, product = (*part.effect.others, 0)[0], name.startswith('product')
+        axis, beside = data.other_axes[which], np.ones if product else np.zeros
+        label = name if product else f'{name.removeprefix("other ")} of {axis}'
+        values = values and (values[0] * values[1] if product else values[which])
 
+        def moved(x: FloatArray) -> dict[str, Any]:
+            pair = x, beside(x.size)
+            return {field: pair[::-1] if which and not product else pair}
+    else:
+        axis = data.axis if name in ('rate', 'angle', 'command') else ''
+        label = 'acting command' if name == 'command' else name
 
-def _which(part: Part) -> int:
-    """Which of the other two axes it depends on; 0 where on none."""
-    return (*part.effect.others, 0)[0]
+        def moved(x: FloatArray) -> dict[str, Any]:
+            return {field: x}
+    known = np.full_like(data.rate, np.nan) if values is None else values
+    return Over((label, unit), axis, replay.at_samples(known), moved)
 
 
 def _frequency(replay: Replay, part: Part) -> float:
@@ -190,9 +207,10 @@ def drawn(replay: Replay, index: int) -> Drawn:
     part, where = structure.parts[index], structure.slices()[index]
     if part.effect.wanders:
         inside = past_start(replay.problem.spans, replay.problem.data.dt)
-        x, y = variable(replay, part)[inside], replay.followed()[index][inside]
+        x, y = over(replay, part).values[inside], replay.followed()[index][inside]
         return Drawn(('time', 's'), LABELS['gain'], x, y, np.zeros(x.size), '')
-    evaluate, x, over = _picture(replay, part)
+    along = over(replay, part)
+    evaluate, x = _picture(replay, part, along)
 
     def at(moved: FloatArray) -> FloatArray:
         return evaluate(structure.natural(moved)[where])
@@ -206,8 +224,8 @@ def drawn(replay: Replay, index: int) -> Drawn:
     slope = np.stack(columns, axis=1)
     spread = np.sqrt(np.maximum(np.einsum('ni,ij,nj->n', slope, raw, slope), 0.0))
     plain = np.ones(GRID) if part.effect.term == 'lag' else None
-    return Drawn(over, LABELS[part.effect.term], x, at(theta), 1.96 * spread,
-                 _axis(replay, part), plain)
+    return Drawn(along.label, LABELS[part.effect.term], x, at(theta), 1.96 * spread, along.axis,
+                 plain)
 
 
 Evaluate = Callable[[FloatArray], FloatArray]
@@ -221,57 +239,25 @@ LABELS = {'torque': ('torque / inertia', 'rad/s²'), 'gain': ('change of the gai
           'delay': ('change of the delay', 's'), 'lag': ('factor of the lag', '1')}
 
 
-def _picture(replay: Replay, part: Part) -> tuple[Evaluate, FloatArray, Label]:
-    """How to evaluate an effect, over what, and the label of that."""
-    term = part.effect.term
+def _picture(replay: Replay, part: Part, along: Over) -> tuple[Evaluate, FloatArray]:
+    """How to evaluate an effect, and over what."""
+    term, hertz = part.effect.term, _frequency(replay, part)
     inside = past_start(replay.problem.spans, replay.problem.data.dt)
-    values = variable(replay, part)[inside]
-    low, high = np.nanpercentile(values, [0.5, 99.5])
+    low, high = (0.0, 2.0 * np.pi) if hertz else np.nanpercentile(along.values[inside],
+                                                                  [0.5, 99.5])
     x = np.linspace(low, high, GRID)
-    name = _name(part)
-    over = _named(replay.problem.data, part, name), OVER[name][1]
-    if _frequency(replay, part):
-        x, over = np.linspace(0.0, 2.0 * np.pi, GRID), ('phase', 'rad')
     if isinstance(part.effect, Clocked):
-        return partial(part.effect.later, x / (2.0 * np.pi * _frequency(replay, part))), x, over
+        return partial(part.effect.later, x / (2.0 * np.pi * hertz)), x
     if term == 'lag':
-        return _lag(part, x), x, over
+        return _lag(part, x), x
     unit = {signal: value * np.ones(GRID) for signal, value in UNIT.get(term, {}).items()}
-    moved = unit | _moved(replay, part, name, x)
+    signals = unit | along.moved(x)
 
     def evaluate(p: FloatArray) -> FloatArray:
         usual = REST | dict(part.effect.usual(p, part.settings))
-        return np.asarray(torque_at(ActingEffect(part, p), usual, GRID, **moved))
+        return np.asarray(torque_at(ActingEffect(part, p), usual, GRID, **signals))
 
-    return evaluate, x, over
-
-
-def _named(data: AxisData, part: Part, name: str) -> str:
-    if name.startswith('other '):
-        return f'{name.removeprefix("other ")} of {data.other_axes[_which(part)]}'
-    return 'acting command' if name == 'command' else name
-
-
-def _axis(replay: Replay, part: Part) -> str:
-    name, data = _name(part), replay.problem.data
-    if name.startswith(('other', 'product')):
-        return data.other_axes[_which(part)]
-    of_this_axis = name in ('rate', 'angle', 'command') and not _frequency(replay, part)
-    return data.axis if of_this_axis else ''
-
-
-def _moved(replay: Replay, part: Part, name: str, x: FloatArray) -> dict[str, Any]:
-    """The signals that go over `x` (GRID,) with the variable that an effect is drawn over."""
-    if _frequency(replay, part):
-        return {'time': x / (2.0 * np.pi * _frequency(replay, part))}
-    if name.startswith('product'):
-        return {'other_rates': (x, np.ones(x.size))}
-    field = OVER[name][0]
-    if name.startswith('other'):
-        pair = [np.zeros(x.size), np.zeros(x.size)]
-        pair[_which(part)] = x
-        return {field: tuple(pair)}
-    return {field: x}
+    return evaluate, x
 
 
 def _lag(part: Part, x: FloatArray) -> Evaluate:

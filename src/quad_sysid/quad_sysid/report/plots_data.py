@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,22 +14,8 @@ from quad_sysid.model.data import AxisData, bridged
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.constants import COHERENT
 from quad_sysid.record import IOData
-from quad_sysid.report import zoom
-from quad_sysid.report.canvas import (
-    AFTER,
-    BLUE,
-    GREEN,
-    INK,
-    MUTED,
-    ORANGE,
-    PINK,
-    Drawing,
-    Picture,
-    finish,
-    legend,
-    panels,
-    shade,
-)
+from quad_sysid.report import canvas, zoom
+from quad_sysid.report.canvas import Picture
 from quad_sysid.units import COMMAND, scale
 
 if TYPE_CHECKING:
@@ -65,12 +52,21 @@ def zooming(answer: AxisAnswer) -> str:
         lines = [zoom.Line(name, measured, '--ink')] if measured is not None else []
         lines += [zoom.Line('reference', reference, '--green')] if reference is not None else []
         rows.append(zoom.Row(label, lines))
-    marks = [zoom.Mark(a * data.dt, b * data.dt, colour)
-             for spans, colour in ((data.train, '--blue'), (data.validation, '--orange'))
-             for a, b in bridged(sorted(spans), data.dt)]
-    marks += [zoom.Mark(s.start_s, s.end_s, '--muted') for s in answer.segments
-              if s.axis == answer.axis and s.parameters.get('because')]
+    marks = [zoom.Mark(start_s, end_s, f'--{canvas.THEMED[colour]}')
+             for start_s, end_s, colour, _ in _stretches(answer, data)]
     return zoom.group(rows, data.dt, marks, TRACES)
+
+
+def _stretches(answer: AxisAnswer, data: AxisData) -> Iterator[tuple[float, float, str, str]]:
+    """Begin and end, s, colour and name of what trains, is held out and was left out."""
+    for spans, colour, name in ((data.train, canvas.BLUE, 'training'),
+                                (data.validation, canvas.ORANGE, 'held out')):
+        for a, b in bridged(sorted(spans), data.dt):
+            yield a * data.dt, b * data.dt, colour, name
+    for segment in answer.segments:
+        if segment.axis == answer.axis and segment.parameters.get('because'):
+            yield (segment.start_s, segment.end_s, canvas.MUTED,
+                   f'left out: {segment.parameters["because"]}')
 
 
 def _rows(answer: AxisAnswer, data: AxisData,
@@ -91,27 +87,20 @@ def _traces(answer: AxisAnswer, data: AxisData) -> Figure:
     """Stacked panels of rate, angle (where measured) and command with the segments shaded."""
     time_s = np.asarray(np.arange(data.rate.size) * data.dt, dtype=np.float64)
     rows = _rows(answer, data)
-    figure, axes = panels(len(rows), height_in=1.2 + 1.15 * len(rows))
+    figure, axes = canvas.panels(len(rows), height_in=1.2 + 1.15 * len(rows))
     for number, (panel, (label, measured, reference)) in enumerate(zip(axes, rows, strict=True)):
-        for spans, colour, name in ((data.train, BLUE, 'training'),
-                                    (data.validation, ORANGE, 'held out')):
-            for k, (a, b) in enumerate(bridged(sorted(spans), data.dt)):
-                shade(panel, a * data.dt, b * data.dt, colour, name if k == 0 else '')
         labelled: set[str] = set()
-        for omitted in answer.segments:
-            because = str(omitted.parameters.get('because', ''))
-            if because and omitted.axis == answer.axis:
-                shade(panel, omitted.start_s, omitted.end_s, MUTED,
-                      '' if because in labelled else f'left out: {because}')
-                labelled.add(because)
+        for start_s, end_s, colour, name in _stretches(answer, data):
+            canvas.shade(panel, start_s, end_s, colour, '' if name in labelled else name)
+            labelled.add(name)
         if reference is not None:
-            panel.plot(time_s, reference, color=GREEN, lw=0.9, label='reference')
+            panel.plot(time_s, reference, color=canvas.GREEN, lw=0.9, label='reference')
         if measured is not None:
-            name = 'measured' if number < len(rows) - 1 else 'command'
-            panel.plot(time_s, measured, color=INK, lw=0.7, label=name)
+            panel.plot(time_s, measured, color=canvas.INK, lw=0.7,
+                       label='measured' if number < len(rows) - 1 else 'command')
         panel.set_ylabel(label)
         panel.margins(x=0.0)
-    legend(axes[0])
+    canvas.legend(axes[0])
     axes[-1].set_xlabel('time, s')
     return figure
 
@@ -121,18 +110,18 @@ def coherences(answer: AxisAnswer) -> Picture | None:
     train = answer.train
     if train is None:
         return None
-    figure, (panel,) = panels(height_in=2.6)
+    figure, (panel,) = canvas.panels(height_in=2.6)
     w, values = coherence(train)
-    panel.semilogx(w, values, color=AFTER, label='command to rate')
+    panel.semilogx(w, values, color=canvas.AFTER, label='command to rate')
     reference = answer.rate_reference
     if reference is not None and _finite(reference, train):
         with_reference = replace(train, r=reference)
         w, values = coherence(with_reference, joint=True)
-        panel.semilogx(w, values, color=PINK, ls='--', label='reference to rate')
-    panel.axhline(COHERENT, color=MUTED, lw=0.8, ls=':')
+        panel.semilogx(w, values, color=canvas.PINK, ls='--', label='reference to rate')
+    panel.axhline(COHERENT, color=canvas.MUTED, lw=0.8, ls=':')
     trusted(panel, answer)
     panel.set_ylim(0.0, 1.02)
-    finish([panel], 'frequency, rad/s', 'squared coherence, 1')
+    canvas.finish([panel], 'frequency, rad/s', 'squared coherence, 1')
     return Picture(
         'coherence', 'Coherence',
         f'1 means that the rate follows the command and nothing else. Above {COHERENT:g} the '
@@ -146,7 +135,7 @@ def trusted(axes: Axes, answer: AxisAnswer) -> None:
     """Shade the trusted range on an axis of frequencies."""
     band = answer.model.trusted_band_rad_s if answer.model else None
     if band is not None:
-        shade(axes, band[0], band[1], GREEN)
+        canvas.shade(axes, band[0], band[1], canvas.GREEN)
 
 
 def trusted_words(answer: AxisAnswer) -> str:
@@ -160,6 +149,6 @@ def _finite(values: FloatArray, z: IOData) -> bool:
 
 
 DRAWINGS = (
-    Drawing('signals', 'Data', signals),
-    Drawing('coherence', 'Data', coherences),
+    canvas.Drawing('signals', 'Data', signals),
+    canvas.Drawing('coherence', 'Data', coherences),
 )

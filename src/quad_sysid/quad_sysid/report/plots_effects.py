@@ -5,18 +5,8 @@ from __future__ import annotations
 from quad_sysid.axes import units_of
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.constants import Z99
-from quad_sysid.report import missing_torque
-from quad_sysid.report.canvas import (
-    AFTER,
-    BEFORE,
-    INK,
-    MUTED,
-    OTHER,
-    Drawing,
-    Picture,
-    legend,
-    panels,
-)
+from quad_sysid.report import canvas, missing_torque
+from quad_sysid.report.canvas import Picture
 from quad_sysid.report.plots_models import runs
 from quad_sysid.units import scale
 
@@ -31,7 +21,7 @@ def left_out(answer: AxisAnswer) -> Picture | None:
     problem = findings.problem
     variables = missing_torque.variables(missing_torque.Replay(problem, findings.after.fit))
     names = [name for name in SHOWN if name in variables]
-    figure, axes = panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False,
+    figure, axes = canvas.panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False,
                           spacing=0.72)
     drawn, shown = False, scale(answer.units, 'left out', 'rad/s²')
     over = {name: scale(answer.units, 'acting command' if name == 'command' else name,
@@ -47,10 +37,10 @@ def left_out(answer: AxisAnswer) -> Picture | None:
                            color=colour, label=label, marker='o', ms=3, capsize=1.5, lw=1.0,
                            elinewidth=0.8)
     for panel, name in zip(axes, names, strict=True):
-        panel.axhline(0.0, color=MUTED, lw=0.8)
+        panel.axhline(0.0, color=canvas.MUTED, lw=0.8)
         panel.set_xlabel(over[name].label)
         panel.set_ylabel(shown.label)
-    legend(axes[0])
+    canvas.legend(axes[0])
     if not drawn:
         return None
     return Picture(
@@ -72,7 +62,7 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
         return None
     replay = missing_torque.Replay(findings.problem, findings.after.fit)
     rest = replay.left_out()
-    figure, axes = panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False,
+    figure, axes = canvas.panels(len(parts), height_in=0.9 + 2.0 * len(parts), share_x=False,
                           spacing=0.75)
     for panel, (index, part) in zip(axes, parts, strict=True):
         shape = missing_torque.drawn(replay, index)
@@ -80,23 +70,24 @@ def effect_shapes(answer: AxisAnswer) -> Picture | None:
         x, y = scale(units, *shape.over), scale(answer.units, *shape.label)
         weights = missing_torque.weight(replay, part)
         if weights is not None:
-            points = missing_torque.binned(missing_torque.variable(replay, part),
+            points = missing_torque.binned(missing_torque.over(replay, part).values,
                                            replay.added(index) + rest, findings.problem.spans,
                                            findings.data.dt, 25, weights)
             if points is not None:
-                panel.errorbar(x(points.x), y(points.mean), Z99 * y(points.spread), color=INK,
-                               marker='o', ms=3, lw=0, elinewidth=0.8, capsize=1.5,
+                panel.errorbar(x(points.x), y(points.mean), Z99 * y(points.spread), lw=0, ms=3,
+                               color=canvas.INK, marker='o', elinewidth=0.8, capsize=1.5,
                                label='data')
         if shape.plain is not None:
-            panel.plot(x(shape.x), y(shape.plain), color=BEFORE, ls='--', lw=1.0, label='base')
+            panel.plot(x(shape.x), y(shape.plain), color=canvas.BEFORE, ls='--', lw=1.0,
+                       label='base')
         panel.fill_between(x(shape.x), y(shape.y - shape.band), y(shape.y + shape.band),
-                           color=AFTER, alpha=0.25, lw=0)
-        panel.plot(x(shape.x), y(shape.y), color=AFTER, lw=1.6, label=part.effect.name)
+                           color=canvas.AFTER, alpha=0.25, lw=0)
+        panel.plot(x(shape.x), y(shape.y), color=canvas.AFTER, lw=1.6, label=part.effect.name)
         if shape.plain is None:
-            panel.axhline(0.0, color=MUTED, lw=0.8)
+            panel.axhline(0.0, color=canvas.MUTED, lw=0.8)
         panel.set_xlabel(x.label)
         panel.set_ylabel(y.label)
-        legend(panel)
+        canvas.legend(panel)
     return Picture(
         'effect_shape', 'The effect against the data',
         'Line: the fitted effect, its band 95 %. Points, where a single number can be read off '
@@ -116,12 +107,12 @@ def rivals(answer: AxisAnswer) -> Picture | None:
     if not lists:
         return None
     rows = sum(len(entries) for entries in lists)
-    figure, axes = panels(len(lists), height_in=0.8 + 0.24 * rows + 0.35 * (len(lists) - 1),
+    figure, axes = canvas.panels(len(lists), height_in=0.8 + 0.24 * rows + 0.35 * (len(lists) - 1),
                           left_in=1.6, ratios=[len(entries) for entries in lists])
     for panel, entries in zip(axes, lists, strict=True):
         names = [name for name, _ in entries][::-1]
         values = [p for _, p in entries][::-1]
-        colours = [OTHER] * (len(entries) - 1) + [AFTER]
+        colours = [canvas.OTHER] * (len(entries) - 1) + [canvas.AFTER]
         panel.barh(names, values, color=colours, height=0.62)
         for row, value in enumerate(values):
             panel.text(value + 0.012, row, f'{value:.2f}', va='center', fontsize=8)
@@ -137,7 +128,7 @@ def rivals(answer: AxisAnswer) -> Picture | None:
 
 
 DRAWINGS = (
-    Drawing('effect_shape', 'What the base lacks', effect_shapes),
-    Drawing('left_out', 'What the base lacks', left_out),
-    Drawing('rivals', 'What the base lacks', rivals),
+    canvas.Drawing('effect_shape', 'What the base lacks', effect_shapes),
+    canvas.Drawing('left_out', 'What the base lacks', left_out),
+    canvas.Drawing('rivals', 'What the base lacks', rivals),
 )

@@ -12,18 +12,8 @@ from quad_sysid.loop.from_model import in_flight, loop_plant
 from quad_sysid.loop.linear import loops_of
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.pipeline.answer import AxisAnswer
-from quad_sysid.report.canvas import (
-    AFTER,
-    BEFORE,
-    GREEN,
-    INK,
-    MEASURED,
-    MUTED,
-    Drawing,
-    Picture,
-    finish,
-    panels,
-)
+from quad_sysid.report import canvas
+from quad_sysid.report.canvas import Picture
 from quad_sysid.report.plots_models import degrees
 from quad_sysid.units import COMMAND, scale
 
@@ -40,14 +30,14 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     long = [p for p in pieces if p.size > 1.0 / step] or pieces
     shown = max(long, key=lambda p: float(np.var(loop.measured[p])))
     shown = shown[: round(10.0 / step)]
-    figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
+    figure, axes = canvas.panels(2, height_in=3.9, ratios=(2.0, 1.0))
     of = scale(answer.units, 'rate', 'rad/s')
     measured = of(loop.measured[shown])
-    axes[0].plot(time_s[shown], measured, color=INK, lw=1.0, label='measured')
+    axes[0].plot(time_s[shown], measured, color=canvas.INK, lw=1.0, label='measured')
     added = answer.model is not None and bool(answer.model.effects)
-    runs = [(loop.after, AFTER, '-', 'completed' if added else 'base')]
+    runs = [(loop.after, canvas.AFTER, '-', 'completed' if added else 'base')]
     if added:
-        runs.insert(0, (loop.before, BEFORE, '--', 'base'))
+        runs.insert(0, (loop.before, canvas.BEFORE, '--', 'base'))
     for simulated, colour, style, name in runs:
         simulated_run = of(simulated[shown])
         axes[0].plot(time_s[shown], simulated_run, color=colour, ls=style, label=name)
@@ -55,7 +45,7 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     axes[1].margins(x=0.01)
     error = scale(answer.units, 'error', 'rad/s')
     unit = error.label.removeprefix('error, ')
-    finish(axes, 'time, s', of.label, error.label)
+    canvas.finish(axes, 'time, s', of.label, error.label)
     return Picture(
         'closed_loop', 'Simulated flight against the recorded one',
         'The controller and the model flown on the recorded reference and excitation, from the '
@@ -73,8 +63,8 @@ def _sets(answer: AxisAnswer) -> list[tuple[str, CascadeGains, str, str]]:
     new = proposal.gains if proposal is not None else None
     return [
         (name, CascadeGains.from_mapping({**model.active_gains, **gains}, model.axis), *look)
-        for name, gains, look in (('flown gains', {}, (BEFORE, '--')),
-                                  ('proposed gains', new, (AFTER, '-')))
+        for name, gains, look in (('flown gains', {}, (canvas.BEFORE, '--')),
+                                  ('proposed gains', new, (canvas.AFTER, '-')))
         if gains is not None
     ]
 
@@ -95,8 +85,8 @@ def step_response(answer: AxisAnswer) -> Picture | None:
     lead = n // 10
     reference = np.where(np.arange(n + lead) < lead, 0.0, size)
     time_s = np.asarray((np.arange(n + lead) - lead) * model.dt, dtype=np.float64)
-    figure, axes = panels(2, height_in=3.7, ratios=(1.7, 1.0))
-    axes[0].plot(time_s, factor * reference, color=GREEN, lw=1.0, label='reference')
+    figure, axes = canvas.panels(2, height_in=3.7, ratios=(1.7, 1.0))
+    axes[0].plot(time_s, factor * reference, color=canvas.GREEN, lw=1.0, label='reference')
     for name, gains, colour, style in sets:
         try:
             response = simulate_cascade(plant, gains, reference, model.dt)
@@ -109,14 +99,14 @@ def step_response(answer: AxisAnswer) -> Picture | None:
         axes[1].plot(time_s, command(response.control), color=colour, ls=style, lw=1.2)
     measured = _measured(answer)
     if measured is not None:
-        axes[0].plot(measured.time_s, factor * size * measured.mean, color=MEASURED,
+        axes[0].plot(measured.time_s, factor * size * measured.mean, color=canvas.MEASURED,
                      lw=1.2, label='measured')
         axes[0].fill_between(measured.time_s, factor * size * measured.low,
-                             factor * size * measured.high, color=MUTED, alpha=0.25,
+                             factor * size * measured.high, color=canvas.MUTED, alpha=0.25,
                              linewidth=0)
         axes[0].set_xlim(time_s[0], time_s[-1])
     place = EVERY[model.axis].place
-    finish(axes, 'time since the step, s', f'{place}, {unit}', command.label)
+    canvas.finish(axes, 'time since the step, s', f'{place}, {unit}', command.label)
     why = '' if len(sets) == 2 else ' No new gains are proposed; the words above say why.'
     what = f'{factor * size:.0f} degrees in the attitude reference' if turns else \
         f'{factor * size:.2g} {unit} in the reference of the {place}'
@@ -145,7 +135,7 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
     plant = loop_plant(model)
     omega = frequency_grid(model.dt, 400, 0.3)
     response = loops_of([(plant, plant.trial.wide)]).response(omega)
-    figure, axes = panels(2, height_in=4.1)
+    figure, axes = canvas.panels(2, height_in=4.1)
     lines = []
     for name, gains, colour, style in sets:
         loop = open_loop(gains, response, omega, model.dt)
@@ -161,11 +151,11 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
         lines.append(f'{name}: phase margin {values.phase_margin_deg[0]:.0f} deg, gain margin '
                      f'{values.gain_margin_db[0]:.1f} dB, crossover {crossover:.3g} rad/s, peak '
                      f'sensitivity {values.peak_sensitivity[0]:.2f}')
-    axes[0].axhline(1.0, color=MUTED, lw=0.8, ls=':')
-    axes[1].axhline(-180.0, color=MUTED, lw=0.8, ls=':')
+    axes[0].axhline(1.0, color=canvas.MUTED, lw=0.8, ls=':')
+    axes[1].axhline(-180.0, color=canvas.MUTED, lw=0.8, ls=':')
     axes[1].set_ylim(-540.0, 0.0)
     axes[1].set_yticks(range(-540, 1, 180))
-    finish(axes, 'frequency, rad/s', 'loop gain, 1', 'phase, deg')
+    canvas.finish(axes, 'frequency, rad/s', 'loop gain, 1', 'phase, deg')
     caption = '; '.join(lines)
     return Picture(
         'margins', 'The open loop and its margins',
@@ -175,7 +165,7 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
 
 
 DRAWINGS = (
-    Drawing('closed_loop', 'Loop and gains', overlay),
-    Drawing('step', 'Loop and gains', step_response),
-    Drawing('margins', 'Loop and gains', open_loop_margins),
+    canvas.Drawing('closed_loop', 'Loop and gains', overlay),
+    canvas.Drawing('step', 'Loop and gains', step_response),
+    canvas.Drawing('margins', 'Loop and gains', open_loop_margins),
 )

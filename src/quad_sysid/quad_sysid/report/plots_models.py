@@ -19,19 +19,8 @@ from quad_sysid.loop.linear import WIDE, ComplexArray
 from quad_sysid.model.data import Windows
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, Residual
 from quad_sysid.pipeline.constants import Z99
-from quad_sysid.report.canvas import (
-    AFTER,
-    BEFORE,
-    GREEN,
-    INK,
-    MUTED,
-    OTHER,
-    Drawing,
-    Picture,
-    finish,
-    legend,
-    panels,
-)
+from quad_sysid.report import canvas
+from quad_sysid.report.canvas import Picture
 from quad_sysid.report.plots_data import trusted, trusted_words
 from quad_sysid.report.words import equals, yes
 from quad_sysid.units import COMMAND, scale
@@ -46,7 +35,8 @@ SHOWN_COHERENCE = 0.2
 
 def runs(findings: Findings) -> list[tuple[HeldOut, str, str, str]]:
     """The base and, where effects were added, the completed model."""
-    models = [(findings.before, BEFORE, '--', 'base'), (findings.after, AFTER, '-', 'completed')]
+    models = [(findings.before, canvas.BEFORE, '--', 'base'),
+              (findings.after, canvas.AFTER, '-', 'completed')]
     return models if findings.added else models[:1]
 
 
@@ -63,8 +53,8 @@ def free_run(answer: AxisAnswer) -> Picture | None:
     first, last = _lively(windows, data.rate)
     a, b = int(windows.starts[first]), int(windows.starts[last]) + windows.length
     time_s, of = np.arange(a, b) * data.dt, scale(answer.units, 'rate', 'rad/s')
-    figure, axes = panels(2, height_in=3.9, ratios=(2.0, 1.0))
-    axes[0].plot(time_s, of(data.rate[a:b]), color=INK, lw=1.0, label='measured')
+    figure, axes = canvas.panels(2, height_in=3.9, ratios=(2.0, 1.0))
+    axes[0].plot(time_s, of(data.rate[a:b]), color=canvas.INK, lw=1.0, label='measured')
     for held_out, colour, style, name in runs(findings):
         for w in range(first, last + 1):
             index = np.arange(windows.starts[w], windows.starts[w] + windows.length)
@@ -75,9 +65,9 @@ def free_run(answer: AxisAnswer) -> Picture | None:
             axes[1].plot(index * data.dt, of(wrong), color=colour, lw=1.0)
     for w in range(first, last + 1):
         for panel in axes:
-            panel.axvline(windows.starts[w] * data.dt, color=MUTED, lw=0.5, ls=':')
+            panel.axvline(windows.starts[w] * data.dt, color=canvas.MUTED, lw=0.5, ls=':')
     axes[1].margins(x=0.01)
-    finish(axes, 'time, s', of.label, scale(answer.units, 'error', 'rad/s').label)
+    canvas.finish(axes, 'time, s', of.label, scale(answer.units, 'error', 'rad/s').label)
     return Picture(
         'free_run', 'Free run on held-out data',
         'In each window of 0.5 s (dotted) the model starts from what was measured before it and '
@@ -99,16 +89,16 @@ def horizon(answer: AxisAnswer) -> Picture | None:
     findings = answer.findings
     if findings is None or not findings.before.errors.size:
         return None
-    figure, (panel,) = panels(height_in=2.6)
+    figure, (panel,) = canvas.panels(height_in=2.6)
     of = scale(answer.units, 'RMS error', 'rad/s')
     horizon_s = np.arange(findings.before.errors.shape[1]) * findings.data.dt
     for held_out, colour, style, name in runs(findings):
         growth = of(np.sqrt(np.mean(held_out.errors**2, axis=0)))
         panel.plot(horizon_s, growth, color=colour, ls=style, lw=1.6, label=name)
-    panel.axhline(of.factor * findings.verdict.noise_floor, color=GREEN, lw=1, ls=':',
+    panel.axhline(of.factor * findings.verdict.noise_floor, color=canvas.GREEN, lw=1, ls=':',
                   label='measurement noise')
     panel.set_ylim(bottom=0.0)
-    finish([panel], 'time since the start of the window, s', of.label)
+    canvas.finish([panel], 'time since the start of the window, s', of.label)
     return Picture(
         'horizon', 'Error over the horizon',
         'How the prediction becomes worse: RMS over all held-out windows. Its mean square '
@@ -123,14 +113,14 @@ def bode(answer: AxisAnswer) -> Picture | None:
         return None
     w = np.geomspace(0.3, 0.9 * np.pi / model.dt, 160)
     of = scale(answer.units, 'gain', f'rad/s per {COMMAND}')
-    figure, axes = panels(2, height_in=4.3, ratios=(1.25, 1.0))
+    figure, axes = canvas.panels(2, height_in=4.3, ratios=(1.25, 1.0))
     try:
         data = spa(train)
         coherent = data.coherence > SHOWN_COHERENCE
         axes[0].loglog(data.w[coherent], of(np.abs(data.response[coherent])), '.', ms=3.5,
-                       color=INK, label='data')
+                       color=canvas.INK, label='data')
         axes[1].semilogx(data.w[coherent], degrees(data.response[coherent]), '.', ms=3.5,
-                         color=INK)
+                         color=canvas.INK)
         w = w[w > 0.7 * data.w[0]]
     except QuadSysidError:
         axes[0].set_yscale('log')
@@ -138,11 +128,11 @@ def bode(answer: AxisAnswer) -> Picture | None:
         chosen = answer.rows[answer.selected].step_a.model
         estimate = frequency_response(chosen, w)
         _curve(axes, w, of.factor * estimate.response, Z99 * of(estimate.magnitude_std),
-               Z99 * estimate.phase_std, OTHER, '--', chosen.name)
+               Z99 * estimate.phase_std, canvas.OTHER, '--', chosen.name)
     base = response_of(replace(model, effects=(), active_gains={}), w, WIDE)
     response = of.factor * base.response
-    _curve(axes, w, response, Z99 * of(base.magnitude_std), Z99 * base.phase_std, AFTER, '-',
-           'grey box')
+    _curve(axes, w, response, Z99 * of(base.magnitude_std), Z99 * base.phase_std, canvas.AFTER,
+           '-', 'grey box')
     for panel in axes:
         trusted(panel, answer)
         panel.set_xscale('log')
@@ -151,7 +141,7 @@ def bode(answer: AxisAnswer) -> Picture | None:
                      float(magnitude.max()) * 4.0)
     axes[1].set_ylim(-720.0, 60.0)
     axes[1].set_yticks(range(-720, 61, 180))
-    finish(axes, 'frequency, rad/s', of.label, 'phase, deg')
+    canvas.finish(axes, 'frequency, rad/s', of.label, 'phase, deg')
     note = ' Effects that are not linear are left out.' if model.effects else ''
     return Picture(
         'bode', 'Frequency response', 'From command to measured rate, bands of 99 %. Points: '
@@ -181,8 +171,8 @@ def degrees(response: ComplexArray) -> FloatArray:
     return np.asarray(phase)
 
 
-NAMES = (('before', 'base', BEFORE, '--'), ('after', 'completed', AFTER, '-'),
-         ('blackbox', 'black box', OTHER, ':'))
+NAMES = (('before', 'base', canvas.BEFORE, '--'), ('after', 'completed', canvas.AFTER, '-'),
+         ('blackbox', 'black box', canvas.OTHER, ':'))
 
 
 def _known(answer: AxisAnswer) -> Iterator[tuple[Residual, str, str, str]]:
@@ -198,7 +188,7 @@ def correlations(answer: AxisAnswer) -> Picture | None:
     shown, findings = list(_known(answer)), answer.findings
     if not shown or findings is None:
         return None
-    figure, axes = panels(2, height_in=4.0, share_x=False, spacing=0.72)
+    figure, axes = canvas.panels(2, height_in=4.0, share_x=False, spacing=0.72)
     reach = [0.0, 0.0]
     for number, (residual, name, colour, style) in enumerate(shown):
         test = residual.test
@@ -215,11 +205,11 @@ def correlations(answer: AxisAnswer) -> Picture | None:
             reach[panel] = max(reach[panel], 1.2 * float(np.max(np.abs(values))), 1.8 * bound)
     for row, limit, label in zip(axes, reach, ('autocorrelation, 1', 'with command, 1'),
                                  strict=True):
-        row.axhline(0.0, color=MUTED, lw=0.7)
+        row.axhline(0.0, color=canvas.MUTED, lw=0.7)
         row.set_ylim(-limit, limit)
         row.set_ylabel(label)
         row.set_xlabel('lag, s')
-    legend(axes[0])
+    canvas.legend(axes[0])
     texts = '; '.join(f'{name}: {_words(r.test)}' for r, name, _, _ in shown)
     return Picture(
         'correlations', 'What is left, cycle by cycle',
@@ -242,15 +232,15 @@ def spectrum(answer: AxisAnswer) -> Picture | None:
     if not shown:
         return None
     of = scale(answer.units, 'error', '(rad/s)²/Hz')
-    figure, (panel,) = panels(height_in=2.7)
+    figure, (panel,) = canvas.panels(height_in=2.7)
     for residual, name, colour, style in shown:
         panel.loglog(residual.frequency_hz[1:], of(residual.density[1:]), color=colour, ls=style,
                      lw=1.2, label=name)
     last = next((r for r, name, _, _ in shown if name == 'completed'), shown[0][0])
     for frequency, _ in last.peaks[:3]:
-        panel.axvline(frequency, color=MUTED, lw=0.7, ls=':')
+        panel.axvline(frequency, color=canvas.MUTED, lw=0.7, ls=':')
         panel.text(frequency, panel.get_ylim()[0], f' {frequency:.1f} Hz', fontsize=8, va='bottom')
-    finish([panel], 'frequency, Hz', of.label)
+    canvas.finish([panel], 'frequency, Hz', of.label)
     peaks = ' Dotted: peaks over their surroundings.' if last.peaks else ''
     return Picture(
         'residual_spectrum', 'Spectrum of what is left',
@@ -265,7 +255,7 @@ def torque(answer: AxisAnswer) -> Picture | None:
     if not shown:
         return None
     of = scale(answer.units, 'torque / inertia', 'rad/s²')
-    figure, (panel,) = panels(height_in=2.7)
+    figure, (panel,) = canvas.panels(height_in=2.7)
     for missing, name, colour in shown:
         time_s, values = np.asarray(missing.time_s), of(np.asarray(missing.acceleration))
         pieces = np.split(np.arange(time_s.size), np.flatnonzero(np.diff(time_s) > 1.0) + 1)
@@ -274,8 +264,8 @@ def torque(answer: AxisAnswer) -> Picture | None:
                        label='' if number else name)
     last = shown[-1][0]
     bound = Z99 * of.factor * last.expected_rms
-    panel.axhspan(-bound, bound, color=GREEN, alpha=0.14, lw=0, label='99 % of its noise')
-    finish([panel], 'time, s', of.label)
+    panel.axhspan(-bound, bound, color=canvas.GREEN, alpha=0.14, lw=0, label='99 % of its noise')
+    canvas.finish([panel], 'time, s', of.label)
     return Picture(
         'missing_torque', 'The torque that seems to be missing, over time',
         "The torque disturbance that the model's Kalman filter sees on held-out data. The green "
@@ -284,10 +274,10 @@ def torque(answer: AxisAnswer) -> Picture | None:
 
 
 DRAWINGS = (
-    Drawing('free_run', 'Prediction on held-out data', free_run),
-    Drawing('horizon', 'Prediction on held-out data', horizon),
-    Drawing('bode', 'Black-box models', bode),
-    Drawing('correlations', 'What is left', correlations),
-    Drawing('residual_spectrum', 'What is left', spectrum),
-    Drawing('missing_torque', 'What is left', torque),
+    canvas.Drawing('free_run', 'Prediction on held-out data', free_run),
+    canvas.Drawing('horizon', 'Prediction on held-out data', horizon),
+    canvas.Drawing('bode', 'Black-box models', bode),
+    canvas.Drawing('correlations', 'What is left', correlations),
+    canvas.Drawing('residual_spectrum', 'What is left', spectrum),
+    canvas.Drawing('missing_torque', 'What is left', torque),
 )
