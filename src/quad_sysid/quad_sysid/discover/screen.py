@@ -25,7 +25,6 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.flight import per_coefficient
 from quad_sysid.model.structure import BASE, Structure, coordinates, natural
-from quad_sysid.qr import upper
 
 FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
@@ -136,7 +135,7 @@ def linear_of(part: Part) -> list[int]:
 class _Beside(Trajectory):
     """The fit beside which candidates are scored; its parameters are projected out.
 
-    The priors of the fit's parameters are the last rows.
+    The priors of the fit's parameters count as rows of their own.
     """
 
     def __init__(self, problem: Problem, fitted: Fit) -> None:
@@ -149,9 +148,9 @@ class _Beside(Trajectory):
         self.weight[problem.rows, 0] = np.sqrt(counts) / fitted.tail.scale
         jacobian = required(fitted.prediction.jacobian) * self.weight
         root = np.linalg.cholesky(fitted.precision).T
-        self.q = np.linalg.qr(np.vstack([jacobian, root]))[0]
-        weighted, q = e * self.weight[:, 0], self.q[: e.size]
-        self.left = weighted - q @ (q.T @ weighted)
+        self.q = np.linalg.qr(np.vstack([jacobian, root]))[0][: e.size]
+        weighted = e * self.weight[:, 0]
+        self.left = weighted - self.q @ (self.q.T @ weighted)
 
     def best(self, part: Part) -> Score | None:
         """The best start and score of a candidate; None where none is physical.
@@ -176,10 +175,14 @@ class _Beside(Trajectory):
             responses = self.problem.flight.responses(
                 np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filters
             )
-            scores += [
-                self.score(part, linear, p, psi)
-                for p, psi in zip(batch, np.split(responses, len(batch), axis=1), strict=True)
-            ]
+            if part.effect.wanders:
+                responses = np.stack([self._followed(*one) for one in zip(batch, responses.T)], 1)
+            out = self.weight * responses
+            # what the fit's own parameters can do too
+            for p, own, common in zip(batch, np.split(out, len(batch), axis=1), np.split(
+                    self.q.T @ out, len(batch), axis=1), strict=True):
+                rest = own.T @ own - common.T @ common
+                scores.append(self.score(part, linear, p, -(own.T @ self.left), rest))
         return scores
 
     @cached_property
@@ -259,26 +262,27 @@ class _Beside(Trajectory):
         keep = math.exp(-self.problem.data.dt / self.values[1])
         return lfilter([1.0 - keep], [1.0, -keep], self.backwards[::-1])[::-1]
 
-    def score(
-        self, part: Part, linear: list[int], p: FloatArray, psi: FloatArray
-    ) -> Score | None:
+    def score(self, part: Part, linear: list[int], p: FloatArray, b: FloatArray,
+              rest: FloatArray) -> Score | None:
         """What a linear step gains from one start; None where its sign is not physical.
 
-        psi (n, max(len(linear), 1)): change of the innovations by each column.
+        b (k,): slope of the log-likelihood over each column; rest (k, k): squares and products of
+        the columns beyond what the fit's own parameters can do.
         """
         effect = part.effect
-        out = self.weight * (self._followed(p, psi) if effect.wanders else psi)
-        rest = -self.q @ (self.q[: len(out)].T @ out)  # what the fit's own parameters can do too
-        rest[: len(out)] += out
-        b = -(out.T @ self.left)
         nats = -PER_NONLINEAR * (p.size - len(linear))
+        if not np.isfinite(rest).all():
+            return None
         if not linear:  # what it does from this start, as it is
-            return Score(part, (p,), nats + float(b[0] - 0.5 * rest[:, 0] @ rest[:, 0]))
+            return Score(part, (p,), nats + float(b[0] - 0.5 * rest[0, 0]))
         precision = effect.precision(part.settings, self.problem.sizes_of(part))
-        root = np.linalg.cholesky(precision[np.ix_(linear, linear)]).T
-        factor = upper(np.vstack([rest, root]))
-        x = cho_solve((factor, False), b)
-        narrowed = np.abs(np.diag(factor)) / np.diag(root)
+        precision = precision[np.ix_(linear, linear)]
+        try:
+            factor = np.linalg.cholesky(rest + precision)
+        except np.linalg.LinAlgError:  # rounding leaves nothing that is its own
+            return None
+        x = cho_solve((factor, True), b)
+        narrowed = np.diag(factor) / np.diag(np.linalg.cholesky(precision))
         nats += 0.5 * float(b @ x) - float(np.sum(np.log(narrowed)))
         if any(effect.parameters[j].positive and v < 0.0 for j, v in zip(linear, x, strict=True)):
             return None
@@ -287,12 +291,12 @@ class _Beside(Trajectory):
         return Score(part, (start,) if len(linear) == p.size else (start, gentle), nats)
 
     def _followed(self, p: FloatArray, psi: FloatArray) -> FloatArray:
-        """(n, 1) change of the innovations if a coefficient follows them."""
-        flight, e, psi = self.problem.flight, self.innovation, np.ascontiguousarray(psi[:, 0])
+        """(n,) change of the innovations if a coefficient follows them."""
+        flight, e, psi = self.problem.flight, self.innovation, np.ascontiguousarray(psi)
         pursuit, out = flight.pursuit(psi, p), e.copy()
         for start, stop in flight.passes:
             recursion.pursued(e, psi, pursuit, start, stop, out)
-        return (out - e)[:, None]
+        return out - e
 
 
 FEWEST_MOTORS = 4

@@ -235,12 +235,21 @@ class Load(Effect):
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return self._ahead(x, s, p)[:2]
 
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+    def _per_unit(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(…,) acceleration per unit of its weight, and of its inertia."""
         hidden = required(s.hidden)
         z, pushed = hidden[0], self._ahead(hidden, s, p)[2]
         ratio = float(p[2]) if self.moved != 'leaning' else 1.0 / float(p[2])
         directly = s.drive if self.moved == 'driven' else 0.0
-        return p[3] * z - p[4] * (directly + ratio * pushed)  # ratio: rad or s² per unit of z
+        return z, -(directly + ratio * pushed)  # ratio: rad or s² per unit of z
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        weight, inertia = self._per_unit(s, p)
+        return p[3] * weight + p[4] * inertia
+
+    def columns(self, s: Signals, p: FloatArray, linear: Sequence[int],
+                settings: Settings) -> FloatArray:
+        return np.stack(self._per_unit(s, p), axis=-1)[..., np.array(linear) - 3]
 
 
 class Yielding(Effect):
