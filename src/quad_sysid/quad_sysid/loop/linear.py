@@ -54,10 +54,10 @@ class Loops:
 
     def response(self, omega: FloatArray) -> ComplexArray:
         """(2, p, f) frequency response at omega (f,), rad/s."""
-        z = np.exp(1j * omega * self.dt)
-        left = z[None, :, None, None] * np.eye(self.b.shape[1]) - self.a[:, None]
-        states = np.linalg.solve(left, self.b[:, None, :, None])[..., 0]
-        return np.asarray(np.einsum('pon,pfn->opf', self.c, states))
+        turns = np.exp(1j * omega * self.dt)[:, None, None] * np.eye(self.b.shape[1])
+        # plant by plant, as the matrices of all would leave the cache
+        return np.stack([c @ np.linalg.solve(turns - a, b[:, None])[..., 0].T
+                         for a, b, c in zip(self.a, self.b, self.c, strict=True)], axis=1)
 
     def subset(self, index: npt.NDArray[np.int64]) -> Loops:
         """The loops of `index` alone."""
