@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
@@ -243,7 +242,7 @@ class Flight:
         dt, grid = self.data.dt, np.arange(rate.size)
         keep = math.exp(-dt / FOLLOWED_S)
         remainder = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
-        out: FloatArray = rate + lfilter([1.0 - keep], [1.0, -keep], remainder)
+        out: FloatArray = rate + laws.smoothed(remainder, keep)
         return out
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
