@@ -100,7 +100,7 @@ def _cycle(flying: Flying) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _many(around: Signals, n: int, sent: FloatArray) -> Signals:
     """The signals around, of n plants, which are sent different commands."""
-    return replace(around.at(np.zeros(n, dtype=np.int64)), sent=sent)
+    return around.at(np.zeros(n, dtype=np.int64)).replaced(sent=sent)
 
 
 def linear(flying: Flying, level: Level) -> Flying:
@@ -171,12 +171,12 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         command = drive + lag * change
         sent = command / gain
         s = _many(around, rate.size, sent)
-        return plant.with_motors(replace(s, rate=rate, angle=angle, drive=drive, change=change,
+        return plant.with_motors(s.replaced(rate=rate, angle=angle, drive=drive, change=change,
                                          command=command, lagged=drive / gain))
 
     def after(x: FloatArray, s: Signals) -> FloatArray:
         """(m + 1, n) the states a cycle later, and the torque meanwhile."""
-        signals = replace(s, hidden=x) if m else s
+        signals = s.replaced(hidden=x) if m else s
         torque = np.broadcast_to(required(effect.torque(signals, p, settings)), s.rate.shape)
         return np.vstack([effect.advance(x, s, p, settings), torque]) if m else torque[None]
 
