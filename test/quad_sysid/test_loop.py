@@ -18,12 +18,12 @@ from quad_sysid.loop.cascade import (
     CascadeGains,
     Linear,
     bandwidth,
+    constants_of,
     frequency_grid,
     margins,
     noise_response,
     open_loop,
     reference_response,
-    constants_of,
     responses,
 )
 from quad_sysid.loop.figures import square_figures, square_wave, step_figures

@@ -272,7 +272,7 @@ def _turns(loop: ComplexArray) -> npt.NDArray[np.int64]:
     change = np.diff(phase)
     turned = np.sum(change - 2.0 * np.pi * np.rint(change / (2.0 * np.pi)), axis=1)
     start = np.mod(phase[:, 0] + 1.5 * np.pi, 2.0 * np.pi) - 1.5 * np.pi
-    return np.rint((start + turned) / (2.0 * np.pi)).astype(np.int64)
+    return np.asarray(np.rint((start + turned) / (2.0 * np.pi)), dtype=np.int64)
 
 
 def _linear_tracking(rows: npt.NDArray[np.void], nominal: ComplexArray, harmonics: FloatArray,

@@ -180,7 +180,8 @@ class _Beside(Trajectory):
                 np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filters
             )
             if part.effect.wanders:
-                responses = np.stack([self._followed(*one) for one in zip(batch, responses.T)], 1)
+                responses = np.stack([self._followed(p, psi) for p, psi
+                                      in zip(batch, responses.T, strict=True)], axis=1)
             out = self.weight * responses
             # what the fit's own parameters can do too
             for p, own, common in zip(batch, np.split(out, len(batch), axis=1), np.split(

@@ -510,19 +510,21 @@ def turned(plant: Plant, x: Turning, s: Signals, driven: tuple[FloatArray, Float
     start = alike(x, lambda array: listing.inputs(*array.shape[:-1], 1))
     more, each = listing.inputs(1), listing.inputs(2, 5, 1)
     try:
-        later: Any = plant.turn(start, s, *driven, more, each)  # type: ignore[arg-type]
+        later: Any = plant.turn(start, s, driven[0], driven[1],
+                                more, each)  # type: ignore[arg-type]
         following = np.concatenate([listing.places(one).ravel() for one in leaves(later)])
     except (Untraceable, TypeError, IndexError, ValueError):
         for now, pushed in zip(cells, push, strict=True):
-            x = plant.turn(x, s.at(now), *(row[:, now] for row in driven), pushed, step)
+            x = plant.turn(x, s.at(now), driven[0][:, now], driven[1][:, now], pushed, step)
             path.append(flat(x))
         return unflat(np.stack(path, axis=1), x)
     code, inputs, places = listing.repeated(following)
     m, registers = following.size, np.repeat(np.array(listing.start)[:, None], w, axis=1)
     registers[:m], registers[each.at.ravel()] = path[0], step.reshape(-1, w)
     out = np.empty((m, length + 1, w))
-    laws.carried(code, *listing.numbers(w), registers, np.concatenate([push[None], inputs[:, cells]]),
-                 np.r_[more.at, places], following, 0, length, out)
+    known = np.concatenate([push[None], inputs[:, cells]])
+    laws.carried(code, *listing.numbers(w), registers, known, np.r_[more.at, places], following,
+                 0, length, out)
     out[:, -1] = registers[:m]
     return unflat(out, x)
 

@@ -127,7 +127,8 @@ def _spectrum(values: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, in
     runs = [r for r in finite_runs(np.isfinite(values), (0, values.size)) if r[1] - r[0] >= size]
     spectra: list[FloatArray] = []
     weights: list[int] = []
-    f, window = np.fft.rfftfreq(size, dt), 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size)
+    f: FloatArray = np.fft.rfftfreq(size, dt).astype(np.float64)
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size)
     for a, b in runs:
         parts = np.lib.stride_tricks.sliding_window_view(values[a:b], size)[:: size - size // 2]
         parts = window * (parts - parts.mean(axis=1, keepdims=True))
