@@ -114,7 +114,7 @@ class State(NamedTuple):
     """Hidden states of each effect that acts before the torque."""
 
 
-Whole = TypeVar('Whole', State, Turning)
+Moving = TypeVar('Moving', State, Turning)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +293,7 @@ def flat(x: State | Turning) -> FloatArray:
     return np.concatenate([array.reshape(-1, array.shape[-1]) for array in leaves(x)])
 
 
-def unflat(numbers: FloatArray, like: Whole) -> Whole:
+def unflat(numbers: FloatArray, like: Moving) -> Moving:
     """The inverse: numbers (states, …) as a state of the shapes of another, but for its w."""
     rows = iter(numbers)
 
@@ -301,7 +301,7 @@ def unflat(numbers: FloatArray, like: Whole) -> Whole:
         filled_rows = np.stack([next(rows) for _ in range(math.prod(array.shape[:-1]))])
         return filled_rows.reshape(*array.shape[:-1], *numbers.shape[1:])
 
-    state: Whole = alike(like, filled)
+    state: Moving = alike(like, filled)
     return state
 
 
