@@ -18,6 +18,7 @@ from quad_sysid.loop.cascade import (
     CascadeGains,
     Linear,
     bandwidth,
+    constants_of,
     frequency_grid,
     margins,
     noise_response,
@@ -148,7 +149,7 @@ def test_noise_and_reference_response_match_the_time_simulation(gains):
         assert amplitude == pytest.approx(want, rel=0.01)
     # a state for each filter that there is, and the response of these states
     ours = Linear(gains.dynamics(DT)).response(np.geomspace(0.5, 700.0, 40), DT)
-    both = responses([FILTERED, gains], np.geomspace(0.5, 700.0, 40), DT)
+    both = responses(constants_of([FILTERED, gains], DT), np.geomspace(0.5, 700.0, 40))
     np.testing.assert_allclose(ours, both[:, 1], rtol=1e-9)
 
 

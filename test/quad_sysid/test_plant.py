@@ -30,6 +30,7 @@ from quad_sysid.model.effect import ActingEffect, Drive, Effect, Part, Spec
 from quad_sysid.model.flight import Flight, Prediction
 from quad_sysid.model.plant import Plant
 from quad_sysid.model.structure import Structure, coordinates
+from quad_sysid.model.traced import Listing, Untraceable
 from quad_tuning.bounds import check_inside
 from quad_tuning.errors import DesignRefusedError
 
@@ -209,6 +210,24 @@ def test_a_memory_along_a_flight_is_its_law_cycle_by_cycle_compiled_where_that_i
         assert plain.call_count == called
         expected = effect.cycles(s, BASE[:1], {}, spans, first)
         np.testing.assert_allclose(along, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(('effect', 'p', 'turns'), [(Creeps(), (), 1), (Branches(), (4.0,), 101)])
+def test_a_free_run_is_made_cycle_by_cycle_compiled_where_that_is_possible(effect, p, turns):
+    """To 1e-12: 100 cycles of two windows, noted in one or computed in all."""
+    data = replace(flight_of_commands(), rate=0.5 * np.sin(4.0 * DT * np.arange(N)))
+    structure, windows = Structure((Part(effect),)), Windows(np.array([10, 60]), 100)
+    theta = coordinates(structure.specs, np.r_[BASE, p, QUIET])
+    flight = Flight(data, data.stretches)
+    prediction = flight.predict(structure, theta)
+    with mock.patch.object(Plant, 'turn', autospec=True, side_effect=Plant.turn) as turn:
+        run = flight.run(structure, theta, windows, prediction=prediction)
+    assert turn.call_count == turns
+    with mock.patch.object(Listing, 'places', side_effect=Untraceable('it')):
+        expected = flight.run(structure, theta, windows, prediction=prediction)
+    for one, other in zip((*run[:3], *run.hidden), (*expected[:3], *expected.hidden), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+    assert np.abs(run.hidden[0]).max() > 1e-3
 
 
 @pytest.mark.parametrize(('effect', 'p'), [(Branches(), 4.0), (Bends(), 0.04)])

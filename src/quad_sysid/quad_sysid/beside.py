@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import multiprocessing
 import os
 import signal
@@ -37,6 +38,7 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
     os.write(put, b''.join(place.to_bytes(WIDE, 'big') for place in range(cores, len(calls))))
     os.close(put)
     started = []
+    gc.freeze()  # a collection of garbage would visit all there is, and copy what processes share
     try:
         with suppress(OSError):  # no memory for another process
             for first in range(1, cores):
@@ -54,6 +56,7 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
                     results[place] = result
         return [results[place] if place in results else call() for place, call in enumerate(calls)]
     finally:
+        gc.unfreeze()
         os.close(queue)
         for process, receiver in started:
             process.kill()

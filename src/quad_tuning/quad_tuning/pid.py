@@ -18,8 +18,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
+from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
-from quad_sysid.loop.cascade import WORDS, CascadeGains, contract_names, margins, responses
+from quad_sysid.loop.cascade import (
+    TUNED,
+    WORDS,
+    CascadeGains,
+    constants_of,
+    contract_names,
+    margins,
+    responses,
+    weight_of,
+)
 from quad_sysid.loop.linear import ComplexArray
 from quad_sysid.loop.plant import Flying
 from quad_tuning.assess import (
@@ -83,16 +93,29 @@ class Problem:
     low: FloatArray
     high: FloatArray
 
-    def gains(self, points: FloatArray) -> list[CascadeGains]:
-        """Gains at points (g, 5) of the unit cube."""
+    def values(self, points: FloatArray) -> FloatArray:
+        """(g, 5) what is designed, at points (g, 5) of the unit cube."""
         values = []
         for field, share, low, high in zip(DESIGNED, np.clip(points, 0.0, 1.0).T, self.low,
                                            self.high, strict=True):
             power = POWERS.get(field)
             values.append(low * (high / low) ** share if power is None
                           else low + share**power * (high - low))
+        return np.stack(values, axis=1)
+
+    def gains(self, points: FloatArray) -> list[CascadeGains]:
+        """Gains at points (g, 5) of the unit cube."""
         return [replace(self.active, **dict(zip(DESIGNED, row, strict=True)))
-                for row in np.stack(values, axis=1).tolist()]
+                for row in self.values(points).tolist()]
+
+    def constants(self, points: FloatArray) -> npt.NDArray[np.void]:
+        """(g,) those of the controllers there."""
+        values, dt = self.values(points), self.plant.dt
+        each = np.repeat(constants_of([self.active], dt), len(points))
+        for field, column in zip(TUNED, values.T, strict=False):
+            each[field] = column
+        each['d_weight'] = [weight_of(hz, dt) for hz in values[:, len(TUNED)].tolist()]
+        return each
 
     def judged(self, loops: Ensemble, points: FloatArray) -> FloatArray:
         """(g, 1 + 4 + 3 p) at points (g, 5): objective, nominal constraints, the loops' reserve.
@@ -170,13 +193,11 @@ def search(problem: Problem) -> list[tuple[float, FloatArray]]:
     loops = problem.ensemble.subset(_binding(problem))
     best = grid[_ranked(problem, loops, grid)[:JUDGED]]
     best = best[np.argsort(_merits(problem, loops, best), kind='stable')]
-    ends: list[tuple[float, FloatArray]] = []
-    for attempt, start in enumerate(_distinct(best)):
-        end = _polish(problem, start)
-        if end is not None:
-            ends.append(end)
-        elif attempt and not ends:
-            break  # two searches from afar found none
+    starts = _distinct(best)
+    ends = side_by_side([partial(_polish, problem, start) for start in starts[:2]])
+    if any(end is not None for end in ends):  # else two searches from afar satisfied none
+        ends += side_by_side([partial(_polish, problem, start) for start in starts[2:]])
+    ends = [end for end in ends if end is not None]
     return sorted(ends, key=lambda item: item[0])
 
 
@@ -209,26 +230,27 @@ def _ranked(problem: Problem, loops: Ensemble, grid: FloatArray) -> npt.NDArray[
     harmonics: FloatArray = np.pi / half * np.arange(1.0, 240.0, 2.0)
     harmonics = harmonics[harmonics < 0.9 * np.pi / dt]
     nominal = problem.nominal.cycle.response(harmonics)
-    rows = problem.gains(grid)
+    rows = problem.constants(grid)
     merits = []
     for start in range(0, len(rows), CHUNK):
         part = rows[start : start + CHUNK]
         short = _margin_reserve(problem, part, thin)
-        merits.append(_linear_tracking(part, nominal, harmonics, dt, half) - 3.0 * short)
+        merits.append(_linear_tracking(part, nominal, harmonics, half) - 3.0 * short)
     return np.argsort(np.concatenate(merits), kind='stable')
 
 
-def _loops_of(rows: list[CascadeGains], response: ComplexArray, omega: FloatArray,
-              dt: float) -> tuple[ComplexArray, ComplexArray]:
+def _loops_of(rows: npt.NDArray[np.void], response: ComplexArray,
+              omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Loop gain (g, p, f) and forward path of the angle reference (g, p, f)."""
-    rate, angle = responses(rows, omega, dt)
+    rate, angle = responses(rows, omega)
     forward = -angle[:, None] * response[1]
     return np.asarray(forward - rate[:, None] * response[0]), forward
 
 
-def _margin_reserve(problem: Problem, rows: list[CascadeGains], loops: Ensemble) -> FloatArray:
+def _margin_reserve(problem: Problem, rows: npt.NDArray[np.void],
+                    loops: Ensemble) -> FloatArray:
     """(g,) smallest relative margin over the loops, 0 where all are satisfied."""
-    loop, _ = _loops_of(rows, loops.response, loops.omega, loops.cycle.dt)
+    loop, _ = _loops_of(rows, loops.response, loops.omega)
     g, p, f = loop.shape
     m, needs = margins(loop.reshape(g * p, f), loops.omega), problem.needs
     reserve = np.minimum(
@@ -246,15 +268,17 @@ def _turns(loop: ComplexArray) -> npt.NDArray[np.int64]:
     Nyquist's criterion for a plant without unstable poles whose phase at the lowest frequency lies
     in -270..90 degrees.
     """
-    phase = np.unwrap(np.angle(1.0 + loop), axis=-1)
+    phase = np.angle(1.0 + loop)
+    change = np.diff(phase)
+    turned = np.sum(change - 2.0 * np.pi * np.rint(change / (2.0 * np.pi)), axis=1)
     start = np.mod(phase[:, 0] + 1.5 * np.pi, 2.0 * np.pi) - 1.5 * np.pi
-    return np.rint((start + phase[:, -1] - phase[:, 0]) / (2.0 * np.pi)).astype(np.int64)
+    return np.asarray(np.rint((start + turned) / (2.0 * np.pi)), dtype=np.int64)
 
 
-def _linear_tracking(rows: list[CascadeGains], nominal: ComplexArray, harmonics: FloatArray,
-                     dt: float, half_period_s: float) -> FloatArray:
+def _linear_tracking(rows: npt.NDArray[np.void], nominal: ComplexArray, harmonics: FloatArray,
+                     half_period_s: float) -> FloatArray:
     """(g,) RMS error of a square wave of amplitude 1 without limits, by Parseval."""
-    loop, forward = _loops_of(rows, nominal, harmonics, dt)
+    loop, forward = _loops_of(rows, nominal, harmonics)
     error = np.abs(1.0 - (forward / (1.0 + loop))[:, 0]) ** 2
     k = harmonics * half_period_s / np.pi
     total = np.sum(error * 0.5 * (4.0 / (np.pi * k)) ** 2, axis=1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fit_without
@@ -54,7 +54,7 @@ def p_value(shares: FloatArray) -> float:
     mean = float(np.mean(shares))
     if variance <= 0.0:
         return 0.0 if mean > 0.0 else 1.0
-    return float(stats.t.sf(math.sqrt(n) * mean / math.sqrt(variance), count))
+    return float(special.stdtr(count, -math.sqrt(n) * mean / math.sqrt(variance)))
 
 
 def p_of_both(long: FloatArray, shorter: FloatArray, ahead: FloatArray) -> float:
@@ -69,7 +69,7 @@ def p_of_both(long: FloatArray, shorter: FloatArray, ahead: FloatArray) -> float
 
 def of_both(*p_values: float) -> float:
     """The chance that tests which depend on each other leave together (Wilson 2019)."""
-    return float(stats.hmean(np.maximum(p_values, LEAST_P)))
+    return float(1.0 / np.mean(1.0 / np.maximum(p_values, LEAST_P)))
 
 
 def shares_of(speaks_for: FloatArray, against: FloatArray) -> FloatArray:

@@ -14,18 +14,16 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
-from scipy.signal import fftconvolve, find_peaks, lfilter
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import FEW_STARTS, PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem, derivative_steps
-from quad_sysid.model import recursion
+from quad_sysid.model import laws, recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.flight import per_coefficient
 from quad_sysid.model.structure import BASE, Structure, coordinates, natural
-from quad_sysid.qr import upper
 
 FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
@@ -64,8 +62,13 @@ def _spectrum(problem: Problem, signal: FloatArray) -> tuple[FloatArray, FloatAr
 
 def _peaks(power: FloatArray, apart: int) -> NDArray[np.int64]:
     """Where the highest peaks are, at least so far apart."""
-    peaks = find_peaks(power, distance=apart)[0]
-    return peaks[np.argsort(-power[peaks])][:LINES]
+    inside = power[1:-1]
+    peaks = 1 + np.flatnonzero((inside > power[:-2]) & (inside > power[2:]))
+    kept: list[int] = []
+    for peak in peaks[np.argsort(-power[peaks], kind='stable')].tolist():
+        if len(kept) < LINES and all(abs(peak - other) >= apart for other in kept):
+            kept.append(peak)
+    return np.array(kept, dtype=np.int64)
 
 
 def vibration_line(problem: Problem, fitted: Fit) -> float | None:
@@ -136,7 +139,7 @@ def linear_of(part: Part) -> list[int]:
 class _Beside(Trajectory):
     """The fit beside which candidates are scored; its parameters are projected out.
 
-    The priors of the fit's parameters are the last rows.
+    The priors of the fit's parameters count as rows of their own.
     """
 
     def __init__(self, problem: Problem, fitted: Fit) -> None:
@@ -149,9 +152,9 @@ class _Beside(Trajectory):
         self.weight[problem.rows, 0] = np.sqrt(counts) / fitted.tail.scale
         jacobian = required(fitted.prediction.jacobian) * self.weight
         root = np.linalg.cholesky(fitted.precision).T
-        self.q = np.linalg.qr(np.vstack([jacobian, root]))[0]
-        weighted, q = e * self.weight[:, 0], self.q[: e.size]
-        self.left = weighted - q @ (q.T @ weighted)
+        self.q, self.of_priors = np.split(np.linalg.qr(np.vstack([jacobian, root]))[0], [e.size])
+        weighted = e * self.weight[:, 0]
+        self.left = weighted - self.q @ (self.q.T @ weighted)
 
     def best(self, part: Part) -> Score | None:
         """The best start and score of a candidate; None where none is physical.
@@ -176,10 +179,15 @@ class _Beside(Trajectory):
             responses = self.problem.flight.responses(
                 np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filters
             )
-            scores += [
-                self.score(part, linear, p, psi)
-                for p, psi in zip(batch, np.split(responses, len(batch), axis=1), strict=True)
-            ]
+            if part.effect.wanders:
+                responses = np.stack([self._followed(p, psi) for p, psi
+                                      in zip(batch, responses.T, strict=True)], axis=1)
+            out = self.weight * responses
+            common = self.q.T @ out  # what the fit's own parameters can do too
+            slopes, rest, priors = -(out.T @ self.left), out - self.q @ common, self.of_priors @ common
+            for p, b, own, prior in zip(batch, *(np.split(each, len(batch), axis=-1)
+                                                 for each in (slopes, rest, priors)), strict=True):
+                scores.append(self.score(part, linear, p, b, own.T @ own + prior.T @ prior))
         return scores
 
     @cached_property
@@ -246,7 +254,7 @@ class _Beside(Trajectory):
         answer = flight.responses(pulse, self.slope, self.fitted.prediction.filters)
         answer = answer[begin : begin + round(ANSWER_S / dt), 0]
         e = self.innovation * self.weight[:, 0] ** 2
-        return -fftconvolve(e, answer[::-1])[answer.size - 1 :]
+        return -np.convolve(e, answer[::-1])[answer.size - 1 :]
 
     def correlated(self, effect: Effect) -> FloatArray:
         """(n,) the same by the effect's term: what moves the command acts through the lag."""
@@ -257,28 +265,29 @@ class _Beside(Trajectory):
     def _behind_lag(self) -> FloatArray:
         """(n,) the same by the command times the gain."""
         keep = math.exp(-self.problem.data.dt / self.values[1])
-        return lfilter([1.0 - keep], [1.0, -keep], self.backwards[::-1])[::-1]
+        return laws.smoothed(np.ascontiguousarray(self.backwards[::-1]), keep)[::-1]
 
-    def score(
-        self, part: Part, linear: list[int], p: FloatArray, psi: FloatArray
-    ) -> Score | None:
+    def score(self, part: Part, linear: list[int], p: FloatArray, b: FloatArray,
+              rest: FloatArray) -> Score | None:
         """What a linear step gains from one start; None where its sign is not physical.
 
-        psi (n, max(len(linear), 1)): change of the innovations by each column.
+        b (k,): slope of the log-likelihood over each column; rest (k, k): squares and products of
+        the columns beyond what the fit's own parameters can do.
         """
         effect = part.effect
-        out = self.weight * (self._followed(p, psi) if effect.wanders else psi)
-        rest = -self.q @ (self.q[: len(out)].T @ out)  # what the fit's own parameters can do too
-        rest[: len(out)] += out
-        b = -(out.T @ self.left)
         nats = -PER_NONLINEAR * (p.size - len(linear))
+        if not np.isfinite(rest).all():
+            return None
         if not linear:  # what it does from this start, as it is
-            return Score(part, (p,), nats + float(b[0] - 0.5 * rest[:, 0] @ rest[:, 0]))
+            return Score(part, (p,), nats + float(b[0] - 0.5 * rest[0, 0]))
         precision = effect.precision(part.settings, self.problem.sizes_of(part))
-        root = np.linalg.cholesky(precision[np.ix_(linear, linear)]).T
-        factor = upper(np.vstack([rest, root]))
-        x = cho_solve((factor, False), b)
-        narrowed = np.abs(np.diag(factor)) / np.diag(root)
+        precision = precision[np.ix_(linear, linear)]
+        try:
+            factor = np.linalg.cholesky(rest + precision)
+        except np.linalg.LinAlgError:  # rounding leaves nothing that is its own
+            return None
+        x = cho_solve((factor, True), b)
+        narrowed = np.diag(factor) / np.diag(np.linalg.cholesky(precision))
         nats += 0.5 * float(b @ x) - float(np.sum(np.log(narrowed)))
         if any(effect.parameters[j].positive and v < 0.0 for j, v in zip(linear, x, strict=True)):
             return None
@@ -287,12 +296,12 @@ class _Beside(Trajectory):
         return Score(part, (start,) if len(linear) == p.size else (start, gentle), nats)
 
     def _followed(self, p: FloatArray, psi: FloatArray) -> FloatArray:
-        """(n, 1) change of the innovations if a coefficient follows them."""
-        flight, e, psi = self.problem.flight, self.innovation, np.ascontiguousarray(psi[:, 0])
+        """(n,) change of the innovations if a coefficient follows them."""
+        flight, e, psi = self.problem.flight, self.innovation, np.ascontiguousarray(psi)
         pursuit, out = flight.pursuit(psi, p), e.copy()
         for start, stop in flight.passes:
             recursion.pursued(e, psi, pursuit, start, stop, out)
-        return (out - e)[:, None]
+        return out - e
 
 
 FEWEST_MOTORS = 4

@@ -10,7 +10,6 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.constants import SLOW_MOVES
@@ -237,12 +236,21 @@ class Load(Effect):
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return self._ahead(x, s, p)[:2]
 
-    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+    def _per_unit(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(…,) acceleration per unit of its weight, and of its inertia."""
         hidden = required(s.hidden)
         z, pushed = hidden[0], self._ahead(hidden, s, p)[2]
         ratio = float(p[2]) if self.moved != 'leaning' else 1.0 / float(p[2])
         directly = s.drive if self.moved == 'driven' else 0.0
-        return p[3] * z - p[4] * (directly + ratio * pushed)  # ratio: rad or s² per unit of z
+        return z, -(directly + ratio * pushed)  # ratio: rad or s² per unit of z
+
+    def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
+        weight, inertia = self._per_unit(s, p)
+        return p[3] * weight + p[4] * inertia
+
+    def columns(self, s: Signals, p: FloatArray, linear: Sequence[int],
+                settings: Settings) -> FloatArray:
+        return np.stack(self._per_unit(s, p), axis=-1)[..., np.array(linear) - 3]
 
 
 class Yielding(Effect):
@@ -352,7 +360,7 @@ class Memory(Shape, Linear):
             raise ValueError(signal)  # noqa: TRY004 - why this flight cannot be used
         if self.signal == 'command':  # the lag matters little here, and is not known
             keep = math.exp(-data.dt / math.exp(BASE[1].centre))
-            signal = lfilter([1.0 - keep], [1.0, -keep], signal)
+            signal = laws.smoothed(signal, keep)
         push = self._push(np.nan_to_num(signal), settings)
         out = np.zeros((1, push.size))
         step = step_of(*behind_lag(float(p[0])), data.dt)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from quad_sysid.axes import EVERY, axis_of
 from quad_sysid.contract import FloatArray
@@ -162,7 +163,7 @@ class CascadeGains:
 
     def response(self, omega: FloatArray, dt: float) -> ComplexArray:
         """(2, f) from the measured rate and angle to u at omega, rad/s, at reference 0."""
-        return responses([self], omega, dt)[:, 0]
+        return responses(constants_of([self], dt), omega)[:, 0]
 
     def constants(self, dt: float) -> kernels.Constants:
         """The numbers of the compiled controller, with a control cycle of dt s."""
@@ -195,10 +196,18 @@ def weight_of(cutoff_hz: float, dt: float) -> float:
     return dt / (dt + 1.0 / (2.0 * np.pi * cutoff_hz)) if cutoff_hz > 0.0 else 1.0
 
 
-def responses(sets: Sequence[CascadeGains], omega: FloatArray, dt: float) -> ComplexArray:
-    """(2, g, f) from the measured rate and angle to u at omega, rad/s, at reference 0."""
+def constants_of(sets: Sequence[CascadeGains], dt: float) -> npt.NDArray[np.void]:
+    """(g,) the constants of each, by their names."""
+    return np.array([one.constants(dt) for one in sets], kernels.EACH)
+
+
+def responses(constants: npt.NDArray[np.void], omega: FloatArray) -> ComplexArray:
+    """(2, g, f) from the measured rate and angle to u at omega, rad/s, at reference 0.
+
+    constants (g,): of controllers with one control cycle.
+    """
+    each, dt = constants[:, None], float(constants['dt'][0])
     back = np.exp(-1j * omega * dt)
-    each = np.array([one.constants(dt) for one in sets], kernels.EACH)[:, None]
 
     def behind(which: str) -> ComplexArray:
         weight = each[f'{which}_weight']
@@ -293,29 +302,9 @@ class Margins:
 
 def margins(loop: ComplexArray, omega: FloatArray) -> Margins:
     """Margins of loop gains (p, f) on a grid omega (f,), crossings interpolated linearly."""
-    log_gain = np.log(np.maximum(np.abs(loop), 1e-300))
-    phase = np.unwrap(np.angle(loop), axis=-1)
-    low, high = log_gain[:, :-1], log_gain[:, 1:]
-    crossed = (low > 0) != (high > 0)
-    share = np.where(crossed, low / np.where(crossed, low - high, 1.0), 0.0)
-    crossing = phase[:, :-1] + share * (phase[:, 1:] - phase[:, :-1])
-    distance = np.abs((crossing % (2.0 * np.pi)) - np.pi)
-    phase_margin = np.degrees(np.min(np.where(crossed, distance, np.inf), axis=1))
-    log_omega = np.log(omega)
-    where = np.exp(log_omega[:-1] + share * np.diff(log_omega))
-    falling = crossed & (low > 0)
-    crossover = np.max(np.where(falling, where, -np.inf), axis=1)
-    turns = (phase - np.pi) / (2.0 * np.pi)
-    floor = np.floor(turns)
-    passed = floor[:, :-1] != floor[:, 1:]
-    level = np.maximum(floor[:, :-1], floor[:, 1:])
-    step = turns[:, 1:] - turns[:, :-1]
-    part = np.where(passed, (level - turns[:, :-1]) / np.where(passed, step, 1.0), 0.0)
-    gain = np.abs(low + part * (high - low))
-    gain_margin = 20.0 / np.log(10.0) * np.min(np.where(passed, gain, np.inf), axis=1)
-    return Margins(phase_margin_deg=phase_margin, gain_margin_db=gain_margin,
-                   peak_sensitivity=np.max(1.0 / np.abs(1.0 + loop), axis=1),
-                   crossover_rad_s=np.where(np.isfinite(crossover), crossover, np.nan))
+    out = np.empty((4, len(loop)))
+    kernels.margins(np.ascontiguousarray(loop), np.log(omega), out)
+    return Margins(*out)
 
 
 def bandwidth(response: ComplexArray, omega: FloatArray) -> FloatArray:

@@ -233,3 +233,40 @@ def run_polynomial(gains: Constants, signals: FloatArray, a: FloatArray, b: Floa
         predicted = angle + lead * rate
         wanted, u = control(gains, memory, signals[0, k], predicted, rate, 0.0)
         out[0, k], out[1, k], out[2, k], out[3, k] = predicted, rate, u, wanted
+
+
+@kernel(types.complex128[:, ::1], LINE, TABLE)
+def margins(loop: npt.NDArray[np.complex128], log_omega: FloatArray, out: FloatArray) -> None:
+    """The fields of cascade.Margins of loop gains (p, f) into `out` (4, p).
+
+    Between two frequencies the logarithm of the gain and the phase, the shorter way round, are
+    linear over the logarithm of the frequency.
+    """
+    whole = 2.0 * math.pi
+    for i in range(loop.shape[0]):
+        nearest = least = np.inf
+        least_gain, crossover = np.inf, -np.inf
+        low = phase = lost = 0.0
+        for k in range(log_omega.size):
+            x, y = loop[i, k].real, loop[i, k].imag
+            lost += 0.0 * (x + y)  # NaN once one of them is
+            nearest = min(nearest, (1.0 + x) * (1.0 + x) + y * y)
+            high, later = 0.5 * math.log(max(x * x + y * y, 1e-300)), math.atan2(y, x)
+            if k > 0:
+                change = later - phase
+                change -= whole * np.rint(change / whole)
+                if (low > 0.0) != (high > 0.0):
+                    share = low / (low - high)
+                    least = min(least, abs((phase + share * change) % whole - math.pi))
+                    if low > 0.0:
+                        step = log_omega[k] - log_omega[k - 1]
+                        crossover = max(crossover, log_omega[k - 1] + share * step)
+                turns, step = (phase - math.pi) / whole, change / whole
+                floor, beyond = math.floor(turns), math.floor(turns + step)
+                if floor != beyond:
+                    part = (max(floor, beyond) - turns) / step
+                    least_gain = min(least_gain, abs(low + part * (high - low)))
+            low, phase = high, later
+        out[0, i], out[1, i] = math.degrees(least), 20.0 / math.log(10.0) * least_gain
+        out[2, i] = 1.0 / math.sqrt(nearest + lost)
+        out[3, i] = math.exp(crossover) if crossover > -np.inf else np.nan

@@ -52,10 +52,10 @@ class Loops:
 
     def response(self, omega: FloatArray) -> ComplexArray:
         """(2, p, f) frequency response at omega (f,), rad/s."""
-        z = np.exp(1j * omega * self.dt)
-        left = z[None, :, None, None] * np.eye(self.b.shape[1]) - self.a[:, None]
-        states = np.linalg.solve(left, self.b[:, None, :, None])[..., 0]
-        return np.asarray(np.einsum('pon,pfn->opf', self.c, states))
+        turns = np.exp(1j * omega * self.dt)[:, None, None] * np.eye(self.b.shape[1])
+        # plant by plant, as the matrices of all would leave the cache
+        return np.stack([c @ np.linalg.solve(turns - a, b[:, None])[..., 0].T
+                         for a, b, c in zip(self.a, self.b, self.c, strict=True)], axis=1)
 
     def subset(self, index: npt.NDArray[np.int64]) -> Loops:
         """The loops of `index` alone."""
@@ -98,7 +98,7 @@ def _cycle(flying: Flying) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _many(around: Signals, n: int, sent: FloatArray) -> Signals:
     """The signals around, of n plants, which are sent different commands."""
-    return replace(around.at(np.zeros(n, dtype=np.int64)), sent=sent)
+    return around.at(np.zeros(n, dtype=np.int64)).replaced(sent=sent)
 
 
 def linear(flying: Flying, level: Level) -> Flying:
@@ -169,12 +169,12 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         command = drive + lag * change
         sent = command / gain
         s = _many(around, rate.size, sent)
-        return plant.with_motors(replace(s, rate=rate, angle=angle, drive=drive, change=change,
+        return plant.with_motors(s.replaced(rate=rate, angle=angle, drive=drive, change=change,
                                          command=command, lagged=drive / gain))
 
     def after(x: FloatArray, s: Signals) -> FloatArray:
         """(m + 1, n) the states a cycle later, and the torque meanwhile."""
-        signals = replace(s, hidden=x) if m else s
+        signals = s.replaced(hidden=x) if m else s
         torque = np.broadcast_to(required(effect.torque(signals, p, settings)), s.rate.shape)
         return np.vstack([effect.advance(x, s, p, settings), torque]) if m else torque[None]
 

@@ -72,7 +72,7 @@ class Program:
 
 
 LAWS = ('torque', 'command', 'actuate', 'advance')
-NOWHERE, NOTHING = np.zeros(0, np.int64), np.zeros((0, 1))
+NOWHERE, NOTHING = np.zeros(0, np.int64), np.zeros((0, 1, 1))
 CHANNELS = ('commands', 'lag', 'ages', 'fraction')
 """What a law may change of a Drive from cycle to cycle."""
 
@@ -223,8 +223,8 @@ class Running:
         for k, call in (*inside, (end, None)):
             if begin < k:
                 out.append(partial(
-                    laws.carried, made.code[begin:k], made.more, made.tables, self.registers,
-                    NOTHING, NOWHERE, NOWHERE, 0, 1, NOTHING))
+                    laws.carried, made.code[begin:k], made.more, made.tables[:, None],
+                    self.registers[:, None], NOTHING, NOWHERE, NOWHERE, 0, 1, NOTHING))
             if call is not None:
                 out.append(call.on(self.registers))
             begin = k + 1

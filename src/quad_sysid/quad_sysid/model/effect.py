@@ -376,12 +376,12 @@ class Effect:
             following = listing.places(self.advance(x, s, p, settings)).ravel()
         except (Untraceable, TypeError, IndexError, ValueError):
             return self.cycles(s, p, settings, stretches, first)
-        code, constants, indices = listing.repeated(following)
+        code, inputs, indices = listing.repeated(following)
         for (start, stop), begin in zip(stretches, first, strict=True):
-            registers = np.array(listing.start)
-            registers[: len(out)] = begin
-            laws.carried(code, np.array([*listing.more, 0]), np.array([*listing.tables, 0.0]),
-                         registers, constants, indices, following, start, stop, out)
+            registers = np.array(listing.start)[:, None]
+            registers[: len(out), 0] = begin
+            laws.carried(code, *listing.numbers(1), registers, inputs[..., None], indices,
+                         following, start, stop, out[..., None])
         return out
 
     def cycles(

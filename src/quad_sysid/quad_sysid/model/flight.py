@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
-from quad_sysid.model import recursion
+from quad_sysid.model import laws, recursion
 from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import SETTLE_S, SLOPE_S, AxisData, Span, Windows, at_limit, filled
 from quad_sysid.model.effect import SMALL, ActingEffect, Part, Signals, required
@@ -28,13 +27,18 @@ from quad_sysid.model.plant import (
     EffectOnSignals,
     Plant,
     Turning,
+    alike,
     drive_of,
+    flat,
     lag_and_delay,
+    leaves,
+    unflat,
     with_drive,
     with_slopes,
     with_torques,
 )
 from quad_sysid.model.structure import Structure, natural
+from quad_sysid.model.traced import Listing, Untraceable
 
 DIVERGED = 1e6
 """Rate, rad/s, from which a run counts as diverged: ten thousand times what any gyro measures."""
@@ -141,7 +145,6 @@ class Flight:
         }
         self.disturbances, self.variance = np.zeros((data.rate.size, 2)), 0.0
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
-        self._windows: tuple[Windows | None, list[Signals]] = (None, [])
         # smoothed, and advanced by the filter's delay
         smooth = np.full(SMOOTHED, 1.0 / SMOOTHED)
         self.rate = self._advanced(np.convolve(self.gyro, smooth, mode='same'))
@@ -233,7 +236,7 @@ class Flight:
         dt, grid = self.data.dt, np.arange(rate.size)
         keep = math.exp(-dt / FOLLOWED_S)
         remainder = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
-        out: FloatArray = rate + lfilter([1.0 - keep], [1.0, -keep], remainder)
+        out: FloatArray = rate + laws.smoothed(remainder, keep)
         return out
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
@@ -459,58 +462,65 @@ class Flight:
         """The free runs of `free_run`, with the states and signals on their way."""
         dt, p = self.data.dt, structure.natural(theta)
         prediction = prediction or self.predict(structure, theta)
-        steady = prediction.filter
-        halves, states = self.driven(structure, p)
+        steady, starts = prediction.filter, windows.starts
         plant = Plant(structure, p, dt, self.sensor, self.data.craft, self.data.index, rounds)
-        x = prediction.states[windows.starts]
+        x = prediction.states[starts]
         r, d, g, q = x[:, :4].T
         end = 4 + 2 * structure.lines
         v = x[:, 4:end:2] + 1j * x[:, 5:end:2]
         followed = iter(x[:, end:].T)
         turn = steady.move[2::2] + 1j * steady.move[3::2]
         fade, hold = steady.move[:2]
-        late = self.late[windows.starts]
-        number = np.searchsorted([a for a, _ in self.passes], windows.starts, side='right') - 1
+        number = np.searchsorted([a for a, _ in self.passes], starts, side='right') - 1
         steps = np.stack([sensor.step for sensor in self.sensors], axis=2)
-        step = steps[:, :, np.maximum(number, 0)]
-        out = np.full((windows.count, windows.length), np.nan)
         signals = self.signals(structure, p, prediction.rate)
-        angle = None if self.angle is None else self.angle[windows.starts] + late * r
+        angle = None if self.angle is None else self.angle[starts] + self.late[starts] * r
         turning = Turning(r, angle, np.stack([g, q]), tuple(
             next(followed)[None, :] if part.effect.wanders else
-            required(self.hidden(part, signals, values).hidden)[:, windows.starts]
+            required(self.hidden(part, signals, values).hidden)[:, starts]
             if part.effect.states else None for part, values in plant.torque_effects
         ))
-        lag, delay = lag_and_delay(p)
-        rates = np.empty_like(out)
-        angles = None if angle is None else np.empty_like(out)
-        hidden = tuple(None if x is None else np.empty((x.shape[0], *out.shape))
-                       for x in turning.hidden)
-        for i, measured in enumerate(self._around(windows)):
-            k = windows.starts + i
-            if angles is not None:
-                angles[:, i] = required(turning.angle)
-            for trace, state in zip(hidden, turning.hidden, strict=True):
-                if trace is not None:
-                    trace[:, :, i] = state
-            out[:, i] = (turning.seen[0] if self.sensor.noisy else turning.rate) \
-                - self.data.rate[k]
-            if not self.sensor.derived:
-                out[:, i] += v.real.sum(axis=1)
-            around = measured.replaced(lag=lag, delay=delay)
-            start_rate = turning.rate
-            turning = plant.turn(turning, around, halves[:, k], states[:, k], hold * d, step)
-            rates[:, i] = 0.5 * (start_rate + turning.rate)
-            d, v = d * fade, v * turn
-        return Run(out, rates, angles, hidden)
+        cycle = np.arange(windows.length)[:, None]
+        went = turned(plant, turning, self.commanded(p), self.driven(structure, p), starts + cycle,
+                      hold * d * fade**cycle, steps[:, :, np.maximum(number, 0)])
+        begun: Turning = alike(went, lambda each: np.ascontiguousarray(
+            np.swapaxes(each[..., :-1, :], -1, -2)))
+        errors = (begun.seen[0] if self.sensor.noisy else begun.rate) \
+            - self.data.rate[starts[:, None] + cycle.T]
+        if not self.sensor.derived:
+            errors += (v @ (turn**cycle).T).real
+        return Run(errors, 0.5 * (went.rate[:-1] + went.rate[1:]).T, begun.angle, begun.hidden)
 
-    def _around(self, windows: Windows) -> list[Signals]:
-        """What was measured in each cycle of the windows, all but the axis' own motion."""
-        if self._windows[0] is not windows:
-            signals = self.commanded(np.zeros(3))
-            self._windows = windows, [
-                signals.at(windows.starts + i) for i in range(windows.length)]
-        return self._windows[1]
+
+def turned(plant: Plant, x: Turning, s: Signals, driven: tuple[FloatArray, FloatArray],
+           cells: NDArray[np.int64], push: FloatArray, step: FloatArray) -> Turning:
+    """How an axis turns from x (w,) in the cycles `cells` (l, w) of a flight: (l + 1, w).
+
+    What happens in a cycle is noted once and repeated by compiled code. s: signals (n,) of the
+    flight, and what drives it as Flight.driven gives it; push (l, w) more acceleration, rad/s²;
+    step (2, 5, w) of the gyro's filter.
+    """
+    (length, w), listing, path = cells.shape, Listing(s.time.size), [flat(x)]
+    start = alike(x, lambda array: listing.inputs(*array.shape[:-1], 1))
+    more, each = listing.inputs(1), listing.inputs(2, 5, 1)
+    try:
+        later: Any = plant.turn(start, s, driven[0], driven[1],
+                                more, each)  # type: ignore[arg-type]
+        following = np.concatenate([listing.places(one).ravel() for one in leaves(later)])
+    except (Untraceable, TypeError, IndexError, ValueError):
+        for now, pushed in zip(cells, push, strict=True):
+            x = plant.turn(x, s.at(now), driven[0][:, now], driven[1][:, now], pushed, step)
+            path.append(flat(x))
+        return unflat(np.stack(path, axis=1), x)
+    code, inputs, places = listing.repeated(following)
+    m, registers = following.size, np.repeat(np.array(listing.start)[:, None], w, axis=1)
+    registers[:m], registers[each.at.ravel()] = path[0], step.reshape(-1, w)
+    out = np.empty((m, length + 1, w))
+    known = np.concatenate([push[None], inputs[:, cells]])
+    laws.carried(code, *listing.numbers(w), registers, known, np.r_[more.at, places], following,
+                 0, length, out)
+    out[:, -1] = registers[:m]
+    return unflat(out, x)
 
 
 class _Inputs(NamedTuple):

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from quad_sysid.compiled import LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
+from quad_sysid.compiled import BLOCK, LINE, NUMBER, TABLE, WHOLE, WHOLES, inner, kernel
 from quad_sysid.model.traced import CODES
 
 IntArray = NDArray[np.int64]
@@ -57,6 +57,16 @@ def linear_states(moving, a, b, start, stop, out):
             new[i] = total
             out[i, k + 1] = total
         x, new = new, x
+
+
+@kernel(LINE, NUMBER)
+def smoothed(x, keep):
+    """(n,) x (n,) behind a first-order filter that keeps this much of what it gave, from 0 on."""
+    out, y = np.empty(x.size), 0.0
+    for k in range(x.size):
+        y = (1.0 - keep) * x[k] + keep * y
+        out[k] = y
+    return out
 
 
 @inner
@@ -209,22 +219,27 @@ def operate(code, more, tables, r, begin, end):
                 r[to, i] = value(what, r[a, i], r[b, i])
 
 
-@kernel(WHOLE[:, ::1], WHOLES, LINE, LINE, TABLE, WHOLES, WHOLES, WHOLE, WHOLE, TABLE)
+@kernel(WHOLE[:, ::1], WHOLES, TABLE, TABLE, BLOCK, WHOLES, WHOLES, WHOLE, WHOLE, BLOCK)
 def carried(code, more, tables, r, known, at, following, begin, end, out):
-    """States by their operations over the cycles [begin, end): `out` (m, n) at the start of each.
+    """States by their operations over the cycles [begin, end): `out` (m, n, w) at their starts.
 
-    known (s, n): what is known of each cycle, whose registers are `at` (s,); the state of m
-    numbers stands in the first registers, those of a cycle later in `following` (m,).
+    r (registers, w) and tables (t, w) of w runs side by side; known (s, n, w) is known of each
+    cycle, its registers are `at` (s,); the state of m numbers stands in the first registers, those
+    of a cycle later in `following` (m,).
     """
-    m, column, numbers = following.size, r.reshape((-1, 1)), tables.reshape((-1, 1))
-    new = np.empty(m)
+    m, w = following.size, r.shape[1]
+    new = np.empty((m, w))
     for k in range(begin, end):
         for i in range(m):
-            out[i, k] = r[i]
+            for j in range(w):
+                out[i, k, j] = r[i, j]
         for i in range(at.size):
-            r[at[i]] = known[i, k]
-        operate(code, more, numbers, column, 0, code.shape[0])
+            for j in range(w):
+                r[at[i], j] = known[i, k, j]
+        operate(code, more, tables, r, 0, code.shape[0])
         for i in range(m):  # a state may become another one
-            new[i] = r[following[i]]
+            for j in range(w):
+                new[i, j] = r[following[i], j]
         for i in range(m):
-            r[i] = new[i]
+            for j in range(w):
+                r[i, j] = new[i, j]

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -108,6 +108,9 @@ class State(NamedTuple):
     """(d, c, w) commands that are under way, the newest first."""
     hidden: tuple[FloatArray | None, ...]
     """Hidden states of each effect that acts before the torque."""
+
+
+Moving = TypeVar('Moving', State, Turning)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,20 +284,20 @@ def alike(x: Any, by: Callable[[Any], Any]) -> Any:
     return None if x is None else by(x)
 
 
-def flat(x: State) -> FloatArray:
+def flat(x: State | Turning) -> FloatArray:
     """(states, w) all numbers of a state, one below the other."""
     return np.concatenate([array.reshape(-1, array.shape[-1]) for array in leaves(x)])
 
 
-def unflat(numbers: FloatArray, like: State) -> State:
-    """The inverse, for states of the shapes of another but for w."""
+def unflat(numbers: FloatArray, like: Moving) -> Moving:
+    """The inverse: numbers (states, …) as a state of the shapes of another, but for its w."""
     rows = iter(numbers)
 
     def filled(array: FloatArray) -> FloatArray:
         filled_rows = np.stack([next(rows) for _ in range(math.prod(array.shape[:-1]))])
-        return filled_rows.reshape(*array.shape[:-1], -1)
+        return filled_rows.reshape(*array.shape[:-1], *numbers.shape[1:])
 
-    state: State = alike(like, filled)
+    state: Moving = alike(like, filled)
     return state
 
 

@@ -111,6 +111,53 @@ def motor_response(commands, weight, tau, older, newer, fraction, dt, start, sto
         w = keep * w + into * new + past * before
 
 
+@inner
+def side_by_side(commands, channels, row, lag, factors, ages, fraction, dt, start, stop, halves,
+                 states):
+    """What these channels add to the arrays of `motors`, as motor_step has it of one.
+
+    All of them take a part of a cycle before the next part, so that the processor does not wait
+    for one exponential to begin another.
+    """
+    m = channels.size
+    w, new, before, bent = np.empty(m), np.empty(m), np.empty(m), np.empty(m, np.bool_)
+    parts, sums = np.zeros((m, 3, 3)), np.empty(2)  # length, lag and decay as in motor_step
+    for i in range(m):
+        w[i], bent[i] = commands[channels[i], start], uneven(factors[channels[i]])
+    for k in range(start, stop):
+        cut0, cut1 = min(fraction[k], 0.5), max(fraction[k], 0.5)
+        older = 1 if fraction[k] < 0.5 else 2
+        first = 3 - older
+        sums[0] = sums[1] = 0.0
+        for i in range(m):
+            new[i] = sent(commands[channels[i]], k, ages[1, k], start)
+            before[i] = sent(commands[channels[i]], k, ages[0, k], start)
+        for part in range(3):
+            h = cut0 * dt if part == 0 else (cut1 - cut0) * dt if part == 1 else (1.0 - cut1) * dt
+            current, area = before if part < older else new, 0.0
+            if h > 0.0:
+                for i in range(m):
+                    c, u, tau = channels[i], current[i], lag[channels[i], k]
+                    difference = w[i] - u
+                    if bent[i]:
+                        back = math.exp(-between(-difference, factors[c, 0], factors[c, 1]))
+                        decay, tau = math.exp(-(h / tau) * back), tau / back
+                    else:
+                        if tau != parts[i, part, 1] or h != parts[i, part, 0]:
+                            parts[i, part, 0], parts[i, part, 1] = h, tau
+                            parts[i, part, 2] = math.exp(-h / tau)
+                        decay = parts[i, part, 2]
+                    area += row[c] * (u * h + difference * tau * (1.0 - decay))
+                    w[i] = u + difference * decay
+            sums[0 if part < first else 1] += area
+            if part == first - 1:
+                for i in range(m):
+                    states[0, k] += row[channels[i]] * w[i]
+                    states[1, k] += row[channels[i]] * current[i]
+        halves[0, k] += sums[0]
+        halves[1, k] += sums[1]
+
+
 @kernel(TABLE, LINE, TABLE, BLOCK, TABLE, LINE, NUMBER, WHOLE, WHOLE, TABLE, TABLE)
 def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves, states):
     """Drive of one axis: each command after its delay and lag, mixed by `row`.
@@ -120,30 +167,22 @@ def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves,
     receives the mean drive over both halves of each cycle in [start, stop), states (2, n) the
     drive and the delayed command at its middle.
     """
-    out = np.zeros(4)
+    others = np.empty(commands.shape[0], np.int64)
+    count = 0
     for c in range(commands.shape[0]):
-        weight, bent = row[c], uneven(factors[c])
-        if weight == 0.0:
-            continue
-        even = not bent
+        even = not uneven(factors[c])
         for k in range(start + 1, stop):
             even = even and lag[c, k] == lag[c, start] and fraction[k] == fraction[start] \
                 and ages[0, k] == ages[0, start] and ages[1, k] == ages[1, start]
-        if even:
-            motor_response(commands[c], weight, lag[c, start], ages[0, start], ages[1, start],
+        if even and row[c] != 0.0:
+            motor_response(commands[c], row[c], lag[c, start], ages[0, start], ages[1, start],
                            fraction[start], dt, start, stop, halves, states)
-            continue
-        w, solved = commands[c, start], np.zeros((3, 3))
-        for k in range(start, stop):
-            w = motor_step(
-                w, sent(commands[c], k, ages[1, k], start),
-                sent(commands[c], k, ages[0, k], start), lag[c, k], bent, factors[c],
-                fraction[k], dt, solved, out,
-            )
-            halves[0, k] += weight * out[0]
-            halves[1, k] += weight * out[1]
-            states[0, k] += weight * out[2]
-            states[1, k] += weight * out[3]
+        elif row[c] != 0.0:
+            others[count] = c
+            count += 1
+    if count:
+        side_by_side(commands, others[:count], row, lag, factors, ages, fraction, dt, start, stop,
+                     halves, states)
     for k in range(start, stop):
         halves[0, k] *= 2.0 / dt
         halves[1, k] *= 2.0 / dt

@@ -1,7 +1,7 @@
 """Derivatives of free runs by all parameters at once.
 
-A run for each parameter costs a loop over its cycles in Python. Here the physics of all cycles is
-differentiated along a run that was made, in whole arrays; the rest is linear, and compiled.
+Instead of a run for each parameter the physics of all cycles is differentiated along a run that
+was made, in whole arrays; the rest is linear, and compiled.
 """
 
 from __future__ import annotations

@@ -154,6 +154,10 @@ class Listing:
         inputs = np.array([row for row, _ in used]).reshape(len(used), self.cycles)
         return code, inputs, np.array([place for _, place in used], dtype=np.int64)
 
+    def numbers(self, w: int) -> tuple[Indices, FloatArray]:
+        """`more`, and `tables` (t, w) of w runs side by side, as compiled code takes them."""
+        return np.array([*self.more, 0]), np.repeat([[*self.tables, 0.0]], w, axis=0).T.copy()
+
     def places(self, value: Any) -> Indices:
         """The registers of an array, a number or what is Traced."""
         if isinstance(value, Traced):

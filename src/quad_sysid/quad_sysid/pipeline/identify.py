@@ -125,9 +125,9 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         warnings=(*answer.warnings, *undetermined),
         attitude_reference=flight.attitude_reference, rate_reference=flight.rate_reference)
     known: AxisAnswer
-    known, proposal = side_by_side([
-        partial(_compared, answer, findings, flight.loop, fits, support),
+    proposal, known = side_by_side([  # the longer one first: it begins calls of its own
         partial(_proposal, answer, options, (*refusals, '')[0], progress),
+        partial(_compared, answer, findings, flight.loop, fits, support),
     ])
     return replace(known, proposal=proposal)
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
     from quad_sysid.pipeline.answer import AxisAnswer
@@ -129,8 +130,30 @@ def finish(axes: Sequence[Axes], x: str, *ys: str) -> None:
     """Label the panels, whose x is one, and put a legend over the first."""
     for panel, label in zip(axes, ys, strict=True):
         panel.set_ylabel(label)
+        for scale in (panel.xaxis, panel.yaxis):
+            if scale.get_scale() == 'log':
+                _as_text(scale)
     axes[-1].set_xlabel(x)
     legend(axes[0])
+
+
+_POWER = re.compile(r'\^\{([-0-9]+)\}')
+_RAISED = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
+
+
+def _as_text(scale: Axis) -> None:
+    """Powers of ten in plain characters: as formulas they take a sixth of all drawing."""
+    from matplotlib.ticker import FuncFormatter, LogFormatterMathtext
+
+    formatter = scale.get_major_formatter()
+    if not isinstance(formatter, LogFormatterMathtext):
+        return
+
+    def plain(value: float, place: int | None) -> str:
+        text = formatter(value, place).replace(r'$\mathdefault{', '').removesuffix('}$')
+        return _POWER.sub(lambda power: power.group(1).translate(_RAISED), text)
+
+    scale.set_major_formatter(FuncFormatter(plain))
 
 
 def shade(axes: Axes, low: float, high: float, colour: str, label: str = '') -> None:
