@@ -184,10 +184,10 @@ class _Beside(Trajectory):
                                       in zip(batch, responses.T, strict=True)], axis=1)
             out = self.weight * responses
             common = self.q.T @ out  # what the fit's own parameters can do too
-            slopes, rest, priors = -(out.T @ self.left), out - self.q @ common, self.of_priors @ common
-            for p, b, own, prior in zip(batch, *(np.split(each, len(batch), axis=-1)
-                                                 for each in (slopes, rest, priors)), strict=True):
-                scores.append(self.score(part, linear, p, b, own.T @ own + prior.T @ prior))
+            rest = np.vstack([out - self.q @ common, self.of_priors @ common])
+            for p, b, own in zip(batch, np.split(-(out.T @ self.left), len(batch)),
+                                 np.split(rest, len(batch), axis=1), strict=True):
+                scores.append(self.score(part, linear, p, b, own.T @ own))
         return scores
 
     @cached_property
