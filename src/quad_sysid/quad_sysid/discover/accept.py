@@ -1,7 +1,7 @@
 """The verdict on the validation segments, which are opened once, after everything is chosen.
 
-Each effect of the answer's rung is confirmed by tests of its own, or the answer goes down a rung,
-and the errors are computed; nothing else is decided here.
+Each effect of the answer's rung is confirmed by tests of its own or withdrawn, and the errors are
+computed; nothing else is decided here.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from quad_sysid.estimate.fit import Fit, Problem, stays_bounded
 from quad_sysid.estimate.stored import Stored, noise_of
 from quad_sysid.explain.ladder import Ladder
 from quad_sysid.model.data import AxisData, Windows
+from quad_sysid.model.effect import Effect
 from quad_sysid.model.flight import Prediction
 from quad_sysid.model.identified import UNLISTED
 from quad_sysid.model.noise import growth, transitions
@@ -235,25 +236,32 @@ def rms(errors: FloatArray) -> float:
 
 
 def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder) -> Verdict:
-    """Confirm the answer's rung on the validation segments, or the highest one below it.
+    """Confirm or withdraw each claimed effect on the validation segments.
 
-    What is claimed, and in which order, the training has decided (explain/ladder.py). A rung is
-    confirmed where each of its effects is; if not, the answer goes down a rung.
+    What is claimed, and in which order, the training has decided (explain/ladder.py).
     """
     unseen.predict(search.base)  # which measures the innovations that wandering effects follow
     models = ladder.models
     rungs = [models.fitted(rung.model) for rung in ladder.rungs]
     base = chosen = rungs[0]
+    answer = ladder.rungs[ladder.answer].model
     claims: list[Claim] = []
-    answer = ladder.answer
-    if answer and unseen.p_value(rungs[answer], base) > LEVEL:
-        answer = 0
-    while answer:
-        claims = _claims(unseen, ladder, rungs[: answer + 1])
-        if all(claim.accepted for claim in claims):
-            chosen = rungs[answer]
+    p_all = unseen.p_value(rungs[ladder.answer], base) if ladder.answer else 1.0
+    while p_all <= LEVEL and answer.structure.parts:
+        fitted = models.comparable(answer)
+        if not isinstance(fitted, Fit):  # what is left cannot follow a flight
+            chosen = base
             break
-        answer -= 1
+        chosen = fitted
+        without = models.each_left_out(answer)
+        claims = [_claim(unseen, ladder, rungs, chosen, models.comparable(other), part.effect)
+                  for part, other in zip(answer.structure.parts, without, strict=True)]
+        weak = [i for i, claim in enumerate(claims) if not claim.accepted]
+        if not weak:
+            break
+        # one at a time: each of two that stand for the same makes the other look needless
+        weakest = max(weak, key=lambda i: (claims[i].p_value, -claims[i].reproducible))
+        answer, chosen = without[weakest], base
     told = _commands_tell(problem, unseen, chosen)
     if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen = base
@@ -281,31 +289,21 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
     )
 
 
-def _claims(unseen: Unseen, ladder: Ladder, rungs: Sequence[Fitted]) -> list[Claim]:
-    """A claim for each effect of the last rung.
+def _claim(unseen: Unseen, ladder: Ladder, rungs: Sequence[Fitted], chosen: Fitted,
+           without: Fitted, effect: Effect) -> Claim:
+    """What the answer and what is left of it without an effect say of that effect.
 
-    Two tests of each: the rung that adds it against the one below, and the last rung against what
-    is left without it, projected anew. A finer effect that contains a friction makes that friction
-    needless, but not untrue.
+    Two tests: the answer against that, and the rung that adds the effect against the one below. A
+    finer effect that contains a friction makes that friction needless, but not untrue.
     """
-    models, model = ladder.models, ladder.rungs[len(rungs) - 1].model
-    out = []
-    for part, left in zip(model.structure.parts, models.each_left_out(model), strict=True):
-        pairs = [(rungs[-1], models.comparable(left))]
-        added = ladder.added.get(part.effect.label)
-        if added is not None:
-            pairs.append((rungs[added], rungs[added - 1]))
-        out.append(_claim(unseen, pairs, ladder.reproducible.get(part.effect.name, 1.0)))
-    return out
-
-
-def _claim(unseen: Unseen, pairs: Sequence[tuple[Fitted, Fitted]], reproducible: float) -> Claim:
-    """What pairs of a model with an effect and one without it say of it."""
+    added = ladder.added.get(effect.label)
+    pairs = [(chosen, without)] + ([(rungs[added], rungs[added - 1])] if added else [])
     errors = [[rms(unseen.errors(fitted)) for fitted in pair] for pair in pairs]
     p_values = [unseen.p_value(*pair) if error < other else 1.0
                 for pair, (error, other) in zip(pairs, errors, strict=True)]
     reduction = max(1.0 - error / max(other, LEAST_P) for error, other in errors)
-    return Claim(of_both(*p_values), 100.0 * reduction, reproducible)
+    return Claim(of_both(*p_values), 100.0 * reduction,
+                 ladder.reproducible.get(effect.name, 1.0))
 
 
 def horizons(unseen: Unseen, base: Fitted, chosen: Fitted) -> tuple[Horizon, ...]:
