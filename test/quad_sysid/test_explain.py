@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from quad_sysid.discover import base
-from quad_sysid.discover.accept import p_of_both
+from quad_sysid.discover import accept, base
 from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.effects import EFFECTS
@@ -66,6 +65,25 @@ def test_a_rung_falls_out_and_leaves_the_others_and_the_axis(rubbed_answer, monk
     ladder = explain(told.problem, told.search, parts)
     assert len(ladder.rungs) > 1
     assert not any(rung.labels == ('coulomb_friction',) for rung in ladder.rungs[:-1])
+
+
+def test_a_cause_is_confirmed_by_its_own_rung_where_a_finer_effect_contains_it(rubbed_answer):
+    """Beside it the cause is needless. What joins the ladder with another has no rung of its own."""
+    found, ladder = rubbed_answer.findings, rubbed_answer.findings.ladder
+    unseen = accept.Unseen(found.data, found.data.validation)
+    rungs = [ladder.models.fitted(rung.model) for rung in ladder.rungs[:2]]
+    (part,) = rungs[1].structure.parts
+    claim = accept._claim(unseen, ladder, rungs, rungs[1], rungs[1], part.effect)
+    assert claim.accepted
+    assert claim.error_reduction_pct > 20.0
+    other = next(part for part in candidates(found.problem, EFFECTS)[0]
+                 if part.effect.name == 'quadratic_drag')
+    model = ladder.rungs[1].model
+    both = replace(ladder.rungs[1], explains_pct=90.0,
+                   model=replace(model, structure=model.structure.plus(other)))
+    joined = replace(ladder, rungs=(ladder.rungs[0], both))
+    assert [joined.explains(label) for label in both.labels] == [45.0, 45.0]
+    assert not accept._claim(unseen, joined, rungs, rungs[1], rungs[1], part.effect).accepted
 
 
 def test_a_hundredth_of_the_motion_is_no_cause_unless_it_raises_the_error(
@@ -147,7 +165,8 @@ def test_a_claim_is_confirmed_by_chance_in_one_case_of_twenty(memory):
 
     def confirmed(cases, *means):
         """Share of them, with these means of the three scores."""
-        return np.mean([p_of_both(*(one + mean for mean in means)) <= 0.05 for one in cases])
+        p_values = [accept.p_of_both(*(case + mean for mean in means)) for case in cases]
+        return np.mean(np.array(p_values) <= accept.LEVEL)
 
     assert confirmed(shares, 0.0, 0.0, 0.0) < 0.1
     for means in ((1.5, 1.5, 1.5), (1.5, -1.5, -1.5), (0.0, 1.5, 1.5)):

@@ -23,6 +23,8 @@ GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_k
               'd_filter_hz': 'Hz'}
 WIDE = ('outcome', 'because', 'parameters')
 """Columns with sentences."""
+RUNAWAY = 1e3
+"""rad/s or m/s: no gyro measures such an error, and no aircraft is as fast."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +229,8 @@ def explanation(tree: Tree) -> Table:
     for i, rung in enumerate(tree.get('explanation', ())):
         new = [name for name in rung['effects'] if name not in above]
         rows.append([str(i + 1), ' and '.join(new or rung['effects']),
-                     f'{rung["explains_pct"]:.0f} %', number(rung['error'], 4)])
+                     f'{rung["explains_pct"]:.0f} %',
+                     number(rung['error'], 4) if rung['error'] < RUNAWAY else 'runs away'])
         above, answer = rung['effects'], i if rung.get('answer') else answer
     unit = tree['error']['unit']
     return Table(['rung', 'adds', 'explains', f'error, {unit}'], rows, (0, 2, 3), answer,
