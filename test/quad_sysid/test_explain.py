@@ -68,7 +68,7 @@ def test_a_rung_falls_out_and_leaves_the_others_and_the_axis(rubbed_answer, monk
 
 
 def test_a_cause_is_confirmed_by_its_own_rung_where_a_finer_effect_contains_it(rubbed_answer):
-    """Beside it the cause is needless. What joins the ladder with another has no rung of its own."""
+    """Beside it the cause is needless. Two that join at once have no rung of their own."""
     found, ladder = rubbed_answer.findings, rubbed_answer.findings.ladder
     unseen = accept.Unseen(found.data, found.data.validation)
     rungs = [ladder.models.fitted(rung.model) for rung in ladder.rungs[:2]]
