@@ -85,7 +85,8 @@ def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
 
 def test_friction_is_found_where_the_rate_carries_no_noise():
     """As of a simulation, or of positions that were smoothed: the sizes of the noise run away."""
-    flight = fly(Axis(torque=friction, gyro_noise=0.0, torque_noise=0.0), 1, SHORT)
+    flight = fly(Axis(torque=friction, gyro_noise=0.0, torque_noise=0.0), 1,
+                 replace(SHORT, seconds=30.0, segments=(('train', 'prbs', 1.0, 18.0),)))
     problem, base = based(axis_data([flight], 'roll'))
     best = search(problem, TORQUES).best
     assert best.structure.labels == ('coulomb_friction',)
