@@ -63,6 +63,7 @@ class Plan:
 
 UNSEEN = Plan(30.0, (('idle', 'none', 0.0, 1.0), ('validation', 'prbs', 1.0, 30.0)))
 SHORT = Plan(21.0, (('train', 'prbs', 1.0, 13.0), ('validation', 'prbs', 13.5, 21.0)))
+LONGER = Plan(30.0, (('train', 'prbs', 1.0, 18.0), ('validation', 'prbs', 19.0, 30.0)))
 
 
 def fly(axis: Axis, seed: int, plan: Plan | None = None) -> Record:

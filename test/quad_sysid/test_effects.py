@@ -17,7 +17,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from flown_axis import DT, SHORT, Axis, Plan, fly
+from flown_axis import DT, LONGER, SHORT, Axis, Plan, fly
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -625,7 +625,6 @@ RIVALS = (
 """What an effect is told from here."""
 
 
-LONGER = Plan(30.0, (('train', 'prbs', 1.0, 18.0), ('validation', 'prbs', 19.0, 30.0)))
 ANOTHER = Plan(16.0, (('idle', 'none', 0.0, 1.0), ('validation', 'prbs', 1.0, 16.0)))
 
 

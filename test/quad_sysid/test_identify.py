@@ -277,7 +277,7 @@ def lost(share, *columns):
 
 @pytest.mark.parametrize(
     ('change', 'wider'),
-    [ (clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6) ])
+    [(clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6)])
 def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flight, change, wider):
     """Errors stay standard errors, and these grow little."""
     data = axis_data([change(plain_flight)], 'roll')
