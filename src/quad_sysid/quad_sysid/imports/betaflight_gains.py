@@ -21,6 +21,10 @@ from quad_sysid.record import GainChange
 DEGREES = math.degrees(1.0)
 BETAFLIGHT, INAV = (0.032029, 0.244381, 0.000529), (1 / 31.0, 1 / 4.0, 1 / 1905.0)
 """Weights of the CLI's P, I and D: part of the sum per deg/s, deg and deg/s² (pid.h, pid.c)."""
+FEEDFORWARD = 0.013754
+"""Weight of Betaflight's feedforward: part of the sum per deg/s² of the set-point."""
+BETAFLIGHT_LEVEL, INAV_LEVEL = 0.1, 1 / 6.56
+"""Angle gain, 1/s, per unit of P of the level mode."""
 YAW_I = 2.5
 """Factor of Betaflight's I on the yaw axis."""
 PIDSUM = 1000.0
@@ -86,7 +90,7 @@ def tuning(header: Mapping[str, str], throttle: float | None, motor_us: float = 
     level = _numbers(header, 'levelPID')
     if level:
         for axis in AXES[:2]:
-            gains[f'{axis}.angle.kp'] = level[0] * (1 / 6.56 if inav else 0.1)
+            gains[f'{axis}.angle.kp'] = level[0] * (INAV_LEVEL if inav else BETAFLIGHT_LEVEL)
     delay = _delay(header, ('gyro_lpf1', 'gyro_lowpass', 'gyro_lpf'),
                    ('gyro_lpf2', 'gyro_lowpass2'), throttle)
     if delay > 0.0:
@@ -110,7 +114,7 @@ def _of_axis(header: Mapping[str, str], axis: str, scale: float, *,
         YAW_I if axis == 'yaw' and not inav else 1.0)}
     forward = _numbers(header, 'ff_weight') or _numbers(header, 'feedforward_weight')
     if len(forward) > i:
-        out['kff_slope'] = 0.013754 * 0.01 * forward[i] * scale
+        out['kff_slope'] = FEEDFORWARD * 0.01 * forward[i] * scale
     limit = _number(header, 'pidsum_limit_yaw' if axis == 'yaw' else 'pidsum_limit')
     if limit > 0.0:
         out['output_limit'] = limit / PIDSUM
