@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.integrate import trapezoid
 
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
@@ -156,8 +157,7 @@ def noise_gain(controller: Controller, nominal: Ensemble) -> float:
     """RMS of the control per RMS of white noise on the measured rate, 1/(rad/s)."""
     omega = nominal.omega
     response = noise_response(controller, nominal.response, omega, nominal.cycle.dt)[0]
-    power = np.abs(response) ** 2
-    total = 0.5 * float(np.diff(omega) @ (power[1:] + power[:-1]))  # trapezoids
+    total = trapezoid(np.abs(response) ** 2, omega)
     return float(np.sqrt(total / (omega[-1] - omega[0])))
 
 

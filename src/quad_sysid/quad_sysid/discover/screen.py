@@ -14,12 +14,13 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
+from scipy.signal import fftconvolve, find_peaks, lfilter
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import FEW_STARTS, PER_NONLINEAR
 from quad_sysid.estimate.fit import Fit, Problem, derivative_steps
-from quad_sysid.model import laws, recursion
+from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.flight import per_coefficient
@@ -62,13 +63,8 @@ def _spectrum(problem: Problem, signal: FloatArray) -> tuple[FloatArray, FloatAr
 
 def _peaks(power: FloatArray, apart: int) -> NDArray[np.int64]:
     """Where the highest peaks are, at least so far apart."""
-    inside = power[1:-1]
-    peaks = 1 + np.flatnonzero((inside > power[:-2]) & (inside > power[2:]))
-    kept: list[int] = []
-    for peak in peaks[np.argsort(-power[peaks], kind='stable')].tolist():
-        if len(kept) < LINES and all(abs(peak - other) >= apart for other in kept):
-            kept.append(peak)
-    return np.array(kept, dtype=np.int64)
+    peaks = find_peaks(power, distance=apart)[0]
+    return peaks[np.argsort(-power[peaks])][:LINES]
 
 
 def vibration_line(problem: Problem, fitted: Fit) -> float | None:
@@ -254,7 +250,7 @@ class _Beside(Trajectory):
         answer = flight.responses(pulse, self.slope, self.fitted.prediction.filters)
         answer = answer[begin : begin + round(ANSWER_S / dt), 0]
         e = self.innovation * self.weight[:, 0] ** 2
-        return -np.convolve(e, answer[::-1])[answer.size - 1 :]
+        return -fftconvolve(e, answer[::-1])[answer.size - 1 :]
 
     def correlated(self, effect: Effect) -> FloatArray:
         """(n,) the same by the effect's term: what moves the command acts through the lag."""
@@ -265,7 +261,7 @@ class _Beside(Trajectory):
     def _behind_lag(self) -> FloatArray:
         """(n,) the same by the command times the gain."""
         keep = math.exp(-self.problem.data.dt / self.values[1])
-        return laws.smoothed(np.ascontiguousarray(self.backwards[::-1]), keep)[::-1]
+        return lfilter([1.0 - keep], [1.0, -keep], self.backwards[::-1])[::-1]
 
     def score(self, part: Part, linear: list[int], p: FloatArray, b: FloatArray,
               rest: FloatArray) -> Score | None:

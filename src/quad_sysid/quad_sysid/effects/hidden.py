@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.constants import SLOW_MOVES
@@ -360,7 +361,7 @@ class Memory(Shape, Linear):
             raise ValueError(signal)  # noqa: TRY004 - why this flight cannot be used
         if self.signal == 'command':  # the lag matters little here, and is not known
             keep = math.exp(-data.dt / math.exp(BASE[1].centre))
-            signal = laws.smoothed(signal, keep)
+            signal = lfilter([1.0 - keep], [1.0, -keep], signal)
         push = self._push(np.nan_to_num(signal), settings)
         out = np.zeros((1, push.size))
         step = step_of(*behind_lag(float(p[0])), data.dt)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len
+from scipy.signal import fftconvolve
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.loop.figures import StepFigures, step_figures
@@ -218,10 +219,7 @@ def _response(windows: _Windows, inside: npt.NDArray[np.bool_], step: float, qua
     if name != 'all' and np.sum(sums * np.linalg.solve(precision, sums.T).T, axis=1).max() > (
             LEAST_SURE**2):
         return None
-    past = windows.past[inside]
-    cells = next_fast_len(past.shape[1], real=True)
-    caused = np.fft.irfft(np.fft.rfft(past, cells) * np.fft.rfft(impulse, cells), cells)
-    residual = output - caused[:, m - 1 : past.shape[1]]
+    residual = output - fftconvolve(windows.past[inside], impulse[None], mode='valid', axes=1)
     residual = (residual[:, None, :] @ windows.coarse[inside])[:, 0]
     prior = noise * _precision(group.shape[1], m, share, size)[0]
     solved = np.linalg.solve(windows.gram[inside] + prior, residual[:, :, None])

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
@@ -236,7 +237,7 @@ class Flight:
         dt, grid = self.data.dt, np.arange(rate.size)
         keep = math.exp(-dt / FOLLOWED_S)
         remainder = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
-        out: FloatArray = rate + laws.smoothed(remainder, keep)
+        out: FloatArray = rate + lfilter([1.0 - keep], [1.0, -keep], remainder)
         return out
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:

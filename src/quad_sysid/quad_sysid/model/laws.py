@@ -59,16 +59,6 @@ def linear_states(moving, a, b, start, stop, out):
         x, new = new, x
 
 
-@kernel(LINE, NUMBER)
-def smoothed(x, keep):
-    """(n,) x (n,) behind a first-order filter that keeps this much of what it gave, from 0 on."""
-    out, y = np.empty(x.size), 0.0
-    for k in range(x.size):
-        y = (1.0 - keep) * x[k] + keep * y
-        out[k] = y
-    return out
-
-
 @inner
 def loose_ahead(pull, moved, spring, damping, dt, z, q):
     """A loose mass a cycle later: its place z and own speed q, and its acceleration f meanwhile.

@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm, solve_discrete_lyapunov
+from scipy.signal import savgol_coeffs
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model import recursion
@@ -51,8 +52,6 @@ def sensor_of(
     each stepped at FORM_STEP_S, and not its exact solution.
     """
     if derived_s is not None:
-        from scipy.signal import savgol_coeffs  # slow to import
-
         half = max(2, round(derived_s / dt))
         slope = savgol_coeffs(2 * half + 1, 3, deriv=1)
         mean = np.array([[1.0, 0.0, 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0], np.zeros(5)])

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import special
+from scipy import ndimage, signal, special
 
 from quad_sysid.blackbox import Model, innovation_test, predict, residual_test
 from quad_sysid.contract import FloatArray
@@ -104,8 +104,7 @@ def _peaks(f: FloatArray, density: FloatArray, count: int) -> tuple[tuple[float,
     if not density.max() > 0.0:
         return ()
     width = max(9, round(10.0 * WINDOW_S) | 1)
-    around = np.pad(density, width // 2, mode='edge')
-    median = np.median(np.lib.stride_tricks.sliding_window_view(around, width), axis=1)
+    median = ndimage.median_filter(density, size=width, mode='nearest')
     ratio = density / np.maximum(median, 1e-12 * density.max())
     looked = (f >= LOWEST_PEAK_HZ) & (f < 0.95 * f[-1])  # the last lines hold folded ones
     freedom = 1.2 * count  # halves overlap, so neighbours in time are not independent
@@ -128,14 +127,10 @@ def _spectrum(values: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, in
     runs = [r for r in finite_runs(np.isfinite(values), (0, values.size)) if r[1] - r[0] >= size]
     spectra: list[FloatArray] = []
     weights: list[int] = []
-    f: FloatArray = np.fft.rfftfreq(size, dt).astype(np.float64)
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size)
+    f = np.zeros(0)
     for a, b in runs:
-        parts = np.lib.stride_tricks.sliding_window_view(values[a:b], size)[:: size - size // 2]
-        parts = window * (parts - parts.mean(axis=1, keepdims=True))
-        density = np.mean(np.abs(np.fft.rfft(parts)) ** 2, axis=0) * dt / float(window @ window)
-        density[1 : (size + 1) // 2] *= 2.0  # of one side
-        spectra.append(density)
+        f, density = signal.welch(values[a:b] - values[a:b].mean(), 1.0 / dt, nperseg=size)
+        spectra.append(np.asarray(density))
         weights.append(max(1, 2 * (b - a) // size - 1))
     count = sum(weights)
     if count < 4:
