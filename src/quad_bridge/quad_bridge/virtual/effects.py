@@ -123,7 +123,6 @@ class InertiaCoupling(Effect):
     """Euler's term -rate x (I rate) of eqs. (4) to (6); nothing on the rig."""
 
 
-
 @dataclass(frozen=True)
 class CrossAxisInput(Effect):
     """A fraction of one axis' command also acts on another axis."""

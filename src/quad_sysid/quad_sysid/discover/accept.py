@@ -250,18 +250,16 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
     while p_all <= LEVEL and answer.structure.parts:
         fitted = models.comparable(answer)
         if not isinstance(fitted, Fit):  # what is left cannot follow a flight
-            chosen = base
             break
-        chosen = fitted
         without = models.each_left_out(answer)
-        claims = [_claim(unseen, ladder, rungs, chosen, models.comparable(other), part.effect)
+        claims = [_claim(unseen, ladder, rungs, fitted, models.comparable(other), part.effect)
                   for part, other in zip(answer.structure.parts, without, strict=True)]
         weak = [i for i, claim in enumerate(claims) if not claim.accepted]
         if not weak:
+            chosen = fitted
             break
         # one at a time: each of two that stand for the same makes the other look needless
-        weakest = max(weak, key=lambda i: (claims[i].p_value, -claims[i].reproducible))
-        answer, chosen = without[weakest], base
+        answer = without[max(weak, key=lambda i: (claims[i].p_value, -claims[i].reproducible))]
     told = _commands_tell(problem, unseen, chosen)
     if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen = base

@@ -211,8 +211,6 @@ MAPS = (
 )
 
 
-
-
 class BatterySag(Effect):
     """The gain follows a power of the battery's voltage."""
 

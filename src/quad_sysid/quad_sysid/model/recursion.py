@@ -112,12 +112,12 @@ def motor_response(commands, weight, tau, older, newer, fraction, dt, start, sto
 
 
 @inner
-def side_by_side(commands, channels, row, lag, factors, ages, fraction, dt, start, stop, halves,
-                 states):
-    """What these channels add to the arrays of `motors`, as motor_step has it of one.
+def motor_responses(commands, channels, row, lag, factors, ages, fraction, dt, start, stop, halves,
+                    states):
+    """Add the responses of these channels to the arrays of `motors`, each as by motor_step.
 
     All of them take a part of a cycle before the next part, so that the processor does not wait
-    for one exponential to begin another.
+    for one exponential to begin another, which motor_step by motor_step takes half as long again.
     """
     m = channels.size
     w, new, before, bent = np.empty(m), np.empty(m), np.empty(m), np.empty(m, np.bool_)
@@ -181,8 +181,8 @@ def motors(commands, row, lag, factors, ages, fraction, dt, start, stop, halves,
             others[count] = c
             count += 1
     if count:
-        side_by_side(commands, others[:count], row, lag, factors, ages, fraction, dt, start, stop,
-                     halves, states)
+        motor_responses(commands, others[:count], row, lag, factors, ages, fraction, dt, start,
+                        stop, halves, states)
     for k in range(start, stop):
         halves[0, k] *= 2.0 / dt
         halves[1, k] *= 2.0 / dt

@@ -141,8 +141,6 @@ def refusal(record: Record) -> str:
             'put them in order and fly again')
 
 
-
-
 def check_usable(data: AxisData, records: Sequence[Record]) -> None:
     """Raise NotInformativeError for segments too short, nothing that moves, or limits."""
     if not data.train or not data.windows(data.validation).count:
