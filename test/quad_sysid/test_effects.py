@@ -27,6 +27,7 @@ from quad_sysid.effects.curves import CELLS, COUNT, Curve, Smooth
 from quad_sysid.effects.hidden import Shown
 from quad_sysid.errors import BadInputError
 from quad_sysid.estimate.fit import Problem
+from quad_sysid.estimate.stored import noise_of
 from quad_sysid.model import EffectEstimate, Parameter
 from quad_sysid.model.data import axis_data
 from quad_sysid.model.effect import Effect, Part, Signals
@@ -786,10 +787,14 @@ def test_a_swinging_rig_is_foreseen_in_another_flight_without_a_measured_angle()
         'volts': (12.6, 11.4)}, 2)],
     ids=['gusts of 2 Hz', 'everything else moves'],
 )
-def test_where_nothing_acts_nothing_is_found(changes, seed):
+def test_where_nothing_acts_nothing_is_found(changes, seed, monkeypatch):
     """bench/effects.py flies some hundred of them, test_nodes_go_on.py one in which all rests."""
     answer = answer_to(changes, seed)
     assert (answer.verdict, answer.model.effects) == ('no_missing_effect', ()), answer.reason
+    assert 'gusts' not in answer.reason
+    monkeypatch.setattr('quad_sysid.pipeline.identify.GUSTY', 0.5)
+    noise = noise_of(answer.findings.verdict.base)
+    assert f'gusts, {noise.disturbance_rms:.2g} rad/s²' in pipeline._reason(answer.findings, '')
     error = document.document({'roll': answer}, ['bag'])['axes']['roll']['error']
     assert error['after'] == pytest.approx(error['before'], rel=1e-12)
 

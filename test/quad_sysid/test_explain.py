@@ -52,6 +52,24 @@ def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch,
     assert ladder.answer == 1
 
 
+def test_the_whole_reference_names_the_main_cause_first(rubbed_answer, monkeypatch):
+    """Whatever the search came upon first: its effects stand in the order of the ladder."""
+    monkeypatch.setattr('quad_sysid.explain.ladder.MOST_RUNGS', 1)
+    monkeypatch.setattr('quad_sysid.explain.ladder.ENOUGH', 101.0)
+    told = rubbed_answer.findings
+    parts, _ = candidates(told.problem, EFFECTS)
+    both = [next(part for part in parts if part.effect.label == label)
+            for label in ('quadratic_drag', 'coulomb_friction')]
+    starts = [coordinates(part.effect.parameters, part.effect.starts(
+        told.problem.data, part.settings)[0]) for part in both]
+    start = np.insert(told.search.base.theta, [-4] * sum(map(len, starts)), np.concatenate(starts))
+    reference = fit(told.problem, Structure(tuple(both)), start)
+    found = SearchResult(told.search.base, (Scored(reference, 9.0),), {})
+    rungs = explain(told.problem, found, parts).rungs
+    assert [rung.labels for rung in rungs] == [
+        (), ('coulomb_friction',), ('coulomb_friction', 'quadratic_drag')]
+
+
 @pytest.mark.parametrize('because', ['it runs away', 'its prior excludes its parameters'])
 def test_a_rung_falls_out_and_leaves_the_others_and_the_axis(rubbed_answer, monkeypatch, because):
     """What follows no flight beside the base, or is no such law; the ladder goes on."""

@@ -84,15 +84,23 @@ def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
 
 
 def test_friction_is_found_where_the_rate_carries_no_noise():
-    """As of a simulation, or of positions that were smoothed: the sizes of the noise run away."""
-    flight = fly(Axis(torque=friction, gyro_noise=0.0, torque_noise=0.0), 1, LONGER)
+    """As of a simulation, or of positions that were smoothed: no noise may run away with it."""
+    flight = fly(Axis(torque=friction, gyro_noise=0.0, torque_noise=0.0), 1)
     problem, base = based(axis_data([flight], 'roll'))
     best = search(problem, TORQUES).best
     assert best.structure.labels == ('coulomb_friction',)
     assert best.value('gain') == pytest.approx(450.0, rel=0.001)
-    # what it does within the cycle of a reversal is all that the model does not follow
-    assert best.value('coulomb_friction.torque') == pytest.approx(2.0, rel=0.25)
+    assert best.value('coulomb_friction.torque') == pytest.approx(2.0, rel=0.01)
     assert best.evidence > base.evidence + 1000.0
+
+
+def test_nothing_is_unexplained_where_the_rate_carries_no_noise():
+    """What is left are the rounding errors of the integration."""
+    data = axis_data([fly(Axis(gyro_noise=0.0, torque_noise=0.0), 1, SHORT)], 'roll')
+    problem, _ = based(data)
+    verdict = judged(data, problem, search(problem, TORQUES))
+    assert (verdict.verdict, verdict.reason) == ('no_missing_effect', '')
+    assert verdict.before < 1e-5
 
 
 def test_noise_of_a_filter_that_was_computed_once_a_cycle_is_no_vibration():

@@ -367,7 +367,7 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     if it exceeds all of FLIPS such draws and, by the factor DIFFERS, their median.
     """
     windows = unseen.windows
-    if windows.count < 2:
+    if windows.count < 2 or rms(unseen.errors(fitted)) < fitted.tail.scale:  # less than its noise
         return ''
     index = windows.starts[:, None] + np.arange(windows.length)
     innovations = np.nan_to_num(unseen.predict(fitted).innovation[index])

@@ -34,6 +34,10 @@ SETTLE_S = 0.5
 """Innovations count from this long after the start of an unbroken stretch."""
 DEGREES = (3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e4)
 """Degrees of freedom of the innovations that are tried; the last is a normal distribution."""
+FINEST = 1.5e-4
+"""The least scale of the innovations over the RMS of the rate: no gyro resolves its own motion
+better, nor a model within a cycle. Without it a rate that carries no noise asks for disturbances
+of any size, in which a constant torque is lost."""
 DAMPING = 5.0
 """Prior of the base's damping, 1/s."""
 LAG_DAMPING, LAG_DAMPING_SPREAD = 0.035, 0.9
@@ -86,15 +90,16 @@ class Tail:
         return (self.degrees + 1.0) / (self.degrees + 3.0)
 
 
-def tail_of(e: FloatArray) -> Tail:
-    """The most likely scale and degrees of freedom."""
+def tail_of(e: FloatArray, least: float) -> Tail:
+    """The most likely scale, `least` (rad/s) or more, and degrees of freedom."""
+    least = max(least, 1e-12)
     best, value, square = Tail(1.0, DEGREES[-1]), -math.inf, e**2
-    scale = math.sqrt(float(np.mean(square))) or 1e-12
+    scale = max(math.sqrt(float(np.mean(square))), least)
     for v in DEGREES[::-1]:
         for _ in range(60):
             weights = 1.0 / (v * scale**2 + square)  # parameter-expanded EM (Liu et al. 1998)
             new = math.sqrt(float(weights @ square) / float(np.sum(weights)))
-            previous, scale = scale, max(new, 1e-12)
+            previous, scale = scale, max(new, least)
             if abs(new - previous) < 1e-7 * previous:
                 break
         tail = Tail(scale, v)
@@ -114,6 +119,8 @@ class Problem:
 
     acceleration: float
     """Typical acceleration of the axis, rad/s², to which priors are relative."""
+    finest: float
+    """The least scale of the innovations, rad/s."""
     rows: NDArray[np.int64]
     """(rows,) samples whose innovations count."""
     index: NDArray[np.int64]
@@ -140,6 +147,8 @@ class Problem:
             counts[start : start + settle] = False
         self.rows = np.flatnonzero(counts & np.isfinite(self.flight.measured))
         self.acceleration = typical_acceleration(self.data, self.spans)
+        rates = self.flight.rate[self.rows]
+        self.finest = FINEST * float(np.std(rates)) if rates.size else 0.0
 
     def shortened(self, rows: int, blocks: int) -> Problem:
         """The problem on so many rows only, in blocks spread evenly over the spans."""
@@ -261,9 +270,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
 ) -> Fit:
     """The most probable parameters from the best of `starts` (coordinates of the fit).
 
-    By Gauss-Newton, until a step gains no more than `enough` nats; parameters in `still` are held
-    where they start. Raises FloatingPointError
-    where the fit diverges.
+    By Gauss-Newton, until a step gains no more than `tolerance_nats`; parameters in `fixed` stay
+    where they start. Raises FloatingPointError where the fit diverges.
     """
     flight = problem.flight
     initial = flight.rate if rate is None else rate
@@ -287,7 +295,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         e = predicted.innovation[problem.rows]
         if not np.isfinite(e).all():
             return predicted, -math.inf, normal
-        tail, from_prior = tail_of(e), root @ (point - centres)
+        tail, from_prior = tail_of(e, problem.finest), root @ (point - centres)
         likelihood = float(np.sum(tail.log_density(e)))
         return predicted, likelihood - 0.5 * float(from_prior @ from_prior), tail
 

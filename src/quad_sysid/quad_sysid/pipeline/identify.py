@@ -21,6 +21,7 @@ from quad_sysid.discover.search import SearchResult, extended, scored, search, t
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError, p_in_words
 from quad_sysid.estimate.fit import Problem
+from quad_sysid.estimate.stored import noise_of
 from quad_sysid.explain import explain
 from quad_sysid.model import Designer, GainProposal
 from quad_sysid.model.data import AxisData
@@ -29,6 +30,7 @@ from quad_sysid.own_base import Base, lacking
 from quad_sysid.pipeline.answer import AxisAnswer, Findings
 from quad_sysid.pipeline.assemble import Support, axis_model, outside_of
 from quad_sysid.pipeline.blackbox_part import Fits, about_base, fit_models, io_data
+from quad_sysid.pipeline.constants import GUSTY
 from quad_sysid.pipeline.flight import AxisFlight
 from quad_sysid.pipeline.held_out import held_out, residuals
 from quad_sysid.pipeline.selection import with_blackbox
@@ -231,6 +233,13 @@ def _reason(findings: Findings, not_searched: str) -> str:
         reason += (
             f'; the training {"also " if labels else ""}suggests {names}, which is not confirmed '
             'by the held-out segments or does not come again in resampled flights'
+        )
+    if verdict.verdict == 'no_missing_effect' and verdict.before > GUSTY * verdict.noise_floor:
+        noise = noise_of(verdict.base)
+        reason += (
+            f"; the base's error is {verdict.before / verdict.noise_floor:.0f} times the noise of "
+            f'the rate and taken for gusts, {noise.disturbance_rms:.2g} rad/s² that last some '
+            f'{noise.correlation_s:.2g} s: if the air was still, something slow is missing'
         )
     if not verdict.chosen.converged:
         reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'
