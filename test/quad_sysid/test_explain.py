@@ -13,10 +13,11 @@ from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import derivative_steps, fit
-from quad_sysid.explain.ladder import explain
+from quad_sysid.explain.ladder import Ladder, explain
 from quad_sysid.explain.models import Models
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
+from quad_sysid.pipeline.assemble import axis_model
 
 
 def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
@@ -53,7 +54,7 @@ def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch,
 
 
 def test_the_whole_reference_names_the_main_cause_first(rubbed_answer, monkeypatch):
-    """Whatever the search came upon first: its effects stand in the order of the ladder."""
+    """Whatever the search came upon first; and each effect has the claim that is its own."""
     monkeypatch.setattr('quad_sysid.explain.ladder.MOST_RUNGS', 1)
     monkeypatch.setattr('quad_sysid.explain.ladder.ENOUGH', 101.0)
     told = rubbed_answer.findings
@@ -65,9 +66,21 @@ def test_the_whole_reference_names_the_main_cause_first(rubbed_answer, monkeypat
     start = np.insert(told.search.base.theta, [-4] * sum(map(len, starts)), np.concatenate(starts))
     reference = fit(told.problem, Structure(tuple(both)), start)
     found = SearchResult(told.search.base, (Scored(reference, 9.0),), {})
-    rungs = explain(told.problem, found, parts).rungs
-    assert [rung.labels for rung in rungs] == [
+    ladder = explain(told.problem, found, parts)
+    assert [rung.labels for rung in ladder.rungs] == [
         (), ('coulomb_friction',), ('coulomb_friction', 'quadratic_drag')]
+
+    monkeypatch.setattr(Ladder, 'answer', 2)
+    monkeypatch.setattr(accept.Claim, 'accepted', True)
+    unseen = accept.Unseen(told.data, told.data.validation)
+    verdict = accept.judge(unseen, told.problem, found, ladder)
+    assert verdict.chosen.structure.labels == ('quadratic_drag', 'coulomb_friction')
+    model = axis_model(replace(told, search=found, ladder=ladder, verdict=verdict), {}, None)
+    friction, drag = model.effects
+    assert (friction.name, drag.name) == ('coulomb_friction', 'quadratic_drag')
+    assert friction.error_reduction_pct > 30.0
+    assert drag.error_reduction_pct < 10.0
+    assert friction.p_value < drag.p_value
 
 
 @pytest.mark.parametrize('because', ['it runs away', 'its prior excludes its parameters'])

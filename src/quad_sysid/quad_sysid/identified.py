@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quad_sysid.axes import EVERY, Level
+from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.model import AxisModel, Parameter
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     from quad_sysid.loop.simulation import LoopResponse
     from quad_sysid.model.data import AxisData
     from quad_sysid.model.effect import Effect
-
-NUDGE = 0.01
-"""Step of a parameter for derivatives, standard errors."""
 
 
 class Identified(AxisModel):
@@ -122,6 +119,7 @@ class Identified(AxisModel):
         Its covariance is that of the base's parameters, first order. Default: 200 points up to
         the Nyquist frequency. Raises BadInputError where w is not within it.
         """
+        from quad_sysid.loop.from_model import response_of
         from quad_sysid.loop.linear import NEAR_REST
 
         nyquist = np.pi / self.dt
@@ -238,29 +236,3 @@ class Identified(AxisModel):
         control[:, 0] = self.mean_throttle or 0.0
         control[:, 1 + EVERY[self.axis].index] = u
         return replace(data, axis=self.axis, control=control), spans
-
-
-def response_of(model: AxisModel, w: FloatArray, amplitude: Level) -> FrequencyResponse:
-    """Response from command to measured rate at w (m,) rad/s, linear at an amplitude, in SI.
-
-    Its covariance is that of the base's parameters, first order; None where that is not known.
-    """
-    from quad_sysid.blackbox import FrequencyResponse
-    from quad_sysid.loop.from_model import loop_plant
-    from quad_sysid.loop.linear import loops_of
-
-    of, names = model.covariance, model.parameter_names
-    shared = [] if of is None else [i for i, name in enumerate(names) if np.isfinite(of[i, i])
-                                    and name in {p.name for p in model.base}]
-    steps = [] if of is None else [NUDGE * math.sqrt(of[i, i]) or 1e-9 for i in shared]
-    moved = [replace(model, base=tuple(replace(p, value=p.value + by * (p.name == names[i]))
-                                       for p in model.base))
-             for i, by in zip(shared, steps, strict=True)]
-    here, *near = loops_of([(loop_plant(candidate), amplitude)
-                            for candidate in (model, *moved)]).response(w)[0]
-    if of is None or not shared:
-        return FrequencyResponse(w, here, None)
-    gradient = (np.stack(near) - here) / np.array(steps)[:, None]
-    slopes = np.stack([gradient.real, gradient.imag]).transpose(2, 0, 1)
-    covariance = slopes @ of[np.ix_(shared, shared)] @ np.swapaxes(slopes, 1, 2)
-    return FrequencyResponse(w, here, covariance)

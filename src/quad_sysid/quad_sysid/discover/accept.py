@@ -251,15 +251,19 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
         fitted = models.comparable(answer)
         if not isinstance(fitted, Fit):  # what is left cannot follow a flight
             break
-        without = models.each_left_out(answer)
-        claims = [_claim(unseen, ladder, rungs, fitted, models.comparable(other), part.effect)
-                  for part, other in zip(answer.structure.parts, without, strict=True)]
-        weak = [i for i, claim in enumerate(claims) if not claim.accepted]
+        without = dict(zip(answer.structure.labels, models.each_left_out(answer), strict=True))
+        # a fit of the search has its effects in the search's order
+        claims = [_claim(unseen, ladder, rungs, fitted,
+                         models.comparable(without[part.effect.label]), part.effect)
+                  for part in fitted.structure.parts]
+        weak = {label: claim for label, claim in zip(fitted.structure.labels, claims, strict=True)
+                if not claim.accepted}
         if not weak:
             chosen = fitted
             break
         # one at a time: each of two that stand for the same makes the other look needless
-        answer = without[max(weak, key=lambda i: (claims[i].p_value, -claims[i].reproducible))]
+        answer = without[max(weak, key=lambda label: (
+            weak[label].p_value, -weak[label].reproducible))]
     told = _commands_tell(problem, unseen, chosen)
     if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen = base

@@ -84,6 +84,11 @@ class Ladder:
         return {rung.labels[-1]: i for i, rung in enumerate(self.rungs)
                 if i and set(rung.labels[:-1]) == set(self.rungs[i - 1].labels)}
 
+    def rank(self, label: str) -> int:
+        """Place of an effect among those of all rungs, the main cause's 0; any other is last."""
+        labels = tuple(dict.fromkeys(label for rung in self.rungs for label in rung.labels))
+        return labels.index(label) if label in labels else len(labels)
+
     def explains(self, label: str) -> float:
         """Percent that an effect takes away on the rung that adds it; effects share a rung's."""
         for below, rung in pairwise(self.rungs):

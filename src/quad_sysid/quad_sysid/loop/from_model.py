@@ -7,14 +7,15 @@ swings whatever the loop does, is a range of the gain or a longer delay.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from quad_sysid.axes import EVERY
+from quad_sysid.axes import EVERY, Level
 from quad_sysid.contract import FloatArray
 from quad_sysid.effects.hidden import Memory as Warming
 from quad_sysid.errors import BadInputError
@@ -27,9 +28,14 @@ from quad_sysid.model import AxisModel, EffectEstimate
 from quad_sysid.model.effect import ActingEffect, Part, Signals
 from quad_sysid.model.structure import Structure
 
+if TYPE_CHECKING:
+    from quad_sysid.blackbox import FrequencyResponse
+
 LOOP_SIGNALS = {'rate', 'angle', 'command', 'throttle', 'battery', 'time', 'motors', 'history',
                 'direction'}
 """Signals that one axis' loop contains or holds constant."""
+NUDGE = 0.01
+"""Step of a parameter for derivatives, standard errors."""
 OTHER_AXES = 'it depends on the other axes'
 NEEDS_HEIGHT = 'it depends on the height, and gains must hold at any height'
 SLOW_HZ = 10.0
@@ -263,3 +269,27 @@ def share_outside(model: AxisModel) -> dict[str, float]:
         share = float(np.abs(pushed).max() / (gain * command))
         out[effect.name] = max(share, out.get(effect.name, 0.0))
     return out
+
+
+def response_of(model: AxisModel, w: FloatArray, amplitude: Level) -> FrequencyResponse:
+    """Response from command to measured rate at w (m,) rad/s, linear at an amplitude, in SI.
+
+    Its covariance is that of the base's parameters, first order; None where that is not known.
+    """
+    from quad_sysid.blackbox import FrequencyResponse
+
+    of, names = model.covariance, model.parameter_names
+    shared = [] if of is None else [i for i, name in enumerate(names) if np.isfinite(of[i, i])
+                                    and name in {p.name for p in model.base}]
+    steps = [] if of is None else [NUDGE * math.sqrt(of[i, i]) or 1e-9 for i in shared]
+    moved = [replace(model, base=tuple(replace(p, value=p.value + by * (p.name == names[i]))
+                                       for p in model.base))
+             for i, by in zip(shared, steps, strict=True)]
+    here, *near = loops_of([(loop_plant(candidate), amplitude)
+                            for candidate in (model, *moved)]).response(w)[0]
+    if of is None or not shared:
+        return FrequencyResponse(w, here, None)
+    gradient = (np.stack(near) - here) / np.array(steps)[:, None]
+    slopes = np.stack([gradient.real, gradient.imag]).transpose(2, 0, 1)
+    covariance = slopes @ of[np.ix_(shared, shared)] @ np.swapaxes(slopes, 1, 2)
+    return FrequencyResponse(w, here, covariance)

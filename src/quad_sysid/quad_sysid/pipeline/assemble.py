@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from quad_sysid.errors import QuadSysidError
 from quad_sysid.estimate import stored
 from quad_sysid.estimate.fit import Fit, covariance
 from quad_sysid.explain.projection import Projected
-from quad_sysid.model import AxisModel, Outside, RungModel
+from quad_sysid.model import AxisModel, EffectEstimate, Outside, RungModel
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Effect, Part
 from quad_sysid.pipeline.answer import Findings
@@ -45,6 +46,13 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
             cov = ladder.projection.covariance(projected, reference_covariance)
         return stored.readings(problem, fitted, cov + searched.disagreement(fitted))
 
+    def effects(fitted: Fit, answer: stored.Readings,
+                judged: Sequence[Mapping[str, Any]] = ()) -> tuple[EffectEstimate, ...]:
+        """The effects of a fit, the main cause first."""
+        named = zip(fitted.structure.labels, stored.effects_of(fitted, answer, judged),
+                    strict=True)
+        return tuple(effect for _, effect in sorted(named, key=lambda pair: ladder.rank(pair[0])))
+
     best = read(reference)
     chosen = verdict.chosen
     readings, plain = read(chosen), read(verdict.base)
@@ -59,7 +67,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
     volts = data.battery_v
     shared = AxisModel(
         axis=data.axis, dt=data.dt, gyro_filter_hz=data.gyro_filter_hz, base=best.base,
-        effects=stored.effects_of(reference, best), parameter_names=best.names,
+        effects=effects(reference, best), parameter_names=best.names,
         covariance=best.covariance, active_gains=dict(gains),
         mean_battery_v=None if volts is None else float(
             np.mean(np.concatenate([volts[a:b] for a, b in data.train]))
@@ -76,12 +84,12 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
     distinct = (chosen is not reference and bool(verdict.claims)
                 and verdict.reference <= verdict.before)
     return replace(
-        shared, base=readings.base, effects=stored.effects_of(chosen, readings, judged),
+        shared, base=readings.base, effects=effects(chosen, readings, judged),
         parameter_names=readings.names, covariance=readings.covariance,
         noise=stored.noise_of(chosen),
         plain=plain.base, plain_noise=stored.noise_of(verdict.base),
         rungs=tuple(
-            RungModel(answer.base, stored.effects_of(fit, answer), stored.noise_of(fit),
+            RungModel(answer.base, effects(fit, answer), stored.noise_of(fit),
                       rung.explains_pct, error)
             for rung, fit, error in explained for answer in (read(fit),)
         ) if verdict.claims else (),

@@ -217,7 +217,9 @@ def _reason(findings: Findings, not_searched: str) -> str:
                    f'{findings.data.axis} (quad-sysid design-excitation), with more amplitude '
                    'where one was flown')
     elif verdict.verdict == 'effects_added':
-        names = ' and '.join(part.effect.name for part in verdict.chosen.structure.parts)
+        effects = (part.effect for part in verdict.chosen.structure.parts)
+        names = ' and '.join(
+            effect.name for effect in sorted(effects, key=lambda e: ladder.rank(e.label)))
         reason = (
             f'with {names} the model predicts the held-out segments better than the base alone '
             f'(by chance alone: p {p_in_words(max(claim.p_value for claim in verdict.claims))})'

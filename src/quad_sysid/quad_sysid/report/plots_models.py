@@ -14,7 +14,7 @@ import numpy as np
 from quad_sysid.blackbox import ResidualTest, frequency_response, spa
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.identified import response_of
+from quad_sysid.loop.from_model import response_of
 from quad_sysid.loop.linear import WIDE, ComplexArray
 from quad_sysid.model.data import Windows
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, HeldOut, Residual
