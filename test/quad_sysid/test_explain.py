@@ -83,6 +83,23 @@ def test_the_whole_reference_names_the_main_cause_first(rubbed_answer, monkeypat
     assert friction.p_value < drag.p_value
 
 
+def test_a_rung_explains_slow_motion_as_well_as_fast(rubbed_answer):
+    """What does for the fast windows alone explains no more than it does of the slow ones."""
+    ladder = rubbed_answer.findings.ladder
+    lowest, first = ladder.rungs[:2]
+    slow, _, fast = ladder.projection.thirds
+    rates = np.mean(ladder.projection.problem.data.rate[
+        ladder.projection.windows.starts[:, None] + np.arange(100)] ** 2, axis=1)
+    assert np.median(rates[slow]) < 0.5 * np.median(rates[fast])
+    assert ladder.explained(first.missed) == first.explains_pct
+    missed = first.missed.copy()
+    missed[slow] = 0.3 * lowest.missed[slow]
+    assert 1.0 - np.sum(missed) / lowest.total > 0.75
+    assert ladder.explained(missed) == pytest.approx(70.0)
+    partly = replace(first, missed=missed, explains_pct=ladder.explained(missed))
+    assert replace(ladder, rungs=(lowest, partly, first)).answer == 2
+
+
 @pytest.mark.parametrize('because', ['it runs away', 'its prior excludes its parameters'])
 def test_a_rung_falls_out_and_leaves_the_others_and_the_axis(rubbed_answer, monkeypatch, because):
     """What follows no flight beside the base, or is no such law; the ladder goes on."""

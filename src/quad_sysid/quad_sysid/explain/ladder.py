@@ -16,6 +16,7 @@ from functools import cached_property, partial
 from itertools import compress, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
@@ -105,21 +106,39 @@ class Ladder:
     @property
     def predicts_pct(self) -> float:
         """Share of the motion's RMS that the base already predicts, as the reference sees it."""
-        missed = self.rungs[0].total / max(self.projection.motion, 1e-30)
+        missed = self.rungs[0].total / max(np.sum(self.projection.motion), 1e-30)
         return 100.0 * (1.0 - math.sqrt(min(missed, 1.0)))
 
     @property
     def small(self) -> float:
         """What may be missed, as a sum of squares, (rad/s)²."""
-        return little(self.projection.motion, float(np.sum(self.projection.goal**2)))
+        return self._small(np.arange(self.projection.motion.size))
+
+    def _small(self, part: NDArray[np.int64]) -> float:
+        """The same of some windows."""
+        projection = self.projection
+        return little(float(np.sum(projection.motion[part])),
+                      float(np.sum(projection.goal[part] ** 2)))
+
+    def explained(self, missed: FloatArray) -> float:
+        """Percent explained by what misses `missed` (windows,), the least of `thirds`.
+
+        Slow and fast motion count alike: a drag may do for a friction where the aircraft turns
+        fast. A third where the base misses next to nothing does not count.
+        """
+        lowest = self.rungs[0].missed
+        return 100.0 * min((1.0 - float(np.sum(missed[part]) / np.sum(lowest[part]))
+                            for part in self.projection.thirds
+                            if np.sum(lowest[part]) > self._small(part)), default=1.0)
 
     @property
     def answer(self) -> int:
         """The lowest rung that explains EXPLAINS, or that misses next to nothing."""
         if len(self.rungs) == 1:
             return 0
-        sufficient = (i for i, rung in enumerate(self.rungs)
-                          if rung.explains_pct >= EXPLAINS or rung.total < self.small)
+        sufficient = (i for i, rung in enumerate(self.rungs) if rung.explains_pct >= EXPLAINS
+                      or all(np.sum(rung.missed[part]) < self._small(part)
+                             for part in self.projection.thirds))
         return next(sufficient, len(self.rungs) - 1)
 
 
@@ -162,10 +181,10 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         if step is None or last.model.total - step.total < NEGLIGIBLE * lowest.total:
             break
         missed = projection.disagreement(step)
-        share = 1.0 - float(np.sum(missed)) / rungs[0].total
-        if 100.0 * share - last.explains_pct >= 100.0 * NEGLIGIBLE and models.follows(step):
+        gained = last.total - float(np.sum(missed))
+        if gained >= NEGLIGIBLE * rungs[0].total and models.follows(step):
             climb.left_out.clear()
-            rungs.append(Rung(step, missed, 100.0 * share))
+            rungs.append(Rung(step, missed, max(last.explains_pct, ladder.explained(missed))))
         else:
             climb.left_out.add(_added(step).label)
     if rungs[-1].explains_pct < ENOUGH:

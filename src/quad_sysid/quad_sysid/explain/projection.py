@@ -217,11 +217,23 @@ class Projection:
         return np.maximum(steps[:count], 1e-3 * np.abs(np.where(logs, 0.0, theta[:count])))
 
     @cached_property
-    def motion(self) -> float:
-        """Sum of squares of the reference's rates about where each run starts, (rad/s)²."""
+    def motion(self) -> FloatArray:
+        """(windows,) sum of squares of the reference's rates about where each run starts."""
+        runs = self._rates
+        return np.asarray(np.sum((runs - runs[:, :1]) ** 2, axis=1))
+
+    @cached_property
+    def _rates(self) -> FloatArray:
+        """(windows, length) the reference's runs, rad/s."""
         starts = self.windows.starts
-        rate = self.problem.data.rate[starts[:, None] + np.arange(self.windows.length)] + self.goal
-        return float(np.sum((rate - rate[:, :1]) ** 2))
+        measured = self.problem.data.rate[starts[:, None] + np.arange(self.windows.length)]
+        return np.asarray(measured + self.goal)
+
+    @cached_property
+    def thirds(self) -> list[NDArray[np.int64]]:
+        """The windows in which it turns slowest, those between, and those in which fastest."""
+        order = np.argsort(np.mean(self._rates**2, axis=1))
+        return [part for part in np.array_split(order, STRETCHES) if part.size]
 
     def ordered(self, structure: Structure) -> Projected:
         """The reference itself, which its own projection is, with its effects in another order."""
