@@ -66,6 +66,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._wanted = _wanted(self)
         self._bag = ''
         self._begun: set[str] = set()  # recordings that the logger began since this node did
+        self._unsure: dict[str, str] = {}  # the latest, while its publisher has no name yet
         self._seen: dict[str, str] = {}  # bags, and why their gains are not sent
         self._queue: deque[str] = deque()
         self._log: dict[str, Any] = {}  # what the bridge says of an autopilot's own log
@@ -92,8 +93,11 @@ class IdentificationNode(Node):  # type: ignore[misc]
         values = parameters(event)
         bag, state = str(values.get('path', '')), values.get('state')
         earlier, stranger = info['source_timestamp'] < self._begun_ns, self._stranger(event.node)
-        if state == 'recording' and not earlier and not stranger and len(self._begun) < MAX_BAGS:
-            self._begun.add(bag)
+        if state == 'recording' and not earlier and len(self._begun) < MAX_BAGS:
+            if not stranger:
+                self._begun.add(bag)
+            elif all('UNKNOWN' in one for one in self._publishers('/logger/bag')):
+                self._unsure = {bag: event.node}
         if state != 'complete' or bag in self._seen:
             return
         if not self._ours(Path(bag)):
@@ -119,15 +123,19 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _stranger(self, node: str, topic: str = '/logger/bag', by: str = LOGGER) -> str:
         """Why what was said on a topic may not be that node's; empty if it is."""
         bridge = f'{self.get_namespace().rstrip("/")}/{by}'
-        name = self.resolve_topic_name(topic.removeprefix('/'))
-        sources = [
-            f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
-            for publisher in self.get_publishers_info_by_topic(name)
-        ]
+        sources = self._publishers(topic)
         if node == bridge and sources == [bridge]:
             return ''
         publishers = ', '.join(sorted({node, *sources} - {bridge})) or 'another of that name'
         return f'{bridge} is not the only publisher of {topic}: {publishers}'
+
+    def _publishers(self, topic: str) -> list[str]:
+        """The nodes that publish a topic; the middleware may not know a name yet."""
+        name = self.resolve_topic_name(topic.removeprefix('/'))
+        return [
+            f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
+            for publisher in self.get_publishers_info_by_topic(name)
+        ]
 
     def _ours(self, bag: Path) -> bool:
         try:
@@ -271,6 +279,11 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._report()
 
     def _report(self) -> None:
+        publishers = self._publishers('/logger/bag') if self._unsure else []
+        if any('UNKNOWN' not in one for one in publishers):
+            self._begun.update(bag for bag, node in self._unsure.items()
+                               if not self._stranger(node))
+            self._unsure = {}
         text = self._values.get('reason', self._values['state'])
         status = Status('identification', self._level, text, self._values)
         self._diagnostics.publish(diagnostic_array(self, '', [status]))
