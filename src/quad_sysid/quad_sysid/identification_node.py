@@ -96,7 +96,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if state == 'recording' and not earlier and len(self._begun) < MAX_BAGS:
             if not stranger:
                 self._begun.add(bag)
-            elif all('UNKNOWN' in one for one in self._publishers('/logger/bag')):
+            elif all('UNKNOWN' in one for one in self._said_by('/logger/bag')):
                 self._unsure = {bag: event.node}
         if state != 'complete' or bag in self._seen:
             return
@@ -123,13 +123,13 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _stranger(self, node: str, topic: str = '/logger/bag', by: str = LOGGER) -> str:
         """Why what was said on a topic may not be that node's; empty if it is."""
         bridge = f'{self.get_namespace().rstrip("/")}/{by}'
-        sources = self._publishers(topic)
+        sources = self._said_by(topic)
         if node == bridge and sources == [bridge]:
             return ''
         publishers = ', '.join(sorted({node, *sources} - {bridge})) or 'another of that name'
         return f'{bridge} is not the only publisher of {topic}: {publishers}'
 
-    def _publishers(self, topic: str) -> list[str]:
+    def _said_by(self, topic: str) -> list[str]:
         """The nodes that publish a topic; the middleware may not know a name yet."""
         name = self.resolve_topic_name(topic.removeprefix('/'))
         return [
@@ -279,7 +279,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._report()
 
     def _report(self) -> None:
-        publishers = self._publishers('/logger/bag') if self._unsure else []
+        publishers = self._said_by('/logger/bag') if self._unsure else []
         if any('UNKNOWN' not in one for one in publishers):
             self._begun.update(bag for bag, node in self._unsure.items()
                                if not self._stranger(node))
