@@ -90,8 +90,8 @@ def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(tmp_path, 
         begin = again.number
         probe.until(lambda: again.number > begin + 375)  # 1.5 s; the middleware holds 4 s
         recorder.send(signal.SIGCONT)
-        written = count(probe, RECORDING, 'messages written')
-        probe.until(lambda: count(probe, RECORDING, 'messages written') > written + 3000)
+        written = count(probe, RECORDING, 'messages written')  # a topic may be found late
+        probe.until(lambda: count(probe, RECORDING, 'messages written') > written + 6000)
         second.halt()
         lost = count(probe, LINK, 'lost cycles')
         assert probe.diagnostics(LINK, 'device').endswith('ttyACM1')
@@ -117,7 +117,7 @@ def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(tmp_path, 
         same = {stamp_ns(m) for m in found[topic]}
         # the logger finds one topic after the other, and may be ended between two
         wanted = {s for s in stamps.tolist() if min(same) <= s <= max(same)}
-        assert len(wanted) > 100  # some topic may be found late
+        assert len(wanted) > 500
         assert len(wanted - same) <= said_lost, topic
     assert set(content(found['/gains/active'][0])) == {*WIRE_NAMES, 'mixer.desaturation'}
     assert {LINK, CLOCK, RECORDING} <= {s.name for a in found['/diagnostics'] for s in a.status}

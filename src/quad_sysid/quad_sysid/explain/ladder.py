@@ -188,9 +188,9 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         else:
             climb.left_out.add(_added(step).label)
     if rungs[-1].explains_pct < ENOUGH:
-        order = {label: k for k, label in enumerate(rungs[-1].labels)}
+        climbed = replace(ladder, rungs=tuple(rungs))
         parts = sorted(reference.structure.parts,
-                       key=lambda part: order.get(part.effect.label, len(order)))
+                       key=lambda part: climbed.rank(part.effect.label))
         complete = projection.ordered(replace(reference.structure, parts=tuple(parts)))
         rungs.append(Rung(complete, complete.missed, 100.0))
     return replace(ladder, rungs=tuple(rungs))
