@@ -59,8 +59,9 @@ def answered(scenario: scenarios.Scenario) -> Row:
         'covered': covered(scenario, model),
         'before': error.before, 'after': error.after, 'true': true,
         'factor': error.before / true, 'lost': error.before / true,
-        'reference': error.reference, 'first_rung': [*found.ladder.rungs[1].labels]
-        if len(found.ladder.rungs) > 1 else [], 'seconds': seconds,
+        'reference': error.reference, 'seconds': seconds,
+        'rungs': [[part.effect.name for part in rung.model.structure.parts]
+                  for rung in found.ladder.rungs],
     }
 
 

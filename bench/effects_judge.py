@@ -37,6 +37,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
         'named_extra': _share(worth, extra),
         'pairs': _share(pairs, right),
         'pairs_extra': _share(pairs, extra),
+        'pairs_on_two_rungs': _share(pairs, on_two_rungs),
         'nothing': len(none),
         'nothing_effects_added': sum(r['verdict'] == 'effects_added' for r in none),
         'nothing_unexplained': sum(r['verdict'] == 'unexplained_residual' for r in none),
@@ -66,6 +67,11 @@ def right(row: Row) -> bool:
 def extra(row: Row) -> bool:
     """Something is named that was not planted."""
     return bool(set(row['named']) - set(row['planted']))
+
+
+def on_two_rungs(row: Row) -> bool:
+    """All that was planted stands on the ladder's first two rungs; the answer may end below."""
+    return set(row['planted']) <= {name for rung in row['rungs'][:3] for name in rung}
 
 
 def wrong_names(row: Row) -> list[str]:

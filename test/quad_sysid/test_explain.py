@@ -91,13 +91,32 @@ def test_a_rung_explains_slow_motion_as_well_as_fast(rubbed_answer):
     rates = np.mean(ladder.projection.problem.data.rate[
         ladder.projection.windows.starts[:, None] + np.arange(100)] ** 2, axis=1)
     assert np.median(rates[slow]) < 0.5 * np.median(rates[fast])
-    assert ladder.explained(first.missed) == first.explains_pct
     missed = first.missed.copy()
     missed[slow] = 0.3 * lowest.missed[slow]
     assert 1.0 - np.sum(missed) / lowest.total > 0.75
-    assert ladder.explained(missed) == pytest.approx(70.0)
-    partly = replace(first, missed=missed, explains_pct=ladder.explained(missed))
-    assert replace(ladder, rungs=(lowest, partly, first)).answer == 2
+    rows, equal = np.array([lowest.missed, missed, first.missed]), np.ones(missed.size)
+    assert ladder.explained(rows, equal) == pytest.approx([0.0, 70.0, first.explains_pct])
+    assert replace(ladder, rungs=(lowest, replace(first, missed=missed), first)).answer == 2
+    light = np.where(np.isin(np.arange(missed.size), slow), 1.0, 1e-9)
+    assert ladder.sufficient(rows, equal) == ladder.sufficient(rows, light) == 2
+    assert ladder.sufficient(rows[:2], equal) is None
+
+
+def test_an_effect_is_as_probable_beside_one_that_the_ladder_put_in(rubbed_answer):
+    """The reference's drag beside a friction that stands for the reference's curve."""
+    found = rubbed_answer.findings
+    friction, drag, curve = (next(
+        part for part in candidates(found.problem, EFFECTS)[0] if part.effect.label == label)
+        for label in ('coulomb_friction', 'quadratic_drag', 'shape:rate/smooth'))
+    base = found.search.base
+    reference, chosen, plain = (replace(base, structure=base.structure.plus(part).plus(drag))
+                                if part else base for part in (curve, friction, None))
+    search = SearchResult(base, (Scored(reference, 4.0), Scored(plain, 0.0)), {})
+    ladder = replace(found.ladder, reproducible={'coulomb_friction': 0.75})
+    (rubs, drags), ((rival,), _) = accept._posterior(search, chosen, ladder)
+    assert rubs == 0.75
+    assert rival == ('unlisted_physics', 0.25)
+    assert drags == pytest.approx(1.0 / (1.0 + np.exp(-4.0)))
 
 
 @pytest.mark.parametrize('because', ['it runs away', 'its prior excludes its parameters'])
@@ -138,13 +157,15 @@ def test_a_hundredth_of_the_motion_is_no_cause_unless_it_raises_the_error(
     rubbed_answer, monkeypatch
 ):
     """By a tenth: a friction may double the error of a lively flight and be less of its motion."""
-    ladder = rubbed_answer.findings.ladder
-    projection, missed = ladder.projection, ladder.rungs[0].missed
+    told = rubbed_answer.findings.ladder
+    projection, missed = told.projection, told.rungs[0].missed
     monkeypatch.setattr(projection, 'motion', 1.01e4 * missed)
+    ladder = replace(told)  # which has not been asked yet
     assert (ladder.negligible, ladder.answer) == (False, 1)
     error = np.sqrt(max(np.sum(missed[part]) / (0.2 * np.sum(projection.goal[part] ** 2))
                         for part in projection.thirds))
     monkeypatch.setattr(projection, 'goal', error * projection.goal)
+    ladder = replace(told)
     assert (ladder.negligible, ladder.answer) == (True, 0)
 
 

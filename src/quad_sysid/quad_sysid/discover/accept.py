@@ -426,14 +426,16 @@ def _posterior(
 ) -> tuple[tuple[float, ...], tuple[tuple[tuple[str, float], ...], ...]]:
     """Probability of each chosen effect, and of its alternatives, by the training's evidence.
 
-    An effect that the search did not fit in this company stands as often as it comes again.
+    Each is compared beside what the answer and the reference share. An effect that the ladder put
+    in the place of one of the reference's is as probable as it comes again.
     """
     probabilities, rivals = [], []
-    chosen_names = Counter(part.effect.name for part in chosen.structure.parts)
-    finer = Counter(part.effect.name for part in search.best.structure.parts) - chosen_names
+    chosen_names, best_names = (Counter(part.effect.name for part in fitted.structure.parts)
+                                for fitted in (chosen, search.best))
+    finer = best_names - chosen_names
     for part in chosen.structure.parts:
         name = part.effect.name
-        other_names = chosen_names - Counter([name])
+        other_names = (chosen_names & best_names) - Counter([name])
         share: defaultdict[str, float] = defaultdict(float)
         for scored, p in zip(search.all, search.probabilities(), strict=True):
             left = Counter(scored.names) - finer
@@ -441,7 +443,7 @@ def _posterior(
                 alternatives = set(left - other_names) or {'nothing'}
                 for other in alternatives:
                     share[other] += float(p) / len(alternatives)
-        if name not in {part.effect.name for part in search.best.structure.parts}:
+        if name not in best_names:
             reproducible = ladder.reproducible.get(name, 1.0)
             share = defaultdict(float, {name: reproducible, UNLISTED: 1.0 - reproducible})
         least = LEAST_REPORTED * sum(share.values())

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import compress, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
@@ -112,34 +111,47 @@ class Ladder:
     @property
     def small(self) -> float:
         """What may be missed, as a sum of squares, (rad/s)²."""
-        return self._small(np.arange(self.projection.motion.size))
+        return little(*self._parts.sum(axis=1))
 
-    def _small(self, part: NDArray[np.int64]) -> float:
-        """The same of some windows."""
+    @cached_property
+    def _parts(self) -> FloatArray:
+        """(2, windows) the squares of the motion and of the reference's error, (rad/s)²."""
         projection = self.projection
-        return little(float(np.sum(projection.motion[part])),
-                      float(np.sum(projection.goal[part] ** 2)))
+        return np.array([projection.motion, np.sum(projection.goal**2, axis=1)])
 
-    def explained(self, missed: FloatArray) -> float:
-        """Percent explained by what misses `missed` (windows,), the least of `thirds`.
+    def _by_thirds(self, missed: FloatArray,
+                   weights: FloatArray) -> Iterator[tuple[FloatArray, float]]:
+        """What is missed (rungs,) in each third, of `missed` (rungs, windows); what may be."""
+        for third in self.projection.thirds:
+            yield (missed[:, third] @ weights[third],
+                   little(*self._parts[:, third] @ weights[third]))
 
-        Slow and fast motion count alike: a drag may do for a friction where the aircraft turns
-        fast. A third where the base misses next to nothing does not count.
+    def explained(self, missed: FloatArray, weights: FloatArray) -> FloatArray:
+        """(rungs,) percent explained by what misses `missed` (rungs, windows), the base first.
+
+        The least of `thirds`: slow and fast motion count alike, for a drag may do for a friction
+        where the aircraft turns fast. A third where the base misses next to nothing does not
+        count. weights: (windows,) of a resampled flight.
         """
-        lowest = self.rungs[0].missed
-        return 100.0 * min((1.0 - float(np.sum(missed[part]) / np.sum(lowest[part]))
-                            for part in self.projection.thirds
-                            if np.sum(lowest[part]) > self._small(part)), default=1.0)
+        shares = [1.0 - total / total[0] for total, small in self._by_thirds(missed, weights)
+                  if total[0] > small]
+        return np.asarray(100.0 * np.min([np.ones(missed.shape[0]), *shares], axis=0))
 
-    @property
+    def sufficient(self, missed: FloatArray, weights: FloatArray) -> int | None:
+        """The lowest rung that explains EXPLAINS, or that misses next to nothing; else None."""
+        little_missed = np.all([total < small for total, small in
+                                self._by_thirds(missed, weights)], axis=0)
+        enough = np.flatnonzero((self.explained(missed, weights) >= EXPLAINS) | little_missed)
+        return int(enough[0]) if enough.size else None
+
+    @cached_property
     def answer(self) -> int:
-        """The lowest rung that explains EXPLAINS, or that misses next to nothing."""
+        """The sufficient rung, or the last."""
         if len(self.rungs) == 1:
             return 0
-        sufficient = (i for i, rung in enumerate(self.rungs) if rung.explains_pct >= EXPLAINS
-                      or all(np.sum(rung.missed[part]) < self._small(part)
-                             for part in self.projection.thirds))
-        return next(sufficient, len(self.rungs) - 1)
+        missed = np.array([rung.missed for rung in self.rungs])
+        enough = self.sufficient(missed, np.ones(missed.shape[1]))
+        return len(self.rungs) - 1 if enough is None else enough
 
 
 def explain(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> Ladder:
@@ -173,7 +185,7 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
     ladder = Ladder(models, tuple(rungs))
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
-    climb = _Climb(projection, search, parts, lowest.total)
+    climb, equal = _Climb(projection, search, parts, lowest.total), np.ones_like(lowest.missed)
     while (rungs[-1].explains_pct < ENOUGH and rungs[-1].total >= ladder.small
            and len(rungs) <= MOST_RUNGS):
         last = rungs[-1]
@@ -184,7 +196,8 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         gained = last.total - float(np.sum(missed))
         if gained >= NEGLIGIBLE * rungs[0].total and models.follows(step):
             climb.left_out.clear()
-            rungs.append(Rung(step, missed, max(last.explains_pct, ladder.explained(missed))))
+            explained = ladder.explained(np.array([rungs[0].missed, missed]), equal)[-1]
+            rungs.append(Rung(step, missed, max(last.explains_pct, float(explained))))
         else:
             climb.left_out.add(_added(step).label)
     if rungs[-1].explains_pct < ENOUGH:
@@ -343,7 +356,8 @@ def resampled(
     Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
     Bayesian bootstrap, Rubin 1981). With the same weights each fitted structure has another
     evidence, so that another reference may lead, and each rung explains another share of it. An
-    effect comes again where the answer explains enough and it is no negligible part of that.
+    effect comes again where a rung up to the answer suffices, has it, and it is no negligible part
+    of what that rung explains.
     """
     block = problem.blocks(BLOCK_S)
     kept = search.all[:MOST_STRUCTURES]
@@ -369,8 +383,9 @@ def resampled(
         missed = np.array([rung.missed for rung in rungs] if reference is search.best
                           else _missed(problem, reference, rungs))
         for draw in np.flatnonzero(leading == index):
-            total = missed @ weights[draw, of_window]
-            if total[-1] <= max((1.0 - 0.01 * EXPLAINS) * total[0], ladder.small):
+            enough = ladder.sufficient(missed, weights[draw, of_window])
+            if enough:
+                total = missed[: enough + 1] @ weights[draw, of_window]
                 causes = -np.diff(total) >= NEGLIGIBLE * total[0]
                 counts.update(set().union(*compress(added, causes)))
     answer = rungs[-1].model.structure.parts
