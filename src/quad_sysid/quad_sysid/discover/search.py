@@ -326,7 +326,7 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
     for such a gust beside the coupling, the search is repeated without that axis (a test of
     exogeneity: Hausman 1978). Once `halt` gives a reason nothing more is fitted, and what was not
-    is listed with it; `listen` gets a line of text after each round.
+    is listed with it; `progress` gets a line of text after each round.
     """
     full_problem, problem = problem, problem.shortened(SEARCHED, BLOCKS)
     parts, reasons = candidates(problem, effects)

@@ -356,8 +356,8 @@ def resampled(
     Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
     Bayesian bootstrap, Rubin 1981). With the same weights each fitted structure has another
     evidence, so that another reference may lead, and each rung explains another share of it. An
-    effect comes again where a rung up to the answer suffices, has it, and it is no negligible part
-    of what that rung explains.
+    effect comes again where the lowest rung that suffices has it, and it is no negligible part of
+    what is explained.
     """
     block = problem.blocks(BLOCK_S)
     kept = search.all[:MOST_STRUCTURES]
@@ -372,7 +372,7 @@ def resampled(
     leading = np.argmax(prior + weights @ logs.T, axis=1)
     rows = np.searchsorted(problem.rows, ladder.projection.windows.starts)
     of_window = block[np.clip(rows, 0, block.size - 1)]
-    rungs = ladder.rungs[: ladder.answer + 1]
+    rungs = ladder.rungs
     added = [{part.effect.name for part in rung.model.structure.parts
               if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
     counts: Counter[str] = Counter()
@@ -388,7 +388,7 @@ def resampled(
                 total = missed[: enough + 1] @ weights[draw, of_window]
                 causes = -np.diff(total) >= NEGLIGIBLE * total[0]
                 counts.update(set().union(*compress(added, causes)))
-    answer = rungs[-1].model.structure.parts
+    answer = rungs[ladder.answer].model.structure.parts
     return blocks, {part.effect.name: counts[part.effect.name] / RESAMPLES for part in answer}
 
 

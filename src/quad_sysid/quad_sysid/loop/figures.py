@@ -141,7 +141,7 @@ def _edge_responses(r: FloatArray, y: FloatArray,
 
 
 def _first_crossing(response: FloatArray, level: float) -> float:
-    """Sample (interpolated) at which `way` first reaches `level`."""
+    """Sample (interpolated) at which `response` first reaches `level`."""
     index = int(np.argmax(response >= level))
     if response[index] < level:
         return float('nan')

@@ -23,6 +23,7 @@ GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_k
               'd_filter_hz': 'Hz'}
 WIDE = ('outcome', 'because', 'parameters')
 """Columns with sentences."""
+UNDETERMINED = '± one standard error; ± – where the data determine none, < by the 95 % interval'
 RUNAWAY = 1e3
 """rad/s or m/s: no gyro measures such an error, and no aircraft is as fast."""
 
@@ -202,13 +203,13 @@ def parameters(tree: Tree) -> Table:
     if not tree['effects']:
         return Table(['parameter', 'base', 'unit'],
                      [[p['name'], _value(p), p['unit']] for p in base], (1,),
-                     caption='± one standard error')
+                     caption=UNDETERMINED)
     after = {p['name']: p for p in tree.get('completed', {}).get('parameters', [])}
     rows = [[p['name'], _value(p), _value(after.get(p['name'])), p['unit']] for p in base]
-    rows += [[f'{e["name"]}: {p["name"]}', '', _value(p), p['unit']]
-             for e in tree['effects'] for p in e['parameters']]
+    rows += [[f'{e["name"].replace("_", " ")}: {p["name"].replace("_", " ")}', '', _value(p),
+              p['unit']] for e in tree['effects'] for p in e['parameters']]
     return Table(['parameter', 'base alone', 'completed', 'unit'], rows, (1, 2),
-                 caption='± one standard error')
+                 caption=UNDETERMINED)
 
 
 def effects(tree: Tree) -> Table:
@@ -357,7 +358,12 @@ def residuals(tree: Tree) -> Table:
 
 
 def _value(p: Tree | None) -> str:
-    return '–' if p is None else estimate(p)
+    if p is None:
+        return '–'
+    limits = p.get('interval_95')
+    if p.get('std') is not None:
+        return estimate(p)
+    return f'< {limits[1]:.2g}' if limits else f'{p["value"]:.4g} ± –'
 
 
 def _span(interval: Sequence[float] | None) -> str:
