@@ -162,6 +162,9 @@ def test_the_text_fits_a_terminal_and_every_elimination_has_its_reason(answers):
     for model in roll['models']:
         gone = not (model['passed_first_step'] and model['passed_second_step'])
         assert gone == bool(model.get('eliminated_because')), model
+    lines = text.lines({**tree, 'axes': {'roll': roll, 'pitch': roll}})  # once for both
+    (place,) = [i for i, line in enumerate(lines) if line.startswith('  - /imu/data: the clock')]
+    assert lines[place - 1] == 'warnings for several axes'
 
 
 TRUE = {'gain': 450.0, 'lag': 0.04, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}

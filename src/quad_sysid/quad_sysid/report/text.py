@@ -1,12 +1,13 @@
 """The answer as plain text for a terminal of 80 columns: the report's tables, and sentences.
 
 Of each axis first the answer (verdict, what was missing, error before and after), the black-box
-models last; then the aircraft as a whole.
+models last; then the aircraft as a whole, and what several axes warn of.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quad_sysid.model.identified import Outside
@@ -17,23 +18,27 @@ from quad_sysid.report.tables import wrapped
 def lines(report: Mapping[str, Any]) -> list[str]:
     """The text that `quad-sysid identify` prints of a report's tree."""
     out: list[str] = []
+    count = Counter(warning for tree in report['axes'].values() for warning in tree['warnings'])
     for axis, tree in report['axes'].items():
         parts = [_verdict(tree), tables.errors(tree).text((0, 1, 2)), growth(tree),
                  _details(tree), _gains(axis, tree)]
         parts.append([line for note in tree.get('advice', ())
                       for line in wrapped(note, '    ', '  - ')])
-        parts.append([
-            line for i, warning in enumerate(tree.get('warnings', []))
-            for line in (*(() if i else ('warnings',)), *wrapped(warning, '    ', '  - '))
-        ])
+        parts.append(_warnings('warnings', [w for w in tree['warnings'] if count[w] == 1]))
         models = tables.models(tree)
         loop, outcome = (models.head.index(name) for name in ('loop, %', 'outcome'))
         shown = [0, 1, *range(2, min(loop, 6)), loop]
         parts.append(models.text(shown, outcome, caption=False))
         out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz']
         out += [line for part in parts if part for line in ('', *part)]
-    lines = tables.aircraft(report).text((0, 1, 2))
-    return [*out, '', *lines] if lines else out
+    parts = [tables.aircraft(report).text((0, 1, 2)),
+             _warnings('warnings for several axes', [w for w in count if count[w] > 1])]
+    return out + [line for part in parts if part for line in ('', *part)]
+
+
+def _warnings(head: str, warnings: Sequence[str]) -> list[str]:
+    lines = [line for warning in warnings for line in wrapped(warning, '    ', '  - ')]
+    return [head, *lines] if lines else []
 
 
 def _verdict(tree: Mapping[str, Any]) -> list[str]:
