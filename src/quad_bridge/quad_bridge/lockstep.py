@@ -33,7 +33,7 @@ START_NS = 1_000_000_000_000
 WIRE = 'wire'  # the stream of the virtual STM32 itself: bytes on the serial line
 STREAMS = ('/imu/data', '/rc/in', '/excitation/setpoint')
 """Topics that whoever subscribes is waited for; node_time.py reports them."""
-RETRY_S = 0.05
+RETRY_S = 0.05  # between attempts to reach a clock that has not begun
 AGAIN_S = 0.5  # after which whoever did not run what is due is woken again
 
 

@@ -76,7 +76,7 @@ WORST = 6
 ROUNDS = 6
 INFEASIBLE = 0.005
 """Relative violation after a search from which no further round is tried."""
-CHUNK = 256
+CHUNK = 256  # sets of gains whose margins are computed at once, which bounds the memory
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from quad_bridge.arguments import BAD_INPUT, OneLineParser, complain, positive, say
 from quad_bridge.autopilots.aircraft import AutopilotAircraft, Connected
 from quad_bridge.autopilots.kinds import Advice
+from quad_bridge.gains.cycles import MIN_HZ
 from quad_bridge.link.autopilot import LINE_SHARE, load
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import PortState, SerialPort, over_network
@@ -23,8 +24,7 @@ from quad_bridge.motor_outputs import motor_outputs
 from quad_bridge.wire import frames as f
 
 FAST_HZ = 100.0  # with fewer rates a second the live bag shows neither lag nor delay
-WATCH_HZ = 50.0
-NOT_READY = 3
+NOT_READY = 3  # exit status, beside 1 and 2 of the contract
 
 
 def report(aircraft: AutopilotAircraft, link: Link, now_ns: int, craft: str) -> list[Advice]:
@@ -46,8 +46,8 @@ def report(aircraft: AutopilotAircraft, link: Link, now_ns: int, craft: str) -> 
           if math.isfinite(capacity) else []),
         (f'rates for a live bag: {fastest:.0f} Hz', fastest >= FAST_HZ,
          f'below {FAST_HZ:g} Hz identify from the log on the card, or take 921600 baud'),
-        (f'rates for the watch over gains: {fastest:.0f} Hz', fastest >= WATCH_HZ,
-         f'gains are refused below {WATCH_HZ:g} Hz: a faster line is needed'),
+        (f'rates for the watch over gains: {fastest:.0f} Hz', fastest >= MIN_HZ,
+         f'gains are refused below {MIN_HZ:g} Hz: a faster line is needed'),
         (f'{read} gains, limits and filters read', read > 0,
          'no answer to PARAM_REQUEST_READ: is the line one way only?'),
         (f'battery {flight.volts:.1f} V', math.isfinite(flight.volts),

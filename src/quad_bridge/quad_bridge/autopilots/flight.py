@@ -20,17 +20,17 @@ from quad_bridge.wire.frames import Vector3
 
 FRESH_S = 0.3  # a line whose last attitude is older is stale
 BEAT_S = 2.5  # the same of heartbeats, which come once a second
-STICKS_S = 1.0
+STICKS_S = 1.0  # the same of stick positions, which a slow line brings twice a second
 HOVER_S = 2.0  # so long it must have been calm to hover
 TILT_RAD, TURN_RAD_S = math.radians(12.0), math.radians(45.0)
 CLIMB_M_S, DRIFT_M_S = 0.6, 1.5
-IN_AIR = 2
+IN_AIR = 2  # MAV_LANDED_STATE_IN_AIR
 THRUST_S = 2.0  # over which the hover throttle is averaged
 REFERENCE_S = 1.0  # after which what the loops follow is not known any more
 STICK = 0.15  # share of its way by which a stick has been moved
-METRES_PER_HPA = 8.43
-BARO_S = 0.5
-WINDOW = 250
+METRES_PER_HPA = 8.43  # of the standard atmosphere at sea level
+BARO_S = 0.5  # time constant of the pressure: its noise is a metre, a climb lasts seconds
+WINDOW = 250  # arrivals over which their rate is counted
 UNKNOWN_THRUST = 0.5  # where nothing says it: it counts as flying while it is in the air
 
 

@@ -31,7 +31,7 @@ REPEAT_S, TRIES = 0.25, 8
 ENTER_S, AGAIN_S = 3.0, 0.5
 DELAY_S = 1.0  # from the mode's entry until it injects
 SET_UP_S = 2.0  # for parameters and the mode; the segment of the schedule began before them
-LEAST_S = 5.0
+LEAST_S = 5.0  # of a sweep: a shorter one holds too little of its slow end
 
 
 class Phase(Enum):

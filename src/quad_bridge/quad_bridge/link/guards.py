@@ -21,7 +21,7 @@ MIN_US, MAX_US = 1_000, 20_000
 """Allowed deviation of a step, doubled by each false alarm: some aircraft have uneven cycles."""
 AGREES_NS = 1_000_000  # a round trip this close to the estimate: the clock has not jumped
 PATIENCE_NS = 300_000_000  # without an answer to TIMESYNC for so long nothing is held back
-LEARN = 1.0 / 64.0
+LEARN = 1.0 / 64.0  # share of each new period in the mean, of which one cycle says little
 DRIFT = 1e-3  # share of a gap by which the period that was learned may be off
 PAST_NS = 100_000_000  # a smaller delay needs no explanation: a busy host
 

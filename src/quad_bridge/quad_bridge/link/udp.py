@@ -14,8 +14,8 @@ import time
 
 SCHEMES = ('udp', 'udpin', 'udpout')
 PEER_TIMEOUT_S = 10.0  # whoever has been silent for longer gets no answers
-MAX_PEERS = 8
-LARGEST = 65536
+MAX_PEERS = 8  # that are answered at once: whoever floods the port gets no more
+LARGEST = 65536  # bytes of a datagram; ports are below it too
 BUFFER = 1 << 20  # bytes that wait in the kernel while the bridge gets no time
 NOT_OURS = (errno.EADDRINUSE, errno.EADDRNOTAVAIL)
 

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from quad_bridge.errors import RefusedError
 from quad_bridge.si import GRAVITY_M_S2, FloatArray
 
-BLOCK_S = 0.5
-MIN_S = 5.0
+BLOCK_S = 0.5  # over it noise averages out, and a touch does not
+MIN_S = 5.0  # ten blocks: a straight line through them, and a scatter about it
 STILL_RATE = 0.01  # rad/s: by how much the mean of a block may leave the straight line through all
 STILL_ACCELERATION = 0.15  # m/s²: the same for the accelerations
 MAX_READING = 1e4  # rad/s, m/s²: a larger value is damaged and not used

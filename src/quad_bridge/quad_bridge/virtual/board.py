@@ -18,7 +18,7 @@ from quad_bridge.virtual.native import PROGRAM, built_file
 
 ELF, EMULATOR, MACHINE = 'stm32f405.elf', 'qemu-system-arm', 'netduinoplus2'
 END_S = 10.0  # after which a firmware that does not end is killed
-START_S = 60.0
+START_S = 60.0  # until the emulator must answer: a busy machine takes many seconds
 
 
 class EndedError(Exception):

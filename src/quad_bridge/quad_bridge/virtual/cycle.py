@@ -37,7 +37,7 @@ STICK_ROLL, STICK_PITCH, THROTTLE, STICK_YAW, HOLD = 5, 6, 7, 8, 9
 INPUTS = 10
 """Columns of what reaches a cycle from outside: armed 0/1, injection 0..4 (none, attitude, rate,
 control, thrust), excitation (3), sticks -1..1, throttle 0..1, height mode 0/1."""
-MAX_DELAY = 4
+MAX_DELAY = 4  # cycles
 MAX_HELD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
 NORMALS_PER_STEP = 9
 NORMALS_PER_CYCLE = 7

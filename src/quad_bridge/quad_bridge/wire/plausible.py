@@ -15,9 +15,9 @@ from typing import Any
 from quad_bridge.wire import frames as f
 
 LARGEST = 1000.0  # no value of a cycle is larger, in rad, rad/s, m/s² or normalised command
-MAX_ANGLE = 6.3
-MAX_FLAGS = 0x0FFF
-_ABOVE_ONE = 1.001
+MAX_ANGLE = 6.3  # rad: one turn
+MAX_FLAGS = 0x0FFF  # no flag has a higher bit
+_ABOVE_ONE = 1.001  # a full motor command, rounded
 
 
 def plausible(frame: f.Frame) -> f.Frame | None:

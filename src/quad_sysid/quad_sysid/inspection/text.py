@@ -9,7 +9,7 @@ from quad_sysid.contract import AXES
 from quad_sysid.inspection.content import AxisContent, Content, Use
 from quad_sysid.report.tables import Table, wrapped
 
-MAX_SEGMENTS = 12
+MAX_SEGMENTS = 12  # a screen; --json has all
 
 
 def lines(content: Content) -> list[str]:

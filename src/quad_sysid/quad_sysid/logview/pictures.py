@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 COLOURS = {'all': canvas.INK, 'small': canvas.SKY, 'medium': canvas.BLUE, 'large': canvas.ORANGE}
 MOST_PIXELS = 300
 """Columns and rows of a map."""
-RANGE_DB = 50.0
+RANGE_DB = 50.0  # of a map: what is fainter is the gyro's own noise
 
 
 def pictures(look: Measured) -> tuple[Picture, ...]:

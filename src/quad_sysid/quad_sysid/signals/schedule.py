@@ -23,7 +23,7 @@ MAX_DURATION_S = 3600.0
 """Longest segment, s: an hour."""
 RAMP_S = 0.5
 """Default time over which a segment begins and ends, so that it does not jerk."""
-AMPLITUDE_DEG = 12.0
+AMPLITUDE_DEG = 12.0  # a lively flight that stays well inside the angle limit
 DEGREE = math.pi / 180.0
 
 AMPLITUDES: dict[str, tuple[str, float, float, float]] = {
