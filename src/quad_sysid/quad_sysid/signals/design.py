@@ -18,6 +18,8 @@ SAMPLES_PER_CLOCK = 2
 """Least number of samples for which a bit is held."""
 MAX_PERIOD_S = 120.0
 """Length of the training, s, up to which a whole period is flown unless a length is asked for."""
+TURN = 0.3 * 2.0 * math.pi
+"""HIGH, rad/s, times the clock, s: eq. (10) of the paper, 0.3 / clock = 1 / (2 pi tau_min)."""
 SPARED = 0.63
 """Share of the training that holds a period of each frequency that the monitor counts."""
 
@@ -56,7 +58,7 @@ class Design:
     @property
     def covered_rad_s(self) -> tuple[float, float]:
         """First spectral line, and 2 pi 0.3 / clock, where eq. (10) ends the band."""
-        return 2.0 * math.pi / self.period_s, 2.0 * math.pi * 0.3 / self.clock_s
+        return 2.0 * math.pi / self.period_s, TURN / self.clock_s
 
     @property
     def flown_low_rad_s(self) -> float:
@@ -126,10 +128,10 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
                             f'{low_rad_s:g}:{high_rad_s:g}', 'for example --band 0.1:20')
     if not 0.0 < sample_rate_hz < math.inf:
         raise BadInputError('--rate', 'must be a positive number of Hz', sample_rate_hz)
-    clock = 0.3 * 2.0 * math.pi / high_rad_s
+    clock = TURN / high_rad_s
     samples = math.floor(clock * sample_rate_hz + 1e-9)
     if samples < SAMPLES_PER_CLOCK:
-        most = 0.3 * 2.0 * math.pi * sample_rate_hz / SAMPLES_PER_CLOCK
+        most = TURN * sample_rate_hz / SAMPLES_PER_CLOCK
         raise BadInputError('--band', f'HIGH is too fast for {sample_rate_hz:g} Hz',
                             f'{high_rad_s:g} rad/s',
                             f'at most {most:.4g} rad/s ({SAMPLES_PER_CLOCK} samples per clock)')
@@ -147,7 +149,7 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
                   clock_samples=samples, register_bits=bits,
                   validation_bits=bits - 1 if bits > min(TAPS) else bits + 1,
                   square_period_s=round(2.0 * math.pi / middle, 3),
-                  unit_s=round(0.3 * 2.0 * math.pi / (high_rad_s / 3.0), 3),
+                  unit_s=round(TURN / (high_rad_s / 3.0), 3),
                   train_s=train_s or math.ceil(min(period_s, MAX_PERIOD_S)))
 
 
@@ -170,7 +172,7 @@ def _reach(d: Design) -> str:
 def _lines(d: Design) -> list[str]:
     """Lines of the explanation."""
     tau_min, tau_max = 1.0 / d.high_rad_s, 1.0 / d.low_rad_s
-    exact = 0.3 * 2.0 * math.pi * tau_min
+    exact = TURN * tau_min
     first, top = d.covered_rad_s
     periods = d.period_s / tau_max
     inside = PERIODS[0] <= periods <= PERIODS[1]
