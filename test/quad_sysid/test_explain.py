@@ -83,6 +83,16 @@ def test_the_whole_reference_names_the_main_cause_first(rubbed_answer, monkeypat
     assert friction.p_value < drag.p_value
 
 
+def test_a_gain_that_wanders_is_projected_onto_a_reference_without_it(rubbed_answer):
+    """As where another structure leads in a resampled flight: it rests, and explains nothing."""
+    found = rubbed_answer.findings
+    projection, first = found.ladder.projection, found.ladder.rungs[1]
+    part = next(part for part in candidates(found.problem, EFFECTS)[0] if part.effect.wanders)
+    theta = np.insert(first.model.theta, -projection.noise.size, np.log([0.3, 10.0]))
+    model = projection.project(first.model.structure.plus(part), theta)
+    assert model.total == pytest.approx(first.model.total, abs=1e-3 * found.ladder.rungs[0].total)
+
+
 def test_a_rung_explains_slow_motion_as_well_as_fast(rubbed_answer):
     """What does for the fast windows alone explains no more than it does of the slow ones."""
     ladder = rubbed_answer.findings.ladder

@@ -91,13 +91,14 @@ class Projection:
                                self._from(structure), run).derivatives(steps)
 
     def _from(self, structure: Structure) -> Prediction:
-        """The reference's states, without coefficients that the structure lacks."""
+        """The reference's states; a coefficient that it lacks rests at zero."""
         prediction, own = self.reference.prediction, self.reference.structure
         end = 4 + 2 * own.lines
         wandering = [part.effect.label for part in own.parts if part.effect.wanders]
-        kept = [end + wandering.index(part.effect.label) for part in structure.parts
-                if part.effect.wanders]
-        return replace(prediction, states=prediction.states[:, [*range(end), *kept]])
+        states = np.column_stack([prediction.states, np.zeros(len(prediction.states))])
+        labels = [part.effect.label for part in structure.parts if part.effect.wanders]
+        kept = [end + wandering.index(label) if label in wandering else -1 for label in labels]
+        return replace(prediction, states=states[:, [*range(end), *kept]])
 
     def alone(self, theta: FloatArray) -> FloatArray:
         """(p,) the base's coordinates of a fit, with the reference's noise."""
