@@ -454,5 +454,6 @@ def _check_angle(angle: Column, axis: str) -> None:
     if largest >= limit:
         raise BadInputError(
             angle.where, f'is beyond the range of a {axis} angle', f'{largest:.4g} of {limit:.4g}',
-            f'name its unit, such as {angle.advise("deg")}',
+            f'name its unit, such as {angle.advise("deg")}'
+            + ('; import a rig that turns so far as --axis roll' if axis == 'pitch' else ''),
         )
