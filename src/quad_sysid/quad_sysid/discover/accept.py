@@ -33,6 +33,8 @@ SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
 AT_ONCE = 20
 """Draws of random signs that are run side by side, which bounds the memory."""
+MOST_DEPENDENT, LEAST_COUNT = 0.98, 1.5
+"""Bounds of the dependence of neighbouring blocks, and of how many independent ones they are."""
 HUGE = 1e100
 LEAST_P = 1e-12
 LEAST_REPORTED = 0.005
@@ -42,20 +44,22 @@ LEAST_REPORTED = 0.005
 def p_value(shares: FloatArray) -> float:
     """Chance of a mean as large as that of `shares` (blocks,) where nothing speaks for a claim.
 
-    One-sided t-test with a long-run variance from the first cosines of the sequence, so that
-    neighbouring blocks may depend on each other (equal-weighted cosine estimator: Lazarus, Lewis,
-    Stock, Watson 2018).
+    One-sided t-test of as many independent blocks as these stand for, each of which may depend on
+    the last: n (1 - r) / (1 + r) (Bayley, Hammersley 1946), with as many degrees of freedom. r is
+    their correlation, of which removing the mean takes 1 / n.
     """
-    n = shares.size
+    n, mean = shares.size, float(np.mean(shares)) if shares.size else 0.0
     if n < LEAST_BLOCKS:
         return 1.0
-    count = max(2, int(0.3 * n ** (2.0 / 3.0)))
-    phase = np.pi * np.outer(np.arange(1, count + 1), (np.arange(n) + 0.5) / n)
-    variance = float(np.mean((np.sqrt(2.0 / n) * (np.cos(phase) @ shares)) ** 2))
-    mean = float(np.mean(shares))
-    if variance <= 0.0:
+    left = shares - mean
+    squares = float(left @ left)
+    if squares <= 0.0:
         return 0.0 if mean > 0.0 else 1.0
-    return float(special.stdtr(count, -math.sqrt(n) * mean / math.sqrt(variance)))
+    estimated = float(left[1:] @ left[:-1]) / squares
+    dependence = min(max(estimated + 1.0 / n, 0.0), MOST_DEPENDENT)
+    count = max(n * (1.0 - dependence) / (1.0 + dependence), LEAST_COUNT)
+    variance = squares / (n * (1.0 - 1.0 / count))
+    return float(special.stdtr(count, -mean * math.sqrt(count / variance)))
 
 
 def p_of_both(long: FloatArray, shorter: FloatArray, ahead: FloatArray) -> float:
