@@ -9,7 +9,7 @@ from flown_axis import SHORT, Axis, fly
 
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
-from quad_sysid.comparison import Estimate, Flight, compare, trims
+from quad_sysid.comparison import Estimate, Flight, compare, flight_of, trims
 from quad_sysid.record import Record, Segment
 
 
@@ -30,6 +30,17 @@ def test_a_difference_counts_by_its_error_and_by_how_many_are_looked_at():
     assert (found['damping'].changed, found['lag'].p_value) == (False, None)
     assert found['lag'].difference == 1.0
     assert (found['drag'].reference, found['drag'].p_value) == (None, None)
+
+
+def test_without_effects_the_base_that_takes_up_what_they_do_is_compared(rubbed_answer):
+    """As the base of the other flight does, in which no effects were looked for."""
+    model = rubbed_answer.model
+    (beside,), (alone,) = (flight_of(model, effects=effects).parameters.values()
+                           for effects in (None, ()))
+    assert beside['damping'].value == model.value('damping')
+    assert 'coulomb_friction.torque' in beside
+    assert alone == {p.name: Estimate(p.value, p.std, p.unit) for p in model.plain}
+    assert alone['damping'].value > 3.0 * beside['damping'].value
 
 
 def test_many_flights_are_held_to_one_level_together():

@@ -15,7 +15,7 @@ from quad_sysid.imports.log import ForeignLog
 from quad_sysid.logview.flown import Flown, stretches
 from quad_sysid.logview.read import look, of_log, of_record
 from quad_sysid.logview.spectrum import frames
-from quad_sysid.logview.step import responses
+from quad_sysid.logview.step import ANGLE, responses
 from quad_sysid.loop.figures import step_figures
 from quad_sysid.record import GainChange, Record
 
@@ -209,6 +209,14 @@ def test_a_rate_that_follows_late_is_late_by_its_latency():
     (one,) = look(record(asked, np.roll(asked, 10), asked)).whole.axes['roll'].tracking
     assert one.latency_s == pytest.approx(10 * DT)
     assert one.error_rms_delayed < 0.01 * one.error_rms
+
+
+@pytest.mark.parametrize('setpoint', [0.7, 30.0])
+def test_nothing_is_stated_of_a_set_point_that_stands_still(setpoint):
+    """Its correlations are rounding, of either sign, or nothing."""
+    rates = 1e-4 * np.random.default_rng(0).standard_normal(60_000)
+    still = np.full(60_000, setpoint)
+    assert not responses(still, rates, np.ones(60_000, bool), 0.005, ANGLE)
 
 
 def test_no_class_is_stated_whose_windows_hold_no_low_frequencies():

@@ -93,10 +93,11 @@ class Change:
 Pair = tuple[Flight, tuple[Change, ...]]
 
 
-def of_model(model: AxisModel) -> dict[str, Estimate]:
-    """The base beside its effects, then the effects: alone it takes up what they do."""
-    named = {p.name: p for p in model.base if model.shows(p)}
-    for effect in model.effects:
+def of_model(model: AxisModel, *, alone: bool = False) -> dict[str, Estimate]:
+    """The base beside its effects, then these; `alone` the base that takes up what they do."""
+    base = model.plain if alone and model.plain else model.base
+    named = {p.name: p for p in base if model.shows(p)}
+    for effect in () if alone else model.effects:
         named |= {f'{effect.name}.{p.name}': p for p in effect.parameters}
     shown = {name: model.in_units(p) for name, p in named.items()}
     return {name: Estimate(p.value, p.std, p.unit) for name, p in shown.items()}
@@ -130,7 +131,7 @@ def flight_of(flight: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect]
     """The parameters of a model or a result, or of a flight, which is identified for them.
 
     `one` may be the path of a model.json or a bag. Without `axes` all that it has; `effects` and
-    `show` as in `identify`.
+    `show` as in `identify`; without any effects the bases alone are compared.
     """
     from quad_sysid.bags import read_bag, split_segments
     from quad_sysid.model import AxisModel, GainProposal
@@ -138,12 +139,13 @@ def flight_of(flight: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect]
     from quad_sysid.report.model_file import load_models, names_model
     from quad_sysid.result import Result, identify
 
+    alone = effects is not None and not effects
     if isinstance(flight, AxisModel):
-        return Flight('model', {flight.axis: of_model(flight)}, {})
+        return Flight('model', {flight.axis: of_model(flight, alone=alone)}, {})
     if isinstance(flight, str | Path) and names_model(flight):
         models = load_models(flight, effects or ())
-        return Flight(str(flight), {axis: of_model(models[axis]) for axis in axes or models
-                                    if axis in models},
+        return Flight(str(flight), {axis: of_model(models[axis], alone=alone)
+                                    for axis in axes or models if axis in models},
                       {axis: 'not in the file' for axis in axes if axis not in models})
     trim: dict[str, Estimate] = {}
     if not isinstance(flight, Result):
@@ -152,7 +154,8 @@ def flight_of(flight: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect]
         flight = identify(record, axes, effects=effects, designer=lambda _: GainProposal(None),
                           progress=lambda line: show(f'{record.source}: {line}' if line else ''))
         trim = {axis: mean for axis, mean in trims(record).items() if axis in flight}
-    of_axes = {axis: of_model(answer.model) for axis, answer in flight.answers.items()
+    of_axes = {axis: of_model(answer.model, alone=alone)
+               for axis, answer in flight.answers.items()
                if answer.answered and answer.model is not None}
     reasons = {axis: answer.reason for axis, answer in flight.answers.items()
                if axis not in of_axes}

@@ -93,7 +93,8 @@ def whole_of(models: Mapping[str, AxisModel], records: Sequence[Record],
     for name in ('climb', 'roll'):
         if name in models:
             lag = _base(models[name], 'lag')
-            facts.append(Fact('motor_lag', lag.value, 's', f'of {name}', lag.std))
+            if lag.std is not None:  # else the data do not determine it
+                facts.append(Fact('motor_lag', lag.value, 's', f'of {name}', lag.std))
             break
     inertia = _inertia(models, craft, thrust_n)
     facts += [Fact(f'inertia_{name}', value, 'kg m²', how) for name, value, how in inertia]

@@ -99,7 +99,10 @@ def _log(options: argparse.Namespace, log_format: Format) -> int:
                                      f'{options.file.stem}_bag']),
                          *quicker(log.rates.rate_hz if log.rates else 0.0)]))
         return 0
-    if options.mixer is not None and log.motors is not None:
+    if options.mixer is not None:
+        if log.motors is None:
+            raise BadInputError('--mixer', f'{options.file} holds no motor commands',
+                                options.mixer, 'leave it out')
         motors = tuple(f'motor_{i + 1}' for i in range(log.motors.values.shape[1]))
         log = replace(
             log, crafts=() if options.mixer == 'auto' else (mixer_of(options.mixer, motors),)

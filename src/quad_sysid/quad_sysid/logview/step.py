@@ -207,7 +207,11 @@ def _response(windows: _Windows, inside: npt.NDArray[np.bool_], step: float, qua
         return None
     m = len(cross)
     group = np.eye(-(-m // max(1, m // COARSE))).repeat(max(1, m // COARSE), axis=0)[:m]
-    share, size, noise = _prior(group.T @ gram @ group, group.T @ cross, power, rows, m)
+    grouped = group.T @ gram @ group
+    sizes = np.linalg.eigvalsh(grouped)
+    if sizes[0] <= -RIDGE * sizes[-1]:  # the set-point stands still: this is rounding
+        return None
+    share, size, noise = _prior(grouped, group.T @ cross, power, rows, m)
     precision = gram / noise + _precision(m, m, share, size)[0]
     impulse = np.linalg.solve(precision, cross / noise)
     fit = 1.0 - (power - 2.0 * impulse @ cross + impulse @ gram @ impulse) / power

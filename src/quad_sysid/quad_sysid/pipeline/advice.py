@@ -72,7 +72,7 @@ def _inputs(row: ModelRow) -> int:
 
 def _delay(answer: AxisAnswer, samples: int) -> Iterator[str]:
     model = required(answer.model)
-    if samples == 0:
+    if samples == 0 and model.value('delay') < 0.5 * model.dt:
         yield (
             'the estimated delay is 0 samples: in the cascade a command cannot act on the rate of '
             'its own cycle; the stamps of command and rate seem to be one cycle apart'

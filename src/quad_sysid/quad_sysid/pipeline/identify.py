@@ -16,6 +16,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES
 from quad_sysid.discover.accept import Unseen, judge
+from quad_sysid.discover.constants import AGAIN
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
 from quad_sysid.discover.search import SearchResult, extended, scored, search, to_convergence
 from quad_sysid.effects import EFFECTS
@@ -211,7 +212,10 @@ def _reason(findings: Findings, not_searched: str) -> str:
     """The verdict's reason in words, with what would help; why no effects were sought, if so."""
     verdict, ladder = findings.verdict, findings.ladder
     reason = verdict.reason
-    if verdict.verdict == 'cannot_tell':
+    if verdict.verdict == 'cannot_tell' and not_searched:
+        reason += (f'; {not_searched}, and the base alone may lack what this axis needs, such as '
+                   'how its motors respond: identify it with effects first')
+    elif verdict.verdict == 'cannot_tell':
         reason += ('; a model that sees only past rates predicts as well as one that also sees '
                    'the commands, so the data do not show what the commands do; fly a PRBS on '
                    f'{findings.data.axis} (quad-sysid design-excitation), with more amplitude '
@@ -227,15 +231,16 @@ def _reason(findings: Findings, not_searched: str) -> str:
     elif not_searched:
         reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')
     else:
-        reason = reason or 'no effect predicts the held-out segments better than the base alone'
+        reason = reason or 'no effect is confirmed by the held-out segments'
     labels = verdict.chosen.structure.labels
     claimed = ladder.rungs[ladder.answer].model.structure.parts
-    names = ' and '.join(part.effect.name for part in claimed if part.effect.label not in labels)
-    if names and verdict.verdict != 'cannot_tell':
+    withdrawn = [part.effect.name for part in claimed if part.effect.label not in labels]
+    if withdrawn and verdict.verdict != 'cannot_tell':
+        again = min(ladder.reproducible.get(name, 1.0) for name in withdrawn)
         reason += (
-            f'; the training {"also " if labels else ""}suggests {names}, which is not confirmed '
-            'by the held-out segments or does not come again in resampled flights'
-        )
+            f'; the training {"also " if labels else ""}suggests {" and ".join(withdrawn)}, which '
+        ) + ('the held-out segments do not confirm' if again >= AGAIN else
+             f'comes again in {again:.0%} of resampled flights only')
     if verdict.verdict == 'no_missing_effect' and verdict.before > GUSTY * verdict.noise_floor:
         noise = noise_of(verdict.base)
         reason += (

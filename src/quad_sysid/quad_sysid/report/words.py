@@ -167,6 +167,9 @@ def headline(tree: Tree) -> tuple[str, str]:
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
     if tree['verdict'] == 'effects_added' and tree['effects']:
         return style, 'Was missing: ' + joined([*dict.fromkeys(map(likeliest, tree['effects']))])
+    if tree['verdict'] == 'no_missing_effect' and any(
+            rung['answer'] for rung in tree.get('explanation', ())):
+        return 'none', 'Nothing that is missing is confirmed'
     return style, text
 
 
