@@ -399,10 +399,13 @@ def test_indiflight_says_its_frame_by_gravity_and_names_no_layout(flight, tmp_pa
 
 
 @pytest.mark.skipif(not SAMPLE.exists(), reason='no folder shared/data beside the checkout')
-def test_a_real_px4_log_through_the_command(tmp_path, printed):
+def test_a_real_px4_log_through_the_command(tmp_path, printed, refused):
     pytest.importorskip('pyulog')
-    out = printed(main, 'import', SAMPLE, '--out', tmp_path / 'bag')
-    assert 'MAV_TYPE is 22, no multirotor' in ' '.join(out.split())
+    error = refused(main, 'import', SAMPLE, '--out', tmp_path / 'bag', '--mixer', 'x')
+    assert 'holds no motor commands' in error
+    out = ' '.join(printed(main, 'import', SAMPLE, '--out', tmp_path / 'bag').split())
+    assert 'MAV_TYPE is 22, no multirotor' in out
+    assert 'the angles are left out, and speed and position with them' in out
     record = read_bag(tmp_path / 'bag')
     assert record.dt == pytest.approx(1 / 284.7, rel=0.03)
     # at rest on the ground: gravity stands upwards, within the tilt of some degrees

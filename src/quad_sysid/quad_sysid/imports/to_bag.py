@@ -170,7 +170,9 @@ def _motion(
         return rates, angles
     if angles is not None and log.kind != 'a table':  # there they are refused
         odd = contradicted(grid.values, angles, grid.dt)
-        warnings += [f'{line}: the angles are left out' for line in odd]
+        moves = log.velocity is not None or log.position is not None
+        left_out = ', and speed and position with them' if moves else ''
+        warnings += [f'{line}: the angles are left out{left_out}' for line in odd]
         angles = None if odd else angles
     return grid.values, angles
 
