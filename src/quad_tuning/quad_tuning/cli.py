@@ -172,13 +172,12 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
                          'leaves these out. Flown: usual gains, where a flight names none.')
     elif answer.get('steps'):
         count, first = len(answer['steps']), _short(answer['gains'])
-        lines.append(
-            '  quad-tune send sends it at once; the bridge applies it in '
-            + (f'{count} steps, 3 s apart' if count > 1 else 'one step')
-            if answer['gains'] == answer['target'] else
-            f'  {count} updates lead there; send {first} first and identify again, '
-            'all at once is not safe'
-        )
+        pace = f'{count} steps, 3 s apart' if count > 1 else 'one step'
+        lines += wrapped(
+            'quad-tune send sends it at once if the aircraft has the gains that are flown here; '
+            f'the bridge applies it in {pace}' if answer['gains'] == answer['target'] else
+            f'{count} updates lead there; send {first} first and identify again, all at once is '
+            'not safe')
     lines += wrapped(left_out(answer['left_out']))
     return '\n'.join(lines) + '\n'
 
