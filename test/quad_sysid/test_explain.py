@@ -18,6 +18,8 @@ from quad_sysid.explain.models import Models
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
 from quad_sysid.pipeline.assemble import axis_model
+from quad_sysid.pipeline.identify import _reason
+from quad_sysid.report.words import headline
 
 
 def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
@@ -161,6 +163,21 @@ def test_a_cause_is_confirmed_by_its_own_rung_where_a_finer_effect_contains_it(r
     joined = replace(ladder, rungs=(ladder.rungs[0], both))
     assert [joined.explains(label) for label in both.labels] == [45.0, 45.0]
     assert not accept._claim(unseen, joined, rungs, rungs[1], rungs[1], part.effect).accepted
+
+
+@pytest.mark.parametrize(('again', 'because'), [
+    (0.9, 'the held-out segments do not confirm'),
+    (0.3, 'comes again in 30% of resampled flights only')])
+def test_what_is_withdrawn_is_named_with_its_reason(rubbed_answer, again, because):
+    """And the plain model is not called sufficient."""
+    told = rubbed_answer.findings
+    withdrawn = replace(
+        told, ladder=replace(told.ladder, reproducible={'coulomb_friction': again}),
+        verdict=replace(told.verdict, verdict='no_missing_effect', chosen=told.verdict.base))
+    assert f'the training suggests coulomb_friction, which {because}' in _reason(withdrawn, '')
+    tree = {'verdict': 'no_missing_effect', 'effects': [], 'explanation': [{'answer': True}]}
+    assert headline(tree) == ('none', 'Nothing that is missing is confirmed')
+    assert headline(tree | {'explanation': []}) == ('good', 'The plain model suffices')
 
 
 def test_a_hundredth_of_the_motion_is_no_cause_unless_it_raises_the_error(
