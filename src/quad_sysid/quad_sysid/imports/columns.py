@@ -437,6 +437,10 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
                           'deg/s' if role == 'rate' else 'deg')
             for role, values in on_grid.items()
         }
+        slides = [c.name for c in columns.values() if c.unit.name.startswith('m')]
+        if slides:
+            odd.append(f'{", ".join(slides)}: in metres, which a bag of an aircraft has no place '
+                       f'for: read every rad of {axis} as a metre (qs.from_arrays keeps the unit)')
         if 'angle' in columns:
             _check_angle(columns['angle'], axis)
         if 'rate' in columns:
