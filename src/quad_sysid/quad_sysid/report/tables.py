@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -228,9 +229,9 @@ def explanation(tree: Tree) -> Table:
     above: list[str] = []
     rows, answer = [], None
     for i, rung in enumerate(tree.get('explanation', ())):
-        new = [name for name in rung['effects'] if name not in above]
-        rows.append([str(i + 1), ' and '.join(new or rung['effects']),
-                     f'{rung["explains_pct"]:.0f} %',
+        new = Counter(rung['effects']) - Counter(above)
+        adds = ' and '.join(new) or f'{" and ".join(rung["effects"])} in another form'
+        rows.append([str(i + 1), adds, f'{rung["explains_pct"]:.0f} %',
                      number(rung['error'], 4) if rung['error'] < RUNAWAY else 'runs away'])
         above, answer = rung['effects'], i if rung.get('answer') else answer
     unit = tree['error']['unit']
