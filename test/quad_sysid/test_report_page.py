@@ -16,6 +16,7 @@ from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
 from quad_sysid.report.words import causes, reach
+from quad_sysid.whole import whole_of
 
 SCHEMA = json.loads(
     (Path(document.__file__).parent / 'report.schema.json').read_text(encoding='utf-8')
@@ -74,6 +75,16 @@ def test_the_page_begins_with_the_answer(written, answers):
     text = page({**report, 'aircraft': {'facts': [fact], 'urdf': ''}}, answers,
                 {'roll': plots.Gallery({})})
     assert 0 < text.index('Was missing') < text.index('1.20 ± 0.10')
+    assert 'URDF' not in text
+
+
+def test_an_aircraft_without_motors_is_not_described(rubbed_flight):
+    motors = np.full((rubbed_flight.n, 4), 0.5)
+    known = dataclasses.replace(rubbed_flight.craft, nominal=False)
+    for change, described in (({'motors': motors}, True), ({'motors': None}, False),
+                              ({'motors': None, 'craft': known}, True)):
+        record = dataclasses.replace(rubbed_flight, **change)
+        assert bool(whole_of({}, [record]).urdf) == described
 
 
 def test_written_report_follows_the_schema(written, tmp_path):

@@ -209,7 +209,7 @@ class Result:
             Path(f'{Path(self.flights[0]).resolve().stem}_identified')
         )
         store.write(place, self.report, self.answers, html=html, pictures=pictures,
-                    urdf=self.whole.craft.to_urdf() if self.whole else '')
+                    urdf=self.whole.urdf if self.whole else '')
         return replace(self, folder=place)
 
     @property

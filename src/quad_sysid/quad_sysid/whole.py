@@ -58,11 +58,18 @@ class Whole:
 
     facts: tuple[Fact, ...]
     craft: Craft
+    is_known: bool = True
+    """Whether a description says where its motors are, or a flight recorded them."""
+
+    @property
+    def urdf(self) -> str:
+        """Its description for other tools; empty where the motors are not known."""
+        return self.craft.to_urdf() if self.is_known else ''
 
     @property
     def tree(self) -> dict[str, object]:
         """The facts as plain values, for report.json."""
-        return {'facts': [vars(fact) for fact in self.facts], 'urdf': self.craft.to_urdf()}
+        return {'facts': [vars(fact) for fact in self.facts], 'urdf': self.urdf}
 
 
 def whole_of(models: Mapping[str, AxisModel], records: Sequence[Record],
@@ -104,7 +111,8 @@ def whole_of(models: Mapping[str, AxisModel], records: Sequence[Record],
     if mass_kg is not None and len(inertia) == len(craft.inertia or (0, 0, 0)):
         craft = replace(craft, mass_kg=mass_kg,
                         inertia=tuple(value for _, value, _ in inertia))  # type: ignore[arg-type]
-    return Whole(tuple(facts), craft)
+    return Whole(tuple(facts), craft,
+                 not craft.nominal or any(record.motors is not None for record in records))
 
 
 def _base(model: AxisModel, name: str) -> Parameter:

@@ -48,9 +48,10 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
         parts += [tables.overview(report).html(), f'<nav>{links}</nav>']
     parts += [_answer(axis, tree) for axis, tree in axes.items()]
     if report.get('aircraft', {}).get('facts'):
-        parts += [tables.aircraft(report).html(),
-                  (f'<details><summary>URDF of it ({URDF})</summary><pre>'
-                   f'{escape(report["aircraft"]["urdf"])}</pre></details>')]
+        parts.append(tables.aircraft(report).html())
+        if urdf := report['aircraft']['urdf']:
+            parts.append(f'<details><summary>URDF of it ({URDF})</summary><pre>'
+                         f'{escape(urdf)}</pre></details>')
     parts += [_axis(axis, tree, answers.get(axis), drawn.get(axis, Gallery({})))
               for axis, tree in axes.items()]
     sources = escape(', '.join(report['bags']))
