@@ -130,8 +130,8 @@ def flight_of(flight: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect]
               show: Callable[[str], None] = lambda _: None) -> Flight:
     """The parameters of a model or a result, or of a flight, which is identified for them.
 
-    `one` may be the path of a model.json or a bag. Without `axes` all that it has; `effects` and
-    `show` as in `identify`; without any effects the bases alone are compared.
+    `flight` may be the path of a model.json or a bag. Without `axes` all that it has; `effects`
+    and `show` as in `identify`; without any effects the bases alone are compared.
     """
     from quad_sysid.bags import read_bag, split_segments
     from quad_sysid.model import AxisModel, GainProposal

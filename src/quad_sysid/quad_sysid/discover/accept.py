@@ -48,9 +48,10 @@ def p_value(shares: FloatArray) -> float:
     the last: n (1 - r) / (1 + r) (Bayley, Hammersley 1946), with as many degrees of freedom. r is
     their correlation, of which removing the mean takes 1 / n.
     """
-    n, mean = shares.size, float(np.mean(shares)) if shares.size else 0.0
+    n = shares.size
     if n < LEAST_BLOCKS:
         return 1.0
+    mean = float(np.mean(shares))
     left = shares - mean
     squares = float(left @ left)
     if squares <= 0.0:

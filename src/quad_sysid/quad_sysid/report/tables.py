@@ -359,12 +359,7 @@ def residuals(tree: Tree) -> Table:
 
 
 def _value(p: Tree | None) -> str:
-    if p is None:
-        return '–'
-    limits = p.get('interval_95')
-    if p.get('std') is not None:
-        return estimate(p)
-    return f'< {limits[1]:.2g}' if limits else f'{p["value"]:.4g} ± –'
+    return '–' if p is None else estimate(p, brief=True)
 
 
 def _span(interval: Sequence[float] | None) -> str:

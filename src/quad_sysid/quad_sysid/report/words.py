@@ -312,16 +312,15 @@ def parameter(p: Tree) -> str:
     return f'{p["name"].replace("_", " ")} {estimate(p)}{unit}{more}'
 
 
-def estimate(p: Tree) -> str:
-    """A value with its standard error, or with what stands in its place."""
-    std = p.get('std')
-    return f'{p["value"]:.4g}{_bound(p)}' if std is None else with_error(p['value'], std)
-
-
-def _bound(p: Tree) -> str:
-    """The text in place of a standard error."""
-    limits = p.get('interval_95')
-    return f' (no standard error; below {limits[1]:.2g})' if limits else ' (no standard error)'
+def estimate(p: Tree, *, brief: bool = False) -> str:
+    """A value with its standard error, or with what stands in its place; brief: for a table."""
+    std, limits = p.get('std'), p.get('interval_95')
+    if std is not None:
+        return with_error(p['value'], std)
+    if brief:
+        return f'< {limits[1]:.2g}' if limits else f'{p["value"]:.4g} ± –'
+    below = f'; below {limits[1]:.2g}' if limits else ''
+    return f'{p["value"]:.4g} (no standard error{below})'
 
 
 def joined(parts: Sequence[str]) -> str:
