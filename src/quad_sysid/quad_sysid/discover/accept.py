@@ -179,7 +179,12 @@ class Unseen:
         return self.known[fitted]
 
     def p_value(self, fitted: Fitted, other: Fitted) -> float:
-        """Chance of this much evidence for a model against another if it predicts no better."""
+        """Chance of this much evidence for a model against another if it predicts no better.
+
+        1 where its error is not lower.
+        """
+        if rms(self.errors(fitted)) >= rms(self.errors(other)):
+            return 1.0
         long, short = (shares_of(*pair) for pair in self.squares(other, fitted))
         shorter = np.array([np.mean(part) for part in np.array_split(short, long.size)]) \
             if short.size >= long.size else long
@@ -241,34 +246,28 @@ def rms(errors: FloatArray) -> float:
 
 
 def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder) -> Verdict:
-    """Confirm or withdraw each claimed effect on the validation segments.
+    """Confirm the ladder's answer on the validation segments, or the highest rung below it.
 
-    What is claimed, and in which order, the training has decided (explain/ladder.py).
+    What is claimed, and in which order, the training has decided (explain/ladder.py). A finer
+    effect was found beside the causes below it: without them it would stand in their place.
     """
     unseen.predict(search.base)  # which measures the innovations that wandering effects follow
     models = ladder.models
     rungs = [models.fitted(rung.model) for rung in ladder.rungs]
     base = chosen = rungs[0]
-    answer = ladder.rungs[ladder.answer].model
     claims: list[Claim] = []
-    p_all = unseen.p_value(rungs[ladder.answer], base) if ladder.answer else 1.0
-    while p_all <= LEVEL and answer.structure.parts:
-        fitted = models.comparable(answer)
-        if not isinstance(fitted, Fit):  # what is left cannot follow a flight
-            break
-        without = dict(zip(answer.structure.labels, models.each_left_out(answer), strict=True))
+    for number in range(ladder.answer, 0, -1):
+        model, fitted = ladder.rungs[number].model, rungs[number]
+        if unseen.p_value(fitted, base) > LEVEL:
+            continue
+        without = dict(zip(model.structure.labels, models.each_left_out(model), strict=True))
         # a fit of the search has its effects in the search's order
         claims = [_claim(unseen, ladder, rungs, fitted,
                          models.comparable(without[part.effect.label]), part.effect)
                   for part in fitted.structure.parts]
-        weak = {label: claim for label, claim in zip(fitted.structure.labels, claims, strict=True)
-                if not claim.accepted}
-        if not weak:
+        if all(claim.accepted for claim in claims):
             chosen = fitted
             break
-        # one at a time: each of two that stand for the same makes the other look needless
-        answer = without[max(weak, key=lambda label: (
-            weak[label].p_value, -weak[label].reproducible))]
     told = _commands_tell(problem, unseen, chosen)
     if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen = base
@@ -306,10 +305,8 @@ def _claim(unseen: Unseen, ladder: Ladder, rungs: Sequence[Fitted], chosen: Fitt
     added = ladder.added.get(effect.label)
     pairs = [(chosen, without)] + ([(rungs[added], rungs[added - 1])] if added else [])
     errors = [[rms(unseen.errors(fitted)) for fitted in pair] for pair in pairs]
-    p_values = [unseen.p_value(*pair) if error < other else 1.0
-                for pair, (error, other) in zip(pairs, errors, strict=True)]
     reduction = max(1.0 - error / max(other, LEAST_P) for error, other in errors)
-    return Claim(of_both(*p_values), 100.0 * reduction,
+    return Claim(of_both(*(unseen.p_value(*pair) for pair in pairs)), 100.0 * reduction,
                  ladder.reproducible.get(effect.name, 1.0))
 
 
