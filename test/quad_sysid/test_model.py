@@ -141,7 +141,7 @@ def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept(ru
     assert verdict.probabilities[0] > 0.9
 
 
-def test_a_finer_effect_is_not_claimed_without_the_cause_below_it(monkeypatch):
+def test_without_its_main_cause_no_finer_effect_is_claimed(monkeypatch):
     """Friction and a spring, both there; the held-out data happen to deny the friction."""
     plant = Axis(torque=lambda t, rate, angle: friction(t, rate, angle) - 4.0 * angle)
     data = axis_data([fly(plant, 1, SHORT)], 'roll')

@@ -246,28 +246,36 @@ def rms(errors: FloatArray) -> float:
 
 
 def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder) -> Verdict:
-    """Confirm the ladder's answer on the validation segments, or the highest rung below it.
+    """Confirm or withdraw each claimed effect on the validation segments.
 
-    What is claimed, and in which order, the training has decided (explain/ladder.py). A finer
-    effect was found beside the causes below it: without them it would stand in their place.
+    What is claimed, and in which order, the training has decided (explain/ladder.py).
     """
     unseen.predict(search.base)  # which measures the innovations that wandering effects follow
     models = ladder.models
     rungs = [models.fitted(rung.model) for rung in ladder.rungs]
     base = chosen = rungs[0]
+    answer = ladder.rungs[ladder.answer].model
     claims: list[Claim] = []
-    for number in range(ladder.answer, 0, -1):
-        model, fitted = ladder.rungs[number].model, rungs[number]
-        if unseen.p_value(fitted, base) > LEVEL:
-            continue
-        without = dict(zip(model.structure.labels, models.each_left_out(model), strict=True))
+    while answer.structure.parts:
+        fitted = models.comparable(answer)
+        # what is left may not follow a flight, or be no better than the base
+        if not isinstance(fitted, Fit) or unseen.p_value(fitted, base) > LEVEL:
+            break
+        without = dict(zip(answer.structure.labels, models.each_left_out(answer), strict=True))
         # a fit of the search has its effects in the search's order
         claims = [_claim(unseen, ladder, rungs, fitted,
                          models.comparable(without[part.effect.label]), part.effect)
                   for part in fitted.structure.parts]
-        if all(claim.accepted for claim in claims):
+        weak = {label: claim for label, claim in zip(fitted.structure.labels, claims, strict=True)
+                if not claim.accepted}
+        if not weak:
             chosen = fitted
             break
+        # one at a time: each of two that stand for the same makes the other look needless
+        weakest = max(weak, key=lambda label: (weak[label].p_value, -weak[label].reproducible))
+        if weakest == max(without, key=lambda label: without[label].total):
+            break  # the main cause, in whose place the others would stand
+        answer = without[weakest]
     told = _commands_tell(problem, unseen, chosen)
     if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen = base
