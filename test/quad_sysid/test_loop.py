@@ -192,6 +192,12 @@ def test_what_varies_over_the_flight_has_its_range_in_the_loop():
     assert higher / np.abs(response(loop_plant(bent), omega)[0]) == pytest.approx(0.98 / 0.9)
     assert gain_range(along) == pytest.approx((0.8, 0.8, 1.1))
     assert late / rate == pytest.approx(0.8, rel=1e-4)
+    for found, factor in (
+        (effect('battery_sag', 2.0, settings={'reference_v': 12.0}), (11.0 / 12.0) ** 2),
+        (effect('step_event', 3.0, -0.2, variant='gain'), 0.8),
+    ):
+        changed = np.abs(response(loop_plant(model_of(found)), omega)[0])
+        assert changed / rate == pytest.approx(factor, rel=1e-4), found.name
 
 
 @pytest.mark.parametrize(
