@@ -1,5 +1,8 @@
 """What the motors do is found in the motion, for 4, 6 and 8 motors, and nothing where none is."""
 
+import gzip
+from pathlib import Path
+
 import numpy as np
 import pytest
 from flown_craft import DT, Airframe, X, fly
@@ -13,6 +16,7 @@ from quad_sysid.imports.mixers import chosen
 from quad_sysid.imports.to_bag import import_log
 from quad_sysid.motor_layout import patterns_of, share_of
 
+SHARED = Path(__file__).resolve().parents[2] / '../shared/data'
 LAYOUTS = {
     'X': X, 'another order': ((135, 1), (-135, -1), (45, -1), (-45, 1)),
     'plus': ((0, -1), (90, 1), (180, -1), (-90, 1)),
@@ -105,3 +109,29 @@ def test_on_a_rig_that_hangs_the_angle_shows_it():
     (found,) = patterns_of(rates, motors, 4.0, angles)
     assert (found.text, found.response, found.certain) == ('- + - +', 'angle', True)
     assert found.share == pytest.approx(0.98, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ('file', 'rates', 'motors'),
+    [
+        ('flights/crazyflie_1khz_roll_pitch.csv', 'gx,gy,gz', 'm1,m2,m3,m4'),
+        ('nanobench/B2_circle_fast_rep1.csv.gz', 'imu_gyro_x,imu_gyro_y,imu_gyro_z',
+         ','.join(f'motor_motor_m{i}' for i in range(1, 5))),
+    ],
+)
+def test_a_crazyflies_motors_stand_as_its_makers_say(file, rates, motors):
+    """Front right, rear right, rear left, front left; what is certain must be right."""
+    path = SHARED / file
+    if not path.exists():
+        pytest.skip('the measured data are not beside this checkout')
+    with (gzip.open if path.suffix == '.gz' else open)(path, 'rt') as stream:
+        header = stream.readline().strip().split(',')
+        data = np.loadtxt(stream, delimiter=',')
+    column = {name: data[:, i] for i, name in enumerate(header)}
+    measured = np.column_stack([column[n] for n in rates.split(',')])
+    commands = np.column_stack([column[n] for n in motors.split(',')])
+    dt = float(np.median(np.diff(column['t'])))
+    found = patterns_of(measured, commands / commands.max(), dt)
+    right = dict(zip(('roll', 'pitch', 'yaw'), ('- - + +', '- + + -', '- + - +'), strict=True))
+    assert {p.axis for p in found if p.certain} >= {'roll'}
+    assert all(p.text == right[p.axis] for p in found if p.certain)
