@@ -79,10 +79,19 @@ def roll(answers):
 
 
 def test_every_structure_stands_in_the_table_and_the_selected_one_finds_the_plant(roll):
-    """It passed both steps: gain at 3 rad/s within 3 %, free run over 90 % on both validations."""
+    """It passed both steps: gain at 3 rad/s within 3 %, free run over 90 % on both validations.
+
+    Step B runs every polynomial structure on both flights."""
     kinds = {row.step_a.model.structure for row in roll.rows}
     assert {'ARX', 'ARMAX', 'OE', 'BJ', 'IV4', 'CLRIV'} <= kinds
     assert {row.step_a.model.approach for row in roll.rows} == {'direct'}
+    for row in roll.rows:
+        if not row.step_a.model.stable or not row.step_a.model.converged:
+            continue
+        first, second = row.loop_runs
+        assert (first.gains_changed, second.gains_changed) == (False, True)
+        assert min(first.fit_pct, second.fit_pct) > 80.0, row.step_a.model.name
+        assert 0.0 < first.mae < first.rmse < 0.3
     because = {a.name: a.because for a in roll.selection.approaches if not a.possible}
     assert all('several sets of gains' in because[name] for name in ('indirect', 'joint'))
     assert roll.selection.feedback is True
@@ -122,17 +131,6 @@ def test_one_loop_is_identified_by_all_three_approaches():
     direct = rows['direct', 'BJ'].fit_validation_pct['square']
     for key in (('joint', 'BJ'), ('indirect', 'OE')):
         assert rows[key].fit_validation_pct['square'] > direct - 3.0, key
-
-
-def test_step_b_runs_every_polynomial_structure_on_both_flights(roll):
-    for row in roll.rows:
-        if not row.step_a.model.stable or not row.step_a.model.converged:
-            continue
-        first, second = row.loop_runs
-        assert (first.gains_changed, second.gains_changed) == (False, True)
-        assert first.fit_pct > 80.0, row.step_a.model.name
-        assert second.fit_pct > 80.0, row.step_a.model.name
-        assert 0.0 < first.mae < first.rmse < 0.3
 
 
 def test_a_change_of_gains_within_a_flight_is_a_run_of_its_own():

@@ -135,6 +135,12 @@ def test_where_a_model_is_wanted_the_folder_of_its_report_will_do(
         ('--band 0.1:2000', 'HIGH is too fast for 250 Hz'),
         ('--band 0.1:20 --amplitude-deg nan', '--amplitude-deg: must be above 0'),
         ('--separate coulomb nothing', "found 'coulomb'; do you mean coulomb_friction? docs/what"),
+        ('--separate stickiness nothing', 'unknown effect'),
+        ('--separate coulomb_friction', 'needs two effects or none'),
+        ('--separate backlash backlash', 'two different effects'),
+        ('--separate', 'without effects needs --model'),
+        ('--separate mode:swinging nothing --seconds 1', 'must be from 10'),
+        ('--separate mode:swinging nothing --model absent.json', 'cannot be read'),
         ('--band 0.1:20 --out no/such/folder/s.yaml', 'cannot be written'),
     ],
 )

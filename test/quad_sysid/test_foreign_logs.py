@@ -100,15 +100,6 @@ def px4(flight, tmp_path):
     return record
 
 
-def test_px4_motors_angles_and_battery(flight, px4):
-    record, notes = px4({'MAV_TYPE': 2, 'IMU_GYRO_CUTOFF': 40.0})
-    assert record.dt == pytest.approx(1e-6 * DT_US)
-    check_motion(record, flight, angles=1e-5)
-    assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
-    assert 'vehicle_attitude_setpoint' in notes
-    assert record.gains_at(0.0) == {'sensor.gyro_filter_hz': 40.0}
-
-
 def test_px4_rotors_stand_and_turn_as_its_parameters_say(flight, px4):
     """Speeds come from four speed controllers that drive the motors 2, 1, 4, 3."""
     rotors = {'CA_ROTOR_COUNT': 4}
@@ -159,8 +150,12 @@ def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, px4
                           ('thrust', flight.control[:, :1] * down)):
             topics[f'vehicle_{name}_setpoint'] = {'timestamp': stamps, 'xyz': xyz}
 
-    record, _ = px4({}, instead)
-    check_motion(record, flight)
+    record, notes = px4({'MAV_TYPE': 2, 'IMU_GYRO_CUTOFF': 40.0}, instead)
+    assert record.dt == pytest.approx(1e-6 * DT_US)
+    check_motion(record, flight, angles=1e-5)
+    assert record.battery_v[0] == pytest.approx(12.0, abs=1e-3)
+    assert 'vehicle_attitude_setpoint' in notes
+    assert record.gains_at(0.0) == {'sensor.gyro_filter_hz': 40.0}
 
 
 def ardupilot_messages(flight: Flight) -> dict:

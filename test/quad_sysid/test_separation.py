@@ -126,21 +126,6 @@ def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, printed):
     assert parse_schedule(yaml.safe_load(out.read_text()), 'x').parts
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'words_in'),
-    [
-        (['--separate', 'stickiness', 'nothing'], 'unknown effect'),
-        (['--separate', 'coulomb_friction'], 'needs two effects or none'),
-        (['--separate', 'backlash', 'backlash'], 'two different effects'),
-        (['--separate'], 'without effects needs --model'),
-        (['--separate', 'mode:swinging', 'nothing', '--seconds', '1'], 'must be from 10'),
-        (['--separate', 'mode:swinging', 'nothing', '--model', 'absent.json'], 'cannot be read'),
-    ],
-)
-def test_what_cannot_be_designed_is_said_in_one_line(arguments, words_in, refused):
-    assert words_in in refused(main, 'design-excitation', *arguments)
-
-
 def test_the_report_advises_the_flight_where_a_rival_is_near(refusal):
     """A model that has no rivals, or cannot fly, is refused."""
     (near,) = rivalry(model_with_rival(0.3))
