@@ -8,13 +8,12 @@ from dataclasses import replace
 
 from quad_bridge.gains.table import WIRE_NAMES
 from quad_bridge.virtual import hil
-from quad_bridge.virtual.aircraft import Aircraft, boot
+from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.airframe import Airframe, Mounts, Surroundings
 from quad_bridge.virtual.effects import Effects
 from quad_bridge.virtual.physics import RATES
 from quad_bridge.virtual.profile import Profile
 from quad_bridge.virtual.receiver import Receiver, channels_at
-from quad_bridge.wire.signing import Signing
 
 _INDEX = {name: index for index, name in enumerate(WIRE_NAMES)}
 
@@ -22,13 +21,9 @@ _INDEX = {name: index for index, name in enumerate(WIRE_NAMES)}
 class Endpoint:
     """A flown aircraft behind a UART."""
 
-    def __init__(
-        self, aircraft: Aircraft, script: Receiver, signing: Signing | None = None
-    ) -> None:
+    def __init__(self, aircraft: Aircraft, script: Receiver) -> None:
         self.aircraft, self.script = aircraft, script
         self.firmware = aircraft.firmware
-        if signing is not None:
-            self.firmware.boot(boot(aircraft.profile).frame(), signing.key, signing.stamp())
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
         """Take bytes that arrived at device time `now_ns`; returns the bytes of the answers."""

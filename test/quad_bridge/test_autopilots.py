@@ -118,10 +118,10 @@ class Cockpit(Updated):
         assert frame is None
 
     def excite(self, seconds, size, period_s=1.0):
-        """Play a square on roll, 250 set-points a second."""
+        """Play a square on roll and on pitch, 250 set-points a second: one of them is excited."""
         for k in range(round(seconds / 0.004)):
             value = size if (k * 0.004) % period_s < period_s / 2 else -size
-            self.relay.setpoint(value, 0.0, 0.0, 1e-9 * self.now_ns)
+            self.relay.setpoint(value, value, 0.0, 1e-9 * self.now_ns)
             self.run()
 
     def kept(self):
@@ -252,19 +252,6 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     assert not line.aircraft.cannot(Ability.EXCITE)
 
 
-def test_rates_are_excited_too_and_stale_fields_do_no_harm(flying):
-    line = flying('ardupilot')
-    line.segment(injection='rate', axis='pitch')
-    for k in range(1500):
-        value = 0.3 if k % 100 < 50 else -0.3
-        line.relay.setpoint(0.0, value, 0.0, 1e-9 * line.now_ns)
-        line.run()
-    assert line.controller.mode == GUIDED_NOGPS
-    applied = [c.excitation[1] for c in line.cycles[-300:]]
-    assert max(map(abs, applied)) == pytest.approx(0.3, abs=0.02)
-    assert abs(line.controller.angles[:2]).max() < 0.3
-
-
 def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
     line = flying('ardupilot')
     before = dict(line.controller.parameters)
@@ -373,8 +360,11 @@ def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, n
 
 @both
 def test_a_segment_in_flight_ends_and_the_mode_is_given_back(flying, name):
-    """By the guard, and the mode that the pilot has chosen stays; PX4's also by silence."""
-    line = flying(name)
+    """By the guard, and the mode that the pilot has chosen stays; PX4's also by silence.
+
+    ArduPilot is excited by rates, of pitch: stale fields beside them do no harm.
+    """
+    line, rates = flying(name), {'injection': 'rate', 'axis': 'pitch'}
     controller, own = line.controller, OFFBOARD if name == 'px4' else GUIDED_NOGPS
     chosen = STABILIZED if name == 'px4' else LOITER
     for case, words in (('mode', 'was left by'), ('sticks', 'sticks were moved'),
@@ -384,16 +374,19 @@ def test_a_segment_in_flight_ends_and_the_mode_is_given_back(flying, name):
             controller.take_off()
             line.relay.segment({'segment': 'idle', 'signal': 'none'})
             line.fly(4.0)
-        line.segment()
-        line.excite(3.2, 0.05)
+        line.segment(**(rates if name == 'ardupilot' else {}))
+        line.excite(3.2, 0.3 if name == 'ardupilot' else 0.05)
         assert controller.mode == own, case
+        if name == 'ardupilot':
+            assert max(abs(c.excitation[1]) for c in line.cycles) == pytest.approx(0.3, abs=0.02)
+            assert abs(controller.angles[:2]).max() < 0.3
         if case == 'mode':
             controller.mode = chosen
         elif case == 'sticks':
             controller.sticks[1] = 0.4
         for _ in range(400):
             if case != 'silence':
-                line.relay.setpoint(0.05, 0.0, 0.0, 1e-9 * line.now_ns)
+                line.relay.setpoint(0.05, 0.05, 0.0, 1e-9 * line.now_ns)
             line.run()
         assert controller.mode == (chosen if case == 'mode' else controller.pilot_mode), case
         assert words in line.connected.aircraft.cannot(Ability.EXCITE)

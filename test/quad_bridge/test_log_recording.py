@@ -50,20 +50,23 @@ def numbers_in(bag):
         return [struct.unpack_from('<Q', raw, 4)[0] for _, _, raw in reader.messages()]
 
 
-def test_what_waits_is_bounded_by_bytes_too(bag, monkeypatch):
-    """Messages of a megabyte, while the disk hangs."""
+@pytest.mark.parametrize(
+    ('limit', 'size'), [({'capacity': 7}, 100), ({'capacity_bytes': 8_000_000}, 10**6)]
+)
+def test_what_waits_is_bounded_by_number_and_bytes_the_oldest_goes(bag, monkeypatch, limit, size):
+    """While the disk hangs."""
     hangs, begun = threading.Event(), threading.Event()
     monkeypatch.setattr(mcap.os, 'fdatasync', lambda _: (begun.set(), hangs.wait(60.0)))
-    recording = started(bag, capacity_bytes=8_000_000)
+    recording = started(bag, **limit)
     put(recording, range(1))
     until(begun.is_set)
     for k in range(1, 51):
-        recording.put(TOPIC, 10**18 + k, struct.pack('<4xQ', k) + bytes(10**6))
+        recording.put(TOPIC, 10**18 + k, struct.pack('<4xQ', k) + bytes(size))
     waiting = recording.status.waiting
     hangs.set()
     status = recording.stop()
     assert waiting == 7
-    assert (status.dropped, status.failure) == (43, '')
+    assert (status.written, status.dropped, status.failure) == (8, 43, '')
     assert numbers_in(bag) == [0, *range(44, 51)]
 
 
@@ -83,16 +86,6 @@ def test_a_sync_that_stalls_for_a_second_loses_nothing_and_is_told(bag, monkeypa
     assert told.level == level.WARN
     assert f'the disk is slow: {status.longest_sync_s:.1f} s' in told.message
     assert status.longest_sync_s >= 1.2
-
-
-def test_a_full_queue_drops_its_oldest_and_counts_them(bag, monkeypatch):
-    recording = started(bag, capacity=100)
-    monkeypatch.setattr(recording, '_drain', lambda: None)
-    put(recording, range(250))
-    monkeypatch.undo()
-    status = recording.stop()
-    assert (status.written, status.dropped) == (100, 150)
-    assert numbers_in(bag) == list(range(150, 250))
 
 
 class Fault:

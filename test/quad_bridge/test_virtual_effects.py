@@ -1,7 +1,7 @@
-"""Each switchable effect acts, by its equation where a closed form exists; plain has none."""
+"""Each switchable effect acts, by its equation where a closed form exists; off it is absent."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -13,7 +13,6 @@ from quad_bridge.virtual.cycle import ARMED, COLUMNS, INPUTS, THROTTLE
 from quad_bridge.virtual.effects import Effects
 from quad_bridge.virtual.physics import QUAT
 from quad_bridge.virtual.profile import Profile
-from quad_bridge.virtual.simulation import Excited, fly
 
 NAMES = [field.name for field in fields(Effects)]
 OF_AIR = ('air_drag', 'rotor_drag')
@@ -104,21 +103,3 @@ def test_a_stiffness_swings_and_keeps_its_energy(name, begin, potential):
     assert np.ptp(angle) > 1.8 * begin
     if name == 'pendulum_stiffness':
         assert angle == pytest.approx(begin * np.cos(math.sqrt(0.15 / 0.0135) * time), abs=2e-5)
-
-
-def test_plain_is_linear_and_does_not_know_its_battery():
-    profile = without_noise(Profile())
-    rate_loop = {f'{axis}.angle.kp': 0.0 for axis in ('roll', 'pitch', 'yaw')}
-    rng = np.random.default_rng(7)
-    first, second = steps(rng, 1000, 0.02), steps(rng, 1000, 0.03)
-
-    def response(samples, config=profile):
-        part = Excited(0.0, samples, 'roll', 'control')
-        return fly(config, [part], 4.0, 1, gains=rate_loop).true_rates[:, 0]
-
-    rest = response(0.0 * first)
-    both = response(first + second) - rest
-    assert both == pytest.approx(response(first) + response(second) - 2 * rest, abs=1e-6)
-    airframe = profile.airframe
-    empty = replace(airframe, battery=replace(airframe.battery, start_charge=0.2))
-    assert np.array_equal(response(first), response(first, replace(profile, airframe=empty)))

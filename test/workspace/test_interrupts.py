@@ -83,23 +83,7 @@ def test_while_it_imports(tmp_path, program, module):
     assert told == (130, '', f'{program}: interrupted\n')
 
 
-@pytest.mark.parametrize(
-    'where',
-    [
-        'try: interrupted()\n    except BaseException: pass',
-        'try: interrupted()\n    except BaseException as e: raise SystemError("of numba") from e',
-        'type("Lost", (), {"__del__": lambda _: interrupted()})()',
-        'atexit.register(threads_that_fail)\n    interrupted()',
-    ],
-    ids=['dropped', 'made another error', 'ignored in a destructor', 'threads lose what they had'],
-)
-def test_wherever_it_comes_at_work(work, where):
-    assert work(where) == (130, '', 'quad-sysid: interrupted\n')
-
-
-def test_nothing_of_it_stays(tmp_path, work):
-    """Neither a process beside it, whose output would stay open, nor what is half written."""
-    where = """
+BESIDE = """
     from quad_sysid.files import unfinished
     begun, told = os.pipe()
     def beside():
@@ -112,18 +96,29 @@ def test_nothing_of_it_stays(tmp_path, work):
             interrupted()
     os.sched_getaffinity = lambda _: (0, 1)  # also where there is one core
     side_by_side([here, beside])"""
-    told = work(where)
-    assert (told, [*tmp_path.iterdir()]) == ((130, '', 'quad-sysid: interrupted\n'), [])
-
-
-def test_what_must_not_be_half_done_is_done_first(tmp_path, work):
-    where = """
+"""Neither a process, whose output would stay open, nor what is half written is left."""
+HELD = """
     with interrupt.held():
         interrupted()
         Path('done').touch()"""
-    told = work(where)
-    assert told == (130, '', 'quad-sysid: interrupted\n')
-    assert [path.name for path in tmp_path.iterdir()] == ['done']
+
+
+@pytest.mark.parametrize(
+    ('where', 'left'),
+    [
+        ('try: interrupted()\n    except BaseException: pass', []),
+        ('try: interrupted()\n    except BaseException as e: raise SystemError("of numba") from e',
+         []),
+        ('type("Lost", (), {"__del__": lambda _: interrupted()})()', []),
+        ('atexit.register(threads_that_fail)\n    interrupted()', []), (BESIDE, []),
+        (HELD, ['done']),
+    ],
+    ids=['dropped', 'made another error', 'ignored in a destructor', 'threads lose what they had',
+         'half written, with a process beside', 'what must not be half done is done first'],
+)
+def test_wherever_it_comes_at_work(tmp_path, work, where, left):
+    assert work(where) == (130, '', 'quad-sysid: interrupted\n')
+    assert [path.name for path in tmp_path.iterdir()] == left
 
 
 def test_a_second_one_ends_it_at_once(tmp_path):
