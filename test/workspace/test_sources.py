@@ -1,6 +1,6 @@
-"""The source files, each read once: what they import, and what an error shows.
+"""The source files, each read once: their form, what they import, and what they may call.
 
-Which room may import which is import-linter's (pyproject.toml), a docstring at the top is ruff's.
+Which room may import which is import-linter's (pyproject.toml).
 """
 
 import ast
@@ -15,9 +15,10 @@ import pytest
 from node_process import ended, python
 
 ROOT = Path(__file__).resolve().parents[2]
-SRC = ROOT / 'src'
+SRC, TEST = ROOT / 'src', ROOT / 'test'
 PACKAGES = [SRC / name / name for name in ('quad_bridge', 'quad_sysid', 'quad_tuning')]
 BRIDGE, SYSID, TUNING = PACKAGES
+TOO_LONG, GENERATED = 600, 'dialect.py'
 pytestmark = pytest.mark.xdist_group('sources')
 
 MESSAGES = {
@@ -36,24 +37,42 @@ KEYS = {
     *MESSAGES, 'builtin_interfaces', 'launch_ros', *(p.name for p in PACKAGES),
     *SYSTEM_KEYS.values(),
 }
+FILE_CALLS = {
+    'open', 'print', 'exit', 'input', 'read_text', 'write_text', 'read_bytes', 'write_bytes',
+    'loadtxt', 'savetxt', 'genfromtxt', 'fromfile', 'tofile', 'memmap',
+}
+COMMANDS = {'cli.py', 'exports.py', 'history.py', 'update_node.py'}
+ROOMS = ('signals', 'blackbox', 'model', 'effects', 'estimate', 'discover', 'loop', 'separation')
 
 
 @cache
-def imports_of(path: Path) -> set[str]:
-    """The packages that a file imports anywhere."""
-    imports: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+def read(path: Path) -> tuple[str, set[str], set[str]]:
+    """The docstring of a file, the packages that it imports anywhere, and what it calls."""
+    tree, imports, calls = ast.parse(path.read_text()), set(), set()
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             imports |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             imports.add(node.module or '')
-    return {name.partition('.')[0] for name in imports}
+        elif isinstance(node, ast.Call):
+            name = getattr(node.func, 'id', getattr(node.func, 'attr', ''))
+            calls.add(name)
+            if name == 'importorskip' and isinstance(node.args[0], ast.Constant):
+                imports.add(node.args[0].value)
+    return ast.get_docstring(tree) or '', {name.partition('.')[0] for name in imports}, calls
 
 
-def modules(*folders: Path) -> Iterator[tuple[Path, set[str]]]:
+def modules(*folders: Path) -> Iterator[tuple[Path, str, set[str], set[str]]]:
     for folder in folders:
-        for path in sorted(folder.rglob('*.py')):
-            yield path, imports_of(path)
+        for path in sorted(folder.rglob('*.py') if folder.is_dir() else [folder]):
+            yield path, *read(path)
+
+
+def test_each_module_opens_with_what_it_is_and_is_no_longer_than_a_thought() -> None:
+    for path, docstring, *_ in modules(*PACKAGES):
+        assert docstring, path
+        assert path.stem not in {'utils', 'util', 'helpers', 'helper', 'misc', 'common'}
+        assert path.read_text().count('\n') <= TOO_LONG or path.name == GENERATED, path
 
 
 def test_nothing_of_one_machine_in_the_project() -> None:
@@ -65,13 +84,25 @@ def test_nothing_of_one_machine_in_the_project() -> None:
             assert not private.search(path.read_text(errors='replace')), name
 
 
-def test_what_packages_share_is_one_file() -> None:
+def test_maths_calls_nothing_that_touches_files() -> None:
+    maths = [SYSID / room for room in ROOMS] + [SYSID / 'record.py']
+    maths += [path for path in TUNING.glob('*.py') if path.name not in COMMANDS]
+    found = list(modules(*maths))
+    assert len(found) > 50
+    for path, _, _, calls in found:
+        assert not calls & FILE_CALLS, path
+
+
+def test_what_both_packages_share_is_linked_and_knows_neither() -> None:
     for shared, link in (
         ('log/stored', SYSID / 'bags/stored'), ('craft.py', SYSID / 'craft.py'),
         ('topics.py', SYSID / 'topics.py'), ('one_line.py', SYSID / 'one_line.py'),
         ('autopilots/table.py', SYSID / 'autopilot_table.py'),
         ('gains/table.py', TUNING / 'gain_table.py')):
-        assert link.resolve() == BRIDGE / shared
+        source = BRIDGE / shared
+        assert link.resolve() == source
+        for path, _, imports, _ in modules(source):
+            assert not imports & {'quad_bridge', 'quad_sysid'}, path
 
 
 @pytest.mark.parametrize('package', ['quad_bridge', 'quad_sysid'])
@@ -85,19 +116,20 @@ def test_an_error_shows_the_beginning_of_what_it_found(package: str) -> None:
     assert len(line) < 400
 
 
-def test_ros_imports_stand_in_the_manifest() -> None:
+def test_ros_imports_stand_in_the_manifest_and_no_test_imports_rclpy_itself() -> None:
     for package in PACKAGES:
         manifest = ET.parse(package.parent / 'package.xml').getroot()
         declared = {node.text for node in manifest.iter('exec_depend')} | {package.name}
-        for path, imports in modules(package, package.parent / 'launch'):
+        for path, _, imports, _ in modules(package, package.parent / 'launch'):
             wanted = {SYSTEM_KEYS.get(top, top) for top in imports} & KEYS
             assert wanted <= declared, f'{path}: {wanted - declared}'
+    assert {p.name for p, _, imports, _ in modules(TEST) if 'rclpy' in imports} == {'probe.py'}
 
 
 def test_every_offline_module_imports_without_ros_and_pip_is_asked_for_none() -> None:
     """All of quad_sysid and quad_tuning but the nodes, their parts `x_….py`, and the demo."""
     names = []
-    for path, imports in modules(SYSID, TUNING):
+    for path, _, imports, _ in modules(SYSID, TUNING):
         inside = path.relative_to(SRC).with_suffix('').parts[1:]
         nodes = tuple(p.stem.removesuffix('node') for p in path.parent.glob('*_node.py'))
         if not path.stem.startswith(nodes or '?') and 'demo' not in inside:
