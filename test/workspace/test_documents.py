@@ -1,7 +1,4 @@
-"""What the pages tell a reader to use exists: targets, executables, launch files, links.
-
-That the site lists every page is for mkdocs to say (mkdocs.yml; `make docs`).
-"""
+"""What the pages tell a reader to use exists: targets, executables, launch files, links, site."""
 
 import importlib.util
 import re
@@ -39,6 +36,20 @@ def test_the_topics_of_page_and_table_agree() -> None:
     page = (ROOT / 'docs' / 'reference' / 'topics.md').read_text()
     rows = dict(re.findall(r'^\| `(/[^`]+)` \| (\S+)', page, re.MULTILINE))
     assert rows == {topic: kind.replace('/msg', '') for topic, kind in TOPIC_TYPES.items()}
+
+
+def test_a_page_ends_with_what_may_go_wrong() -> None:
+    """Those that are nothing else, and the lists of the reference, excepted."""
+    without = {'index', 'limits', 'troubleshooting'}
+    for path in (*(ROOT / 'docs').glob('*.md'), *(ROOT / 'docs/results').glob('*.md')):
+        last = re.findall(r'^## (.*)', path.read_text(), re.MULTILINE)[-1:]
+        assert path.stem in without or last == ['What may go wrong'], path.name
+
+
+def test_the_site_lists_every_page() -> None:
+    listed = set(re.findall(r'[\w/]+\.md', (ROOT / 'mkdocs.yml').read_text()))
+    pages = {str(p.relative_to(ROOT / 'docs')) for p in PAGES[3:]}
+    assert listed == pages | {'notebook.md'}  # made from notebook.ipynb
 
 
 @pytest.mark.long
