@@ -223,6 +223,18 @@ def test_logs_that_are_to_be_identified_are_made_bags_with_names_of_their_own(tm
             commands(tmp_path, asked)
 
 
+def test_gains_for_px4_need_the_scale_of_each_axis(tmp_path):
+    axes = {axis: {'gains': {'rate.kp': 0.1}} for axis in ('roll', 'pitch')}
+    (tmp_path / 'report.json').write_text(json.dumps({'axes': axes}))
+    (tmp_path / 'model.json').write_text('{}')
+    asked = {'kind': 'export', 'files': ['model.json'], 'to': 'px4'}
+    for scale in ('', '1', '0.25,-1', '1,x'):
+        with pytest.raises(RefusedError, match='scale: a number is missing for roll, pitch'):
+            commands(tmp_path, asked | {'scale': scale})
+    (command,) = commands(tmp_path, asked | {'scale': '0.25, 0.5'})
+    assert command[2][-4:] == ['--scale', 'roll=0.25', '--scale', 'pitch=0.5']
+
+
 def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all(tmp_path):
     (tmp_path / 'log.bin').write_bytes(b'\xa3\x95')
     queue = Queue(tmp_path / 'results')
@@ -469,6 +481,9 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
     browser.press('compare', 'nothing changed')
     browser.choose('older')
     browser.run("document.getElementById('to').value = 'px4'")
+    browser.press('export')
+    browser.until("document.getElementById('say').innerText.includes('scale: a number is missin')")
+    browser.run("document.getElementById('scale').value = '0.25'")
     browser.press('export', 'MC_ROLLRATE_P')
     assert browser.fits(390)
     browser.send('Page.navigate', url=(model.parent / 'report.html').as_uri())

@@ -228,12 +228,14 @@ def test_bad_arrays_are_refused_in_one_line(refusal, name):
     (lambda: qs.identify('bag', u=U, y=Y, dt=DT), 'flights or arrays, not both'),
     (lambda: qs.identify(u=U, y=Y, dt=DT, seconds=-1.0), 'seconds must be'),
     (lambda: qs.identify(u=U, y=Y, dt=DT, progress=3), 'progress must be'),
+    (lambda: qs.from_arrays(np.zeros(9, [('t', float), ('v', float)]), u='i', y='v', dt=DT),
+     "u names a column that is not there: found 'i'; there are t, v"),
     (lambda: qs.Record('mine', -1.0, np.zeros((9, 3)), np.zeros((9, 4))), 'Record: dt must be'),
     (lambda: qs.Record('mine', 0.1, np.zeros((9, 2)), np.zeros((9, 4))),
      'Record: rates must be (n, 3)'),
     (lambda: qs.Record('mine', 0.1, np.zeros((9, 3)), np.zeros((8, 4))),
      'control must be (n, 4) with n as in rates: found (8, 4) for n = 9'),
-], ids=range(10))
+], ids=range(11))
 def test_what_cannot_be_identified_is_said_in_one_line(refusal, call, words):
     assert words in refusal(call)
 
@@ -264,6 +266,7 @@ def test_the_model_speaks_the_units_of_its_arrays(result):
         units={'u': 'V', 'y': 'rpm'})
     again = qs.evaluate(found.model, unseen)
     assert error['unit'] == again.unit == 'rpm'
+    assert [rung[0] for rung in again.rungs if rung[-1]] == [('coulomb_friction',)]
     # 0.005 rad/s of the gyro, and what gusts do in a step
     assert again.one_step_after == pytest.approx(30.0 / math.pi * 0.006, rel=0.1)
     assert error['after'] == pytest.approx(
@@ -277,6 +280,14 @@ def test_the_model_speaks_the_units_of_its_arrays(result):
     assert np.nanstd(ahead - z.y) < 0.2 * np.std(z.y)
     np.testing.assert_array_equal(qs.simulate(found, u[:500]), found.model.simulate(u[:500]))
     assert found.model.residuals(z).residual_uncorrelated_with_input in (True, False)
+
+
+def test_a_search_that_ends_early_says_so(result, quickly):
+    _, flight = result
+    with quickly():
+        found = qs.identify(u=flight.control[:, 1], y=flight.rates[:, 0], dt=DT, seconds=0.0)
+    (line,) = (line for line in found.answer.warnings if 'ended early' in line)
+    assert line.startswith('roll: the search had 0 s and ended early: what it names may ')
 
 
 def test_pictures_speak_the_units_of_the_arrays(result):

@@ -275,8 +275,8 @@ def _column(data: Any, name: str, value: Any) -> Any:
     try:
         return data[value]
     except Exception as error:
-        names = getattr(data, 'columns', None)
-        names = list(data) if names is None else list(names)
+        columns = getattr(data, 'columns', getattr(getattr(data, 'dtype', None), 'names', None))
+        names = list(data if columns is None else columns)
         raise BadInputError(WHERE, f'{name} names a column that is not there', repr(value),
                             f'there are {", ".join(map(str, names))}') from error
 

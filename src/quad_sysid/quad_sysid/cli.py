@@ -208,8 +208,8 @@ def _evaluate(options: argparse.Namespace) -> int:
                            'hold_last_value': e.hold, 'windows': e.windows,
                            'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)},
                  'explanation': [{'effects': names, 'explains_pct': percent, 'error': error,
-                                  'answer': {*names} == {x.name for x in models[e.axis].effects}}
-                                 for names, percent, error in e.rungs],
+                                  'answer': answer}
+                                 for names, percent, error, answer in e.rungs],
                  'outside': [vars(excess) for excess in e.outside]}
         for e in evaluations
     }

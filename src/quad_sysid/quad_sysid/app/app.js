@@ -53,7 +53,7 @@ async function within(entry) { // the files of what is dropped: of a bag, which 
   return (await Promise.all(found.filter(one => one.isFile && one.name !== 'metadata.yaml').map(within))).flat();
 }
 const start = (kind, given) => guarded(async () => {
-  const body = {kind, files: [...chosen], axis: $('axis').value, to: $('to').value};
+  const body = {kind, files: [...chosen], axis: $('axis').value, to: $('to').value, scale: $('scale').value.trim()};
   if (given) body.columns = given();
   if (kind === 'identify') { body.train = $('train').value.trim(); body.validate = $('validate').value.trim(); }
   const job = await (await ask('/jobs', {method: 'POST', body: JSON.stringify(body)})).json();
@@ -112,7 +112,7 @@ async function columns(job) { // the menus of a table whose columns were listed
   for (const option of Object.keys(found.units)) {
     if (option === 'motors') for (let k = 1; k <= 8; k++) roles.push(['motor ' + k, option]);
     else if (['time', 'thrust', 'battery'].includes(option)) roles.push([option, option]);
-    else if (option !== 'acceleration') axes.forEach(axis => roles.push([option + ', ' + axis, option]));
+    else if (!['acceleration', 'velocity', 'position'].includes(option)) axes.forEach(axis => roles.push([option + ', ' + axis, option]));
   }
   const body = $('menus').querySelector('tbody'); body.replaceChildren();
   const menu = (values, value, label) => {

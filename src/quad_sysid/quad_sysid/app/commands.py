@@ -19,6 +19,7 @@ from quad_sysid.motor_layout import MAX_MOTORS
 SYSID = 'quad-sysid'
 FIRMWARES = ('px4', 'ardupilot', 'betaflight', 'inav')
 UNIT = re.compile(r'[A-Za-z0-9/_.:+-]{0,24}')
+SCALE = re.compile(r'[0-9]*\.?[0-9]+')
 
 Command = tuple[str, str, list[str]]
 """Title, program, arguments."""
@@ -97,8 +98,15 @@ def _export(_: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Comma
     with_gains = [axis for axis in AXES if axes.get(axis, {}).get('gains')]
     if not with_gains:
         raise RefusedError('this result has no gains: its report says why')
-    more = [f for axis in with_gains for f in ('--scale', f'{axis}=1')] if to in FIRMWARES[:2] \
-        else ['--flown', str(model)]
+    more, scale = ['--flown', str(model)], str(request.get('scale', ''))
+    if to in FIRMWARES[:2]:
+        numbers = [number.strip() for number in scale.split(',')]
+        if len(numbers) != len(with_gains) or not all(map(SCALE.fullmatch, numbers)):
+            raise RefusedError(f'scale: a number is missing for {", ".join(with_gains)}: our '
+                               'command per unit of their torque, 1 for a model of their torque '
+                               'set-points (the import says so), else the factor of their mixer')
+        more = [option for axis, number in zip(with_gains, numbers, strict=True)
+                for option in ('--scale', f'{axis}={number}')]
     return f'gains for {to}', 'quad-tune', [
         'export', str(model.with_name('report.json')), '--to', str(to), *more]
 

@@ -49,6 +49,7 @@ ANEW = 20.0
 """Nats by which a response that is fitted anew must beat the base; another is fitted from it."""
 NEAR = 5.0
 """Nats behind the best structure within which another may be chosen."""
+NOT_TRIED = ': it was not tried'
 SHARED = (
     'what disturbs this axis disturbs the other one as well, so that its command and rate answer '
     'to the same gusts; fly in calm air, or excite that axis by itself'
@@ -345,7 +346,7 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
         parts = [p for p in parts if p.effect.label not in reasons]
     if why := halt():
         fitted = {label for labels in search.known for label in labels}
-        reasons |= {p.effect.label: f'{why}: it was not tried'
+        reasons |= {p.effect.label: f'{why}{NOT_TRIED}'
                     for p in parts if p.effect.label not in fitted}
     ordered = tuple(sorted(search.known.values(), key=lambda s: -s.score))
     leading_ones = SearchResult(base, ordered, reasons, search.prices)

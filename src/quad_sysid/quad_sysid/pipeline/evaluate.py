@@ -5,6 +5,7 @@ Evaluation is the contract's (Commands, `evaluate`); a free run has no noise and
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import usual_signals
 from quad_sysid.loop.plant import Flying
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.model import AxisModel, Outside
+from quad_sysid.model import AxisModel, EffectEstimate, Outside
 from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.model.effect import Signals
 from quad_sysid.model.structure import coordinates
@@ -56,8 +57,9 @@ class Evaluation:
     windows: int
     reference: float | None = None
     """The error of the model that predicts best, where that is not the answer."""
-    rungs: tuple[tuple[tuple[str, ...], float, float], ...] = ()
-    """The explanation: names of the effects, percent explained, error on this flight."""
+    rungs: tuple[tuple[tuple[str, ...], float, float, bool], ...] = ()
+    """The explanation: names of the effects, percent of the training explained, error on this
+    flight, whether it is the answer."""
     blackbox: float | None = None
     """Error of the black-box model; None without one, or where its predictions diverge."""
     horizons: tuple[Horizon, ...] = ()
@@ -110,6 +112,9 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         replace(data, reference=None), base['gain'], base['bias'])
     unit, factor = shown_in(model.units, 'rad/s')
 
+    def laws(effects: Iterable[EffectEstimate]) -> list[tuple[str, str]]:
+        return sorted((effect.name, effect.variant) for effect in effects)
+
     def error(model: AxisModel) -> float:
         return factor * rms(unseen.errors(of_this_flight(unseen, stored.completed(model))))
 
@@ -126,7 +131,8 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         reference=error(model.predicting) if model.reference else None,
         rungs=tuple(
             (tuple(effect.name for effect in rung.effects), rung.explains_pct,
-             error(replace(model, base=rung.base, effects=rung.effects, noise=rung.noise)))
+             error(replace(model, base=rung.base, effects=rung.effects, noise=rung.noise)),
+             laws(rung.effects) == laws(model.effects))
             for rung in model.rungs
         ),
         blackbox=None if blackbox_error is None else factor * blackbox_error,
