@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from flight_controller import STILL
 
 from quad_bridge.errors import RefusedError
@@ -97,6 +98,14 @@ def imu_bag(path, _t, gyro, felt):
 def standing(tmp_path_factory):
     """A bag of 8 s at rest, that stays as it is."""
     return imu_bag(tmp_path_factory.mktemp('standing') / 'bag', *resting(8.0))
+
+
+def test_the_command_writes_what_it_finds(tmp_path, standing, printed):
+    file = tmp_path / 'aircraft' / 'one.yaml'
+    assert 'gyro bias +0.01197, -0.02005' in printed(main, 'rest', standing, '--out', file)
+    kept = yaml.safe_load(file.read_text())['sensors']['rest']
+    assert kept['gyro_bias'] == pytest.approx(list(BIAS), abs=1e-3)
+    assert kept['source'] == str(standing)
 
 
 @pytest.mark.parametrize(

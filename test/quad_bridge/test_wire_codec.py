@@ -135,6 +135,10 @@ def test_values_that_cannot_be_are_not_handed_out():
 
 STREAM = b''.join(Encoder().encode(frame) for frame in FRAMES * 2)
 SENT = {repr(frame) for frame in FRAMES}
+PIECES = st.one_of(
+    st.binary(max_size=300), st.sampled_from([Encoder().encode(frame) for frame in FRAMES]),
+    st.integers(0, len(GOLDEN)).map(lambda cut: GOLDEN[:cut]),
+    st.binary(max_size=40).map(lambda tail: b'\xfd' + tail))
 SIZES, BYTES = st.integers(1, 300), st.binary(min_size=1, max_size=60)
 
 
@@ -167,3 +171,8 @@ def test_a_damaged_stream_gives_frames_that_were_sent_or_counted_errors(data, st
     assert set(found) <= SENT
     lost = len(found) < len(FRAMES) * 2
     assert not lost or counts.bad_crc + counts.unknown + counts.garbage_bytes or data in STREAM
+
+
+@given(st.lists(PIECES, max_size=12), st.integers(1, 97))
+def test_any_bytes_in_any_split_give_the_same_frames_and_never_raise(pieces, step):
+    fed(b''.join(pieces), step)

@@ -49,7 +49,6 @@ ANEW = 20.0
 """Nats by which a response that is fitted anew must beat the base; another is fitted from it."""
 NEAR = 5.0
 """Nats behind the best structure within which another may be chosen."""
-NOT_TRIED = ': it was not tried'
 SHARED = (
     'what disturbs this axis disturbs the other one as well, so that its command and rate answer '
     'to the same gusts; fly in calm air, or excite that axis by itself'
@@ -92,6 +91,8 @@ class SearchResult:
     """Log prior of each effect, by its label."""
     other: Fit | None = None
     """The best structure with lag and damping in each other's place, where that is as probable."""
+    cut_short: str = ''
+    """Why it ended before all effects were tried; '' if they were."""
 
     @property
     def best(self) -> Fit:
@@ -344,12 +345,14 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
             break
         reasons |= {p.effect.label: SHARED for p in parts if shared & set(p.effect.others)}
         parts = [p for p in parts if p.effect.label not in reasons]
+    cut_short = ''
     if why := halt():
         fitted = {label for labels in search.known for label in labels}
-        reasons |= {p.effect.label: f'{why}{NOT_TRIED}'
-                    for p in parts if p.effect.label not in fitted}
+        untried = [p.effect.label for p in parts if p.effect.label not in fitted]
+        reasons |= dict.fromkeys(untried, f'{why}: it was not tried')
+        cut_short = why if untried else ''
     ordered = tuple(sorted(search.known.values(), key=lambda s: -s.score))
-    leading_ones = SearchResult(base, ordered, reasons, search.prices)
+    leading_ones = SearchResult(base, ordered, reasons, search.prices, cut_short=cut_short)
     if problem is not full_problem:
         problem, leading_ones = full_problem, _on_all(full_problem, leading_ones)
     return to_convergence(problem, leading_ones)

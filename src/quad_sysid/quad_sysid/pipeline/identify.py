@@ -18,14 +18,7 @@ from quad_sysid.contract import AXES
 from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.constants import AGAIN
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
-from quad_sysid.discover.search import (
-    NOT_TRIED,
-    SearchResult,
-    extended,
-    scored,
-    search,
-    to_convergence,
-)
+from quad_sysid.discover.search import SearchResult, extended, scored, search, to_convergence
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError, p_in_words
 from quad_sysid.estimate.fit import Problem
@@ -128,14 +121,14 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
                        flight.units or EVERY[axis].units)
     undetermined = () if options.base is None else \
         lacking(options.base, findings.problem, search_result.base)
-    ended = {why for why in search_result.reasons.values() if why.endswith(NOT_TRIED)}
-    cut_short = [f'{axis}: {why.removesuffix(NOT_TRIED)} and ended early: what it names may stand '
-                 'for an effect that was not tried' for why in ended]
+    cut_short = search_result.cut_short and (
+        f'{axis}: {search_result.cut_short} and ended early: what it names may stand for an effect '
+        'that was not tried')
     answer = replace(
         answer, verdict=verdict, reason=_reason(findings, why_not), findings=findings, model=model,
         train=train, validation=io_data(data, data.validation, external=False),
         outside=outside_of(model, data, data.validation),
-        warnings=(*answer.warnings, *undetermined, *cut_short),
+        warnings=(*answer.warnings, *undetermined, *filter(None, [cut_short])),
         attitude_reference=flight.attitude_reference, rate_reference=flight.rate_reference)
     known: AxisAnswer
     proposal, known = side_by_side([  # the longer one first: it begins calls of its own
