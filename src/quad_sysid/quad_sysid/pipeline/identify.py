@@ -122,8 +122,8 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     undetermined = () if options.base is None else \
         lacking(options.base, findings.problem, search_result.base)
     cut_short = search_result.cut_short and (
-        f'{axis}: {search_result.cut_short} and ended early: what it names may stand for an effect '
-        'that was not tried')
+        f'{axis}: {search_result.cut_short} and ended early: what it names may stand for an '
+        'effect that was not tried')
     answer = replace(
         answer, verdict=verdict, reason=_reason(findings, why_not), findings=findings, model=model,
         train=train, validation=io_data(data, data.validation, external=False),
