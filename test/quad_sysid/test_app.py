@@ -149,6 +149,13 @@ def test_what_is_dropped_gets_a_safe_name_and_a_limit(server):
     assert json.loads(text)['path'] == '_img src_x__.csv'
     assert json.loads(server.ask('/upload?name=_img%20src_x__.csv', b't\n')[1])['path'] == (
         '_img src_x___2.csv')
+    for written in ('model.json', 'model_2.json'):
+        _, text = server.ask('/upload?name=model.json', b'{"schema": "quad_sysid/model/3"}')
+        assert json.loads(text)['path'] == written
+        assert {'path': written, 'kind': 'model'}.items() <= next(
+            entry for entry in json.loads(server.ask('/files')[1]) if entry['path'] == written
+        ).items()
+    assert server.ask('/upload?name=report.json', b'{"schema": "quad_sysid/report/3"}')[0] == 400
     assert server.ask('/upload?name=evil.sh', b'x')[0] == 400
     assert server.ask('/upload?name=empty.csv', b'')[0] == 400
     try:
@@ -157,7 +164,8 @@ def test_what_is_dropped_gets_a_safe_name_and_a_limit(server):
         status = 400
     assert status == 400
     after = {path.name for path in server.folder.iterdir()}
-    assert after - before == {'_img src_x__.csv', '_img src_x___2.csv'}
+    assert after - before == {'_img src_x__.csv', '_img src_x___2.csv', 'model.json',
+                              'model_2.json'}
     for name in after - before:
         (server.folder / name).unlink()
 

@@ -30,7 +30,8 @@ def bag(record, tmp_path_factory):
     rates = record.rates.copy()
     rates[2000:2051] = np.nan
     motors = np.clip(record.control @ np.ones((4, 4)), 0.0, 0.9)
-    motors[:750, 0] = 1.0
+    motors[:250] = 0.0  # on the ground
+    motors[250:950, 0] = 1.0
     lossy = replace(record, rates=rates, motors=motors, control=motors)
     return write_bag(lossy, tmp_path_factory.mktemp('inspect') / 'bag')
 

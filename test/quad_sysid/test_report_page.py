@@ -11,11 +11,12 @@ import jsonschema
 import numpy as np
 import pytest
 
+from quad_sysid.effects import EFFECTS
 from quad_sysid.model import GainProposal
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import document, plots, store, tables
 from quad_sysid.report.html import page
-from quad_sysid.report.words import causes, reach
+from quad_sysid.report.words import causes, on_this_flight, reach
 from quad_sysid.whole import whole_of
 
 SCHEMA = json.loads(
@@ -244,3 +245,16 @@ def test_worth_ends_where_holding_is_no_longer_twice_as_wrong(after, far):
         for s, hold, one in zip((0.05, 0.1, 1.0), (0.5, 1.0, 1.2), after, strict=True)
     ]}
     assert reach(error) == far
+
+
+@pytest.mark.parametrize(('before', 'after', 'said', 'unsaid'), [
+    (0.4, 0.2, f'{EFFECTS[0].name} lowers the error by 50 %', 'hold'),
+    (0.2, 0.2, 'hardly changes the error', 'hold'),
+    (0.2, 0.3, 'raises the error by 50 %. The model does not hold here', 'holding'),
+    (1.2, 1.1, 'no better than holding the last value (1.1 to 1 rad/s)', 'raises'),
+])
+def test_what_a_stored_model_does_on_another_flight(before, after, said, unsaid):
+    error = {'before': before, 'after': after, 'hold_last_value': 1.0, 'unit': 'rad/s'}
+    text = on_this_flight({'effects': [EFFECTS[0]], 'error': error})
+    assert said in text
+    assert unsaid not in text

@@ -98,6 +98,7 @@ def test_what_no_plant_can_be_is_the_fault_of_a_field(stored, refused, part, row
         ('{model} --axis roll,yaw', 2, 'lacks this axis: found yaw'),
         ('none.json', 2, 'none.json'), ('', 2, 'MODEL.json'),
         ('{model} --method lqr --max-angle -1', 2, 'must be a positive number'),
+        ('{model} --method lqr --max-control 5', 2, 'is a share of the range, at most 1'),
         ('{model} --max-angle -1', 2, '--max-angle: belongs to --method lqr'),
         ('{model} --out {model}', 2, 'exists, and is no design'),
     ],

@@ -146,6 +146,9 @@ def _answer(model: AxisModel, models: Mapping[str, AxisModel],
     largest = ((name, getattr(arguments, f'max_{name}')) for name in BRYSON)
     limits = {name: positive(f'--max-{name}', value) for name, value in largest
               if value is not None}
+    if limits.get('control', 0.0) > 1.0:
+        raise BadInputError('--max-control', 'is a share of the range, at most 1',
+                            limits['control'])
     try:
         lqr = propose_lqr(model, Weights(**limits))
     except DesignRefusedError as refusal:

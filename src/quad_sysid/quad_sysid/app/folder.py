@@ -13,6 +13,8 @@ RESULTS = 'quad_sysid_app'
 """Folder, in that of the user, for results."""
 SUFFIXES = ('.mcap', '.db3', '.ulg', '.bin', '.log', '.bbl', '.bfl', '.txt', '.csv', '.mat',
             '.bag', '.gz', '.xz', '.bz2', '.json')
+MODEL = b'"quad_sysid/model/'
+"""With what the schema begins that opens a model's file."""
 MOST_FILES = 500
 """Files on a page that a reader still scans."""
 ALLOWED = re.compile(r'[^\w.+\-() ]')
@@ -54,6 +56,15 @@ def is_bag(path: Path) -> bool:
     return path.suffix == '.mcap' or (path / 'metadata.yaml').is_file()
 
 
+def is_model(path: Path) -> bool:
+    """Whether this is a model that `quad-sysid identify` wrote, whatever it is called."""
+    try:
+        with path.open('rb') as stream:
+            return path.suffix == '.json' and MODEL in stream.read(LONGEST_NAME)
+    except OSError:
+        return False
+
+
 def entries(folder: Path) -> list[Entry]:
     """The files that can be chosen, by name; a bag is one entry."""
     root = folder.resolve()
@@ -75,7 +86,7 @@ def entries(folder: Path) -> list[Entry]:
                     listed.append(Entry(relative, 'bag', size / 1e6))
                 elif depth < 3:
                     waiting.append((path, depth + 1))
-            elif path.name == 'model.json':
+            elif is_model(path):
                 listed.append(Entry(relative, 'model', path.stat().st_size / 1e6))
             elif (path.suffix.lower() in SUFFIXES and path.suffix != '.json'
                   and RESULTS not in path.relative_to(root).parts):
@@ -108,7 +119,7 @@ def new_file(folder: Path, name: str) -> Path:
 
 
 async def receive(target: Path, body: AsyncIterable[bytes], most_bytes: int) -> None:
-    """Fill a new file; RefusedError, and the file is gone, where it is empty or too large."""
+    """Fill a new file; RefusedError, and the file is gone, where it is of no use or too large."""
     is_complete, size = False, 0
     try:
         with target.open('wb') as stream:
@@ -117,9 +128,11 @@ async def receive(target: Path, body: AsyncIterable[bytes], most_bytes: int) -> 
                 if size > most_bytes:
                     raise RefusedError(too_large(most_bytes))
                 stream.write(part)
-        is_complete = size > 0
-        if not is_complete:
+        if not size:
             raise RefusedError('is empty: copy it again')
+        if target.suffix == '.json' and not is_model(target):
+            raise RefusedError('is no model: drop the model.json of a result')
+        is_complete = True
     finally:
         if not is_complete:
             _remove(target)

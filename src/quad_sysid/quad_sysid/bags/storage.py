@@ -84,7 +84,7 @@ class Storage:
         if not path.exists():
             raise BadInputError(str(path), 'no such bag', remedy='check the path')
         if path.is_file():
-            if path.suffix in FOREIGN:
+            if path.suffix in FOREIGN and not _is_storage(path):
                 raise BadInputError(str(path), f'is {FOREIGN[path.suffix]}')
             self._unlisted([path])
             return [path]
@@ -240,6 +240,12 @@ def storage_in(folder: Path) -> list[Path]:
     """The storage files of a folder, the parts of a split bag in their order."""
     return sorted((p for p in folder.iterdir() if p.name.endswith(STORAGE)),
                   key=lambda p: (len(p.name), p.name))
+
+
+def _is_storage(file: Path) -> bool:
+    """Whether a file is one of a bag by its first bytes, whatever it is called."""
+    with readable(file), file.open('rb') as stream:
+        return stream.read(16).startswith((MAGIC, stored.SQLITE_MAGIC))
 
 
 def without_storage(path: Path, listed: Collection[str] | None = None) -> BadInputError:

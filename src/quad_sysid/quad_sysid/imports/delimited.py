@@ -82,7 +82,8 @@ def read_text_table(
     numbered = iter(text)
     looked = list(islice(numbered, 200))  # the lines that may hold the header
     if not looked:
-        raise BadInputError(source, 'is empty', remedy='record it or copy it again')
+        what = 'holds no complete row' if text.notes or text.comments else 'is empty'
+        raise BadInputError(source, what, remedy='record it or copy it again')
     layout = _layout(looked, text.comments, source)
     where = f'{source}, line {layout.header_line}'
     names = layout.names if wanted is None else [

@@ -283,7 +283,8 @@ class Content:
     gains: tuple[str, ...] = ()
     """Names in /gains/active, in alphabetical order."""
     motors_at_limit_pct: tuple[float, ...] = ()
-    """Per motor, share of the time at 0 or 1; empty where /motors/command is missing."""
+    """Per motor, share of the time at 0 or 1, idle segments left out where others are; empty where
+    /motors/command is missing."""
     battery: Battery | None = None
     craft: str = ''
     """Places of the motors, in words; empty where only the control is known."""
@@ -440,8 +441,13 @@ def _rms(signal: np.ndarray, spans: Sequence[Span]) -> float | None:
 def _at_limit(record: Record) -> tuple[float, ...]:
     if record.motors is None:
         return ()
-    finite = record.motors[np.isfinite(record.motors).all(axis=1)]
-    return tuple(float(100.0 * share) for share in motors_at_limit(finite).mean(axis=0))
+    flown = np.ones(record.n, bool)
+    for segment in record.segments:
+        if segment.role == 'idle':  # on the ground they stand at 0
+            flown[slice(*record.span(segment))] = False
+    finite = np.isfinite(record.motors).all(axis=1)
+    used = record.motors[finite & flown] if (finite & flown).any() else record.motors[finite]
+    return tuple(float(100.0 * share) for share in motors_at_limit(used).mean(axis=0))
 
 
 def _battery(record: Record) -> Battery | None:

@@ -236,7 +236,8 @@ def explanation(tree: Tree) -> Table:
         above, answer = rung['effects'], i if rung.get('answer') else answer
     unit = tree['error']['unit']
     return Table(['rung', 'adds', 'explains', f'error, {unit}'], rows, (0, 2, 3), answer,
-                 'Share of what the base misses of the best predictor; the error is of '
+                 'Explained: the share of what the base misses of the best predictor in the '
+                 'training. The error is of '
                  f'{tree["error"]["data"]} data. What stands below the marked rung is finer, and '
                  'not claimed as a cause.')
 

@@ -15,6 +15,9 @@ Tree = Mapping[str, Any]
 CLEARLY = 2.0
 """Factor by which a model must beat holding the last value to count as useful."""
 
+UNSEEN_PCT = 0.5
+"""Change of an error, %, that would be rounded to nothing."""
+
 PLAIN = {
     'ground_effect': 'thrust that grows near the ground',
     'coulomb_friction': 'dry friction', 'quadratic_drag': 'drag that grows with speed squared',
@@ -148,18 +151,24 @@ def equals(p: float | None) -> str:
 
 def lowered(percent: float) -> str:
     """Words on the change of the error, from the percentage by which it falls."""
+    if abs(percent) < UNSEEN_PCT:
+        return 'hardly changes the error'
     return f'{"lowers" if percent >= 0.0 else "raises"} the error by {abs(percent):.0f} %'
 
 
 def on_this_flight(tree: Tree) -> str:
-    """Words on the error of a stored model's effects on another flight; '' without effects."""
-    names = [effect.name for effect in tree['effects']]
-    if not names:
-        return ''
-    before, after = tree['error']['before'], tree['error']['after']
-    text = f'On this flight {joined(names)} {lowered(100.0 * (1.0 - after / before))}.'
-    return text if after < before else (
-        f'{text} What was found does not hold here: is it the same aircraft, as it was?')
+    """Words on a stored model's error on another flight; '' where it has no effects and does."""
+    names, error = [effect.name for effect in tree['effects']], tree['error']
+    before, after, hold = error['before'], error['after'], error['hold_last_value']
+    lower_pct, said = 100.0 * (1.0 - after / before), []
+    if after >= hold:
+        said.append('On this flight the model predicts no better than holding the last value '
+                    f'({number(after)} to {number(hold)} {error["unit"]}).')
+    if names:
+        said.append(f'On this flight {joined(names)} {lowered(lower_pct)}.')
+    if after >= hold or lower_pct <= -UNSEEN_PCT:
+        said.append('The model does not hold here: is it the same aircraft, as it was?')
+    return ' '.join(said)
 
 
 def headline(tree: Tree) -> tuple[str, str]:
