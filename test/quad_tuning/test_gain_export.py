@@ -88,7 +88,8 @@ def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, printed, refused):
                       'roll.rate.kd': d * 0.000529 * unit} for p, d in ((45, 30), (60, 38)))
     path = tmp_path / 'gains.json'
     yaw = {'yaw.rate.kp': 45 * 0.032029 * unit, 'yaw.rate.ki': 80 * 2.5 * 0.244381 * unit}
-    path.write_text(design({'roll': {'gains': after, 'steps': [before, after]},
+    near = {name: 1.001 * value for name, value in before.items()}  # the same, once rounded
+    path.write_text(design({'roll': {'gains': after, 'steps': [before, near, after]},
                             'yaw': {'gains': yaw}}))
     lines = printed(main, 'export', path, '--to', 'betaflight').splitlines()
     sets = [line for line in lines if not line.startswith('#')]

@@ -154,6 +154,10 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
     gains, axes = read_gains(arguments.gains, bounded=False), read_axes(arguments.gains)
     flown = _flown(arguments.flown) if arguments.flown else {}
     steps = _steps(gains, axes)
+    rounded = [[line for line in cli_lines(firmware, step, {}, flown) if line.startswith('set')]
+               for step in steps]
+    steps = [step for step, own, later in zip(steps, rounded, [*rounded[1:], None], strict=True)
+             if own != later]  # the firmware cannot tell these apart
     notes = [f'Gains of {arguments.gains.name}, converted by quad-tune export', *firmware.notes,
              *(f'Left out, it has no counterpart here: {one}'
                for one in left_out(gains, NEEDED[1:])),
