@@ -77,7 +77,7 @@ def test_what_cannot_be_answered_is_status_3_with_a_report(plain_flight, refused
     given = 'identify', path, '--axis', 'roll', '--out', tmp_path / 'out', '--quiet'
     error = refused(main, *given, status=3)
     assert str(path) in error
-    assert 'the bag holds no validation segment' in error
+    assert 'the flight holds no validation segment' in error
     report = json.loads((tmp_path / 'out' / 'report.json').read_text())
     jsonschema.validate(report, json.loads(SCHEMA.read_text()))
     axis = report['axes']['roll']

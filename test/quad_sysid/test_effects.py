@@ -837,9 +837,9 @@ def test_validation_does_not_touch_what_is_chosen(rubbed_flight):
 def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
     bare = replace(plain_flight, angles=None, attitude_setpoint=None)
     reasons = {
-        'pendulum_stiffness': 'the bag holds no orientation',
-        'cubic_stiffness': 'the bag holds no orientation',
-        'shape:angle': 'the bag holds no orientation',
+        'pendulum_stiffness': 'the flight holds no orientation',
+        'cubic_stiffness': 'the flight holds no orientation',
+        'shape:angle': 'the flight holds no orientation',
         'battery_sag': 'the voltage moves by 0.000 V only',
         'thrust_curve': 'the throttle stays at 0.50',
         'cross_axis_input': 'hardly moves during training; excite it as well',
@@ -857,7 +857,7 @@ def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
     rates = np.where([True, False, False], bare.rates, np.nan)
     data = axis_data([replace(bare, battery_v=None, rates=rates)], 'roll')
     why = {effect.name: effect.prepare(data) for effect in EFFECTS}
-    assert why['battery_sag'] == 'the bag holds no battery voltage'
+    assert why['battery_sag'] == 'the flight holds no battery voltage'
     assert 'was not measured throughout' in why['gyroscopic_coupling']
 
 

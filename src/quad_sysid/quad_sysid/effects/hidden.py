@@ -427,7 +427,7 @@ class Shown(Linked, Shape):
             return f'it is stated for {SHOWN_MOTORS} motors'
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         if not high - low > SLOW_MOVES * high:
-            return 'the bag holds no motor commands that move'
+            return 'the flight holds no motor commands that move'
         middle, half = 0.5 * float(low + high), 0.5 * float(high - low)
         return {'middle': middle, 'half': half}
 

@@ -88,7 +88,7 @@ class GroundEffect(Effect):
     def prepare(self, data: AxisData) -> Settings | str:
         altitude = data.signal('angle')
         if isinstance(altitude, str):
-            return 'the bag holds no altitude'
+            return 'the flight holds no altitude'
         altitudes = data.training(altitude)
         if np.ptp(altitudes) < LEAST_CLIMB_M:
             return f'the altitude changes by {np.ptp(altitudes):.2g} m only during training'

@@ -181,13 +181,13 @@ class AxisData:
             'command': self.command, 'throttle': self.control[:, 0],
         }
         values = signals[name]
-        return f'the bag holds no {MISSING[name]}' if values is None else values
+        return f'the flight holds no {MISSING[name]}' if values is None else values
 
     def lacking_motors(self, *, single: bool = False) -> str:
         """Why an effect of the motors, or of a single one, does not show; empty where it may."""
         motors = self.training(self.motors)
         if not motors.shape[1] or np.ptp(motors, axis=0).max() < LEAST_SPAN:
-            return 'the bag holds no motor commands'
+            return 'the flight holds no motor commands'
         if single and all(isinstance(self.signal(f'other command {i}'), str) for i in (1, 2)):
             return 'the other axes hardly move, so no single motor can be distinguished'
         return ''
@@ -196,7 +196,7 @@ class AxisData:
         axis = self.other_axes[index]
         if name == 'other angle':
             lean = self.other_angles
-            return f'the bag holds no {MISSING["angle"]}' if lean is None else lean[:, index]
+            return f'the flight holds no {MISSING["angle"]}' if lean is None else lean[:, index]
         if name == 'other command':
             signal = self.control[:, EVERY[axis].index + 1]
             least = LEAST_SHARE * np.std(self.training(self.command))

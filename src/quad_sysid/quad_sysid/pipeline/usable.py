@@ -168,7 +168,7 @@ def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:
         recorded = ', '.join(axis for axis in EVERY if axis in recorded_axes)
         return f'no {name} segment is on this axis (on {recorded} only); excite it'
     option = '--train' if role == 'train' else '--validate'
-    return f'the bag holds no {name} segment; name one with {option} of quad-sysid identify'
+    return f'the flight holds no {name} segment; name one with {option}'
 
 
 def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
