@@ -306,7 +306,7 @@ D_NOTCH = {'rate.d_notch_hz': 30.0, 'rate.d_notch_bandwidth_hz': 20.0}
 
 @pytest.mark.parametrize(('axis', 'injection', 'size', 'gains'), [
     ('roll', 'attitude', 0.3, {}), ('pitch', 'attitude', 1.4, {}), ('roll', 'rate', 1.0, D_NOTCH),
-    ('pitch', 'control', 0.05, {}),
+    ('pitch', 'control', 0.05, {'pitch.rate.ki': 0.1, 'pitch.rate.integrator_limit': 0.005}),
 ])
 def test_the_firmware_in_c_flies_this_cascade(injection, size, axis, gains):
     """To 1e-6 of the command and rad/s over a flight, limits, integral and notch included."""
