@@ -13,8 +13,8 @@ from quad_bridge.errors import QuadBridgeError
 
 _T = TypeVar('_T')
 
-BAD_INPUT, INTERRUPTED = 2, 130
-MAX_DIGITS = 30
+BAD_INPUT, INTERRUPTED = 2, 130  # exit statuses (contract)
+MAX_DIGITS = 30  # of a seed: Python refuses to convert very long ones, in words of its own
 
 
 class OneLineParser(argparse.ArgumentParser):

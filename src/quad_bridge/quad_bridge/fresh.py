@@ -9,6 +9,7 @@ from __future__ import annotations
 from quad_bridge.errors import RefusedError
 
 OLDEST_S, AHEAD_S = 0.5, 0.1
+"""The contract's: how old a command may be, and how far another computer's clock may be ahead."""
 
 
 def stale(age_s: float) -> str:

@@ -17,7 +17,7 @@ X_ORDER = (1, 3, 0, 2)
 """Outputs of the X frame (front right, rear left, front left, rear right) that are the contract's
 motors 1 to 4."""
 PX4_FIRST_MOTOR = 101  # output function Motor 1
-RANGE_US = (1000.0, 2000.0)
+RANGE_US = (1000.0, 2000.0)  # of a speed controller as it is sold
 REMEDY = "set robot_description to a URDF or a layout's name"
 
 

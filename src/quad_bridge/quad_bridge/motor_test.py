@@ -19,8 +19,8 @@ from quad_bridge.wire.frames import Command, CommandAck
 COMMAND = 209  # MAV_CMD_DO_MOTOR_TEST
 MOTORS = 4
 MAX_THROTTLE, MAX_S = 0.25, 5.0  # the throttle: QUAD_TEST_THROTTLE of the firmware
-USUAL_THROTTLE, USUAL_S = 0.08, 2.0
-VALID_S, AGAIN_S = 0.4, 0.15
+USUAL_THROTTLE, USUAL_S = 0.08, 2.0  # turns a propeller, lifts nothing
+VALID_S, AGAIN_S = 0.4, 0.15  # one lost request is bridged, a dead line stops the motor
 ANSWER_S = 1.0  # without an answer
 
 

@@ -43,6 +43,7 @@ LEAST_PROBABILITY = 0.02
 FLOWN = {'rate': 1.5, 'angle': 0.25}
 """Amplitude of the signal over which two curves are matched, rad/s and rad."""
 REST = {'throttle': 0.5, 'battery': 1.0}
+"""What a curve's other signals are while two are compared: mid-range, and a full battery."""
 
 
 def variants(model: AxisModel) -> tuple[tuple[float, AxisModel], ...]:

@@ -28,6 +28,8 @@ BY_D = 0.6
 SAME_HZ = 6.0
 """Peaks of two axes this near are one."""
 D_HIGHEST_HZ, GYRO_NOTCHES = 110.0, 2
+"""What the bridge's firmware can take: the highest notch before D at 250 Hz, and how many before
+all."""
 
 
 @dataclass(frozen=True)

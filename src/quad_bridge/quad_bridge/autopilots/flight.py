@@ -22,6 +22,7 @@ FRESH_S = 0.3  # a line whose last attitude is older is stale
 BEAT_S = 2.5  # the same of heartbeats, which come once a second
 STICKS_S = 1.0  # the same of stick positions, which a slow line brings twice a second
 HOVER_S = 2.0  # so long it must have been calm to hover
+# calm: below these the autopilot holds it against a breeze, and no pilot is moving it
 TILT_RAD, TURN_RAD_S = math.radians(12.0), math.radians(45.0)
 CLIMB_M_S, DRIFT_M_S = 0.6, 1.5
 IN_AIR = 2  # MAV_LANDED_STATE_IN_AIR

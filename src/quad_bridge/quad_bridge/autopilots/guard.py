@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.wire.frames import Vector3
 
-MOST_TILT_RAD = math.radians(35.0)
-MOST_HEIGHT_M, MOST_PLACE_M = 2.0, 5.0
+MOST_TILT_RAD = math.radians(35.0)  # at hover thrust a fifth of the lift is lost there
+MOST_HEIGHT_M, MOST_PLACE_M = 2.0, 5.0  # from where the segment began: room to recover in
 MOST_SAG = 0.08  # share of the voltage at the beginning by which the battery may sink
 
 

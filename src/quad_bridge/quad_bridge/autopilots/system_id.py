@@ -27,8 +27,8 @@ MOST = {Injection.ATTITUDE: 20.0, Injection.RATE: 200.0, Injection.CONTROL: 0.25
 """Largest SID_MAGNITUDE, deg, deg/s and share of the command."""
 NAMES = ('SID_AXIS', 'SID_MAGNITUDE', 'SID_F_START_HZ', 'SID_F_STOP_HZ', 'SID_T_FADE_IN',
          'SID_T_REC', 'SID_T_FADE_OUT')
-REPEAT_S, TRIES = 0.25, 8
-ENTER_S, AGAIN_S = 3.0, 0.5
+REPEAT_S, TRIES = 0.25, 8  # of a parameter: 2 s bridge the drop-outs of a telemetry radio
+ENTER_S, AGAIN_S = 3.0, 0.5  # for the mode, which is asked for again that often
 DELAY_S = 1.0  # from the mode's entry until it injects
 SET_UP_S = 2.0  # for parameters and the mode; the segment of the schedule began before them
 LEAST_S = 5.0  # of a sweep: a shorter one holds too little of its slow end

@@ -33,6 +33,7 @@ ANGLE_GAIN = 5.0  # 1/s, of the angle loop where rates are sent
 LATEST_S = 0.25  # the schedule has fallen silent
 ATTITUDE_MASK, RATE_MASK = 7, 128
 ZERO: Vector3 = (0.0, 0.0, 0.0)
+# from a hover the guard's tilt is not reached by the excitation alone
 MOST = {Injection.ATTITUDE: math.radians(20.0), Injection.RATE: math.radians(200.0)}
 
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from quad_bridge.wire.frames import REAL32, Heartbeat, ParamRequestRead, ParamValue
 
 AT_ONCE = 8  # requests on their way: a telemetry radio must not be flooded
-AGAIN_NS, TRIES = 400_000_000, 3
+AGAIN_NS, TRIES = 400_000_000, 3  # longer than an answer over a telemetry radio usually takes
 PX4 = 12  # MAV_AUTOPILOT
 _INTEGERS = {1: 'B', 2: 'b', 3: 'H', 4: 'h', 5: 'I', 6: 'i'}  # MAV_PARAM_TYPE to its layout
 _PX4_ROTOR = ('PX', 'PY', 'PZ', 'AZ', 'KM')

@@ -21,7 +21,7 @@ from quad_bridge.wire import frames as f
 from quad_bridge.wire.signing import Signing
 
 CHANNELS = 9  # of a receiver; the raw ones follow the corrected ones
-READ_S, WRITE_S, STEP_S = 10.0, 10.0, 0.05
+READ_S, WRITE_S, STEP_S = 10.0, 10.0, 0.05  # longest for all values, and between looks
 REST_S = 1.5  # over it the specific force of a position is averaged
 STILL_RAD_S = 0.15  # range of the rates over REST_S: a hand that holds it still stays below
 
