@@ -22,7 +22,7 @@ from quad_bridge.start import listen_by_udp, stay_on_this_computer
 from quad_sysid.errors import BadInputError
 
 LISTEN_S, ANSWER_S = 10.0, 150.0
-"""Until a bridge is heard, and until its gate has answered: steps are watched one after the other."""
+"""Until a bridge is heard, and until its gate answers: it watches one step after the other."""
 SERVICE = 'serial_bridge/set_gains'
 
 
