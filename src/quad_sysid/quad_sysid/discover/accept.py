@@ -276,8 +276,8 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
         if weakest == max(without, key=lambda label: without[label].total):
             break  # the main cause, in whose place the others would stand
         answer = without[weakest]
-    told = _commands_tell(problem, unseen, chosen)
-    if not told or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
+    commanded = _commands_predict(problem, unseen, chosen)
+    if not commanded or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen = base
     if chosen is base:
         claims = []
@@ -286,7 +286,7 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
     verdict, reason = 'cannot_tell', (
         'the commands do not predict the held-out rates better than the rates themselves do'
     )
-    if told:
+    if commanded:
         verdict, reason = ('effects_added', unexplained(unseen, chosen)) if parts \
             else _empty(ladder, unseen, base)
     probabilities, rivals = _posterior(search, chosen, ladder)
@@ -335,7 +335,7 @@ def at_horizon(horizon_s: float, dt: float) -> int:
     return max(round(horizon_s / dt), 1) - 1
 
 
-def _commands_tell(problem: Problem, unseen: Unseen, fitted: Fit) -> bool:
+def _commands_predict(problem: Problem, unseen: Unseen, fitted: Fit) -> bool:
     """Whether a model's commands predict beyond chance, and clearly at some horizon.
 
     Its error must be below that without commands and that of holding the rate. A feedback's
