@@ -90,11 +90,17 @@ class Ladder:
         return labels.index(label) if label in labels else len(labels)
 
     def explains(self, label: str) -> float:
-        """Percent that an effect takes away on the rung that adds it; effects share a rung's."""
-        for below, rung in pairwise(self.rungs):
+        """Percent that an effect of the answer explains, of what the answer does.
+
+        In proportion to the squares that its rung takes away; effects share a rung's.
+        """
+        rungs = self.rungs[: self.answer + 1]
+        whole = rungs[0].total - rungs[-1].total
+        for below, rung in pairwise(rungs):
             new = set(rung.labels) - set(below.labels)
             if label in new:
-                return (rung.explains_pct - below.explains_pct) / len(new)
+                share = (below.total - rung.total) / (len(new) * whole)
+                return rungs[-1].explains_pct * share
         return 0.0
 
     @property
