@@ -37,14 +37,33 @@ def run(package: str, executable: str, arguments: list[str]) -> str:
     return f'ros2 run: {package} has no {executable}; it has {", ".join(known)}'
 
 
-def fill(request: Any, values: Mapping[str, object]) -> None:
-    """Set the fields of a request; one that is unknown or of another type raises."""
-    known = request.get_fields_and_field_types()
+def fill(message: Any, values: object) -> None:
+    """Set the fields of a message; one that is unknown or of another type raises."""
+    kind = type(message).__name__.partition('_')[2] or type(message).__name__
+    if not isinstance(values, Mapping):
+        raise TypeError(f'a {kind} is {{field: value, …}}, not {values!r}')
+    known = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True))
     for field, value in values.items():
         if field not in known:
             there = ', '.join(known) or 'no fields'
-            raise ValueError(f'the request has no {field}; it has {there}')
-        setattr(request, field, value)
+            raise ValueError(f'the {kind} has no {field}; it has {there}')
+        setattr(message, field, converted(value, known[field]))
+
+
+def converted(value: object, kind: Any) -> object:
+    """A value read from YAML as a field's type takes it: messages, lists of them, floats."""
+    from rosidl_parser.definition import AbstractNestedType, BasicType, NamespacedType
+
+    if isinstance(kind, AbstractNestedType) and isinstance(value, list):
+        return [converted(one, kind.value_type) for one in value]
+    if isinstance(kind, NamespacedType):
+        message = getattr(importlib.import_module('.'.join(kind.namespaces)), kind.name)
+        made = message(check_fields=True)
+        fill(made, value)
+        return made
+    if isinstance(kind, BasicType) and kind.typename in ('float', 'double') and type(value) is int:
+        return float(value)
+    return value
 
 
 def call(name: str, kind: str, text: str) -> str:
@@ -59,29 +78,40 @@ def call(name: str, kind: str, text: str) -> str:
         return f'ros2 service call: {kind} is no service type, such as std_srvs/srv/Trigger'
     request = offered.Request(check_fields=True)
     try:
-        fill(request, dict(yaml.safe_load(text) or {}))
+        fill(request, yaml.safe_load(text) or {})
     except (AssertionError, TypeError, ValueError, yaml.YAMLError) as error:
         return f'ros2 service call: {" ".join(f"{text}: {error}".split())}'
     rclpy.init()
     try:
-        node = rclpy.create_node('service_call')
-        client = node.create_client(offered, name)
-        begun_s = time.monotonic()
-        while not client.wait_for_service(1.0):  # a node takes its time to start
-            full = node.resolve_service_name(name)
-            kinds = dict(node.get_service_names_and_types()).get(full, [])
-            others = ', '.join(one for one in kinds if one != kind)  # the client's own is there
-            if others:
-                return f'ros2 service call: {name} is a {others}'
-            if time.monotonic() - begun_s > PATIENCE_S:
-                return f'ros2 service call: nobody offers {name} within {PATIENCE_S:g} s'
-        answer = client.call_async(request)
-        rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE_S)
-        if not answer.done():
-            return f'ros2 service call: {name} gave no answer'
-        sys.stdout.write(f'response:\n{answer.result()!r}\n')
+        return asked(rclpy.create_node('service_call'), name, kind, offered, request)
+    except KeyboardInterrupt:
+        return 'ros2 service call: interrupted'
     finally:
         rclpy.try_shutdown()
+
+
+def asked(node: Any, name: str, kind: str, offered: Any, request: Any) -> str:
+    """Wait for a service, call it and write its answer; returns what is wrong."""
+    import rclpy
+
+    client = node.create_client(offered, name)
+    begun_s, said = time.monotonic(), False
+    while not client.wait_for_service(1.0):  # a node takes its time to start
+        full = node.resolve_service_name(name)
+        kinds = dict(node.get_service_names_and_types()).get(full, [])
+        others = ', '.join(one for one in kinds if one != kind)  # the client's own is there
+        if others:
+            return f'ros2 service call: {name} is a {others}'
+        if time.monotonic() - begun_s > PATIENCE_S:
+            return f'ros2 service call: nobody offers {name} within {PATIENCE_S:g} s'
+        if not said:
+            said = True
+            sys.stderr.write(f'waiting for {name}, {PATIENCE_S:g} s at most\n')
+    answer = client.call_async(request)
+    rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE_S)
+    if not answer.done():
+        return f'ros2 service call: {name} gave no answer'
+    sys.stdout.write(f'response:\n{answer.result()!r}\n')
     return ''
 
 

@@ -9,6 +9,7 @@ from node_process import ended
 from probe import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
+PARAMETERS = 'rcl_interfaces/srv/SetParametersAtomically'
 
 
 @pytest.fixture
@@ -40,6 +41,9 @@ def test_it_becomes_the_executable(ros2):
         (('topic', 'list'), 'without ROS 2 installed there is only'),
         (('service', 'call', '/x', 'std_srvs/srv/SetBool', '{up: true}'), 'no up; it has data'),
         (('service', 'call', '/x', 'std_srvs/srv/SetBool', '{data'), 'service call: {data: '),
+        (('service', 'call', '/x', PARAMETERS, '{parameters: [{nome: a}]}'),
+         'the Parameter has no nome; it has name, value'),
+        (('service', 'call', '/x', PARAMETERS, '{parameters: [a]}'), 'not \'a\''),
     ],
 )
 def test_what_it_cannot_do_is_one_line(ros2, words, told, request):
@@ -49,3 +53,16 @@ def test_what_it_cannot_do_is_one_line(ros2, words, told, request):
     assert (done.returncode, done.stdout) == (2, '')
     assert told in done.stderr
     assert done.stderr.count('\n') == 1
+
+
+def test_a_request_holds_lists_of_messages(ros, monkeypatch):
+    """As the documents call the bridge's gate, a whole number for a float included."""
+    monkeypatch.syspath_prepend(ROOT / 'tools')
+    from rcl_interfaces.srv import SetParametersAtomically
+    from ros2_stand_in import fill
+
+    request = SetParametersAtomically.Request()
+    fill(request, {'parameters': [{'name': 'roll.rate.kp',
+                                   'value': {'type': 3, 'double_value': 1}}]})
+    (gain,) = request.parameters
+    assert (gain.name, gain.value.type, gain.value.double_value) == ('roll.rate.kp', 3, 1.0)
