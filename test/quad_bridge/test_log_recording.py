@@ -145,6 +145,15 @@ def split(bag, limits, *, back_s=0):
 BY_TIME = Limits(split_s=0.1)
 
 
+def test_what_closes_the_bag_is_set_aside_whatever_the_least_free_disk(bag, monkeypatch):
+    begun = BagWriter(bag, Limits(reserve_bytes=0))
+    assert 512 * os.fstat(begun._closing.fileno()).st_blocks >= 4_000_000
+    begun.close()
+    monkeypatch.setattr('quad_bridge.log.writer.free_bytes', lambda _: 3_000_000)
+    with pytest.raises(BadInputError, match='needs 4 MB of free disk for a flight'):
+        BagWriter(bag.with_name('second'), Limits(reserve_bytes=0))
+
+
 @pytest.mark.parametrize(
     ('limits', 'back_s', 'files'), [(BY_TIME, 0, 5), (BY_TIME, 3600, 4), (Limits(10_000), 0, 5)]
 )

@@ -232,6 +232,13 @@ def first(n):
         r, segments=(), **{name: getattr(r, name)[:n] for name in columns}))
 
 
+def hardly_validated(record):
+    """As of a schedule that was aborted soon after the training."""
+    return replace(record, segments=tuple(
+        Segment(role, 'prbs', 'roll', 'attitude', *span)
+        for role, span in (('train', (1.0, 15.0)), ('validation', (15.0, 17.5)))))
+
+
 def only(role, axis='roll'):
     return lambda r: replace(r, segments=(Segment(role, 'prbs', axis, 'attitude', 0.0, 20.0),))
 
@@ -244,6 +251,7 @@ def only(role, axis='roll'):
         (first(3), 'unbroken validation segment lasts 0.004 s, 1.5 s are needed; fly longer'),
         (first(250), 'unbroken validation segment lasts 0.4 s'),
         (first(1250), 'windows of 0.5 s'),
+        (hardly_validated, 'only 3 windows of 0.5 s are held out, and a test needs 4'),
         (only('train'), 'the flight holds no validation segment'),
         (only('validation'), 'the flight holds no training segment; name one with --train'),
         (only('train', 'pitch'), 'no training segment is on this axis (on pitch only); excite it'),

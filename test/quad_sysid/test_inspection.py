@@ -131,6 +131,19 @@ def test_the_page_fits_a_terminal_and_json_is_whole(bag, printed):
     assert printed(main, 'inspect', bag, '--quiet') == ''
 
 
+def test_an_excitation_that_was_aborted_says_why_and_that_too_little_is_held_out(record, tmp_path):
+    idle, train, validation = (next(s for s in record.segments if s.role == role)
+                               for role in ('idle', 'train', 'validation'))
+    reason = "the pilot's abort switch is thrown"
+    held = content(write_bag(replace(record, segments=(
+        idle, train, replace(validation, end_s=21.5),
+        replace(idle, start_s=21.5, end_s=30.0, parameters={'reason': reason}),
+    )), tmp_path / 'bag'))
+    assert f'the excitation ended: {reason}' in '\n'.join(lines(held))
+    (identify,) = held.axes[0].uses
+    assert (identify.possible, identify.because[:22]) == (False, 'only 3 windows of 0.5 ')
+
+
 def test_a_log_is_drawn_with_the_motor_that_the_motion_contradicts(tmp_path, refused):
     """In a table: motors 1 and 2 of the X frame exchanged, which roll and pitch tell apart."""
     flight = flown(Airframe(X), 1, 16.0)

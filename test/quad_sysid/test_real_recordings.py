@@ -58,8 +58,8 @@ def test_emps_has_the_friction_of_its_makers_and_foresees_the_second_file(import
 
     In a quick motion at 0.1 m/s; half the difference between forwards and backwards. The unseen
     file, by the first rung: at most 0.0040 m/s; the base at most the 0.0117 m/s of a plain fit,
-    which flatters no effect. Each file is answered by dry friction, 0.215 m/s² by its makers; the second one's derived
-    speed has next to no white noise.
+    which flatters no effect. Each file is answered by dry friction, 0.215 m/s² by its makers; the
+    second one's derived speed has next to no white noise.
     """
     first, second = (imported(f'emps/{name}.csv', EMPS)
                      for name in ('DATA_EMPS', 'DATA_EMPS_PULSES'))

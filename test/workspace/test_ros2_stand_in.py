@@ -43,7 +43,7 @@ def test_it_becomes_the_executable(ros2):
         (('service', 'call', '/x', 'std_srvs/srv/SetBool', '{data'), 'service call: {data: '),
         (('service', 'call', '/x', PARAMETERS, '{parameters: [{nome: a}]}'),
          'the Parameter has no nome; it has name, value'),
-        (('service', 'call', '/x', PARAMETERS, '{parameters: [a]}'), 'not \'a\''),
+        (('service', 'call', '/x', PARAMETERS, '{parameters: [a]}'), "not 'a'"),
     ],
 )
 def test_what_it_cannot_do_is_one_line(ros2, words, told, request):
@@ -55,7 +55,8 @@ def test_what_it_cannot_do_is_one_line(ros2, words, told, request):
     assert done.stderr.count('\n') == 1
 
 
-def test_a_request_holds_lists_of_messages(ros, monkeypatch):
+@pytest.mark.usefixtures('ros')
+def test_a_request_holds_lists_of_messages(monkeypatch):
     """As the documents call the bridge's gate, a whole number for a float included."""
     monkeypatch.syspath_prepend(ROOT / 'tools')
     from rcl_interfaces.srv import SetParametersAtomically

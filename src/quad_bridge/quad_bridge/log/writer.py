@@ -57,8 +57,9 @@ class Limits:
     split_bytes: int = 0
     split_s: float = 0.0
     """Receive time, s."""
-    reserve_bytes: int = 0
-    """Free space without which no bag is begun."""
+    reserve_bytes: int | None = None
+    """Free space, beside CLOSING_RESERVE, without which no bag is begun; None: nothing is looked
+    at or set aside."""
 
 
 class BagWriter:
@@ -80,7 +81,8 @@ class BagWriter:
             _check_space(path, self._limits.reserve_bytes)
             path.mkdir(parents=True)
             created = True
-            self._closing = reserved(path, CLOSING_RESERVE if self._limits.reserve_bytes else 0)
+            self._closing = reserved(
+                path, 0 if self._limits.reserve_bytes is None else CLOSING_RESERVE)
             self._file = self._open_file()
             sync_folder(path.parent)
         except FileExistsError as error:  # another recorder's, of this moment
@@ -219,16 +221,18 @@ class BagWriter:
         self._closed.append(entry)
 
 
-def _check_space(path: Path, reserve: int) -> None:
+def _check_space(path: Path, reserve: int | None) -> None:
     if path.exists():
         raise PathExistsError(str(path), 'exists already, not overwritten')
+    if reserve is None:
+        return
     free = free_bytes(path)
-    if free < reserve + CLOSING_RESERVE and reserve:
+    if free < reserve + CLOSING_RESERVE:
         raise BadInputError(
             str(path),
             f'needs {(reserve + CLOSING_RESERVE) / MB:.0f} MB of free disk for a flight',
             f'{free / MB:.0f} MB',
-            'free the disk or lower reserve_mb',
+            'free the disk' + (' or lower reserve_mb' if reserve else ''),
         )
 
 

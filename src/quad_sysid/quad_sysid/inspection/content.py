@@ -43,7 +43,7 @@ from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.evaluate import flown_spans
 from quad_sysid.pipeline.identify import excited_axes
-from quad_sysid.pipeline.usable import check_usable, refusal
+from quad_sysid.pipeline.usable import check_usable, refusal, too_few_windows
 from quad_sysid.record import Record, Segment, finite_runs, motors_at_limit
 from quad_sysid.rotors import rotors_of
 
@@ -148,6 +148,7 @@ def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]
         check_usable(data, (record,))
     except NotInformativeError as error:
         refused = str(error).removeprefix(f'{axis}: ')
+    refused = refused or too_few_windows(data)
     identify = Use(f'identify {axis}', possible=not refused, because=refused)
     if refused:
         return (identify,)

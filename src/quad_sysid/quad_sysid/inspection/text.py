@@ -77,13 +77,17 @@ def _flight(content: Content) -> Iterator[str]:
 def _segments(content: Content) -> Iterator[str]:
     note = ' (the bag names none: split in time)' if content.split else ''
     yield f'segments{note}'
-    axes: dict[tuple[str, str, str, float, float], list[str]] = {}
+    axes: dict[tuple[str, str, str, float, float, str], list[str]] = {}
     for s in content.segments:  # those of several axes at a time in one line
-        axes.setdefault((s.role, s.signal, s.injection, s.start_s, s.end_s), []).append(s.axis)
-    for (role, signal, injection, start_s, end_s), of in [*axes.items()][:MAX_SEGMENTS]:
+        ended = str(s.parameters.get('reason', ''))  # why the excitation before it did
+        axes.setdefault((s.role, s.signal, s.injection, s.start_s, s.end_s, ended),
+                        []).append(s.axis)
+    for (role, signal, injection, start_s, end_s, ended), of in [*axes.items()][:MAX_SEGMENTS]:
         every = 'all' if len(of) > 1 and sorted(of) == sorted(AXES) else ', '.join(of)
         yield (f'  {role:<11} {signal:<10} {every:<6} {injection:<9} '
                f'{start_s:8.2f} to {end_s:8.2f} s')
+        if ended:
+            yield from wrapped(f'the excitation ended: {ended}', '              ')
     if len(axes) > MAX_SEGMENTS:
         yield f'  and {len(axes) - MAX_SEGMENTS} more (--json)'
 

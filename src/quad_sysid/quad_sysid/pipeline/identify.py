@@ -36,7 +36,7 @@ from quad_sysid.pipeline.flight import AxisFlight
 from quad_sysid.pipeline.held_out import held_out, residuals
 from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.step_b import Loop, closed_loop
-from quad_sysid.pipeline.usable import refusal, together
+from quad_sysid.pipeline.usable import refusal, together, too_few_windows
 from quad_sysid.record import IOData, Record
 
 Progress = Callable[[str], None]
@@ -211,18 +211,24 @@ def with_own(problem: Problem, searched: SearchResult, effects: Sequence[Effect]
         reasons=searched.reasons | failed))
 
 
+def _would_help(findings: Findings, not_searched: str) -> str:
+    """What would help where the commands predict nothing."""
+    if not_searched:
+        return (f'; {not_searched}: either the axis is hardly excited (quad-sysid inspect says '
+                'so), or the base alone lacks what it needs, such as how its motors respond, '
+                'and it is to be identified with effects')
+    return ('; a model that sees only past rates predicts as well as one that also sees the '
+            'commands, so the data do not show what the commands do; fly a PRBS on '
+            f'{findings.data.axis} (quad-sysid design-excitation), with more amplitude where one '
+            'was flown')
+
+
 def _reason(findings: Findings, not_searched: str) -> str:
     """The verdict's reason in words, with what would help; why no effects were sought, if so."""
     verdict, ladder = findings.verdict, findings.ladder
     reason = verdict.reason
-    if verdict.verdict == 'cannot_tell' and not_searched:
-        reason += (f'; {not_searched}, and the base alone may lack what this axis needs, such as '
-                   'how its motors respond: identify it with effects first')
-    elif verdict.verdict == 'cannot_tell':
-        reason += ('; a model that sees only past rates predicts as well as one that also sees '
-                   'the commands, so the data do not show what the commands do; fly a PRBS on '
-                   f'{findings.data.axis} (quad-sysid design-excitation), with more amplitude '
-                   'where one was flown')
+    if verdict.verdict == 'cannot_tell':
+        reason = too_few_windows(findings.data) or reason + _would_help(findings, not_searched)
     elif verdict.verdict == 'effects_added':
         effects = (part.effect for part in verdict.chosen.structure.parts)
         names = ' and '.join(

@@ -15,6 +15,7 @@ import numpy as np
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import IDLE, FloatArray
 from quad_sysid.craft import Craft
+from quad_sysid.discover.constants import LEAST_BLOCKS
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
 from quad_sysid.record import ENOUGH_ROWS, SHORT_GAP_S, Record, RotorLag, motors_at_limit
@@ -148,6 +149,14 @@ def check_usable(data: AxisData, records: Sequence[Record]) -> None:
         raise NotInformativeError(f'{data.axis}: {_lacking(data, records, role)}')
     check_limits(data, data.train, 'the training')
     check_moving(data)
+
+
+def too_few_windows(data: AxisData) -> str:
+    """Why the held-out segments can confirm nothing; empty where they can."""
+    count = data.windows(data.validation).count
+    return '' if count >= LEAST_BLOCKS else (
+        f'only {count} windows of 0.5 s are held out, and a test needs {LEAST_BLOCKS}: fly the '
+        'schedule to its end, or name longer segments with --train and --validate')
 
 
 def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:

@@ -200,8 +200,7 @@ def _accuracy(tree: Tree) -> str:
             f'{number(after)} '
             f'{unit} RMS{_interval(error.get("after_interval_95"))}.')
     if tree['verdict'] == 'cannot_tell':  # what a model gains is no merit of the commands then
-        return (f'{text} A model that sees only past rates predicts as well as one that also sees '
-                'the commands, so this says nothing of what the commands do.')
+        return f'{text} It is not shown that the commands have a part in that.'
     if hold:
         text += (f' Holding the last value would be off by {number(hold)} {unit}, so the model '
                  f'removes {100.0 * (1.0 - after / hold):.0f} % of that error.')
