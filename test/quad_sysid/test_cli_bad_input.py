@@ -22,6 +22,7 @@ SCHEMA = Path(quad_sysid.report.__file__).with_name('report.schema.json')
          "must be one of roll, pitch, yaw, surge, sway, climb, all, every: found 'sideways'"),
         ('--train 0:20 --validate 10:30', 'training and validation overlap'),
         ('--train 100:130', '--train starts after the end'),
+        ('--train -5:30', 'expected one argument (one that begins with - is written --train=-…)'),
         *((f'--inertia {three}', '--inertia: needs three positive numbers')
           for three in ('abc', '0.01,0.02', '0.01,0.02,-1')),
         ('--mass -1', '--mass: must be a positive number: found -1.0'),

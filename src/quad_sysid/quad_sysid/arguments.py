@@ -54,6 +54,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2 and one line on stderr."""
+        if message.endswith('expected one argument'):
+            option = message.split()[1].rstrip(':')
+            message += f' (one that begins with - is written {option}=-…)'
         self.exit(BAD_ARGUMENTS, f'{self.prog}: {message}; see {self.prog} --help\n')
 
 

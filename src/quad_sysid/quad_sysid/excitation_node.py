@@ -176,7 +176,8 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         reason = self._start()
         if reason:
             self.get_logger().warning(f'not started: {reason}')
-        return answered(response, not reason, reason or 'running')
+        return answered(response, not reason, reason or 'started; /diagnostics says if the '
+                        'aircraft refuses it')
 
     def _on_stop(self, request: Any, response: Any) -> Any:
         del request
