@@ -52,7 +52,7 @@ the shaking of the frame are in no model."""
 
 SLIDING = Trial(1.0, 6.0, 0.5, 20.0, 0.5, (0.25, 0.5, 1.0, 2.0, 4.0), (1.0, 1.0, 0.15),
                 (0.1, 0.1, 0.02))
-"""Position loops: a metre in seconds, as autopilots fly them."""
+"""Steps of a metre every 6 s, as an autopilot holds a position."""
 
 
 @dataclass(frozen=True)

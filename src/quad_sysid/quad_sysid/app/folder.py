@@ -13,8 +13,8 @@ RESULTS = 'quad_sysid_app'
 """Folder, in that of the user, for results."""
 SUFFIXES = ('.mcap', '.db3', '.ulg', '.bin', '.log', '.bbl', '.bfl', '.txt', '.csv', '.mat',
             '.bag', '.gz', '.xz', '.bz2', '.json')
-MODEL = b'"quad_sysid/model/'
-"""With what the schema begins that opens a model's file."""
+MODEL, HEAD = b'"quad_sysid/model/', 64
+"""With what the schema begins that opens a model's file, and the bytes in which it stands."""
 MOST_FILES = 500
 """Files on a page that a reader still scans."""
 ALLOWED = re.compile(r'[^\w.+\-() ]')
@@ -60,7 +60,7 @@ def is_model(path: Path) -> bool:
     """Whether this is a model that `quad-sysid identify` wrote, whatever it is called."""
     try:
         with path.open('rb') as stream:
-            return path.suffix == '.json' and MODEL in stream.read(LONGEST_NAME)
+            return path.suffix == '.json' and MODEL in stream.read(HEAD)
     except OSError:
         return False
 
