@@ -100,6 +100,7 @@ def test_a_fleet_through_the_command_and_on_from_there(
     again = ['fleet', str(moved), '--out', str(tmp_path / 'out'), '--no-effects']
     shown = printed(main, *again)
     assert '2 answered, 1 failed' in shown
+    assert 'without an answer: two/torn; the table has the reasons' in shown
     assert max(len(line) for line in shown.splitlines()[:-1]) <= 80
     assert '3 bags, 1 to do' in (tmp_path / 'out' / 'fleet.log').read_text().splitlines()[-3]
     shutil.rmtree(moved / 'one')
@@ -117,8 +118,8 @@ def test_a_cluster_gives_the_same_rows_and_outlives_what_goes_wrong(folder, resu
     shutil.rmtree(flights / 'two' / 'flight')
     for name in ('poison', 'hung', 'unlucky', *'abcdef'):
         (flights / f'{name}.mcap').touch()
-    every = bag.jobs(flights, tmp_path / 'out', search_effects=False)
-    every = [bag.replace(job, limit_s=1.0) if job.name == 'hung.mcap' else job for job in every]
+    jobs = bag.jobs(flights, tmp_path / 'out', search_effects=False)
+    every = [bag.replace(job, limit_s=1.0) if job.name == 'hung.mcap' else job for job in jobs]
     told = []
     with dask.config.set(engine.SETTINGS), distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=':0', memory_limit=0,
@@ -134,7 +135,7 @@ def test_a_cluster_gives_the_same_rows_and_outlives_what_goes_wrong(folder, resu
     # what is done is done: on this machine the rest is tried again, and nothing else
     kept = engine.known(every)
     assert len(kept) == len(every)
-    once_more = engine.run(every, 2, work=answer)
+    once_more = engine.run(jobs, 2, work=answer)
     assert [row['bag'] for row in once_more if row['bag'] in failed] == failed
     assert all(row['status'] == 'answered' for row in once_more)
     # to the last digit what the processes of this machine say

@@ -21,8 +21,8 @@ from quad_sysid.report.words import chance, named, number
 if TYPE_CHECKING:
     from quad_sysid.fleets.drift import Drift, Odd
 
-MOST_ROWS = 200
-"""Rows of one table on the page."""
+MOST_ROWS, MOST_NAMES = 200, 10
+"""Rows of one table on the page, and bags without an answer that a terminal names."""
 NO_NAME = 'all'
 
 
@@ -83,6 +83,12 @@ def _lines(fleet: Summary) -> list[str]:
         if table.rows:
             # a terminal has room for these columns of the means
             out += ['', *table.text((0, 1, 3, 5, 6, 7) if table is means else None)]
+    if fleet.unanswered:
+        names, more = [bag for bag, _ in fleet.unanswered[:MOST_NAMES]], ''
+        if len(fleet.unanswered) > MOST_NAMES:
+            more = f' and {len(fleet.unanswered) - MOST_NAMES} more'
+        out += ['', *wrapped(f'without an answer: {", ".join(names)}{more}; the table has the '
+                             'reasons', '  ', '')]
     return out
 
 
