@@ -84,8 +84,6 @@ class Storage:
         if not path.exists():
             raise BadInputError(str(path), 'no such bag', remedy='check the path')
         if path.is_file():
-            if path.suffix in FOREIGN and not _is_storage(path):
-                raise BadInputError(str(path), f'is {FOREIGN[path.suffix]}')
             self._unlisted([path])
             return [path]
         files = storage_in(path)
@@ -144,13 +142,15 @@ class Storage:
         """Batches of one decompressed file; counts messages of other types in `foreign`."""
         with plain.open('rb') as stream:
             head = stream.read(16)
-        if not head:
-            raise BadInputError(str(source), 'is empty',
-                                remedy='the recording never reached the disk; record again')
         if head.startswith(MAGIC):
             batches = self._read_mcap(plain, source, foreign)
         elif head == stored.SQLITE_MAGIC:
             batches = self._read_sqlite(plain, source, foreign)
+        elif source.suffix in FOREIGN:
+            raise BadInputError(str(source), f'is {FOREIGN[source.suffix]}')
+        elif not head:
+            raise BadInputError(str(source), 'is empty',
+                                remedy='the recording never reached the disk; record again')
         else:
             raise BadInputError(str(source), 'is neither mcap nor sqlite3',
                                 f'first bytes {head[:8].hex()}', 'give a rosbag2 directory or an '
@@ -240,12 +240,6 @@ def storage_in(folder: Path) -> list[Path]:
     """The storage files of a folder, the parts of a split bag in their order."""
     return sorted((p for p in folder.iterdir() if p.name.endswith(STORAGE)),
                   key=lambda p: (len(p.name), p.name))
-
-
-def _is_storage(file: Path) -> bool:
-    """Whether a file is one of a bag by its first bytes, whatever it is called."""
-    with readable(file), file.open('rb') as stream:
-        return stream.read(16).startswith((MAGIC, stored.SQLITE_MAGIC))
 
 
 def without_storage(path: Path, listed: Collection[str] | None = None) -> BadInputError:
