@@ -21,7 +21,7 @@ from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
 from quad_sysid.explain.models import Models
 from quad_sysid.model.data import axis_data, slice_of
-from quad_sysid.model.effect import Part
+from quad_sysid.model.effect import Part, required
 from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import NOISE, Structure
 from quad_sysid.record import GainChange
@@ -119,6 +119,21 @@ def test_noise_of_a_filter_that_was_computed_once_a_cycle_is_no_vibration():
     for lag in (1, 2, 3):
         assert abs(e[lag:] @ e[:-lag]) < 0.06 * (e @ e)
     assert noise_of(base).measured_rms == pytest.approx(np.std(noise), rel=0.1)
+
+
+@pytest.mark.parametrize('size', [0.01, 0.0])
+def test_slow_noise_of_the_gyro_is_no_motion(size):
+    """The torque noise cannot stand for it, and takes an effect that is not there into its aid."""
+    flight = fly(Axis(gyro_noise=0.003), 3, SHORT)
+    fade = math.exp(-2.0 * math.pi * 5.0 * flight.dt)
+    white = math.sqrt(1.0 - fade**2) * np.random.default_rng(3).standard_normal(flight.n)
+    slow = size * lfilter([1.0], [1.0, -fade], white)
+    rates = flight.rates + np.outer(slow, (1.0, 0.0, 0.0))
+    problem, base = based(axis_data([replace(flight, rates=rates)], 'roll'))
+    assert base.structure.lines == (size > 0.0)
+    assert noise_of(base).measured_rms == pytest.approx(math.hypot(0.003, size), rel=0.25)
+    gain = readings(problem, base).base[0]
+    assert abs(gain.value - 450.0) < 3.0 * required(gain.std)
 
 
 def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept(rubbed):

@@ -30,8 +30,10 @@ ROUGH_NATS = 0.3
 STARTS = ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (1, 0.002, 0.002), (-1, 0.04, 0.01))
 """Sign of the gain, lag and delay (s) that a base starts from: usual motors, a late log, slow
 motors, a drive that answers at once, and a drive that is wired the wrong way."""
+SLOW_HZ, SLOW_WIDTH_HZ = 1.0, 5.0
+"""Where the fit of slow gyro noise starts: a line near 0 Hz, wider than its frequency."""
 MOST_LINES = 3
-"""Most vibration lines in the noise."""
+"""Most lines in the noise."""
 
 
 def best_base(problem: Problem) -> Fit:
@@ -57,14 +59,15 @@ def best_base(problem: Problem) -> Fit:
     if problem.flight.sensor.noisy:
         averaged = replace(base.structure, averaged=True)
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))
-    while base.structure.lines < MOST_LINES and (hz := vibration_line(problem, base)) is not None:
-        shaken = _likelier(base, fitted_from(
-            problem, replace(base.structure, lines=base.structure.lines + 1),
-            np.r_[base.theta, 0.0, math.log(hz), math.log(0.1)], rate=base.rate,
-        ))
-        if shaken is base:
+    for _ in range(MOST_LINES):
+        hz = vibration_line(problem, base)
+        starts = [(SLOW_HZ, SLOW_WIDTH_HZ)] if hz is None else [(SLOW_HZ, SLOW_WIDTH_HZ), (hz, 0.1)]
+        lined = most_probable(_with_line(problem, base, *start) for start in starts)
+        # without slow noise that is there lag and damping may have changed places
+        likelier = _likelier(base, lined and both_orders(problem, lined))
+        if likelier is base:
             break
-        base = shaken
+        base = likelier
     return both_orders(problem, base)
 
 
@@ -184,6 +187,13 @@ def _beside(problem: Problem, base: Fit) -> Fit:
 def most_probable(fits: Iterable[Fit | None]) -> Fit | None:
     """That with the largest posterior density of those of one structure that did not diverge."""
     return max((f for f in fits if f is not None), key=lambda f: f.log_posterior, default=None)
+
+
+def _with_line(problem: Problem, base: Fit, hz: float, width_hz: float) -> Fit | None:
+    """The base with one more line in its noise, begun at this frequency and width."""
+    structure = replace(base.structure, lines=base.structure.lines + 1)
+    start = np.r_[base.theta, 0.0, math.log(hz), math.log(width_hz)]
+    return fitted_from(problem, structure, start, rate=base.rate)
 
 
 def _likelier(base: Fit, other: Fit | None) -> Fit:

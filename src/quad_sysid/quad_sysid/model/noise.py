@@ -124,7 +124,7 @@ def kalman(
 
     noise (4 + 3 v,): the parameters of structure.NOISE, ratios to the gyro's noise, whose size
     the innovations give; without a gyro filter the last does not count. Then of each of the v
-    lines of vibration the three of structure.VIBRATION. averaged: as in structure.Structure.
+    lines of vibration the three of structure.LINE. averaged: as in structure.Structure.
     """
     floor = 1.0
     if sensor.noisy:

@@ -31,12 +31,12 @@ NOISE = (
 )
 SHARED = Spec('shared', '1', spread=1.0)
 """Share of another axis' disturbance that disturbs this one too, as gusts at an angle do."""
-VIBRATION = (
-    Spec('vibration', '1', spread=2.0, centre=0.0, log=True),
-    Spec('vibration_frequency', 'Hz', spread=1.0, centre=math.log(50.0), log=True),
-    Spec('vibration_width', 'Hz', spread=1.5, centre=math.log(1.0), log=True),
+LINE = (
+    Spec('line', '1', spread=2.0, centre=0.0, log=True),
+    Spec('line_frequency', 'Hz', spread=2.0, centre=math.log(50.0), log=True),
+    Spec('line_width', 'Hz', spread=1.5, centre=math.log(1.0), log=True),
 )
-"""A narrow line of vibration in the gyro's noise."""
+"""A line in the gyro's noise: vibration, or slow noise where it is wider than its frequency."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Structure:
 
     parts: tuple[Part, ...] = ()
     lines: int = 0
-    """Number of vibration lines in the gyro's noise."""
+    """Number of lines in the gyro's noise."""
     averaged: bool = False
     """Whether the gyro's noise, before its filter, is averaged over two cycles. So it is where the
     filter is computed once a cycle by the bilinear transformation (Oppenheim, Schafer, 7.1)."""
@@ -62,12 +62,12 @@ class Structure:
     @cached_property
     def noise(self) -> tuple[Spec, ...]:
         """The noise's parameters: the last ones of the vector."""
-        return (SHARED,) * len(self.shared) + NOISE + VIBRATION * self.lines
+        return (SHARED,) * len(self.shared) + NOISE + LINE * self.lines
 
     @cached_property
     def filtered(self) -> int:
         """Number of noise parameters that shape the filter: the last ones of the vector."""
-        return len(NOISE) + len(VIBRATION) * self.lines
+        return len(NOISE) + len(LINE) * self.lines
 
     @cached_property
     def specs(self) -> tuple[Spec, ...]:
