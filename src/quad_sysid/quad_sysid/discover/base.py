@@ -32,6 +32,8 @@ STARTS = ((1, 0.04, 0.01), (1, 0.005, 0.03), (1, 0.15, 0.005), (1, 0.002, 0.002)
 motors, a drive that answers at once, and a drive that is wired the wrong way."""
 SLOW_HZ, SLOW_WIDTH_HZ = 1.0, 5.0
 """Where the fit of slow gyro noise starts: a line near 0 Hz, wider than its frequency."""
+VIBRATION_WIDTH_HZ = 0.1
+"""Where that of a vibration starts, at its own frequency."""
 MOST_LINES = 3
 """Most lines in the noise."""
 
@@ -61,8 +63,10 @@ def best_base(problem: Problem) -> Fit:
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))
     for _ in range(MOST_LINES):
         hz = vibration_line(problem, base)
-        starts = [(SLOW_HZ, SLOW_WIDTH_HZ)] if hz is None else [(SLOW_HZ, SLOW_WIDTH_HZ), (hz, 0.1)]
-        lined = most_probable(_with_line(problem, base, *start) for start in starts)
+        lined = most_probable([
+            _with_line(problem, base, SLOW_HZ, SLOW_WIDTH_HZ),
+            None if hz is None else _with_line(problem, base, hz, VIBRATION_WIDTH_HZ),
+        ])
         # without slow noise that is there lag and damping may have changed places
         likelier = _likelier(base, lined and both_orders(problem, lined))
         if likelier is base:

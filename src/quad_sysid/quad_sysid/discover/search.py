@@ -41,7 +41,7 @@ from quad_sysid.discover.constants import (
 from quad_sysid.discover.screen import Score, candidates, screen
 from quad_sysid.estimate.fit import Fit, Problem, start_of, stays_bounded
 from quad_sysid.model.effect import Effect, Part, required
-from quad_sysid.model.structure import NOISE, LINE, Structure, coordinates
+from quad_sysid.model.structure import LINE, NOISE, Structure, coordinates
 
 SIZES = (NOISE[0], NOISE[1], LINE[0])
 """Parts of the noise relative to the gyro's white noise."""

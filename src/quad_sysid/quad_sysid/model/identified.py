@@ -76,7 +76,7 @@ class NoiseEstimate:
     measured_rms: float
     """RMS of the measurement noise in the recorded rate, rad/s."""
     lines: tuple[tuple[float, float, float], ...] = ()
-    """Lines of vibration in the recorded rate: RMS over the gyro's noise, frequency, width, Hz."""
+    """Lines in its noise (structure.LINE): RMS over the gyro's, frequency and width in Hz."""
     averaged: bool = False
     """Whether the gyro's noise is averaged over two cycles (structure.Structure)."""
 

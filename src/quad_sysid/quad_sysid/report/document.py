@@ -172,8 +172,9 @@ def _noise(noise: NoiseEstimate | None, units: Units | None) -> list[dict[str, A
             ('disturbance_rms', noise.disturbance_rms, 'rad/s²'),
             ('disturbance_correlation', noise.correlation_s, 's'),
             ('measurement_rms', noise.measured_rms, 'rad/s'),
-            *((f'vibration_frequency_{i}', line[1], 'Hz')
-              for i, line in enumerate(noise.lines, 1)),
+            *((f'slow_noise_rms_{i}', rms * noise.gyro_rms, 'rad/s') if width > frequency
+              else (f'vibration_frequency_{i}', frequency, 'Hz')
+              for i, (rms, frequency, width) in enumerate(noise.lines, 1)),
         ) for shown, factor in (shown_in(units, unit),)
     ]
 
