@@ -64,7 +64,9 @@ def test_the_same_base_with_other_friction_has_not_changed(true_model):
         model = replace(true_model, base=sure, plain=alone, effects=(friction,))
         return comparison.Flight('x', {'roll': comparison.of_model(model)}, {})
 
-    ((_, changes),) = comparison.compare(flown(0.8, 400.0), [flown(1.2, 350.0)])
+    compared = comparison.compare(flown(0.8, 400.0), [flown(1.2, 350.0)])
+    ((_, changes),) = compared
+    assert 'changed: roll coulomb_friction.torque\n' in str(compared)
     assert [c.name for c in changes if c.changed] == ['coulomb_friction.torque']
 
 

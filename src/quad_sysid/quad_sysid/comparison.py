@@ -90,7 +90,14 @@ class Change:
     """Whether it is significant among all comparisons."""
 
 
-Pair = tuple[Flight, tuple[Change, ...]]
+class Comparison(tuple[tuple[Flight, tuple[Change, ...]], ...]):  # noqa: SLOT001 - it has a reference
+    """Each other flight with its changes; in print the tables of the command."""
+
+    reference: Flight
+    """What the others are compared with."""
+
+    def __str__(self) -> str:
+        return '\n'.join(lines(self))
 
 
 def of_model(model: AxisModel, *, alone: bool = False) -> dict[str, Estimate]:
@@ -164,15 +171,17 @@ def flight_of(flight: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect]
     return Flight(', '.join(flight.flights), of_axes, reasons)
 
 
-def compare(reference: Flight, others: Sequence[Flight]) -> tuple[Pair, ...]:
+def compare(reference: Flight, others: Sequence[Flight]) -> Comparison:
     """All parameters of each flight and the first, in the order of axes and names.
 
     The changes are those at LEVEL for all comparisons of all flights together.
     """
     changes = [_changes(reference, other) for other in others]
     held = iter(_held([*chain(*changes)]))
-    return tuple((other, tuple(islice(held, len(own))))
-                 for other, own in zip(others, changes, strict=True))
+    out = Comparison((other, tuple(islice(held, len(own))))
+                     for other, own in zip(others, changes, strict=True))
+    out.reference = reference
+    return out
 
 
 def _changes(reference: Flight, other: Flight) -> list[Change]:
@@ -242,34 +251,36 @@ def _run(options: argparse.Namespace) -> int:
     show, effects = progress(quiet=options.quiet), candidates(options)
     reference, *others = [flight_of(name, axes, effects, show) for name in options.flights]
     show('')
-    pairs = compare(reference, others)
+    comparison = compare(reference, others)
     if options.json:
-        print(json.dumps(tree(reference, pairs), indent=1))
+        print(json.dumps(tree(comparison), indent=1))
     elif not options.quiet:
-        print('\n'.join(lines(reference, pairs)))
-    if not any(change.p_value is not None for _, changes in pairs for change in changes):
+        print(comparison)
+    if not any(change.p_value is not None for _, changes in comparison for change in changes):
         print(f'quad-sysid: {reference.source}: nothing can be compared: no parameter has an '
               'error in both flights', file=sys.stderr)
         return NOT_ANSWERED
     return 0
 
 
-def tree(reference: Flight, pairs: Sequence[Pair]) -> dict[str, Any]:
+def tree(comparison: Comparison) -> dict[str, Any]:
     """The comparison as plain values, for `--json`."""
+    reference = comparison.reference
     return {
         'schema': SCHEMA, 'reference': reference.source, 'level': LEVEL,
         'flights': [
             {'source': flight.source, 'not_answered': dict(flight.reasons),
              'parameters': [asdict(change) for change in changes]}
-            for flight, changes in pairs
+            for flight, changes in comparison
         ],
         'not_answered': dict(reference.reasons),
     }
 
 
-def lines(reference: Flight, pairs: Sequence[Pair]) -> Iterator[str]:
+def lines(comparison: Comparison) -> Iterator[str]:
     """A table for each flight, then what changed."""
-    for flight, changes in pairs:
+    reference = comparison.reference
+    for flight, changes in comparison:
         yield f'{reference.source} -> {flight.source}'
         head = ['', 'axis', '', 'before', 'after', 'change', 'error', 'chance', 'unit']
         yield from Table(head, [*_rows(changes)], range(3, 8)).text()
