@@ -50,7 +50,8 @@ from quad_sysid.rotors import rotors_of
 GAP_CYCLES = 1.5
 """A pause between stamps longer than this many intervals is a gap."""
 ON_CHANGE = 'rcl_interfaces/msg/ParameterEvent'
-TEXT = 'std_msgs/msg/String'
+UNTIMED = 'std_msgs/msg/String', 'diagnostic_msgs/msg/DiagnosticArray'
+"""Types without a stamp, or of several nodes, each with its own clock."""
 STAMP_END = 12
 """Bytes of a message up to the end of its stamp: encapsulation, seconds, nanoseconds."""
 
@@ -90,9 +91,9 @@ def topics(path: Path) -> Topics:
     stamps: dict[str, list[npt.NDArray[np.int64]]] = {}
     for batch in storage.batches():
         for topic, raws in batch.items():
-            none = TOPIC_TYPES[topic] == TEXT
+            untimed = TOPIC_TYPES[topic] in UNTIMED
             stamps.setdefault(topic, []).append(
-                np.zeros(len(raws), np.int64) if none else _stamps(raws))
+                np.zeros(len(raws), np.int64) if untimed else _stamps(raws))
     present = tuple(
         _content(topic, np.concatenate(stamps[topic])) for topic in TOPIC_TYPES if topic in stamps
     )
