@@ -35,7 +35,7 @@ SLOW_HZ, SLOW_WIDTH_HZ = 1.0, 5.0
 VIBRATION_WIDTH_HZ = 0.1
 """Where that of a vibration starts, at its own frequency."""
 MOST_LINES = 3
-"""Most lines in the noise."""
+"""Most lines of vibration in the noise."""
 
 
 def best_base(problem: Problem) -> Fit:
@@ -61,18 +61,21 @@ def best_base(problem: Problem) -> Fit:
     if problem.flight.sensor.noisy:
         averaged = replace(base.structure, averaged=True)
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))
-    for _ in range(MOST_LINES):
-        hz = vibration_line(problem, base)
-        lined = most_probable([
-            _with_line(problem, base, SLOW_HZ, SLOW_WIDTH_HZ),
-            None if hz is None else _with_line(problem, base, hz, VIBRATION_WIDTH_HZ),
-        ])
-        # without slow noise that is there lag and damping may have changed places
-        likelier = _likelier(base, lined and both_orders(problem, lined))
-        if likelier is base:
+    while base.structure.lines < MOST_LINES and (hz := vibration_line(problem, base)) is not None:
+        shaken = _likelier(base, _with_line(problem, base, hz, VIBRATION_WIDTH_HZ))
+        if shaken is base:
             break
-        base = likelier
+        base = shaken
     return both_orders(problem, base)
+
+
+def with_slow_noise(problem: Problem, base: Fit) -> Fit | None:
+    """The base with slow noise of the gyro, as of a drift; None where that fit diverges.
+
+    Without such noise lag and damping may have changed places.
+    """
+    slow = _with_line(problem, base, SLOW_HZ, SLOW_WIDTH_HZ)
+    return slow and both_orders(problem, slow)
 
 
 def both_orders(problem: Problem, fitted: Fit) -> Fit:

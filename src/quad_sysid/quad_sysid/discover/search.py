@@ -24,6 +24,7 @@ from quad_sysid.discover.base import (
     most_probable,
     second_reading,
     shares,
+    with_slow_noise,
 )
 from quad_sysid.discover.constants import (
     BEAM,
@@ -327,17 +328,20 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     A coupling counts only if no gust disturbs both axes: a gust at an angle moves both, each
     feedback answers it, and one axis' command would seem to turn the other. If the evidence asks
     for such a gust beside the coupling, the search is repeated without that axis (a test of
-    exogeneity: Hausman 1978). Once `halt` gives a reason nothing more is fitted, and what was not
-    is listed with it; `progress` gets a line of text after each round.
+    exogeneity: Hausman 1978). If slow noise of the gyro explains more than all effects together,
+    it is repeated beside such noise. Once `halt` gives a reason nothing more is fitted, and what
+    was not is listed with it; `progress` gets a line of text after each round.
     """
     full_problem, problem = problem, problem.shortened(SEARCHED, BLOCKS)
     parts, reasons = candidates(problem, effects)
-    base = best_base(problem)
-    problem.measure(base)
-    problem.short_problem = _brief(problem, base)
+    base = _measured(problem, best_base(problem))
+    slow = with_slow_noise(problem, base)
     while True:
         search = _Search(problem, parts, base, halt, progress)
         search.run()
+        if slow is not None and slow.evidence + math.log(EXPECTED) > search.best().score:
+            base, slow = _measured(problem, slow), None
+            continue
         best = search.best().fit
         used = {axis for part in best.structure.parts for axis in part.effect.others}
         shared = {which for which in used if shares(problem, best, base, which)}
@@ -379,6 +383,13 @@ def to_convergence(problem: Problem, search: SearchResult) -> SearchResult:
         runaway = out.best
         out = replace(out, all=tuple(entry for entry in out.all if entry.fit is not runaway))
     return replace(out, other=second_reading(problem, out.best))
+
+
+def _measured(problem: Problem, base: Fit) -> Fit:
+    """The base; the problem takes its sizes, and its short part, from that."""
+    problem.measure(base)
+    problem.short_problem = _brief(problem, base)
+    return base
 
 
 def _brief(problem: Problem, base: Fit) -> Problem | None:
