@@ -106,7 +106,7 @@ class Ladder:
     @property
     def negligible(self) -> bool:
         """Whether the reference sees more than the base, but little (discover/search.py)."""
-        return 0.0 < self.rungs[0].total < self.small
+        return self.rungs[0].total > 0.0 and self.slight(self.rungs[0])
 
     @property
     def predicts_pct(self) -> float:
@@ -114,10 +114,10 @@ class Ladder:
         missed = self.rungs[0].total / max(np.sum(self.projection.motion), 1e-30)
         return 100.0 * (1.0 - math.sqrt(min(missed, 1.0)))
 
-    @property
-    def small(self) -> float:
-        """What may be missed, as a sum of squares, (rad/s)²."""
-        return little(*self._parts.sum(axis=1))
+    def slight(self, rung: Rung) -> bool:
+        """Whether a rung misses next to nothing, in slow motion as in fast."""
+        equal = np.ones(rung.missed.size)
+        return all(total[0] < small for total, small in self._by_thirds(rung.missed[None], equal))
 
     @cached_property
     def _parts(self) -> FloatArray:
@@ -192,7 +192,7 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
     climb, equal = _Climb(projection, search, parts, lowest.total), np.ones_like(lowest.missed)
-    while (rungs[-1].explains_pct < ENOUGH and rungs[-1].total >= ladder.small
+    while (rungs[-1].explains_pct < ENOUGH and not ladder.slight(rungs[-1])
            and len(rungs) <= MOST_RUNGS):
         last = rungs[-1]
         step = climb.next(last.model, finer=last.explains_pct >= EXPLAINS)
