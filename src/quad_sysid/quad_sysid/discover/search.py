@@ -334,13 +334,13 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     """
     full_problem, problem = problem, problem.shortened(SEARCHED, BLOCKS)
     parts, reasons = candidates(problem, effects)
-    base = _measured(problem, best_base(problem))
-    slow = with_slow_noise(problem, base)
+    first = base = _measured(problem, best_base(problem))
     while True:
         search = _Search(problem, parts, base, halt, progress)
         search.run()
+        slow = with_slow_noise(problem, base) if base is first else None
         if slow is not None and slow.evidence + math.log(EXPECTED) > search.best().score:
-            base, slow = _measured(problem, slow), None
+            base = _measured(problem, slow)
             continue
         best = search.best().fit
         used = {axis for part in best.structure.parts for axis in part.effect.others}
