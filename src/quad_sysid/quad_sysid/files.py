@@ -40,8 +40,9 @@ def readable(path: Path) -> Iterator[None]:
         yield
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, 'strerror', None) or str(error)
-        raise BadInputError(str(path), f'cannot be read ({reason})',
-                            remedy='check it and its permissions') from error
+        remedy = 'copy it again: it was cut off or is damaged' if isinstance(
+            error, EOFError | zlib.error) else 'check it and its permissions'
+        raise BadInputError(str(path), f'cannot be read ({reason})', remedy=remedy) from error
 
 
 @contextmanager

@@ -249,8 +249,8 @@ def scales(items: list[str]) -> dict[str, float]:
         with suppress(ValueError):
             out[axis] = float(number)
         if axis not in AXES or not 0.0 < out.get(axis, 0.0) < float('inf'):
-            raise BadInputError('--scale', 'needs AXIS=NUMBER above 0', repr(item),
-                                'such as roll=0.25')
+            raise BadInputError('--scale', 'needs AXIS=NUMBER above 0, AXIS of roll, pitch, yaw',
+                                repr(item), 'such as roll=0.25')
     return out
 
 

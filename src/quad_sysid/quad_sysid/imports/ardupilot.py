@@ -30,6 +30,7 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
+    per_torque,
     within,
 )
 from quad_sysid.imports.mixers import MIRROR, angles_from_ned, enu, mirrored
@@ -228,7 +229,8 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         if not isinstance(craft, Craft):
             return (), {}, [NO_GAINS.format(craft)]
         units = ardupilot_units(craft.mixer, table.header)
-        return (craft,), ARDUPILOT.gains(table.header, units), [AT_HOVER]
+        return ((craft,), ARDUPILOT.gains(table.header, units),
+                [f'{AT_HOVER}; {per_torque(units)}'])
     reading.take(OUTPUTS)
     if 'control' not in reading.streams:
         raise BadInputError(

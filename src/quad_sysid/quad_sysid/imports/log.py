@@ -151,6 +151,12 @@ class Signal:
     """(n, k) columns → values of the ForeignLog."""
 
 
+def per_torque(units: Sequence[float]) -> str:
+    """What `quad-tune export` asks for, from our command per unit of their torque, by axis."""
+    stated = ', '.join(f'{axis}={unit:.4g}' for axis, unit in zip(AXES, units, strict=True))
+    return f'--scale of quad-tune export, our command per unit of their torque: {stated}'
+
+
 def within(message: str, *fields: str) -> tuple[str, ...]:
     """The columns of these fields of a message."""
     return tuple(f'{message}.{field}' for field in fields)

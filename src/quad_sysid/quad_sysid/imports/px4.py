@@ -27,6 +27,7 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
+    per_torque,
     within,
 )
 from quad_sysid.imports.mixers import MIRROR, enu, mirrored, ned_angles
@@ -149,9 +150,21 @@ def _load(path: Path) -> Table:
         str(name): float(value) for name, value in log.initial_parameters.items()
         if isinstance(value, int | float)
     }
-    notes = ('parts of the log are damaged and left out: copy it again',) if log.file_corruption \
-        else ()
-    return Table(str(path), columns, times, header=parameters, notes=notes)
+    notes = []
+    if log.file_corruption:
+        notes.append('parts of the log are damaged and left out: copy it again')
+    elif _cut(path.read_bytes()):
+        notes.append('the log ends within a message, as one that was cut off: copy it again if '
+                     'there is more of it')
+    return Table(str(path), columns, times, header=parameters, notes=tuple(notes))
+
+
+def _cut(ulog: bytes) -> bool:
+    """Whether a ULog ends within a message, which the library reads up to there without a word."""
+    place = 16  # behind the header; each message begins with its length and its kind
+    while place + 3 <= len(ulog):
+        place += 3 + int.from_bytes(ulog[place : place + 2], 'little')
+    return place != len(ulog)
 
 
 def _armed(table: Table) -> Stream | None:
@@ -173,13 +186,15 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
     motors = table.stream(*columns)
     if motors is not None and reading.motors_fast(motors, torque):
         crafts, how = _craft(table, count)
-        reading.take(Signal('motors', columns, '0..1', how))
-        _speeds(reading, count)
         # on the ground, at take-off and at landing motors stand at an end, where nothing is linear
         free = ((motors.values > FREE[0]) & (motors.values < FREE[1])).all(axis=1)
         scale = None if torque is None or not crafts else _scale(
             Stream(motors.time_s[free], crafts[0].control(motors.values[free])), torque
         )
+        if scale is not None:
+            how = f'{how}; {per_torque(scale)}'
+        reading.take(Signal('motors', columns, '0..1', how))
+        _speeds(reading, count)
         note = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')
         return (crafts, _gains(table, scale),

@@ -102,9 +102,9 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'tried': _tried(findings, labels) if findings else [],
         'own_effects': _own(findings, labels) if findings else [],
         'base': {'parameters': parameters(model.plain if model else ()),
-                 'noise': _noise(model.plain_noise if model else None, units)},
+                 'noise': _noise(model.plain_noise, model.dt, units) if model else []},
         'completed': {'parameters': parameters(model.base if model else ()),
-                      'noise': _noise(model.noise if model else None, units)},
+                      'noise': _noise(model.noise, model.dt, units) if model else []},
         'error': _error(answer),
         'outside': [vars(excess) for excess in answer.outside],
         'trusted_band_rad_s': (model and model.trusted_band_rad_s) or None,
@@ -162,8 +162,11 @@ def _explanation(findings: Findings | None, per_rate: float) -> list[dict[str, A
     ]
 
 
-def _noise(noise: NoiseEstimate | None, units: Units | None) -> list[dict[str, Any]]:
-    """Torque disturbance and measurement noise; errors of these are not estimated."""
+def _noise(noise: NoiseEstimate | None, dt: float, units: Units | None) -> list[dict[str, Any]]:
+    """Torque disturbance and measurement noise; errors of these are not estimated.
+
+    A vibration is stated below half the sample rate: samples do not tell its aliases apart.
+    """
     if noise is None:
         return []
     return [
@@ -172,8 +175,8 @@ def _noise(noise: NoiseEstimate | None, units: Units | None) -> list[dict[str, A
             ('disturbance_rms', noise.disturbance_rms, 'rad/s²'),
             ('disturbance_correlation', noise.correlation_s, 's'),
             ('measurement_rms', noise.measured_rms, 'rad/s'),
-            *((f'slow_noise_rms_{i}', rms * noise.gyro_rms, 'rad/s') if width > frequency
-              else (f'vibration_frequency_{i}', frequency, 'Hz')
+            *((f'slow_noise_{i}', rms * noise.gyro_rms, 'rad/s') if width > frequency
+              else (f'vibration_{i}', abs(frequency - round(frequency * dt) / dt), 'Hz')
               for i, (rms, frequency, width) in enumerate(noise.lines, 1)),
         ) for shown, factor in (shown_in(units, unit),)
     ]

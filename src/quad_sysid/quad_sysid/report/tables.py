@@ -141,7 +141,8 @@ def errors(tree: Tree) -> Table:
         [name, number(error.get(key), 4), _span(error.get(f'{key}_interval_95')),
          number(error.get(f'one_step_{key}'), 4) if f'one_step_{key}' in error else '']
         for name, key in (('hold the last value', 'hold_last_value'), ('base (before)', 'before'),
-                          ('completed (after)', 'after'), ('best predictor', 'reference'),
+                          ('completed (after)', 'after'),
+                          ('best predictor of the training', 'reference'),
                           ('black box', 'blackbox'),
                           ('measurement noise', 'noise_floor'),
                           ('in the loop, base', 'closed_loop_before'),
@@ -233,13 +234,13 @@ def explanation(tree: Tree) -> Table:
         adds = ' and '.join(new) or f'{" and ".join(rung["effects"])} in another form'
         rows.append([str(i + 1), adds, f'{rung["explains_pct"]:.0f} %',
                      number(rung['error'], 4) if rung['error'] < RUNAWAY else 'runs away'])
-        above, answer = rung['effects'], i if rung.get('answer') else answer
+        above, answer = rung['effects'], i if rung.get('answer') and tree['effects'] else answer
     unit = tree['error']['unit']
+    claimed = 'No rung is confirmed, and none is claimed as a cause.' if answer is None else (
+        'What stands below the marked rung is finer, and not claimed as a cause.')
     return Table(['rung', 'adds', 'explains', f'error, {unit}'], rows, (0, 2, 3), answer,
                  'Explained: the share of what the base misses of the best predictor in the '
-                 'training. The error is of '
-                 f'{tree["error"]["data"]} data. What stands below the marked rung is finer, and '
-                 'not claimed as a cause.')
+                 f'training. The error is of {tree["error"]["data"]} data. {claimed}')
 
 
 def tried(tree: Tree) -> Table:
