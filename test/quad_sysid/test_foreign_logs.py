@@ -124,7 +124,8 @@ def test_px4_rotors_stand_and_turn_as_its_parameters_say(flight, px4):
     assert 'CA_ROTOR' in notes
 
 
-def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
+def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4, tmp_path):
+    """Import states that unit, which an export asks for; and that a log was cut off."""
     def with_torque(topics):
         stamps = topics['vehicle_attitude']['timestamp']
         topics['vehicle_torque_setpoint'] = {
@@ -141,6 +142,12 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4):
     for name, value in (('roll.angle.kp', 6.5), ('roll.rate.kp', 0.15 * 2.0 * 0.25),
                         ('yaw.rate.kp', 0.2 * 0.125), ('roll.angle.rate_limit', np.pi)):
         assert gains[name] == pytest.approx(value, rel=1e-4)
+    cut = tmp_path / 'cut.ulg'
+    cut.write_bytes((tmp_path / 'log.ulg').read_bytes()[:-1])
+    words = [' '.join(' '.join(table(import_log(read_log(path, format_of(path)), out))).split())
+             for path, out in ((tmp_path / 'log.ulg', tmp_path / 'b'), (cut, tmp_path / 'c'))]
+    assert all('roll=0.25, pitch=0.25, yaw=0.125' in text for text in words)
+    assert ['ends within a message' in text for text in words] == [False, True]
 
 
 def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, px4):
