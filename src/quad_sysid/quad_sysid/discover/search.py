@@ -338,7 +338,7 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
     while True:
         search = _Search(problem, parts, base, halt, progress)
         search.run()
-        slow = with_slow_noise(problem, base) if base is first else None
+        slow = with_slow_noise(problem, base) if base is first and not halt() else None
         if slow is not None and slow.evidence + math.log(EXPECTED) > search.best().score:
             base = _measured(problem, slow)
             continue

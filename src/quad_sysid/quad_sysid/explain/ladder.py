@@ -16,6 +16,7 @@ from functools import cached_property, partial
 from itertools import compress, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
@@ -106,7 +107,9 @@ class Ladder:
     @property
     def negligible(self) -> bool:
         """Whether the reference sees more than the base, but little (discover/search.py)."""
-        return self.rungs[0].total > 0.0 and self.slight(self.rungs[0])
+        lowest = self.rungs[0]
+        equal = np.ones_like(lowest.missed)
+        return lowest.total > 0.0 and bool(self.slight(lowest.missed[None], equal)[0])
 
     @property
     def predicts_pct(self) -> float:
@@ -114,10 +117,13 @@ class Ladder:
         missed = self.rungs[0].total / max(np.sum(self.projection.motion), 1e-30)
         return 100.0 * (1.0 - math.sqrt(min(missed, 1.0)))
 
-    def slight(self, rung: Rung) -> bool:
-        """Whether a rung misses next to nothing, in slow motion as in fast."""
-        equal = np.ones(rung.missed.size)
-        return all(total[0] < small for total, small in self._by_thirds(rung.missed[None], equal))
+    def slight(self, missed: FloatArray, weights: FloatArray) -> NDArray[np.bool_]:
+        """(rungs,) whether each misses next to nothing, in slow motion as in fast.
+
+        Arguments as of `explained`.
+        """
+        little_missed = [total < small for total, small in self._by_thirds(missed, weights)]
+        return np.asarray(np.all(little_missed, axis=0))
 
     @cached_property
     def _parts(self) -> FloatArray:
@@ -145,9 +151,8 @@ class Ladder:
 
     def sufficient(self, missed: FloatArray, weights: FloatArray) -> int | None:
         """The lowest rung that explains EXPLAINS, or that misses next to nothing; else None."""
-        little_missed = np.all([total < small for total, small in
-                                self._by_thirds(missed, weights)], axis=0)
-        enough = np.flatnonzero((self.explained(missed, weights) >= EXPLAINS) | little_missed)
+        enough = np.flatnonzero((self.explained(missed, weights) >= EXPLAINS)
+                                | self.slight(missed, weights))
         return int(enough[0]) if enough.size else None
 
     @cached_property
@@ -192,7 +197,7 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
     climb, equal = _Climb(projection, search, parts, lowest.total), np.ones_like(lowest.missed)
-    while (rungs[-1].explains_pct < ENOUGH and not ladder.slight(rungs[-1])
+    while (rungs[-1].explains_pct < ENOUGH and not ladder.slight(rungs[-1].missed[None], equal)[0]
            and len(rungs) <= MOST_RUNGS):
         last = rungs[-1]
         step = climb.next(last.model, finer=last.explains_pct >= EXPLAINS)

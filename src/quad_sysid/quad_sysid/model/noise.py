@@ -101,7 +101,7 @@ class Filter:
     """Variance of all noise in `output` over that before the gyro filter."""
     gain: FloatArray
     """(4 + 2 v,) Kalman gain: rate, disturbance, two states of the gyro filter and two of each of
-    the v lines of vibration."""
+    the v lines in the noise."""
     move: FloatArray
     """(2 + 2 v,) decay of the disturbance over a cycle, its mean over the cycle, and the rotation
     of each line (recursion.predict)."""
@@ -124,7 +124,7 @@ def kalman(
 
     noise (4 + 3 v,): the parameters of structure.NOISE, ratios to the gyro's noise, whose size
     the innovations give; without a gyro filter the last does not count. Then of each of the v
-    lines of vibration the three of structure.LINE. averaged: as in structure.Structure.
+    lines the three of structure.LINE. averaged: as in structure.Structure.
     """
     floor = 1.0
     if sensor.noisy:

@@ -218,7 +218,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, start, stop, c
     each cycle, without what `slope` (n,) times the rate at half cycle adds. columns (n, m)
     derivatives of the mean acceleration of each cycle, bends (n, b) half the difference of its
     halves for those whose numbers are in bent (b,). States: rate, disturbance, the sensor's
-    two, and two of each of the v lines of vibration. gain (4 + 2 v,) what the innovation adds
+    two, and two of each of the v lines in the noise. gain (4 + 2 v,) what the innovation adds
     to them; move (2 + 2 v,): what is left of the disturbance after a cycle, its mean over the
     cycle, and the turn of each line (cosine and sine times what is left of it); filters
     (m, 6 + 4 v) the derivatives of both; nothing is added where y is NaN. gyro (2, 5) as in
