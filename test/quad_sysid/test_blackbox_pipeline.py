@@ -5,6 +5,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from quad_sysid.blackbox import frequency_response
 from quad_sysid.loop.cascade import CascadeGains
@@ -14,9 +15,10 @@ from quad_sysid.model import AxisModel, GainProposal, Parameter
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline import step_b
+from quad_sysid.pipeline.advice import _beyond
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.identify import Options, identify
-from quad_sysid.record import GainChange, Record, Segment
+from quad_sysid.record import GainChange, IOData, Record, Segment
 from quad_sysid.report import document, text
 from quad_sysid.signals.waveforms import prbs
 
@@ -121,6 +123,21 @@ def test_gains_are_designed_in_the_band_that_the_report_trusts(roll):
     assert answer.proposal.refused_because == str(band)
     assert low <= band[0] < band[1] <= high
     assert band[1] / band[0] < 0.8 * high / low
+
+
+def test_a_sweep_is_trusted_where_it_has_been_and_its_rest_is_named():
+    """The cut that ends its training is in command and rate alike, and coherent up to any."""
+    t = 0.004 * np.arange(5000)
+    u = signal.chirp(t, 0.3, 20.0, 8.0, 'log')  # 2 to 50 rad/s, its training to 14
+    y = signal.lfilter([0.02], [1.0, -0.98], u)
+    y += 1e-5 * np.random.default_rng(4).standard_normal(y.size)
+    train, rest = (IOData(u, y, 0.004, segments=[span]) for span in ((0, 3000), (3000, 5000)))
+    low, high = Support.of(train, 'roll').band
+    assert low < 5.0
+    assert 10.0 < high < 30.0
+    (line,) = _beyond(train, rest)
+    assert 'choose --train and --validate' in line
+    assert not list(_beyond(train, train))
 
 
 def test_one_loop_is_identified_by_all_three_approaches():

@@ -68,6 +68,11 @@ def test_an_open_loop_is_told_where_the_command_proves_it(command):
     assert shown(open_loop(command, 0.1)) is True
 
 
+def test_gains_in_the_record_leave_open_what_no_residual_shows():
+    z = open_loop(CHIRP)
+    assert feedback(z, bj(z, 2, 2, 2, 2, 2), GAINS, behind_attitude=False, through=False) is None
+
+
 def test_an_excitation_in_front_of_the_controllers_never_proves_an_open_loop():
     assert shown(open_loop(PRBS), through=True) is None
     record = Record('bag', DT, np.zeros((4, 3)), np.zeros((4, 4)), segments=(

@@ -7,7 +7,7 @@ import pytest
 
 from quad_sysid.bags import read_bag, write_bag
 from quad_sysid.contract import motors_from_wrench
-from quad_sysid.imports.stretches import airborne, summary, with_stretches
+from quad_sysid.imports.stretches import airborne, blocks, summary, with_stretches
 from quad_sysid.record import Record
 
 DT = 0.004
@@ -68,3 +68,10 @@ def test_the_ground_is_where_the_throttle_stays_low_with_take_off_and_landing(lo
     throttle = np.full(10000, 0.5)
     throttle[round(low[0] / DT) : round(low[1] / DT)] = 0.05
     assert DT * np.sum(~airborne(throttle, DT)) == pytest.approx(left_out, abs=2 * DT)
+
+
+def test_a_short_sweep_trains_and_validates_at_the_start_and_the_end_of_its_frequencies():
+    assert blocks(20.0) == [('train', 0.0, 8.0), ('validation', 8.0, 12.0), ('train', 12.0, 16.0),
+                            ('validation', 16.0, 20.0)]
+    assert blocks(12.0) == [('train', 0.0, pytest.approx(7.2)),
+                            ('validation', pytest.approx(7.2), 12.0)]

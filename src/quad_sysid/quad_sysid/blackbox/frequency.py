@@ -15,6 +15,9 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
+NO_POWER = 1e-15
+"""Share of the largest below which an estimated spectrum, which can turn negative, counts as 0."""
+
 
 @dataclass(frozen=True)
 class SpectralEstimate:
@@ -90,18 +93,19 @@ def spa(z: IOData, w: FloatArray | None = None, window: int | None = None, *,
 
     def auto(x: list[FloatArray]) -> FloatArray:
         spectrum = cross(x, x).real
-        return np.maximum(spectrum, max(1e-15 * float(spectrum.max()), np.finfo(float).tiny))
+        return np.maximum(spectrum, max(NO_POWER * float(spectrum.max()), np.finfo(float).tiny))
 
     u, y, s = centred(z.u), centred(z.y), centred(source)
     us, ys, uu, yy, ss = cross(u, s), cross(y, s), auto(u), auto(y), auto(s)
     response = ys / (us if joint else ss)
     residual = yy - 2.0 * (np.conj(response) * cross(y, u)).real + np.abs(response) ** 2 * uu
     noise = np.abs(residual) if joint else np.maximum(residual, 0.0)
+    powerful = (ss > NO_POWER * ss.max()) & (yy > NO_POWER * yy.max())
     informative = np.maximum(np.abs(us) ** 2 / ss, np.finfo(float).tiny) if joint else uu
     return SpectralEstimate(
         w=grid, response=response, noise_spectrum=noise,
         std=np.sqrt(float(weights @ weights) / z.n * noise / informative),
-        coherence=np.clip(np.abs(ys) ** 2 / (ss * yy), 0.0, 1.0))
+        coherence=np.where(powerful, np.clip(np.abs(ys) ** 2 / (ss * yy), 0.0, 1.0), 0.0))
 
 
 def coherence(z: IOData, w: FloatArray | None = None, window: int | None = None, *,

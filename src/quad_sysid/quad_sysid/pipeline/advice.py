@@ -20,6 +20,8 @@ PAPERS_BAND = (0.1, 20.0)
 """Band of the paper's PRBS, rad/s; advice names the part of it that a model does not cover."""
 FURTHER = 1.5
 """Factor of the held-out rates over the training's above which extrapolation is named."""
+QUICKER = 2.0
+"""Factor of the held-out rates' frequencies over the training's above which that is named."""
 RICHEST = 50
 """Order up to which the paper's PRBS is persistently exciting."""
 
@@ -62,6 +64,25 @@ def _beyond(train: IOData, held_out: IOData) -> Iterator[str]:
             'there every effect is extrapolated; train on motion as large as the model has to '
             'predict'
         )
+    slow, quick = (_quickest(z) for z in (train, held_out))
+    if quick > QUICKER * slow:
+        yield (
+            f'the held-out rates move at up to {quick:.2g} rad/s, those of the training at '
+            f'{slow:.2g} (95 % of their power): the model is judged where it was not trained; '
+            'choose --train and --validate so that both hold every frequency'
+        )
+
+
+def _quickest(z: IOData) -> float:
+    """Frequency, rad/s, below which 95 % of the rate's power lies."""
+    parts = [z.y[a:b] for a, b in z.segments if b - a > 2]
+    lines = np.concatenate([2.0 * np.pi * np.fft.rfftfreq(part.size, z.dt) for part in parts])
+    power = np.concatenate([
+        np.abs(np.fft.rfft((part - part.mean()) * np.hanning(part.size))) ** 2 / part.size
+        for part in parts])
+    order = np.argsort(lines)
+    below = np.cumsum(power[order])
+    return float(lines[order][np.searchsorted(below, 0.95 * below[-1])])
 
 
 def _inputs(row: ModelRow) -> int:
@@ -75,7 +96,8 @@ def _delay(answer: AxisAnswer, samples: int) -> Iterator[str]:
     if samples == 0 and model.value('delay') < 0.5 * model.dt:
         yield (
             'the estimated delay is 0 samples: in the cascade a command cannot act on the rate of '
-            'its own cycle; the stamps of command and rate seem to be one cycle apart'
+            'its own cycle; the stamps of command and rate seem to be one cycle apart, or the log '
+            'keeps only some cycles of a faster controller'
         )
     lag = model.value('delay') + model.value('lag')
     # three cycles of slack for an estimate in whole cycles; the fits go no further than 8
@@ -103,17 +125,19 @@ def _band(answer: AxisAnswer, lowest: float) -> Iterator[str]:
         yield (f'below {low:.2g} rad/s nothing can be said: the longest unbroken training stretch '
                'is too short for it')
     elif low > 2.0 * PAPERS_BAND[0]:
+        joint = any(a.name == 'joint' and a.possible for a in answer.selection.approaches)
         why = (
-            'there the feedback has removed what was injected, and the direct approach sees noise '
-            'through the controller; compare with the joint approach, or fly a slower PRBS'
+            'there the feedback leaves little motion, and the direct approach sees noise through '
+            f'the controller; {"compare with the joint approach, or " if joint else ""}excite '
+            'more slowly'
             if answer.selection.feedback
             else 'the excitation holds too little of it; fly longer or slower'
         )
         yield f'below {low:.2g} rad/s the models cannot be trusted: {why}'
     if high < PAPERS_BAND[1]:
         yield (
-            f'above {high:.3g} rad/s the models cannot be trusted; a faster clock of the PRBS '
-            'or more amplitude would reach further'
+            f'above {high:.3g} rad/s the models cannot be trusted; a faster excitation or more '
+            'amplitude would reach further'
         )
 
 

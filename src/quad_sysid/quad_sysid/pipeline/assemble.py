@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.signal.windows import tukey
 
 from quad_sysid.axes import EVERY
 from quad_sysid.blackbox import Model, coherence, frequency_response
@@ -27,6 +28,8 @@ BEYOND = 0.05
 """Share of its range in the training by which a signal must leave it to be named."""
 HALF_POWER = 0.41
 """Part by which a gain may be off in the trusted band, 3 dB."""
+ENDS = 0.1
+"""Share of a segment over which it fades in and out for the coherence, both ends together."""
 
 
 def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,
@@ -143,7 +146,8 @@ class Support:
         In the band command and rate are coherent (squared coherence over COHERENT; where the
         external reference is known, that of reference and rate, since feedback alone makes the
         first high), and the 99 % interval of the model's gain, where it has one, is narrower than
-        3 dB to either side.
+        3 dB to either side. The ends of each segment are tapered: the same edge in two signals
+        is coherent where nothing was excited.
         """
         window = max(2, max(b - a for a, b in z.segments) // 4)  # half-width, samples
         lowest = float(np.pi / (window * z.dt))
@@ -152,7 +156,7 @@ class Support:
             change[[a for a, _ in z.segments]] = 0.0
             z = replace(z, y=change)
         try:
-            w, values = coherence(z, window=window, joint=z.r is not None)
+            w, values = coherence(_tapered(z), window=window, joint=z.r is not None)
         except QuadSysidError:  # the segments are too short
             return cls(None, lowest)
         trusted = values > COHERENT
@@ -165,3 +169,15 @@ class Support:
             return cls(None, lowest)
         a, b = max(bands, key=lambda e: np.log(w[e[1] - 1] / w[e[0]]))
         return cls((float(w[a]), float(w[b - 1])), lowest)
+
+
+def _tapered(z: IOData) -> IOData:
+    """The signals about their means, each segment faded in and out over ENDS of its length."""
+    fade = np.zeros(z.y.size)
+    for a, b in z.segments:
+        fade[a:b] = tukey(b - a, ENDS)
+
+    def faded(x: FloatArray) -> FloatArray:
+        return np.where(fade > 0.0, fade * (x - float(z.inside(x).mean())), 0.0)
+
+    return replace(z, u=faded(z.u), y=faded(z.y), r=None if z.r is None else faded(z.r))

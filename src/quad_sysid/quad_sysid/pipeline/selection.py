@@ -156,8 +156,9 @@ def feedback(z: IOData, model: Model, gains: CascadeGains | None, *, behind_atti
     True where the residual of `model` predicts the command, with nothing but the past of the
     command taken out (or the plant is not causal), or where the command is that of the known
     controller on the reference z.r (`behind_attitude`: the attitude's) and the rate. False where
-    the command takes a few values only, or the loop gain that could have been missed is below
-    NEGLIGIBLE; never where the excitation came `through` C1 or C2, which are feedback.
+    the command takes a few values only, or where no controller of the rate is stated and the loop
+    gain that could have been missed is below NEGLIGIBLE; never where the excitation came `through`
+    C1 or C2, which are feedback.
     """
     try:
         test = residual_test(replace(z, r=None), model)
@@ -168,7 +169,9 @@ def feedback(z: IOData, model: Model, gains: CascadeGains | None, *, behind_atti
             return True
         if through:
             return None
-        excluded = _few_levels(z) or largest_loop_gain(z, model) < NEGLIGIBLE
+        stated = gains is not None and gains.rate_kp != 0.0
+        excluded = _few_levels(z) or (
+            not stated and largest_loop_gain(z, model) < NEGLIGIBLE)
     except QuadSysidError:
         return None
     return False if excluded else None

@@ -192,10 +192,10 @@ def models(tree: Tree) -> Table:
 def _outcome(model: Tree) -> str:
     if model.get('eliminated_because'):
         return f'Rejected at the first step: {model["eliminated_because"]}'
-    if model.get('passed_second_step'):
-        return 'Passed both steps'
     if model.get('closed_loop_fit_pct') is None:
         return 'Passed the first step; no second step'
+    if model.get('passed_second_step'):
+        return 'Passed both steps'
     return 'Rejected at the second step: loop fit too low'
 
 
