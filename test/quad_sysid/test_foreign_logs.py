@@ -4,6 +4,7 @@ The logs are encoded here by hand, with each firmware's own motor places and sen
 that nothing of the import's tables is used to make them.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from autopilot_logs import dataflash, quaternions, ulog
 
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
+from quad_sysid.errors import BadInputError
 from quad_sysid.imports.cli import table
+from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.to_bag import import_log
 
@@ -148,6 +151,10 @@ def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4, tmp_path
              for path, out in ((tmp_path / 'log.ulg', tmp_path / 'b'), (cut, tmp_path / 'c'))]
     assert all('roll=0.25, pitch=0.25, yaw=0.125' in text for text in words)
     assert ['ends within a message' in text for text in words] == [False, True]
+    never = Stream(np.zeros(1), np.zeros((1, 1)))
+    never_armed = replace(read_log(cut, format_of(cut)), armed=never)
+    with pytest.raises(BadInputError, match='never change; the log ends within a message'):
+        import_log(never_armed, tmp_path / 'd')
 
 
 def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, px4):

@@ -157,6 +157,11 @@ def test_the_delay_of_a_filter_is_measured_where_both_sides_are_logged(flight):
     back = np.exp(-2j * np.pi * delay.delay_hz * DT)
     phase = np.angle(weight / (1 - (1 - weight) * back))
     assert of.milliseconds == pytest.approx(-1e3 * phase / (2 * np.pi * delay.delay_hz), rel=0.03)
+    slow = replace(flight, gains=(GainChange(0.0, {'sensor.gyro_lowpass_delay_s': 0.04}),))
+    for of_flight, stated in ((flight, True), (slow, False)):  # no rest of a negative delay
+        rests = [d for d in look(of_flight).whole.axes['roll'].loop.delays if 'rest' in d.part]
+        assert bool(rests) == stated
+        assert all(rest.milliseconds > 0.0 for rest in rests)
 
 
 def test_each_set_of_gains_is_measured_by_itself():
@@ -209,6 +214,10 @@ def test_a_rate_that_follows_late_is_late_by_its_latency():
     (one,) = look(record(asked, np.roll(asked, 10), asked)).whole.axes['roll'].tracking
     assert one.latency_s == pytest.approx(10 * DT)
     assert one.error_rms_delayed < 0.01 * one.error_rms
+    drifts = np.linspace(0.0, 1.0, len(asked))  # nothing follows it, and any delay helps a little
+    (none,) = look(record(drifts, 1e-3 * asked, 1e-3 * asked)).whole.axes['roll'].tracking
+    assert np.isnan(none.latency_s)
+    assert none.error_rms_delayed == none.error_rms
 
 
 @pytest.mark.parametrize('setpoint', [0.7, 30.0])

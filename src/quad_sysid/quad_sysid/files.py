@@ -29,7 +29,8 @@ def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
         raise BadInputError(str(path), f'cannot be read ({error.strerror})', None,
                             remedy) from error
     except (ValueError, RecursionError) as error:  # no text, no JSON, endless digits or brackets
-        raise BadInputError(str(path), 'is not JSON', str(error),
+        value = 'no text' if isinstance(error, UnicodeDecodeError) else str(error)
+        raise BadInputError(str(path), 'is not JSON', value,
                             'give a file that quad-sysid or quad-tune wrote') from error
 
 

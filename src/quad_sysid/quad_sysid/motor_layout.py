@@ -302,7 +302,7 @@ def _responses(
 ) -> Iterator[_Response]:
     """Sums for the angular acceleration and, where there is one that moves, for the angle."""
     step = max(1, round(STEP_S / dt))
-    if len(rate) <= BLOCKS * (step + 1) or not np.nanstd(rate) > 0.0:
+    if len(rate) <= BLOCKS * (step + 1) or np.unique(rate[np.isfinite(rate)]).size < 2:
         return
     change = np.full(len(rate), np.nan)
     change[:-step] = (rate[step:] - rate[:-step]) / (step * dt)

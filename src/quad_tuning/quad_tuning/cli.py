@@ -98,6 +98,8 @@ def _run(arguments: argparse.Namespace) -> int:
             print(_table(axis, arguments.method, answer))
         if 'notches' in tree:
             print(_notch_table(tree['notches']))
+        if arguments.out is not None:
+            print(f'design in {arguments.out}')
     refusals = [a['refused_because'] for a in answers.values() if a['refused_because']]
     if len(refusals) == len(answers):
         print(f'quad-tune: no gains: {" | ".join(refusals)}', file=sys.stderr)

@@ -110,7 +110,8 @@ def read(path: Path) -> ForeignLog:
     if 'rates' not in reading.streams:
         raise BadInputError(table.source, 'holds no RATE and no IMU messages',
                             table.messages or 'no message of use',
-                            'set LOG_BITMASK to log fast attitude (bit 0) and log again')
+                            'copy the log whole, or set LOG_BITMASK to log fast attitude (bit 0) '
+                            'and log again')
     _climb(reading)
     crafts, gains, warnings = _input(reading)
     return reading.log('an ArduPilot log', SIGNALS, crafts=crafts, armed=_armed(table),
@@ -235,7 +236,8 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
     if 'control' not in reading.streams:
         raise BadInputError(
             table.source, 'holds no RCOU and no RATE messages', table.messages,
-            'set LOG_BITMASK to log fast attitude (bit 0) or RC output (bit 10) and log again',
+            'copy the log whole, or set LOG_BITMASK to log fast attitude (bit 0) or RC output '
+            '(bit 10) and log again',
         )
     return (), ARDUPILOT.gains(table.header, (1.0, 1.0, 1.0)), [DEMAND_ONLY]
 

@@ -139,11 +139,16 @@ class Guess:
         }
         return {option: names for option, names in used.items() if all(names) and names}
 
+    def lacks(self, axes: Sequence[str] = ()) -> tuple[str, ...]:
+        """What an import of these axes, or all, needs and no column seems to be."""
+        used = self._used(axes or self.axes).keys()
+        return (*(() if {'rate', 'angle'} & used else ('rates',)),
+                *(() if {'control', 'motors'} & used else ('commands',)))
+
     def command(self, file: Path, axes: Sequence[str] = ()) -> str | None:
         """The command line that imports these axes, or all; None without rates or commands."""
         used = self._used(axes or self.axes)
-        if not ({'rate', 'angle'} & used.keys() and {'control', 'motors'} & used.keys()
-                and self.timed):
+        if self.lacks(axes) or not self.timed:
             return None
         out = '_'.join([file.name.partition('.')[0], *axes, 'bag'])
         return shlex.join(['quad-sysid', 'import', str(file), *as_typed(
@@ -280,7 +285,8 @@ def lines(table: Table, file: Path) -> Iterator[str]:
         yield ('no column of time was recognised: add one, name it with --time, or give the rate '
                'of the rows with --sample-rate')
     elif command is None:
-        yield 'rates and commands were not recognised: name them, see quad-sysid import --help'
+        yield from wrapped(f'{" and ".join(guessed.lacks())} were not recognised, and nothing is '
+                           'identified without them: name them, see quad-sysid import --help', '')
     else:
         yield 'check the guesses, then:'
         yield command

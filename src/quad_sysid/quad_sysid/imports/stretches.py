@@ -32,8 +32,8 @@ NEARLY_ALL = 0.9
 MIN_DURATION_S = 3.0
 """Shortest stretch, since windows begin a second after its start."""
 BLOCK_S = 5.0
-"""Length of the blocks, s, that train and validate in turn; of a short experiment they are shorter,
-down to MIN_DURATION_S."""
+"""Length of the blocks, s, that train and validate in turn; a short experiment's are shorter, down
+to MIN_DURATION_S."""
 ROLES = ('train', 'train', 'validation', 'train', 'validation')
 """Roles of consecutive blocks: 60 % train."""
 

@@ -102,9 +102,9 @@ def record_of(
     rates, angles = _motion(log, grid, gains, notes, warnings)
     control, motors, craft = _commands(log, grid, rates, angles, notes, warnings)
     control, motors = _armed(log, grid, control, motors, warnings)
-    if not (np.nanstd(control, axis=0) > 0.0).any():
+    if not any(np.unique(column[np.isfinite(column)]).size > 1 for column in control.T):
         raise BadInputError(log.source, 'holds commands that never change',
-                            remedy='import a log of a flight')
+                            remedy='; '.join([*log.clock, 'import a log of a flight']))
     if grid.dt > 1.0 / SLOWEST_HZ and log.faster:
         warnings.append(f'{1.0 / grid.dt:.3g} Hz is too slow to show lag and delay: '
                         f'{log.faster}')

@@ -43,7 +43,8 @@ class Tracking:
     error_rms_delayed: float
     """The error that is left where the set-point is delayed by `latency_s`."""
     latency_s: float
-    """The delay with which that error is smallest."""
+    """The delay with which that error is smallest; NaN where that is the longest that is tried:
+    the set-point hardly moves then, or the measurement does not follow it."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,9 @@ def _axis(flown: Flown, axis: str, usable: npt.NDArray[np.bool_],
         tracking += _tracking('rate', rate_setpoint, rate, usable, dt)
     if angle_setpoint is not None and angle is not None:
         steps += step.responses(angle_setpoint, angle, usable, dt, step.ANGLE)
-        tracking += _tracking('angle', angle_setpoint, angle, usable, dt)
+        # a heading is counted from north, whatever the aircraft does
+        origin = float(np.nanmean(angle_setpoint[usable])) if axis == 'yaw' else 0.0
+        tracking += _tracking('angle', angle_setpoint - origin, angle - origin, usable, dt)
     before = _column(flown.rates_before, i)
     same = before is not None and len(before) == flown.n and flown.before_dt == dt
     if before is not None:
@@ -213,10 +216,11 @@ def _delayed(flown: Flown, i: int, usable: npt.NDArray[np.bool_], gains: Mapping
     parts = [delay for delay in delays if delay is not None]
     total = response.plant_delay(loop, crossover)
     if total is not None:
-        sum_s = sum(part.milliseconds for part in parts) * 1e-3
-        parts.append(response.of_seconds(
-            'rest: output, airframe' + ('' if delays[1] else ', motors')
-            + ('' if delays[0] else ', filters'), total - sum_s, crossover, 'measurement'))
+        rest = total - sum(part.milliseconds for part in parts) * 1e-3
+        if rest > 0.0:  # damping leads by more than a short rest delays
+            parts.append(response.of_seconds(
+                'rest: output, airframe' + ('' if delays[1] else ', motors')
+                + ('' if delays[0] else ', filters'), rest, crossover, 'measurement'))
         parts.append(
             response.of_seconds('command to acceleration', total, crossover, 'measurement'))
     parts += _d_delay(gains, axis, dt, crossover)
@@ -281,6 +285,8 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
         residual = float(np.sqrt(np.mean(behind**2)))
         if residual < best:
             best, latency = residual, k * dt
+    if latency == longest * dt:
+        best, latency = error, np.nan
     return (Tracking(quantity, float(np.sqrt(power)), error, best, latency),)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.contract import AXES
 from quad_sysid.logview.measure import DEG, NOISE_HZ, AxisLook, Measured, Part, noise_rms
 from quad_sysid.logview.response import LoopResponse
 from quad_sysid.logview.spectrum import Peak
@@ -67,7 +68,18 @@ def header(look: Measured) -> str:
     gaps = f', {count} gap{"s" * (count > 1)}' if count else ''
     name, rate = PurePath(flight.source).name, 1.0 / flight.dt
     return (f'{name}: {flight.kind}, {flight.length_s:.1f} s at {rate:.5g} Hz{gaps}, '
-            f'{look.whole.flown_s:.1f} s of it in the air')
+            f'{look.whole.flown_s:.1f} s of it in the air{_experiments(look)}')
+
+
+def _experiments(look: Measured) -> str:
+    """The time with something injected, where set-point and rate are not compared."""
+    injected = look.flown.injected
+    if injected is None:
+        return ''
+    seconds = np.isfinite(injected).sum(axis=0) * look.flown.dt
+    named = [f'{axis} {s:.0f} s' for axis, s in zip(AXES, seconds, strict=True) if s > 0.0]
+    return (f'; experiments of {", ".join(named)}: of them the loop and its delays alone are '
+            'measured') if named else ''
 
 
 def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:
@@ -198,7 +210,8 @@ def delays(part: Part) -> Table:
             for d in on_axis.loop.delays]
     return Table(['axis', 'part', 'ms', 'phase, °', 'at, Hz', 'by'], rows, (2, 3, 4), caption=(
         f'{_title(part)}What delays the loop, at its crossover where that is known. The rest is '
-        'the delay from command to angular acceleration less the parts above it.'))
+        'the delay from command to angular acceleration less the parts above it; it is left out '
+        'where it is no longer than what damping takes off.'))
 
 
 def noise(part: Part) -> Table:
@@ -230,7 +243,7 @@ def tracking(part: Part) -> Table:
             for axis, on_axis in part.axes.items() for t in on_axis.tracking]
     return Table(['axis', 'of', 'set-point RMS', 'error RMS', 'left if delayed', 'by'], rows,
                  range(2, 6), caption=f'{_title(part)}deg/s and deg; the set-point delayed by as '
-                 'much as leaves the least error.')
+                 'much as leaves the least error; a dash where no delay tells.')
 
 
 def motors(look: Measured) -> Table:

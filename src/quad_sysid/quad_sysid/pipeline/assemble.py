@@ -11,6 +11,7 @@ from scipy.signal.windows import tukey
 
 from quad_sysid.axes import EVERY
 from quad_sysid.blackbox import Model, coherence, frequency_response
+from quad_sysid.contract import FloatArray
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.estimate import stored
