@@ -517,7 +517,8 @@ def turned(plant: Plant, x: Turning, s: Signals, driven: tuple[FloatArray, Float
     m, registers = following.size, np.repeat(np.array(listing.start)[:, None], w, axis=1)
     registers[:m], registers[each.at.ravel()] = path[0], step.reshape(-1, w)
     out = np.empty((m, length + 1, w))
-    known = np.concatenate([push[None], inputs[:, cells]])
+    # indexing and joining keep the order in memory that they meet
+    known = np.ascontiguousarray(np.concatenate([push[None], inputs[:, cells]]))
     laws.carried(code, *listing.numbers(w), registers, known, np.r_[more.at, places], following,
                  0, length, out)
     out[:, -1] = registers[:m]
