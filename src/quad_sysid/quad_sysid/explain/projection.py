@@ -22,6 +22,7 @@ from quad_sysid.estimate.fit import Fit, Problem, derivative_steps, limited
 from quad_sysid.model.data import Windows
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Prediction, Run
+from quad_sysid.model.plant import LEAST_LAG
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure
 from quad_sysid.qr import upper
@@ -116,9 +117,7 @@ class Projection:
         specs = structure.specs[:count]
         logs = np.array([spec.log for spec in specs])
         positive = np.array([spec.positive and not spec.log for spec in specs])
-        sizes = self.problem.sizes(structure)
-        precision = self.problem.precision(structure, sizes)[:count, :count]
-        root = self.reference.tail.scale * np.linalg.cholesky(precision).T
+        root = self.reference.tail.scale * self._prior(structure)
         centres = self.problem.centres(structure)[:count]
         steps = self.steps(structure, theta)
         tolerance = ROUGHLY if coarse else ENOUGH
@@ -156,6 +155,12 @@ class Projection:
         difference = run.errors - self.goal
         return Projected(structure, theta, np.sum(difference**2, axis=1))
 
+    def _prior(self, structure: Structure) -> FloatArray:
+        """(own, own) upper triangular root of the prior's precision of base and effects."""
+        count = len(structure.specs) - self.noise.size
+        precision = self.problem.precision(structure, self.problem.sizes(structure))
+        return np.asarray(np.linalg.cholesky(precision[:count, :count]).T)
+
     def disagreement(self, model: Projected) -> FloatArray:
         """(windows,) what a model misses of stretches that its parameters have not seen.
 
@@ -183,17 +188,26 @@ class Projection:
     def covariance(self, model: Projected, of_reference: FloatArray) -> FloatArray:
         """(p, p) of a model's coordinates, those of the noise zero.
 
-        What the reference's own covariance (p', p') brings through the projection, and what the
-        windows scatter where the model cannot follow the reference (the sandwich of White 1982).
+        What the reference's own covariance (p', p') brings through the projection, what the
+        windows scatter where the model cannot follow the reference (the sandwich of White 1982),
+        and the prior's. A time of less than LEAST_LAG of a cycle acts as nothing: it has the
+        prior's alone, for the slope by its logarithm says nothing of longer ones, and would take
+        the gain with it.
         """
         reference = self.reference
         jacobian, other = (self._derivatives(candidate.structure, candidate.theta)
                            for candidate in (model, reference))
-        count, other_count = jacobian.shape[1], other.shape[1]
-        scale = np.maximum(np.sqrt(np.sum(jacobian**2, axis=0)), 1e-12)
-        inverse = np.linalg.pinv(jacobian / scale, rcond=1e-8) / scale[:, None]
+        (rows, count), other_count = jacobian.shape, other.shape[1]
+        noise, shortest = reference.tail.scale, math.log(LEAST_LAG * self.problem.data.dt)
+        jacobian[:, [spec.log and spec.unit == 's' and x < shortest for spec, x in zip(
+            model.structure.specs[:count], model.theta[:count], strict=True)]] = 0.0
+        columns = np.vstack([jacobian, noise * self._prior(model.structure)])
+        scale = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-12)
+        inverse = np.linalg.pinv(columns / scale, rcond=1e-8) / scale[:, None]
+        inverse, of_prior = inverse[:, :rows], noise * inverse[:, rows:]
         through = inverse @ other
         out = through @ of_reference[:other_count, :other_count] @ through.T
+        out += of_prior @ of_prior.T
         residual = (self.run(model.structure, model.theta) - self.goal).ravel()
         scores = (inverse * residual).reshape(count, self.windows.count, -1).sum(axis=2)
         covariance = np.zeros((model.theta.size, model.theta.size))

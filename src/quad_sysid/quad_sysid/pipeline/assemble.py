@@ -43,8 +43,9 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
     def read(fitted: Fit) -> stored.Readings:
         if fitted is reference:
             cov = reference_covariance
-        elif any(fitted is scored.fit for scored in searched.all):
-            cov = covariance(problem, fitted)
+        elif any(fitted is scored.fit for scored in searched.all) or (
+                fitted is verdict.base and not verdict.claims):
+            cov = covariance(problem, fitted)  # a reference that is not confirmed says nothing
         else:
             projected = Projected(fitted.structure, fitted.theta, np.zeros(0))
             cov = ladder.projection.covariance(projected, reference_covariance)
