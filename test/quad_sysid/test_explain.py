@@ -12,9 +12,10 @@ from quad_sysid.discover import accept, base
 from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.effects import EFFECTS
-from quad_sysid.estimate.fit import derivative_steps, fit
+from quad_sysid.estimate.fit import covariance, derivative_steps, fit
 from quad_sysid.explain.ladder import Ladder, explain
 from quad_sysid.explain.models import Models
+from quad_sysid.explain.projection import Projected
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
 from quad_sysid.pipeline.assemble import axis_model
@@ -231,6 +232,26 @@ def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):
         if part.effect.label == 'shape:rate/smooth'))  # which holds part of the damping
     beside = replace(moved, structure=curved)
     assert not replace(both, all=(both.all[0], Scored(beside, 0.0))).disagreement(found.base).any()
+
+
+def test_what_is_not_confirmed_or_too_short_to_act_widens_no_standard_error(rubbed_answer):
+    """A base has its likelihood's where nothing is claimed, a delay of nothing its prior's."""
+    told = rubbed_answer.findings
+    base = told.verdict.base
+    none = replace(told, search=replace(told.search, all=(Scored(told.search.base, 0.0),)),
+                   verdict=replace(told.verdict, verdict='no_missing_effect', chosen=base,
+                                   claims=(), probabilities=(), rivals=()))
+    likely = covariance(told.problem, base) + none.search.disagreement(base)
+    of_gain = axis_model(none, {}, None).covariance[0, 0]
+    assert of_gain == pytest.approx(likely[0, 0], rel=0.01)
+
+    theta = base.theta.copy()
+    theta[2] = -13.0  # log of the delay in s
+    short = Projected(base.structure, theta, np.zeros(0))
+    spread = told.ladder.projection.covariance(short, covariance(told.problem, told.search.best))
+    prior = base.structure.specs[2].spread
+    assert np.sqrt(spread[2, 2]) == pytest.approx(prior, rel=0.01)
+    assert abs(spread[0, 2]) < 0.01 * prior * np.sqrt(spread[0, 0])
 
 
 def test_the_derivatives_of_free_runs_are_their_differences(rubbed_answer):
