@@ -91,6 +91,25 @@ def test_the_screen_tells_all_in_one_place():
     assert 'roll' not in nothing
 
 
+@pytest.mark.parametrize(('logger', 'line'), [
+    (Entry(0, 'recording', {'path': 'flights/one'}, 99.0), 'ok     recording one'),
+    (Entry(0, 'recording', {'path': 'flights/one'}, 90.0),
+     'ERROR  no news of the logger for 10 s, which recorded one'),
+    (Entry(0, 'idle', {}, 99.0), 'ERROR  nothing is recorded any more: one did not end'),
+    (Entry(0, 'idle', {}, 79.0), 'ERROR  no news of the logger for 21 s'),
+])
+def test_a_logger_that_died_records_nothing(logger, line):
+    """Nor does one that was started after it; and what a dead bridge sent is stale."""
+    state = full_state()
+    state.bag_at_s = 80.0
+    state.entries['bag_logger: recording'] = logger
+    shown = state.lines(100.0)
+    assert any(text.startswith(f'recording   {line}') for text in shown)
+    assert not any(text.startswith(('angles      stale', 'battery     stale')) for text in shown)
+    late = state.lines(110.0)
+    assert {text[:18] for text in late} >= {'angles      stale ', 'battery     stale '}
+
+
 def test_the_band_is_what_the_segments_can_tell_and_the_screen_says_so():
     assert BAND == (0.1, 20.0)
     assert reachable(BAND, math.nan) == reachable(BAND, 0.0) == BAND

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import PurePath
 from typing import NamedTuple
 
 from quad_bridge.monitor.coverage import Coverage, needed_s, reachable
@@ -40,6 +41,8 @@ class State:
     battery_v: float = math.nan
     bag: str = ''
     bag_state: str = ''
+    bag_at_s: float = -math.inf
+    """When the logger last said what it does."""
     segment: Mapping[str, str] = field(default_factory=dict)
     trained_s: float = 0.0
     validated_s: float = 0.0
@@ -54,8 +57,8 @@ class State:
         out = [
             self._status('link', 'link', now_s), self._imu(now_s),
             self._status('clock', 'clock', now_s), self._recording(now_s),
-            self._status('excitation', 'schedule', now_s), *self._progress(), self._angles(),
-            self._battery(), self._status('gains', 'gains', now_s), *self._coverage(),
+            self._status('excitation', 'schedule', now_s), *self._progress(), self._angles(now_s),
+            self._battery(now_s), self._status('gains', 'gains', now_s), *self._coverage(),
         ]  # fmt: skip
         return [line[:WIDTH] for line in out]
 
@@ -117,13 +120,22 @@ class State:
         return _line('imu', 'ok', f'{self.rate_hz:.0f} Hz')
 
     def _recording(self, now_s: float) -> str:
-        entry = self._entry('recording')
-        if entry is not None and now_s - entry.at_s <= STALE_S and entry.level:
-            return _line('recording', entry.word, entry.message)
+        entry, bag = self._entry('recording'), PurePath(self.bag).name  # a line is short
+        if entry is not None:
+            silent_s = now_s - entry.at_s
+            if silent_s > STALE_S and self.bag_state == 'recording':
+                return _line('recording', 'ERROR', f'no news of the logger for {silent_s:.0f} s, '
+                             f'which recorded {bag}')
+            if silent_s <= STALE_S and entry.level:
+                return _line('recording', entry.word, entry.message)
+            if (self.bag_state == 'recording' and entry.at_s > self.bag_at_s
+                    and 'path' not in entry.values):
+                return _line('recording', 'ERROR', f'nothing is recorded any more: {bag} did '
+                             'not end')
         if not self.bag_state:
             return _line('recording', '-', 'nothing recorded')
         level = {'recording': 'ok', 'complete': 'ok', 'failed': 'ERROR'}.get(self.bag_state, '-')
-        return _line('recording', level, f'{self.bag_state} {self.bag}')
+        return _line('recording', level, f'{self.bag_state} {bag}')
 
     def _progress(self) -> list[str]:
         """Why the bridge refuses the excitation, and the progress of the schedule."""
@@ -137,18 +149,28 @@ class State:
             lines.append(_bar(min(max(percent / 100.0, 0.0), 1.0), text))
         return lines
 
-    def _angles(self) -> str:
+    def _stale(self, label: str, now_s: float) -> str:
+        """The line of what comes with the bridge's samples, when they stopped; else ''."""
+        silent_s = now_s - self.imu_at_s
+        stopped = STALE_S < silent_s < math.inf
+        return _line(label, 'stale', f'no news for {silent_s:.0f} s') if stopped else ''
+
+    def _angles(self, now_s: float) -> str:
         if not math.isfinite(self.imu_at_s):
             return _line('angles', '-', 'not measured')
+        if stale := self._stale('angles', now_s):
+            return stale
         roll, pitch, yaw = self.angles_deg
         limit = self._value('angle_limit_deg')
         level = 'WARN' if max(abs(roll), abs(pitch)) > NEAR_LIMIT * limit else 'ok'
         text = f'roll {roll:+6.1f}  pitch {pitch:+6.1f}  yaw {yaw:+7.1f} deg'
         return _line('angles', level, text if math.isnan(limit) else f'{text}, limit {limit:g}')
 
-    def _battery(self) -> str:
+    def _battery(self, now_s: float) -> str:
         if not math.isfinite(self.battery_v):
             return _line('battery', '-', 'not measured')
+        if stale := self._stale('battery', now_s):
+            return stale
         least, text = self._value('battery_min_v'), f'{self.battery_v:.2f} V'
         if not least > 0.0:
             return _line('battery', '-', f'{text}, not watched (battery_min_v)')

@@ -129,6 +129,7 @@ class Monitor(Node):  # type: ignore[misc]
     def _on_bag(self, message: Any) -> None:
         values = {p.name: p.value.string_value for p in message.changed_parameters}
         self._state.bag, self._state.bag_state = values.get('path', ''), values.get('state', '')
+        self._state.bag_at_s = time.monotonic()
 
     def _look(self) -> None:
         if self._new >= MIN_NEW:
