@@ -137,20 +137,21 @@ class AxisData:
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
         """Windows in `spans`, by default of the contract's length, end to end, no partial ones.
 
-        They keep off every gap as off a start, unless that leaves less than half of them: in a
-        log that loses samples throughout, short gaps are none.
+        They keep off every gap as off a start, unless that leaves less than half of those of the
+        contract's length: in a log that loses samples throughout, short gaps are none.
         """
-        length = max(2, round(length_s / self.dt))
         settle = round(SETTLE_S / self.dt)
 
-        def inside(runs: Sequence[Span]) -> list[int]:
+        def inside(runs: Sequence[Span], length: int) -> list[int]:
             return [k for a, b in runs for k in range(a + settle, b - length + 1, length)]
 
-        starts = inside(spans)
+        length, usual = (max(2, round(seconds / self.dt)) for seconds in (length_s, WINDOW_S))
+        runs = spans
         if self.lost is not None and self.lost.any():
-            intact = inside([run for span in spans for run in finite_runs(~self.lost, span)])
-            starts = intact if 2 * len(intact) >= len(starts) else starts
-        return Windows(np.array(starts, dtype=np.int64), length)
+            intact = [run for span in spans for run in finite_runs(~self.lost, span)]
+            if 2 * len(inside(intact, usual)) >= len(inside(spans, usual)):
+                runs = intact
+        return Windows(np.array(inside(runs, length), dtype=np.int64), length)
 
     @property
     def clock(self) -> FloatArray:
