@@ -46,6 +46,15 @@ def test_px4_gives_the_same_command_for_the_same_error(file, printed):
     assert values['MC_ROLL_P'] == 9.5
     assert values['IMU_DGYRO_CUTOFF'] == 30.0
     assert '# MC_ROLLRATE_P = roll.rate.kp 0.08 / 0.25' in told
+    assert 'Warning: roll was designed with D filtered at 69 Hz. Here all axes share 30 Hz' in told
+    half = {name: 0.5 * value for name, value in GAINS.items() if name.startswith('roll')}
+    tree = json.loads(file.read_text())
+    tree['axes']['roll']['steps'] = [half, tree['axes']['roll']['gains']]
+    file.write_text(json.dumps(tree))
+    told = printed(main, 'export', file, '--to', 'px4', *UNITS)
+    assert '# Step 1 of 2, set and fly it before the next: MC_ROLL_P 4.75, ' in told
+    assert [line for line in told.splitlines() if not line.startswith('#')] == [
+        '\t'.join(row) for row in rows]
 
 
 def test_ardupilot_through_a_file(file, tmp_path, refused):
@@ -57,6 +66,7 @@ def test_ardupilot_through_a_file(file, tmp_path, refused):
     assert values['ATC_RAT_RLL_FLTD'] == 69.0
     assert values['ATC_ANG_YAW_P'] == 2.0
     assert 'differentiates the error' in out.read_text()
+    assert 'Warning' not in out.read_text()  # each axis has its own D filter here
     assert 'exists already' in refused(
         main, 'export', file, '--to', 'ardupilot', '--out', out, *ONES)
 
@@ -98,6 +108,17 @@ def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, printed, refused):
                     'set d_roll = 30', *same, 'set simplified_pids_mode = OFF',
                     'set p_roll = 60', 'set i_roll = 80', 'set d_roll = 38', *same]
     assert any('from 45 (+15)' in line for line in lines)
+    of_angle = {'roll.angle.kp': 5.0, 'roll.rate.d_filter_hz': 60.0}
+    path.write_text(design({'roll': {'gains': after | of_angle, 'steps': [
+        before | {'roll.rate.d_filter_hz': 40.0}, after | of_angle]}}))
+    told = printed(main, 'export', path, '--to', 'betaflight')
+    assert 'Not set: roll.angle.kp 5 1/s is 50 of the P of the level mode' in told
+    assert told.index('# with roll.rate.d_filter_hz 40') < told.index('d_roll = 30') < told.index(
+        '# with roll.rate.d_filter_hz 60') < told.index('d_roll = 38')
+    path.write_text(design({'roll': {'gains': {'roll.lqr.k_rate': 0.2}}}))
+    assert 'holds no P, I, D' in refused(main, 'export', path, '--to', 'betaflight')
+    path.write_text(design({'roll': {'gains': after, 'steps': [before, near, after]},
+                            'yaw': {'gains': yaw}}))
     inav = 'export', path, '--to', 'inav'
     assert 'set mc_p_roll = 60' in printed(main, *inav)  # 1/31 beside 0.032029
     assert '--scale: is not needed for inav' in refused(main, *inav, '--scale', 'roll=1')

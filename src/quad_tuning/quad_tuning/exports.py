@@ -23,7 +23,15 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, read_json, write_whole
-from quad_sysid.imports.betaflight_gains import BETAFLIGHT, DEGREES, INAV, PIDSUM, YAW_I
+from quad_sysid.imports.betaflight_gains import (
+    BETAFLIGHT,
+    BETAFLIGHT_LEVEL,
+    DEGREES,
+    INAV,
+    INAV_LEVEL,
+    PIDSUM,
+    YAW_I,
+)
 from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
 
 DESIGN = 'quad_tuning/design/1'
@@ -44,6 +52,8 @@ class Firmware:
     row: str = '{name},{value:.9g}'
     cli: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     """Name and scale by our name, for a firmware with whole numbers on a command line."""
+    level: float = 1.0
+    """Angle gain, 1/s, per unit of its P of the level mode."""
     head_lines: tuple[str, ...] = ()
 
 
@@ -78,11 +88,11 @@ FIRMWARES = {
     'betaflight': Firmware(None, BETAFLIGHT_NOTES, cli={
         'rate.kp': ('p_{}', BETAFLIGHT[0]), 'rate.ki': ('i_{}', BETAFLIGHT[1]),
         'rate.kd': ('d_{}', BETAFLIGHT[2]),
-    }, head_lines=('set simplified_pids_mode = OFF',)),
+    }, level=BETAFLIGHT_LEVEL, head_lines=('set simplified_pids_mode = OFF',)),
     'inav': Firmware(None, INAV_NOTES, cli={
         'rate.kp': ('mc_p_{}', INAV[0]), 'rate.ki': ('mc_i_{}', INAV[1]),
         'rate.kd': ('mc_d_{}', INAV[2]),
-    }),
+    }, level=INAV_LEVEL),
 }
 """By the name that --to takes."""
 MOST = 250
@@ -119,12 +129,19 @@ def run(arguments: argparse.Namespace) -> int:
     if firmware.cli:
         return _command_line(firmware, arguments)
     gains = read_gains(arguments.gains)
-    values = parameters(firmware, gains, scales(arguments.scale))
+    scale = scales(arguments.scale)
+    values = parameters(firmware, gains, scale)
     rest = left_out(gains)
+    *between, _ = _steps(gains, read_axes(arguments.gains))
+    way = [', '.join(f'{name} {value:.4g}' for name, (value, _) in parameters(
+        firmware, {**gains, **step}, scale).items()) for step in between]
     content = (
         f'# Gains of {arguments.gains.name}, converted by quad-tune export\n'
         + ''.join(f'# {note}\n' for note in firmware.notes)
         + ''.join(f'# Left out, it has no counterpart here: {note}\n' for note in rest)
+        + ''.join(f'# {line}\n' for line in _shared_filter(firmware, gains))
+        + ''.join(f'# Step {k} of {len(way) + 1}, set and fly it before the next: {step}\n'
+                  for k, step in enumerate(way, 1))
         + firmware.head
         + ''.join(f'# {name} = {how}\n' for name, (_, how) in values.items())
         + ''.join(firmware.row.format(name=name, value=value) + '\n'
@@ -133,6 +150,19 @@ def run(arguments: argparse.Namespace) -> int:
     _output(content, arguments.out, f'{len(values)} parameters in {arguments.out}'
             + (f'; left out: {", ".join(rest)}' if rest else ''))
     return 0
+
+
+def _shared_filter(firmware: Firmware, gains: Mapping[str, float]) -> Iterator[str]:
+    """A warning for each axis whose D filter is not the lowest, where all axes share one."""
+    rows = () if firmware.table is None else firmware.table.rows
+    if not any(row.ours == D_FILTER and '{' not in row.theirs for row in rows):
+        return
+    cutoffs = {axis: gains[f'{axis}.{D_FILTER}'] for axis in AXES if f'{axis}.{D_FILTER}' in gains}
+    lowest = min(cutoffs.values(), default=0.0)
+    for axis, hz in cutoffs.items():
+        if hz > (1.0 + DIFFERS) * lowest:
+            yield (f'Warning: {axis} was designed with D filtered at {hz:.3g} Hz. Here all axes '
+                   f'share {lowest:.3g} Hz, with which it has not the margins of the design.')
 
 
 def _output(content: str, out: Path | None, done: str) -> None:
@@ -158,9 +188,15 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
                for step in steps]
     steps = [step for step, own, later in zip(steps, rounded, [*rounded[1:], None], strict=True)
              if own != later]  # the firmware cannot tell these apart
+    if not any(rounded):
+        raise BadInputError(str(arguments.gains), f'holds no P, I, D, which {arguments.to} has',
+                            remedy='design with --method pid')
+    levels = {name: value / firmware.level for name, value in gains.items()
+              if name.endswith('.angle.kp')}
     notes = [f'Gains of {arguments.gains.name}, converted by quad-tune export', *firmware.notes,
-             *(f'Left out, it has no counterpart here: {one}'
-               for one in left_out(gains, NEEDED[1:])),
+             *(f'Not set: {name} {gains[name]:.6g} 1/s is {level:.0f} of the P of the level mode, '
+               'which is one for roll and pitch' for name, level in levels.items()),
+             *(f'Left out, it has no counterpart here: {one}' for one in left_out(gains)),
              *_filters(gains, flown)]
     out = [f'# {line}' for line in notes]
     before = dict(flown)
@@ -168,6 +204,7 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
         if len(steps) > 1:
             out.append(f'# step {number} of {len(steps)}: '
                        + ('fly it before the next' if number < len(steps) else 'the design'))
+            out += [f'# with {name} {step[name]:.3g}' for name in step if name.endswith(D_FILTER)]
         out += [*firmware.head_lines, *cli_lines(firmware, step, before, flown), 'save']
         before = {**before, **step}
     _output('\n'.join(out) + '\n', arguments.out, f'{len(steps)} steps in {arguments.out}')
