@@ -97,6 +97,14 @@ def test_evaluate_answers_the_axes_it_can_and_names_the_others(
     assert list(tree['axes']) == ['roll']
     assert 'pitch: the rate does not move' in tree['not_answered']['pitch']
     assert said.err.count('\n') == 1
+    model.with_name('report.json').write_text(json.dumps({'bags': [str(plain_bag)]}))
+    command = ['evaluate', str(model), str(plain_bag), '--axis', 'roll', '--json']
+    for more, data in ([], 'training'), (['--validate', '2:'], 'unseen'):
+        assert main([*command, *more]) == 0
+        said = capsys.readouterr()
+        assert json.loads(said.out)['axes']['roll']['error']['data'] == data
+        assert ('identified from this flight' in said.err) == (data == 'training')
+    model.with_name('report.json').unlink()
     for words, status, told in (
         ('--axis pitch', 3, 'does not move'), ('--axis roll,yaw', 2, 'lacks this axis: found yaw'),
         ('--validate 1e5:2e5', 2, '--validate starts after'),
