@@ -226,9 +226,7 @@ class Projection:
     @cached_property
     def _rates(self) -> FloatArray:
         """(windows, length) the reference's runs, rad/s."""
-        starts = self.windows.starts
-        measured = self.problem.data.rate[starts[:, None] + np.arange(self.windows.length)]
-        return np.asarray(measured + self.goal)
+        return np.asarray(self.problem.data.rate[self.windows.cells] + self.goal)
 
     @cached_property
     def thirds(self) -> list[NDArray[np.int64]]:

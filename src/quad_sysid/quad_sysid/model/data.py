@@ -60,6 +60,11 @@ class Windows:
         """Number of windows."""
         return int(self.starts.size)
 
+    @property
+    def cells(self) -> NDArray[np.int64]:
+        """(windows, length) indices of their samples."""
+        return self.starts[:, None] + np.arange(self.length)
+
 
 @dataclass(frozen=True)
 class AxisData:
