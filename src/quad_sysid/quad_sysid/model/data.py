@@ -19,8 +19,8 @@ from quad_sysid.record import (
     SPEED_GAP_S,
     Record,
     RotorLag,
+    across_gaps,
     finite_runs,
-    joined_runs,
 )
 
 Span = tuple[int, int]
@@ -351,21 +351,20 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
             'record /imu/data with /motors/command or /control/wrench'
         )
     missing, external = np.full(n, np.nan), record.external(axis)
-    gap = SHORT_GAP_S if entry.turns else SPEED_GAP_S
+    # rows from one known sample to the next, whatever rounding makes of a whole number of them
+    apart = (SHORT_GAP_S if entry.turns else SPEED_GAP_S) / record.dt + 1.0 + 1e-9
     beside = [_seen(record, name) for name in entry.others]
-    out: dict[str, Any] = {
-        'rate': across_short_gaps(np.where(is_finite, rate, np.nan), record.dt, gap),
+    return {
+        'rate': across_gaps(np.where(is_finite, rate, np.nan), apart),
         'lost': ~is_finite,
         'angle': missing if motion.position is None else motion.position,
         'other_angles': np.column_stack([position for _, position in beside]),
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
-        'other_rates': across_short_gaps(np.column_stack([rate for rate, _ in beside]),
-                                         record.dt, gap),
+        'other_rates': across_gaps(np.column_stack([rate for rate, _ in beside]), apart),
         'battery_v': missing if record.battery_v is None else record.battery_v,
         'reference': missing if external is None else external,
     }
-    return out
 
 
 def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
@@ -380,21 +379,13 @@ def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
     """Runs joined over gaps of at most BRIDGED_S."""
-    return joined_runs(runs, dt, BRIDGED_S)
-
-
-def across_short_gaps(values: FloatArray, dt: float, gap_s: float = SHORT_GAP_S) -> FloatArray:
-    """(n,) or (n, k) with unknown samples interpolated in gaps of at most gap_s."""
-    if values.ndim > 1:
-        return np.column_stack([across_short_gaps(column, dt, gap_s) for column in values.T])
-    is_finite = np.asarray(np.isfinite(values))
-    if is_finite.all() or not is_finite.any():
-        return values
-    out = np.full_like(values, np.nan)
-    line = filled(values)
-    for start, stop in joined_runs(finite_runs(is_finite, (0, is_finite.size)), dt, gap_s):
-        out[start:stop] = line[start:stop]
-    return out
+    joined: list[Span] = []
+    for start, stop in runs:
+        if joined and (start - joined[-1][1]) * dt <= BRIDGED_S:
+            joined[-1] = joined[-1][0], stop
+        else:
+            joined.append((start, stop))
+    return joined
 
 
 def filled(values: FloatArray) -> FloatArray:
