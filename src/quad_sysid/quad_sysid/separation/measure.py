@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import special
 
+from quad_sysid.discover.base import fitted_from
 from quad_sysid.discover.screen import Score, screen
 from quad_sysid.estimate.fit import Fit, Problem, fit
 from quad_sysid.model.data import AxisData
@@ -96,11 +97,9 @@ class JudgedFlight:
             for start in score.starts:
                 theta = np.r_[self.base.theta[:count], start, self.base.theta[count:]]
                 structure = self.base.structure.plus(score.part)
-                try:
-                    fitted = fit(self.problem, structure, theta, rate=self.base.rate)
-                except (FloatingPointError, np.linalg.LinAlgError):
-                    continue
-                best = max(best, fitted.evidence - self.base.evidence)
+                fitted = fitted_from(self.problem, structure, theta, rate=self.base.rate)
+                if fitted is not None:
+                    best = max(best, fitted.evidence - self.base.evidence)
         return best
 
     def trace(self, acting: ActingEffect) -> float:
