@@ -93,7 +93,6 @@ class AxisData:
     """Stretches without a gap of more than BRIDGED_S."""
     train: tuple[Span, ...]
     validation: tuple[Span, ...]
-    idle: tuple[Span, ...] = ()
     validation_names: tuple[str, ...] = ()
     lost: NDArray[np.bool_] | None = None
     """(n,) whether the rate was not measured; None: only where it is NaN."""
@@ -274,7 +273,7 @@ def slice_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
     return replace(
         data, **(arrays | {'time_s': data.clock[index]}),
         stretches=shifted_spans(passes, passes), train=shifted_spans(data.train, passes),
-        validation=shifted_spans(data.validation, passes), idle=shifted_spans(data.idle, passes),
+        validation=shifted_spans(data.validation, passes),
         validation_names=tuple(
             name for name, span in zip(data.validation_names, data.validation, strict=False)
             if shifted_spans([span], passes)
@@ -305,7 +304,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
             ((a + begin, b + begin), segment.signal)
             for record, (begin, _) in zip(records, flights, strict=True)
             for segment in record.segments
-            if segment.role == role and (segment.excites(axis) or role == 'idle')
+            if segment.role == role and segment.excites(axis)
             for a, b in finite_runs(is_finite[begin:], record.span(segment))
         ]
 
@@ -316,7 +315,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     units = {place for record in records for place in record.injected_at(axis)}
     if len(units) > 1 or not np.isfinite(joined['reference']).any():
         joined['reference'] = None
-    for role in ('train', 'validation', 'idle'):
+    for role in ('train', 'validation'):
         joined[role] = tuple(span for span, _ in pieces(role))
     known_gains = records[0].gains_at(np.inf) if EVERY[axis].turns else {}
     filters = [(record.gains_at(np.inf).get('sensor.gyro_filter_hz') if EVERY[axis].turns
