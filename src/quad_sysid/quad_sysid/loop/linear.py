@@ -86,7 +86,6 @@ def _cycle(flying: Flying) -> tuple[FloatArray, FloatArray, FloatArray]:
     outputs = np.stack([required(signal) for signal in plant.measured(x)])
     outputs = outputs - outputs[:, -1:]
     a, b, c = after[:, :n], after[:, n], outputs[:, :n]
-    kept = np.arange(n)
     while True:
         inner = a - np.diag(np.diag(a))
         connected = (np.abs(inner).sum(axis=0) + np.abs(c).sum(axis=0)) > 0.0
