@@ -42,11 +42,6 @@ class LoopResponse(NamedTuple):
     rate_reference: FloatArray
 
 
-def _rows(value: Any) -> list[Any]:
-    """A signal's arrays: none, one, or one of either other axis."""
-    return [] if value is None else [*value] if isinstance(value, tuple) else [value]
-
-
 @dataclass(frozen=True)
 class Program:
     """A plant's laws as compiled code takes them."""
@@ -175,7 +170,7 @@ class Running:
     def __init__(self, made: Program, flying: Flying, x: State) -> None:
         plant = flying.plant
         self.made, self.dt, self._newest = made, plant.dt, 0
-        known = [row for name in OUTSIDE for row in _rows(getattr(flying.around, name))]
+        known = leaves(tuple(getattr(flying.around, name) for name in OUTSIDE))
         self.moving = [i for i, row in enumerate(known) if row.size > 1]
         """Which of the known signals change from cycle to cycle."""
         self._known = [known[i] for i in self.moving]

@@ -98,8 +98,6 @@ class AxisData:
     """(n,) whether the rate was not measured; None: only where it is NaN."""
     reference: FloatArray | None = None
     """(n,) external reference of the loop (Record.external); NaN where a record lacks it."""
-    time_s: FloatArray | None = None
-    """(n,) time of each sample, s; None: k dt from the first sample on."""
     derived_s: float | None = None
     """The rate is the angle's slope over this time to either side, s; None: it was measured."""
     other_angles: FloatArray | None = None
@@ -109,8 +107,7 @@ class AxisData:
     flights: tuple[Span, ...] = ()
     """Samples of each flight; empty: all are of one."""
     source: tuple[AxisData, NDArray[np.int64]] | None = None
-    """The whole flights of which this is a part, and (n,) the sample there of each here; None: it
-    is whole itself."""
+    """`whole`, where this is a part of it."""
     trim: tuple[float, float] | None = None
     """Command and rate (rad/s) of the fitted equilibrium; None before a fit."""
     craft: Craft = X
@@ -159,9 +156,12 @@ class AxisData:
     @property
     def clock(self) -> FloatArray:
         """(n,) time of each sample since the flight's first, s."""
-        if self.time_s is not None:
-            return self.time_s
-        return np.arange(self.rate.size, dtype=np.float64) * self.dt
+        return self.whole[1].astype(np.float64) * self.dt
+
+    @property
+    def whole(self) -> tuple[AxisData, NDArray[np.int64]]:
+        """The whole flights, and (n,) the sample there of each here."""
+        return self.source or (self, np.arange(self.rate.size))
 
     def training(self, signal: FloatArray) -> FloatArray:
         """The samples of a signal (n, …) in the training segments; without any, in the others."""
@@ -264,21 +264,20 @@ def shifted_spans(spans: Sequence[Span], passes: Sequence[Span]) -> tuple[Span, 
 def slice_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
     """The samples of these unbroken stretches only, joined."""
     index = np.concatenate([np.arange(a, b) for a, b in passes])
-    arrays = {
+    arrays: dict[str, Any] = {
         name: np.ascontiguousarray(value[index]) for name, value in vars(data).items()
         if isinstance(value, np.ndarray)
     }
-    flight, rows = data.source or (data, np.arange(data.rate.size))
-    rows = rows[index]
+    flight, rows = data.whole
     return replace(
-        data, **(arrays | {'time_s': data.clock[index]}),
-        stretches=shifted_spans(passes, passes), train=shifted_spans(data.train, passes),
+        data, **arrays, stretches=shifted_spans(passes, passes),
+        train=shifted_spans(data.train, passes),
         validation=shifted_spans(data.validation, passes),
         validation_names=tuple(
             name for name, span in zip(data.validation_names, data.validation, strict=False)
             if shifted_spans([span], passes)
         ),
-        flights=(), source=(flight, rows),
+        flights=(), source=(flight, rows[index]),
     )
 
 

@@ -242,8 +242,7 @@ class Flight:
         dt, grid = self.data.dt, np.arange(rate.size)
         keep = math.exp(-dt / FOLLOWED_S)
         remainder = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
-        out: FloatArray = rate + lfilter([1.0 - keep], [1.0, -keep], remainder)
-        return out
+        return rate + lfilter([1.0 - keep], [1.0, -keep], remainder)
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
