@@ -275,8 +275,8 @@ def test_the_derivatives_of_free_runs_are_their_differences(rubbed_answer):
         found = Sensitivity(flight, structure, theta, windows, prediction, run).derivatives(steps)
 
         def moved(at, j, structure=structure, prediction=prediction, theta=theta):
-            return flight.free_run(structure, theta + at * np.eye(theta.size)[j], windows,
-                                   prediction=prediction).ravel()
+            return flight.run(structure, theta + at * np.eye(theta.size)[j], windows,
+                              prediction=prediction).errors.ravel()
 
         for j, step in enumerate(steps):
             ahead = (moved(0.3 * step, j) - moved(-0.3 * step, j)) / (0.6 * step)

@@ -154,7 +154,7 @@ def test_cycle_by_cycle_compiled_along_arrays_and_in_a_free_run_an_effect_does_t
     ran = followed(flight, structure, theta, sweeps=25)
     np.testing.assert_allclose(ran.states[:, 2], record.rate, atol=1e-9)
     every = Windows(np.array([0]), N)
-    errors = flight.free_run(structure, theta, every, prediction=ran, rounds=6)
+    errors = flight.run(structure, theta, every, prediction=ran, rounds=6).errors
     assert np.abs(errors).max() < 1e-9
 
 

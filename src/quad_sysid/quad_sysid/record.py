@@ -320,8 +320,9 @@ class Record:
             values = getattr(self, array)
             if values is None:
                 continue
-            bridged = _joined(values, SPEED_GAP_S / self.dt) if array in SPARSE else values
-            values = cells(bridged)
+            if array in SPARSE:
+                values = across_gaps(values, SPEED_GAP_S / self.dt)
+            values = cells(values)
             arrays[array] = values.mean(axis=1) if array in ACTING else values[:, 0]
         shift_s = phase * self.dt
         return replace(
@@ -368,7 +369,7 @@ def _unwrapped(setpoint: FloatArray, yaw: FloatArray | None) -> FloatArray:
     return np.asarray(out)
 
 
-def _joined(values: FloatArray, most: float) -> FloatArray:
+def across_gaps(values: FloatArray, most: float) -> FloatArray:
     """(n,) or (n, k) with straight lines between known samples at most so many rows apart."""
     out, rows = values.reshape(values.shape[0], -1).copy(), np.arange(values.shape[0])
     for column in out.T:
@@ -392,19 +393,6 @@ def finite_runs(mask: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]
     start, stop = span
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask[start:stop], [False]))))
     return [(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2)]
-
-
-def joined_runs(
-    runs: Sequence[tuple[int, int]], dt: float, longest_s: float
-) -> list[tuple[int, int]]:
-    """Runs joined over gaps of at most `longest_s`, s."""
-    joined: list[tuple[int, int]] = []
-    for start, stop in runs:
-        if joined and (start - joined[-1][1]) * dt <= longest_s:
-            joined[-1] = joined[-1][0], stop
-        else:
-            joined.append((start, stop))
-    return joined
 
 
 @dataclass(frozen=True)

@@ -217,9 +217,8 @@ class Unseen:
         if run not in self.ran:
             prediction = self.predict(fitted)
             with np.errstate(over='ignore', invalid='ignore'):
-                self.ran[run] = self.problem.flight.free_run(
-                    fitted.structure, fitted.theta, windows, prediction=prediction
-                )
+                self.ran[run] = self.problem.flight.run(
+                    fitted.structure, fitted.theta, windows, prediction=prediction).errors
         return self.ran[run]
 
     def squares(self, *models: Fitted) -> list[list[FloatArray]]:
@@ -234,8 +233,7 @@ class Unseen:
     def holding(self, windows: Windows) -> FloatArray:
         """(windows, length) errors of holding the last rate, rad/s."""
         rate = self.problem.data.rate
-        index = windows.starts[:, None] + np.arange(windows.length)
-        return rate[windows.starts - 1][:, None] - rate[index]
+        return rate[windows.starts - 1][:, None] - rate[windows.cells]
 
 
 def rms(errors: FloatArray) -> float:
@@ -383,8 +381,7 @@ def unexplained(unseen: Unseen, fitted: Fit) -> str:
     windows = unseen.windows
     if windows.count < 2 or rms(unseen.errors(fitted)) < fitted.tail.scale:  # less than its noise
         return ''
-    index = windows.starts[:, None] + np.arange(windows.length)
-    innovations = np.nan_to_num(unseen.predict(fitted).innovation[index])
+    innovations = np.nan_to_num(unseen.predict(fitted).innovation[windows.cells])
     rng = np.random.default_rng(0)
     drawn = np.array([
         _size_and_spread(errors) for _ in range(0, FLIPS, AT_ONCE)

@@ -285,11 +285,11 @@ class _Search:
             return False
         with np.errstate(all='ignore'):
             least, less, full = (
-                problem.flight.free_run(fit.structure, fit.theta, windows,
-                                        prediction=fit.prediction)
+                problem.flight.run(fit.structure, fit.theta, windows,
+                                   prediction=fit.prediction).errors
                 for fit in (self.base.fit, simpler, more)
             )
-        rate = problem.data.rate[windows.starts[:, None] + np.arange(windows.length)]
+        rate = problem.data.rate[windows.cells]
         motion = float(np.mean((rate - rate[:, :1]) ** 2))
         change, missed = (float(np.mean((full - run) ** 2)) for run in (less, least))
         return change < max(NEGLIGIBLE * missed, little(motion, float(np.mean(full**2))))

@@ -355,7 +355,7 @@ class Memory(Shape, Linear):
 
     def states_at_start(self, data: AxisData, p: FloatArray, settings: Settings) -> FloatArray:
         # from the start of the flight on, of which a fit sees segments and a gap ends a stretch
-        flight, rows = data.source or (data, np.arange(data.rate.size))
+        flight, rows = data.whole
         signal = flight.signal(self.signal)
         if isinstance(signal, str):
             raise ValueError(signal)  # noqa: TRY004 - why this flight cannot be used

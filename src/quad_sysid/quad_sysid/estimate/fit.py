@@ -384,13 +384,13 @@ def stays_bounded(problem: Problem, fitted: Fit, prediction: Prediction) -> bool
     if not windows.count:
         return True
     largest = float(np.nanmax(np.abs(data.rate)))
-    measured = data.rate[windows.starts[:, None] + np.arange(windows.length)]
+    measured = data.rate[windows.cells]
     for offset in (-largest, 0.0, largest):
         states = prediction.states.copy()
         states[:, 0] += offset
         with np.errstate(all='ignore'):
-            errors = flight.free_run(fitted.structure, fitted.theta, windows,
-                                     prediction=replace(prediction, states=states))
+            errors = flight.run(fitted.structure, fitted.theta, windows,
+                                prediction=replace(prediction, states=states)).errors
             if not np.nanmax(np.nan_to_num(np.abs(errors + measured), nan=np.inf)
                              [np.isfinite(measured)], initial=0.0) <= LARGEST_GROWTH * largest:
                 return False

@@ -71,8 +71,8 @@ class Models:
         """Mean square of the free run over the training's windows, from the fit's own states."""
         flight, windows = self.problem.flight, self.projection.windows
         with np.errstate(all='ignore'):
-            errors = flight.free_run(fitted.structure, fitted.theta, windows,
-                                     prediction=fitted.prediction)
+            errors = flight.run(fitted.structure, fitted.theta, windows,
+                                prediction=fitted.prediction).errors
             return float(np.nan_to_num(np.mean(errors**2), nan=np.inf))
 
     def _loud(self, theta: FloatArray) -> FloatArray:

@@ -66,7 +66,7 @@ class Projection:
     def __init__(self, problem: Problem, reference: Fit) -> None:
         self.problem, self.reference, self.flight = problem, reference, problem.flight
         self.windows: Windows = problem.data.windows(problem.spans)
-        self.goal = self.run(reference.structure, reference.theta)
+        self.goal = self.run(reference.structure, reference.theta).errors
         self.noise = reference.theta[-len(reference.structure.noise) :]
         self.base = len(reference.structure.base)
 
@@ -74,11 +74,8 @@ class Projection:
         """The reference's noise with other effects."""
         return replace(self.reference.structure, parts=tuple(parts))
 
-    def run(self, structure: Structure, theta: FloatArray) -> FloatArray:
-        """(windows, length) runs from the reference's states, less the measured rate, rad/s."""
-        return self._run(structure, theta).errors
-
-    def _run(self, structure: Structure, theta: FloatArray) -> Run:
+    def run(self, structure: Structure, theta: FloatArray) -> Run:
+        """Runs from the reference's states; what diverges errs by HUGE."""
         with np.errstate(all='ignore'):
             run = self.flight.run(structure, theta, self.windows,
                                   prediction=self._from(structure))
@@ -124,7 +121,7 @@ class Projection:
 
         def residuals(point: FloatArray) -> tuple[Run, FloatArray]:
             """The run; (rows,) difference to the reference, and the prior's rows."""
-            run = self._run(structure, point)
+            run = self.run(structure, point)
             return run, np.r_[(run.errors - self.goal).ravel(), root @ (point[:count] - centres)]
 
         run, rows = residuals(theta)
@@ -208,7 +205,7 @@ class Projection:
         through = inverse @ other
         out = through @ of_reference[:other_count, :other_count] @ through.T
         out += of_prior @ of_prior.T
-        residual = (self.run(model.structure, model.theta) - self.goal).ravel()
+        residual = (self.run(model.structure, model.theta).errors - self.goal).ravel()
         scores = (inverse * residual).reshape(count, self.windows.count, -1).sum(axis=2)
         covariance = np.zeros((model.theta.size, model.theta.size))
         covariance[:count, :count] = out + scores @ scores.T
@@ -219,7 +216,7 @@ class Projection:
 
         None by those that are held, which a law of the user's may stand for.
         """
-        out = self._differences(structure, theta, self._run(structure, theta),
+        out = self._differences(structure, theta, self.run(structure, theta),
                                 self.steps(structure, theta))
         out[:, self.problem.held_terms] = 0.0
         return out
@@ -240,9 +237,7 @@ class Projection:
     @cached_property
     def _rates(self) -> FloatArray:
         """(windows, length) the reference's runs, rad/s."""
-        starts = self.windows.starts
-        measured = self.problem.data.rate[starts[:, None] + np.arange(self.windows.length)]
-        return np.asarray(measured + self.goal)
+        return np.asarray(self.problem.data.rate[self.windows.cells] + self.goal)
 
     @cached_property
     def thirds(self) -> list[NDArray[np.int64]]:

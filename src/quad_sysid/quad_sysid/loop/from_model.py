@@ -220,11 +220,8 @@ def gain_range(model: AxisModel) -> tuple[float, float, float]:
         effect = acting.effect
         if effect.term != 'gain' or effect.moves_command:
             continue
-        if effect.repeats_hz(acting.p):
-            size = float(np.hypot(*acting.p[1:3]))
-            factors = np.array([1.0 - size, 1.0 + size])
-        elif effect.wanders:
-            size = 2.0 * float(acting.p[0])
+        if effect.wanders or effect.repeats_hz(acting.p):
+            size = 2.0 * acting.p[0] if effect.wanders else np.hypot(*acting.p[1:3])
             factors = np.array([1.0 - size, 1.0 + size])
         elif isinstance(effect, Warming):
             factors = effect.factors(acting.p, acting.part.settings)

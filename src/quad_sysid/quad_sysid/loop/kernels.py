@@ -213,14 +213,14 @@ def fly(gains: npt.NDArray[np.void], at: Places, code: IntArray, more: IntArray,
             shown[i, 0], shown[i, 1] = r[at.shown[0], i], r[at.shown[1], i]
 
 
-@kernel(GAINS, TABLE, LINE, LINE, TABLE, NUMBER)
-def run_polynomial(gains: Constants, signals: FloatArray, a: FloatArray, b: FloatArray,
+@kernel(GAINS, LINE, LINE, LINE, TABLE, NUMBER)
+def run_polynomial(gains: Constants, reference: FloatArray, a: FloatArray, b: FloatArray,
                    out: FloatArray, lead: float) -> None:
     """The cascade around A(q) rate = B(q) u with a[0] = 1, b[0] = 0; the angle is its sum."""
     memory = np.zeros(MEMORY)
-    clean = np.zeros(signals.shape[1])
+    clean = np.zeros(reference.size)
     angle = 0.0
-    for k in range(signals.shape[1]):
+    for k in range(reference.size):
         total = 0.0
         for i in range(1, min(b.size, k + 1)):
             total += b[i] * out[2, k - i]
@@ -229,10 +229,9 @@ def run_polynomial(gains: Constants, signals: FloatArray, a: FloatArray, b: Floa
         clean[k] = total
         if k > 0:
             angle += 0.5 * gains.dt * (clean[k] + clean[k - 1])
-        rate = total + signals[1, k]
-        predicted = angle + lead * rate
-        wanted, u = control(gains, memory, signals[0, k], predicted, rate, 0.0)
-        out[0, k], out[1, k], out[2, k], out[3, k] = predicted, rate, u, wanted
+        predicted = angle + lead * total
+        wanted, u = control(gains, memory, reference[k], predicted, total, 0.0)
+        out[0, k], out[1, k], out[2, k], out[3, k] = predicted, total, u, wanted
 
 
 @kernel(types.complex128[:, ::1], LINE, TABLE)

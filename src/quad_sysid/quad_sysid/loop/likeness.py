@@ -51,8 +51,7 @@ class LinearTorque(Linearised):
         return np.stack([s.rate, required(s.angle), s.drive, s.change])
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        out: FloatArray = self.given(s)[0]
-        return out
+        return self.given(s)[0]
 
 
 class LinearMap(Linearised):
@@ -62,8 +61,7 @@ class LinearMap(Linearised):
         return required(s.sent)[None]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        out: FloatArray = self.given(s)[0]
-        return out
+        return self.given(s)[0]
 
 
 class Trim(Effect):

@@ -86,7 +86,6 @@ def _cycle(flying: Flying) -> tuple[FloatArray, FloatArray, FloatArray]:
     outputs = np.stack([required(signal) for signal in plant.measured(x)])
     outputs = outputs - outputs[:, -1:]
     a, b, c = after[:, :n], after[:, n], outputs[:, :n]
-    kept = np.arange(n)
     while True:
         inner = a - np.diag(np.diag(a))
         connected = (np.abs(inner).sum(axis=0) + np.abs(c).sum(axis=0)) > 0.0
@@ -134,17 +133,12 @@ def linear_part(flying: Flying) -> Flying:
                                          p=np.concatenate(p)))
 
 
-def _tones(n: int, dt: float, frequency: float, several: bool) -> tuple[FloatArray, FloatArray]:
+def _tones(dt: float, frequency: float, several: bool) -> tuple[FloatArray, FloatArray]:
     """Phases (n, tones) of a motion about a frequency, rad/s, and the tones' ratios to it."""
     tones = np.array(TONES if several else (1.0,))
+    cycles = math.ceil(8.0 * np.pi / (frequency * tones[0] * dt))  # four swings of the slowest
+    n = min(max(LEAST, cycles), MOST)
     return np.outer(dt * np.arange(n), frequency * tones), tones
-
-
-def _length(dt: float, frequency: float, several: bool) -> int:
-    """Whole swings."""
-    slowest = TONES[0] if several else 1.0
-    cycles = math.ceil(8.0 * np.pi / (frequency * slowest * dt))  # four swings
-    return min(max(LEAST, cycles), MOST)
 
 
 def _fitted(
@@ -189,8 +183,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         rows = (after(steady[:, None] + steps[:m], seen(*steps[m:])) - begin) / small
     if m <= FEW_STATES:
         w, several = level[0] / level[1], bool(m)
-        n = _length(dt, w, several)
-        phases, tones = _tones(n, dt, w, several)
+        phases, tones = _tones(dt, w, several)
         size = 1.0 / math.sqrt(tones.size)
         angle = level[1] * size * np.sin(phases).sum(axis=1)
         rate = level[0] * size * (np.cos(phases) * tones).sum(axis=1)
@@ -199,6 +192,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         change = gain * level[2] * size * inside * w * (
             np.cos(inside * phases + 1.0) * tones).sum(axis=1)
         s = seen(rate, angle, drive, change)
+        n = len(phases)
         x = np.zeros((0, n))
         if m:
             initial = np.repeat(steady[:, None], n, axis=1)
@@ -215,9 +209,8 @@ def _commands(flying: Flying, size: float) -> list[Part]:
     if not plant.command_effects:
         return []
     several = any(part.effect.states for part, _ in plant.command_effects)
-    w = 2.0 * np.pi
-    n = _length(dt, w, several)
-    phases, tones = _tones(n, dt, w, several)
+    phases, tones = _tones(dt, 2.0 * np.pi, several)
+    n = len(phases)
     u = size / math.sqrt(tones.size) * np.sin(phases).sum(axis=1)
     s = plant.with_own(plant.with_motors(_many(flying.around, n, u)))
     sideways = size / math.sqrt(tones.size) * np.cos(1.13 * phases).sum(axis=1)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.loop import kernels
-from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.cascade import CascadeGains, constants_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel, laws
 from quad_sysid.model.effect import Drive, Effect, Part, Signals, required
@@ -40,11 +40,6 @@ class LoopResponse(NamedTuple):
     rate: FloatArray
     control: FloatArray
     rate_reference: FloatArray
-
-
-def _rows(value: Any) -> list[Any]:
-    """A signal's arrays: none, one, or one of either other axis."""
-    return [] if value is None else [*value] if isinstance(value, tuple) else [value]
 
 
 @dataclass(frozen=True)
@@ -175,7 +170,7 @@ class Running:
     def __init__(self, made: Program, flying: Flying, x: State) -> None:
         plant = flying.plant
         self.made, self.dt, self._newest = made, plant.dt, 0
-        known = [row for name in OUTSIDE for row in _rows(getattr(flying.around, name))]
+        known = leaves(tuple(getattr(flying.around, name) for name in OUTSIDE))
         self.moving = [i for i, row in enumerate(known) if row.size > 1]
         """Which of the known signals change from cycle to cycle."""
         self._known = [known[i] for i in self.moving]
@@ -320,7 +315,7 @@ def _side_by_side(starts: Sequence[Running], sets: Sequence[CascadeGains], signa
     longest = max(len(now.line) for now in starts)  # each holds the first command all over
     out = np.empty((len(starts), 4, n))
     kernels.fly(
-        np.array([gains.constants(starts[0].dt) for gains in sets], kernels.EACH),
+        constants_of(sets, starts[0].dt),
         made.places, made.code, made.more, np.stack([now.made.tables for now in starts], axis=1),
         np.stack([now.made.row for now in starts]), np.stack([now.made.factors for now in starts]),
         np.stack([now.registers for now in starts], axis=1),
@@ -353,7 +348,7 @@ def _in_python(now: Running, gains: CascadeGains, signals: FloatArray, lead: flo
 
 def simulate_polynomial_cascade(
     A: npt.ArrayLike, B: npt.ArrayLike, gains: CascadeGains, reference: npt.ArrayLike, dt: float,
-    *, noise: npt.ArrayLike | None = None, angle_lead_s: float = 0.0,
+    *, angle_lead_s: float = 0.0,
 ) -> LoopResponse:
     """Simulate the cascade around A(q) rate = B(q) u (the paper's step B).
 
@@ -370,8 +365,7 @@ def simulate_polynomial_cascade(
         raise BadInputError('simulate', 'B must be finite and act after one cycle at least',
                             remedy='use nk >= 1')
     out = np.zeros((4, array.size))
-    signals = np.stack((array, _signal(noise, array.size, 'noise')))
-    kernels.run_polynomial(gains.constants(dt), signals, a / a[0], b / a[0], out,
+    kernels.run_polynomial(gains.constants(dt), array, a / a[0], b / a[0], out,
                            float(angle_lead_s))
     return LoopResponse(*out)
 

@@ -19,8 +19,8 @@ from quad_sysid.record import (
     SPEED_GAP_S,
     Record,
     RotorLag,
+    across_gaps,
     finite_runs,
-    joined_runs,
 )
 
 Span = tuple[int, int]
@@ -60,6 +60,11 @@ class Windows:
         """Number of windows."""
         return int(self.starts.size)
 
+    @property
+    def cells(self) -> NDArray[np.int64]:
+        """(windows, length) indices of their samples."""
+        return self.starts[:, None] + np.arange(self.length)
+
 
 @dataclass(frozen=True)
 class AxisData:
@@ -88,14 +93,11 @@ class AxisData:
     """Stretches without a gap of more than BRIDGED_S."""
     train: tuple[Span, ...]
     validation: tuple[Span, ...]
-    idle: tuple[Span, ...] = ()
     validation_names: tuple[str, ...] = ()
     lost: NDArray[np.bool_] | None = None
     """(n,) whether the rate was not measured; None: only where it is NaN."""
     reference: FloatArray | None = None
     """(n,) external reference of the loop (Record.external); NaN where a record lacks it."""
-    time_s: FloatArray | None = None
-    """(n,) time of each sample, s; None: k dt from the first sample on."""
     derived_s: float | None = None
     """The rate is the angle's slope over this time to either side, s; None: it was measured."""
     other_angles: FloatArray | None = None
@@ -105,8 +107,7 @@ class AxisData:
     flights: tuple[Span, ...] = ()
     """Samples of each flight; empty: all are of one."""
     source: tuple[AxisData, NDArray[np.int64]] | None = None
-    """The whole flights of which this is a part, and (n,) the sample there of each here; None: it
-    is whole itself."""
+    """`whole`, where this is a part of it."""
     trim: tuple[float, float] | None = None
     """Command and rate (rad/s) of the fitted equilibrium; None before a fit."""
     craft: Craft = X
@@ -156,9 +157,12 @@ class AxisData:
     @property
     def clock(self) -> FloatArray:
         """(n,) time of each sample since the flight's first, s."""
-        if self.time_s is not None:
-            return self.time_s
-        return np.arange(self.rate.size, dtype=np.float64) * self.dt
+        return self.whole[1].astype(np.float64) * self.dt
+
+    @property
+    def whole(self) -> tuple[AxisData, NDArray[np.int64]]:
+        """The whole flights, and (n,) the sample there of each here."""
+        return self.source or (self, np.arange(self.rate.size))
 
     def training(self, signal: FloatArray) -> FloatArray:
         """The samples of a signal (n, …) in the training segments; without any, in the others."""
@@ -261,21 +265,20 @@ def shifted_spans(spans: Sequence[Span], passes: Sequence[Span]) -> tuple[Span, 
 def slice_of(data: AxisData, passes: Sequence[Span]) -> AxisData:
     """The samples of these unbroken stretches only, joined."""
     index = np.concatenate([np.arange(a, b) for a, b in passes])
-    arrays = {
+    arrays: dict[str, Any] = {
         name: np.ascontiguousarray(value[index]) for name, value in vars(data).items()
         if isinstance(value, np.ndarray)
     }
-    flight, rows = data.source or (data, np.arange(data.rate.size))
-    rows = rows[index]
+    flight, rows = data.whole
     return replace(
-        data, **(arrays | {'time_s': data.clock[index]}),
-        stretches=shifted_spans(passes, passes), train=shifted_spans(data.train, passes),
-        validation=shifted_spans(data.validation, passes), idle=shifted_spans(data.idle, passes),
+        data, **arrays, stretches=shifted_spans(passes, passes),
+        train=shifted_spans(data.train, passes),
+        validation=shifted_spans(data.validation, passes),
         validation_names=tuple(
             name for name, span in zip(data.validation_names, data.validation, strict=False)
             if shifted_spans([span], passes)
         ),
-        flights=(), source=(flight, rows),
+        flights=(), source=(flight, rows[index]),
     )
 
 
@@ -301,7 +304,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
             ((a + begin, b + begin), segment.signal)
             for record, (begin, _) in zip(records, flights, strict=True)
             for segment in record.segments
-            if segment.role == role and (segment.excites(axis) or role == 'idle')
+            if segment.role == role and segment.excites(axis)
             for a, b in finite_runs(is_finite[begin:], record.span(segment))
         ]
 
@@ -312,7 +315,7 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     units = {place for record in records for place in record.injected_at(axis)}
     if len(units) > 1 or not np.isfinite(joined['reference']).any():
         joined['reference'] = None
-    for role in ('train', 'validation', 'idle'):
+    for role in ('train', 'validation'):
         joined[role] = tuple(span for span, _ in pieces(role))
     known_gains = records[0].gains_at(np.inf) if EVERY[axis].turns else {}
     filters = [(record.gains_at(np.inf).get('sensor.gyro_filter_hz') if EVERY[axis].turns
@@ -347,21 +350,20 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
             'record /imu/data with /motors/command or /control/wrench'
         )
     missing, external = np.full(n, np.nan), record.external(axis)
-    gap = SHORT_GAP_S if entry.turns else SPEED_GAP_S
+    # rows from one known sample to the next, whatever rounding makes of a whole number of them
+    apart = (SHORT_GAP_S if entry.turns else SPEED_GAP_S) / record.dt + 1.0 + 1e-9
     beside = [_seen(record, name) for name in entry.others]
-    out: dict[str, Any] = {
-        'rate': across_short_gaps(np.where(is_finite, rate, np.nan), record.dt, gap),
+    return {
+        'rate': across_gaps(np.where(is_finite, rate, np.nan), apart),
         'lost': ~is_finite,
         'angle': missing if motion.position is None else motion.position,
         'other_angles': np.column_stack([position for _, position in beside]),
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
-        'other_rates': across_short_gaps(np.column_stack([rate for rate, _ in beside]),
-                                         record.dt, gap),
+        'other_rates': across_gaps(np.column_stack([rate for rate, _ in beside]), apart),
         'battery_v': missing if record.battery_v is None else record.battery_v,
         'reference': missing if external is None else external,
     }
-    return out
 
 
 def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
@@ -376,21 +378,13 @@ def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
     """Runs joined over gaps of at most BRIDGED_S."""
-    return joined_runs(runs, dt, BRIDGED_S)
-
-
-def across_short_gaps(values: FloatArray, dt: float, gap_s: float = SHORT_GAP_S) -> FloatArray:
-    """(n,) or (n, k) with unknown samples interpolated in gaps of at most gap_s."""
-    if values.ndim > 1:
-        return np.column_stack([across_short_gaps(column, dt, gap_s) for column in values.T])
-    is_finite = np.asarray(np.isfinite(values))
-    if is_finite.all() or not is_finite.any():
-        return values
-    out = np.full_like(values, np.nan)
-    line = filled(values)
-    for start, stop in joined_runs(finite_runs(is_finite, (0, is_finite.size)), dt, gap_s):
-        out[start:stop] = line[start:stop]
-    return out
+    joined: list[Span] = []
+    for start, stop in runs:
+        if joined and (start - joined[-1][1]) * dt <= BRIDGED_S:
+            joined[-1] = joined[-1][0], stop
+        else:
+            joined.append((start, stop))
+    return joined
 
 
 def filled(values: FloatArray) -> FloatArray:

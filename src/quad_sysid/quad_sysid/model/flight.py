@@ -163,6 +163,11 @@ class Flight:
         """The sensor of the first pass, for properties that all passes share."""
         return self.sensors[0]
 
+    def sensor_steps(self, at: NDArray[np.int64]) -> FloatArray:
+        """(w, 2, 5) step of the sensor (Sensor.step) in the passes of these samples (w,)."""
+        number = np.searchsorted([a for a, _ in self.passes], at, side='right') - 1
+        return np.stack([sensor.step for sensor in self.sensors])[np.maximum(number, 0)]
+
     def _advanced(self, measured: FloatArray, cycles: float = 0.0) -> FloatArray:
         """(n,) a measured rate at mid-cycle, or some cycles later, without the filter's delay."""
         is_measured, grid = np.isfinite(measured), np.arange(measured.size, dtype=np.float64)
@@ -237,8 +242,7 @@ class Flight:
         dt, grid = self.data.dt, np.arange(rate.size)
         keep = math.exp(-dt / FOLLOWED_S)
         remainder = self.gyro - np.interp(grid - 0.5 - self.late / dt, grid, rate)
-        out: FloatArray = rate + lfilter([1.0 - keep], [1.0, -keep], remainder)
-        return out
+        return rate + lfilter([1.0 - keep], [1.0, -keep], remainder)
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
@@ -446,21 +450,11 @@ class Flight:
 
     # ---------------------------------------------------------------------- the free run
 
-    def free_run(
-        self, structure: Structure, theta: FloatArray, windows: Windows, *,
-        prediction: Prediction | None = None, rounds: int = 1,
-    ) -> FloatArray:
-        """(windows, length) error of the rate, rad/s, run freely from each predicted start.
-
-        rounds: as in Plant.
-        """
-        return self.run(structure, theta, windows, prediction=prediction, rounds=rounds).errors
-
     def run(
         self, structure: Structure, theta: FloatArray, windows: Windows, *,
         prediction: Prediction | None = None, rounds: int = 1,
     ) -> Run:
-        """The free runs of `free_run`, with the states and signals on their way."""
+        """Free runs of the windows from each predicted start; rounds: as in Plant."""
         dt, p = self.data.dt, structure.natural(theta)
         prediction = prediction or self.predict(structure, theta)
         steady, starts = prediction.filter, windows.starts
@@ -472,8 +466,6 @@ class Flight:
         followed = iter(x[:, end:].T)
         turn = steady.move[2::2] + 1j * steady.move[3::2]
         fade, hold = steady.move[:2]
-        number = np.searchsorted([a for a, _ in self.passes], starts, side='right') - 1
-        steps = np.stack([sensor.step for sensor in self.sensors], axis=2)
         signals = self.signals(structure, p, prediction.rate)
         angle = None if self.angle is None else self.angle[starts] + self.late[starts] * r
         turning = Turning(r, angle, np.stack([g, q]), tuple(
@@ -483,11 +475,11 @@ class Flight:
         ))
         cycle = np.arange(windows.length)[:, None]
         went = turned(plant, turning, self.commanded(p), self.driven(structure, p), starts + cycle,
-                      hold * d * fade**cycle, steps[:, :, np.maximum(number, 0)])
+                      hold * d * fade**cycle, np.moveaxis(self.sensor_steps(starts), 0, -1))
         begun: Turning = alike(went, lambda each: np.ascontiguousarray(
             np.swapaxes(each[..., :-1, :], -1, -2)))
         errors = (begun.seen[0] if self.sensor.noisy else begun.rate) \
-            - self.data.rate[starts[:, None] + cycle.T]
+            - self.data.rate[windows.cells]
         if not self.sensor.derived:
             errors += (v @ (turn**cycle).T).real
         return Run(errors, 0.5 * (went.rate[:-1] + went.rate[1:]).T, begun.angle, begun.hidden)

@@ -297,8 +297,7 @@ def unflat(numbers: FloatArray, like: Moving) -> Moving:
         filled_rows = np.stack([next(rows) for _ in range(math.prod(array.shape[:-1]))])
         return filled_rows.reshape(*array.shape[:-1], *numbers.shape[1:])
 
-    state: Moving = alike(like, filled)
-    return state
+    return alike(like, filled)
 
 
 def _sent_before(line: FloatArray, age: FloatArray) -> FloatArray:

@@ -418,22 +418,12 @@ def product(a, b):
 
 
 @inner
-def transposed(a, rows):
-    """A matrix' first rows as columns."""
-    out = np.empty((a.shape[1], rows))
-    for i in range(rows):
+def transposed(a):
+    """A matrix' rows as columns."""
+    out = np.empty((a.shape[1], a.shape[0]))
+    for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             out[j, i] = a[i, j]
-    return out
-
-
-@inner
-def corner(a, size):
-    """The first (size, size) of a matrix."""
-    out = np.empty((size, size))
-    for i in range(size):
-        for j in range(size):
-            out[i, j] = a[i, j]
     return out
 
 
@@ -472,7 +462,7 @@ def riccati(f, q, c, r):
     f (n, n) transition, q (n, n) its noise, c (n,) output, r its noise variance. Anderson (1978).
     """
     n = c.size
-    a, g, h = transposed(f, n), np.empty((n, n)), corner(q, n)
+    a, g, h = transposed(f), np.empty((n, n)), q.copy()
     for i in range(n):
         for j in range(n):
             g[i, j] = c[i] * c[j] / r
@@ -480,7 +470,7 @@ def riccati(f, q, c, r):
         mixed = product(g, h)
         for i in range(n):
             mixed[i, i] += 1.0
-        w, back = inverse(mixed), transposed(a, n)
+        w, back = inverse(mixed), transposed(a)
         more_h = product(product(product(back, h), w), a)
         doubled = product(a, w)
         more_g = product(product(doubled, g), back)
@@ -530,7 +520,7 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
         rows[2 + i, 2], rows[2 + i, 3] = step[i, 0], step[i, 1]
         by_halves[2 + i, 0] = by_mean * 0.5 * input_gain + 0.25 * dt * half
         by_halves[2 + i, 1] = by_mean * 0.5 * input_gain - 0.25 * dt * half
-    process = product(by_halves, transposed(by_halves, padded))
+    process = product(by_halves, transposed(by_halves))
     for i in range(padded):
         for j in range(padded):
             process[i, j] *= white * white * 2.0 / dt
@@ -577,8 +567,8 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
         output[i] = c[i]
         for j in range(padded):
             gain[i] += covariance[i, j] * c[j] / s
-    return (gain, move, s, corner(rows, size), corner(process, size), corner(covariance, size),
-            output, adds)
+    return (gain, move, s, rows[:size, :size].copy(), process[:size, :size].copy(),
+            covariance[:size, :size].copy(), output, adds)
 
 
 @kernel(LINE, LINE, NUMBER, WHOLE, WHOLE, LINE)

@@ -28,7 +28,7 @@ class Sensitivity:
                  windows: Windows, prediction: Prediction, run: Run) -> None:
         self.flight, self.structure, self.theta, self.windows = flight, structure, theta, windows
         self.prediction, self.run, self.dt = prediction, run, flight.data.dt
-        self.cells = (windows.starts[:, None] + np.arange(windows.length)).ravel()
+        self.cells = windows.cells.ravel()
         self.middle = run.rate.ravel()
         self.angle = None if run.angle is None else \
             run.angle.ravel() + 0.5 * self.dt * self.middle
@@ -90,12 +90,10 @@ class Sensitivity:
         if turns:
             forward[:, 0] = dt * dt / 3.0 * bends
         out = np.empty((n, count))
-        passes = [start for start, _ in self.flight.passes]
-        passes_of_windows = np.searchsorted(passes, self.windows.starts, side='right') - 1
-        gyro = np.stack([self.flight.sensors[max(i, 0)].step for i in passes_of_windows])
         recursion.freely(
-            slope, by_state, by_rate, onward, columns, bends, forward, initial, gyro,
-            self.flight.sensor.noisy, dt, self.windows.length, out,
+            slope, by_state, by_rate, onward, columns, bends, forward, initial,
+            self.flight.sensor_steps(self.windows.starts), self.flight.sensor.noisy, dt,
+            self.windows.length, out,
         )
         return np.nan_to_num(out, nan=0.0, posinf=0.0, neginf=0.0)
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.effect import Part, Spec
@@ -101,10 +100,6 @@ class Structure:
         """Number of the filter's states: four, two of each line, one of each wandering effect."""
         return 4 + 2 * self.lines + sum(part.effect.wanders for part in self.parts)
 
-    @cached_property
-    def _logs(self) -> NDArray[np.bool_]:
-        return np.array([s.log for s in self.specs])
-
     def slices(self) -> list[slice]:
         """Each effect's slice of the vector."""
         counts = (len(part.effect.parameters) for part in self.parts)
@@ -139,15 +134,12 @@ class Structure:
 
     def natural(self, theta: FloatArray) -> FloatArray:
         """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""
-        return _natural(self._logs, theta)
+        return natural(self.specs, theta)
 
 
 def natural(specs: Sequence[Spec], theta: FloatArray) -> FloatArray:
     """(p,) parameters in their units from coordinates of the fit: some are logarithms."""
-    return _natural(np.array([s.log for s in specs]), theta)
-
-
-def _natural(logs: NDArray[np.bool_], theta: FloatArray) -> FloatArray:
+    logs = np.array([s.log for s in specs])
     return np.where(logs, np.exp(np.clip(theta, -LARGEST_LOG, LARGEST_LOG)), theta)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
+from scipy.signal import lfilter
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
@@ -195,14 +196,11 @@ def _noise(aircraft: Aircraft, n: int) -> tuple[FloatArray, FloatArray]:
     after = noise.ratios['after'] * noise.gyro_rms * rng.standard_normal(n)
     step = sensor_of(aircraft.gyro_filter_hz, None, dt).step
     move, take = step[:, :2], step[:, 2:].sum(axis=1)
-    state, gust_state = np.zeros(2), 0.0
-    for k in range(n):
-        gust_state = fade * gust_state + gust[k]
-        torque[k] += gust_state
-        if aircraft.gyro_filter_hz is not None:
-            state = move @ state + take * gyro[k]
-            gyro[k] = state[0] + after[k]
-    return torque, gyro
+    state = np.zeros(2)
+    for k in range(0 if aircraft.gyro_filter_hz is None else n):
+        state = move @ state + take * gyro[k]
+        gyro[k] = state[0] + after[k]
+    return torque + lfilter([1.0], [1.0, -fade], gust), gyro
 
 
 def _surroundings(aircraft: Aircraft, excitation: Excitation, n: int) -> AxisData:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import special
 
+from quad_sysid.discover.base import fitted_from
 from quad_sysid.discover.screen import Score, screen
 from quad_sysid.estimate.fit import Fit, Problem, fit
 from quad_sysid.model.data import AxisData
@@ -78,29 +79,29 @@ class JudgedFlight:
         variance = np.linalg.inv(self.base.hessian)[0, 0]
         return bool(math.sqrt(variance) < GAIN_KNOWN * abs(self.base.theta[0]))
 
-    def linear(self, parts: Sequence[Part]) -> float:
-        """Evidence of the best of some rivals over nothing, by one linear step; at least 0."""
+    def _ranked(self, parts: Sequence[Part]) -> list[Score]:
+        """The linear scores of those rivals that are physical, best first."""
         fresh = [part for part in parts if part.effect.label not in self.scores]
         for score in screen(self.problem, self.base, fresh) if fresh else []:
             self.scores[score.part.effect.label] = score
-        scores = [self.scores.get(part.effect.label) for part in parts]
-        return max((s.nats for s in scores if s is not None), default=0.0)
+        scores = (self.scores.get(part.effect.label) for part in parts)
+        return sorted((s for s in scores if s is not None), key=lambda s: -s.nats)
+
+    def linear(self, parts: Sequence[Part]) -> float:
+        """Evidence of the best of some rivals over nothing, by one linear step."""
+        return max((score.nats for score in self._ranked(parts)), default=0.0)
 
     def fitted(self, parts: Sequence[Part]) -> float:
         """Largest evidence, nats, of the two variants that the linear step ranks first, fitted."""
-        self.linear(parts)
-        scores = [s for s in (self.scores.get(p.effect.label) for p in parts) if s is not None]
         best = 0.0
         count = self.base.theta.size - len(NOISE)
-        for score in sorted(scores, key=lambda s: -s.nats)[:2]:
+        for score in self._ranked(parts)[:2]:
             for start in score.starts:
                 theta = np.r_[self.base.theta[:count], start, self.base.theta[count:]]
                 structure = self.base.structure.plus(score.part)
-                try:
-                    fitted = fit(self.problem, structure, theta, rate=self.base.rate)
-                except (FloatingPointError, np.linalg.LinAlgError):
-                    continue
-                best = max(best, fitted.evidence - self.base.evidence)
+                fitted = fitted_from(self.problem, structure, theta, rate=self.base.rate)
+                if fitted is not None:
+                    best = max(best, fitted.evidence - self.base.evidence)
         return best
 
     def trace(self, acting: ActingEffect) -> float:
