@@ -1,6 +1,7 @@
 """An exported model is the model: same response in every format, and the commands say so."""
 
 import runpy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +22,12 @@ def model():
         'roll', DT, FILTER_HZ, tuple(Parameter(n, v, None, '1') for n, v in BASE.items()),
         (estimate_of('coulomb_friction', (0.16,), std=0.01),),
     )
+
+
+def test_a_model_with_play_is_exported_without_it(model):
+    """Small motion leaves its state at rest: the linear systems to compare differ in size."""
+    loose = replace(model, effects=(estimate_of('backlash', (0.01,), std=0.001),))
+    np.testing.assert_array_equal(matrices(loose)['Ad'], matrices(model)['Ad'])
 
 
 @pytest.fixture
