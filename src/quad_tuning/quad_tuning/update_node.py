@@ -73,8 +73,11 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
                                                  **({'rollback': True} if rollback else {})}
         wanted = event_message(values, '/quad_tune', 0).changed_parameters
         answer = client.call_async(SetParametersAtomically.Request(parameters=wanted))
-        if not spin(answer.done, ANSWER_S):
-            raise BadInputError(client.srv_name,
-                                f'no answer of the bridge for {ANSWER_S:.0f} s')
+        spin(lambda: answer.done() or not client.service_is_ready(), ANSWER_S)
+        if not answer.done():
+            ended = f'gave no answer for {ANSWER_S:.0f} s' if client.service_is_ready() else \
+                'has ended before it answered'
+            raise BadInputError(client.srv_name, f'the bridge {ended}',
+                                remedy='read what flies in /gains/active before you go on')
         result = answer.result().result
         return '' if result.successful else result.reason or 'the bridge gives no reason'

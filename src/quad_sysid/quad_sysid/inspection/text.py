@@ -52,7 +52,8 @@ def _flight(content: Content) -> Iterator[str]:
     yield f'flight    {content.length_s:.1f} s at {rate:.4g} Hz, {lost}'
     if content.motors_at_limit_pct:
         shares = ', '.join(f'{share:.2g}' for share in content.motors_at_limit_pct)
-        yield f'motors    at 0 or 1 for {shares} % of the time'
+        used = ' outside idle segments' if any(s.role == 'idle' for s in content.segments) else ''
+        yield f'motors    at 0 or 1 for {shares} % of the time{used}'
     else:
         axes = 'known from the wrench only' if content.craft else 'not known, nor is the mixer'
         yield f'motors    not recorded: limits are {axes}'
