@@ -66,7 +66,8 @@ def test_an_axis_and_its_uses(record, tmp_path):
     assert 8.0 < high < 300.0
     uses = {use.name: use for use in roll.uses}
     assert uses['identify roll'].possible
-    assert uses['closed-loop check, gain design'].possible
+    assert uses['closed-loop check'].possible
+    assert uses['gain design'].possible
     assert 'throttle stays' in uses['find thrust curve'].because
     assert 'only: the voltage moves by' in uses['find battery sag'].because
     of_angle = 'find effects of the measured angle'
@@ -74,6 +75,9 @@ def test_an_axis_and_its_uses(record, tmp_path):
     allowed = {use.name: use.possible for use in blind.uses}
     assert (uses[of_angle].possible, allowed['identify roll'], allowed[of_angle]) == (
         True, True, False)
+    (unasked,) = content(write_bag(replace(record, attitude_setpoint=None), tmp_path / 'un')).axes
+    allowed = {use.name: use.possible for use in unasked.uses}
+    assert (allowed['closed-loop check'], allowed['gain design']) == (False, True)
 
 
 @pytest.mark.usefixtures('quick')

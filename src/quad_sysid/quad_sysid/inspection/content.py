@@ -160,8 +160,9 @@ def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]
     return (
         identify,
         Use('indirect and joint approach', reference, '' if reference else other),
-        Use('closed-loop check, gain design', reference and gains,
+        Use('closed-loop check', reference and gains,
             '' if reference and gains else other if not reference else no_gains),
+        Use('gain design', gains, '' if gains else no_gains),
         *(_effect(words, name, data) for words, name in _EFFECTS),
     )
 
