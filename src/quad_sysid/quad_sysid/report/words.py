@@ -149,11 +149,12 @@ def equals(p: float | None) -> str:
     return '= –' if p is None else p_in_words(p)
 
 
-def lowered(percent: float) -> str:
-    """Words on the change of the error, from the percentage by which it falls."""
+def lowered(percent: float, *, several: bool = False) -> str:
+    """Words on the change of the error, from the percentage by which one effect or more do."""
+    end = '' if several else 's'
     if abs(percent) < UNSEEN_PCT:
-        return 'hardly changes the error'
-    return f'{"lowers" if percent >= 0.0 else "raises"} the error by {abs(percent):.0f} %'
+        return f'hardly change{end} the error'
+    return f'{"lower" if percent >= 0.0 else "raise"}{end} the error by {abs(percent):.0f} %'
 
 
 def on_this_flight(tree: Tree) -> str:
@@ -165,7 +166,8 @@ def on_this_flight(tree: Tree) -> str:
         said.append('On this flight the model predicts no better than holding the last value '
                     f'({number(after)} to {number(hold)} {error["unit"]}).')
     if names:
-        said.append(f'On this flight {joined(names)} {lowered(lower_pct)}.')
+        said.append(f'On this flight {joined(names)} '
+                    f'{lowered(lower_pct, several=len(names) > 1)}.')
     if after >= hold or lower_pct <= -UNSEEN_PCT:
         said.append('The model does not hold here: is it the same aircraft, as it was?')
     return ' '.join(said)
@@ -281,16 +283,17 @@ def _missing(tree: Tree) -> list[str]:
             best = max(rivals, key=lambda r: r['probability'])
             text += (f'; among its rivals it has a probability of {effect["probability"]:.2f} '
                      f'(next: {best["name"]}, {best["probability"]:.2f})')
-        out.append(f'{text}. It alone {lowered(effect["error_reduction_pct"])}.')
+        it = 'It' if len(tree['effects']) == 1 else 'Beside the others it'
+        out.append(f'{text}. {it} {lowered(effect["error_reduction_pct"])}.')
     before, after = error.get('before'), error.get('after')
     if before and after is not None:
-        alone = len(out) > 1 and all(e['error_reduction_pct'] < 0.0 for e in tree['effects'])
+        raised = len(out) > 1 and all(e['error_reduction_pct'] < 0.0 for e in tree['effects'])
         out.append(
             f'With {"it" if len(out) == 1 else "them together"} the held-out error goes from '
             f'{number(before)}{_interval(error.get("before_interval_95"))} to {number(after)} '
             f'{error["unit"]}{_interval(error.get("after_interval_95"))}: '
             f'{100.0 * abs(1.0 - after / before):.0f} % {"less" if after <= before else "more"}'
-            f'{", though none lowers it alone" if after < before and alone else ""}.'
+            f'{", though none lowers it beside the others" if after < before and raised else ""}.'
         )
     return out
 
