@@ -240,7 +240,8 @@ def explanation(tree: Tree) -> Table:
         'What stands below the marked rung is finer, and not claimed as a cause.')
     return Table(['rung', 'adds', 'explains', f'error, {unit}'], rows, (0, 2, 3), answer,
                  'Explained: the share of what the base misses of the best predictor in the '
-                 f'training, in slow, medium or fast motion, where it is least. The error is of {tree["error"]["data"]} data, where the base alone '
+                 'training, in slow, medium or fast motion, where it is least. '
+                 f'The error is of {tree["error"]["data"]} data, where the base alone '
                  f'has {number(tree["error"]["before"], 4)}. {claimed}')
 
 
