@@ -101,7 +101,7 @@ def test_the_screen_tells_all_in_one_place():
 def test_a_logger_that_died_records_nothing(logger, line):
     """Nor does one that was started after it; and what a dead bridge sent is stale."""
     state = full_state()
-    state.bag_at_s = 80.0
+    state.bag_at_s, state.battery_at_s = 80.0, 99.0
     state.entries['bag_logger: recording'] = logger
     shown = state.lines(100.0)
     assert any(text.startswith(f'recording   {line}') for text in shown)

@@ -8,8 +8,9 @@ import jsonschema
 import pytest
 
 import quad_sysid.report
-from quad_sysid.bags import write_bag
+from quad_sysid.bags import read_bag, split_segments, write_bag
 from quad_sysid.cli import main
+from quad_sysid.report import document
 from quad_sysid.report.model_file import save_models
 
 SCHEMA = Path(quad_sysid.report.__file__).with_name('report.schema.json')
@@ -97,14 +98,22 @@ def test_evaluate_answers_the_axes_it_can_and_names_the_others(
     assert list(tree['axes']) == ['roll']
     assert 'pitch: the rate does not move' in tree['not_answered']['pitch']
     assert said.err.count('\n') == 1
-    model.with_name('report.json').write_text(json.dumps({'bags': [str(plain_bag)]}))
+    trained = [{'role': s.role, 'start_s': s.start_s, 'end_s': s.end_s}
+               for s in split_segments(read_bag(plain_bag)).segments]
+    of_roll = {'roll': {'segments': trained}}
+    beside = {'schema': document.SCHEMA, 'bags': ['flight'], 'axes': of_roll}
+    model.with_name('report.json').write_text(json.dumps(beside))
     command = ['evaluate', str(model), str(plain_bag), '--axis', 'roll', '--json']
     for more, data in ([], 'training'), (['--validate', '2:'], 'unseen'):
         assert main([*command, *more]) == 0
         said = capsys.readouterr()
         assert json.loads(said.out)['axes']['roll']['error']['data'] == data
         assert ('identified from this flight' in said.err) == (data == 'training')
-    model.with_name('report.json').unlink()
+    trained[0]['start_s'] += 0.1  # another flight of that name
+    for other in (json.dumps(beside), '{}', 'no report'):
+        model.with_name('report.json').write_text(other)
+        assert main(command) == 0
+        assert json.loads(capsys.readouterr().out)['axes']['roll']['error']['data'] == 'unseen'
     for words, status, told in (
         ('--axis pitch', 3, 'does not move'), ('--axis roll,yaw', 2, 'lacks this axis: found yaw'),
         ('--validate 1e5:2e5', 2, '--validate starts after'),

@@ -70,8 +70,17 @@ def test_the_ground_is_where_the_throttle_stays_low_with_take_off_and_landing(lo
     assert DT * np.sum(~airborne(throttle, DT)) == pytest.approx(left_out, abs=2 * DT)
 
 
-def test_a_short_sweep_trains_and_validates_at_the_start_and_the_end_of_its_frequencies():
-    assert blocks(20.0) == [('train', 0.0, 8.0), ('validation', 8.0, 12.0), ('train', 12.0, 16.0),
-                            ('validation', 16.0, 20.0)]
+@pytest.mark.parametrize('length', [18.0, 20.0, 31.0, 60.0, 108.0])
+def test_the_slowest_and_the_quickest_of_a_sweep_train(length):
+    parts = blocks(length)
+    assert parts[0][0] == parts[-1][0] == 'train'
+    assert [end for *_, end in parts[:-1]] == [begin for _, begin, _ in parts[1:]]
+    assert (parts[0][1], parts[-1][2]) == (0.0, pytest.approx(length))
+    trained = sum(end - begin for role, begin, end in parts if role == 'train')
+    assert 0.55 < trained / length < 0.75
+    assert all(end - begin >= 3.0 - 1e-9 for _, begin, end in parts)
+
+
+def test_a_sweep_that_is_too_short_for_blocks_is_split_once():
     assert blocks(12.0) == [('train', 0.0, pytest.approx(7.2)),
                             ('validation', pytest.approx(7.2), 12.0)]

@@ -38,6 +38,7 @@ from quad_sysid.fleets import cli as fleets
 from quad_sysid.imports import cli as imports
 from quad_sysid.inspection import cli as inspection
 from quad_sysid.logview import cli as look
+from quad_sysid.record import Record
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -185,11 +186,11 @@ def _evaluate(options: argparse.Namespace) -> int:
     wanted = parse_span(options.validate, '--validate') if options.validate else None
     record = read_bag(options.bag)
     span, warnings = clip_span(wanted, record, '--validate')
-    seen = span is None and _trained(options.model, options.bag)
+    seen = span is None and _trained(options, record)
     own = (f'{options.bag}: the model was identified from this flight, so that its error here is '
            'no test; give another one, or --validate with what was held out')
-    repairs = (line for line in record.warnings if not line.startswith('import'))
-    for line in (*repairs, *warnings, *([own] if seen else [])):
+    doubts = (line for line in record.warnings if not line.startswith('import'))
+    for line in (*doubts, *warnings, *([own] if seen else [])):
         print(f'quad-sysid: {line}', file=sys.stderr)
     spans = () if span is None else (span,)
     evaluations, refused = [], {}
@@ -230,14 +231,26 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _trained(model: str | Path, bag: str | Path) -> bool:
-    """Whether the report beside a model names this bag as one that it was identified from."""
+def _trained(options: argparse.Namespace, record: Record) -> bool:
+    """Whether the report beside the model trained on a bag of this name and these segments."""
+    from quad_sysid.bags import split_segments
+    from quad_sysid.report import document
     from quad_sysid.report.model_file import located
 
-    report = located(model).with_name('report.json')
-    tree = read_json(report) if report.is_file() else None
-    bags = tree.get('bags', ()) if isinstance(tree, dict) else ()
-    return Path(bag).resolve() in {Path(name).resolve() for name in bags}
+    try:
+        tree = read_json(located(options.model).with_name('report.json'))
+    except BadInputError:
+        return False
+    if not isinstance(tree, dict) or tree.get('schema') != document.SCHEMA:
+        return False
+    trained = {(axis, round(segment['start_s'], 3), round(segment['end_s'], 3))
+               for axis, of_axis in tree['axes'].items() for segment in of_axis['segments']
+               if segment['role'] == 'train'}
+    own = {(s.axis, round(s.start_s, 3), round(s.end_s, 3))
+           for s in split_segments(record).segments
+           if s.role == 'train' and s.axis in tree['axes']}
+    return bool(own) and own <= trained and Path(options.bag).name in {
+        Path(name).name for name in tree['bags']}
 
 
 def _compile(_: argparse.Namespace) -> int:

@@ -132,9 +132,9 @@ def run(arguments: argparse.Namespace) -> int:
     scale = scales(arguments.scale)
     values = parameters(firmware, gains, scale)
     rest = left_out(gains)
-    *between, _ = _steps(gains, read_axes(arguments.gains))
-    way = [', '.join(f'{name} {value:.4g}' for name, (value, _) in parameters(
-        firmware, {**gains, **step}, scale).items()) for step in between]
+    way = [', '.join(f'{name} {value:.4g}'
+                     for name, (value, _) in parameters(firmware, step, scale).items())
+           for step in _steps(gains, read_axes(arguments.gains)) if step != gains]
     content = (
         f'# Gains of {arguments.gains.name}, converted by quad-tune export\n'
         + ''.join(f'# {note}\n' for note in firmware.notes)
@@ -192,11 +192,12 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
         raise BadInputError(str(arguments.gains), f'holds no P, I, D, which {arguments.to} has',
                             remedy='design with --method pid')
     levels = {name: value / firmware.level for name, value in gains.items()
-              if name.endswith('.angle.kp')}
+              if name in ('roll.angle.kp', 'pitch.angle.kp')}
+    rest = [line for line in left_out(gains, NEEDED[1:]) if line.split()[0] not in levels]
     notes = [f'Gains of {arguments.gains.name}, converted by quad-tune export', *firmware.notes,
              *(f'Not set: {name} {gains[name]:.6g} 1/s is {level:.0f} of the P of the level mode, '
                'which is one for roll and pitch' for name, level in levels.items()),
-             *(f'Left out, it has no counterpart here: {one}' for one in left_out(gains)),
+             *(f'Left out, it has no counterpart here: {one}' for one in rest),
              *_filters(gains, flown)]
     out = [f'# {line}' for line in notes]
     before = dict(flown)
@@ -204,7 +205,8 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
         if len(steps) > 1:
             out.append(f'# step {number} of {len(steps)}: '
                        + ('fly it before the next' if number < len(steps) else 'the design'))
-            out += [f'# with {name} {step[name]:.3g}' for name in step if name.endswith(D_FILTER)]
+            out += [f'# with {name} {hz:.3g} Hz' for name, hz in step.items()
+                    if name.endswith(D_FILTER)]
         out += [*firmware.head_lines, *cli_lines(firmware, step, before, flown), 'save']
         before = {**before, **step}
     _output('\n'.join(out) + '\n', arguments.out, f'{len(steps)} steps in {arguments.out}')

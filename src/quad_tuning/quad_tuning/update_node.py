@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import threading
 import time
@@ -23,6 +24,8 @@ from quad_sysid.errors import BadInputError
 
 LISTEN_S, ANSWER_S = 10.0, 150.0
 """Until a bridge is heard, and until its gate answers: it watches one step after the other."""
+GONE_S = 2.0
+"""Without the bridge's service for this long it has ended."""
 SERVICE = 'serial_bridge/set_gains'
 
 
@@ -73,11 +76,18 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
                                                  **({'rollback': True} if rollback else {})}
         wanted = event_message(values, '/quad_tune', 0).changed_parameters
         answer = client.call_async(SetParametersAtomically.Request(parameters=wanted))
-        spin(lambda: answer.done() or not client.service_is_ready(), ANSWER_S)
+        absent_s = [math.inf]  # since when no bridge is there
+
+        def ended() -> bool:
+            now = time.monotonic()
+            absent_s[0] = math.inf if client.service_is_ready() else min(absent_s[0], now)
+            return answer.done() or now - absent_s[0] > GONE_S
+
+        if not spin(ended, ANSWER_S):
+            raise BadInputError(client.srv_name,
+                                f'no answer of the bridge for {ANSWER_S:.0f} s')
         if not answer.done():
-            ended = f'gave no answer for {ANSWER_S:.0f} s' if client.service_is_ready() else \
-                'has ended before it answered'
-            raise BadInputError(client.srv_name, f'the bridge {ended}',
-                                remedy='read what flies in /gains/active before you go on')
+            raise BadInputError(client.srv_name, 'the bridge has ended before it answered',
+                                remedy='start it again and read /gains/active before you go on')
         result = answer.result().result
         return '' if result.successful else result.reason or 'the bridge gives no reason'

@@ -110,7 +110,7 @@ class Monitor(Node):  # type: ignore[misc]
             self._state.validated_s += self._step_s
 
     def _on_battery(self, message: Any) -> None:
-        self._state.battery_v = message.voltage
+        self._state.battery_v, self._state.battery_at_s = message.voltage, time.monotonic()
 
     def _on_segment(self, message: Any) -> None:
         values = {p.name: p.value.string_value for p in message.changed_parameters}

@@ -32,8 +32,8 @@ NEARLY_ALL = 0.9
 MIN_DURATION_S = 3.0
 """Shortest stretch, since windows begin a second after its start."""
 BLOCK_S = 5.0
-"""Length of the blocks, s, that train and validate in turn; a short experiment's are shorter, down
-to MIN_DURATION_S."""
+"""Length of the blocks, s, that train and validate in turn; those of an experiment have about this
+length, and of a short one less, down to MIN_DURATION_S."""
 ROLES = ('train', 'train', 'validation', 'train', 'validation')
 """Roles of consecutive blocks: 60 % train."""
 
@@ -67,21 +67,21 @@ def with_stretches(record: Record, axes: tuple[str, ...] = AXES) -> Record:
 
 
 def blocks(length_s: float) -> list[tuple[str, float, float]]:
-    """Role, begin and end, s, of the parts of an experiment: blocks of at most 5 s in turn.
+    """Role, begin and end, s, of the parts of an experiment: blocks of about BLOCK_S in turn.
 
-    A sweep passes each frequency once, so that both roles need blocks of all of it. Of one that is
-    too short for five blocks the first 60 % train.
+    A sweep passes each frequency once: the first and the last block train, so that what is held
+    out lies between them. Of one that is too short for six blocks the first 60 % train.
     """
-    size = min(BLOCK_S, length_s / len(ROLES))
+    count = max(round(length_s / BLOCK_S), len(ROLES) + 1)
+    size = length_s / count
     if size < MIN_DURATION_S:
         border = 0.6 * length_s
         return [('train', 0.0, border), ('validation', border, length_s)]
-    count = int(length_s / size + 1e-9)
     out: list[tuple[str, float, float]] = []
     for k in range(count):
-        role, end = ROLES[k % len(ROLES)], length_s if k == count - 1 else size * (k + 1)
+        role = 'train' if k == count - 1 else ROLES[k % len(ROLES)]
         begin = out.pop()[1] if out and out[-1][0] == role else size * k
-        out.append((role, begin, end))
+        out.append((role, begin, size * (k + 1)))
     return out
 
 

@@ -43,8 +43,8 @@ class Tracking:
     error_rms_delayed: float
     """The error that is left where the set-point is delayed by `latency_s`."""
     latency_s: float
-    """The delay with which that error is smallest; NaN where that is the longest that is tried:
-    the set-point hardly moves then, or the measurement does not follow it."""
+    """The delay with which that error is smallest; NaN where that is the longest that is tried and
+    leaves nearly all of the error."""
 
 
 @dataclass(frozen=True)
@@ -154,9 +154,8 @@ def _axis(flown: Flown, axis: str, usable: npt.NDArray[np.bool_],
         tracking += _tracking('rate', rate_setpoint, rate, usable, dt)
     if angle_setpoint is not None and angle is not None:
         steps += step.responses(angle_setpoint, angle, usable, dt, step.ANGLE)
-        # a heading is counted from north, whatever the aircraft does
-        origin = float(np.nanmean(angle_setpoint[usable])) if axis == 'yaw' else 0.0
-        tracking += _tracking('angle', angle_setpoint - origin, angle - origin, usable, dt)
+        tracking += _tracking('heading' if axis == 'yaw' else 'angle', angle_setpoint, angle,
+                              usable, dt)
     before = _column(flown.rates_before, i)
     same = before is not None and len(before) == flown.n and flown.before_dt == dt
     if before is not None:
@@ -273,6 +272,9 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
     is_finite = usable & np.isfinite(setpoint) & np.isfinite(measured)
     if is_finite.sum() < LEAST_TRACKED_S / dt or not float(np.ptp(setpoint[is_finite])) > 0.0:
         return ()
+    if quantity == 'heading':  # counted from north, whatever the aircraft does
+        north = float(setpoint[is_finite].mean())
+        quantity, setpoint, measured = 'angle', setpoint - north, measured - north
     power = float(np.mean(setpoint[is_finite] ** 2))
     error = float(np.sqrt(np.mean((setpoint - measured)[is_finite] ** 2)))
     best, latency = error, 0.0
@@ -285,7 +287,7 @@ def _tracking(quantity: str, setpoint: FloatArray, measured: FloatArray,
         residual = float(np.sqrt(np.mean(behind**2)))
         if residual < best:
             best, latency = residual, k * dt
-    if latency == longest * dt:
+    if latency == longest * dt and best**2 > UNRELATED * error**2:
         best, latency = error, np.nan
     return (Tracking(quantity, float(np.sqrt(power)), error, best, latency),)
 

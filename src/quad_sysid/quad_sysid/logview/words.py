@@ -78,8 +78,8 @@ def _experiments(look: Measured) -> str:
         return ''
     seconds = np.isfinite(injected).sum(axis=0) * look.flown.dt
     named = [f'{axis} {s:.0f} s' for axis, s in zip(AXES, seconds, strict=True) if s > 0.0]
-    return (f'; experiments of {", ".join(named)}: of them the loop and its delays alone are '
-            'measured') if named else ''
+    return (f'; experiments of {", ".join(named)}: there the axis is not compared with its '
+            'set-point') if named else ''
 
 
 def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:

@@ -45,7 +45,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
             cov = reference_covariance
         elif any(fitted is scored.fit for scored in searched.all) or (
                 fitted is verdict.base and not verdict.claims):
-            cov = covariance(problem, fitted)  # a reference that is not confirmed says nothing
+            cov = covariance(problem, fitted)  # what is not confirmed widens nothing
         else:
             projected = Projected(fitted.structure, fitted.theta, np.zeros(0))
             cov = ladder.projection.covariance(projected, reference_covariance)
@@ -174,12 +174,11 @@ class Support:
 
 
 def _tapered(z: IOData) -> IOData:
-    """The signals about their means, each segment faded in and out over ENDS of its length."""
-    fade = np.zeros(z.y.size)
-    for a, b in z.segments:
-        fade[a:b] = tukey(b - a, ENDS)
-
+    """The signals about each segment's means, faded in and out over ENDS of its length."""
     def faded(x: FloatArray) -> FloatArray:
-        return np.where(fade > 0.0, fade * (x - float(z.inside(x).mean())), 0.0)
+        out = np.zeros(x.size)
+        for a, b in z.segments:
+            out[a:b] = tukey(b - a, ENDS) * (x[a:b] - x[a:b].mean())
+        return out
 
     return replace(z, u=faded(z.u), y=faded(z.y), r=None if z.r is None else faded(z.r))

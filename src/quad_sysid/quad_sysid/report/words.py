@@ -150,7 +150,7 @@ def equals(p: float | None) -> str:
 
 
 def lowered(percent: float, *, several: bool = False) -> str:
-    """Words on the change of the error, from the percentage by which one effect or more do."""
+    """Words on the change of the error by one effect or `several`, from the percentage."""
     end = '' if several else 's'
     if abs(percent) < UNSEEN_PCT:
         return f'hardly change{end} the error'
