@@ -75,7 +75,7 @@ class Projection:
         return replace(self.reference.structure, parts=tuple(parts))
 
     def run(self, structure: Structure, theta: FloatArray) -> Run:
-        """Runs from the reference's states; what diverges errs by HUGE."""
+        """Runs from the reference's states, errors (windows, length) in rad/s, at most HUGE."""
         with np.errstate(all='ignore'):
             run = self.flight.run(structure, theta, self.windows,
                                   prediction=self._from(structure))
