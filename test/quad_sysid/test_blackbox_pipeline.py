@@ -125,20 +125,6 @@ def test_gains_are_designed_in_the_band_that_the_report_trusts(roll):
     assert band[1] / band[0] < 0.8 * high / low
 
 
-def test_windows_of_any_length_keep_off_gaps_where_those_of_the_contract_do():
-    """Gaps every 2.6 s leave 11 of 18 windows of 0.5 s, and 4 of 9 of a second."""
-    n = 2500
-    rates = np.random.default_rng(3).standard_normal((n, 3))
-    for at in (650, 1300, 1950):
-        rates[at : at + 3] = np.nan
-    spans = (Segment('validation', 'prbs', 'roll', 'rate', 0.0, 10.0),)
-    data = axis_data([Record('gaps', DT, rates, rates[:, [0, 0, 1, 2]], segments=spans)], 'roll')
-    for length, count in ((0.5, 11), (1.0, 4)):
-        windows = data.windows([(0, n)], length)
-        assert windows.count == count
-        assert not any(data.lost[k : k + windows.length].any() for k in windows.starts)
-
-
 def test_a_sweep_is_trusted_where_it_has_been_and_its_rest_is_named():
     """The cut that ends its training is in command and rate alike, and coherent up to any."""
     t = 0.004 * np.arange(5000)

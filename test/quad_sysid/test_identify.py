@@ -23,7 +23,7 @@ from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.pipeline.usable import check_moving
-from quad_sysid.record import Segment
+from quad_sysid.record import Record, Segment
 from quad_sysid.report import document
 from quad_sysid.report.model_file import load_models, save_models
 
@@ -149,6 +149,21 @@ def test_windows_keep_off_starts_and_gaps_and_leave_no_part(plain_flight, true_m
     """2 s to 9.8 s with 80 ms lost at 5.0 s: 4 windows from 3.0 s on, 7 from 6.08 s on."""
     record = spoiled(plain_flight, 'rates', slice(1250, 1270), np.nan)
     assert evaluate(true_model, record, ((2.0, 9.8),)).windows == 11
+
+
+def test_windows_of_any_length_keep_off_gaps_where_those_of_the_contract_do():
+    """Gaps every 2.6 s leave 11 of 18 windows of 0.5 s, and 4 of 9 of a second."""
+    n = 2500
+    rates = np.random.default_rng(3).standard_normal((n, 3))
+    for at in (650, 1300, 1950):
+        rates[at : at + 3] = np.nan
+    spans = (Segment('validation', 'prbs', 'roll', 'rate', 0.0, 10.0),)
+    record = Record('gaps', 0.004, rates, rates[:, [0, 0, 1, 2]], segments=spans)
+    data = axis_data([record], 'roll')
+    for length, count in ((0.5, 11), (1.0, 4)):
+        windows = data.windows([(0, n)], length)
+        assert windows.count == count
+        assert not any(data.lost[k : k + windows.length].any() for k in windows.starts)
 
 
 def test_nothing_measured_inside_a_window_is_used_there(plain_flight, true_model):

@@ -193,7 +193,8 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
                             remedy='design with --method pid')
     levels = {name: value / firmware.level for name, value in gains.items()
               if name in ('roll.angle.kp', 'pitch.angle.kp')}
-    rest = [line for line in left_out(gains, NEEDED[1:]) if line.split()[0] not in levels]
+    rest = left_out({name: value for name, value in gains.items() if name not in levels},
+                    NEEDED[1:])
     notes = [f'Gains of {arguments.gains.name}, converted by quad-tune export', *firmware.notes,
              *(f'Not set: {name} {gains[name]:.6g} 1/s is {level:.0f} of the P of the level mode, '
                'which is one for roll and pitch' for name, level in levels.items()),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import signal
 import threading
 import time
@@ -76,12 +75,13 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
                                                  **({'rollback': True} if rollback else {})}
         wanted = event_message(values, '/quad_tune', 0).changed_parameters
         answer = client.call_async(SetParametersAtomically.Request(parameters=wanted))
-        absent_s = [math.inf]  # since when no bridge is there
+        there_s = time.monotonic()  # when the bridge was last there
 
         def ended() -> bool:
-            now = time.monotonic()
-            absent_s[0] = math.inf if client.service_is_ready() else min(absent_s[0], now)
-            return answer.done() or now - absent_s[0] > GONE_S
+            nonlocal there_s
+            if client.service_is_ready():
+                there_s = time.monotonic()
+            return answer.done() or time.monotonic() - there_s > GONE_S
 
         if not spin(ended, ANSWER_S):
             raise BadInputError(client.srv_name,
