@@ -36,13 +36,14 @@ AGAIN = 400_000
 Plant = scenarios.Scenario | outside.Case
 
 
-def plants(count: int) -> list[Plant]:
-    """Up to `count` plants, alternating between the kinds."""
-    drawn = scenarios.draw(FIRST_SEED, seeds=4, pairs=2, nothing=0, undeclared=0)
+def plants(count: int, first: int = FIRST_SEED) -> list[Plant]:
+    """Up to `count` plants, alternating between the kinds; other aircraft with another seed."""
+    drawn = scenarios.draw(first, seeds=4, pairs=2, nothing=0, undeclared=0)
     kinds: list[list[Plant]] = [
         [one for one in drawn if one.kind == 'named' and one.simulator == 'virtual'],
         [one for one in drawn if one.kind == 'pair'],
-        [one for one in outside.cases('', 0.3) if one.strength == outside.STRENGTHS[1]],
+        [replace(one, seed=one.seed + first - FIRST_SEED) for one in outside.cases('', 0.3)
+         if one.strength == outside.STRENGTHS[1]],
     ]
     spread = [one[:: max(1, len(one) * len(kinds) // count)] for one in kinds]
     mixed = itertools.chain.from_iterable(itertools.zip_longest(*spread))
@@ -77,10 +78,10 @@ def answered(plant: Plant) -> dict[str, Any]:
             'seed': plant.seed, 'flights': both}
 
 
-def answers(count: int, jobs: int) -> Iterator[dict[str, Any]]:
+def answers(chosen: list[Plant], jobs: int) -> Iterator[dict[str, Any]]:
     """Answers for all plants, in the order in which they finish."""
     with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
-        for future in as_completed([pool.submit(answered, one) for one in plants(count)]):
+        for future in as_completed([pool.submit(answered, one) for one in chosen]):
             yield future.result()
 
 
@@ -88,12 +89,13 @@ def main() -> int:
     """Fly, answer, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--plants', type=int, default=60)
+    parser.add_argument('--first-seed', type=int, default=FIRST_SEED)
     parser.add_argument('--jobs', type=int, default=os.cpu_count() or 1)
     parser.add_argument('--out', type=Path, default=Path('bench/out'), help='folder for rows')
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     with (options.out / 'twice.jsonl').open('w') as file:
-        for row in answers(options.plants, options.jobs):
+        for row in answers(plants(options.plants, options.first_seed), options.jobs):
             file.write(json.dumps(row) + '\n')
             file.flush()
             said = ['+'.join(name for name, *_ in one['claims']) or '-' for one in row['flights']]

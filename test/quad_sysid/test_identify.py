@@ -145,25 +145,41 @@ def test_the_true_base_leaves_the_noise_whatever_lag_delay_and_filter(
     assert error(1e-3) > 2.0 * error(0.0)
 
 
-def test_windows_keep_off_starts_and_gaps_and_leave_no_part(plain_flight, true_model):
-    """2 s to 9.8 s with 80 ms lost at 5.0 s: 4 windows from 3.0 s on, 7 from 6.08 s on."""
-    record = spoiled(plain_flight, 'rates', slice(1250, 1270), np.nan)
-    assert evaluate(true_model, record, ((2.0, 9.8),)).windows == 11
+@pytest.mark.parametrize(('lost', 'windows'), [(10, 13), (20, 11)])
+def test_windows_keep_off_starts_and_gaps_and_leave_no_part(
+    lost, windows, plain_flight, true_model
+):
+    """2 s to 9.8 s with a gap at 5.0 s: 4 windows from 3.0 s on.
+
+    9 from 5.24 s on behind 40 ms, 7 from 6.08 s on behind 80 ms, which end a segment.
+    """
+    record = spoiled(plain_flight, 'rates', slice(1250, 1250 + lost), np.nan)
+    assert evaluate(true_model, record, ((2.0, 9.8),)).windows == windows
 
 
 def test_windows_of_any_length_keep_off_gaps_where_those_of_the_contract_do():
-    """Gaps every 2.6 s leave 11 of 18 windows of 0.5 s, and 4 of 9 of a second."""
+    """Ten gaps leave 11 of 18 windows of 0.5 s, and 1 of 9 of a second."""
     n = 2500
     rates = np.random.default_rng(3).standard_normal((n, 3))
-    for at in (650, 1300, 1950):
+    for at in (450, *range(850, n, 200)):
         rates[at : at + 3] = np.nan
     spans = (Segment('validation', 'prbs', 'roll', 'rate', 0.0, 10.0),)
     record = Record('gaps', 0.004, rates, rates[:, [0, 0, 1, 2]], segments=spans)
     data = axis_data([record], 'roll')
-    for length, count in ((0.5, 11), (1.0, 4)):
+    for length, count in ((0.5, 11), (1.0, 1)):
         windows = data.windows([(0, n)], length)
         assert windows.count == count
         assert not any(data.lost[k : k + windows.length].any() for k in windows.starts)
+
+
+def test_one_step_errors_leave_out_what_follows_a_gap(plain_flight, true_model):
+    """The filter has to find the rate again, which jumped meanwhile."""
+    rates = plain_flight.rates.copy()
+    rates[1250:1260] = np.nan
+    rates[1260:1265] += 20.0
+    whole, torn = (evaluate(true_model, record, ((2.0, 9.8),))
+                   for record in (plain_flight, replace(plain_flight, rates=rates)))
+    assert torn.one_step_after == pytest.approx(whole.one_step_after, rel=0.1)
 
 
 def test_nothing_measured_inside_a_window_is_used_there(plain_flight, true_model):

@@ -29,9 +29,12 @@ WINDOW_S = 0.5
 """Length of a free-run window (contract, error.before)."""
 SETTLE_S = 1.0
 """Time in which the filter forgets where it began: it starts so long before a span, and the first
-window begins so long behind the start of a segment or a gap."""
+window begins so long behind the start of a segment or a gap that ends one."""
 BRIDGED_S = 0.1
 """The filter runs on over shorter gaps, without the rate and with commands interpolated."""
+CAUGHT_UP_S = 0.2
+"""Time behind a gap inside a segment until what the interpolated commands did to the motors has
+faded: four lags of slow ones."""
 SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
 RESTING = 0.05
@@ -138,19 +141,20 @@ class AxisData:
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
         """Windows in `spans`, by default of the contract's length, end to end, no partial ones.
 
-        They keep off every gap as off a start, unless that leaves less than half of those of the
-        contract's length: in a log that loses samples throughout, short gaps are none.
+        They keep off every gap, unless that leaves less than half of those of the contract's
+        length: in a log that loses samples throughout, short gaps are none.
         """
-        settle = round(SETTLE_S / self.dt)
+        settle, caught_up = (round(seconds / self.dt) for seconds in (SETTLE_S, CAUGHT_UP_S))
 
         def inside(runs: Sequence[Span], length: int) -> list[int]:
-            return [k for a, b in runs for k in range(a + settle, b - length + 1, length)]
+            return [k for a, b in runs for k in range(a, b - length + 1, length)]
 
         length, usual = (max(2, round(seconds / self.dt)) for seconds in (length_s, WINDOW_S))
-        runs = spans
+        runs = [(a + settle, b) for a, b in spans]
         if self.lost is not None and self.lost.any():
-            intact = [run for span in spans for run in finite_runs(~self.lost, span)]
-            if 2 * len(inside(intact, usual)) >= len(inside(spans, usual)):
+            intact = [(max(a + caught_up, start + settle), b) for start, stop in spans
+                      for a, b in finite_runs(~self.lost, (start, stop))]
+            if 2 * len(inside(intact, usual)) >= len(inside(runs, usual)):
                 runs = intact
         return Windows(np.array(inside(runs, length), dtype=np.int64), length)
 
