@@ -92,6 +92,13 @@ def test_wrong_files_and_options_are_one_line(file, content, arguments, words, r
     assert words in refused(main, 'export', path, '--to', 'px4', *arguments)
 
 
+def test_a_gain_that_flew_is_exported_beyond_the_bounds(tmp_path, printed):
+    path, gains = tmp_path / 'gains.json', GAINS | {'roll.rate.ki': 1.12}
+    own = {name: value for name, value in gains.items() if name.startswith('roll')}
+    path.write_text(design({'roll': {'gains': own, 'flown_gains': {'roll.rate.ki': 1.12}}}))
+    assert 'MC_ROLLRATE_I\t1.12' in printed(main, 'export', path, '--to', 'px4', *ONES[:2])
+
+
 def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, printed, refused):
     unit = 57.29578 / 1000.0
     before, after = ({'roll.rate.kp': p * 0.032029 * unit, 'roll.rate.ki': 80 * 0.244381 * unit,
@@ -115,6 +122,15 @@ def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, printed, refused):
     assert 'Not set: roll.angle.kp 5 1/s is 50 of the P of the level mode' in told
     assert told.index('# with roll.rate.d_filter_hz 40') < told.index('d_roll = 30') < told.index(
         '# with roll.rate.d_filter_hz 60') < told.index('d_roll = 38')
+    had = before | {'roll.rate.d_filter_hz': 120.0, 'roll.rate.tpa_kd': 0.8}
+    path.write_text(design({'roll': {'gains': after | of_angle, 'flown_gains': had}}))
+    told = printed(main, 'export', path, '--to', 'betaflight')
+    assert 'from 45 (+15)' in told
+    assert 'set d_roll = 48' in told  # 38 / 0.8
+    assert "the aircraft's low-passes together at 120 Hz: scale their cut-offs by 0.5" in told
+    path.write_text(design({'roll': {'gains': after, 'flown_gains': {'roll.rate.tpa_kp': 'x'}}}))
+    assert 'axes.roll.flown_gains.roll.rate.tpa_kp: must be a finite number' in refused(
+        main, 'export', path, '--to', 'betaflight')
     path.write_text(design({'roll': {'gains': {'roll.lqr.k_rate': 0.2}}}))
     assert 'holds no P, I, D' in refused(main, 'export', path, '--to', 'betaflight')
     path.write_text(design({'roll': {'gains': after, 'steps': [before, near, after]},

@@ -84,7 +84,8 @@ def _run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     models = load_models(arguments.model, own_effects(arguments.effects))
     chosen = pick(models, arguments.axis, arguments.model)
-    answers = {axis: _answer(model, models, arguments) for axis, model in chosen.items()}
+    answers = {axis: {**_answer(model, models, arguments), 'flown_gains': dict(model.active_gains)}
+               for axis, model in chosen.items()}
     tree = {'schema': exports.DESIGN, 'method': arguments.method, 'axes': answers}
     if arguments.flight is not None:
         tree['notches'] = _notches(chosen, answers, arguments.flight)

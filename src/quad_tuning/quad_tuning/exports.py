@@ -69,7 +69,7 @@ ARDUPILOT_NOTES = (
      'part of our loop.'),
 )
 AT_THROTTLE = ('P and D stand for the throttle of the flight: divided by what TPA left of them '
-               'there, where --flown says so.')
+               'there, where the log says so.')
 BETAFLIGHT_NOTES = (
     ('Scales of Betaflight 3.1 to 2026.12 (src/main/flight/pid.h). D is differentiated from the '
      'measured rate, as ours.'),
@@ -116,9 +116,6 @@ def add(commands: Commands) -> None:
     parser.add_argument('--scale', metavar='AXIS=NUMBER', action='append', default=[],
                         help="our command per unit of the firmware's torque; 1 where the model "
                         'was identified on its torque set-points; repeat for each axis')
-    parser.add_argument('--flown', metavar='MODEL.json', type=Path,
-                        help='Betaflight, INAV: the model of the flight, whose gains and filters '
-                        'say what changes')
     parser.add_argument('--out', metavar='FILE', type=Path,
                         help='a new file; default: print it')
 
@@ -182,7 +179,7 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
                             'its sum of 1000 is the whole range of the motors, as ours is 1')
     # the firmware's own range bounds them, see MOST
     gains, axes = read_gains(arguments.gains, bounded=False), read_axes(arguments.gains)
-    flown = _flown(arguments.flown) if arguments.flown else {}
+    flown = _flown(arguments.gains, axes)
     steps = _steps(gains, axes)
     rounded = [[line for line in cli_lines(firmware, step, {}, flown) if line.startswith('set')]
                for step in steps]
@@ -256,16 +253,6 @@ def _steps(gains: Mapping[str, float],
     return out or [dict(gains)]
 
 
-def _flown(path: Path) -> dict[str, float]:
-    """The gains and filters of the flight behind a model. Raises BadInputError."""
-    from quad_sysid.report.model_file import load_models, located
-
-    gains: dict[str, float] = {}
-    for model in load_models(located(path)).values():
-        gains |= model.active_gains
-    return gains
-
-
 def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator[str]:
     """A warning for each filter of the design that is not the aircraft's."""
     for axis in AXES:
@@ -274,7 +261,7 @@ def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator
             continue
         if has is None:
             yield (f'Warning: the design filters D of {axis} at {designed:.3g} Hz (first order); '
-                   'compare dterm_lpf*, or give --flown')
+                   'compare dterm_lpf*')
         elif abs(designed / has - 1.0) > DIFFERS:
             yield (f'Warning: the design filters D of {axis} at {designed:.3g} Hz (first order), '
                    f"the aircraft's low-passes together at {has:.3g} Hz: scale their cut-offs by "
@@ -316,15 +303,16 @@ def read_gains(path: Path, *, bounded: bool = True) -> dict[str, float]:
     """The gains of all axes in a design or report, SI: what is sent, before any target.
 
     Raises BadInputError naming file and field of what is no gain, not finite or, where `bounded`,
-    outside the default bounds; the bridge's gate has bounds of its own.
+    outside the default bounds and what was flown; the bridge's gate has bounds of its own.
     """
     gains: dict[str, float] = {}
-    flown = {axis: one for axis, one in read_axes(path).items()
-             if axis not in EVERY or not EVERY[axis].outer}
-    if not any(one['gains'] for one in flown.values()):
+    axes = {axis: one for axis, one in read_axes(path).items()
+            if axis not in EVERY or not EVERY[axis].outer}
+    flown = _flown(path, axes)
+    if not any(one['gains'] for one in axes.values()):
         raise BadInputError(f'{path}: gains', 'are of an outer loop of your own only, which no '
                             'firmware here has', remedy='design roll, pitch, yaw or climb')
-    for axis, one in flown.items():
+    for axis, one in axes.items():
         for name, raw in one['gains'].items():
             where = f'{path}: axes.{axis}.gains.{name}'
             bound = DEFAULT_BOUNDS.get(name)
@@ -332,9 +320,21 @@ def read_gains(path: Path, *, bounded: bool = True) -> dict[str, float]:
                 raise BadInputError(where, 'is no gain that a design changes',
                                     remedy='docs/reference/gains.md lists them')
             gains[name] = value = finite(raw, where)
-            if bounded and not bound.lower <= value <= bound.upper:
+            most = max(bound.upper, flown.get(name, bound.upper))
+            if bounded and not bound.lower <= value <= most:
                 span = f'{bound.lower:g} .. {bound.upper:g} {ROWS[name].unit}'
                 raise BadInputError(where, f'must lie in {span}', f'{value:g}', AGAIN)
+    return gains
+
+
+def _flown(path: Path, axes: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Gains and filters of the flights behind the designs. Raises BadInputError."""
+    gains: dict[str, float] = {}
+    for axis, one in axes.items():
+        own, where = one.get('flown_gains', {}), f'{path}: axes.{axis}.flown_gains'
+        if not isinstance(own, Mapping):
+            raise BadInputError(where, 'must be an object', repr(own), AGAIN)
+        gains |= {name: finite(value, f'{where}.{name}') for name, value in own.items()}
     return gains
 
 

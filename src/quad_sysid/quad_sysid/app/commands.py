@@ -98,7 +98,7 @@ def _export(_: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Comma
     with_gains = [axis for axis in AXES if axes.get(axis, {}).get('gains')]
     if not with_gains:
         raise RefusedError('this result has no gains: its report says why')
-    more, scale = ['--flown', str(model)], str(request.get('scale', ''))
+    more, scale = [], str(request.get('scale', ''))
     if to in FIRMWARES[:2]:
         numbers = [number.strip() for number in scale.split(',')]
         if len(numbers) != len(with_gains) or not all(map(SCALE.fullmatch, numbers)):

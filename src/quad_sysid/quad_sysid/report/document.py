@@ -113,7 +113,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'warnings': answer.warnings,
         'approaches': [asdict(approach) for approach in answer.selection.approaches],
         'feedback': answer.selection.feedback, 'advice': answer.selection.advice,
-        **_gains(answer.proposal),
+        **_gains(answer.proposal), 'flown_gains': dict(model.active_gains) if model else {},
     })
     return tree
 
