@@ -252,9 +252,12 @@ def test_worth_ends_where_holding_is_no_longer_twice_as_wrong(after, far):
     (0.2, 0.2, 'hardly changes the error', 'hold'),
     (0.2, 0.3, 'raises the error by 50 %. The model does not hold here', 'holding'),
     (1.2, 1.1, 'no better than holding the last value (1.1 to 1 rad/s)', 'raises'),
+    (0.4, 0.11, 'Its error is 11 % of the motion here and was 5 %', 'does not hold'),
+    (0.4, 0.09, 'by 78 %', 'same aircraft'),
 ])
 def test_what_a_stored_model_does_on_another_flight(before, after, said, unsaid):
     error = {'before': before, 'after': after, 'hold_last_value': 1.0, 'unit': 'rad/s'}
+    error |= {'own': (0.05, 1.0)} if after < 0.2 else {}
     text = on_this_flight({'effects': [EFFECTS[0]], 'error': error})
     assert said in text
     assert unsaid not in text

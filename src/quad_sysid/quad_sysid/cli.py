@@ -210,7 +210,7 @@ def _evaluate(options: argparse.Namespace) -> int:
                            'reference': e.after if e.reference is None else e.reference,
                            'one_step_before': e.one_step_before,
                            'one_step_after': e.one_step_after, 'blackbox': e.blackbox,
-                           'hold_last_value': e.hold, 'windows': e.windows,
+                           'hold_last_value': e.hold, 'windows': e.windows, 'own': e.own,
                            'horizons': document.horizons_tree(e.horizons, e.blackbox_horizons)},
                  'explanation': [{'effects': names, 'explains_pct': percent, 'error': error,
                                   'answer': answer}

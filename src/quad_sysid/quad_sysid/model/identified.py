@@ -162,6 +162,8 @@ class AxisModel:
     plain_noise: NoiseEstimate | None = None
     rungs: tuple[RungModel, ...] = ()
     """The explanation above rung 0; empty where nothing was missing."""
+    held_out: tuple[float, float] | None = None
+    """RMS errors of the free run and of holding the last rate on the held-out segments, rad/s."""
     reference: AxisModel | None = None
     """The model that predicts best, with which gains are designed; None: this one."""
     craft: Craft = X

@@ -98,6 +98,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
                       rung.explains_pct, error)
             for rung, fit, error in explained for answer in (read(fit),)
         ) if verdict.claims else (),
+        held_out=(verdict.after, verdict.hold) if np.isfinite(verdict.after) else None,
         reference=shared if distinct else None,
     )
 

@@ -55,6 +55,8 @@ class Evaluation:
     one_step_after: float
     hold: float
     windows: int
+    own: tuple[float, float] | None = None
+    """`after` and `hold` on the held-out segments of the model's own flight."""
     reference: float | None = None
     """The error of the model that predicts best, where that is not the answer."""
     rungs: tuple[tuple[tuple[str, ...], float, float, bool], ...] = ()
@@ -128,6 +130,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         one_step_after=factor * unseen.one_step(after),
         hold=factor * hold,
         windows=unseen.windows.count,
+        own=model.held_out and (factor * model.held_out[0], factor * model.held_out[1]),
         reference=error(model.predicting) if model.reference else None,
         rungs=tuple(
             (tuple(effect.name for effect in rung.effects), rung.explains_pct,

@@ -18,6 +18,11 @@ CLEARLY = 2.0
 UNSEEN_PCT = 0.5
 """Change of an error, %, that would be rounded to nothing."""
 
+WORSE = 2.0
+"""Factor by which an error on another flight exceeds that on the held-out part of the own one,
+as a whole and beside the motion, before the aircraft is questioned: gusts and another battery
+rarely double it."""
+
 PLAIN = {
     'ground_effect': 'thrust that grows near the ground',
     'coulomb_friction': 'dry friction', 'quadratic_drag': 'drag that grows with speed squared',
@@ -170,6 +175,10 @@ def on_this_flight(tree: Tree) -> str:
                     f'{lowered(lower_pct, several=len(names) > 1)}.')
     if after >= hold or lower_pct <= -UNSEEN_PCT:
         said.append('The model does not hold here: is it the same aircraft, as it was?')
+    elif (own := error.get('own')) and after > WORSE * own[0] * max(1.0, hold / own[1]):
+        said.append(f'Its error is {number(100.0 * after / hold, 2)} % of the motion here and was '
+                    f'{number(100.0 * own[0] / own[1], 2)} % on the held-out part of its own '
+                    'flight: is it the same aircraft, as it was?')
     return ' '.join(said)
 
 
