@@ -43,6 +43,9 @@ from quad_sysid.model.traced import Listing, Untraceable
 
 DIVERGED = 1e6
 """Rate, rad/s, from which a run counts as diverged: ten thousand times what any gyro measures."""
+AGAIN_S, UNKNOWN_S = 0.02, 0.15
+"""Time without a measurement, half a motor's lag, from which a command that was lost too matters,
+and some lags, until which it has faded: so long the filter follows the measurement."""
 FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
 SMOOTHED = 5
@@ -379,12 +382,13 @@ class Flight:
         n, rate = self.data.rate.size, self.rate.copy()
         states = np.zeros((n, steady[0].gain.size + by.place.size))
         innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
+        gap = max(2, round(AGAIN_S / self.data.dt)), round(UNKNOWN_S / self.data.dt)
         for (start, stop), sensor, filtered, more in zip(
             self.passes, self.sensors, steady, filters, strict=True
         ):
             recursion.predict(
                 self.measured, float(self.data.rate[start]), *push, filtered.gain, filtered.move,
-                sensor.step, sensor.behind, self.data.dt, start, stop,
+                sensor.step, sensor.behind, self.data.dt, *gap, start, stop,
                 *by._replace(filters=more), rate, states, innovation, jacobian,
             )
         return Prediction(innovation, jacobian, states, steady, rate)
