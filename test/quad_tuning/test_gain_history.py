@@ -49,6 +49,22 @@ def test_every_set_stands_there_with_its_source_and_outcome(folder, printed):
     assert 'loop.rate_hz' not in table
 
 
+def test_an_update_that_the_bridge_did_not_survive_is_unfinished(folder):
+    log = History(folder, lambda job: job())
+    log.open('quad_7')
+    asked = GainRequest({}, source='operator')
+    log.write('active', gains(0.12, 7.0), asked, update='c')
+    log.write('active', gains(0.14, 7.0), asked, update='c')
+    sets = read_history(folder / 'quad_7' / 'gains.jsonl')
+    assert [one.outcome for one in sets[5:]] == ['in flight', 'in flight']
+    log.note_active(gains(0.1, 7.0))
+    sets = read_history(folder / 'quad_7' / 'gains.jsonl')
+    assert [one.outcome for one in sets[5:]] == ['unfinished', 'unfinished', 'found']
+    log.write('rolled back', None, asked, update='c')  # only the link had been away
+    sets = read_history(folder / 'quad_7' / 'gains.jsonl')
+    assert [one.outcome for one in sets[5:]] == ['rolled back', 'rolled back', 'found']
+
+
 def test_the_way_back_leads_to_the_last_good_set_that_differs(folder):
     sets = read_history(folder / 'quad_7' / 'gains.jsonl')
     chosen, difference = way_back(sets)

@@ -29,6 +29,8 @@ GOOD = ('confirmed', 'found')
 """Outcomes of sets to which a rollback may return."""
 GROUND = 'not flown'
 """Outcome of a set that was confirmed and has not flown for the watch's time yet."""
+OPEN = 'in flight', 'unfinished'
+"""Outcomes of sets whose end is not written yet."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,8 @@ class GainSet:
     update: str = ''
     """Name of its update; sets of one update are its steps."""
     outcome: str = 'in flight'
-    """Outcome: `found` on the STM32, `in flight`, `confirmed`, `not flown` (confirmed on the
-    ground), `passed` on the way, `rolled back`, ..."""
+    """Outcome: `found` on the STM32, `in flight`, `unfinished` (the bridge ended), `confirmed`,
+    `not flown` (confirmed on the ground), `passed` on the way, `rolled back`, ..."""
     reason: str = ''
 
 
@@ -89,7 +91,8 @@ def read_history(path: Path) -> list[GainSet]:
         if entry.get('schema') != STORED:
             raise BadInputError(str(path), f'schema must be {STORED}', entry.get('schema'))
         if entry.get('state') == 'active':
-            sets.append(_as_before(_set(entry, len(sets) + 1), sets))
+            new = _as_before(_set(entry, len(sets) + 1), sets)
+            sets = [*(_left(one, new) for one in sets), new]
         elif entry.get('state') == 'flown':
             sets[-1:] = [_flown(one) for one in sets[-1:]]
         else:
@@ -149,12 +152,19 @@ def _set(entry: Mapping[str, Any], number: int) -> GainSet:
 
 
 def _ended(one: GainSet, entry: Mapping[str, Any]) -> GainSet:
-    if not one.update or one.update != entry.get('update') or one.outcome != 'in flight':
+    if not one.update or one.update != entry.get('update') or one.outcome not in OPEN:
         return one
     outcome, reason = str(entry.get('state', '')), str(entry.get('reason', ''))
     if outcome == 'confirmed' and entry.get('flown') is False:
         outcome = GROUND
     return replace(one, outcome=outcome, reason=reason)
+
+
+def _left(one: GainSet, later: GainSet) -> GainSet:
+    """A set in flight, once another follows that is not of its update: nobody watched its end."""
+    if one.outcome != 'in flight' or one.update == later.update:
+        return one
+    return replace(one, outcome='unfinished', reason='the bridge ended during the update')
 
 
 def _as_before(one: GainSet, sets: Sequence[GainSet]) -> GainSet:
