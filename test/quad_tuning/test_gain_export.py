@@ -9,7 +9,7 @@ from quad_tuning.cli import main
 GAINS = {
     'roll.angle.kp': 9.5, 'roll.rate.kp': 0.08, 'roll.rate.ki': 0.13, 'roll.rate.kd': 0.0028,
     'roll.rate.d_filter_hz': 69.0, 'yaw.angle.kp': 2.0, 'yaw.rate.kp': 0.17, 'yaw.rate.ki': 0.001,
-    'yaw.rate.kd': 0.0, 'yaw.rate.d_filter_hz': 30.0,
+    'yaw.rate.kd': 0.001, 'yaw.rate.d_filter_hz': 30.0,
 }
 ONES = ['--scale', 'roll=1', '--scale', 'yaw=1']
 UNITS = ['--scale', 'roll=0.25', '--scale', 'yaw=1']
@@ -47,6 +47,11 @@ def test_px4_gives_the_same_command_for_the_same_error(file, printed):
     assert values['IMU_DGYRO_CUTOFF'] == 30.0
     assert '# MC_ROLLRATE_P = roll.rate.kp 0.08 / 0.25' in told
     assert 'Warning: roll was designed with D filtered at 69 Hz. Here all axes share 30 Hz' in told
+    file.write_text(file.read_text().replace('"yaw.rate.kd": 0.001', '"yaw.rate.kd": 0'))
+    without = printed(main, 'export', file, '--to', 'px4', *UNITS)
+    assert 'IMU_DGYRO_CUTOFF\t69\t' in without
+    assert 'Warning' not in without
+    file.write_text(file.read_text().replace('"yaw.rate.kd": 0', '"yaw.rate.kd": 0.001'))
     half = {name: 0.5 * value for name, value in GAINS.items() if name.startswith('roll')}
     tree = json.loads(file.read_text())
     tree['axes']['roll']['steps'] = [half, tree['axes']['roll']['gains']]

@@ -154,7 +154,8 @@ def _shared_filter(firmware: Firmware, gains: Mapping[str, float]) -> Iterator[s
     rows = () if firmware.table is None else firmware.table.rows
     if not any(row.ours == D_FILTER and '{' not in row.theirs for row in rows):
         return
-    cutoffs = {axis: gains[f'{axis}.{D_FILTER}'] for axis in AXES if f'{axis}.{D_FILTER}' in gains}
+    cutoffs = {axis: gains[f'{axis}.{D_FILTER}'] for axis in AXES
+               if f'{axis}.{D_FILTER}' in gains and gains[f'{axis}.rate.kd']}
     lowest = min(cutoffs.values(), default=0.0)
     for axis, hz in cutoffs.items():
         if hz > (1.0 + DIFFERS) * lowest:
@@ -399,5 +400,5 @@ def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
             raise BadInputError(f'{axis}.{ours}', 'must not be negative', own[ours])
         yield (rows[ours].name(theirs), own[ours] / unit,
                f'{axis}.{ours} {own[ours]:.6g} / {unit:.6g}')
-    if D_FILTER in own:
+    if D_FILTER in own and own['rate.kd']:
         yield rows[D_FILTER].name(theirs), own[D_FILTER], f'{axis}.rate.d_filter_hz, in Hz'
