@@ -372,6 +372,8 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, printed, ref
     turns = 100.0 + np.arange(4) + 50.0 * record.motors
     np.testing.assert_allclose(record.speeds, turns * 100.0 / 6.0 * np.pi / 30.0, rtol=0.01)
     assert 'must be 1 to 2' in refused(main, 'import', path, '--log', 3, '--out', tmp_path / 'b')
+    assert 'needs no column names: found --frame' in refused(
+        main, 'import', path, '--frame', 'frd', '--out', tmp_path / 'b')
     assert '--log: a bag holds one log: found 2; leave it out' in refused(
         main, 'look', tmp_path / 'bag', '--log', 2)
     assert f'quad-sysid import {path} --out' in printed(main, 'import', path)

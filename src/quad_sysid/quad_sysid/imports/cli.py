@@ -77,7 +77,8 @@ def _run(options: argparse.Namespace) -> int:
         positive('--grid', options.grid)
     if options.sample_rate is not None:
         positive('--sample-rate', options.sample_rate)
-    if log_format is None or (log_format.also_table and columns):
+    measured = not {'--axis', '--rate', '--angle'}.isdisjoint(columns)
+    if log_format is None or (log_format.also_table and measured):
         return _table(options, columns)
     if columns:
         raise BadInputError(
