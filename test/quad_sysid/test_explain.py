@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import covariance, derivative_steps, fit
-from quad_sysid.explain.ladder import Ladder, explain
+from quad_sysid.explain.ladder import Ladder, _believed, explain
 from quad_sysid.explain.models import Models
 from quad_sysid.explain.projection import Projected
+from quad_sysid.model.effect import Part
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
 from quad_sysid.pipeline.assemble import axis_model
@@ -54,6 +56,19 @@ def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch,
     assert ladder.rungs[1].labels == ('coulomb_friction',)
     assert ladder.rungs[1].explains_pct > 90.0
     assert ladder.answer == 1
+
+
+@pytest.mark.parametrize(('exponent', 'believed'), [(2.0, True), (12.0, False)])
+def test_a_law_is_no_rung_with_parameters_that_its_prior_does_not_allow(
+    rubbed_answer, exponent, believed
+):
+    """A thrust that halves as the battery sags by 5 % falls with time, not by the battery."""
+    sag = next(effect for effect in EFFECTS if effect.name == 'battery_sag')
+    structure = Structure((Part(sag),))
+    start = coordinates(sag.parameters, [exponent], 1e-9)
+    base = rubbed_answer.findings.search.base.theta
+    model = SimpleNamespace(structure=structure, theta=np.insert(base, [-4], start))
+    assert _believed(model) is believed
 
 
 def test_the_whole_reference_names_the_main_cause_first(rubbed_answer, monkeypatch):
