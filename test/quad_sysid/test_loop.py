@@ -10,20 +10,8 @@ from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.simulation import Excited, fly
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import estimate_of
-from quad_sysid.loop import kernels
-from quad_sysid.loop.cascade import (
-    FIRMWARE_UNIT,
-    CascadeGains,
-    Linear,
-    bandwidth,
-    constants_of,
-    frequency_grid,
-    margins,
-    noise_response,
-    open_loop,
-    reference_response,
-    responses,
-)
+from quad_sysid.loop import cascade, kernels
+from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.figures import square_figures, square_wave, step_figures
 from quad_sysid.loop.from_model import gain_range, loop_plant, not_in_the_loop
 from quad_sysid.loop.linear import STILL, linear, loops_of
@@ -53,7 +41,7 @@ def response(plant, omega):
 
 
 def loop_of(plant, gains, omega):
-    return open_loop(gains, loops_of([(plant, STILL)]).response(omega), omega, plant.dt)
+    return cascade.open_loop(gains, loops_of([(plant, STILL)]).response(omega), omega, plant.dt)
 
 
 def test_gains_have_the_contracts_names_and_the_papers_defaults():
@@ -66,7 +54,7 @@ def test_gains_have_the_contracts_names_and_the_papers_defaults():
         f'yaw.{name}' for name in ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
     }
     yaw = CascadeGains.from_mapping({}, 'yaw')
-    assert (yaw.angle_kp, yaw.rate_kp, yaw.rate_kd) == (2.0, 3.0 * FIRMWARE_UNIT, 0.0)
+    assert (yaw.angle_kp, yaw.rate_kp, yaw.rate_kd) == (2.0, 3.0 * cascade.FIRMWARE_UNIT, 0.0)
 
 
 # ---- frequency
@@ -112,13 +100,13 @@ def test_margins_equal_python_controls():
     z, (rate, angle) = np.exp(1j * omega * DT), response(PLANT, omega)
     loop = rate * (pi(z) + d(z)) + angle * pi(z) * GAINS.angle_kp
     gm, pm, *_ = control.stability_margins(control.frd(loop, omega))
-    grid = frequency_grid(DT)
-    ours = margins(loop_of(PLANT, GAINS, grid), grid)
+    grid = cascade.frequency_grid(DT)
+    ours = cascade.margins(loop_of(PLANT, GAINS, grid), grid)
     assert ours.phase_margin_deg[0] == pytest.approx(pm, abs=0.1)
     assert ours.gain_margin_db[0] == pytest.approx(20 * np.log10(gm), abs=0.1)
     peak = np.max(1 / np.abs(1 + loop_of(PLANT, GAINS, np.geomspace(0.1, 780, 20000))))
     assert ours.peak_sensitivity[0] == pytest.approx(peak, rel=0.01)
-    never = margins((0.5 / (1 + 1j * omega / 10))[None], omega)
+    never = cascade.margins((0.5 / (1 + 1j * omega / 10))[None], omega)
     assert np.isinf([never.phase_margin_deg[0], never.gain_margin_db[0]]).all()
     assert np.isnan(never.crossover_rad_s[0])
 
@@ -137,22 +125,24 @@ def test_noise_and_reference_response_match_the_time_simulation(gains):
     cycles = loops_of([(PLANT, STILL)])
     wave, plant = 0.05 * np.sin(12.0 * t), cycles.response(omega)
     for found, response_of in (
-        (simulate_cascade(PLANT, gains, wave, DT).angle, reference_response),
-        (simulate_cascade(PLANT, gains, 0 * t, DT, noise=wave).control, noise_response),
+        (simulate_cascade(PLANT, gains, wave, DT).angle, cascade.reference_response),
+        (simulate_cascade(PLANT, gains, 0 * t, DT, noise=wave).control, cascade.noise_response),
     ):
         settled = found[tail] - np.mean(found[tail])
         amplitude = np.abs(2 * np.mean(settled * np.exp(-12j * t[tail])))
         want = 0.05 * np.abs(response_of(gains, plant, omega, DT)[0, 0])
         assert amplitude == pytest.approx(want, rel=0.01)
     # a state for each filter that there is, and the response of these states
-    ours = Linear(gains.dynamics(DT)).response(np.geomspace(0.5, 700.0, 40), DT)
-    both = responses(constants_of([FILTERED, gains], DT), np.geomspace(0.5, 700.0, 40))
+    omega = np.geomspace(0.5, 700.0, 40)
+    ours = cascade.Linear(gains.dynamics(DT)).response(omega, DT)
+    both = cascade.responses(cascade.constants_of([FILTERED, gains], DT), omega)
     np.testing.assert_allclose(ours, both[:, 1], rtol=1e-9)
 
 
 def test_the_bandwidth_ends_where_half_of_the_power_is_left():
-    grid = frequency_grid(DT)
-    assert bandwidth(5.0 / (5.0 + 1j * grid[None]), grid)[0] == pytest.approx(5.0, rel=0.04)
+    grid = cascade.frequency_grid(DT)
+    first_order = 5.0 / (5.0 + 1j * grid[None])
+    assert cascade.bandwidth(first_order, grid)[0] == pytest.approx(5.0, rel=0.04)
 
 
 def test_describing_gains_are_those_of_the_textbook():

@@ -22,19 +22,9 @@ from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import Parameter
 from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import Structure
+from quad_tuning import bounds, pid
 from quad_tuning import ensemble as ensembles
-from quad_tuning import pid
 from quad_tuning.assess import Requirements, meets, promise
-from quad_tuning.bounds import (
-    BOUNDS,
-    DESIGNED,
-    bounds_of,
-    check_bounds,
-    check_finite,
-    check_polarity,
-    flown_gains,
-    reachable,
-)
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.way import way_to
@@ -49,8 +39,8 @@ def loops_of(m, seed=7, **count):
 def held(steps, active, axis):
     """Whether each set is within one step of the one before."""
     for before, step in itertools.pairwise((active, *steps)):
-        for field in DESIGNED:
-            low, high = reachable(field, getattr(before, field), axis)
+        for field in bounds.DESIGNED:
+            low, high = bounds.reachable(field, getattr(before, field), axis)
             assert low * (1.0 - 1e-6) <= getattr(step, field) <= high * (1.0 + 1e-6), field
 
 
@@ -253,12 +243,12 @@ def test_it_is_found_as_a_designer_where_the_package_is_installed():
 @pytest.mark.parametrize(
     ('check', 'gains', 'said'),
     [
-        *((check_finite, {'roll.rate.kp': value}, r'roll\.rate\.kp: must be finite')
+        *((bounds.check_finite, {'roll.rate.kp': value}, r'roll\.rate\.kp: must be finite')
           for value in (float('nan'), float('inf'), -float('inf'), True)),
-        *((check_bounds, gains, 'must lie in') for gains in (
+        *((bounds.check_bounds, gains, 'must lie in') for gains in (
             {'roll.angle.kp': 16.0}, {'roll.rate.kp': -0.01}, {'roll.rate.kd': 0.03})),
-        (check_bounds, {'roll.rate.output_limit': 0.3}, 'roll.rate.output_limit'),
-        (lambda given: check_bounds(given, {'roll.rate.ki': 1.3}), {'roll.rate.ki': 1.4},
+        (bounds.check_bounds, {'roll.rate.output_limit': 0.3}, 'roll.rate.output_limit'),
+        (lambda given: bounds.check_bounds(given, {'roll.rate.ki': 1.3}), {'roll.rate.ki': 1.4},
          'must lie in'),
     ],
 )
@@ -270,27 +260,27 @@ def test_what_must_never_reach_an_aircraft_is_refused_by_name(check, gains, said
 def test_a_gain_that_flies_on_other_firmware_is_a_start_though_beyond_our_bounds(model):
     beyond = with_gains(model(), roll__rate__ki=1.12)  # Betaflight's default of 80
     with pytest.raises(DesignRefusedError, match='must lie in'):
-        flown_gains(beyond)
-    gains = flown_gains(with_gains(beyond, roll__rate__tpa_kp=1.0))
-    low, high = reachable('rate_ki', gains.rate_ki, 'roll')
+        bounds.flown_gains(beyond)
+    gains = bounds.flown_gains(with_gains(beyond, roll__rate__tpa_kp=1.0))
+    low, high = bounds.reachable('rate_ki', gains.rate_ki, 'roll')
     assert gains.rate_ki == pytest.approx(high) == pytest.approx(1.12)
     assert low < 1.0
 
 
 def test_gains_for_an_autopilot_are_gains_that_its_parameters_can_be():
     units = (0.4, 0.4, 0.4)
-    bounds = bounds_of('roll', {AUTOPILOT: 3.0, 'roll.rate.output_limit': units[0]})
-    most = {f'roll.{name}': bounds[f'roll.{name}'].upper
+    own = bounds.bounds_of('roll', {AUTOPILOT: 3.0, 'roll.rate.output_limit': units[0]})
+    most = {f'roll.{name}': own[f'roll.{name}'].upper
             for name in ('angle.kp', 'rate.kp', 'rate.ki')}
     assert most == {'roll.angle.kp': 12.0, 'roll.rate.kp': 0.2, 'roll.rate.ki': 0.4}
     assert ARDUPILOT.parameters(most, {}, units)['ATC_ANG_RLL_P'] == 12.0
-    assert bounds_of('roll', {}) is BOUNDS
+    assert bounds.bounds_of('roll', {}) is bounds.BOUNDS
 
 
 def test_an_axis_driven_by_another_ones_command_is_refused(model):
     def crossed(fraction):
         return estimate_of('cross_axis_input', (fraction,), 'other axis 1', std=0.01)
 
-    check_polarity(model(effects=[crossed(0.1)]))
+    bounds.check_polarity(model(effects=[crossed(0.1)]))
     with pytest.raises(DesignRefusedError, match="motors' order"):
-        check_polarity(model(effects=[crossed(-0.9)]))
+        bounds.check_polarity(model(effects=[crossed(-0.9)]))
