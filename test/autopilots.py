@@ -166,7 +166,6 @@ class Autopilot:
         return (roll, 0.2, 0.3), (rate, -0.25, 0.125)
 
     def message(self, name: str):
-        """The content of a message now."""
         us, ms = self.now_us, self.now_us // 1000 % 2**32
         angles, rates = self.moves()
         p, q, r = rates if self.kind.rates else (0.0, 0.0, 0.0)

@@ -80,7 +80,6 @@ class World:
         )  # fmt: skip
 
     def moves(self):
-        """What can happen next."""
         room = self.up and len(self.down) < 2
         possible = {
             'tick': True, 'report': not self.down, 'arrives up': room, 'arrives down': self.down,
@@ -196,7 +195,6 @@ class World:
         assert self.state is state
 
     def does(self, name):
-        """One move, where it is possible."""
         move = self.moves().get(name)
         if move is not None:
             move(self)

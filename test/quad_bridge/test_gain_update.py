@@ -324,7 +324,6 @@ class Bench:
         self.until('read back')
 
     def goes_on(self, seconds=20.0):
-        """The lines of news as they come."""
         g = self.gains
         for _ in range(round(seconds / self.period_s)):
             self.now_s += self.period_s
@@ -355,7 +354,6 @@ class Bench:
 
     @property
     def stored(self):
-        """The history's last line."""
         (path,) = self.folder.rglob('gains.jsonl')
         return json.loads(path.read_text().splitlines()[-1])
 

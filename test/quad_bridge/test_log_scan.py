@@ -297,7 +297,6 @@ each_storage = pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
 
 
 def theirs(path, storage):
-    """A writer of rosbags."""
     return Writer(path, version=9, storage_plugin=StoragePlugin[storage])
 
 

@@ -32,7 +32,6 @@ def far(tmp_path):
 
 @pytest.fixture
 def bridge(start, tmp_path):
-    """A function that starts the bridge."""
     settings = {'port': tmp_path / 'tty', 'state_folder': tmp_path / 'state'}
     return lambda **more: start('serial_bridge', **{**settings, **more})
 
@@ -60,7 +59,6 @@ def count(probe, name, key):
 
 
 def after_two_reports(probe):
-    """Wait until the logger has counted what it will count."""
     heard = probe.listen('/diagnostics')
     probe.until(lambda: sum(a.status[0].name == RECORDING for a in list(heard)) > 1)
 

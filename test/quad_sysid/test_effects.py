@@ -133,7 +133,6 @@ def sent_on(make: Callable[[], Callable[..., float]], share: float = 1.0) -> Cha
 
 
 def pushed() -> Callable[[float], float]:
-    """The command behind the motors' lag."""
     return stateful(lambda x, u: x + HALF_S / Axis().lag_s * (u - x))
 
 
@@ -358,8 +357,6 @@ def coasting(limit: float) -> Changes:
 
 
 def held(cycles: int) -> Changes:
-    """Motors that take every n-th command and hold it."""
-
     def changes():
         count, taken = 0, 0.0
 
@@ -682,7 +679,6 @@ def answer_of(record: Record, **options):
 
 
 def answer_to(changes: Changes, seed: int, *, plan: Plan = SHORT, **options):
-    """What is said of a flight in which this acts."""
     return answer_of(fly(Axis(**{**QUIET, **changes()}), seed, plan), **options)
 
 

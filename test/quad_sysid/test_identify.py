@@ -223,7 +223,6 @@ def clipped(share):
 
 
 def relay(record):
-    """Motors that are thrown from one limit to the other."""
     signs = np.array([1.0, -1.0, -1.0, 1.0])
     motors = np.where(record.control[:, 1:2] * signs > 0.0, 1.0, 0.0)
     zero = np.zeros(record.n)
@@ -241,7 +240,6 @@ def resting(record):
 
 
 def first(n):
-    """Its first samples, split anew."""
     columns = ('control', 'rates', 'angles', 'battery_v', 'attitude_setpoint', 'rate_setpoint')
     return lambda r: split_segments(replace(
         r, segments=(), **{name: getattr(r, name)[:n] for name in columns}))

@@ -40,7 +40,6 @@ TORQUES = [e for e in EFFECTS if e.name in ('quadratic_drag', 'coulomb_friction'
 
 
 def judged(data, problem, found):
-    """The verdict on what a search left."""
     ladder = explain(problem, found, candidates(problem, TORQUES)[0])
     return judge(Unseen(data, data.validation), problem, found, ladder)
 

@@ -57,7 +57,6 @@ def test_it_is_fitted_chosen_and_reported(result):
 
 
 def written(folder):
-    """The user's file with the class."""
     file = folder / 'mine.py'
     file.write_text(f'import numpy as np\nimport quad_sysid as qs\n{inspect.getsource(Cogging)}')
     return str(file)

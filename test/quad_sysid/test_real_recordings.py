@@ -42,7 +42,6 @@ def measured(path: str) -> Path:
 
 @pytest.fixture
 def imported(tmp_path):
-    """A function: a recording as a bag, imported with these options."""
     def bag_of(path: str, options: str) -> Path:
         bag = tmp_path / Path(path).stem
         words = ['import', str(measured(path)), *options.split(), '--out', str(bag)]

@@ -45,7 +45,6 @@ def held(steps, active, axis):
 
 
 def steps_of(m, proposal):
-    """The sets on the way."""
     steps = [CascadeGains.from_mapping({**m.active_gains, **s}, m.axis) for s in proposal.steps]
     held(steps, CascadeGains.default(m.axis), m.axis)
     assert proposal.gains in proposal.steps

@@ -21,7 +21,6 @@ def loops_of(m, seed=3):
 
 @pytest.fixture(scope='module')
 def proposed(model):
-    """What is proposed for the usual model."""
     return propose_lqr(model())
 
 

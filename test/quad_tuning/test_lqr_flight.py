@@ -26,7 +26,6 @@ def profile():
 
 @pytest.fixture(scope='module')
 def proposal(model, profile):
-    """For the profile's own roll axis."""
     body, firmware = profile.airframe, profile.firmware
     m = model(
         gain=float(axis_gains(body)[0]), lag=body.motors.lag_s,

@@ -23,7 +23,6 @@ def send(run, tmp_path, monkeypatch):
 
 
 def told(answer):
-    """What a bridge was asked for."""
     return {p.name: p.value.double_value or p.value.string_value for p in answer.parameters}
 
 

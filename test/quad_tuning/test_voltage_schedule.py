@@ -19,7 +19,6 @@ EXPONENT, REFERENCE = 'roll.sag.exponent', 'roll.sag.reference_v'
 
 
 def sagging(model, power=1.2, **active):
-    """An identified model with sag."""
     effect = estimate_of('battery_sag', (power,), settings={'reference_v': 11.1}, std=0.05)
     m = model(effects=[effect])
     return dataclasses.replace(m, mean_battery_v=11.4, active_gains={**m.active_gains, **active})

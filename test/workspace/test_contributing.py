@@ -17,7 +17,6 @@ FILES = re.findall(r'```(?:python|yaml)\n# ([\w./]+)\n(.*?)```',
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """Both packages and the tests."""
     for package in ('quad_bridge', 'quad_sysid'):
         shutil.copytree(ROOT / 'src' / package / package, tmp_path / 'src' / package / package)
     shutil.copytree(ROOT / 'test', tmp_path / 'test')
