@@ -318,8 +318,6 @@ def test_what_counts_as_hover(changed, moving, words):
 
 @both
 def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, name):
-    """Neither a gain nor an excitation reaches it."""
-
     def refuses(words):
         line.controller.written.clear()
         line.controller.target, mode = None, line.controller.mode

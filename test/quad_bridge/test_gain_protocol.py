@@ -266,7 +266,6 @@ def test_no_state_and_no_event_breaks_an_invariant(
 
 
 def test_the_number_of_a_transaction_begins_anew_and_an_echo_is_no_answer(connected):
-    """Whatever an earlier bridge has left; all are written in one order of frames."""
     connected.bridge.take(ParamValue(B, 9.0, 2, 2), 0.0)
     assert connected.bridge.active[CONTRACT_NAMES[B]] == OLD[B]
     connected.stm32.transaction = 255

@@ -54,7 +54,6 @@ def numbers_in(bag):
     ('limit', 'size'), [({'capacity': 7}, 100), ({'capacity_bytes': 8_000_000}, 10**6)]
 )
 def test_what_waits_is_bounded_by_number_and_bytes_the_oldest_goes(bag, monkeypatch, limit, size):
-    """While the disk hangs."""
     hangs, begun = threading.Event(), threading.Event()
     monkeypatch.setattr(mcap.os, 'fdatasync', lambda _: (begun.set(), hangs.wait(60.0)))
     recording = started(bag, **limit)

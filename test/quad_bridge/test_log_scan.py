@@ -372,7 +372,6 @@ def test_what_the_files_cannot_tell_metadata_does(tmp_path):
 @each_storage
 @pytest.mark.parametrize('first', [0, 1])
 def test_a_bag_without_metadata_is_recovered_with_all_its_types(tmp_path, storage, first):
-    """Two types of one topic, and one type of one's own."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg('float64 a\nstring b\n', 'mine/msg/Foo'))
     own = store.types['mine/msg/Foo'](a=1.5, b='x')

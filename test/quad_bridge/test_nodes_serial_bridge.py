@@ -64,10 +64,7 @@ def after_two_reports(probe):
 
 
 def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(tmp_path, probe, start):
-    """Between a frame on the wire and the bag no cycle is lost that nobody says was lost.
-
-    The logger is without CPU for 375 cycles meanwhile.
-    """
+    """Between a frame on the wire and the bag no cycle is lost that nobody says was lost."""
     recorder = start('bag_logger', folder=tmp_path / 'bags', autostart=True)
     settings = {'port': f'{tmp_path}/ttyACM*', 'state_folder': tmp_path, 'polarity': 'off'}
     node = start('serial_bridge', **{f'serial_bridge:{name}': x for name, x in settings.items()},

@@ -328,7 +328,6 @@ def test_strange_segments_count_as_idle(tmp_path):
     ],
 )
 def test_what_trains_and_what_validates(bare, asked, spans):
-    """Without segments the first sixty per cent train; spans of the user replace the bag's."""
     record = replace(make_record(), segments=()) if bare else make_record()
     got = split_segments(record, **asked, **({'axes': ('pitch',)} if bare else {}))
     told = [s for s in got.segments if s.role != 'idle']

@@ -80,7 +80,6 @@ def told(ticks):
     (UNGUARDED, {'battery_v': -0.1, 'abort_switch': 1.0}),
 ])
 def test_nothing_else_ends_it(limits, change):
-    """What a guard is not configured for it need not hear."""
     assert check(limits, replace(GOOD, **change), 'roll') is None
 
 

@@ -106,10 +106,7 @@ def test_measurement_noise_is_what_was_added_with_a_gap_or_a_filter(lost, hz):
 
 
 def test_two_flights_are_fitted_together(plain, plain_flight, other_flight):
-    """Twice the data: most standard errors fall, and the truth is still inside.
-
-    Clocks that differ by 250 ppm are one rate; a thousandth is told.
-    """
+    """Twice the data: most standard errors fall, and the truth is still inside."""
     for stretch, told in ((PPM_250, False), (1.001, True)):
         both = base_of(plain_flight, other_flight.at_interval(other_flight.dt * stretch))
         assert any("taken as the first bag's 250 Hz" in w for w in both.warnings) is told
@@ -128,10 +125,7 @@ def test_two_flights_are_fitted_together(plain, plain_flight, other_flight):
 def test_the_true_base_leaves_the_noise_whatever_lag_delay_and_filter(
     true_model, lag_s, delay_ms, hz
 ):
-    """Below 0.002 rad/s over half a second, and 0.005 behind a filter whose state is a guess.
-
-    The twin, a model one millisecond late, leaves at least twice as much.
-    """
+    """Below 0.002 rad/s over half a second, and 0.005 behind a filter whose state is a guess."""
     axis = Axis(lag_s=lag_s, delay_ms=delay_ms, gyro_filter_hz=hz, gyro_noise=0.0003,
                      torque_noise=0.0)
     record = fly(axis, 3, Plan(10.0, (('validation', 'prbs', 1.0, 10.0),)))
@@ -167,7 +161,6 @@ def test_windows_of_any_length_keep_off_gaps_where_those_of_the_contract_do():
 
 
 def test_nothing_measured_inside_a_window_is_used_there(plain_flight, true_model):
-    """Each other sample of the last window is missed by 50 more, whatever was predicted."""
     span, length = ((2.0, 9.5),), 125
     whole = evaluate(true_model, plain_flight, span)
     last = 750 + (whole.windows - 1) * length
@@ -277,7 +270,6 @@ def only(role, axis='roll'):
     ],
 )
 def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):
-    """A few moments at the limits are no reason."""
     answer = base_of(change(plain_flight))
     if words:
         assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
@@ -301,7 +293,6 @@ def lost(share, *columns):
     ('change', 'wider'),
     [(clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6)])
 def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flight, change, wider):
-    """Errors stay standard errors, and these grow little."""
     data = axis_data([change(plain_flight)], 'roll')
     check_moving(data)
     problem = Problem(data, data.train)
@@ -311,7 +302,6 @@ def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flig
 
 
 def test_flights_that_do_not_fit_together_are_refused(plain_flight, other_flight, refusal):
-    """The same flight whole, in part or copied; a rate that differs by a hundredth."""
     later = round(12.0 / plain_flight.dt)
     part = replace(
         plain_flight, source='part', rates=plain_flight.rates[later:],

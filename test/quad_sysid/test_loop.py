@@ -92,7 +92,6 @@ def test_the_plant_is_the_zero_order_hold_of_python_control(hz, found, drive, to
 
 
 def test_margins_equal_python_controls():
-    """Phase margin, gain margin, peak sensitivity: 0.1 deg, 0.1 dB, 1 %."""
     z, w = control.tf([1, 0], [1], DT), DT / (DT + 1 / (2 * np.pi * GAINS.d_filter_hz))
     pi = GAINS.rate_kp + GAINS.rate_ki * DT * z / (z - 1)
     d = GAINS.rate_kd * w / DT * (z - 1) / (z - (1 - w))
@@ -120,7 +119,6 @@ FILTERED = CascadeGains.from_mapping({
 @pytest.mark.parametrize('gains', [GAINS, FILTERED, replace(FILTERED, d_on_error=True)],
                          ids=['ours', 'filters of others', 'D on the error'])
 def test_noise_and_reference_response_match_the_time_simulation(gains):
-    """A sine of 12 rad/s once settled: amplitude to 1 %."""
     omega, t, tail = np.array([12.0]), np.arange(5000) * DT, slice(3000, None)
     cycles = loops_of([(PLANT, STILL)])
     wave, plant = 0.05 * np.sin(12.0 * t), cycles.response(omega)
@@ -299,7 +297,6 @@ D_NOTCH = {'rate.d_notch_hz': 30.0, 'rate.d_notch_bandwidth_hz': 20.0}
     ('pitch', 'control', 0.05, {'pitch.rate.ki': 0.1, 'pitch.rate.integrator_limit': 0.005}),
 ])
 def test_the_firmware_in_c_flies_this_cascade(injection, size, axis, gains):
-    """To 1e-6 of the command and rad/s over a flight, limits, integral and notch included."""
     excitation = size * np.repeat([1.0, -1.0] * 4, 500)
     part = Excited(0.0, excitation, axis, injection)
     flight = fly(replace(load_profile('plain'), axis=axis), [part], 16.0, 2, gains=gains)

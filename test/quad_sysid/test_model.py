@@ -140,9 +140,7 @@ def test_slow_noise_of_the_gyro_is_no_motion(size):
 
 
 def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept(rubbed):
-    """Friction is there; beside it the training gave a spring that the held-out data deny.
-
-    Both together still beat the base."""
+    """Friction is there; beside it the training gave a spring that the held-out data deny."""
     data, problem, base = rubbed
     fitted, labels = base, ('coulomb_friction', 'pendulum_stiffness')
     for label in labels:

@@ -62,10 +62,6 @@ SLOW = {'gain': 350.0, 'lag': 0.075, 'delay': 0.004}
         ('roll', {'gain': 850.0, 'lag': 0.07}), ('roll', {'gain': 250.0})))],
 )
 def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, values):
-    """Judged by draws of another seed than the design's, and by the nonlinear simulation.
-
-    Where all at once is unsafe the way halts between.
-    """
     m = model(axis, **values)
     proposal = design(m)
     said, steps = proposal.figures, steps_of(m, proposal)
@@ -122,7 +118,6 @@ def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
 @pytest.mark.usefixtures('few_draws')
 @pytest.mark.parametrize('starts', [3, pytest.param(5, marks=pytest.mark.long)])
 def test_every_search_ends_at_the_same_gains(model, monkeypatch, starts):
-    """Starts from so many points of the grid that lie apart."""
     monkeypatch.setattr(pid, 'STARTS', starts)
     first = pid.retune(loop_plant(model()), ACTIVE, loops_of(model()))
     assert first.agreeing == first.searches == starts
@@ -160,7 +155,6 @@ def test_a_way_through_instability_is_refused(model):
 
 
 def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
-    """The same gusts under both sets; the same gains promise no change."""
     m, rng = model(), np.random.default_rng(3)
     loops = loops_of(m, 0, count=8)
     new = dataclasses.replace(ACTIVE, rate_kp=1.5 * ACTIVE.rate_kp, angle_kp=6.0)

@@ -83,7 +83,6 @@ SAYS = """['cogging']
 
 
 def test_what_the_page_adds_works(copy: Path) -> None:
-    """An effect, a controller and an airframe."""
     assert len(FILES) == 3
     for name, text in FILES:
         path = copy / 'src' / name.partition('/')[0] / name if '/' in name else copy / name
