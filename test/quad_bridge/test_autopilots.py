@@ -131,9 +131,6 @@ def flying(tmp_path):
     return made
 
 
-# Gains.
-
-
 @both
 def test_gains_are_read_written_watched_and_confirmed(flying, name):
     line = flying(name)
@@ -214,9 +211,6 @@ def test_what_a_parameter_may_not_be_is_refused_in_one_line():
     lowest = PX4.parameters({f'{a}.rate.d_filter_hz': v for a, v in
                              (('roll', 30.0), ('pitch', 40.0))}, {}, (1.0, 1.0, 1.0))
     assert lowest == {'IMU_DGYRO_CUTOFF': 30.0}
-
-
-# Excitation.
 
 
 def test_px4_is_excited_on_one_axis_and_given_back(flying):

@@ -444,9 +444,6 @@ def test_bad_updates_are_refused_and_change_nothing(tmp_path):
     assert bench.stm32.of([KP]) == pytest.approx((0.1,))
 
 
-# The history.
-
-
 def test_another_aircraft_on_the_port_writes_nothing_into_the_firsts_files(tmp_path):
     bench = Bench(tmp_path)
     (first,) = tmp_path.rglob('gains.jsonl')

@@ -289,9 +289,6 @@ def test_a_file_cut_off_anywhere_gives_all_that_is_whole(sound, compression, cou
     assert len(set(counts)) > (count // 3 if compression == 'none' else 2)
 
 
-# Sqlite3 and the bag as a whole, by rosbags' writer.
-
-
 STORE = get_typestore(Stores.ROS2_JAZZY)
 each_storage = pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
 

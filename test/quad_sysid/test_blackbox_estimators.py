@@ -155,9 +155,6 @@ def test_a_sine_alone_is_refused_and_prbs_beside_it_is_not(fit, orders, refusal)
     assert fit(IOData(rich, qs.simulate(truth, rich) + noise, 0.01), *orders).converged
 
 
-# ARX, its order search, the model
-
-
 def plain_arx(z: IOData, na: int, nb: int, nk: int, lead: int) -> tuple:
     """theta, SSE, rows, information by numpy.linalg.lstsq on explicitly written rows."""
     rows, targets = [], []

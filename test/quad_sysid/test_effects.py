@@ -805,9 +805,6 @@ def test_what_comes_twice_and_no_model_predicts_is_not_passed_over(changes):
     assert {e.name for e in answer.model.effects} <= {'event', 'step_event', 'shape:gain:time'}
 
 
-# which data decide
-
-
 def test_validation_does_not_touch_what_is_chosen(rubbed_flight):
     other = fly(Axis(**QUIET, **law_of('coulomb_friction', 'torque')()), 7, SHORT)
     cut = round(13.25 / other.dt)
@@ -822,9 +819,6 @@ def test_validation_does_not_touch_what_is_chosen(rubbed_flight):
     assert [e.name for e in ours.effects] == ['coulomb_friction']
     assert ours.base == another.base
     assert ours.effects[0].parameters == another.effects[0].parameters
-
-
-# what the data cannot show
 
 
 def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
@@ -852,9 +846,6 @@ def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
     why = {effect.name: effect.prepare(data) for effect in EFFECTS}
     assert why['battery_sag'] == 'the flight holds no battery voltage'
     assert 'was not measured throughout' in why['gyroscopic_coupling']
-
-
-# the table and the page about it
 
 
 def read(effect) -> dict[str, str]:

@@ -174,9 +174,6 @@ def test_stop_and_cut():
     assert player.cut('again').announcement is None
 
 
-# standstills
-
-
 def ages(*gaps: float) -> list[float]:
     """At each tick, so long after the one before, the age of what was heard at the first."""
     stall, time, found = Stall(), 0.0, []

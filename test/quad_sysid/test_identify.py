@@ -55,9 +55,6 @@ def spoiled(record, column, where, value):
     return replace(record, **{column: values})
 
 
-# the base
-
-
 def test_base_parameters_come_back_with_their_errors_and_units(plain):
     units = {'lag': 's', 'delay': 's', 'damping': '1/s', 'bias': 'rad/s²'}
     for p in plain.model.base:
@@ -113,9 +110,6 @@ def test_two_flights_are_fitted_together(plain, plain_flight, other_flight):
         ratios = [b.std / a.std for a, b in zip(plain.model.base, both.model.base, strict=True)]
         assert sum(ratio < 1.0 for ratio in ratios) >= 4, ratios
         assert all(abs(p.value - TRUTH[p.name]) < 4.0 * p.std for p in both.model.base)
-
-
-# the error figures
 
 
 @pytest.mark.parametrize(
@@ -185,9 +179,6 @@ def test_evaluate_gives_the_figures_of_identify_through_the_file(plain, plain_fl
     rate, starts = plain_flight.rates[:, 0], 3625 + 125 * np.arange(found.windows)
     errors = rate[starts - 1][:, None] - rate[starts[:, None] + np.arange(125)]
     assert found.hold == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-9)
-
-
-# flights that do not say enough, or do not fit together
 
 
 def rolling(values):

@@ -57,9 +57,6 @@ def test_gains_have_the_contracts_names_and_the_papers_defaults():
     assert (yaw.angle_kp, yaw.rate_kp, yaw.rate_kd) == (2.0, 3.0 * cascade.FIRMWARE_UNIT, 0.0)
 
 
-# ---- frequency
-
-
 S = control.tf('s')
 FILTER = (2 * np.pi * 42.0) ** 2 / (
     S**2 + np.sqrt(2) * 2 * np.pi * 42.0 * S + (2 * np.pi * 42.0) ** 2
@@ -207,9 +204,6 @@ def test_bad_arguments_are_named(call, said):
         call()
 
 
-# ---- how the flight controller integrates its angle
-
-
 SLOW_DT = 0.01
 A, B = np.array([1.0, -1.78, 0.784]), np.array([0.0, 0.0, 0.4, 0.35])
 
@@ -223,9 +217,6 @@ def test_the_indirect_approach_takes_the_integration_that_gives_the_recorded_com
     # limits aside it is the very command; the other integration is half a cycle out
     assert reproduced(z, known) > 99.9
     assert reproduced(z, controller(GAINS, SLOW_DT, trapezoid=lead > 0.0)) < 99.5
-
-
-# ---- figures of steps and square waves
 
 
 def first_order(reference, tau):
@@ -268,9 +259,6 @@ def test_square_figures_bear_noise_gaps_and_a_standing_error():
     assert low.rise_time_s == pytest.approx(np.log(9) * 0.2, abs=2 * DT)
     assert low.final_error_pct == pytest.approx(5.0, abs=0.6)
     assert low.overshoot_pct < 0.5
-
-
-# ---- the firmware
 
 
 def by_the_loops_kernel(flight, axis, excitation, injection, gains):

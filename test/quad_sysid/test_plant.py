@@ -269,9 +269,6 @@ def test_flights_at_once_are_each_as_alone():
         np.testing.assert_allclose(of_one[:, 1], alone[:, i], atol=1e-12)
 
 
-# ---- the loop that margins are judged of
-
-
 GAINS = CascadeGains.default('roll')
 
 

@@ -112,9 +112,6 @@ def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
     assert np.sqrt(np.mean(after.rate[750:].reshape(-1, 750)[:, 500:] ** 2)) < 0.02
 
 
-# ---- the optimum
-
-
 @pytest.mark.usefixtures('few_draws')
 @pytest.mark.parametrize('starts', [3, pytest.param(5, marks=pytest.mark.long)])
 def test_every_search_ends_at_the_same_gains(model, monkeypatch, starts):
@@ -142,9 +139,6 @@ def test_a_search_that_stands_before_a_kink_ends_there():
     end = pid._slsqp(judged, np.array([0.5, 0.5]), np.zeros(2))
     np.testing.assert_allclose(end, [0.4, 0.45], atol=1e-3)
     assert len(points) < 110
-
-
-# ---- the way there, and what is promised to the watch
 
 
 def test_a_way_through_instability_is_refused(model):
@@ -177,9 +171,6 @@ def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
     assert said['peak'] == promise(loops, new, new, 0.043)['peak']
     same = promise(loops, ACTIVE, ACTIVE, 0.043)
     assert same['rate_rms_ratio'] == same['oscillation_ratio'] == 1.0
-
-
-# ---- refusals
 
 
 def with_gains(m, **values):
