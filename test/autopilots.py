@@ -166,7 +166,6 @@ class Autopilot:
         return (roll, 0.2, 0.3), (rate, -0.25, 0.125)
 
     def message(self, name: str):
-        """The content of a message now."""
         us, ms = self.now_us, self.now_us // 1000 % 2**32
         angles, rates = self.moves()
         p, q, r = rates if self.kind.rates else (0.0, 0.0, 0.0)
@@ -233,24 +232,15 @@ class Autopilot:
         return b''
 
     def _answers(self, message):
-        kind, value = message.get_type(), self.value
+        kind = message.get_type()
         if kind == 'COMMAND_LONG':
             yield mav.MAVLink_command_ack_message(message.command, self._command(message))
-        elif kind == 'PARAM_REQUEST_LIST':
-            yield from map(value, self.parameters)
         elif kind == 'PARAM_REQUEST_READ':
             names = [*self.parameters]
             at = message.param_index
             name = names[at] if 0 <= at < len(names) else message.param_id
             if name in self.parameters:
-                yield value(name)
-        elif kind == 'PARAM_SET' and message.param_id in self.parameters:
-            old = self.parameters[message.param_id]
-            new = message.param_value
-            if isinstance(old, int):
-                new = self._integer(new)
-            self.parameters[message.param_id] = new
-            yield value(message.param_id)
+                yield self.value(name)
 
     def _command(self, message) -> int:
         if message.command == SET_MESSAGE_INTERVAL:
@@ -260,9 +250,6 @@ class Autopilot:
             hz = 1e6 / message.param2
             self.asked.setdefault(name, []).append(hz)
             self.set_rate(name, min(hz, self.kind.most_hz[name]))
-            return ACCEPTED
-        if message.command == ARM_DISARM:
-            self.armed = bool(message.param1)
             return ACCEPTED
         return UNSUPPORTED
 

@@ -16,7 +16,6 @@ class Turns:
         crew.clock.hold()
 
     def rest(self, seconds: float) -> None:
-        """Let simulated time pass."""
         clock = self.crew.clock
         end_s = clock.now_s() + seconds
         clock.release()

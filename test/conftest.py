@@ -76,7 +76,6 @@ def quickly() -> Callable[[], AbstractContextManager[None]]:
 
 @pytest.fixture
 def quick(quickly: Callable[[], AbstractContextManager[None]]) -> Iterator[None]:
-    """That context for a whole test."""
     with quickly():
         yield
 

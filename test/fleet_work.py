@@ -10,7 +10,6 @@ from quad_sysid.fleets.bag import look
 
 
 def answer(job):
-    """A row at once."""
     return {'bag': job.name, 'aircraft': job.aircraft, 'status': 'answered', 'reason': '',
             'asked': job.asked, 'stamp': job.stamp, 'source': job.source, 'seconds': 0.0}
 

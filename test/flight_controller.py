@@ -89,7 +89,6 @@ class FlightController:
         self.boot = self.number
 
     def told(self, kind):
-        """What it has heard of one kind."""
         return [frame for frame in self.heard if isinstance(frame, kind)]
 
     @property
@@ -99,14 +98,12 @@ class FlightController:
         return now_us % (1 << self.bits)
 
     def frame(self):
-        """The present cycle."""
         gyro = (1e-3 * (self.number % NUMBERS), *self.gyro[1:])
         gyro = gyro if self.gyro[0] is None else self.gyro
         number, flags = self.number - self.boot, self.flags
         return replace(STILL, time_us=self.device_us, cycle=number, gyro=gyro, flags=flags)
 
     def cycle(self):
-        """The bytes of the coming cycle."""
         self.number += 1
         return self.encode(self.frame(), *self.also(self))
 
@@ -119,7 +116,6 @@ class FlightController:
         return self.encode(*(reply for frame in frames for reply in self.answer(frame, now_ns)))
 
     def answer(self, frame, now_ns=0):
-        """The frames with which it answers one."""
         self.heard.append(frame)
         return [] if isinstance(frame, self.unanswered) else list(self._answer(frame, now_ns))
 
@@ -192,7 +188,6 @@ class Store(ctypes.Structure):
         return self.begun(dict(zip(NAMES, self.good, strict=True)))
 
     def of(self, names, which='active'):
-        """The values of these parameters in a set."""
         values = getattr(self, which)
         return tuple([values[INDEX[name]] for name in names])
 
@@ -200,7 +195,6 @@ class Store(ctypes.Structure):
         quad_gains('write')(self.here, INDEX[name], value)
 
     def hears(self, now_us):
-        """The bridge is there."""
         quad_gains('heard')(self.here, now_us)
 
     def answers(self, frame, now_us):
@@ -323,18 +317,15 @@ class Line:
         self.opened()
 
     def opened(self):
-        """The bridge's port is opened anew."""
         self.link.opened()
         self.gains.restart()
 
     @property
     def since_ns(self):
-        """Time since the test began."""
         return self.steps * CYCLE_NS
 
     @property
     def now_ns(self):
-        """The bridge's time."""
         return self.host0_ns + self.since_ns
 
     def fly(self, seconds):
@@ -411,7 +402,6 @@ class Line:
         self.up.cut = self.down.cut = False
 
     def rising(self):
-        """Whether each cycle's stamp is later than the one before."""
         stamps = [item.stamp_ns for item in self.out if isinstance(item.frame, f.Cycle)]
         return len(stamps) > 1 and min(b - a for a, b in pairwise(stamps)) > 0
 

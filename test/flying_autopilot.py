@@ -80,7 +80,6 @@ ARDUPILOT_OUTPUTS = (1, 2, 0, 3)  # BetaflightX, reversed: rear right, front rig
 
 
 def turned(w, x, y, z):
-    """Roll, pitch, yaw of a quaternion."""
     return (math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
             math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
             math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))

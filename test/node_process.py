@@ -93,7 +93,6 @@ def ended(
 
 
 def python(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
-    """The same of a Python with these words."""
     return ended(sys.executable, *words, **options)
 
 
@@ -123,12 +122,10 @@ class Started:
 
     @property
     def said(self) -> str:
-        """What stands on its stderr so far."""
         return self._err.read_text(errors='replace')
 
     @property
     def printed(self) -> str:
-        """What stands on its stdout so far."""
         return self._out.read_text(errors='replace')
 
     def poll(self) -> int | None:
@@ -138,7 +135,6 @@ class Started:
         self.process.send_signal(number)
 
     def wait(self) -> int:
-        """Its exit status."""
         return self.process.wait(PATIENCE_S)
 
     def end(self, number: int = signal.SIGINT) -> int:
@@ -169,5 +165,4 @@ class Started:
         until(condition, what, lives)
 
     def says(self, words: str) -> None:
-        """Wait until it has said this on stderr."""
         self.until(lambda: words in self.said, words)

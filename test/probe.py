@@ -88,7 +88,6 @@ class Probe:
         self._do('publish', topic=topic, messages=messages, every_s=every_s, kind=kind_of(topic))
 
     def silence(self, topic: str) -> None:
-        """Say no more what was said again and again."""
         self._do('silence', topic=topic)
 
     def say_until(
@@ -108,7 +107,6 @@ class Probe:
         self._do('delivered', topic=topic)
 
     def listeners(self, topic: str) -> int:
-        """How many subscriptions a topic has."""
         return int(self._do('listeners', topic=topic))
 
     def opened(self, node: str) -> dict[str, set[str]]:
@@ -116,7 +114,6 @@ class Probe:
         return {what: set(names) for what, names in vars(self._do('opened', node=node)).items()}
 
     def nodes(self) -> list[str]:
-        """Full names of the nodes that are there."""
         return [str(name) for name in self._do('nodes')]
 
     def meet(self, *topics: str) -> None:
@@ -130,11 +127,9 @@ class Probe:
         return self._send('ask', service=service, kind=kind, request=request)
 
     def call(self, service: str, kind: str = TRIGGER, **request: Any) -> Any:
-        """Call a service and wait for its answer."""
         return self.answer(self.ask(service, kind, **request))
 
     def answer(self, answer: Any) -> Any:
-        """Wait for what somebody was asked for."""
         self.until(answer.done, answer.words)
         return answer.result()
 
@@ -255,13 +250,11 @@ def entries(arrays: Sequence[Any]) -> dict[str, SimpleNamespace]:
 
 
 def stamp(nanoseconds: int) -> dict[str, Any]:
-    """A header of this time."""
     sec, nanosec = divmod(nanoseconds, 10**9)
     return {'stamp': {'sec': sec, 'nanosec': nanosec}, 'frame_id': 'base_link'}
 
 
 def stamp_ns(message: Any) -> int:
-    """The time in a message's header."""
     return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
 
@@ -421,7 +414,6 @@ def interface(kind: str) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A message as what JSON knows."""
     if hasattr(value, 'get_fields_and_field_types'):
         return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, bytes):
@@ -432,7 +424,6 @@ def plain(value: Any) -> Any:
 
 
 def filled(message: Any, values: Mapping[str, Any]) -> Any:
-    """A message with these fields set."""
     kinds = message.get_fields_and_field_types()
     for name, value in values.items():
         setattr(message, name, content_of(kinds[name], getattr(message, name), value))
@@ -440,7 +431,6 @@ def filled(message: Any, values: Mapping[str, Any]) -> Any:
 
 
 def content_of(kind: str, old: Any, value: Any) -> Any:
-    """A field's new value as rclpy takes it."""
     if isinstance(value, dict):
         return filled(old, value)
     if isinstance(value, list) and '/' in kind:

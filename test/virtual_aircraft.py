@@ -37,7 +37,6 @@ class Endpoint:
         return self.firmware.send()
 
     def gain(self, name: str) -> float:
-        """The active value of a parameter by the contract's name."""
         return float(self.firmware.gains()[_INDEX[name]])
 
 
@@ -76,7 +75,6 @@ def coasting(profile: Profile, rates: tuple[float, float, float]) -> Aircraft:
 
 
 def open_loop(aircraft: Aircraft) -> None:
-    """No feedback."""
     aircraft.set_gains(
         {name: 0.0 for name in aircraft.gains if name.endswith(('.kp', '.ki', '.kd'))}
     )

@@ -54,8 +54,6 @@ class Bench(Turns):
                             if s.name == 'serial_bridge: gains' and words in s.message], words)
 
     def active(self, wanted):
-        """Wait until /gains/active says these."""
-
         def so():
             told = {k: v for heard in list(self.heard) for k, v in content(heard).items()}
             return all(abs(told.get(n, math.inf) - v) < 1e-5 for n, v in wanted.items())

@@ -101,7 +101,6 @@ def climbed():
 
 
 def test_climb_without_a_ground_lacks_nothing(climbed):
-    """Thrust over mass to 1 %, gravity to 1 %, the declared drag of 0.3 1/s to 3 %."""
     found = climbed[2]
     tree = found.report['axes']['climb']
     assert (tree['verdict'], tree['error']['unit']) == ('no_missing_effect', 'm/s')
@@ -112,7 +111,6 @@ def test_climb_without_a_ground_lacks_nothing(climbed):
 
 
 def test_climb_near_the_ground_names_it():
-    """Radius and ground to 10 %; its loop leaves it out and flies about the hover."""
     found = answer(GROUND, 'climb')
     tree, model = found.report['axes']['climb'], found.answer.model
     assert [*not_in_the_loop(model)] == ['ground_effect']
@@ -125,7 +123,6 @@ def test_climb_near_the_ground_names_it():
 
 
 def test_surge_without_drag_lacks_nothing():
-    """Gravity to 1.5 % and the linear drag to 3 %, from pitch segments alone."""
     found = answer(Effects(), 'surge')
     assert found.report['axes']['surge']['verdict'] == 'no_missing_effect'
     assert found.answer.model.value('gain') == pytest.approx(9.81, rel=0.015)
@@ -141,7 +138,6 @@ def test_surge_names_the_drag():
 
 
 def test_a_bag_holds_what_a_record_says_of_the_motion(tmp_path):
-    """Speeds to 0.02 m/s between the samples of /odom, whose twist is in the body."""
     record, _ = flown(Effects(), 'surge')
     back = read_bag(write_bag(record, tmp_path / 'bag'))
     seen = np.isfinite(record.velocity[:, 0])
@@ -152,7 +148,6 @@ def test_a_bag_holds_what_a_record_says_of_the_motion(tmp_path):
 
 
 def test_barometer_and_accelerometer_give_the_climb(climbed):
-    """Without /odom: the vertical speed to 6 cm/s RMS of the true one."""
     record, flight, _ = climbed
     force = over_level(record.acceleration, record.angles)[:, 2]
     speed, altitude = vertical_motion(altitude_of(flight.pressure_pa), force, record.dt)
@@ -170,7 +165,6 @@ def test_the_excitation_of_the_climb_is_added_to_the_throttle(climbed):
 
 
 def test_the_aircraft_as_a_whole(climbed):
-    """Thrust by the mass, mass by the thrust and the throttle of the hover to 1 %; a URDF."""
     record, _, found = climbed
     full = 4.0 * BODY.motors.full_thrust_n
     facts = {fact.name: fact for fact in found.whole.facts}
@@ -214,10 +208,7 @@ def test_a_hold_of_the_altitude_flies_as_with_the_found_model(climbed):
 
 @pytest.mark.long
 def test_designed_gains_hold_the_position_as_with_the_found_model():
-    """A step of 1 m and a gust of 0.5 m/s: to 10 % of the step, at its worst moment too.
-
-    Around the lean, which follows by the loop of pitch; the usual gains are slower.
-    """
+    """A step of 1 m and a gust of 0.5 m/s: to 10 % of the step, at its worst moment too."""
     found = qs.identify(flown(Effects(), 'surge')[0], axes=('surge', 'pitch'), effects=())
     models = {axis: one.model for axis, one in found.answers.items()}
     with pytest.raises(DesignRefusedError, match='the model of pitch is not there'):

@@ -89,12 +89,10 @@ class Bench(Updated):
         )
 
     def gain(self, name):
-        """What the STM32 flies."""
         return self.endpoint.gain(name)
 
     @property
     def told(self):
-        """What the bridge says is active."""
         return self.updates.active
 
     def _cycle(self, frame, now_ns):

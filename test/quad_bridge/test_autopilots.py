@@ -8,21 +8,11 @@ import math
 import re
 from dataclasses import replace
 
+import flying_autopilot as flown
 import pytest
 from autopilots import INERTIAL
 from flight_controller import Port, Pty, Updated
-from flying_autopilot import (
-    FLYING_ARDUPILOT,
-    FLYING_PX4,
-    GUIDED_NOGPS,
-    LOITER,
-    OFFBOARD,
-    POSITION_MODE,
-    STABILIZE,
-    STABILIZED,
-    SYSTEM_ID,
-    Flying,
-)
+from flying_autopilot import FLYING_ARDUPILOT, FLYING_PX4, Flying
 
 from quad_bridge.aircraft import Ability
 from quad_bridge.autopilots.aircraft import Connected
@@ -141,9 +131,6 @@ def flying(tmp_path):
     return made
 
 
-# Gains.
-
-
 @both
 def test_gains_are_read_written_watched_and_confirmed(flying, name):
     line = flying(name)
@@ -226,18 +213,15 @@ def test_what_a_parameter_may_not_be_is_refused_in_one_line():
     assert lowest == {'IMU_DGYRO_CUTOFF': 30.0}
 
 
-# Excitation.
-
-
 def test_px4_is_excited_on_one_axis_and_given_back(flying):
     line = flying('px4')
     height = line.aircraft.flight.height_m
     line.segment()
     line.excite(3.0, 0.1)
-    assert line.controller.mode == OFFBOARD
+    assert line.controller.mode == flown.OFFBOARD
     line.controller.craft.machine.state[VELOCITY : VELOCITY + 2] = 1.2, -0.8  # a gust
     line.excite(7.0, 0.1)
-    assert line.controller.mode == OFFBOARD
+    assert line.controller.mode == flown.OFFBOARD
     assert max(abs(line.controller.craft.machine.state[POSITION : POSITION + 2])) < 1.0
     applied = [c.excitation for c in line.cycles[-500:]]
     assert max(a[0] for a in applied) == pytest.approx(0.1, abs=1e-3)
@@ -247,7 +231,7 @@ def test_px4_is_excited_on_one_axis_and_given_back(flying):
     assert abs(line.aircraft.flight.height_m - height) < 0.5
     line.relay.segment({'segment': 'idle', 'signal': 'none'})
     line.fly(3.0)
-    assert line.controller.mode == POSITION_MODE
+    assert line.controller.mode == flown.POSITION_MODE
     assert line.aircraft.takeover.phase.value == 'idle'
     assert not line.aircraft.cannot(Ability.EXCITE)
 
@@ -258,12 +242,12 @@ def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
     line.segment(signal='chirp', injection='control', axis='pitch', amplitude=0.06, f0_hz=1.0,
                  f1_hz=8.0, sweep_s=12.0, ramp_s=0.5)
     line.fly(6.0)
-    assert line.controller.mode == SYSTEM_ID
+    assert line.controller.mode == flown.SYSTEM_ID
     assert line.controller.parameters['SID_AXIS'] == 11
     assert line.controller.parameters['SID_MAGNITUDE'] == pytest.approx(0.06)
     assert any(c.flags & f.Flag.EXCITATION for c in line.cycles[-10:])
     line.fly(6.5)
-    assert line.controller.mode == STABILIZE  # by itself, within the segment
+    assert line.controller.mode == flown.STABILIZE  # by itself, within the segment
     line.relay.segment({'segment': 'idle', 'signal': 'none'})
     line.fly(2.0)
     assert line.controller.parameters == before
@@ -277,7 +261,7 @@ def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
 
 
 NOW_S = 100.0
-HOVER = {'mode': POSITION_MODE, 'armed': True, 'landed': 2, 'angles': (0.1, -0.1, 1.0),
+HOVER = {'mode': flown.POSITION_MODE, 'armed': True, 'landed': 2, 'angles': (0.1, -0.1, 1.0),
          'sticks': (0.1, 0.0, -0.2, 0.0), 'volts': 12.5, 'height_m': 3.0,
          'place': (1.0, 2.0, -3.0), 'attitude_s': NOW_S, 'beat_s': NOW_S,
          'sticks_s': NOW_S, 'calm_since_s': NOW_S - 2.0}
@@ -328,8 +312,6 @@ def test_what_counts_as_hover(changed, moving, words):
 
 @both
 def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, name):
-    """Neither a gain nor an excitation reaches it."""
-
     def refuses(words):
         line.controller.written.clear()
         line.controller.target, mode = None, line.controller.mode
@@ -365,8 +347,8 @@ def test_a_segment_in_flight_ends_and_the_mode_is_given_back(flying, name):
     ArduPilot is excited by rates, of pitch: stale fields beside them do no harm.
     """
     line, rates = flying(name), {'injection': 'rate', 'axis': 'pitch'}
-    controller, own = line.controller, OFFBOARD if name == 'px4' else GUIDED_NOGPS
-    chosen = STABILIZED if name == 'px4' else LOITER
+    controller, own = line.controller, flown.OFFBOARD if name == 'px4' else flown.GUIDED_NOGPS
+    chosen = flown.STABILIZED if name == 'px4' else flown.LOITER
     for case, words in (('mode', 'was left by'), ('sticks', 'sticks were moved'),
                         ('silence', 'has been silent'))[: 3 if name == 'px4' else 2]:
         if case != 'mode':  # after another one

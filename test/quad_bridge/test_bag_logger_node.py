@@ -16,8 +16,6 @@ LOST, WRITTEN = 'messages lost (middleware)', 'messages written'
 
 @pytest.fixture
 def logger(start, tmp_path):
-    """A function that starts a logger that records at once."""
-
     def begin(**settings):
         known = {'folder': tmp_path, 'autostart': True, 'topics': list(TOPICS)}
         return start('bag_logger', **{**known, **settings})
@@ -32,7 +30,6 @@ class Load:
         self.probe, self.count = probe, 0
 
     def publish(self, number):
-        """So many more, in turn on all topics."""
         first, self.count = self.count, self.count + number
         for k, topic in enumerate(TOPICS):
             self.probe.publish(
@@ -51,7 +48,6 @@ class Load:
 
     @property
     def written(self):
-        """What the logger says it has written of the load."""
         return int(self.probe.diagnostics(RECORDING, WRITTEN) or 0)
 
     @property

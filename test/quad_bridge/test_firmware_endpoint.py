@@ -264,7 +264,6 @@ def test_nothing_hidden_no_heap_no_input_or_output(firmware):
 
 
 def test_only_the_bridge_is_a_sign_of_life_and_only_who_is_meant_is_commanded():
-    """Neither our own echo nor a ground station beside the bridge."""
     made = Board()
     for target, answers in (((2, 1), 0), ((1, 7), 0), ((0, 0), 1)):
         assert len(made.tell(f.ParamRequestRead('YAW_ANG_KP', -1, *target))) == answers

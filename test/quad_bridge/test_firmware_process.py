@@ -85,7 +85,6 @@ def test_of_a_signed_link_only_the_key_commands_and_only_while_the_operator_hold
 
 
 def lets_go(rig):
-    """The operator lets go of the enable, and the bridge says so."""
     now_ns = time.time_ns()
     rig.probe.silence('/operator/enable')
     rig.says(EXCITATION, 'silent', since_ns=now_ns)

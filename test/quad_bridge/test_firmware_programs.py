@@ -43,7 +43,6 @@ def test_no_receiver_takes_noise_for_its_pilot(firmware):
     [(3, 1_000_000, 10), pytest.param(1, 100_000_000, 1000, marks=pytest.mark.long)],
 )
 def test_no_bytes_break_it(firmware, seed, number, least):
-    """Random bytes, frames and damage into the firmware, under the sanitizers."""
     told = said(firmware('fuzz'), str(seed), str(number))
     # it has come to the depths: frames heeded, excitation flown, gain sets taken back
     *used, reverts = (int(re.search(rf'(\d+) {word}', told)[1]) for word in DEPTHS)

@@ -114,7 +114,6 @@ class Emulated:
 
 @pytest.fixture
 def emulated(firmware, tmp_path):
-    """A function that starts a target of firmware/Makefile."""
     started = []
 
     def start(target, aircraft=None, script=None):

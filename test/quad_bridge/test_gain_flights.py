@@ -44,9 +44,6 @@ def test_a_link_that_dies_in_the_watch_brings_the_old_gains_back(bench):
     assert 'rolled back, old gains: no control cycle' in made.updates.refused
 
 
-# The watch.
-
-
 @pytest.mark.parametrize(
     ('mount', 'bound', 'kp', 'axes', 'words'),
     [

@@ -138,7 +138,6 @@ def test_an_axis_counts_where_three_of_the_motors_moved_it():
 
 
 def test_the_craft_that_describes_itself_says_where_its_motors_have_to_be():
-    """The contract's frame with propellers that turn the other way; a plus frame."""
     check, turned = PolarityCheck('auto', 250.0), answers(range(4), (-1,) * 4)
     check.load({'motors': merge_motors({}, turned)})
     assert check.faults() == [f'motor_{k} turns the wrong way' for k in range(1, 5)]

@@ -80,7 +80,6 @@ class World:
         )  # fmt: skip
 
     def moves(self):
-        """What can happen next."""
         room = self.up and len(self.down) < 2
         possible = {
             'tick': True, 'report': not self.down, 'arrives up': room, 'arrives down': self.down,
@@ -196,7 +195,6 @@ class World:
         assert self.state is state
 
     def does(self, name):
-        """One move, where it is possible."""
         move = self.moves().get(name)
         if move is not None:
             move(self)
@@ -268,7 +266,6 @@ def test_no_state_and_no_event_breaks_an_invariant(
 
 
 def test_the_number_of_a_transaction_begins_anew_and_an_echo_is_no_answer(connected):
-    """Whatever an earlier bridge has left; all are written in one order of frames."""
     connected.bridge.take(ParamValue(B, 9.0, 2, 2), 0.0)
     assert connected.bridge.active[CONTRACT_NAMES[B]] == OLD[B]
     connected.stm32.transaction = 255

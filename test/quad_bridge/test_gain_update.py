@@ -49,15 +49,7 @@ class Watch:
         self.bad = self.begun = False
 
     good, climbs, before, known = False, False, [], None
-
-    def step(self, *_):
-        pass
-
-    def restart(self):
-        pass
-
-    def know(self, _):
-        pass
+    step = restart = know = staticmethod(lambda *_: None)
 
     def begin(self, *_):
         self.begun = True
@@ -80,21 +72,16 @@ class Pulses:
         self.rate_hz = 250.0
 
     running = property(lambda self: self.left > 0)
+    refuse_faults = load = staticmethod(lambda *_: None)
 
     def unchecked(self, _):
         return [] if self.known else ['roll']
-
-    def refuse_faults(self):
-        pass
 
     def faults(self):
         return []
 
     def words(self):
         return 'roll right'
-
-    def load(self, _):
-        pass
 
     def start(self, _):
         self.left, self.trouble = 2, ''
@@ -337,7 +324,6 @@ class Bench:
         self.until('read back')
 
     def goes_on(self, seconds=20.0):
-        """The lines of news as they come."""
         g = self.gains
         for _ in range(round(seconds / self.period_s)):
             self.now_s += self.period_s
@@ -368,7 +354,6 @@ class Bench:
 
     @property
     def stored(self):
-        """The history's last line."""
         (path,) = self.folder.rglob('gains.jsonl')
         return json.loads(path.read_text().splitlines()[-1])
 
@@ -457,9 +442,6 @@ def test_bad_updates_are_refused_and_change_nothing(tmp_path):
         assert len(bench.gains.refused) < 300
     assert not any('in force' in text for text in bench.goes_on(1.0))
     assert bench.stm32.of([KP]) == pytest.approx((0.1,))
-
-
-# The history.
 
 
 def test_another_aircraft_on_the_port_writes_nothing_into_the_firsts_files(tmp_path):

@@ -193,9 +193,6 @@ def test_an_autopilot_that_restarts_is_raised_again_and_nobody_is_blamed():
     assert first.stamp_ns < HOST0_NS + 5_000_000_000  # it was not silent for long
 
 
-# Parameters: how the craft is built.
-
-
 @pytest.mark.parametrize('kind', [PX4, ARDUPILOT], ids=['PX4', 'ArduPilot'])
 def test_the_craft_is_read_from_the_autopilots_parameters(kind):
     line = flown(Autopilot(kind), 2.0)
@@ -274,9 +271,6 @@ def test_a_program_beside_is_not_taken_for_the_aircraft(sender, beat):
     stamps_are_true(line)
     # and the autopilot's answers reach the other one
     assert {'TIMESYNC', 'PARAM_VALUE'} <= {m.get_type() for m in line.party_heard}
-
-
-# The node.
 
 
 PUBLISHED = ('/imu/data', '/motors/command', '/motors/state', '/rc/in', '/imu/mag', '/baro',

@@ -41,7 +41,6 @@ class Started(SerialPort):
         until(lambda: self.status.state in states)
 
     def hears(self, line, data):
-        """What is written at the other end arrives."""
         self.data = b''
         os.write(line.master, data)
         until(lambda: self.data == data)
@@ -49,7 +48,6 @@ class Started(SerialPort):
 
 @pytest.fixture
 def start():
-    """A function that starts a port and waits for its state."""
     ports = []
 
     def make(path, *states):

@@ -29,7 +29,6 @@ class Story(Line):
         self.out = []
 
     def set(self, **script):
-        """Change the flight controller's script."""
         vars(self.controller).update(script)
 
     def restart(self, seconds=0.0):
@@ -69,7 +68,6 @@ class Story(Line):
             self.attend()
 
     def uneven(self, cycles=5000):
-        """Every 50th cycle begins 3 ms late."""
         for k in range(cycles):
             self.controller.late_us = 3000 if k % 50 == 0 else 0
             self.run()
@@ -97,7 +95,6 @@ def unheard(uptime_s, silence_s):
 
 
 def clock_set(by_ms):
-    """The aircraft's clock is set in flight."""
     steps = ('set', {'clock_us': round(1000 * by_ms)}), ('run', 1500)
     begin = {'seconds': 3.2, 'also': lambda _: ()}  # each cycle is published or held back
     return steps, {**begin, 'held': NEW_CLOCK, 'clock restarts': 1, 'alarms': (1, 1)}

@@ -54,7 +54,6 @@ def numbers_in(bag):
     ('limit', 'size'), [({'capacity': 7}, 100), ({'capacity_bytes': 8_000_000}, 10**6)]
 )
 def test_what_waits_is_bounded_by_number_and_bytes_the_oldest_goes(bag, monkeypatch, limit, size):
-    """While the disk hangs."""
     hangs, begun = threading.Event(), threading.Event()
     monkeypatch.setattr(mcap.os, 'fdatasync', lambda _: (begun.set(), hangs.wait(60.0)))
     recording = started(bag, **limit)
@@ -128,9 +127,6 @@ def test_a_write_that_fails_costs_only_what_no_later_one_can_store(
     assert numbers_in(recover(bag).path if kept < 200 else bag) == list(range(kept))
 
 
-# One bag, several files.
-
-
 def split(bag, limits, *, back_s=0):
     """A bag of 450 messages in 0.45 s, whose clock is set back after the first 50."""
     writer = BagWriter(bag, limits)
@@ -188,9 +184,6 @@ def test_of_a_split_bag_all_files_are_recovered_and_a_missing_one_is_told(bag):
     result = recover(bag)
     assert result.messages == 350
     assert 'part 1 of the bag is missing' in '\n'.join(result.notes)
-
-
-# What is said, and what the middleware lost.
 
 
 @pytest.mark.parametrize(

@@ -289,15 +289,11 @@ def test_a_file_cut_off_anywhere_gives_all_that_is_whole(sound, compression, cou
     assert len(set(counts)) > (count // 3 if compression == 'none' else 2)
 
 
-# Sqlite3 and the bag as a whole, by rosbags' writer.
-
-
 STORE = get_typestore(Stores.ROS2_JAZZY)
 each_storage = pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
 
 
 def theirs(path, storage):
-    """A writer of rosbags."""
     return Writer(path, version=9, storage_plugin=StoragePlugin[storage])
 
 
@@ -373,7 +369,6 @@ def test_what_the_files_cannot_tell_metadata_does(tmp_path):
 @each_storage
 @pytest.mark.parametrize('first', [0, 1])
 def test_a_bag_without_metadata_is_recovered_with_all_its_types(tmp_path, storage, first):
-    """Two types of one topic, and one type of one's own."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg('float64 a\nstring b\n', 'mine/msg/Foo'))
     own = store.types['mine/msg/Foo'](a=1.5, b='x')

@@ -99,7 +99,6 @@ def test_the_screen_tells_all_in_one_place():
     (Entry(0, 'idle', {}, 79.0), 'ERROR  no news of the logger for 21 s'),
 ])
 def test_a_logger_that_died_records_nothing(logger, line):
-    """Nor does one that was started after it; and what a dead bridge sent is stale."""
     state = full_state()
     state.bag_at_s, state.battery_at_s = 80.0, 99.0
     state.entries['bag_logger: recording'] = logger

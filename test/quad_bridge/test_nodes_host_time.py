@@ -27,7 +27,6 @@ def test_a_step_back_waits_for_the_next_opening():
 
 
 def test_a_process_that_is_pre_empted_between_two_clocks_sees_no_step():
-    """25 ms pass between two readings: nothing is said, and no stamp moves."""
     now, pauses = [1_000_000], iter([25 * MS, 0, 25 * MS])
 
     def steady():

@@ -32,7 +32,6 @@ def far(tmp_path):
 
 @pytest.fixture
 def bridge(start, tmp_path):
-    """A function that starts the bridge."""
     settings = {'port': tmp_path / 'tty', 'state_folder': tmp_path / 'state'}
     return lambda **more: start('serial_bridge', **{**settings, **more})
 
@@ -60,16 +59,12 @@ def count(probe, name, key):
 
 
 def after_two_reports(probe):
-    """Wait until the logger has counted what it will count."""
     heard = probe.listen('/diagnostics')
     probe.until(lambda: sum(a.status[0].name == RECORDING for a in list(heard)) > 1)
 
 
 def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(tmp_path, probe, start):
-    """Between a frame on the wire and the bag no cycle is lost that nobody says was lost.
-
-    The logger is without CPU for 375 cycles meanwhile.
-    """
+    """Between a frame on the wire and the bag no cycle is lost that nobody says was lost."""
     recorder = start('bag_logger', folder=tmp_path / 'bags', autostart=True)
     settings = {'port': f'{tmp_path}/ttyACM*', 'state_folder': tmp_path, 'polarity': 'off'}
     node = start('serial_bridge', **{f'serial_bridge:{name}': x for name, x in settings.items()},

@@ -67,7 +67,6 @@ def test_what_is_not_at_rest_is_refused(what, text):
 
 
 def test_what_was_seen_at_rest_is_subtracted_from_the_next_stamp_on_and_forgotten_at_a_restart():
-    """As the port's thread and the executor's call it: cycles disarmed, one armed, a restart."""
     live, rest = LiveSensors(correct=True), zip(*resting(7.0), strict=True)
     for time_s, gyro, felt in rest:
         live.cycle(replace(STILL, time_us=round(1e6 * time_s), gyro=gyro * (1, -1, -1),

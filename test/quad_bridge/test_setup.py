@@ -106,7 +106,6 @@ class Person:
 
 
 def test_the_wizard_finds_how_it_is_built_and_the_firmware_flies_by_it(monkeypatch):
-    """Channels in another order, pitch reversed, board a quarter turned, outputs swapped."""
     built = Built()
     person = Person(built)
     talk = Talk(built.wait, built.now_s)

@@ -91,7 +91,6 @@ def test_gyro_noise_is_the_chips_behind_the_filter():
 
 @pytest.mark.parametrize('frequency', [1.0, 20.0, 42.0])
 def test_the_firmwares_gyro_filter_is_a_butterworth_of_42_hz(frequency):
-    """Amplitude and phase of a sine through the firmware, sampled at 1 kHz."""
     firmware, decoder = NativeFirmware(boot(Profile()).frame()), Decoder()
     pulses, slow = (1500.0,) * 9, (12.0, 0.0, 0.24, -0.38, 1013.0, math.nan)
     omega, taken = 2.0 * np.pi * frequency, []

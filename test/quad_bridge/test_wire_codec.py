@@ -131,8 +131,6 @@ def test_values_that_cannot_be_are_not_handed_out():
     assert (decoder.counts.implausible, decoder.counts.frames) == (len(bad), 0)
 
 
-# Any bytes, in any split.
-
 STREAM = b''.join(Encoder().encode(frame) for frame in FRAMES * 2)
 SENT = {repr(frame) for frame in FRAMES}
 PIECES = st.one_of(

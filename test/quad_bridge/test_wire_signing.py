@@ -46,8 +46,6 @@ def test_pymavlink_accepts_ours_and_we_accept_pymavlinks():
 
 
 class Bridge:
-    """The end in Python."""
-
     def __init__(self, now=NOW):
         self.decoder = Decoder(signing(now=now))
 

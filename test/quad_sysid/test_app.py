@@ -49,8 +49,6 @@ ANSWER_S = 60.0
 
 
 class Client:
-    """Requests to the app at an address."""
-
     def __init__(self, folder: Path, address: str) -> None:
         self.folder, self.address = folder, address
         self.base, _, self.token = address.partition('/?token=')
@@ -72,8 +70,6 @@ class Client:
 
 
 class Server(Client):
-    """The command as a process."""
-
     def __init__(self, folder: Path) -> None:
         self.process = subprocess.Popen(
             [sys.executable, '-c', 'from quad_sysid.start import main; main()', 'app', folder,
@@ -304,7 +300,6 @@ class Chromium:
         self.attach(target)
 
     def attach(self, target):
-        """Go on in this tab."""
         self.session = None
         self.session = self.send('Target.attachToTarget', targetId=target,
                                  flatten=True)['sessionId']
@@ -345,7 +340,6 @@ class Chromium:
         return found['result'].get('value')
 
     def choose(self, *names):
-        """Tick these flights alone."""
         self.run(f"""document.querySelectorAll('#files input').forEach(box => {{
             box.checked = {json.dumps(names)}.some(n => box.parentElement.innerText.includes(n));
             box.onchange(); }});""")

@@ -84,7 +84,6 @@ def test_mappings_responses_and_iodata_are_the_same_record():
 @pytest.mark.others
 @pytest.mark.parametrize('library', ['pandas', 'polars', 'xarray'])
 def test_what_other_libraries_hold_is_the_same_record(library):
-    """Frames by columns and by dates, what is missing in them, coordinates."""
     other, wanted, t = pytest.importorskip(library), record(), DT * np.arange(N)
     y = Y.copy()
     y[500:520] = np.nan

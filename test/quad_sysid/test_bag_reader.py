@@ -104,9 +104,6 @@ def test_a_record_survives_every_storage(tmp_path, storage, compression):
     assert got.gains_at(2.5) == {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.09}
 
 
-# ---- stamps -----------------------------------------------------------------------------------
-
-
 def wild(stamps):
     stamps[200] += 86_400 * 10**9
     stamps[300] = 0
@@ -220,9 +217,6 @@ def test_speeds_are_along_the_heading_whatever_frame_the_twist_is_in(tmp_path, f
     np.testing.assert_allclose(got.velocity, level, atol=0.02)
 
 
-# ---- damaged and foreign bags -----------------------------------------------------------------
-
-
 def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
     whole = (write_bag(make_record(100), tmp_path / 'bag') / 'bag.mcap').read_bytes()
     rng = np.random.default_rng(5)
@@ -313,9 +307,6 @@ def test_strange_segments_count_as_idle(tmp_path):
     assert "'trian'" in ' '.join(got.warnings)
 
 
-# ---- splitting --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ('bare', 'asked', 'spans'),
     [
@@ -328,16 +319,12 @@ def test_strange_segments_count_as_idle(tmp_path):
     ],
 )
 def test_what_trains_and_what_validates(bare, asked, spans):
-    """Without segments the first sixty per cent train; spans of the user replace the bag's."""
     record = replace(make_record(), segments=()) if bare else make_record()
     got = split_segments(record, **asked, **({'axes': ('pitch',)} if bare else {}))
     told = [s for s in got.segments if s.role != 'idle']
     assert [(s.role, pytest.approx(s.start_s), pytest.approx(s.end_s)) for s in told] == spans
     assert {s.axis for s in told} == {'pitch' if bare else 'roll'}
     assert bare or [s.signal for s in told] == ['prbs', 'square']
-
-
-# ---- what is damaged is told, and read as far as it is whole ----------------------------------
 
 
 def test_metadata_that_is_missing_or_lists_too_much_or_too_little_is_told(tmp_path):

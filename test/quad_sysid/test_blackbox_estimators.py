@@ -57,7 +57,6 @@ def test_fits_reach_the_ceiling_and_their_covariance_on_each_seed(study):
 
 
 def test_oe_covariance_allows_for_coloured_residuals():
-    """Open loop, AR(1) noise: squared distances near 3 for 3 parameters over 60 seeds."""
     truth = polynomial_model([0, 0.5, 0.2], F=[1, -0.9], dt=0.1)
     distances = []
     for seed in range(60):
@@ -87,10 +86,6 @@ def test_iv4_with_the_reference_is_right_where_least_squares_is_biased():
 
 @pytest.mark.parametrize('segments', [(), ((2000, 8000), (9000, 15000))])
 def test_indirect_finds_the_plant_without_the_recorded_command(study, refusal, segments):
-    """Free run within 0.1 points of the truth's, coefficients within 4 standard errors.
-
-    With segments: each starts in motion, and ki is 0.
-    """
     if segments:
         study = replace(study, cascade=replace(study.cascade, rate_ki=0.0))
     z, validation, gains = flight(study, 12), flight(study, 1000), study.cascade
@@ -158,9 +153,6 @@ def test_a_sine_alone_is_refused_and_prbs_beside_it_is_not(fit, orders, refusal)
     assert 'does not excite' in refusal(fit, z, *orders)
     rich = sine + rng.choice([-1.0, 1.0], 2000)
     assert fit(IOData(rich, qs.simulate(truth, rich) + noise, 0.01), *orders).converged
-
-
-# ARX, its order search, the model
 
 
 def plain_arx(z: IOData, na: int, nb: int, nk: int, lead: int) -> tuple:

@@ -81,9 +81,6 @@ def roll(answers):
 
 
 def test_every_structure_stands_in_the_table_and_the_selected_one_finds_the_plant(roll):
-    """It passed both steps: gain at 3 rad/s within 3 %, free run over 90 % on both validations.
-
-    Step B runs every polynomial structure on both flights."""
     kinds = {row.step_a.model.structure for row in roll.rows}
     assert {'ARX', 'ARMAX', 'OE', 'BJ', 'IV4', 'CLRIV'} <= kinds
     assert {row.step_a.model.approach for row in roll.rows} == {'direct'}
@@ -142,7 +139,6 @@ def test_a_sweep_is_trusted_where_it_has_been_and_its_rest_is_named():
 
 
 def test_one_loop_is_identified_by_all_three_approaches():
-    """Each free run within 3 points of the direct one's on the square wave."""
     found = identify([flight()], Options(axes=('roll',), effects=()))['roll']
     assert all(a.possible for a in found.selection.approaches)
     rows = {(r.step_a.model.approach, r.step_a.model.structure): r.step_a for r in found.rows}

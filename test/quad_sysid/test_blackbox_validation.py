@@ -73,7 +73,6 @@ def test_residual_test_passes_the_truth_as_often_as_stated(study):
 
 
 def test_residual_test_sees_feedback_only_where_there_is_some(study, record):
-    """And feedback alone eliminates no model."""
     without_r = IOData(record.u, record.y, record.dt)
     assert not qs.residual_test(without_r, study.truth).causal
     (row,) = step_a([study.truth], without_r, {})
@@ -84,7 +83,6 @@ def test_residual_test_sees_feedback_only_where_there_is_some(study, record):
 
 
 def test_residual_test_rejects_what_is_wrong(study, record):
-    """Too small a model, a delay too long, an output that comes before its cause."""
     poor, truth = qs.residual_test(record, qs.arx(record, 2, 1, 1)), study.truth
     assert (poor.residual_white, poor.residual_uncorrelated_with_input) == (False, False)
     late = polynomial_model(np.concatenate((np.zeros(4), truth.B)), C=truth.C, D=truth.D,
@@ -130,7 +128,6 @@ def test_excitation_order():
 
 
 def test_step_a_keeps_the_truth_and_says_why_others_go(study, record):
-    """An unstable model goes too, and does not overflow."""
     validation = study.record(np.random.default_rng(21))
     wild = polynomial_model([0, 0.1], A=[1, -1.2], dt=record.dt)
     models = [qs.arx(record, 2, 1, 0), study.truth, wild]

@@ -40,7 +40,6 @@ def test_wrong_options_of_identify(plain_bag, refused, tmp_path, arguments, word
 def test_a_place_that_cannot_be_written_is_said_before_the_work(
     plain_bag, refused, tmp_path, monkeypatch
 ):
-    """What is not a bag leaves nothing there."""
     (tmp_path / 'file.mcap').write_text('')
     for bag in ('file.mcap', 'none.mcap'):
         assert bag in refused(main, 'identify', tmp_path / bag, '--out', tmp_path / 'out')
@@ -60,7 +59,6 @@ def test_a_place_that_cannot_be_written_is_said_before_the_work(
 
 @pytest.mark.parametrize('name', ['report.html', 'report.json', 'guide.md'])
 def test_a_folder_of_other_things_is_no_place_for_a_report(plain_bag, refused, tmp_path, name):
-    """Nothing is mixed into it, and no file of the user's replaced."""
     out = tmp_path / 'docs'
     out.mkdir()
     (out / name).write_text('{"schema": "mine"}')
@@ -124,7 +122,6 @@ def test_evaluate_answers_the_axes_it_can_and_names_the_others(
 def test_where_a_model_is_wanted_the_folder_of_its_report_will_do(
     plain_bag, true_model, refused, tmp_path, capsys
 ):
-    """And who gives model and flight the other way round is told the order."""
     result = tmp_path / 'result'
     result.mkdir()
     save_models({'roll': true_model}, result / 'model.json')

@@ -79,7 +79,6 @@ def test_a_trim_wanders_between_flights_as_it_does_within_one(shift, changed):
 
 @pytest.mark.usefixtures('quick')
 def test_a_weaker_motor_through_the_command(true_model, tmp_path, printed):
-    """450 and 380 rad/s² per command; a stored model of 450 takes the place of a bag."""
     from quad_sysid.report.model_file import save_models
 
     weaker = replace(fly(Axis(gain=380.0), 12, SHORT), t0_ns=10**18)

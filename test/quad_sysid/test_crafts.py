@@ -47,7 +47,6 @@ def recorded(airframe: Airframe, seed: int, *, speeds: bool = False) -> Record:
 
 
 def model_of(record: Record, *names: str, axis: str = 'roll'):
-    """The model with these candidates, by their names or labels."""
     few = tuple(effect for effect in EFFECTS if {effect.name, effect.label} & {*names})
     return identify([record], Options(axes=(axis,), effects=few))[axis].model
 

@@ -133,7 +133,6 @@ def sent_on(make: Callable[[], Callable[..., float]], share: float = 1.0) -> Cha
 
 
 def pushed() -> Callable[[float], float]:
-    """The command behind the motors' lag."""
     return stateful(lambda x, u: x + HALF_S / Axis().lag_s * (u - x))
 
 
@@ -358,8 +357,6 @@ def coasting(limit: float) -> Changes:
 
 
 def held(cycles: int) -> Changes:
-    """Motors that take every n-th command and hold it."""
-
     def changes():
         count, taken = 0, 0.0
 
@@ -561,7 +558,6 @@ def test_a_model_is_refused_on_a_flight_without_a_signal_that_it_needs(
 
 
 def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged():
-    """Neither earlier segments that are left out nor a gap make it cold."""
     plan = Plan(24.0, (('train', 'prbs', 4.0, 9.0), ('train', 'prbs', 13.0, 18.0),
                        ('validation', 'prbs', 19.0, 24.0)))
     flights = [fly(Axis(throttle=throttle, other_rates=others), seed, plan) for seed in (1, 2)]
@@ -682,7 +678,6 @@ def answer_of(record: Record, **options):
 
 
 def answer_to(changes: Changes, seed: int, *, plan: Plan = SHORT, **options):
-    """What is said of a flight in which this acts."""
     return answer_of(fly(Axis(**{**QUIET, **changes()}), seed, plan), **options)
 
 
@@ -805,17 +800,12 @@ def test_where_nothing_acts_nothing_is_found(changes, seed, monkeypatch):
     lambda: {'command': lambda t, u, _v: 0.35 * u if 10 < t < 18 or 44 < t < 50 else u},
 ], ids=['a gust of 2 s', 'a motor that misses'])
 def test_what_comes_twice_and_no_model_predicts_is_not_passed_over(changes):
-    """Once in training and once on held-out data."""
     answer = answer_to(changes, 6, plan=Plan())
     assert answer.verdict in {'unexplained_residual', 'effects_added'}, answer.reason
     assert {e.name for e in answer.model.effects} <= {'event', 'step_event', 'shape:gain:time'}
 
 
-# which data decide
-
-
 def test_validation_does_not_touch_what_is_chosen(rubbed_flight):
-    """Another flight behind the training segment: the same model to the last bit."""
     other = fly(Axis(**QUIET, **law_of('coulomb_friction', 'torque')()), 7, SHORT)
     cut = round(13.25 / other.dt)
     columns = ('rates', 'angles', 'control', 'battery_v', 'attitude_setpoint')
@@ -829,9 +819,6 @@ def test_validation_does_not_touch_what_is_chosen(rubbed_flight):
     assert [e.name for e in ours.effects] == ['coulomb_friction']
     assert ours.base == another.base
     assert ours.effects[0].parameters == another.effects[0].parameters
-
-
-# what the data cannot show
 
 
 def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
@@ -861,9 +848,6 @@ def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
     assert 'was not measured throughout' in why['gyroscopic_coupling']
 
 
-# the table and the page about it
-
-
 def read(effect) -> dict[str, str]:
     """What a report reads of an effect: name to unit."""
     count = len(effect.parameters)
@@ -873,7 +857,6 @@ def read(effect) -> dict[str, str]:
 
 
 def test_the_contracts_names_stand_in_the_tables_of_the_pages_with_their_units():
-    """Every name with its parameters and units, and the matrix: what is named, what has a form."""
     docs = Path(__file__).resolve().parents[2] / 'docs'
     rows, cells = {}, {}
     pages = (docs / name for name in ('what_is_missing.md', 'theory.md'))

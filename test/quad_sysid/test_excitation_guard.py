@@ -80,7 +80,6 @@ def told(ticks):
     (UNGUARDED, {'battery_v': -0.1, 'abort_switch': 1.0}),
 ])
 def test_nothing_else_ends_it(limits, change):
-    """What a guard is not configured for it need not hear."""
     assert check(limits, replace(GOOD, **change), 'roll') is None
 
 
@@ -173,9 +172,6 @@ def test_stop_and_cut():
     assert last.setpoint == (0.0, 0.0, 0.0)
     assert last.announcement['segment'] == 'idle'
     assert player.cut('again').announcement is None
-
-
-# standstills
 
 
 def ages(*gaps: float) -> list[float]:

@@ -157,7 +157,6 @@ def fly(
 
 
 def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):
-    """Battery, failsafe, STM32, abort switch, a silent link, SIGTERM: one after the other."""
     process = fly(LONG, battery_min_v=10.2)
     aircraft.until_state('ready')
     assert not aircraft.setpoints

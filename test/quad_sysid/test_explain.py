@@ -42,7 +42,6 @@ def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
 @pytest.mark.parametrize(('says', 'least'), [('shape:rate/smooth', 0.4),
                                              ('coulomb_friction/stribeck', 2.0)])
 def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch, says, least):
-    """By a curve, or with more than is needed: the plain law stands, though no rival is tried."""
     monkeypatch.setattr('quad_sysid.explain.ladder.LEAST_OF_BEST', least)
     told = rubbed_answer.findings
     problem, found = told.problem, told.search
@@ -72,7 +71,6 @@ def test_a_law_is_no_rung_with_parameters_that_its_prior_does_not_allow(
 
 
 def test_the_whole_reference_names_the_main_cause_first(rubbed_answer, monkeypatch):
-    """Whatever the search came upon first; and each effect has the claim that is its own."""
     monkeypatch.setattr('quad_sysid.explain.ladder.MOST_RUNGS', 1)
     monkeypatch.setattr('quad_sysid.explain.ladder.ENOUGH', 101.0)
     told = rubbed_answer.findings
@@ -112,7 +110,6 @@ def test_a_gain_that_wanders_is_projected_onto_a_reference_without_it(rubbed_ans
 
 
 def test_a_rung_explains_slow_motion_as_well_as_fast(rubbed_answer):
-    """What does for the fast windows alone explains no more than it does of the slow ones."""
     ladder = rubbed_answer.findings.ladder
     lowest, first = ladder.rungs[:2]
     slow, _, fast = ladder.projection.thirds
@@ -131,7 +128,6 @@ def test_a_rung_explains_slow_motion_as_well_as_fast(rubbed_answer):
 
 
 def test_an_effect_is_as_probable_beside_one_that_the_ladder_put_in(rubbed_answer):
-    """The reference's drag beside a friction that stands for the reference's curve."""
     found = rubbed_answer.findings
     friction, drag, curve = (next(
         part for part in candidates(found.problem, EFFECTS)[0] if part.effect.label == label)
@@ -149,7 +145,6 @@ def test_an_effect_is_as_probable_beside_one_that_the_ladder_put_in(rubbed_answe
 
 @pytest.mark.parametrize('because', ['it runs away', 'its prior excludes its parameters'])
 def test_a_rung_falls_out_and_leaves_the_others_and_the_axis(rubbed_answer, monkeypatch, because):
-    """What follows no flight beside the base, or is no such law; the ladder goes on."""
     told = rubbed_answer.findings
     parts, _ = candidates(told.problem, EFFECTS)
     if because == 'it runs away':
@@ -190,7 +185,6 @@ def test_a_cause_is_confirmed_by_its_own_rung_where_a_finer_effect_contains_it(r
     (0.9, 'the held-out segments do not confirm'),
     (0.3, 'comes again in 30% of resampled flights only')])
 def test_what_is_withdrawn_is_named_with_its_reason(rubbed_answer, again, because):
-    """And the plain model is not called sufficient."""
     told = rubbed_answer.findings
     withdrawn = replace(
         told, ladder=replace(told.ladder, reproducible={'coulomb_friction': again}),
@@ -225,7 +219,6 @@ def test_a_hundredth_of_the_motion_is_no_cause_unless_it_raises_the_error(
 def test_both_readings_of_lag_and_damping_are_kept_where_the_data_do_not_decide(
     rubbed_answer, monkeypatch
 ):
-    """Another maximum that is as probable; not the same one, nor one that falls behind."""
     problem, fitted = rubbed_answer.findings.problem, rubbed_answer.findings.search.base
     far = fitted.theta + 40.0 * np.sqrt(np.diag(np.linalg.inv(fitted.hessian)))
     for theta, behind, kept in ((far, 1.0, True), (fitted.theta, 1.0, False), (far, 9.0, False)):
@@ -250,7 +243,6 @@ def test_a_standard_error_holds_what_another_structure_says(rubbed_answer):
 
 
 def test_what_is_not_confirmed_or_too_short_to_act_widens_no_standard_error(rubbed_answer):
-    """A base has its likelihood's where nothing is claimed, a delay of nothing its prior's."""
     told = rubbed_answer.findings
     base = told.verdict.base
     none = replace(told, search=replace(told.search, all=(Scored(told.search.base, 0.0),)),
@@ -270,7 +262,6 @@ def test_what_is_not_confirmed_or_too_short_to_act_widens_no_standard_error(rubb
 
 
 def test_the_derivatives_of_free_runs_are_their_differences(rubbed_answer):
-    """By all parameters at once along one run: springs, drags, motors, memories; to 2 %."""
     problem = rubbed_answer.findings.problem.shortened(2000, 2)
     base = rubbed_answer.findings.search.base
     reference = fit(problem, base.structure, base.theta)

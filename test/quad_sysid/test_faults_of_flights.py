@@ -77,7 +77,6 @@ def filtered(hz: float, seed: int, plan=SHORT) -> Record:
 
 @pytest.mark.usefixtures('quick')
 def test_each_flight_has_its_own_gyro_filter():
-    """Lag and delay of two flights together as of one; and on a third, by its own filter."""
     two = [filtered(40.0, 1), filtered(12.0, 2)]
     answer = identify(two, Options(axes=('roll',), effects=()))['roll']
     assert answer.model.value('delay') == pytest.approx(0.008, abs=0.001)

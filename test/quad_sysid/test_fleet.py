@@ -109,7 +109,6 @@ def test_a_fleet_through_the_command_and_on_from_there(
 
 
 def test_a_cluster_gives_the_same_rows_and_outlives_what_goes_wrong(folder, results, tmp_path):
-    """A real scheduler and two workers, one of which is killed; one bag kills, one hangs."""
     distributed = pytest.importorskip('distributed')
     import dask
 
@@ -220,7 +219,6 @@ def test_bags_and_results_of_a_store(folder, results):
 @pytest.mark.others
 @pytest.mark.parametrize('reader', ['pandas', 'duckdb', 'polars'])
 def test_the_rows_of_all_aircraft_are_one_table_to(reader, tmp_path):
-    """Whatever the aircraft are called; of one no flight has an answer."""
     library = pytest.importorskip(reader)
     rows = [{'bag': f'{craft}/{i}', 'aircraft': craft, 'status': 'failed'}
             | ({'roll_gain': 450.0 + i, 'start_ns': 10**18 + i} if craft != 'ä=b' else {})

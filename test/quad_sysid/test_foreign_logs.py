@@ -128,7 +128,6 @@ def test_px4_rotors_stand_and_turn_as_its_parameters_say(flight, px4):
 
 
 def test_px4_gains_in_our_unit_where_torque_was_logged_too(flight, px4, tmp_path):
-    """Import states that unit, which an export asks for; and that a log was cut off."""
     def with_torque(topics):
         stamps = topics['vehicle_attitude']['timestamp']
         topics['vehicle_torque_setpoint'] = {
@@ -246,7 +245,6 @@ def test_while_disarmed_the_motors_stand_whatever_was_asked_for(
 
 @pytest.mark.parametrize('firmware', ['ArduPilot', 'PX4'])
 def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware):
-    """SYSTEM ID mode at the mixer's pitch input; the autotune's steps of the roll rate."""
     t = 1e-6 * DT_US * np.arange(N)
     on = (t >= 0.2) & (t < 5.8)
     if firmware == 'ArduPilot':
@@ -306,7 +304,6 @@ def blackbox(path: Path, flight: Flight, header: tuple[str, ...] = ()) -> Path:
 
 @pytest.mark.parametrize('reversed_yaw', [False, True])
 def test_betaflight(flight, tmp_path, reversed_yaw):
-    """With propellers out it yaws the other way."""
     header = ('"yaw_motors_reversed","1"',) if reversed_yaw else ()
     record, _ = imported(blackbox(tmp_path / 'LOG.csv', flight, header), tmp_path / 'bag')
     sign = [1.0, 1.0, 1.0, -1.0 if reversed_yaw else 1.0]

@@ -55,9 +55,6 @@ def spoiled(record, column, where, value):
     return replace(record, **{column: values})
 
 
-# the base
-
-
 def test_base_parameters_come_back_with_their_errors_and_units(plain):
     units = {'lag': 's', 'delay': 's', 'damping': '1/s', 'bias': 'rad/s²'}
     for p in plain.model.base:
@@ -106,19 +103,13 @@ def test_measurement_noise_is_what_was_added_with_a_gap_or_a_filter(lost, hz):
 
 
 def test_two_flights_are_fitted_together(plain, plain_flight, other_flight):
-    """Twice the data: most standard errors fall, and the truth is still inside.
-
-    Clocks that differ by 250 ppm are one rate; a thousandth is told.
-    """
+    """Twice the data: most standard errors fall, and the truth is still inside."""
     for stretch, told in ((PPM_250, False), (1.001, True)):
         both = base_of(plain_flight, other_flight.at_interval(other_flight.dt * stretch))
         assert any("taken as the first bag's 250 Hz" in w for w in both.warnings) is told
         ratios = [b.std / a.std for a, b in zip(plain.model.base, both.model.base, strict=True)]
         assert sum(ratio < 1.0 for ratio in ratios) >= 4, ratios
         assert all(abs(p.value - TRUTH[p.name]) < 4.0 * p.std for p in both.model.base)
-
-
-# the error figures
 
 
 @pytest.mark.parametrize(
@@ -128,10 +119,7 @@ def test_two_flights_are_fitted_together(plain, plain_flight, other_flight):
 def test_the_true_base_leaves_the_noise_whatever_lag_delay_and_filter(
     true_model, lag_s, delay_ms, hz
 ):
-    """Below 0.002 rad/s over half a second, and 0.005 behind a filter whose state is a guess.
-
-    The twin, a model one millisecond late, leaves at least twice as much.
-    """
+    """Below 0.002 rad/s over half a second, and 0.005 behind a filter whose state is a guess."""
     axis = Axis(lag_s=lag_s, delay_ms=delay_ms, gyro_filter_hz=hz, gyro_noise=0.0003,
                      torque_noise=0.0)
     record = fly(axis, 3, Plan(10.0, (('validation', 'prbs', 1.0, 10.0),)))
@@ -193,7 +181,6 @@ def test_commands_that_were_lost_with_the_rate_do_not_disturb_what_follows(true_
 
 
 def test_nothing_measured_inside_a_window_is_used_there(plain_flight, true_model):
-    """Each other sample of the last window is missed by 50 more, whatever was predicted."""
     span, length = ((2.0, 9.5),), 125
     whole = evaluate(true_model, plain_flight, span)
     last = 750 + (whole.windows - 1) * length
@@ -218,9 +205,6 @@ def test_evaluate_gives_the_figures_of_identify_through_the_file(plain, plain_fl
     rate, starts = plain_flight.rates[:, 0], 3625 + 125 * np.arange(found.windows)
     errors = rate[starts - 1][:, None] - rate[starts[:, None] + np.arange(125)]
     assert found.hold == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-9)
-
-
-# flights that do not say enough, or do not fit together
 
 
 def rolling(values):
@@ -249,7 +233,6 @@ def clipped(share):
 
 
 def relay(record):
-    """Motors that are thrown from one limit to the other."""
     signs = np.array([1.0, -1.0, -1.0, 1.0])
     motors = np.where(record.control[:, 1:2] * signs > 0.0, 1.0, 0.0)
     zero = np.zeros(record.n)
@@ -267,7 +250,6 @@ def resting(record):
 
 
 def first(n):
-    """Its first samples, split anew."""
     columns = ('control', 'rates', 'angles', 'battery_v', 'attitude_setpoint', 'rate_setpoint')
     return lambda r: split_segments(replace(
         r, segments=(), **{name: getattr(r, name)[:n] for name in columns}))
@@ -305,7 +287,6 @@ def only(role, axis='roll'):
     ],
 )
 def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):
-    """A few moments at the limits are no reason."""
     answer = base_of(change(plain_flight))
     if words:
         assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
@@ -329,7 +310,6 @@ def lost(share, *columns):
     ('change', 'wider'),
     [(clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6)])
 def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flight, change, wider):
-    """Errors stay standard errors, and these grow little."""
     data = axis_data([change(plain_flight)], 'roll')
     check_moving(data)
     problem = Problem(data, data.train)
@@ -339,7 +319,6 @@ def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flig
 
 
 def test_flights_that_do_not_fit_together_are_refused(plain_flight, other_flight, refusal):
-    """The same flight whole, in part or copied; a rate that differs by a hundredth."""
     later = round(12.0 / plain_flight.dt)
     part = replace(
         plain_flight, source='part', rates=plain_flight.rates[later:],

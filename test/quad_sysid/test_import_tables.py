@@ -184,7 +184,6 @@ def test_commands_of_all_axes_and_thrust(options, tmp_path):
 
 
 def test_a_rate_is_made_of_a_heading_that_wraps_without_phase_shift(tmp_path):
-    """It turns no faster than the aircraft."""
     t = DT * np.arange(N)
     heading = 3.0 + 1.5 * np.sin(2.0 * t)
     table = {'t': t, 'u': 0.1 * np.cos(2.0 * t),

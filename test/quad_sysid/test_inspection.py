@@ -82,10 +82,7 @@ def test_an_axis_and_its_uses(record, tmp_path):
 
 @pytest.mark.usefixtures('quick')
 def test_an_axis_that_is_held_is_refused_as_by_identify(record, tmp_path, capsys):
-    """Its feedback makes noise coherent with itself, and the motors explain its change.
-
-    Roll flies; pitch and yaw are held, so that their motors answer to the gyro's noise alone.
-    """
+    """Its feedback makes noise coherent with itself, and the motors explain its change."""
     rates, control = record.rates.copy(), record.control.copy()
     rates[:, 1:] = 0.005 * np.random.default_rng(7).standard_normal((record.n, 2))
     control[:, 2:] = -0.07 * rates[:, 1:]

@@ -40,7 +40,6 @@ PLAIN = ('t', *MOTORS, *RATES)
 
 
 def text_of(columns: dict[str, np.ndarray], *, names: bool = True) -> str:
-    """A CSV of the columns."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator='\n')
     if names:
@@ -91,8 +90,6 @@ DATES = np.array([f'2026-03-29 23:59:{55 + t:09.6f}' if t < 5 else
 
 @dataclass(frozen=True)
 class Made:
-    """A table with a fault."""
-
     text: Callable[[], str]
     words: tuple[str, ...] = ()
     """What the listing or the import says."""
@@ -199,8 +196,6 @@ def test_what_is_no_table_is_called_by_its_name(tmp_path, refusal, first, words)
 
 @dataclass(frozen=True)
 class Found:
-    """An input of the folder."""
-
     words: tuple[str, ...] = ()
     lost: int = 0
     """Rows that are gaps."""

@@ -178,7 +178,6 @@ def test_each_set_of_gains_is_measured_by_itself():
 
 
 def test_a_log_without_commands_is_looked_at_all_the_same(flight, seen, tmp_path):
-    """Rates, set-points and a throttle that rises through the flight."""
     t = DT * np.arange(flight.n)
     motors = np.tile(0.3 + 0.4 * t / t[-1], (4, 1)).T
     found = look(of_log(ForeignLog(

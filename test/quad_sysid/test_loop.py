@@ -10,20 +10,8 @@ from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.simulation import Excited, fly
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.stored import estimate_of
-from quad_sysid.loop import kernels
-from quad_sysid.loop.cascade import (
-    FIRMWARE_UNIT,
-    CascadeGains,
-    Linear,
-    bandwidth,
-    constants_of,
-    frequency_grid,
-    margins,
-    noise_response,
-    open_loop,
-    reference_response,
-    responses,
-)
+from quad_sysid.loop import cascade, kernels
+from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.figures import square_figures, square_wave, step_figures
 from quad_sysid.loop.from_model import gain_range, loop_plant, not_in_the_loop
 from quad_sysid.loop.linear import STILL, linear, loops_of
@@ -53,7 +41,7 @@ def response(plant, omega):
 
 
 def loop_of(plant, gains, omega):
-    return open_loop(gains, loops_of([(plant, STILL)]).response(omega), omega, plant.dt)
+    return cascade.open_loop(gains, loops_of([(plant, STILL)]).response(omega), omega, plant.dt)
 
 
 def test_gains_have_the_contracts_names_and_the_papers_defaults():
@@ -66,10 +54,7 @@ def test_gains_have_the_contracts_names_and_the_papers_defaults():
         f'yaw.{name}' for name in ('angle.kp', 'rate.kp', 'rate.ki', 'rate.kd')
     }
     yaw = CascadeGains.from_mapping({}, 'yaw')
-    assert (yaw.angle_kp, yaw.rate_kp, yaw.rate_kd) == (2.0, 3.0 * FIRMWARE_UNIT, 0.0)
-
-
-# ---- frequency
+    assert (yaw.angle_kp, yaw.rate_kp, yaw.rate_kd) == (2.0, 3.0 * cascade.FIRMWARE_UNIT, 0.0)
 
 
 S = control.tf('s')
@@ -104,7 +89,6 @@ def test_the_plant_is_the_zero_order_hold_of_python_control(hz, found, drive, to
 
 
 def test_margins_equal_python_controls():
-    """Phase margin, gain margin, peak sensitivity: 0.1 deg, 0.1 dB, 1 %."""
     z, w = control.tf([1, 0], [1], DT), DT / (DT + 1 / (2 * np.pi * GAINS.d_filter_hz))
     pi = GAINS.rate_kp + GAINS.rate_ki * DT * z / (z - 1)
     d = GAINS.rate_kd * w / DT * (z - 1) / (z - (1 - w))
@@ -112,13 +96,13 @@ def test_margins_equal_python_controls():
     z, (rate, angle) = np.exp(1j * omega * DT), response(PLANT, omega)
     loop = rate * (pi(z) + d(z)) + angle * pi(z) * GAINS.angle_kp
     gm, pm, *_ = control.stability_margins(control.frd(loop, omega))
-    grid = frequency_grid(DT)
-    ours = margins(loop_of(PLANT, GAINS, grid), grid)
+    grid = cascade.frequency_grid(DT)
+    ours = cascade.margins(loop_of(PLANT, GAINS, grid), grid)
     assert ours.phase_margin_deg[0] == pytest.approx(pm, abs=0.1)
     assert ours.gain_margin_db[0] == pytest.approx(20 * np.log10(gm), abs=0.1)
     peak = np.max(1 / np.abs(1 + loop_of(PLANT, GAINS, np.geomspace(0.1, 780, 20000))))
     assert ours.peak_sensitivity[0] == pytest.approx(peak, rel=0.01)
-    never = margins((0.5 / (1 + 1j * omega / 10))[None], omega)
+    never = cascade.margins((0.5 / (1 + 1j * omega / 10))[None], omega)
     assert np.isinf([never.phase_margin_deg[0], never.gain_margin_db[0]]).all()
     assert np.isnan(never.crossover_rad_s[0])
 
@@ -132,27 +116,28 @@ FILTERED = CascadeGains.from_mapping({
 @pytest.mark.parametrize('gains', [GAINS, FILTERED, replace(FILTERED, d_on_error=True)],
                          ids=['ours', 'filters of others', 'D on the error'])
 def test_noise_and_reference_response_match_the_time_simulation(gains):
-    """A sine of 12 rad/s once settled: amplitude to 1 %."""
     omega, t, tail = np.array([12.0]), np.arange(5000) * DT, slice(3000, None)
     cycles = loops_of([(PLANT, STILL)])
     wave, plant = 0.05 * np.sin(12.0 * t), cycles.response(omega)
     for found, response_of in (
-        (simulate_cascade(PLANT, gains, wave, DT).angle, reference_response),
-        (simulate_cascade(PLANT, gains, 0 * t, DT, noise=wave).control, noise_response),
+        (simulate_cascade(PLANT, gains, wave, DT).angle, cascade.reference_response),
+        (simulate_cascade(PLANT, gains, 0 * t, DT, noise=wave).control, cascade.noise_response),
     ):
         settled = found[tail] - np.mean(found[tail])
         amplitude = np.abs(2 * np.mean(settled * np.exp(-12j * t[tail])))
         want = 0.05 * np.abs(response_of(gains, plant, omega, DT)[0, 0])
         assert amplitude == pytest.approx(want, rel=0.01)
     # a state for each filter that there is, and the response of these states
-    ours = Linear(gains.dynamics(DT)).response(np.geomspace(0.5, 700.0, 40), DT)
-    both = responses(constants_of([FILTERED, gains], DT), np.geomspace(0.5, 700.0, 40))
+    omega = np.geomspace(0.5, 700.0, 40)
+    ours = cascade.Linear(gains.dynamics(DT)).response(omega, DT)
+    both = cascade.responses(cascade.constants_of([FILTERED, gains], DT), omega)
     np.testing.assert_allclose(ours, both[:, 1], rtol=1e-9)
 
 
 def test_the_bandwidth_ends_where_half_of_the_power_is_left():
-    grid = frequency_grid(DT)
-    assert bandwidth(5.0 / (5.0 + 1j * grid[None]), grid)[0] == pytest.approx(5.0, rel=0.04)
+    grid = cascade.frequency_grid(DT)
+    first_order = 5.0 / (5.0 + 1j * grid[None])
+    assert cascade.bandwidth(first_order, grid)[0] == pytest.approx(5.0, rel=0.04)
 
 
 def test_describing_gains_are_those_of_the_textbook():
@@ -219,9 +204,6 @@ def test_bad_arguments_are_named(call, said):
         call()
 
 
-# ---- how the flight controller integrates its angle
-
-
 SLOW_DT = 0.01
 A, B = np.array([1.0, -1.78, 0.784]), np.array([0.0, 0.0, 0.4, 0.35])
 
@@ -235,9 +217,6 @@ def test_the_indirect_approach_takes_the_integration_that_gives_the_recorded_com
     # limits aside it is the very command; the other integration is half a cycle out
     assert reproduced(z, known) > 99.9
     assert reproduced(z, controller(GAINS, SLOW_DT, trapezoid=lead > 0.0)) < 99.5
-
-
-# ---- figures of steps and square waves
 
 
 def first_order(reference, tau):
@@ -282,9 +261,6 @@ def test_square_figures_bear_noise_gaps_and_a_standing_error():
     assert low.overshoot_pct < 0.5
 
 
-# ---- the firmware
-
-
 def by_the_loops_kernel(flight, axis, excitation, injection, gains):
     """(n, 2) rate reference and control that C1, C2 make of the recorded measurements."""
     constants, memory = gains.constants(DT), np.zeros(kernels.MEMORY)
@@ -309,7 +285,6 @@ D_NOTCH = {'rate.d_notch_hz': 30.0, 'rate.d_notch_bandwidth_hz': 20.0}
     ('pitch', 'control', 0.05, {'pitch.rate.ki': 0.1, 'pitch.rate.integrator_limit': 0.005}),
 ])
 def test_the_firmware_in_c_flies_this_cascade(injection, size, axis, gains):
-    """To 1e-6 of the command and rad/s over a flight, limits, integral and notch included."""
     excitation = size * np.repeat([1.0, -1.0] * 4, 500)
     part = Excited(0.0, excitation, axis, injection)
     flight = fly(replace(load_profile('plain'), axis=axis), [part], 16.0, 2, gains=gains)

@@ -40,7 +40,6 @@ TORQUES = [e for e in EFFECTS if e.name in ('quadratic_drag', 'coulomb_friction'
 
 
 def judged(data, problem, found):
-    """The verdict on what a search left."""
     ladder = explain(problem, found, candidates(problem, TORQUES)[0])
     return judge(Unseen(data, data.validation), problem, found, ladder)
 
@@ -141,9 +140,7 @@ def test_slow_noise_of_the_gyro_is_no_motion(size):
 
 
 def test_what_the_validation_does_not_confirm_is_dropped_and_the_rest_is_kept(rubbed):
-    """Friction is there; beside it the training gave a spring that the held-out data deny.
-
-    Both together still beat the base."""
+    """Friction is there; beside it the training gave a spring that the held-out data deny."""
     data, problem, base = rubbed
     fitted, labels = base, ('coulomb_friction', 'pendulum_stiffness')
     for label in labels:

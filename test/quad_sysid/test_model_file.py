@@ -95,9 +95,6 @@ def test_a_file_of_an_earlier_version_is_read_as_it_was_meant_or_refused(tmp_pat
         completed, load_models(gone)['yaw'])
 
 
-# black-box models beside them
-
-
 def test_a_polynomial_model_comes_back_the_same(tmp_path):
     polynomial = bj(reference_study().record(np.random.default_rng(0)), 2, 2, 2, 2, 3)
     path = tmp_path / 'model.json'

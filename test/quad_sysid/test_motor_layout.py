@@ -87,7 +87,6 @@ def test_the_motion_says_what_a_log_does_not(layout, wanted):
 @pytest.mark.parametrize('motors', [4, 8])
 @pytest.mark.parametrize('seed', range(2))
 def test_nothing_is_certain_where_nothing_turns_the_axes(seed, motors):
-    """Motors and rates that have nothing to do with each other, as noise and as slow motions."""
     rng = np.random.default_rng(seed)
     shape = (6000, 3 + motors)
     noise = rng.standard_normal(shape)

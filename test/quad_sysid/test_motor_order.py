@@ -55,7 +55,6 @@ def test_the_right_order_raises_no_alarm(change):
 
 
 def turned(record: Record) -> Record:
-    """The same flight of a plant that answers the wrong way round."""
     wrench = record.wrench * [1.0, -1.0, -1.0, -1.0]
     motors = motors_from_wrench(wrench)
     return replace(record, wrench=wrench, motors=motors, control=control_from_motors(motors))

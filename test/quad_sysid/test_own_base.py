@@ -98,7 +98,6 @@ def test_nothing_is_added_where_nothing_is_missing(answer):
 
 
 def test_a_hidden_state_of_a_step_is_followed(answer):
-    """The motors' lag as a state of the base, by its own step instead of a right-hand side."""
     def step(x, u, p, dt):
         keep = math.exp(-dt / p['lag'])
         drive = p['gain'] * u['u'] + (x['drive'] - p['gain'] * u['u']) * keep

@@ -57,7 +57,6 @@ def test_it_is_fitted_chosen_and_reported(result):
 
 
 def written(folder):
-    """The user's file with the class."""
     file = folder / 'mine.py'
     file.write_text(f'import numpy as np\nimport quad_sysid as qs\n{inspect.getsource(Cogging)}')
     return str(file)
@@ -65,7 +64,6 @@ def written(folder):
 
 @pytest.mark.usefixtures('quick')
 def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, refused):
-    """A reader who does not hand it in is told so; one who does has the same model."""
     folder = result.save(tmp_path / 'out', pictures=False).folder
     assert 'cogging' in (folder / 'report.html').read_text()
     again = qs.read_model(folder, effects=OWN)
@@ -85,7 +83,6 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, refused):
 
 
 def test_one_of_an_installed_package_is_among_ours(tmp_path):
-    """By an entry point."""
     with Path(written(tmp_path)).open('a') as file:
         file.write('EFFECTS = (Cogging(),)\n')
     info = tmp_path / 'mine-1.dist-info'
@@ -109,7 +106,6 @@ class Unmeasured(Cogging):
 
 @pytest.mark.usefixtures('quick')
 def test_one_that_loses_is_reported_with_its_evidence(plain_flight):
-    """Also where the search does not fit it; and one that was not tested."""
     result = qs.identify(plain_flight, 'roll', effects=(Cogging(), Unmeasured()))
     tree = result.report['axes']['roll']
     lost, not_tested = tree['own_effects']
@@ -128,7 +124,6 @@ def test_one_that_loses_is_reported_with_its_evidence(plain_flight):
 
 
 def test_it_is_linearised_designed_for_and_separated(result):
-    """In small motion a spring of 12 T; gains and the flight that tells it from a spring."""
     (part, _), *_ = linear(loop_plant(result.model), STILL).plant.torque_effects
     slope = part.effect.rows[0, 1]
     assert slope == pytest.approx(-12.0 * TRUTH, rel=0.05)

@@ -123,7 +123,6 @@ def of_the_table(effects: list) -> list:
 
 @pytest.mark.parametrize('effect', of_the_table(SHAPED))
 def test_cycle_by_cycle_compiled_along_arrays_and_in_a_free_run_an_effect_does_the_same(effect):
-    """To 1e-9 rad/s, from rest over a second, behind the gyro's filter."""
     data = flight_of_commands()
     rehearsed = replace(data, rate=0.5 * np.sin(4.0 * DT * np.arange(N)))
     settings = effect.prepare(rehearsed)
@@ -198,7 +197,6 @@ class Creeps(Effect):
 
 
 def test_a_memory_along_a_flight_is_its_law_cycle_by_cycle_compiled_where_that_is_possible():
-    """To 1e-12, in each stretch from where it begins."""
     data = replace(flight_of_commands(), rate=np.sin(4.0 * DT * np.arange(N)))
     s = Flight(data, data.stretches).commanded(BASE).replaced(rate=data.rate, angle=data.angle)
     spans = (0, 100), (110, N)
@@ -214,7 +212,6 @@ def test_a_memory_along_a_flight_is_its_law_cycle_by_cycle_compiled_where_that_i
 
 @pytest.mark.parametrize(('effect', 'p', 'turns'), [(Creeps(), (), 1), (Branches(), (4.0,), 101)])
 def test_a_free_run_is_made_cycle_by_cycle_compiled_where_that_is_possible(effect, p, turns):
-    """To 1e-12: 100 cycles of two windows, noted in one or computed in all."""
     data = replace(flight_of_commands(), rate=0.5 * np.sin(4.0 * DT * np.arange(N)))
     structure, windows = Structure((Part(effect),)), Windows(np.array([10, 60]), 100)
     theta = coordinates(structure.specs, np.r_[BASE, p, QUIET])
@@ -232,7 +229,6 @@ def test_a_free_run_is_made_cycle_by_cycle_compiled_where_that_is_possible(effec
 
 @pytest.mark.parametrize(('effect', 'p'), [(Branches(), 4.0), (Bends(), 0.04)])
 def test_a_law_that_cannot_be_compiled_is_called_in_its_place(effect, p):
-    """To 1e-12 rad/s as the plant does it cycle by cycle."""
     data = flight_of_commands()
     sensor = Flight(data, data.stretches).sensor
     plant = Plant(Structure((Part(effect),)), np.r_[BASE, p, QUIET], DT, sensor, X, 0)
@@ -243,7 +239,6 @@ def test_a_law_that_cannot_be_compiled_is_called_in_its_place(effect, p):
 
 
 def test_flights_at_once_are_each_as_alone():
-    """To 1e-12: two draws of each effect, with delays, curves, winds and gains of their own."""
     data, rng = flight_of_commands(), np.random.default_rng(2)
     sensor = Flight(data, data.stretches).sensor
     around = Flight(data, data.stretches).commanded(BASE)
@@ -274,9 +269,6 @@ def test_flights_at_once_are_each_as_alone():
         np.testing.assert_allclose(of_one[:, 1], alone[:, i], atol=1e-12)
 
 
-# ---- the loop that margins are judged of
-
-
 GAINS = CascadeGains.default('roll')
 
 
@@ -303,7 +295,6 @@ def smooth(effect) -> bool:
 
 @pytest.mark.parametrize('effect', of_the_table([e for e in SHAPED if smooth(e)]))
 def test_in_small_motion_the_loop_is_the_plant(effect):
-    """The rate after steps that are next to nothing: to 1 % of its largest."""
     data = flight_of_commands()
     settings = effect.prepare(replace(data, rate=0.5 * np.sin(4.0 * DT * np.arange(N))))
     flying = loop_plant(model_of(estimated(effect, parameters(effect), settings)))
@@ -361,7 +352,6 @@ def swings(model: AxisModel) -> bool:
 
 
 def test_what_a_loop_cannot_hold_is_named_and_refused_where_it_is_large():
-    """Of two of a name the larger counts."""
     coupled, less = (estimate_of('gyroscopic_coupling', [2.0], f'other axis {which}')
                      for which in (1, 2))
     passing = estimate_of('periodic_disturbance', [1.0, 2.0, 0.0])
@@ -380,7 +370,6 @@ def test_what_a_loop_cannot_hold_is_named_and_refused_where_it_is_large():
 
 
 def test_python_control_flies_a_found_model():
-    """Its linearisation is the loop's plant, and a step of the command answers alike."""
     model = model_of(estimate_of('quadratic_drag', [2.0]),
                      estimate_of('mode:slow_state', [0.3, 20.0]))
     whole, small = to_control(model), to_control(model, linear=True)

@@ -69,7 +69,6 @@ def test_a_rate_that_does_not_fit_is_told():
 
 @pytest.mark.usefixtures('quick')
 def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path, refusal):
-    """What the command prints, the pictures, the files, a simulation and another flight."""
     result = quad_sysid.identify(plain_flight, axes='roll', effects=())
     assert (result.verdict, result.effects, result.rivals) == ('not_searched', (), {})
     assert list(result) == ['roll']

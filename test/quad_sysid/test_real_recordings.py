@@ -42,7 +42,6 @@ def measured(path: str) -> Path:
 
 @pytest.fixture
 def imported(tmp_path):
-    """A function: a recording as a bag, imported with these options."""
     def bag_of(path: str, options: str) -> Path:
         bag = tmp_path / Path(path).stem
         words = ['import', str(measured(path)), *options.split(), '--out', str(bag)]
@@ -119,7 +118,6 @@ def test_a_contracts_bag_by_somebody_else_has_its_truth_within_5_percent():
     *((f'flights/crazypad_{name}.csv', CRAZYPAD) for name in ('normal', 'weight_near_m3')),
 ])
 def test_a_flight_without_a_test_signal_gets_an_honest_verdict(imported, path, options):
-    """Nothing is claimed, and the one line says what would help."""
     result = qs.identify(imported(path, options), 'roll')
     assert (result.verdict, result.effects, result.gains) == ('cannot_tell', (), None)
     assert 'PRBS' in result.reason
@@ -128,7 +126,6 @@ def test_a_flight_without_a_test_signal_gets_an_honest_verdict(imported, path, o
 
 @pytest.mark.usefixtures('quick')
 def test_a_crazyflie_surges_and_sways_by_gravity(imported):
-    """The gain over the lean is gravity, to 3 %; the model errs by a sixth of the held speed."""
     found = qs.identify(imported(
         'nanobench/B7_oval_fast_rep1.csv.gz',
         '--axis all --rate imu_gyro_x,imu_gyro_y,imu_gyro_z --angle roll,pitch,yaw '

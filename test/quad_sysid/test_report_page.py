@@ -89,7 +89,6 @@ def test_an_aircraft_without_motors_is_not_described(rubbed_flight):
 
 
 def test_written_report_follows_the_schema(written, tmp_path):
-    """Its pictures and its page can be skipped."""
     report = json.loads((written / 'report.json').read_text())
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     jsonschema.validate(report, SCHEMA)
@@ -165,7 +164,6 @@ def test_page_is_self_contained_well_formed_and_the_same_for_the_same_answer(
     ids='+'.join,
 )
 def test_missing_parts_do_not_break_it(answers, parts):
-    """Why nothing can be told is said once."""
     partial = {'roll': dataclasses.replace(answers['roll'], **parts)}
     report = document.document(partial, ['bag'])
     jsonschema.validate(report, SCHEMA)
@@ -209,7 +207,6 @@ def test_friction_is_seen_in_what_the_base_leaves_and_gone_when_it_is_added(tree
 
 
 def test_every_panel_names_both_axes_with_a_unit(drawn):
-    """And the missing torque, 0.8 rad/s² against the rate, is drawn within a quarter."""
     assert not drawn.failed
     for name, picture in drawn.pictures.items():
         for x, y in picture.labels:

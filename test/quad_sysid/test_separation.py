@@ -39,7 +39,6 @@ FLOWN = {
 
 @pytest.mark.parametrize('name', FLOWN)
 def test_what_flies_is_what_identification_fits(name):
-    """Fitted to its own flight, the effect returns with its strength and beats nothing."""
     values = np.array(FLOWN[name])
     aircraft = paper_aircraft('roll')
     flight = replace(design.plain_prbs('roll', 12.0), throttle_steps=True, others_move=True)
@@ -72,7 +71,6 @@ def springs() -> Separation:
 
 
 def test_springs_are_told_apart_by_larger_angles_than_the_plain_prbs(springs):
-    """None near the angle that ends a flight; longer flights tell more; the table says why."""
     best, plain = springs.best, springs.plain
     assert best.peak_angle > 1.4 * plain.peak_angle
     assert best.worst.score > 1.8 * plain.worst.score
@@ -127,7 +125,6 @@ def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, printed):
 
 
 def test_the_report_advises_the_flight_where_a_rival_is_near(refusal):
-    """A model that has no rivals, or cannot fly, is refused."""
     (near,) = rivalry(model_with_rival(0.3))
     assert '--separate coulomb_friction quadratic_drag --axis roll' in near
     assert list(rivalry(model_with_rival(0.05))) == []

@@ -76,9 +76,6 @@ def test_3211_holds_its_levels():
     ]  # fmt: skip
 
 
-# ---- design -----------------------------------------------------------------------------------
-
-
 def test_the_papers_band_gives_what_its_equations_say():
     design = signals.design_excitation(0.1, 20.0)
     assert (design.clock_s, design.length) == (0.092, 511)
@@ -125,9 +122,6 @@ def test_a_length_of_the_training_reaches_the_low_end_of_the_band(refusal):
         train = schedule_of(design).parts[1]
         assert train.duration_s == least
         assert design.flown_low_rad_s < high
-
-
-# ---- schedules --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(('name', 'seconds'), [('rig', 83), ('demo', 60), ('hover', 156)])

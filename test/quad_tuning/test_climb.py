@@ -45,7 +45,6 @@ def climb(model):
 
 @pytest.mark.usefixtures('quick')
 def test_a_design_of_the_climb_goes_from_the_model_to_the_gate(climb, tmp_path, printed):
-    """Said in metres; no faster than the height mode may be; each step is one the gate takes."""
     path, out = tmp_path / 'model.json', tmp_path / 'gains.json'
     path.write_text(json.dumps(tree_of_models({'climb': climb})))
     table = printed(main, 'design', path, '--axis', 'climb', '--out', out)
@@ -124,10 +123,7 @@ def flown(gains):
 
 @pytest.mark.long
 def test_the_designed_height_mode_flies_as_the_design_says_and_better(climb):
-    """Firmware and physics against the model's loop, to 5 % of the largest and 2 mm.
-
-    The climb takes its step three times as fast, and lost lift lets it down a fifth as far.
-    """
+    """Firmware and physics against the model's loop, to 5 % of the largest and 2 mm."""
     proposal = design(climb)
     seen, plant = in_flight(climb), loop_plant(in_flight(climb))
     rises, sinks = [], []

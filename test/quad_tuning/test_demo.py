@@ -51,7 +51,6 @@ def test_leaving_stops_all_and_one_that_ignores_sigint_is_killed_with_its_childr
 
 
 def test_a_death_is_told_with_its_last_words(tmp_path: Path) -> None:
-    """One that may end may end but not fail."""
     with processes.Crew(tmp_path, 1) as crew:
         crew.start('done', python(''), may_end=True).process.wait()
         crew.check('fly')
@@ -67,7 +66,6 @@ def test_a_death_is_told_with_its_last_words(tmp_path: Path) -> None:
 
 
 def test_two_runs_never_share_a_domain(tmp_path: Path) -> None:
-    """Nor one that somebody uses; children get it and the whole environment."""
     environment = processes.Crew(tmp_path, 77).environment()
     assert (environment['ROS_DOMAIN_ID'], environment['PATH']) == ('77', os.environ['PATH'])
     with processes.own_domain() as one, processes.own_domain() as two:

@@ -22,19 +22,9 @@ from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import Parameter
 from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import Structure
+from quad_tuning import bounds, pid
 from quad_tuning import ensemble as ensembles
-from quad_tuning import pid
 from quad_tuning.assess import Requirements, meets, promise
-from quad_tuning.bounds import (
-    BOUNDS,
-    DESIGNED,
-    bounds_of,
-    check_bounds,
-    check_finite,
-    check_polarity,
-    flown_gains,
-    reachable,
-)
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.way import way_to
@@ -49,13 +39,12 @@ def loops_of(m, seed=7, **count):
 def held(steps, active, axis):
     """Whether each set is within one step of the one before."""
     for before, step in itertools.pairwise((active, *steps)):
-        for field in DESIGNED:
-            low, high = reachable(field, getattr(before, field), axis)
+        for field in bounds.DESIGNED:
+            low, high = bounds.reachable(field, getattr(before, field), axis)
             assert low * (1.0 - 1e-6) <= getattr(step, field) <= high * (1.0 + 1e-6), field
 
 
 def steps_of(m, proposal):
-    """The sets on the way."""
     steps = [CascadeGains.from_mapping({**m.active_gains, **s}, m.axis) for s in proposal.steps]
     held(steps, CascadeGains.default(m.axis), m.axis)
     assert proposal.gains in proposal.steps
@@ -73,10 +62,6 @@ SLOW = {'gain': 350.0, 'lag': 0.075, 'delay': 0.004}
         ('roll', {'gain': 850.0, 'lag': 0.07}), ('roll', {'gain': 250.0})))],
 )
 def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, values):
-    """Judged by draws of another seed than the design's, and by the nonlinear simulation.
-
-    Where all at once is unsafe the way halts between.
-    """
     m = model(axis, **values)
     proposal = design(m)
     said, steps = proposal.figures, steps_of(m, proposal)
@@ -127,13 +112,9 @@ def test_friction_of_a_real_bearing_does_not_hunt_with_the_new_gains(model):
     assert np.sqrt(np.mean(after.rate[750:].reshape(-1, 750)[:, 500:] ** 2)) < 0.02
 
 
-# ---- the optimum
-
-
 @pytest.mark.usefixtures('few_draws')
 @pytest.mark.parametrize('starts', [3, pytest.param(5, marks=pytest.mark.long)])
 def test_every_search_ends_at_the_same_gains(model, monkeypatch, starts):
-    """Starts from so many points of the grid that lie apart."""
     monkeypatch.setattr(pid, 'STARTS', starts)
     first = pid.retune(loop_plant(model()), ACTIVE, loops_of(model()))
     assert first.agreeing == first.searches == starts
@@ -160,9 +141,6 @@ def test_a_search_that_stands_before_a_kink_ends_there():
     assert len(points) < 110
 
 
-# ---- the way there, and what is promised to the watch
-
-
 def test_a_way_through_instability_is_refused(model):
     """The target itself is not judged here; the sets before it are, and none of them holds."""
     wanted = dataclasses.replace(ACTIVE, angle_kp=15.0, rate_kp=0.5, rate_kd=0.0)
@@ -171,7 +149,6 @@ def test_a_way_through_instability_is_refused(model):
 
 
 def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
-    """The same gusts under both sets; the same gains promise no change."""
     m, rng = model(), np.random.default_rng(3)
     loops = loops_of(m, 0, count=8)
     new = dataclasses.replace(ACTIVE, rate_kp=1.5 * ACTIVE.rate_kp, angle_kp=6.0)
@@ -194,9 +171,6 @@ def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
     assert said['peak'] == promise(loops, new, new, 0.043)['peak']
     same = promise(loops, ACTIVE, ACTIVE, 0.043)
     assert same['rate_rms_ratio'] == same['oscillation_ratio'] == 1.0
-
-
-# ---- refusals
 
 
 def with_gains(m, **values):
@@ -253,12 +227,12 @@ def test_it_is_found_as_a_designer_where_the_package_is_installed():
 @pytest.mark.parametrize(
     ('check', 'gains', 'said'),
     [
-        *((check_finite, {'roll.rate.kp': value}, r'roll\.rate\.kp: must be finite')
+        *((bounds.check_finite, {'roll.rate.kp': value}, r'roll\.rate\.kp: must be finite')
           for value in (float('nan'), float('inf'), -float('inf'), True)),
-        *((check_bounds, gains, 'must lie in') for gains in (
+        *((bounds.check_bounds, gains, 'must lie in') for gains in (
             {'roll.angle.kp': 16.0}, {'roll.rate.kp': -0.01}, {'roll.rate.kd': 0.03})),
-        (check_bounds, {'roll.rate.output_limit': 0.3}, 'roll.rate.output_limit'),
-        (lambda given: check_bounds(given, {'roll.rate.ki': 1.3}), {'roll.rate.ki': 1.4},
+        (bounds.check_bounds, {'roll.rate.output_limit': 0.3}, 'roll.rate.output_limit'),
+        (lambda given: bounds.check_bounds(given, {'roll.rate.ki': 1.3}), {'roll.rate.ki': 1.4},
          'must lie in'),
     ],
 )
@@ -270,27 +244,27 @@ def test_what_must_never_reach_an_aircraft_is_refused_by_name(check, gains, said
 def test_a_gain_that_flies_on_other_firmware_is_a_start_though_beyond_our_bounds(model):
     beyond = with_gains(model(), roll__rate__ki=1.12)  # Betaflight's default of 80
     with pytest.raises(DesignRefusedError, match='must lie in'):
-        flown_gains(beyond)
-    gains = flown_gains(with_gains(beyond, roll__rate__tpa_kp=1.0))
-    low, high = reachable('rate_ki', gains.rate_ki, 'roll')
+        bounds.flown_gains(beyond)
+    gains = bounds.flown_gains(with_gains(beyond, roll__rate__tpa_kp=1.0))
+    low, high = bounds.reachable('rate_ki', gains.rate_ki, 'roll')
     assert gains.rate_ki == pytest.approx(high) == pytest.approx(1.12)
     assert low < 1.0
 
 
 def test_gains_for_an_autopilot_are_gains_that_its_parameters_can_be():
     units = (0.4, 0.4, 0.4)
-    bounds = bounds_of('roll', {AUTOPILOT: 3.0, 'roll.rate.output_limit': units[0]})
-    most = {f'roll.{name}': bounds[f'roll.{name}'].upper
+    own = bounds.bounds_of('roll', {AUTOPILOT: 3.0, 'roll.rate.output_limit': units[0]})
+    most = {f'roll.{name}': own[f'roll.{name}'].upper
             for name in ('angle.kp', 'rate.kp', 'rate.ki')}
     assert most == {'roll.angle.kp': 12.0, 'roll.rate.kp': 0.2, 'roll.rate.ki': 0.4}
     assert ARDUPILOT.parameters(most, {}, units)['ATC_ANG_RLL_P'] == 12.0
-    assert bounds_of('roll', {}) is BOUNDS
+    assert bounds.bounds_of('roll', {}) is bounds.BOUNDS
 
 
 def test_an_axis_driven_by_another_ones_command_is_refused(model):
     def crossed(fraction):
         return estimate_of('cross_axis_input', (fraction,), 'other axis 1', std=0.01)
 
-    check_polarity(model(effects=[crossed(0.1)]))
+    bounds.check_polarity(model(effects=[crossed(0.1)]))
     with pytest.raises(DesignRefusedError, match="motors' order"):
-        check_polarity(model(effects=[crossed(-0.9)]))
+        bounds.check_polarity(model(effects=[crossed(-0.9)]))

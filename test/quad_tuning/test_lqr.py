@@ -21,7 +21,6 @@ def loops_of(m, seed=3):
 
 @pytest.fixture(scope='module')
 def proposed(model):
-    """What is proposed for the usual model."""
     return propose_lqr(model())
 
 
@@ -73,10 +72,6 @@ def test_feedback_solves_the_riccati_equation_and_beats_its_neighbours(model):
 
 
 def test_integral_action_removes_a_standing_torque(model, proposed):
-    """A constant torque the design does not know: the angle returns to within 0.2 % of 0.2 rad.
-
-    It leaves less than under the cascade; noise is as in a simulation.
-    """
     found, said = proposed, proposed.figures
     # a constant torque acts like a constant command behind the plant's gain
     weaker = loop_plant(model(gain=0.8 * 450.0))
@@ -89,7 +84,6 @@ def test_integral_action_removes_a_standing_torque(model, proposed):
 
 
 def test_shares_of_it_beside_the_cascade_are_safe_and_the_whole_is_itself(model):
-    """On the way in a quarter and half fly beside the cascade; all of it must be the feedback."""
     m = model()
     loops, active = loops_of(m), flown_gains(m)
     found, _ = design_lqr(loop_plant(m), loops, 0.3)

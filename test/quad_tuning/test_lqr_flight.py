@@ -26,7 +26,6 @@ def profile():
 
 @pytest.fixture(scope='module')
 def proposal(model, profile):
-    """For the profile's own roll axis."""
     body, firmware = profile.airframe, profile.firmware
     m = model(
         gain=float(axis_gains(body)[0]), lag=body.motors.lag_s,
@@ -41,7 +40,6 @@ def square(profile, gains):
 
 
 def test_it_tracks_as_the_design_promises(profile, proposal):
-    """The RMS error of the square wave falls as promised, within 3 % of the error."""
     flown = [square(profile, gains)[1] for gains in (proposal.gains, {})]
     after, before = (float(np.sqrt(np.mean(error**2))) for error in flown)
     said = proposal.figures
@@ -51,7 +49,6 @@ def test_it_tracks_as_the_design_promises(profile, proposal):
 
 
 def test_the_firmware_forms_the_command_that_the_design_has_analysed(profile, proposal):
-    """Cycle by cycle to 1e-6 of the command, on what the firmware measured."""
     gains = {**proposal.gains, 'roll.angle.rate_limit': 20.0, 'roll.rate.integrator_limit': 1.0}
     flight, _ = square(profile, gains)
     c = replace(proposal.controller, output_limit=0.3)
@@ -66,10 +63,7 @@ def test_the_firmware_forms_the_command_that_the_design_has_analysed(profile, pr
 
 
 def test_it_comes_in_by_quarters_and_goes_out_without_a_jump(profile, proposal):
-    """At rest under a standing torque no change of the share moves the angle by half a degree.
-
-    Nor does an integral's gain that is hardly one, with which the feedback has run along.
-    """
+    """At rest under a standing torque no change of the share moves the angle by half a degree."""
     quiet = without_noise(profile)
     aircraft = Aircraft(quiet, seed=1)
     given = inputs(aircraft, [], 750)
@@ -89,7 +83,6 @@ def test_off_it_leaves_no_trace(profile, proposal):
 
 
 def test_a_flight_under_it_is_no_flight_of_the_cascade(model):
-    """The analysis hears nothing of the cascade's gains; a design says what to do."""
     record = Record(
         source='flight', dt=0.004, rates=np.zeros((4, 3)), control=np.zeros((4, 4)),
         gains=(GainChange(0.0, {'roll.rate.kp': 0.07, 'pitch.rate.kp': 0.07}),

@@ -35,7 +35,6 @@ def shaken(flight):
 
 
 def test_a_vibration_that_the_motors_follow_gets_a_notch_that_ends_it():
-    """70 Hz on the gyro, behind its filter of 42 Hz; the C flies with what is proposed."""
     before = flown({}, 0.8)
     found = propose_notches(peaks(before), before.gains, CROSSING, before.dt)
     assert found

@@ -34,7 +34,6 @@ def shaken(tmp_path):
 
 @pytest.mark.usefixtures('quick')
 def test_table_and_file_tell_the_same(stored, shaken, tmp_path, capsys):
-    """One refused axis is not a failure; a flight that shakes gets its notch beside the gains."""
     file = tmp_path / 'gains.json'
     assert main(['design', stored, '--flight', shaken, '--out', str(file)]) == 0
     tree = json.loads(file.read_text())

@@ -23,12 +23,10 @@ def send(run, tmp_path, monkeypatch):
 
 
 def told(answer):
-    """What a bridge was asked for."""
     return {p.name: p.value.double_value or p.value.string_value for p in answer.parameters}
 
 
 def test_only_the_bridge_of_its_namespace_is_asked_and_what_it_answers_is_the_end(probe, send):
-    """What anybody says in /diagnostics is no answer."""
     reason = 'roll.rate.kp: must lie in 0 .. 0.05: found 0.08'
     results = {'left': {'successful': True, 'reason': ''},
                'right': {'successful': False, 'reason': reason}}

@@ -19,7 +19,6 @@ EXPONENT, REFERENCE = 'roll.sag.exponent', 'roll.sag.reference_v'
 
 
 def sagging(model, power=1.2, **active):
-    """An identified model with sag."""
     effect = estimate_of('battery_sag', (power,), settings={'reference_v': 11.1}, std=0.05)
     m = model(effects=[effect])
     return dataclasses.replace(m, mean_battery_v=11.4, active_gains={**m.active_gains, **active})
@@ -41,7 +40,6 @@ def slopes(charge, gains, power=1.5):
 
 
 def test_a_low_pack_flies_as_a_full_one():
-    """The schedule leaves less than a fifth of what the voltage changes in the step response."""
     full, volts = slopes(0.95, {})
     low, _ = slopes(0.15, {})
     scheduled, _ = slopes(0.15, {EXPONENT: 1.5, REFERENCE: volts})
@@ -69,7 +67,6 @@ def test_the_design_takes_the_schedule(model):
 
 
 def test_a_flight_with_the_schedule_is_analysed_with_it(model):
-    """The controller sees the plant times what the firmware makes of its command."""
     m = sagging(model, **{EXPONENT: 1.2, REFERENCE: 12.0})
     assert schedule_factor(m) == pytest.approx((12.0 / 11.4) ** 1.2)
     bare = sagging(model)

@@ -25,6 +25,5 @@ def test_a_set_of_effects_from_outside_stays_as_it_was_opened(monkeypatch):
 
 
 def test_the_pages_show_their_data():
-    """`make bench-results` would change nothing."""
     done = python(BENCH / 'results.py', '--check')
     assert (done.returncode, done.stdout) == (0, ''), done.stderr

@@ -101,7 +101,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_docs_have_commands_and_the_lists_no_others() -> None:
-    """Nothing is left out by a slip of the pattern, no entry outlives its command."""
     lines = [line for _, line in COMMANDS]
     assert len(OURS) > 25
     for known in (*ONLY_PARSED, *STARTED_ELSEWHERE):

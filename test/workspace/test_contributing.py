@@ -17,7 +17,6 @@ FILES = re.findall(r'```(?:python|yaml)\n# ([\w./]+)\n(.*?)```',
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """Both packages and the tests."""
     for package in ('quad_bridge', 'quad_sysid'):
         shutil.copytree(ROOT / 'src' / package / package, tmp_path / 'src' / package / package)
     shutil.copytree(ROOT / 'test', tmp_path / 'test')
@@ -84,7 +83,6 @@ SAYS = """['cogging']
 
 
 def test_what_the_page_adds_works(copy: Path) -> None:
-    """An effect, a controller and an airframe."""
     assert len(FILES) == 3
     for name, text in FILES:
         path = copy / 'src' / name.partition('/')[0] / name if '/' in name else copy / name

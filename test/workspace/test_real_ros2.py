@@ -23,7 +23,6 @@ NAN = (
 
 
 def ros2(*words: str) -> str:
-    """What `ros2` with these words prints."""
     done = ended('ros2', *words)
     return done.stdout + done.stderr
 
