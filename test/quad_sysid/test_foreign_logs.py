@@ -15,6 +15,7 @@ from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.cli import table
+from quad_sysid.imports import ardupilot, betaflight
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.to_bag import import_log
@@ -340,6 +341,18 @@ def encoded(columns: dict[str, np.ndarray], header: dict[str, str]) -> bytes:
     for row in np.rint(rows).astype(int).tolist():
         out += b'I' + b''.join(varied(2 * v if v >= 0 else -2 * v - 1) for v in row)
     return out + b'E\xffEnd of log\0'
+
+
+@pytest.mark.parametrize(('cycle', 'stated', 'seconds'), [
+    (ardupilot._loop_s, {'SCHED_LOOP_RATE': 400.0, 'FSTRATE_ENABLE': 0.0}, 0.0025),
+    (ardupilot._loop_s, {'SCHED_LOOP_RATE': 400.0, 'FSTRATE_ENABLE': 1.0}, None),
+    (ardupilot._loop_s, {}, None),
+    (betaflight._loop_s, {'looptime': '125', 'pid_process_denom': '2'}, 0.00025),
+    (betaflight._loop_s, {'looptime': '500'}, 0.0005),
+    (betaflight._loop_s, {'looptime': 'fast'}, None), (betaflight._loop_s, {}, None),
+])
+def test_the_controllers_cycle_is_what_the_log_states(cycle, stated, seconds):
+    assert cycle(stated) == seconds
 
 
 def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, printed, refused):

@@ -116,7 +116,14 @@ def read(path: Path) -> ForeignLog:
     crafts, gains, warnings = _input(reading)
     return reading.log('an ArduPilot log', SIGNALS, crafts=crafts, armed=_armed(table),
                        gains=gains, faster=FASTER, warnings=tuple(warnings),
+                       loop_s=_loop_s(table.header),
                        experiments=tuple(_experiments(table)))
+
+
+def _loop_s(parameters: Mapping[str, float]) -> float | None:
+    """The controller's cycle, s; None where it is not stated, or of a thread of its own."""
+    hz = parameters.get('SCHED_LOOP_RATE', 0.0)
+    return 1.0 / hz if hz > 0.0 and not parameters.get('FSTRATE_ENABLE') else None
 
 
 def _climb(reading: Reading) -> None:

@@ -13,7 +13,7 @@ import logging
 import re
 import struct
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -103,8 +103,18 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     reading.mapped += [Mapped('header.rollPID, …', '-', '/gains/active', gains.how)] * bool(
         gains.gains)
     return reading.log('a blackbox log', signals, crafts=crafts, faster=FASTER, gains=gains.gains,
+                       loop_s=_loop_s(header),
                        gain_changes=changes(header, adjusted, throttle, span),
                        no_gains=NO_GAINS, experiments=tuple(_chirps(reading)))
+
+
+def _loop_s(header: Mapping[str, str]) -> float | None:
+    """The controller's cycle, s; None where the header does not state it."""
+    try:
+        us = float(header['looptime']) * float(header.get('pid_process_denom', 1))
+    except (KeyError, ValueError):
+        return None
+    return 1e-6 * us if us > 0.0 else None
 
 
 def _usual_throttle(table: Table) -> float | None:

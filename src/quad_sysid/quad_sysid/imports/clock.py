@@ -48,6 +48,8 @@ MAX_DRAWN = 2.5
 """Longest interval, cycles, that is interpolated; a longer one is a gap."""
 MAX_PAUSE = 3.0
 """Usual intervals for which a command is held."""
+MOST_LOOPS = 1.5
+"""Usual interval of a command, in the controller's cycles, from which some are not in the log."""
 PARTS = 8
 """Parts of a cycle over which the active command is averaged."""
 
@@ -292,6 +294,25 @@ def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
     out = stream.values[index].copy()
     out[~is_recent] = np.nan
     return np.asarray(out, dtype=np.float64)
+
+
+def every_cycle(stream: Stream, loop_s: float | None) -> Stream:
+    """A command of each of the controller's cycles: straight lines between those that are logged.
+
+    A held one would be late by half of what the log leaves out.
+    """
+    steps = np.diff(stream.time_s)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    if loop_s is None or usual < MOST_LOOPS * loop_s:
+        return stream
+    parts = np.where(steps <= MAX_PAUSE * usual, np.rint(steps / loop_s), 1.0)
+    parts = np.append(np.maximum(parts, 1.0).astype(int), 1)
+    first = np.repeat(np.arange(parts.size), parts)
+    share = (np.arange(first.size) - (np.cumsum(parts) - parts)[first]) / parts[first]
+    later = np.minimum(first + 1, parts.size - 1)
+    place = first + share
+    values = stream.values[first] + share[:, None] * (stream.values[later] - stream.values[first])
+    return Stream(np.interp(place, np.arange(parts.size), stream.time_s), values)
 
 
 def drawn_on(stream: Stream | None, times: FloatArray) -> FloatArray | None:

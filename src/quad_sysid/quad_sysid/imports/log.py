@@ -96,6 +96,8 @@ class ForeignLog:
     from the motion."""
     speeds: Stream | None = None
     """(n, k) measured speeds of the rotors in the order of the motors, rad/s; NaN: not known."""
+    loop_s: float | None = None
+    """Cycle of the controller that makes the commands, s; None: not known, all are logged."""
     armed: Stream | None = None
     """(n, 1) 1 where the motors follow the commands, 0 where they stand; None: always 1."""
     axes: tuple[str, ...] = AXES

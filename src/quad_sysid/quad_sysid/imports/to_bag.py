@@ -186,12 +186,12 @@ def _commands(
         if log.control is None:
             raise BadInputError(log.source, 'holds no commands',
                                 remedy='log the motors or the output of the controller')
-        control = _held(log.control, grid)
+        control = _held(log, log.control, grid, notes)
         patterns = commands_of(rates, control[:, 1:], grid.dt, angles)
         notes += [pattern.sentence for pattern in patterns]
         warnings += opposite(patterns, log.reversing)
         return control, None, X
-    motors = _held(log.motors, grid)
+    motors = _held(log, log.motors, grid, notes)
     rates = np.where(airborne(motors.mean(axis=1), grid.dt)[:, None], rates, np.nan)
     patterns = patterns_of(rates, motors, grid.dt, angles)
     notes += [pattern.sentence for pattern in patterns]
@@ -240,8 +240,13 @@ def _by_motion(
     return mixer_of_patterns(certain, motors)
 
 
-def _held(stream: Stream, grid: Cycles) -> FloatArray:
-    if grid.own:
+def _held(log: ForeignLog, logged: Stream, grid: Cycles, notes: list[str]) -> FloatArray:
+    """(n, k) what the commands are in each cycle of the grid."""
+    stream = clock.every_cycle(logged, log.loop_s)
+    if stream is not logged:
+        notes.append(f'commands on straight lines between the logged ones, one for each '
+                     f'{1e3 * (log.loop_s or 0.0):.3g} ms of the controller')
+    elif grid.own:
         return clock.hold(stream, grid.times, grid.dt)
     return clock.mean_of_next_cycle(stream, grid.times, grid.dt)
 
