@@ -14,8 +14,8 @@ from autopilot_logs import dataflash, quaternions, ulog
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.cli import table
 from quad_sysid.imports import ardupilot, betaflight
+from quad_sysid.imports.cli import table
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.to_bag import import_log
