@@ -295,11 +295,13 @@ def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):
         assert answer.model.value('gain') == pytest.approx(450.0, rel=0.02)
 
 
-def lost(share, *columns):
-    """A link that loses single cycles, whole or without their command."""
+def lost(share, *columns, every=0):
+    """A link that loses single cycles, or six in `every`; whole or without their command."""
 
     def change(record):
         bad = np.random.default_rng(3).random(record.n) < share
+        if every:
+            bad = np.arange(record.n) % every < 6
         rows = {name: np.where(bad[:, None], np.nan, getattr(record, name)) for name in columns}
         return replace(record, motors=None, **rows)
 
@@ -308,7 +310,9 @@ def lost(share, *columns):
 
 @pytest.mark.parametrize(
     ('change', 'wider'),
-    [(clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6)])
+    [(clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6),
+     (lost(0.0, 'rates', 'control', every=100), 2.0),
+     (lost(0.0, 'rates', 'control', every=40), 2.5)])
 def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flight, change, wider):
     data = axis_data([change(plain_flight)], 'roll')
     check_moving(data)

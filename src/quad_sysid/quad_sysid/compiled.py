@@ -22,7 +22,7 @@ _F = TypeVar('_F', bound=Callable[..., object])
 NUMBER, WHOLE, FLAG = types.float64, types.int64, types.boolean
 LINE, TABLE, BLOCK, BLOCKS = (
     NUMBER[::1], NUMBER[:, ::1], NUMBER[:, :, ::1], NUMBER[:, :, :, ::1])
-WHOLES = WHOLE[::1]
+WHOLES, FLAGS = WHOLE[::1], FLAG[::1]
 """Arrays of one to four dimensions, contiguous and writable: callers pass no others."""
 
 MODULES = ('model.recursion', 'model.laws', 'blackbox.filters', 'loop.kernels')

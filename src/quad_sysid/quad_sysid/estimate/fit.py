@@ -145,7 +145,8 @@ class Problem:
             counts[start:stop] = True
         for start, _ in self.flight.passes:
             counts[start : start + settle] = False
-        self.rows = np.flatnonzero(counts & np.isfinite(self.flight.measured))
+        self.rows = np.flatnonzero(
+            counts & np.isfinite(self.flight.measured) & ~self.flight.caught)
         self.acceleration = typical_acceleration(self.data, self.spans)
         rates = self.flight.rate[self.rows]
         self.finest = FINEST * float(np.std(rates)) if rates.size else 0.0

@@ -99,6 +99,8 @@ class AxisData:
     validation_names: tuple[str, ...] = ()
     lost: NDArray[np.bool_] | None = None
     """(n,) whether the rate was not measured; None: only where it is NaN."""
+    uncommanded: NDArray[np.bool_] | None = None
+    """(n,) whether the command is not known, but filled in; None: nowhere."""
     reference: FloatArray | None = None
     """(n,) external reference of the loop (Record.external); NaN where a record lacks it."""
     derived_s: float | None = None
@@ -359,7 +361,7 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
     beside = [_seen(record, name) for name in entry.others]
     return {
         'rate': across_gaps(np.where(is_finite, rate, np.nan), apart),
-        'lost': ~is_finite,
+        'lost': ~is_finite, 'uncommanded': ~np.isfinite(control[:, entry.index + 1]),
         'angle': missing if motion.position is None else motion.position,
         'other_angles': np.column_stack([position for _, position in beside]),
         'control': filled(control),

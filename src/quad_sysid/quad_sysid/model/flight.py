@@ -40,12 +40,13 @@ from quad_sysid.model.plant import (
 )
 from quad_sysid.model.structure import Structure, natural
 from quad_sysid.model.traced import Listing, Untraceable
+from quad_sysid.record import finite_runs
 
 DIVERGED = 1e6
 """Rate, rad/s, from which a run counts as diverged: ten thousand times what any gyro measures."""
-AGAIN_S, UNKNOWN_S = 0.02, 0.15
-"""Time without a measurement, half a motor's lag, from which a command that was lost too matters,
-and some lags, until which it has faded: so long the filter follows the measurement."""
+LOST_S, UNKNOWN_S = 0.02, 0.15
+"""Time without a command, half a motor's lag, from which it matters; and behind it, some lags,
+until it has faded."""
 FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
 SMOOTHED = 5
@@ -100,6 +101,24 @@ def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
     return tuple((a, b) for a, b in merged)
 
 
+def _caught(data: AxisData, is_measured: NDArray[np.bool_],
+            passes: Sequence[Span]) -> NDArray[np.bool_]:
+    """(n,) Flight.caught: where no command was known for LOST_S, and UNKNOWN_S behind that.
+
+    Nowhere if that were more than half: in a log that loses samples throughout.
+    """
+    caught, inside = np.zeros((2, is_measured.size), dtype=bool)
+    if data.uncommanded is None:
+        return caught
+    for start, stop in passes:
+        inside[start:stop] = is_measured[start:stop]
+        for begin, end in finite_runs(data.uncommanded, (start, stop)):
+            if end - begin > max(2, round(LOST_S / data.dt)):
+                caught[begin : end + round(UNKNOWN_S / data.dt)] = True
+    caught &= inside
+    return caught if 2 * caught.sum() <= inside.sum() else np.zeros_like(caught)
+
+
 class Flight:
     """One axis of a flight as the filter follows it.
 
@@ -117,6 +136,9 @@ class Flight:
     disturbances: FloatArray
     """(n, 2) acceleration of the other two axes that their bases do not explain, rad/s²; zero
     until discover.base.shares sets it."""
+    caught: NDArray[np.bool_]
+    """(n,) whether the filter takes the rate as measured: where commands were lost the motors do
+    what nobody knows, which is no disturbance."""
     variance: float
     """Variance of the innovations, (rad/s)²; 0 before the first pass."""
 
@@ -129,6 +151,7 @@ class Flight:
             self.late[cut_offs == hz] = sensor_of(float(hz), data.derived_s, data.dt).late_s
         output = required(data.angle) / data.dt if self.sensor.derived else data.rate
         self.measured = np.where(unmeasured(data), np.nan, output)
+        self.caught = _caught(data, np.isfinite(self.measured), self.passes)
         self.gyro = filled(data.rate)
         self.angle = None
         if data.angle is not None:
@@ -382,13 +405,12 @@ class Flight:
         n, rate = self.data.rate.size, self.rate.copy()
         states = np.zeros((n, steady[0].gain.size + by.place.size))
         innovation, jacobian = np.full(n, np.nan), np.zeros(by.columns.shape)
-        gap = max(2, round(AGAIN_S / self.data.dt)), round(UNKNOWN_S / self.data.dt)
         for (start, stop), sensor, filtered, more in zip(
             self.passes, self.sensors, steady, filters, strict=True
         ):
             recursion.predict(
                 self.measured, float(self.data.rate[start]), *push, filtered.gain, filtered.move,
-                sensor.step, sensor.behind, self.data.dt, *gap, start, stop,
+                sensor.step, sensor.behind, self.data.dt, self.caught, start, stop,
                 *by._replace(filters=more), rate, states, innovation, jacobian,
             )
         return Prediction(innovation, jacobian, states, steady, rate)

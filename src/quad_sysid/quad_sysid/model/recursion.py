@@ -17,6 +17,7 @@ from quad_sysid.compiled import (
     BLOCK,
     BLOCKS,
     FLAG,
+    FLAGS,
     LINE,
     NUMBER,
     TABLE,
@@ -208,36 +209,33 @@ def motors_step(w, new, before, row, lag, factors, fraction, dt, out):
             out[3, i] += row[c] * sums[3]
 
 
-@kernel(LINE, NUMBER, TABLE, LINE, LINE, LINE, TABLE, FLAG, NUMBER, WHOLE, WHOLE, WHOLE, WHOLE,
-        TABLE, TABLE, WHOLES, TABLE, TABLE, BLOCK, BLOCKS, WHOLES, LINE, TABLE, LINE, TABLE)
-def predict(y, begin, known, slope, gain, move, gyro, behind, dt, most, unknown, start, stop,
-            columns, bends, bent, filters, wander, pursuit, by_pursuit, place, rate, states,
-            innovation, jacobian):
+@kernel(LINE, NUMBER, TABLE, LINE, LINE, LINE, TABLE, FLAG, NUMBER, FLAGS, WHOLE, WHOLE, TABLE,
+        TABLE, WHOLES, TABLE, TABLE, BLOCK, BLOCKS, WHOLES, LINE, TABLE, LINE, TABLE)
+def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start, stop, columns,
+            bends, bent, filters, wander, pursuit, by_pursuit, place, rate, states, innovation,
+            jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
-    y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of
-    each cycle, without what `slope` (n,) times the rate at half cycle adds. columns (n, m)
-    derivatives of the mean acceleration of each cycle, bends (n, b) half the difference of its
-    halves for those whose numbers are in bent (b,). States: rate, disturbance, the sensor's
-    two, and two of each of the v lines in the noise. gain (4 + 2 v,) what the innovation adds
-    to them; move (2 + 2 v,): what is left of the disturbance after a cycle, its mean over the
-    cycle, and the turn of each line (cosine and sine times what is left of it); filters
-    (m, 6 + 4 v) the derivatives of both; nothing is added where y is NaN. gyro (2, 5) as in
-    noise.Sensor.step, measured where `behind`. Behind more than `most` cycles without a
-    measurement rate and sensor are as measured for `unknown` cycles, from which nothing else is
-    learnt: if the commands of that gap were lost too, the motors do what nobody knows, and not a
-    disturbance. wander (n, w): acceleration per unit of each wandering term; pursuit (n, w, 2):
-    what an innovation adds to it, and what is left of it after the cycle, by_pursuit (n, w, 2, 2)
-    their derivatives by its two parameters, whose columns begin at place (w,). rate (n,) receives
-    the rate at half cycle, states (n, 4 + 2 v + w) the prediction before the innovation,
-    innovation (n,) and jacobian (n, m) what the name says. Each array of m numbers is one of its
-    own and each loop over them plain, so that the compiler handles several at once.
+    y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of each
+    cycle, without what `slope` (n,) times the rate at half cycle adds. columns (n, m) derivatives
+    of the mean acceleration of each cycle, bends (n, b) half the difference of its halves for
+    those whose numbers are in bent (b,). States: rate, disturbance, the sensor's two, and two of
+    each of the v lines in the noise. gain (4 + 2 v,) what the innovation adds to them; move (2 + 2
+    v,): what is left of the disturbance after a cycle, its mean over the cycle, and the turn of
+    each line (cosine and sine times what is left of it); filters (m, 6 + 4 v) the derivatives of
+    both; nothing is added where y is NaN. gyro (2, 5) as in noise.Sensor.step, measured where
+    `behind`. In cycles that are `caught` (n,) rate and sensor are as measured, and nothing else is
+    learnt. wander (n, w): acceleration per unit of each wandering term; pursuit (n, w, 2): what an
+    innovation adds to it, and what is left of it after the cycle, by_pursuit (n, w, 2, 2) their
+    derivatives by its two parameters, whose columns begin at place (w,). rate (n,) receives the
+    rate at half cycle, states (n, 4 + 2 v + w) the prediction before the innovation, innovation
+    (n,) and jacobian (n, m) what the name says. Each array of m numbers is one of its own and each
+    loop over them plain, so that the compiler handles several at once.
     """
     m, wanders, first = columns.shape[1], wander.shape[1], gain.size
     g00, g01, g02, g03, g04 = gyro[0, 0], gyro[0, 1], gyro[0, 2], gyro[0, 3], gyro[0, 4]
     g10, g11, g12, g13, g14 = gyro[1, 0], gyro[1, 1], gyro[1, 2], gyro[1, 3], gyro[1, 4]
     c0, c1, c2, c3 = gain[0], gain[1], gain[2], gain[3]
-    lost, until = 0, start
     fade, hold, lines = move[0], move[1], first // 2 - 2
     n0, n1, n2, n3 = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
     t0, t1 = np.empty(m), np.empty(m)
@@ -273,15 +271,11 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, most, unknown,
                 z[j] -= sv[i, 0, j]
         innovation[k] = e
         if not np.isfinite(y[k]):
-            lost, e = lost + 1, 0.0
+            e = 0.0
             for j in range(m):
                 z[j] = 0.0
-        else:
-            if lost > most:
-                until = k + unknown
-            lost = 0
-        if k < until:
-            r, g, innovation[k], e = r + e, g + e, 0.0 * innovation[k], 0.0
+        if caught[k]:
+            r, g, e, innovation[k] = r + e, g + e, 0.0, np.nan
             for j in range(m):
                 s0[j] += z[j]
                 s2[j] += z[j]
