@@ -312,7 +312,7 @@ def lost(share, *columns, every=0):
     ('change', 'wider'),
     [(clipped(0.25), 3.0), (lost(0.2, 'rates'), 1.6), (lost(0.05, 'rates', 'control'), 1.6),
      (lost(0.0, 'rates', 'control', every=100), 2.0),
-     (lost(0.0, 'rates', 'control', every=40), 2.5)])
+     (lost(0.0, 'rates', 'control', every=40), 3.5)])
 def test_samples_at_the_limit_or_lost_are_missing_measurements(plain, plain_flight, change, wider):
     data = axis_data([change(plain_flight)], 'roll')
     check_moving(data)
