@@ -221,6 +221,18 @@ def test_ardupilot_pulses(flight, tmp_path):
     assert not np.isfinite(record.velocity[:, :2]).any()
 
 
+@pytest.mark.parametrize(('loop_hz', 'later'), [(500.0, 0.25), (250.0, 0.0)])
+def test_commands_of_cycles_that_are_not_in_the_log_lie_between(flight, tmp_path, loop_hz, later):
+    """Of a controller of 500 Hz the log has every second command, of one of 250 Hz each."""
+    messages = ardupilot_messages(flight)
+    del messages['RCOU']
+    path = dataflash(tmp_path / 'log.bin', messages, {'SCHED_LOOP_RATE': loop_hz})
+    record, notes = imported(path, tmp_path / 'bag')
+    mean = (1.0 - later) * flight.control[:-1] + later * flight.control[1:]
+    np.testing.assert_allclose(record.control[: N - 1], mean, atol=1e-5)
+    assert ('commands on straight lines' in notes) is (later > 0.0)
+
+
 @pytest.mark.parametrize(('topic', 'field', 'values'), [
     ('actuator_armed', 'armed', (0.0, 1.0)), ('vehicle_status', 'arming_state', (1.0, 2.0)),
     ('EV', 'Id', (11.0, 10.0)),

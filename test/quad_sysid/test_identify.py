@@ -20,6 +20,7 @@ from quad_sysid.discover.base import best_base
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import readings
 from quad_sysid.model.data import axis_data
+from quad_sysid.model.flight import Flight
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline.evaluate import evaluate, simulate
 from quad_sysid.pipeline.usable import check_moving
@@ -178,6 +179,23 @@ def test_commands_that_were_lost_with_the_rate_do_not_disturb_what_follows(true_
     assert torn.windows > 11
     assert torn.after < 0.02
     assert torn.one_step_after < 0.012
+
+
+@pytest.mark.parametrize(('lost', 'every', 'angle_only', 'cycles'), [
+    (('rates', 'control'), 400, False, 38), (('control',), 400, False, 38),
+    (('rates',), 400, False, 0), (('rates', 'control'), 60, False, 0),
+    (('rates', 'control'), 400, True, 0)])
+def test_the_filter_takes_the_rate_over_where_commands_were_lost(
+    plain_flight, lost, every, angle_only, cycles
+):
+    """For 150 ms behind each gap of 40 ms; not if that were most of the flight, or by an angle."""
+    torn = {name: np.array(getattr(plain_flight, name)) for name in lost}
+    for at in range(500, 2500, every):
+        for values in torn.values():
+            values[at : at + 10] = np.nan
+    data = axis_data([replace(plain_flight, motors=None, **torn)], 'roll')
+    data = replace(data, derived_s=0.01 if angle_only else None)
+    assert Flight(data, [(0, 2600)]).caught.sum() == cycles * len(range(500, 2500, every))
 
 
 def test_nothing_measured_inside_a_window_is_used_there(plain_flight, true_model):

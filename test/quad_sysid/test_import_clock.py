@@ -88,10 +88,11 @@ def test_a_log_of_every_second_cycle_has_the_commands_between_them():
 
 
 def test_a_pause_of_the_commands_is_not_drawn_over():
-    stream = every_cycle(Stream(np.array([0.0, 4.0, 8.0, 28.0, 32.0]),
-                                np.array([[0.0], [1.0], [3.0], [9.0], [9.0]])), 2.0)
-    np.testing.assert_allclose(stream.time_s, [0.0, 2.0, 4.0, 6.0, 8.0, 28.0, 30.0, 32.0])
-    np.testing.assert_allclose(stream.values[:, 0], [0.0, 0.5, 1.0, 2.0, 3.0, 9.0, 9.0, 9.0])
+    stream = every_cycle(Stream(np.array([0.0, 4.0, 8.0, 28.0, 32.0, 36.0]),
+                                np.array([[0.0], [1.0], [3.0], [9.0], [9.0], [np.nan]])), 2.0)
+    np.testing.assert_allclose(stream.time_s, [0.0, 2.0, 4.0, 6.0, 8.0, 28.0, 30.0, 32.0, 36.0])
+    np.testing.assert_allclose(stream.values[:, 0],
+                               [0.0, 0.5, 1.0, 2.0, 3.0, 9.0, 9.0, 9.0, np.nan])
 
 
 def test_restarts_and_jumps_are_experiments_one_after_the_other():

@@ -95,6 +95,8 @@ FIRMWARES = {
     }, level=INAV_LEVEL),
 }
 """By the name that --to takes."""
+NOT_STATED = ('Warning: the file does not say what was flown, so that P and D are not corrected for '
+              'TPA: design again')
 MOST = 250
 """Largest P, I, D of their command lines."""
 DIFFERS = 0.1
@@ -197,7 +199,7 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
              *(f'Not set: {name} {gains[name]:.6g} 1/s is {level:.0f} of the P of the level mode, '
                'which is one for roll and pitch' for name, level in levels.items()),
              *(f'Left out, it has no counterpart here: {one}' for one in rest),
-             *_filters(gains, flown)]
+             *_filters(gains, flown), *([] if flown else [NOT_STATED])]
     out = [f'# {line}' for line in notes]
     before = dict(flown)
     for number, step in enumerate(steps, 1):

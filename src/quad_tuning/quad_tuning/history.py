@@ -49,7 +49,8 @@ class GainSet:
     update: str = ''
     """Name of its update; sets of one update are its steps."""
     outcome: str = 'in flight'
-    """Outcome: `found` on the STM32, `in flight`, `unfinished` (the bridge ended), `confirmed`,
+    """Outcome: `found` on the STM32, `in flight`, `unfinished` (its end was not
+    recorded), `confirmed`,
     `not flown` (confirmed on the ground), `passed` on the way, `rolled back`, ..."""
     reason: str = ''
 
@@ -164,7 +165,7 @@ def _left(one: GainSet, later: GainSet) -> GainSet:
     """A set in flight, once another follows that is not of its update: nobody watched its end."""
     if one.outcome != 'in flight' or one.update == later.update:
         return one
-    return replace(one, outcome='unfinished', reason='the bridge ended during the update')
+    return replace(one, outcome='unfinished', reason='its end was not recorded')
 
 
 def _as_before(one: GainSet, sets: Sequence[GainSet]) -> GainSet:

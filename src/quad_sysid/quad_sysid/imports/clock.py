@@ -50,6 +50,8 @@ MAX_PAUSE = 3.0
 """Usual intervals for which a command is held."""
 MOST_LOOPS = 1.5
 """Usual interval of a command, in the controller's cycles, from which some are not in the log."""
+MOST_LEFT_OUT = 64
+"""Cycles for each command in the log beyond which the stated cycle is not believed."""
 PARTS = 8
 """Parts of a cycle over which the active command is averaged."""
 
@@ -284,9 +286,13 @@ def draw(stream: Stream, times: FloatArray, longest: float) -> FloatArray:
     return values
 
 
-def hold(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
-    """The active value at each time: the last one, at most half a cycle later."""
-    interval = 1.0 / stream.rate_hz if stream.rate_hz else np.inf
+def hold(stream: Stream, times: FloatArray, dt: float, interval: float | None = None
+         ) -> FloatArray:
+    """The active value at each time: the last one, at most half a cycle later.
+
+    interval: the usual one of the stream, s, if not that of its own times.
+    """
+    interval = interval or (1.0 / stream.rate_hz if stream.rate_hz else np.inf)
     index = np.searchsorted(stream.time_s, times + 0.5 * dt, side='right') - 1
     is_recent = index >= 0
     index = np.maximum(index, 0)
@@ -303,15 +309,19 @@ def every_cycle(stream: Stream, loop_s: float | None) -> Stream:
     """
     steps = np.diff(stream.time_s)
     usual = float(np.median(steps)) if steps.size else 0.0
-    if loop_s is None or usual < MOST_LOOPS * loop_s:
+    if loop_s is None or not MOST_LOOPS * loop_s <= usual <= MOST_LEFT_OUT * loop_s:
         return stream
-    parts = np.where(steps <= MAX_PAUSE * usual, np.rint(steps / loop_s), 1.0)
+    is_known = np.isfinite(stream.values).all(axis=1)
+    drawn = (steps <= MAX_DRAWN * usual) & is_known[1:] & is_known[:-1]
+    parts = np.where(drawn, np.rint(steps / loop_s), 1.0)
     parts = np.append(np.maximum(parts, 1.0).astype(int), 1)
     first = np.repeat(np.arange(parts.size), parts)
     share = (np.arange(first.size) - (np.cumsum(parts) - parts)[first]) / parts[first]
     later = np.minimum(first + 1, parts.size - 1)
     place = first + share
-    values = stream.values[first] + share[:, None] * (stream.values[later] - stream.values[first])
+    values = stream.values[first].copy()
+    on_line = np.asarray(share > 0.0)
+    values[on_line] += (share[:, None] * (stream.values[later] - stream.values[first]))[on_line]
     return Stream(np.interp(place, np.arange(parts.size), stream.time_s), values)
 
 
@@ -327,9 +337,10 @@ def held_on(stream: Stream | None, times: FloatArray, dt: float) -> FloatArray |
     return None if stream is None else hold(stream, times, dt)
 
 
-def mean_of_next_cycle(stream: Stream, times: FloatArray, dt: float) -> FloatArray:
-    """Mean of the active value from each time to the next."""
+def mean_of_next_cycle(stream: Stream, times: FloatArray, dt: float,
+                       interval: float | None = None) -> FloatArray:
+    """Mean of the active value from each time to the next; interval: as in `hold`."""
     parts = dt / PARTS
     fine = (times[:, None] + parts * np.arange(PARTS)).ravel()
-    resampled = hold(stream, fine, parts)
+    resampled = hold(stream, fine, parts, interval)
     return np.asarray(resampled.reshape(len(times), PARTS, -1).mean(axis=1), dtype=np.float64)

@@ -242,11 +242,14 @@ def _by_motion(
 
 def _held(log: ForeignLog, logged: Stream, grid: Cycles, notes: list[str]) -> FloatArray:
     """(n, k) what the commands are in each cycle of the grid."""
-    stream = clock.every_cycle(logged, log.loop_s)
+    # slower ones are held, and the report says so
+    is_fast = logged.rate_hz >= FAST_ENOUGH / grid.dt
+    stream = clock.every_cycle(logged, log.loop_s if is_fast else None)
     if stream is not logged:
         notes.append(f'commands on straight lines between the logged ones, one for each '
                      f'{1e3 * (log.loop_s or 0.0):.3g} ms of the controller')
-    elif grid.own:
+        return clock.mean_of_next_cycle(stream, grid.times, grid.dt, 1.0 / logged.rate_hz)
+    if grid.own:
         return clock.hold(stream, grid.times, grid.dt)
     return clock.mean_of_next_cycle(stream, grid.times, grid.dt)
 

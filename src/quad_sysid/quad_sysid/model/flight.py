@@ -21,7 +21,16 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.model import laws, recursion
 from quad_sysid.model.angle import led_by_gyro
-from quad_sysid.model.data import SETTLE_S, SLOPE_S, AxisData, Span, Windows, at_limit, filled
+from quad_sysid.model.data import (
+    CAUGHT_UP_S,
+    SETTLE_S,
+    SLOPE_S,
+    AxisData,
+    Span,
+    Windows,
+    at_limit,
+    filled,
+)
 from quad_sysid.model.effect import SMALL, ActingEffect, Part, Signals, required
 from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
 from quad_sysid.model.plant import (
@@ -44,9 +53,10 @@ from quad_sysid.record import finite_runs
 
 DIVERGED = 1e6
 """Rate, rad/s, from which a run counts as diverged: ten thousand times what any gyro measures."""
-LOST_S, UNKNOWN_S = 0.02, 0.15
-"""Time without a command, half a motor's lag, from which it matters; and behind it, some lags,
-until it has faded."""
+LOST_S = 0.02
+"""Longest time without a command that turns an aircraft by little: half of a motor's lag."""
+UNKNOWN_S = 0.75 * CAUGHT_UP_S
+"""Time behind it in which the motors may do what nobody knows; the filter settles in the rest."""
 FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
 SMOOTHED = 5
@@ -105,10 +115,11 @@ def _caught(data: AxisData, is_measured: NDArray[np.bool_],
             passes: Sequence[Span]) -> NDArray[np.bool_]:
     """(n,) Flight.caught: where no command was known for LOST_S, and UNKNOWN_S behind that.
 
-    Nowhere if that were more than half: in a log that loses samples throughout.
+    Nowhere if that were more than half: in a log that loses samples throughout. Nor where only the
+    angle was measured, which says little of the rate in one cycle.
     """
     caught, inside = np.zeros((2, is_measured.size), dtype=bool)
-    if data.uncommanded is None:
+    if data.uncommanded is None or data.derived_s is not None:
         return caught
     for start, stop in passes:
         inside[start:stop] = is_measured[start:stop]

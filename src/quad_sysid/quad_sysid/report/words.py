@@ -176,9 +176,9 @@ def on_this_flight(tree: Tree) -> str:
     if after >= hold or lower_pct <= -UNSEEN_PCT:
         said.append('The model does not hold here: is it the same aircraft, as it was?')
     elif (own := error.get('own')) and after > WORSE * own[0] * max(1.0, hold / own[1]):
-        said.append(f'Its error is {number(100.0 * after / hold, 2)} % of the motion here and was '
-                    f'{number(100.0 * own[0] / own[1], 2)} % on the held-out part of its own '
-                    'flight: is it the same aircraft, as it was?')
+        said.append(f'Its error is {100.0 * after / hold:.0f} % of the motion here and was '
+                    f'{100.0 * own[0] / own[1]:.0f} % on the held-out part of its own flight: is '
+                    'it the same aircraft, as it was?')
     return ' '.join(said)
 
 
