@@ -95,8 +95,8 @@ FIRMWARES = {
     }, level=INAV_LEVEL),
 }
 """By the name that --to takes."""
-NOT_STATED = ('Warning: the file does not say what was flown, so that P and D are not corrected for '
-              'TPA: design again')
+NOT_STATED = ('Warning: the file does not say what was flown, so that P and D are not corrected '
+              'for TPA: design again')
 MOST = 250
 """Largest P, I, D of their command lines."""
 DIFFERS = 0.1

@@ -311,7 +311,7 @@ def every_cycle(stream: Stream, loop_s: float | None) -> Stream:
     usual = float(np.median(steps)) if steps.size else 0.0
     if loop_s is None or not MOST_LOOPS * loop_s <= usual <= MOST_LEFT_OUT * loop_s:
         return stream
-    is_known = np.isfinite(stream.values).all(axis=1)
+    is_known = np.asarray(np.isfinite(stream.values).all(axis=1))
     drawn = (steps <= MAX_DRAWN * usual) & is_known[1:] & is_known[:-1]
     parts = np.where(drawn, np.rint(steps / loop_s), 1.0)
     parts = np.append(np.maximum(parts, 1.0).astype(int), 1)
