@@ -156,6 +156,13 @@ def fly(
     return begin
 
 
+def test_of_two_nodes_that_excite_the_second_does_not_start(aircraft, fly):
+    aircraft.probe.advertise(SETPOINT)
+    fly(LONG)  # without a battery's voltage it would not start anyway
+    aircraft.until(lambda: f'another node publishes {SETPOINT} too' in aircraft.call(
+        '/excitation/start').message)
+
+
 def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):
     process = fly(LONG, battery_min_v=10.2)
     aircraft.until_state('ready')

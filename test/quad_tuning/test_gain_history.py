@@ -2,6 +2,7 @@
 
 import json
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,7 +10,7 @@ from quad_bridge.gains.gate import GainRequest
 from quad_bridge.gains.history import History
 from quad_sysid.errors import BadInputError
 from quad_tuning.cli import main
-from quad_tuning.history import STORED, read_design, read_history, way_back
+from quad_tuning.history import STORED, read_design, read_history, send, way_back
 
 KP, ANGLE = 'roll.rate.kp', 'roll.angle.kp'
 
@@ -137,3 +138,16 @@ def test_what_is_sent_says_from_which_gains_the_design_began(tmp_path, schema, f
     assert wanted == {KP: 0.1}
     assert json.loads(beside['predicted']) == {'roll.peak': 1.2}
     assert json.loads(beside['flown']) == {KP: 0.07}
+
+
+def test_who_interrupts_send_hears_that_the_bridge_goes_on(tmp_path, monkeypatch, capsys):
+    def publish(*_, **__):
+        raise KeyboardInterrupt('the bridge goes on')
+
+    path = tmp_path / 'gains.json'
+    path.write_text(json.dumps({'schema': 'quad_tuning/design/1',
+                                'axes': {'roll': {'gains': {KP: 0.1}}}}))
+    monkeypatch.setattr('quad_tuning.history._publish', lambda _: publish)
+    with pytest.raises(KeyboardInterrupt):
+        send(SimpleNamespace(design=path, namespace=''))
+    assert capsys.readouterr().err == 'quad-tune: the bridge goes on\n'

@@ -156,6 +156,10 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             return 'time is simulated, and nothing comes on /clock'
         if not self._player.active:
             self._refusal = False
+            topic = self._setpoint.topic_name
+            if self.count_publishers(topic) > 1:
+                return (f'another node publishes {topic} too: end it first, or wait until '
+                        'the end of a killed one is noticed')
         began_s = clock().now_s()  # the first decoding takes its time, and so may the first tick
         reason = self._player.start(self._now_s(), self._readings(decode_angles=True))
         if not reason:

@@ -244,7 +244,12 @@ def go_back(arguments: argparse.Namespace) -> int:
 def send(arguments: argparse.Namespace) -> int:
     """`quad-tune send`. Raises QuadSysidError for bad input."""
     gains, beside = read_design(arguments.design)
-    refusal = _publish('send')(gains, SENDER, beside=beside, namespace=arguments.namespace)
+    try:
+        refusal = _publish('send')(gains, SENDER, beside=beside, namespace=arguments.namespace)
+    except KeyboardInterrupt as interrupt:
+        for words in interrupt.args:
+            print(f'quad-tune: {words}', file=sys.stderr)
+        raise
     return _report(refusal, f'active: {_words(gains)}; the bridge watches them for 10 s of '
                    'flight and takes them back if they fly badly: see quad-tune history')
 

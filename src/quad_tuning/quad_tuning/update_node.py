@@ -26,6 +26,7 @@ LISTEN_S, ANSWER_S = 10.0, 150.0
 GONE_S = 2.0
 """Without the bridge's service for this long it has ended."""
 SERVICE = 'serial_bridge/set_gains'
+GOES_ON = 'the bridge goes on with these gains; quad-tune rollback takes them back'
 
 
 def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
@@ -36,13 +37,15 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
     `beside` is what a design sends with its gains, `namespace` the bridge's, `aircraft` the name
     of the one they are for, if that is known. Returns '' once the aircraft has read them back,
     else the reason why not. Raises BadInputError for an invalid namespace or a bridge that is
-    not there or does not answer, KeyboardInterrupt on SIGINT. Call it in the main thread.
+    not there or does not answer, KeyboardInterrupt on SIGINT, with words for the user where the
+    bridge has the gains by then. Call it in the main thread.
     """
     try:
         validate_namespace(f'/{namespace.strip("/")}')
     except InvalidNamespaceException as error:
         raise BadInputError('--namespace', 'is not a valid ROS namespace', namespace) from error
     interrupted = threading.Event()
+    said: list[str] = []  # to the user who interrupts
     with contextlib.ExitStack() as ending:
         # an exception that a signal raises within rclpy may be swallowed there
         before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
@@ -63,7 +66,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
             while not until() and time.monotonic() < end:
                 executor.spin_once(timeout_sec=0.1)
                 if interrupted.is_set():
-                    raise KeyboardInterrupt
+                    raise KeyboardInterrupt(*said)
             return bool(until())
 
         if not spin(client.service_is_ready, LISTEN_S):
@@ -74,6 +77,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
                                                  **({'aircraft': aircraft} if aircraft else {}),
                                                  **({'rollback': True} if rollback else {})}
         wanted = event_message(values, '/quad_tune', 0).changed_parameters
+        said.append(GOES_ON)
         answer = client.call_async(SetParametersAtomically.Request(parameters=wanted))
         there_s = time.monotonic()  # when the bridge was last there
 

@@ -44,7 +44,7 @@ from quad_bridge.link.autopilot import (
     Inertial,
 )
 from quad_bridge.link.machine import Link
-from quad_bridge.link.port import SerialPort
+from quad_bridge.link.port import PortState, SerialPort
 from quad_bridge.link.report import LinkReport
 from quad_bridge.link.stamping import Arrived, Described, Restarted, Stamped
 from quad_bridge.lockstep import START_NS, WIRE, clock
@@ -456,6 +456,8 @@ class SerialBridge(ManagedNode):
     ) -> None:
         """Hand on an update; raises RefusedError."""
         self.refuse_unless_active()
+        if self._port.status.state is PortState.BUSY:  # of two bridges the other one has it
+            raise RefusedError(f'{self._port.status.path or "the port"} is {PortState.BUSY.value}')
         with self._lock:
             if not parameters.get('rollback'):
                 self._refuse(Ability.GAINS)
