@@ -1,6 +1,7 @@
 """The black-box part of an identification: approaches, both steps, preparation, advice."""
 
 import dataclasses
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from scipy import signal
 
 from quad_sysid.blackbox import frequency_response
+from quad_sysid.effects import EFFECTS
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
@@ -15,7 +17,7 @@ from quad_sysid.model import AxisModel, GainProposal, Parameter
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline import step_b
-from quad_sysid.pipeline.advice import _beyond
+from quad_sysid.pipeline.advice import _between_flights, _beyond
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import GainChange, IOData, Record, Segment
@@ -120,6 +122,23 @@ def test_gains_are_designed_in_the_band_that_the_report_trusts(roll):
     assert answer.proposal.refused_because == str(band)
     assert low <= band[0] < band[1] <= high
     assert band[1] / band[0] < 0.8 * high / low
+
+
+@pytest.mark.parametrize(('flights', 'label', 'lines'), [
+    (2, 'shape:gain:time/smooth', 1), (1, 'shape:gain:time/smooth', 0),
+    (2, 'coulomb_friction', 0)])
+def test_what_changes_between_flights_may_be_the_aircraft(flights, label, lines):
+    effect = next(one for one in EFFECTS if one.label == label)
+    chosen = SimpleNamespace(theta=None, structure=SimpleNamespace(
+        natural=lambda _: np.ones(len(effect.parameters)),
+        effects=lambda: [(SimpleNamespace(effect=effect), slice(None))]))
+    whole = SimpleNamespace(flights=((0, 9),) * flights), None
+    answer = SimpleNamespace(findings=SimpleNamespace(
+        verdict=SimpleNamespace(chosen=chosen),
+        problem=SimpleNamespace(data=SimpleNamespace(whole=whole))))
+    told = list(_between_flights(answer))
+    assert len(told) == lines
+    assert all('identify each by itself' in line for line in told)
 
 
 def test_a_sweep_is_trusted_where_it_has_been_and_its_rest_is_named():

@@ -14,7 +14,7 @@ from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.mixers import chosen
 from quad_sysid.imports.to_bag import import_log
-from quad_sysid.motor_layout import patterns_of, share_of
+from quad_sysid.motor_layout import commands_of, exchanged, patterns_of, share_of
 
 SHARED = Path(__file__).resolve().parents[2] / '../shared/data'
 LAYOUTS = {
@@ -43,6 +43,16 @@ def test_every_layout_is_found(layout):
     assert all(p.share > 1.4 * p.rival_share for p in found)
     opposite = -np.array(found[0].signs, dtype=float)
     assert share_of(opposite, rates[:, 0], motors, DT) < 0.1 * found[0].share
+
+
+@pytest.mark.parametrize(('order', 'lines'), [([0, 1, 2], 0), ([1, 0, 2], 2)])
+def test_commands_that_are_exchanged_are_told(order, lines):
+    _, rates, motors = flown(LAYOUTS['X'])
+    commands = 0.25 * motors @ np.array([p.signs for p in patterns_of(rates, motors, DT)]).T
+    commands = commands[:, order]
+    found = exchanged(commands_of(rates, commands, DT), rates, commands, DT)
+    assert len(found) == lines
+    assert all('exchanged?' in line for line in found)
 
 
 def test_the_contracts_mixer_is_that_of_its_frame():

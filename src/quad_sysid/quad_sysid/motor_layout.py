@@ -49,6 +49,8 @@ CLEARLY_LESS = 0.5
 """Share of the best pattern's explanation below which a mixer is in doubt."""
 REVERSED_SHARE = 0.2
 """Least share with which a command is called reversed: a slow motion may have any phase to it."""
+EXCHANGED = 0.5
+"""Least share of an axis' response that another axis' command explains to be taken for its own."""
 MAX_ROWS = 200_000
 """At most so many samples are compared, in as many parts as there are blocks."""
 MAX_MOTORS = 8
@@ -203,6 +205,24 @@ def opposite(patterns: Sequence[Pattern], remedies: Mapping[str, str]) -> list[s
         + remedies.get(p.axis, remedy)
         for p in patterns if p.certain and p.signs == (-1,) and p.share >= REVERSED_SHARE
     ]
+
+
+def exchanged(patterns: Sequence[Pattern], rates: FloatArray, commands: FloatArray,
+              dt: float) -> list[str]:
+    """A line for each axis that follows another axis' command and not its own (commands_of)."""
+    rates, commands = _parts(rates), _parts(commands)
+    out = []
+    for i, axis in enumerate(AXES):
+        own = max((p.share for p in patterns if p.axis == axis), default=0.0)
+        others = {other: share_of(np.ones(1), rates[:, i], commands[:, [j]], dt)
+                  for j, other in enumerate(AXES)
+                  if j != i and np.nanstd(commands[:, j]) > 0.0 and np.nanstd(rates[:, i]) > 0.0}
+        best = max(others, key=lambda other: others[other], default='')
+        if best and others[best] >= EXCHANGED and own < REVERSED_SHARE * others[best]:
+            out.append(f'{axis}: the command of {best} explains {100.0 * others[best]:.3g} % of '
+                       f'the angular acceleration, its own {100.0 * own:.2g} %: are the columns '
+                       'of rates or commands exchanged?')
+    return out
 
 
 def _best_of(

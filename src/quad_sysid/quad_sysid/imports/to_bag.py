@@ -28,7 +28,14 @@ from quad_sysid.imports.plausible import contradicted
 from quad_sysid.imports.stretches import airborne, with_stretches
 from quad_sysid.imports.stretches import summary as stretches_summary
 from quad_sysid.motion import turned
-from quad_sysid.motor_layout import Pattern, commands_of, doubts, opposite, patterns_of
+from quad_sysid.motor_layout import (
+    Pattern,
+    commands_of,
+    doubts,
+    exchanged,
+    opposite,
+    patterns_of,
+)
 from quad_sysid.record import SHORT_GAP_S, GainChange, Record, finite_runs
 
 MIDDLE_COMMAND = 0.5
@@ -189,7 +196,8 @@ def _commands(
         control = _held(log, log.control, grid, notes)
         patterns = commands_of(rates, control[:, 1:], grid.dt, angles)
         notes += [pattern.sentence for pattern in patterns]
-        warnings += opposite(patterns, log.reversing)
+        warnings += [*opposite(patterns, log.reversing),
+                     *exchanged(patterns, rates, control[:, 1:], grid.dt)]
         return control, None, X
     motors = _held(log, log.motors, grid, notes)
     rates = np.where(airborne(motors.mean(axis=1), grid.dt)[:, None], rates, np.nan)

@@ -30,9 +30,23 @@ RICHEST = 50
 def advice(answer: AxisAnswer, fits: Fits, support: Support, no_step_b: str) -> tuple[str, ...]:
     """One line each, the most important first; empty without doubts. no_step_b: why, if so."""
     train, held_out = required(answer.train), required(answer.validation)
-    return (*rivalry(answer.model), *_excitation(train, answer.rows), *_beyond(train, held_out),
+    return (*_between_flights(answer), *rivalry(answer.model),
+            *_excitation(train, answer.rows), *_beyond(train, held_out),
             *_delay(answer, fits.delay), *_band(answer, support.lowest),
             *_edge(fits.search.at_edge), *_unstable(answer.rows), *_selection(answer, no_step_b))
+
+
+def _between_flights(answer: AxisAnswer) -> Iterator[str]:
+    """A line where what changes over time may be what the flights differ in."""
+    findings = required(answer.findings)
+    chosen, flights = findings.verdict.chosen, findings.problem.data.whole[0].flights
+    p = chosen.structure.natural(chosen.theta)
+    changes = [part.effect.name for part, where in chosen.structure.effects()
+               if 'time' in part.effect.signals and not part.effect.repeats_hz(p[where])]
+    if len(flights) > 1 and changes:
+        yield (f'{" and ".join(changes)} over {len(flights)} flights may be what they differ in, '
+               'such as another aircraft, battery or propeller: identify each by itself, and '
+               'quad-sysid compare them')
 
 
 def rivalry(model: AxisModel | None) -> Iterator[str]:
