@@ -35,6 +35,10 @@ BRIDGED_S = 0.1
 CAUGHT_UP_S = 0.2
 """Time behind a gap inside a segment until what the interpolated commands did to the motors has
 faded: four lags of slow ones."""
+LOST_S = 0.02
+"""Longest time without a command that turns an aircraft by little: half of a motor's lag."""
+UNKNOWN_S = 0.75 * CAUGHT_UP_S
+"""Time behind it in which the motors may do what nobody knows; the filter settles in the rest."""
 SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
 RESTING = 0.05
@@ -380,6 +384,25 @@ def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
     except NotInformativeError:
         return missing, missing
     return motion.rate, missing if motion.position is None else motion.position
+
+
+def where_commands_were_lost(data: AxisData, is_measured: NDArray[np.bool_],
+                             passes: Sequence[Span]) -> NDArray[np.bool_]:
+    """(n,) samples that were measured where no command was known for LOST_S, and UNKNOWN_S behind.
+
+    None if that were more than half: in a log that loses samples throughout. None where only the
+    angle was measured, which says little of the rate in one cycle.
+    """
+    caught, inside = np.zeros((2, is_measured.size), dtype=bool)
+    if data.uncommanded is None or data.derived_s is not None:
+        return caught
+    for start, stop in passes:
+        inside[start:stop] = is_measured[start:stop]
+        for begin, end in finite_runs(data.uncommanded, (start, stop)):
+            if end - begin > max(2, round(LOST_S / data.dt)):
+                caught[begin : end + round(UNKNOWN_S / data.dt)] = True
+    caught &= inside
+    return caught if 2 * caught.sum() <= inside.sum() else np.zeros_like(caught)
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:

@@ -22,7 +22,6 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model import laws, recursion
 from quad_sysid.model.angle import led_by_gyro
 from quad_sysid.model.data import (
-    CAUGHT_UP_S,
     SETTLE_S,
     SLOPE_S,
     AxisData,
@@ -30,6 +29,7 @@ from quad_sysid.model.data import (
     Windows,
     at_limit,
     filled,
+    where_commands_were_lost,
 )
 from quad_sysid.model.effect import SMALL, ActingEffect, Part, Signals, required
 from quad_sysid.model.noise import Filter, Sensor, kalman, sensor_of
@@ -49,14 +49,9 @@ from quad_sysid.model.plant import (
 )
 from quad_sysid.model.structure import Structure, natural
 from quad_sysid.model.traced import Listing, Untraceable
-from quad_sysid.record import finite_runs
 
 DIVERGED = 1e6
 """Rate, rad/s, from which a run counts as diverged: ten thousand times what any gyro measures."""
-LOST_S = 0.02
-"""Longest time without a command that turns an aircraft by little: half of a motor's lag."""
-UNKNOWN_S = 0.75 * CAUGHT_UP_S
-"""Time behind it in which the motors may do what nobody knows; the filter settles in the rest."""
 FOLLOWED_S = 0.05
 """Time after which an integral of the rate follows the measurement."""
 SMOOTHED = 5
@@ -111,25 +106,6 @@ def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
     return tuple((a, b) for a, b in merged)
 
 
-def _caught(data: AxisData, is_measured: NDArray[np.bool_],
-            passes: Sequence[Span]) -> NDArray[np.bool_]:
-    """(n,) Flight.caught: where no command was known for LOST_S, and UNKNOWN_S behind that.
-
-    Nowhere if that were more than half: in a log that loses samples throughout. Nor where only the
-    angle was measured, which says little of the rate in one cycle.
-    """
-    caught, inside = np.zeros((2, is_measured.size), dtype=bool)
-    if data.uncommanded is None or data.derived_s is not None:
-        return caught
-    for start, stop in passes:
-        inside[start:stop] = is_measured[start:stop]
-        for begin, end in finite_runs(data.uncommanded, (start, stop)):
-            if end - begin > max(2, round(LOST_S / data.dt)):
-                caught[begin : end + round(UNKNOWN_S / data.dt)] = True
-    caught &= inside
-    return caught if 2 * caught.sum() <= inside.sum() else np.zeros_like(caught)
-
-
 class Flight:
     """One axis of a flight as the filter follows it.
 
@@ -162,7 +138,7 @@ class Flight:
             self.late[cut_offs == hz] = sensor_of(float(hz), data.derived_s, data.dt).late_s
         output = required(data.angle) / data.dt if self.sensor.derived else data.rate
         self.measured = np.where(unmeasured(data), np.nan, output)
-        self.caught = _caught(data, np.isfinite(self.measured), self.passes)
+        self.caught = where_commands_were_lost(data, np.isfinite(self.measured), self.passes)
         self.gyro = filled(data.rate)
         self.angle = None
         if data.angle is not None:
