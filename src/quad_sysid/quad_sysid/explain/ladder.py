@@ -241,6 +241,8 @@ class _Climb:
         self.projection, self.parts, self.whole = projection, parts, whole
         self.scores = {frozenset(scored.fit.structure.labels): scored.score
                        for scored in search.all}
+        self.fits = {frozenset(scored.fit.structure.labels): scored.fit
+                     for scored in reversed(search.all)}
         self.left_out: set[str] = set()
         """Labels of what runs away beside the rung, or explains too little of the rest."""
 
@@ -279,8 +281,17 @@ class _Climb:
         projection, structure = self.projection, model.structure.plus(part)
         if set(structure.labels) == set(projection.reference.structure.labels):
             return projection.ordered(structure)
-        start = np.insert(model.theta, -projection.noise.size, values)
-        return projection.project(structure, start, coarse=True)
+        starts = [np.insert(model.theta, -projection.noise.size, values)]
+        fitted = self.fits.get(frozenset(structure.labels))
+        if fitted is not None:  # by the search, perhaps where the base alone does not lead
+            own = {other.effect.label: fitted.theta[where]
+                   for other, where in fitted.structure.effects()}
+            starts.append(np.concatenate([fitted.theta[: projection.base],
+                                          *(own[label] for label in structure.labels),
+                                          projection.noise]))
+        nearer = min((projection.project(structure, start, most=0) for start in starts),
+                     key=lambda trial: trial.total)
+        return projection.project(structure, nearer.theta, coarse=True)
 
     def promising(self, model: Projected, parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
         """The named laws and the effects of the reference that explain most of the missing torque.
