@@ -14,9 +14,9 @@ from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import covariance, derivative_steps, fit
-from quad_sysid.explain.ladder import Ladder, _believed, explain
+from quad_sysid.explain.ladder import Ladder, _believed, _Climb, explain
 from quad_sysid.explain.models import Models
-from quad_sysid.explain.projection import Projected
+from quad_sysid.explain.projection import Projected, Projection
 from quad_sysid.model.effect import Part
 from quad_sysid.model.sensitivity import Sensitivity
 from quad_sysid.model.structure import Structure, coordinates
@@ -70,17 +70,38 @@ def test_a_law_is_no_rung_with_parameters_that_its_prior_does_not_allow(
     assert _believed(model) is believed
 
 
-def test_the_whole_reference_names_the_main_cause_first(rubbed_answer, monkeypatch):
-    monkeypatch.setattr('quad_sysid.explain.ladder.MOST_RUNGS', 1)
-    monkeypatch.setattr('quad_sysid.explain.ladder.ENOUGH', 101.0)
-    told = rubbed_answer.findings
+def drag_and_friction(told):
+    """A reference of both, and the candidates."""
     parts, _ = candidates(told.problem, EFFECTS)
     both = [next(part for part in parts if part.effect.label == label)
             for label in ('quadratic_drag', 'coulomb_friction')]
     starts = [coordinates(part.effect.parameters, part.effect.starts(
         told.problem.data, part.settings)[0]) for part in both]
     start = np.insert(told.search.base.theta, [-4] * sum(map(len, starts)), np.concatenate(starts))
-    reference = fit(told.problem, Structure(tuple(both)), start)
+    return fit(told.problem, Structure(tuple(both)), start), parts
+
+
+def test_a_rung_starts_where_the_search_was_if_that_is_nearer(rubbed_answer):
+    """From a base with a tenth of the gain the projection comes back to no better than the base.
+
+    So a second cause explained what friction on a slow plant left there.
+    """
+    told = rubbed_answer.findings
+    reference, parts = drag_and_friction(told)
+    base, first = (rung.model for rung in told.ladder.rungs[:2])
+    astray = base.theta.copy()
+    astray[:2] = 0.1 * astray[0], astray[1] + np.log(30.0)
+    climb = _Climb(Projection(told.problem, reference), told.search, parts, base.total)
+    (part,), (where,) = first.structure.parts, first.structure.slices()
+    trial = climb.extended(replace(base, theta=astray), part, first.theta[where])
+    assert trial.total < 0.01 * base.total
+
+
+def test_the_whole_reference_names_the_main_cause_first(rubbed_answer, monkeypatch):
+    monkeypatch.setattr('quad_sysid.explain.ladder.MOST_RUNGS', 1)
+    monkeypatch.setattr('quad_sysid.explain.ladder.ENOUGH', 101.0)
+    told = rubbed_answer.findings
+    reference, parts = drag_and_friction(told)
     found = SearchResult(told.search.base, (Scored(reference, 9.0),), {})
     ladder = explain(told.problem, found, parts)
     assert [rung.labels for rung in ladder.rungs] == [
